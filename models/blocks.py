@@ -1,0 +1,86 @@
+"""Building blocks that every network of the family shares."""
+
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+
+class ConvBNReLU(nn.Sequential):
+    """3x3 (or 1x1) convolution, batch normalisation, ReLU: (N, C, H, W) -> (N, C', H', W')."""
+
+    def __init__(
+        self, in_channels: int, out_channels: int, *, kernel: int = 3, stride: int = 1
+    ) -> None:
+        super().__init__(
+            nn.Conv2d(in_channels, out_channels, kernel, stride, kernel // 2, bias=False),
+            nn.BatchNorm2d(out_channels),
+            nn.ReLU(inplace=True),
+        )
+
+
+class BaConv(nn.Module):
+    """Boundary-aware convolution, Eq. 1: y(p) = sum_n w(p_n) x(p_n) (1 - B(p_n)).
+
+    Gating the input and convolving it is the same sum, so no custom operator is needed and an
+    exported graph holds `Mul` and `Conv` alone.
+
+    Shapes: x (N, C, H, W), boundary (N, 1, H, W) in 0..1; returns (N, C', H, W). No bias.
+    """
+
+    def __init__(self, in_channels: int, out_channels: int, *, kernel: int = 3) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(in_channels, out_channels, kernel, padding=kernel // 2, bias=False)
+
+    def forward(self, x: Tensor, boundary: Tensor) -> Tensor:
+        """Convolve x with the share of each pixel that is not boundary."""
+        out: Tensor = self.conv(x * (1.0 - boundary))
+        return out
+
+
+class ResidualBlock(nn.Module):
+    """Two 3x3 convolutions around an identity (He et al. 2016), for the lite encoder."""
+
+    def __init__(self, in_channels: int, out_channels: int, *, stride: int = 1) -> None:
+        super().__init__()
+        self.conv1 = ConvBNReLU(in_channels, out_channels, stride=stride)
+        self.conv2 = nn.Sequential(
+            nn.Conv2d(out_channels, out_channels, 3, padding=1, bias=False),
+            nn.BatchNorm2d(out_channels),
+        )
+        self.shortcut: nn.Module = nn.Identity()
+        if stride != 1 or in_channels != out_channels:
+            self.shortcut = nn.Sequential(
+                nn.Conv2d(in_channels, out_channels, 1, stride, bias=False),
+                nn.BatchNorm2d(out_channels),
+            )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, H, W) -> (N, C', ceil(H / stride), ceil(W / stride))."""
+        return F.relu(self.conv2(self.conv1(x)) + self.shortcut(x))
+
+
+class GlobalContext(nn.Module):
+    """Adds the projected global mean of the features to them: (N, C, H, W) -> same."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        # No batch normalisation: one value a channel and image is too little to normalise over.
+        self.project = nn.Conv2d(channels, channels, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return relu(x + W mean(x))."""
+        return F.relu(x + self.project(x.mean(dim=(2, 3), keepdim=True)))
+
+
+def upsample(x: Tensor, *, factor: int = 2, size: tuple[int, int] | None = None) -> Tensor:
+    """Bilinear upsampling with half-pixel centres, by an integer factor or to (height, width)."""
+    if size is not None:
+        return F.interpolate(x, size=size, mode="bilinear", align_corners=False)
+    if factor == 1:
+        return x
+    return F.interpolate(x, scale_factor=float(factor), mode="bilinear", align_corners=False)
+
+
+def pad_to_multiple(x: Tensor, multiple: int) -> Tensor:
+    """Pad (N, C, H, W) with zeros at the bottom and right to a multiple of ``multiple``."""
+    height, width = x.shape[2], x.shape[3]
+    return F.pad(x, (0, -width % multiple, 0, -height % multiple))

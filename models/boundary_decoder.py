@@ -1,0 +1,35 @@
+"""The boundary decoder (paper, section 2.1.2 and Figure 2b)."""
+
+import torch
+from torch import Tensor, nn
+
+from models.blocks import ConvBNReLU, upsample
+
+
+class BoundaryDecoder(nn.Module):
+    """A side output on every skip, all of them fused into one boundary map.
+
+    Side i: 3x3 convolution to ``channels``, BN, ReLU, 1x1 to one logit; B_i is its sigmoid.
+    Fusion: the logits are upsampled to the finest skip, concatenated, 1x1 to the logit of P_b.
+    """
+
+    def __init__(self, skip_channels: tuple[int, ...], channels: int) -> None:
+        super().__init__()
+        self.sides = nn.ModuleList(
+            nn.Sequential(ConvBNReLU(width, channels), nn.Conv2d(channels, 1, 1))
+            for width in skip_channels
+        )
+        self.fuse = nn.Conv2d(len(skip_channels), 1, 1)
+
+    def forward(self, skips: list[Tensor], *, exact: bool) -> tuple[Tensor, list[Tensor]]:
+        """Return the fused logits (N, 1, h, w) and the side logits, finest first.
+
+        ``exact``: every skip is exactly half its finer neighbour, so integer factors do.
+        """
+        sides = [side(skip) for side, skip in zip(self.sides, skips, strict=True)]
+        size = (skips[0].shape[2], skips[0].shape[3])
+        raised = [
+            upsample(logit, factor=2**index) if exact else upsample(logit, size=size)
+            for index, logit in enumerate(sides)
+        ]
+        return self.fuse(torch.cat(raised, dim=1)), sides

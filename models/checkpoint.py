@@ -1,0 +1,128 @@
+"""Checkpoints: weights that carry their own configuration."""
+
+import os
+import pickle
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from models.config import ModelConfig
+from models.ssdnet import SSDNet
+from runtime.errors import CheckpointError
+
+FORMAT = "ssdnet-checkpoint"
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A network with what its file says about it."""
+
+    #: The network, on the CPU, in evaluation mode.
+    model: SSDNet
+    #: What it was trained on and under which terms, as the recipe put it; plain values.
+    training: Mapping[str, Any]
+    #: State of the training loop (optimiser, step, ...); empty in a checkpoint made to ship.
+    trainer: Mapping[str, Any] = field(default_factory=dict)
+
+
+def save_checkpoint(
+    path: Path | str,
+    model: SSDNet,
+    *,
+    training: Mapping[str, Any] | None = None,
+    trainer: Mapping[str, Any] | None = None,
+    state_dict: Mapping[str, torch.Tensor] | None = None,
+) -> None:
+    """Write a checkpoint whole or not at all.
+
+    It holds the configuration (classes, depth range and normalisation with it) and the weights:
+    the model's, or ``state_dict`` (averaged weights, say). ``training`` and ``trainer`` hold plain
+    values and tensors. An existing file is replaced. Raises CheckpointError when it cannot be
+    written; a file that stood there before is then untouched.
+    """
+    path = Path(path)
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "config": model.config.to_dict(),
+        "weights": dict(state_dict if state_dict is not None else model.state_dict()),
+        "training": dict(training or {}),
+        "trainer": dict(trainer or {}),
+    }
+    temporary: Path | None = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        temporary = Path(name)
+        with os.fdopen(handle, "wb") as stream:
+            torch.save(document, stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except (OSError, RuntimeError) as error:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        raise CheckpointError(
+            f"{path}: the checkpoint could not be written: {error}. "
+            "Free some space or choose another folder."
+        ) from error
+
+
+def load_checkpoint(path: Path | str) -> Checkpoint:
+    """Read a checkpoint strictly, without running any code from it.
+
+    Raises CheckpointError that says whether the file is missing, truncated or no checkpoint at
+    all, is not one of this project, is of a newer version, or holds other weights than its
+    configuration wants.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise CheckpointError(f"{path}: no such checkpoint file. Give the path of a .pt file.")
+    try:
+        document = torch.load(path, map_location="cpu", weights_only=True)
+    except (RuntimeError, EOFError, OSError, ValueError, KeyError, pickle.UnpicklingError) as error:
+        raise CheckpointError(
+            f"{path}: not a readable checkpoint: the file is truncated, damaged, or holds "
+            f"something else than tensors and plain values ({_first_line(error)}). "
+            "Copy it again or train anew."
+        ) from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise CheckpointError(
+            f"{path}: a PyTorch file, but not an ssdnet checkpoint (no 'format: {FORMAT}'). "
+            "Give a file that ssdnet-train wrote."
+        )
+    version = document.get("version")
+    if version != VERSION:
+        raise CheckpointError(
+            f"{path}: checkpoint version {version!r}, but this installation reads version "
+            f"{VERSION}. Install a release that matches the file."
+        )
+    missing = [key for key in ("config", "weights", "training", "trainer") if key not in document]
+    if missing:
+        raise CheckpointError(f"{path}: the checkpoint lacks {', '.join(missing)}. Train anew.")
+    try:
+        config = ModelConfig.from_dict(document["config"])
+    except (ValueError, TypeError, KeyError) as error:
+        raise CheckpointError(
+            f"{path}: its configuration cannot be built here: {_first_line(error)}. "
+            "It may come from a newer release."
+        ) from error
+    model = SSDNet(config)
+    try:
+        model.load_state_dict(document["weights"], strict=True)
+    except (RuntimeError, TypeError, AttributeError) as error:
+        raise CheckpointError(
+            f"{path}: its weights do not fit its own configuration '{config.name}': {error}"
+        ) from error
+    return Checkpoint(model.eval(), document["training"], document["trainer"])
+
+
+def _first_line(error: BaseException) -> str:
+    text = str(error).strip()
+    return text.splitlines()[0] if text else type(error).__name__

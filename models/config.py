@@ -1,0 +1,147 @@
+"""The one frozen configuration from which every network of the family is built."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, Literal
+
+from models.classes import CAMVID_CLASSES
+from runtime.contract import ClassInfo
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Everything that fixes a network: heads, inputs, widths, depth range and normalisation.
+
+    The defaults are the paper's full network (SSDNet, Sensors 2020) with the channel list that
+    reproduces its printed parameters and multiply-accumulates.
+    """
+
+    name: str = "ssdnet"
+    #: Semantic classes in the order of their ids; empty without a semantic decoder.
+    classes: tuple[ClassInfo, ...] = CAMVID_CLASSES
+    #: Depth that the normalised output 1.0 stands for; a measurement beyond it counts as none.
+    max_depth_m: float = 100.0
+    #: Mean and standard deviation of RGB in 0..255, part of the network (ImageNet's figures).
+    rgb_mean: tuple[float, float, float] = (123.675, 116.28, 103.53)
+    rgb_std: tuple[float, float, float] = (58.395, 57.12, 57.375)
+
+    semantic_head: bool = True
+    depth_head: bool = True
+    use_rgb: bool = True
+    use_sparse_depth: bool = True
+
+    #: Channels of 3x3 stride-2 convolutions in front of the first scale; () starts at full size.
+    stem_channels: tuple[int, ...] = ()
+    #: Channels and blocks of each encoder stage, fine to coarse.
+    encoder_channels: tuple[int, ...] = (64, 128, 256, 512, 512)
+    encoder_blocks: tuple[int, ...] = (2, 2, 3, 3, 3)
+    #: "plain": VGG's conv-BN-ReLU, each stage a skip, max-pool after each.
+    #: "residual": two-conv residual blocks, strided between stages, the last stage is the bottom.
+    encoder_block: Literal["plain", "residual"] = "plain"
+    #: Channels of the UpBlocks, coarse to fine: one for each skip.
+    decoder_channels: tuple[int, ...] = (512, 192, 96, 64, 16)
+    #: How a decoder takes in a skip: the paper's concatenation, or a 1x1 projection added.
+    skip_fusion: Literal["concat", "add"] = "concat"
+    boundary_channels: int = 16
+    #: Feed the mask of measured pixels beside the sparse depth.
+    valid_mask_input: bool = False
+    #: Fill the sparse depth by a masked average pyramid and let the depth head refine it.
+    depth_prior: bool = False
+    #: Add the projected global mean of the bottom features to them.
+    global_context: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse combinations that cannot be built, with a ValueError that says why."""
+        if not (self.semantic_head or self.depth_head):
+            raise ValueError("a network needs a semantic head, a depth head or both")
+        if not (self.use_rgb or self.use_sparse_depth):
+            raise ValueError("a network needs rgb, sparse depth or both as input")
+        if self.semantic_head != bool(self.classes):
+            raise ValueError("classes must be given exactly when there is a semantic head")
+        if len(self.classes) > 255:
+            raise ValueError(f"at most 255 classes fit a uint8 map, got {len(self.classes)}")
+        if len(self.encoder_channels) != len(self.encoder_blocks):
+            raise ValueError("encoder_channels and encoder_blocks must have the same length")
+        if len(self.decoder_channels) != self.num_skips:
+            raise ValueError(
+                f"decoder_channels needs one width for each of the {self.num_skips} skips, "
+                f"got {len(self.decoder_channels)}"
+            )
+        if self.depth_prior and not (self.depth_head and self.use_sparse_depth):
+            raise ValueError("depth_prior needs the sparse depth and a depth head")
+        if self.depth_prior and not self.stem_channels:
+            raise ValueError("depth_prior works on the grid of a strided stem")
+        if not self.max_depth_m > 0:
+            raise ValueError(f"max_depth_m must be positive, got {self.max_depth_m}")
+
+    @property
+    def num_classes(self) -> int:
+        """Number of semantic classes."""
+        return len(self.classes)
+
+    @property
+    def num_skips(self) -> int:
+        """Number of encoder features that go to the decoders."""
+        stages = len(self.encoder_channels)
+        return stages if self.encoder_block == "plain" else stages - 1
+
+    @property
+    def output_stride(self) -> int:
+        """Ratio of the image to the finest grid the heads work on."""
+        return int(2 ** len(self.stem_channels))
+
+    @property
+    def stride(self) -> int:
+        """Ratio of the image to the coarsest grid."""
+        return int(self.output_stride * 2**self.num_skips)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the configuration as plain Python values."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "ModelConfig":
+        """Build a configuration from `to_dict`'s form; unknown keys are a ValueError."""
+        known = {field.name for field in fields(cls)}
+        unknown = sorted(set(values) - known)
+        if unknown:
+            raise ValueError(f"unknown model configuration keys: {', '.join(unknown)}")
+        plain = {
+            key: tuple(value) if isinstance(value, list | tuple) else value
+            for key, value in values.items()
+        }
+        if "classes" in plain:
+            plain["classes"] = tuple(
+                ClassInfo(item["name"], tuple(item["color"])) for item in plain["classes"]
+            )
+        return cls(**plain)
+
+
+SSDNET = ModelConfig()
+
+#: Named members of the family. SSDNet_ind is `ssdnet` trained without the joint losses.
+CONFIGS: dict[str, ModelConfig] = {
+    config.name: config
+    for config in (
+        SSDNET,
+        replace(SSDNET, name="ssdnet-sem", depth_head=False),
+        replace(SSDNET, name="ssdnet-dep", semantic_head=False, classes=()),
+        replace(SSDNET, name="ssdnet-dep-d", semantic_head=False, classes=(), use_rgb=False),
+        replace(
+            SSDNET, name="ssdnet-dep-rgb", semantic_head=False, classes=(), use_sparse_depth=False
+        ),
+        replace(
+            SSDNET,
+            name="ssdnet-lite",
+            stem_channels=(32, 32),
+            encoder_channels=(32, 64, 128, 256),
+            encoder_blocks=(2, 2, 2, 2),
+            encoder_block="residual",
+            decoder_channels=(64, 48, 32),
+            skip_fusion="add",
+            valid_mask_input=True,
+            depth_prior=True,
+            global_context=True,
+        ),
+    )
+}

@@ -1,0 +1,115 @@
+"""Checkpoints carry all that is needed and refuse all that is not theirs."""
+
+import os
+from dataclasses import replace
+
+import pytest
+import torch
+
+from models import SSDNet, load_checkpoint, save_checkpoint
+from models.classes import CAMVID_CLASSES, numbered_classes
+from models.config import CONFIGS
+from runtime.errors import CheckpointError
+
+SMALL = replace(
+    CONFIGS["ssdnet-lite"],
+    encoder_channels=(8, 8, 8, 8),
+    encoder_blocks=(1, 1, 1, 1),
+    decoder_channels=(8, 8, 8),
+    stem_channels=(8, 8),
+    classes=CAMVID_CLASSES[:4],
+    max_depth_m=77.0,
+    rgb_mean=(1.0, 2.0, 3.0),
+)
+
+
+def test_round_trip_keeps_configuration_weights_and_answers(tmp_path):
+    model = SSDNet(SMALL).eval()
+    save_checkpoint(tmp_path / "a.pt", model, training={"data": ["x"]}, trainer={"step": 3})
+    loaded = load_checkpoint(tmp_path / "a.pt")
+    assert loaded.model.config == SMALL
+    assert not loaded.model.training
+    assert loaded.training["data"] == ["x"]
+    assert loaded.trainer["step"] == 3
+    rgb, depth = torch.rand(1, 3, 40, 50) * 255, torch.rand(1, 1, 40, 50) * 50
+    with torch.no_grad():
+        assert torch.equal(loaded.model(rgb, depth).depths[0], model(rgb, depth).depths[0])
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(CheckpointError, match="no such checkpoint"):
+        load_checkpoint(tmp_path / "none.pt")
+
+
+@pytest.mark.parametrize("kept", [0, 10, 0.5, 0.98])
+def test_truncated_file(tmp_path, kept):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    data = path.read_bytes()
+    path.write_bytes(data[: kept if kept > 1 else int(kept * len(data))])
+    with pytest.raises(CheckpointError, match="truncated"):
+        load_checkpoint(path)
+
+
+def test_foreign_pytorch_file(tmp_path):
+    torch.save({"state_dict": {"a": torch.zeros(2)}}, tmp_path / "b.pt")
+    with pytest.raises(CheckpointError, match="not an ssdnet checkpoint"):
+        load_checkpoint(tmp_path / "b.pt")
+
+
+class Evil:
+    """Would run code if it were unpickled."""
+
+    def __reduce__(self):
+        return os.system, ("true",)
+
+
+def test_a_file_that_wants_to_run_code_is_refused(tmp_path):
+    torch.save({"format": "ssdnet-checkpoint", "x": Evil()}, tmp_path / "c.pt")
+    with pytest.raises(CheckpointError, match="something else than tensors"):
+        load_checkpoint(tmp_path / "c.pt")
+
+
+def change(path, **changes):
+    document = torch.load(path, weights_only=True)
+    document.update(changes)
+    torch.save(document, path)
+
+
+def test_newer_version_is_named(tmp_path):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    change(path, version=2)
+    with pytest.raises(CheckpointError, match="version 2"):
+        load_checkpoint(path)
+
+
+def test_unknown_configuration_key_is_named(tmp_path):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    change(path, config={**SMALL.to_dict(), "wings": 2})
+    with pytest.raises(CheckpointError, match="wings"):
+        load_checkpoint(path)
+
+
+def test_weights_must_fit_the_configuration(tmp_path):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    change(path, config=replace(SMALL, classes=numbered_classes(6)).to_dict())
+    with pytest.raises(CheckpointError, match="do not fit"):
+        load_checkpoint(path)
+
+
+def test_failed_write_keeps_the_old_file_and_leaves_no_other(tmp_path, monkeypatch):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL), training={"data": ["old"]})
+
+    def full(*_args, **_kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(torch, "save", full)
+    with pytest.raises(CheckpointError, match="No space left"):
+        save_checkpoint(path, SSDNet(SMALL))
+    monkeypatch.undo()
+    assert load_checkpoint(path).training["data"] == ["old"]
+    assert [p.name for p in tmp_path.iterdir()] == ["a.pt"]

@@ -1,0 +1,192 @@
+"""The networks against the paper's figures and their own promises."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+from models import SSDNet, create_model, list_models
+from models.blocks import upsample
+from models.config import CONFIGS, ModelConfig
+
+# Params and MACs at 125 x 414 of the family, which the paper prints to two digits.
+PAPER = {
+    "ssdnet": (34.62e6, 33.2e9),
+    "ssdnet-sem": (24.78e6, 25.1e9),
+    "ssdnet-dep": (24.78e6, 25.1e9),
+    "ssdnet-dep-d": (24.78e6, 25.1e9),
+    "ssdnet-dep-rgb": (24.78e6, 25.1e9),
+}
+
+
+def frame(height, width, batch=1, seed=0):
+    """Random RGB in 0..255 and a depth map with 5 % of its pixels measured."""
+    draw = torch.Generator().manual_seed(seed)
+    rgb = torch.rand(batch, 3, height, width, generator=draw) * 255
+    depth = torch.rand(batch, 1, height, width, generator=draw) * 80 + 1
+    return rgb, depth * (torch.rand(depth.shape, generator=draw) < 0.05)
+
+
+def macs(model, height, width):
+    with FlopCounterMode(display=False) as counter, torch.no_grad():
+        model(*frame(height, width))
+    return counter.get_total_flops() / 2
+
+
+def small(name, **changes):
+    """The same structure with few channels, so that tests are quick."""
+    config = CONFIGS[name]
+    return replace(
+        config,
+        encoder_channels=tuple(width // 8 for width in config.encoder_channels),
+        decoder_channels=tuple(max(width // 8, 4) for width in config.decoder_channels),
+        boundary_channels=4,
+        **changes,
+    )
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_params_and_macs_are_the_papers(name):
+    model = create_model(name).eval()
+    params, expected_macs = PAPER[name]
+    assert sum(p.numel() for p in model.parameters()) == pytest.approx(params, rel=0.03)
+    assert macs(model, 125, 414) == pytest.approx(expected_macs, rel=0.03)
+
+
+def test_lite_stays_within_ten_gmacs_at_512x1024():
+    model = create_model("ssdnet-lite").eval()
+    assert macs(model, 512, 1024) <= 10e9
+    assert model.config.semantic_head
+    assert model.config.depth_head
+
+
+@pytest.mark.parametrize("name", list_models())
+@pytest.mark.parametrize("size", [(32, 32), (33, 47), (125, 414), (64, 97)])
+def test_any_size_of_32_and_more_works(name, size):
+    config = small(name)
+    output = SSDNet(config).eval()(*frame(*size, batch=2))
+    assert output.boundary_logits.shape == (2, 1, *size)
+    if config.semantic_head:
+        assert output.semantic_logits.shape == (2, 11, *size)
+    else:
+        assert output.semantic_logits is None
+    if config.depth_head:
+        assert output.depths[0].shape == (2, 1, *size)
+        assert len(output.depths) == len(config.decoder_channels)
+        assert all(((d >= 0) & (d <= 1)).all() for d in output.depths)
+    else:
+        assert output.depths is None
+
+
+def test_paper_grids_round_up():
+    output = SSDNet(small("ssdnet")).eval()(*frame(125, 414))
+    sizes = [(125, 414), (63, 207), (32, 104), (16, 52), (8, 26)]
+    assert [tuple(depth.shape[2:]) for depth in output.depths] == sizes
+    assert [tuple(side.shape[2:]) for side in output.side_boundary_logits] == sizes
+
+
+@pytest.mark.parametrize("size", [(31, 64), (64, 31)])
+def test_too_small_is_refused(size):
+    with pytest.raises(ValueError, match="at least 32"):
+        SSDNet(small("ssdnet-lite"))(*frame(*size))
+
+
+def test_wrong_shapes_are_refused():
+    model = SSDNet(small("ssdnet-lite"))
+    rgb, depth = frame(32, 64)
+    with pytest.raises(ValueError, match=r"rgb must be \(N, 3, H, W\)"):
+        model(rgb.permute(0, 2, 3, 1), depth)
+    with pytest.raises(ValueError, match="sparse_depth must be"):
+        model(rgb, depth[..., :-1])
+
+
+@pytest.mark.parametrize("name", ["ssdnet", "ssdnet-lite"])
+def test_invalid_depth_counts_as_none(name):
+    model = SSDNet(small(name)).eval()
+    rgb, depth = frame(64, 96)
+    empty = depth == 0
+    spoiled = depth.clone()
+    values = torch.tensor([float("nan"), float("inf"), -float("inf"), -3.0, 100.5, 1e30])
+    spoiled[empty] = values.repeat(int(empty.sum()) // len(values) + 1)[: int(empty.sum())]
+    clean, same = model(rgb, depth), model(rgb, spoiled)
+    torch.testing.assert_close(same.semantic_logits, clean.semantic_logits, rtol=0, atol=0)
+    torch.testing.assert_close(same.depths[0], clean.depths[0], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("name", ["ssdnet", "ssdnet-lite"])
+def test_empty_depth_gives_finite_answers_and_gradients(name):
+    model = SSDNet(small(name)).train()
+    rgb, depth = frame(64, 96, batch=2)
+    output = model(rgb, torch.zeros_like(depth))
+    (output.depths[0].mean() + output.semantic_logits.mean()).backward()
+    assert torch.isfinite(output.depths[0]).all()
+    gradients = [p.grad for p in model.parameters() if p.grad is not None]
+    assert gradients
+    assert all(torch.isfinite(gradient).all() for gradient in gradients)
+
+
+@pytest.mark.parametrize(
+    ("name", "uses_rgb", "uses_depth"),
+    [("ssdnet-dep", True, True), ("ssdnet-dep-d", False, True), ("ssdnet-dep-rgb", True, False)],
+)
+def test_variants_look_only_at_their_inputs(name, uses_rgb, uses_depth):
+    model = SSDNet(small(name)).eval()
+    rgb, depth = frame(64, 96)
+    base = model(rgb, depth).depths[0]
+    assert torch.equal(model(255 - rgb, depth).depths[0], base) != uses_rgb
+    assert torch.equal(model(rgb, depth * 0.5).depths[0], base) != uses_depth
+
+
+def test_normalisation_is_saved_with_the_network():
+    state = create_model("ssdnet-lite").state_dict()
+    torch.testing.assert_close(state["rgb_mean"].flatten(), torch.tensor((123.675, 116.28, 103.53)))
+
+
+def test_normalisation_takes_0_to_255():
+    """A frame of the mean colour is zero to the first convolution."""
+    model = SSDNet(small("ssdnet")).eval()
+    seen = {}
+    model.encoder.register_forward_pre_hook(lambda _, args: seen.update(x=args[0]))
+    mean = model.rgb_mean.expand(1, 3, 32, 32)
+    model(mean + model.rgb_std, torch.full((1, 1, 32, 32), 25.0))
+    torch.testing.assert_close(seen["x"][:, :3], torch.ones(1, 3, 32, 32))
+    torch.testing.assert_close(seen["x"][:, 3:], torch.full((1, 1, 32, 32), 0.25))
+
+
+def test_batch_is_the_same_as_one_by_one():
+    model = SSDNet(small("ssdnet-lite")).eval()
+    rgb, depth = frame(45, 70, batch=3)
+    together = model(rgb, depth).semantic_logits
+    apart = torch.cat([model(rgb[i : i + 1], depth[i : i + 1]).semantic_logits for i in range(3)])
+    torch.testing.assert_close(together, apart, rtol=1e-4, atol=1e-5)
+
+
+def test_upsampling_by_factor_equals_by_size():
+    x = torch.randn(1, 2, 5, 7)
+    torch.testing.assert_close(upsample(x, factor=4), upsample(x, size=(20, 28)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"semantic_head": False, "classes": (), "depth_head": False}, "a semantic head, a depth"),
+        ({"use_rgb": False, "use_sparse_depth": False}, "rgb, sparse depth or both"),
+        ({"classes": ()}, "exactly when"),
+        ({"decoder_channels": (8, 8)}, "5 skips"),
+        ({"encoder_blocks": (1, 1)}, "same length"),
+        ({"max_depth_m": 0.0}, "positive"),
+        ({"depth_prior": True}, "strided stem"),
+    ],
+)
+def test_impossible_configurations_say_why(changes, text):
+    with pytest.raises(ValueError, match=text):
+        ModelConfig(**changes)
+
+
+def test_create_model_names_what_it_knows():
+    with pytest.raises(ValueError, match="ssdnet-lite"):
+        create_model("ssd")
+    assert create_model("ssdnet-lite", num_classes=19).semantic_head.out_channels == 19
+    with pytest.raises(ValueError, match="exactly when"):
+        create_model("ssdnet-dep", num_classes=3)
