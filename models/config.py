@@ -106,7 +106,7 @@ class ModelConfig:
         unknown = sorted(set(values) - known)
         if unknown:
             raise ValueError(f"unknown model configuration keys: {', '.join(unknown)}")
-        plain = {
+        plain: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list | tuple) else value
             for key, value in values.items()
         }
