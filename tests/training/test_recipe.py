@@ -1,0 +1,66 @@
+"""Recipes are read strictly: a typing mistake never trains silently."""
+
+from importlib import resources
+
+import pytest
+
+from runtime.errors import InputError
+from training.recipe import read_recipe
+
+MINIMAL = """
+[model]
+name = "ssdnet-lite"
+[data]
+batch_size = 4
+[[data.source]]
+kind = "camvid"
+path = "camvid"
+scale = [1, 2]
+[schedule]
+steps = 10
+"""
+
+
+def read(tmp_path, text):
+    path = tmp_path / "r.toml"
+    path.write_text(text)
+    return read_recipe(path)
+
+
+def test_defaults_and_conversions(tmp_path):
+    recipe = read(tmp_path, MINIMAL)
+    assert recipe.data.batch_size == 4
+    assert recipe.data.source[0].scale == (1.0, 2.0)
+    assert recipe.optimizer.name == "adamw"
+    assert recipe.validation.source == ()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("batch_size = 4", "batchsize = 4", "unknown key data.batchsize"),
+        ("batch_size = 4", 'batch_size = "4"', "data.batch_size = '4' has the wrong type"),
+        ("batch_size = 4", "batch_size = true", "wrong type"),
+        ("steps = 10", "", "missing key schedule.steps"),
+        ("steps = 10", "steps = 10\n[loss]\nunknown = 1", "unknown key loss.unknown"),
+        ('kind = "camvid"', 'kind = "kitty"', "choose one of 'camvid'"),
+        ("scale = [1, 2]", "scale = [1]", "needs 2 values"),
+        ("scale = [1, 2]", "scale = [1,", "not valid TOML"),
+    ],
+)
+def test_mistakes_are_named(tmp_path, old, new, text):
+    with pytest.raises(InputError, match=text):
+        read(tmp_path, MINIMAL.replace(old, new))
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(InputError, match="cannot be read"):
+        read_recipe(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    "name", [p.name for p in resources.files("training.recipes").iterdir() if p.suffix == ".toml"]
+)
+def test_shipped_recipes_are_valid(name):
+    with resources.as_file(resources.files("training.recipes") / name) as path:
+        assert read_recipe(path).schedule.steps > 0

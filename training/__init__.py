@@ -1,0 +1,1 @@
+"""Data sets, rendering, losses, metrics and the loop that make checkpoints."""

@@ -1,0 +1,268 @@
+"""Joint augmentation: one random change of RGB, depth, labels and intrinsics together."""
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from training.datasets.kitti_stream_lines import withhold_occluded
+from training.datasets.sample import IGNORE, Sample, nothing_known
+from training.lidar import random_share, scan_lines
+
+#: RGB that fills what lies beyond the image: the networks' mean colour.
+_FILL_RGB = (124, 116, 104)
+
+
+@dataclass(frozen=True)
+class AugmentConfig:
+    """How far samples are changed. Probabilities are 0..1."""
+
+    #: (height, width) of the result.
+    crop: tuple[int, int] = (320, 480)
+    #: Range of the random magnification of the image.
+    scale: tuple[float, float] = (0.7, 1.8)
+    flip: float = 0.5
+    #: Largest relative change of brightness, contrast and saturation; largest hue shift [degrees].
+    brightness: float = 0.3
+    contrast: float = 0.3
+    saturation: float = 0.3
+    hue_deg: float = 8.0
+    gray: float = 0.02
+    blur: float = 0.1
+    noise: float = 0.1
+    #: How often the LiDAR is missing as a whole.
+    lidar_missing: float = 0.1
+    #: How often the input is a random share of the measurements instead of scan lines.
+    lidar_random: float = 0.3
+    #: Range of that share, of the pixels for dense depth, of the returns for recorded depth.
+    random_share: tuple[float, float] = (0.01, 0.08)
+    recorded_share: tuple[float, float] = (0.3, 0.8)
+    #: Scan-line counts to choose from; a recorded scan keeps every 64/n-th line.
+    lines: tuple[int, ...] = (64, 32, 16)
+
+
+def augment(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
+    """Return a changed sample of size ``config.crop``, a pure function of its arguments."""
+    sample = scale_and_crop(sample, config, rng)
+    if rng.random() < config.flip:
+        sample = flip(sample)
+    sample = draw_lidar(sample, config, rng)
+    return replace(sample, rgb=change_colors(sample.rgb, config, rng))
+
+
+def scale_and_crop(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
+    """Magnify by a random factor and cut a random window of ``config.crop``.
+
+    What lies beyond the image is mean colour, no depth and no label. Depth keeps its metres; the
+    intrinsics follow the pixels.
+    """
+    scale = float(np.exp(rng.uniform(*np.log(config.scale))))
+    height, width = config.crop
+    window = (round(height / scale), round(width / scale))  # in pixels of the sample
+    top = _random_offset(sample.size[0], window[0], rng)
+    left = _random_offset(sample.size[1], window[1], rng)
+    return resize(cut(sample, top, left, window), config.crop)
+
+
+def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
+    """Cut (height, width) at (top, left); the window may reach beyond the image."""
+
+    def take(array: NDArray[Any], fill: object) -> NDArray[Any]:
+        return _take_window(array, top, left, window, fill)
+
+    intrinsics = sample.intrinsics
+    if intrinsics is not None:
+        intrinsics = intrinsics - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]], np.float64)
+    return replace(
+        sample,
+        rgb=take(sample.rgb, _FILL_RGB),
+        sparse_depth=take(sample.sparse_depth, 0),
+        depth=take(sample.depth, 0),
+        semantic=take(sample.semantic, IGNORE),
+        scan_line=None if sample.scan_line is None else take(sample.scan_line, -1),
+        intrinsics=intrinsics,
+    )
+
+
+def resize(sample: Sample, size: tuple[int, int]) -> Sample:
+    """Resize to (height, width): RGB bilinear (by area when it shrinks), labels nearest.
+
+    Dense depth is taken by nearest, too; measured depth is moved return by return, so that no
+    return is doubled and, where two meet, the nearer stays.
+    """
+    if size == sample.size:
+        return sample
+    shape = size[1], size[0]  # OpenCV's (width, height)
+    shrinks = size[0] < sample.size[0]
+    fx, fy = size[1] / sample.size[1], size[0] / sample.size[0]
+
+    intrinsics = sample.intrinsics
+    if intrinsics is not None:
+        # Pixel centres are integers in K: u' = (u + 0.5) f - 0.5.
+        intrinsics = np.array(
+            [
+                [intrinsics[0, 0] * fx, 0, (intrinsics[0, 2] + 0.5) * fx - 0.5],
+                [0, intrinsics[1, 1] * fy, (intrinsics[1, 2] + 0.5) * fy - 0.5],
+                [0, 0, 1],
+            ]
+        )
+    scan_line = sample.scan_line
+    depth: NDArray[Any]
+    if scan_line is not None:
+        depth, scan_line = move_returns(sample.depth, size, scan_line)
+    else:
+        depth = cv2.resize(sample.depth, shape, interpolation=cv2.INTER_NEAREST_EXACT)
+    rgb: NDArray[Any] = cv2.resize(
+        sample.rgb, shape, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    )
+    semantic: NDArray[Any] = cv2.resize(
+        sample.semantic, shape, interpolation=cv2.INTER_NEAREST_EXACT
+    )
+    return replace(
+        sample,
+        rgb=rgb,
+        sparse_depth=depth,
+        depth=depth,
+        semantic=semantic,
+        scan_line=scan_line,
+        intrinsics=intrinsics,
+    )
+
+
+def move_returns(
+    depth: NDArray[np.float32], size: tuple[int, int], scan_line: NDArray[np.int16]
+) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
+    """Move each measured pixel to its place in a map of (height, width); the nearest wins."""
+    v, u = np.nonzero(depth)
+    values, lines = depth[v, u], scan_line[v, u]
+    order = np.argsort(-values, kind="stable")  # nearest written last
+    v, u = v[order], u[order]
+    row = ((v + 0.5) * size[0] / depth.shape[0]).astype(np.intp)
+    column = ((u + 0.5) * size[1] / depth.shape[1]).astype(np.intp)
+    moved = nothing_known(size)
+    moved_line = np.full(size, -1, dtype=np.int16)
+    moved[row, column] = values[order]
+    moved_line[row, column] = lines[order]
+    return moved, moved_line
+
+
+def flip(sample: Sample) -> Sample:
+    """Mirror left and right; the principal point moves with the pixels."""
+
+    def mirror(array: NDArray[Any]) -> NDArray[Any]:
+        return np.ascontiguousarray(array[:, ::-1])
+
+    intrinsics = sample.intrinsics
+    if intrinsics is not None:
+        intrinsics = intrinsics.copy()
+        intrinsics[0, 2] = sample.size[1] - 1 - intrinsics[0, 2]
+    return replace(
+        sample,
+        rgb=mirror(sample.rgb),
+        sparse_depth=mirror(sample.sparse_depth),
+        depth=mirror(sample.depth),
+        semantic=mirror(sample.semantic),
+        scan_line=None if sample.scan_line is None else mirror(sample.scan_line),
+        intrinsics=intrinsics,
+    )
+
+
+def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
+    """Choose what the LiDAR saw: nothing, a random share of the measurements, or scan lines.
+
+    A recorded scan is split: what is withheld from the input is the target, less the returns
+    hidden behind nearer ones; dense depth stays the target as a whole.
+    """
+    if not sample.depth.any():
+        return replace(sample, sparse_depth=nothing_known(sample.size))
+    seen: NDArray[np.float32]
+    missing = rng.random() < config.lidar_missing
+    pattern: Literal["random", "lines"] = (
+        "random" if rng.random() < config.lidar_random or sample.intrinsics is None else "lines"
+    )
+    lines = int(rng.choice(config.lines))
+    if sample.scan_line is not None:
+        if missing:
+            seen = nothing_known(sample.size)
+        elif pattern == "random":
+            kept = rng.random(sample.size) < rng.uniform(*config.recorded_share)
+            seen = masked(sample.depth, kept)
+        else:
+            # All lines of the sensor would leave no target: at least every second is withheld.
+            seen = keep_every_line(sample, max(2, 64 // lines), int(rng.integers(64)))
+        target = masked(sample.depth, seen == 0)
+        return replace(sample, sparse_depth=seen, depth=withhold_occluded(target, sample.depth))
+    if missing:
+        seen = nothing_known(sample.size)
+    elif pattern == "random" or sample.intrinsics is None:
+        seen = random_share(sample.depth, float(rng.uniform(*config.random_share)), rng)
+    else:
+        seen = scan_lines(sample.depth, sample.intrinsics, lines, rng)
+    return replace(sample, sparse_depth=seen)
+
+
+def keep_every_line(sample: Sample, step: int, offset: int) -> NDArray[np.float32]:
+    """Return the measurements of every ``step``-th scan line, counted from ``offset``."""
+    if sample.scan_line is None:
+        raise ValueError(f"{sample.name} has no scan lines; use training.lidar.scan_lines")
+    kept = (sample.scan_line >= 0) & ((sample.scan_line + offset) % step == 0)
+    return masked(sample.depth, kept)
+
+
+def masked(depth: NDArray[np.float32], kept: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the depth where ``kept``, 0 elsewhere."""
+    return np.where(kept, depth, np.float32(0)).astype(np.float32, copy=False)
+
+
+def change_colors(
+    rgb: NDArray[np.uint8], config: AugmentConfig, rng: Generator
+) -> NDArray[np.uint8]:
+    """Change brightness, contrast, saturation and hue, now and then blur or add noise."""
+    gain = 1 + rng.uniform(-config.contrast, config.contrast)
+    offset = 255 * rng.uniform(-config.brightness, config.brightness) * 0.5
+    saturation = (
+        0.0
+        if rng.random() < config.gray
+        else 1 + rng.uniform(-config.saturation, config.saturation)
+    )
+    hue = np.deg2rad(rng.uniform(-config.hue_deg, config.hue_deg))
+    # One affine map of the colours does all four (YIQ rotation for the hue).
+    to_yiq = np.array([[0.299, 0.587, 0.114], [0.596, -0.274, -0.322], [0.211, -0.523, 0.312]])
+    turn = np.array(
+        [
+            [1, 0, 0],
+            [0, saturation * np.cos(hue), -saturation * np.sin(hue)],
+            [0, saturation * np.sin(hue), saturation * np.cos(hue)],
+        ]
+    )
+    matrix = gain * (np.linalg.inv(to_yiq) @ turn @ to_yiq)
+    shift = np.full((3, 1), offset + 127.5 * (1 - gain))
+    out = cv2.transform(rgb.astype(np.float32), np.hstack([matrix, shift]))
+    if rng.random() < config.blur:
+        out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.4, 1.2))
+    if rng.random() < config.noise:
+        out = out + rng.normal(0, rng.uniform(2, 10), rgb.shape).astype(np.float32)
+    return np.clip(out, 0, 255).astype(np.uint8)
+
+
+def _random_offset(size: int, window: int, rng: Generator) -> int:
+    """Start of a window: anywhere inside, or anywhere that covers a smaller image."""
+    low, high = sorted((0, size - window))
+    return int(rng.integers(low, high + 1))
+
+
+def _take_window(
+    array: NDArray[Any], top: int, left: int, window: tuple[int, int], fill: object
+) -> NDArray[Any]:
+    height, width = window
+    inner = array[max(top, 0) : top + height, max(left, 0) : left + width]
+    if inner.shape[:2] == window:
+        return np.ascontiguousarray(inner)
+    out = np.empty((height, width, *array.shape[2:]), dtype=array.dtype)
+    out[...] = fill
+    row, column = max(-top, 0), max(-left, 0)
+    out[row : row + inner.shape[0], column : column + inner.shape[1]] = inner
+    return out

@@ -1,0 +1,52 @@
+"""CamVid in the split and the eleven classes of the SegNet papers (Brostow et al. 2009)."""
+
+from pathlib import Path
+
+import numpy as np
+
+from runtime.errors import DatasetError
+from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
+from training.datasets.sample import IGNORE, Sample, class_lookup, nothing_known
+
+#: The files' ids are ours; 11 is unlabelled.
+_IDS = class_lookup([*range(11), IGNORE])
+
+
+class CamVid:
+    """Frames of ``root/<split>`` with labels of ``root/<split>annot`` (uint8 PNG, 11 = none).
+
+    No depth and no calibration. Raises DatasetError for a missing folder, an image without a
+    label file, and unreadable or wrongly sized files.
+    """
+
+    def __init__(self, root: Path | str, *, split: str = "train", decimate: int = 1) -> None:
+        folder = require_folder(Path(root) / split, "CamVid's images")
+        annotations = require_folder(Path(root) / f"{split}annot", "CamVid's label images")
+        images = sorted(p for p in folder.iterdir() if p.suffix in {".png", ".jpg"})[::decimate]
+        if not images:
+            raise DatasetError(f"{folder}: no .png or .jpg images in it; expected CamVid's frames.")
+        self._frames = [(image, annotations / f"{image.stem}.png") for image in images]
+        missing = [label for _, label in self._frames if not label.is_file()]
+        if missing:
+            raise DatasetError(f"{missing[0]}: missing ({len(missing)} images lack their label).")
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> Sample:
+        image_path, label_path = self._frames[index]
+        rgb = read_rgb(image_path)
+        label = read_gray(label_path, np.uint8)
+        require_size(label_path, label.shape, rgb.shape[:2])
+        if label.max() > 11:
+            raise DatasetError(
+                f"{label_path}: class id {label.max()}, expected 0..11 of the eleven-class labels."
+            )
+        return Sample(
+            rgb=rgb,
+            sparse_depth=nothing_known(rgb.shape[:2]),
+            depth=nothing_known(rgb.shape[:2]),
+            semantic=_IDS[label],
+            intrinsics=None,
+            name=f"camvid/{image_path.stem}",
+        )

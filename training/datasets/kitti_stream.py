@@ -1,0 +1,99 @@
+"""A recorded KITTI stream: left colour camera, LiDAR returns with their scan lines."""
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import DatasetError
+from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
+from training.datasets.kitti_stream_lines import (
+    project,
+    read_calibration,
+    read_points,
+    scan_line_of,
+)
+from training.datasets.sample import IGNORE, Sample, class_lookup, nothing_known
+
+#: Cityscapes' trainIds 0..18 to CamVid's eleven: wall joins building as in the SegNet mapping,
+#: terrain joins tree (CamVid's VegetationMisc), rider and two-wheelers are bicyclist.
+CITYSCAPES_TO_CAMVID = class_lookup([3, 4, 1, 1, 7, 2, 6, 6, 5, 5, 0, 9, 10, 8, 8, 8, 8, 10, 10])
+
+
+class KittiStream:
+    """Frames ``first`` .. ``last`` (inclusive) of a stream folder.
+
+    Reads ``image_02``, ``velodyne_fov``, the calibration and, where present, ``pseudo_semantic``
+    (Cityscapes trainIds made by a network; they count with ``semantic_weight``). The depth target
+    is every return in view; ``scan_line`` says which of the lines measured it, so that some lines
+    can be the input and the others the target. Raises DatasetError.
+    """
+
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        first: int = 0,
+        last: int | None = None,
+        semantic_weight: float = 1.0,
+    ) -> None:
+        self._root = Path(root)
+        images = require_folder(self._root / "image_02", "the stream's PNG images")
+        require_folder(self._root / "velodyne_fov", "the stream's .bin LiDAR returns")
+        calibrations = sorted(self._root.glob("calib_[0-9]*.txt"))
+        if not calibrations:
+            raise DatasetError(f"{self._root}: no calib_<date>.txt in it.")
+        self._calibration = read_calibration(calibrations[0])
+        stems = sorted(path.stem for path in images.glob("*.png"))
+        self._stems = stems[first : None if last is None else last + 1]
+        if not self._stems:
+            raise DatasetError(
+                f"{images}: {len(stems)} PNG frames, none of them in {first}..{last}."
+            )
+        self._semantic_weight = semantic_weight
+        # Decoding and telling lines apart costs more than a training step can wait for.
+        self._load = lru_cache(maxsize=None)(self._read)
+
+    def __len__(self) -> int:
+        return len(self._stems)
+
+    def __getitem__(self, index: int) -> Sample:
+        return self._load(self._stems[index])
+
+    def _read(self, stem: str) -> Sample:
+        image_path = self._root / "image_02" / f"{stem}.png"
+        rgb = read_rgb(image_path)
+        size = rgb.shape[:2]
+        depth, scan_line = self._returns(stem, size)
+        semantic = np.full(size, IGNORE, dtype=np.uint8)
+        label_path = self._root / "pseudo_semantic" / f"{stem}.png"
+        if label_path.is_file():
+            label = read_gray(label_path, np.uint8)
+            require_size(label_path, label.shape, size)
+            semantic = CITYSCAPES_TO_CAMVID[label]
+        return Sample(
+            rgb=rgb,
+            sparse_depth=depth,
+            depth=depth,
+            semantic=semantic,
+            intrinsics=self._calibration.intrinsics,
+            name=f"kitti_stream/{stem}",
+            scan_line=scan_line,
+            semantic_weight=self._semantic_weight,
+        )
+
+    def _returns(
+        self, stem: str, size: tuple[int, int]
+    ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
+        """Depth of every return and the line that measured it."""
+        points = read_points(self._root / "velodyne_fov" / f"{stem}.bin")
+        lines = scan_line_of(points)
+        depth = nothing_known(size)
+        scan_line = np.full(size, -1, dtype=np.int16)
+        for line in range(int(lines.max()) + 1 if len(lines) else 0):
+            returns = project(points[lines == line], self._calibration, size)
+            nearer = (returns > 0) & ((depth == 0) | (returns < depth))
+            depth[nearer] = returns[nearer]
+            scan_line[nearer] = line
+        return depth, scan_line

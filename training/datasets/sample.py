@@ -1,0 +1,58 @@
+"""What every data set yields: one frame with all that is known about it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+IGNORE = 255
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One frame; H and W are the image's. A target that a set lacks is all 'none'."""
+
+    #: uint8 (H, W, 3), RGB.
+    rgb: NDArray[np.uint8]
+    #: float32 (H, W), metres along the optical axis, the network's input; 0 = no measurement.
+    sparse_depth: NDArray[np.float32]
+    #: float32 (H, W), metres, the depth target; 0 = unknown (sky too).
+    depth: NDArray[np.float32]
+    #: uint8 (H, W), class ids, the semantic target; 255 = unknown.
+    semantic: NDArray[np.uint8]
+    #: float64 (3, 3), pixels; None where the set does not say.
+    intrinsics: NDArray[np.float64] | None
+    #: Set and frame, for messages.
+    name: str
+    #: int16 (H, W), the LiDAR scan line each pixel of ``depth`` was measured by, -1 = none;
+    #: None where the depth is dense.
+    scan_line: NDArray[np.int16] | None = None
+    #: How much the semantic target counts in the loss: below 1 for labels made by a network.
+    semantic_weight: float = 1.0
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width)."""
+        return self.rgb.shape[0], self.rgb.shape[1]
+
+
+class SampleSource(Protocol):
+    """A data set: anything with a length that yields samples."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int) -> Sample: ...
+
+
+def nothing_known(size: tuple[int, int]) -> NDArray[np.float32]:
+    """Return a depth map without any measurement: float32 (height, width) of zeros."""
+    return np.zeros(size, dtype=np.float32)
+
+
+def class_lookup(mapping: Sequence[int]) -> NDArray[np.uint8]:
+    """Return a 256-entry table from a set's ids to ours; ids beyond ``mapping`` are ignored."""
+    table = np.full(256, IGNORE, dtype=np.uint8)
+    table[: len(mapping)] = mapping
+    return table

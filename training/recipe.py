@@ -1,0 +1,188 @@
+"""Recipes: one TOML file says everything about a training; unknown keys are errors."""
+
+import tomllib
+import types
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from runtime.errors import InputError
+from training.augment import AugmentConfig
+from training.losses import LossConfig
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class ModelRecipe:
+    """Which network, by its name in `models.list_models()`."""
+
+    name: str
+    max_depth_m: float = 100.0
+
+
+@dataclass(frozen=True)
+class SourceRecipe:
+    """One data set of the mixture, or one of the validation sets."""
+
+    kind: Literal["camvid", "kitti_stream", "virtual_kitti"]
+    #: Folder, relative to one of the ``--data`` folders.
+    path: str
+    #: How often it is drawn, relative to the others.
+    weight: float = 1.0
+    #: CamVid's split.
+    split: str = "train"
+    #: First and last frame of a stream, inclusive.
+    first: int = 0
+    last: int | None = None
+    #: Scenes and variants in the Virtual KITTI layout; all by default.
+    scenes: tuple[str, ...] | None = None
+    variants: tuple[str, ...] | None = None
+    #: How much the set's labels count, for labels made by a network.
+    semantic_weight: float = 1.0
+    #: Range of the random magnification; the common one by default.
+    scale: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class DataRecipe:
+    """What is drawn, how it is changed and how it is batched."""
+
+    source: tuple[SourceRecipe, ...]
+    augment: AugmentConfig = field(default_factory=AugmentConfig)
+    batch_size: int = 8
+    workers: int = 1
+    seed: int = 0
+    #: Samples from which the class frequencies for the loss are counted.
+    frequency_samples: int = 400
+
+
+@dataclass(frozen=True)
+class OptimizerRecipe:
+    """AdamW, or the paper's SGD (momentum 0 is the paper's)."""
+
+    name: Literal["adamw", "sgd"] = "adamw"
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-2
+    momentum: float = 0.9
+
+
+@dataclass(frozen=True)
+class ScheduleRecipe:
+    """Linear warm-up, then cosine to ``final_ratio`` of the rate, or constant."""
+
+    steps: int
+    warmup_steps: int = 0
+    shape: Literal["cosine", "constant"] = "cosine"
+    final_ratio: float = 0.0
+
+
+@dataclass(frozen=True)
+class LoopRecipe:
+    """How steps are computed and what is kept."""
+
+    autocast: Literal["none", "bf16"] = "none"
+    channels_last: bool = True
+    #: Decay of the averaged weights that ship; 0 = no averaging.
+    ema_decay: float = 0.999
+    #: Largest norm of the gradient; 0 = no clipping.
+    clip_norm: float = 0.0
+    checkpoint_every: int = 500
+    log_every: int = 20
+
+
+@dataclass(frozen=True)
+class ValidationRecipe:
+    """Sets that the averaged weights are scored on while training."""
+
+    every: int = 1000
+    source: tuple[SourceRecipe, ...] = ()
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A whole training, as its TOML file says it."""
+
+    model: ModelRecipe
+    data: DataRecipe
+    schedule: ScheduleRecipe
+    loss: LossConfig = field(default_factory=LossConfig)
+    optimizer: OptimizerRecipe = field(default_factory=OptimizerRecipe)
+    loop: LoopRecipe = field(default_factory=LoopRecipe)
+    validation: ValidationRecipe = field(default_factory=ValidationRecipe)
+    #: Data and terms that a model card and an exported file must name.
+    terms: str = ""
+
+
+def read_recipe(path: Path | str) -> Recipe:
+    """Read a recipe. Raises InputError for a missing file, bad TOML, unknown or mistyped keys."""
+    try:
+        with Path(path).open("rb") as stream:
+            table = tomllib.load(stream)
+    except OSError as error:
+        raise InputError(f"{path}: the recipe cannot be read: {error.strerror}.") from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}.") from error
+    try:
+        return build(Recipe, table)
+    except (InputError, ValueError) as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def build(kind: type[T], table: Mapping[str, Any], where: str = "") -> T:
+    """Build a dataclass from a table, strictly; ``where`` is its place in the file."""
+    hints = get_type_hints(kind)
+    known = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
+    unknown = sorted(set(table) - set(known))
+    if unknown:
+        raise InputError(
+            f"unknown key {where}{unknown[0]}; known here: {', '.join(known)}. Correct its name."
+        )
+    missing = [
+        name
+        for name, item in known.items()
+        if name not in table and item.default is MISSING and item.default_factory is MISSING
+    ]
+    if missing:
+        raise InputError(f"missing key {where}{missing[0]}.")
+    return kind(
+        **{key: _convert(hints[key], value, f"{where}{key}") for key, value in table.items()}
+    )
+
+
+def _convert(hint: Any, value: Any, where: str) -> Any:
+    origin, arguments = get_origin(hint), get_args(hint)
+    if is_dataclass(hint) and isinstance(value, Mapping):
+        return build(hint, value, f"{where}.")  # type: ignore[arg-type]
+    if origin in (Union, types.UnionType):
+        inner = [argument for argument in arguments if argument is not type(None)]
+        return None if value is None else _convert(inner[0], value, where)
+    if origin is Literal:
+        if value in arguments:
+            return value
+        raise InputError(f"{where} = {value!r}; choose one of {', '.join(map(repr, arguments))}.")
+    if origin is tuple and isinstance(value, Sequence) and not isinstance(value, str):
+        if arguments[-1] is Ellipsis:
+            kinds = [arguments[0]] * len(value)
+        elif len(arguments) == len(value):
+            kinds = list(arguments)
+        else:
+            raise InputError(f"{where} needs {len(arguments)} values, got {len(value)}.")
+        return tuple(
+            _convert(kind, item, f"{where}[{index}]")
+            for index, (kind, item) in enumerate(zip(kinds, value, strict=True))
+        )
+    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if (
+        isinstance(hint, type)
+        and isinstance(value, hint)
+        and (hint is bool) == (isinstance(value, bool))
+    ):
+        return value
+    raise InputError(f"{where} = {value!r} has the wrong type; expected {_name(hint)}.")
+
+
+def _name(hint: Any) -> str:
+    return hint.__name__ if isinstance(hint, type) and not get_args(hint) else str(hint)

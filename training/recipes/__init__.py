@@ -1,0 +1,1 @@
+"""Recipes that ship with the project: one TOML file a training."""
