@@ -1,0 +1,197 @@
+"""The loop learns, resumes to the same weights, and stops when it must."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from models import load_checkpoint
+from models.config import CONFIGS
+from runtime.errors import CheckpointError, DatasetError, InputError
+from training import cli, loop
+from training.recipe import (
+    DataRecipe,
+    LoopRecipe,
+    ModelRecipe,
+    Recipe,
+    ScheduleRecipe,
+    SourceRecipe,
+    ValidationRecipe,
+)
+from training.augment import AugmentConfig
+from training.loop import NonFiniteLossError, exponential_average, learning_rate, train
+from training.losses import LossConfig
+
+TINY = replace(
+    CONFIGS["ssdnet-lite"],
+    stem_channels=(16, 16),
+    encoder_channels=(16, 16, 16, 16),
+    encoder_blocks=(1, 1, 1, 1),
+    decoder_channels=(16, 16, 16),
+    boundary_channels=4,
+)
+
+
+# The joint terms favour one class everywhere until the semantics stand on their own feet.
+INDEPENDENT = LossConfig(semantic_boundary_weight=0.0, semantic_depth_weight=0.0)
+
+
+@pytest.fixture(autouse=True)
+def tiny_model(monkeypatch):
+    monkeypatch.setitem(CONFIGS, "ssdnet-lite", TINY)
+
+
+@pytest.fixture
+def data(tmp_path):
+    """CamVid's layout with frames whose upper half is sky (blue) and lower half road (grey)."""
+    rng = np.random.default_rng(0)
+    for split in ("train", "val"):
+        for folder in (split, f"{split}annot"):
+            (tmp_path / "data" / "camvid" / folder).mkdir(parents=True)
+        for index in range(6):
+            horizon = int(rng.integers(20, 40))
+            image = np.full((64, 80, 3), 90, np.uint8)
+            image[:horizon] = (230, 160, 60)  # BGR
+            image = (image + rng.integers(0, 20, image.shape)).astype(np.uint8)
+            label = np.full((64, 80), 3, np.uint8)
+            label[:horizon] = 0
+            root = tmp_path / "data" / "camvid"
+            cv2.imwrite(str(root / split / f"{index}.png"), image)
+            cv2.imwrite(str(root / f"{split}annot" / f"{index}.png"), label)
+    return tmp_path / "data"
+
+
+def recipe(steps=6, **loop_options):
+    source = SourceRecipe("camvid", "camvid")
+    return Recipe(
+        model=ModelRecipe("ssdnet-lite"),
+        data=DataRecipe(
+            (source,),
+            augment=AugmentConfig(crop=(64, 64), scale=(0.9, 1.2)),
+            batch_size=4,
+            workers=0,
+            frequency_samples=4,
+        ),
+        schedule=ScheduleRecipe(steps=steps, warmup_steps=2),
+        loop=LoopRecipe(ema_decay=0.5, checkpoint_every=2, log_every=1, **loop_options),
+        validation=ValidationRecipe(every=1000, source=(replace(source, split="val"),)),
+    )
+
+
+def weights(path: Path):
+    return load_checkpoint(path).model.state_dict()
+
+
+def test_it_learns_sky_from_road(data, tmp_path):
+    run = replace(recipe(steps=120), loss=INDEPENDENT)
+    model = load_checkpoint(train(run, data=[data], out=tmp_path / "run")).model
+    image = cv2.imread(str(data / "camvid/val/0.png"))[..., ::-1].copy()
+    label = cv2.imread(str(data / "camvid/valannot/0.png"), -1)
+    rgb = torch.from_numpy(image).permute(2, 0, 1)[None].float()
+    with torch.no_grad():
+        classes = model(rgb, torch.zeros(1, 1, 64, 80)).semantic_logits.argmax(1)[0].numpy()
+    assert (classes == label).mean() > 0.9
+
+
+def test_interrupted_run_ends_at_the_same_weights(data, tmp_path):
+    whole = train(recipe(), data=[data], out=tmp_path / "whole")
+    for stop in (1, 4):
+        train(recipe(), data=[data], out=tmp_path / "parts", stop_after=stop)
+    parts = train(recipe(), data=[data], out=tmp_path / "parts")
+    expected = weights(whole)
+    for name, value in weights(parts).items():
+        assert torch.equal(value, expected[name]), name
+
+
+def test_another_seed_ends_elsewhere(data, tmp_path):
+    first = recipe(steps=2)
+    other = replace(first, data=replace(first.data, seed=5))
+    a = weights(train(first, data=[data], out=tmp_path / "a"))
+    b = weights(train(other, data=[data], out=tmp_path / "b"))
+    assert any(not torch.equal(a[name], b[name]) for name in a)
+
+
+def test_another_recipe_in_the_same_folder_is_refused(data, tmp_path):
+    train(recipe(steps=2), data=[data], out=tmp_path / "run")
+    with pytest.raises(InputError, match="another recipe"):
+        train(recipe(steps=3), data=[data], out=tmp_path / "run")
+
+
+def test_non_finite_loss_names_the_frames(data, tmp_path, monkeypatch):
+    original = loop._compute_loss
+
+    def spoil(*args):
+        terms = original(*args)
+        return {**terms, "total": terms["total"] * float("nan")}
+
+    monkeypatch.setattr(loop, "_compute_loss", spoil)
+    with pytest.raises(NonFiniteLossError, match=r"step 0: .*frames: camvid/"):
+        train(recipe(), data=[data], out=tmp_path / "run")
+
+
+def test_final_checkpoint_carries_data_and_terms(data, tmp_path):
+    run = replace(recipe(steps=1), terms="for tests")
+    checkpoint = load_checkpoint(train(run, data=[data], out=tmp_path / "run"))
+    assert checkpoint.training["terms"] == "for tests"
+    assert checkpoint.training["data"] == ["camvid"]
+    assert not checkpoint.trainer
+
+
+def test_init_starts_from_other_weights_of_the_same_kind(data, tmp_path, monkeypatch):
+    first = train(recipe(steps=1), data=[data], out=tmp_path / "a")
+    frozen = replace(recipe(steps=1), optimizer=replace(recipe().optimizer, learning_rate=0.0))
+    second = train(frozen, data=[data], out=tmp_path / "b", init=first)
+    parameters = [name for name in weights(first) if name.endswith("head.weight")]
+    assert parameters
+    for name in parameters:
+        assert torch.equal(weights(first)[name], weights(second)[name])
+    monkeypatch.setitem(CONFIGS, "ssdnet-lite", replace(TINY, boundary_channels=8))
+    with pytest.raises(CheckpointError, match="differs from the recipe"):
+        train(frozen, data=[data], out=tmp_path / "c", init=first)
+
+
+def test_missing_data_set_names_the_folders(tmp_path):
+    with pytest.raises(DatasetError, match="no folder 'camvid'"):
+        train(recipe(), data=[tmp_path], out=tmp_path / "run")
+
+
+def test_learning_rate_by_hand():
+    schedule = ScheduleRecipe(steps=110, warmup_steps=10, final_ratio=0.1)
+    assert learning_rate(schedule, 1.0, 0) == pytest.approx(0.1)
+    assert learning_rate(schedule, 1.0, 9) == pytest.approx(1.0)
+    assert learning_rate(schedule, 1.0, 60) == pytest.approx(0.1 + 0.9 * 0.5)
+    assert learning_rate(schedule, 1.0, 110) == pytest.approx(0.1)
+    constant = ScheduleRecipe(steps=110, shape="constant")
+    assert {learning_rate(constant, 0.3, step) for step in range(110)} == {0.3}
+    assert math.isclose(learning_rate(schedule, 2.0, 35), 2 * (0.1 + 0.9 * 0.853553), rel_tol=1e-5)
+
+
+def test_command_reports_bad_recipes_and_data(data, tmp_path):
+    runner = CliRunner()
+    out = ["--data", str(data), "--out", str(tmp_path / "run")]
+    result = runner.invoke(cli.app, [str(tmp_path / "none.toml"), *out])
+    assert result.exit_code == 1
+    assert "cannot be read" in result.output
+    text = '[model]\nname="ssdnet-lite"\n[data]\nsource=[{kind="camvid",path="x"}]\n[schedule]\nsteps=1'
+    (tmp_path / "r.toml").write_text(text)
+    result = runner.invoke(cli.app, [str(tmp_path / "r.toml"), *out])
+    assert result.exit_code == 1
+    assert "no folder 'x'" in result.output
+    assert runner.invoke(cli.app, [str(tmp_path / "r.toml")]).exit_code == 2
+
+
+def test_average_forgets_its_start():
+    """After n steps at a constant value nothing of a far-off start is left."""
+    update = exponential_average(0.999)
+    average, current = [torch.full((3,), 1000.0)], [torch.ones(3)]
+    for count in range(200):
+        update(average, current, count)
+    torch.testing.assert_close(average[0], current[0], rtol=0, atol=1e-3)
+    long_run = [torch.zeros(1)]
+    update(long_run, [torch.ones(1)], 10**6)
+    torch.testing.assert_close(long_run[0], torch.tensor([1e-3]))

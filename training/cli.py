@@ -1,0 +1,55 @@
+"""`ssdnet-train`: from a recipe to a checkpoint."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from runtime.errors import SSDNetError
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def train(
+    recipe: Annotated[Path, typer.Argument(help="TOML file that says everything of a training.")],
+    data: Annotated[
+        list[Path], typer.Option(help="Folder with the recipe's data sets; may be repeated.")
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Run folder; one of the same recipe goes on where it stopped.")
+    ],
+    init: Annotated[
+        Path | None, typer.Option(help="Checkpoint whose weights to start from.")
+    ] = None,
+    device: Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")] = "cpu",
+    stop_after: Annotated[
+        int | None, typer.Option(min=1, help="End at this step; the run can be resumed.")
+    ] = None,
+) -> None:
+    """Train a network; writes checkpoints, TensorBoard curves and the resolved recipe."""
+    try:
+        # Heavy imports here, so that --help answers at once.
+        from training.loop import train as run
+        from training.recipe import read_recipe
+
+        path = run(
+            read_recipe(recipe),
+            data=data,
+            out=out,
+            init=init,
+            device=device,
+            stop_after=stop_after,
+        )
+    except SSDNetError as error:
+        typer.echo(f"error: {error}", err=True)
+        raise typer.Exit(1) from error
+    except KeyboardInterrupt:
+        typer.echo(f"stopped; the same command goes on from {out}/last.pt", err=True)
+        raise typer.Exit(1) from None
+    typer.echo(str(path))
+
+
+def main() -> None:
+    """Entry point of the installed command."""
+    app()

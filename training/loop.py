@@ -1,0 +1,280 @@
+"""The training loop: one flat function from a recipe to checkpoints."""
+
+import json
+import math
+import random
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+from torch.optim.swa_utils import AveragedModel
+from torch.utils.data import DataLoader
+from torch.utils.tensorboard import SummaryWriter
+from tqdm import tqdm
+
+from models import SSDNet, create_model, load_checkpoint, save_checkpoint
+from runtime.errors import CheckpointError, InputError, SSDNetError
+from training.evaluate import score_sources
+from training.losses import SSDNetLoss, class_weights
+from training.recipe import OptimizerRecipe, Recipe, ScheduleRecipe
+from training.sources import count_pixels, open_mixture, open_source
+
+#: What AveragedModel hands to its update rule.
+Tensors = tuple[Tensor, ...] | list[Tensor]
+
+LAST = "last.pt"
+FINAL = "model.pt"
+
+
+class NonFiniteLossError(SSDNetError):
+    """The loss became NaN or infinite; names the step and the frames of its batch."""
+
+
+def train(
+    recipe: Recipe,
+    *,
+    data: Sequence[Path],
+    out: Path,
+    init: Path | None = None,
+    device: str = "cpu",
+    stop_after: int | None = None,
+) -> Path:
+    """Train as the recipe says and return the path of the final checkpoint.
+
+    Writes ``out``: recipe.json (resolved), last.pt (to resume from), model.pt (the averaged
+    weights, to ship) and tensorboard/. An ``out`` with a last.pt of the same recipe goes on where
+    it stopped; of another recipe it is an InputError. ``init`` starts from another checkpoint's
+    weights. ``stop_after`` ends early at that step, resumable.
+    """
+    resolved = {"recipe": asdict(recipe), "init": _weights_name(init)}
+    _claim(out, resolved)
+    # OpenCV's thread pool does not survive the fork of the loader's workers: they would hang.
+    cv2.setNumThreads(0)
+    torch.manual_seed(recipe.data.seed)
+    random.seed(recipe.data.seed)
+    np.random.seed(recipe.data.seed)  # noqa: NPY002  (for libraries that draw from it)
+
+    sources = [open_source(item, data) for item in recipe.data.source]
+    validation = {item.path: (item, open_source(item, data)) for item in recipe.validation.source}
+    network = _build_network(recipe, init).to(device)
+    if recipe.loop.channels_last:
+        network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    weights = None
+    if network.config.semantic_head:
+        counts = count_pixels(recipe.data, sources, network.config.num_classes)
+        weights = class_weights(torch.from_numpy(counts), recipe.loss.class_weighting)
+    criterion = SSDNetLoss(
+        recipe.loss, weights, max_depth_m=network.config.max_depth_m
+    ).to(device)
+    optimizer = _build_optimizer(recipe.optimizer, network)
+    # Buffers are averaged too: batch statistics must fit the averaged weights.
+    average = AveragedModel(
+        network, multi_avg_fn=exponential_average(recipe.loop.ema_decay), use_buffers=True
+    )
+    averaged: SSDNet = average.module  # type: ignore[assignment]
+    step = _resume(out / LAST, network, average, optimizer)
+
+    steps, batch = recipe.schedule.steps, recipe.data.batch_size
+    mixture = open_mixture(recipe.data, sources, length=steps * batch)
+    loader = DataLoader(
+        mixture,
+        batch_size=batch,
+        sampler=range(step * batch, steps * batch),
+        num_workers=recipe.data.workers,
+        prefetch_factor=3 if recipe.data.workers else None,
+        pin_memory=device != "cpu",
+    )
+    training_info = {
+        "data": [item.path for item in recipe.data.source],
+        "terms": recipe.terms,
+        "recipe": asdict(recipe),
+        "init": resolved["init"],
+    }
+
+    def save(path: Path, *, resumable: bool) -> None:
+        save_checkpoint(
+            path,
+            network,
+            training={**training_info, "step": step},
+            state_dict=(network if resumable else averaged).state_dict(),
+            trainer=(
+                {
+                    "step": step,
+                    "optimizer": optimizer.state_dict(),
+                    "average": average.state_dict(),
+                }
+                if resumable
+                else None
+            ),
+        )
+
+    last_step = steps if stop_after is None else min(steps, stop_after)
+    with (
+        SummaryWriter(str(out / "tensorboard"), purge_step=step) as board,
+        tqdm(total=steps, initial=step, desc="train", unit="step", disable=None) as progress,
+    ):
+        network.train()
+        for samples in loader:
+            if step >= last_step:
+                break
+            rate = learning_rate(recipe.schedule, recipe.optimizer.learning_rate, step)
+            for group in optimizer.param_groups:
+                group["lr"] = rate
+            terms = _compute_loss(network, criterion, samples, recipe, device)
+            if not torch.isfinite(terms["total"]):
+                raise NonFiniteLossError(
+                    f"step {step}: the loss is {terms['total'].item()}; frames: "
+                    f"{', '.join(samples['name'])}. Lower the learning rate or look at them."
+                )
+            optimizer.zero_grad(set_to_none=True)
+            terms["total"].backward()  # type: ignore[no-untyped-call]
+            if recipe.loop.clip_norm:
+                torch.nn.utils.clip_grad_norm_(network.parameters(), recipe.loop.clip_norm)
+            optimizer.step()
+            average.update_parameters(network)
+            step += 1
+            progress.update()
+
+            if step % recipe.loop.log_every == 0:
+                for name, value in terms.items():
+                    board.add_scalar(f"loss/{name}", value.item(), step)
+                board.add_scalar("learning_rate", rate, step)
+                progress.set_postfix(loss=f"{terms['total'].item():.3f}")
+            if step % recipe.loop.checkpoint_every == 0:
+                save(out / LAST, resumable=True)
+            if validation and (step % recipe.validation.every == 0 or step == steps):
+                scores = score_sources(averaged, validation)
+                for name, score in scores.items():
+                    board.add_scalar(f"validation/{name}", score, step)
+                text = ", ".join(f"{name} {score:.4f}" for name, score in scores.items())
+                tqdm.write(f"step {step}: {text}", file=sys.stderr)
+                network.train()
+    save(out / LAST, resumable=True)
+    save(out / FINAL, resumable=False)
+    return out / FINAL
+
+
+def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
+    """Rate of a step: linear warm-up from 0, then cosine down to its final share, or constant."""
+    if step < schedule.warmup_steps:
+        return peak * (step + 1) / schedule.warmup_steps
+    if schedule.shape == "constant":
+        return peak
+    progress = (step - schedule.warmup_steps) / max(1, schedule.steps - schedule.warmup_steps)
+    share = 0.5 * (1 + math.cos(math.pi * min(1.0, progress)))
+    return peak * (schedule.final_ratio + (1 - schedule.final_ratio) * share)
+
+
+def exponential_average(
+    decay: float,
+) -> Callable[[Tensors, Tensors, Tensor | int], None]:
+    """Return AveragedModel's update rule: an exponential average that forgets its start.
+
+    The decay grows as (1 + n) / (10 + n) up to ``decay``: with the full decay from the first step
+    a short run would still carry a good part of its random start.
+    """
+
+    @torch.no_grad()
+    def update(average: Tensors, current: Tensors, count: Tensor | int) -> None:
+        share = 1.0 - min(decay, (1.0 + int(count)) / (10.0 + int(count)))
+        if average[0].is_floating_point():
+            torch._foreach_lerp_(average, current, share)
+        else:  # counters
+            torch._foreach_copy_(average, current)
+
+    return update
+
+
+def _compute_loss(
+    network: SSDNet,
+    criterion: SSDNetLoss,
+    samples: Mapping[str, Any],
+    recipe: Recipe,
+    device: str,
+) -> dict[str, Tensor]:
+    rgb = samples["rgb"].to(device, non_blocking=True).float()
+    sparse_depth = samples["sparse_depth"].to(device, non_blocking=True)
+    if recipe.loop.channels_last:
+        rgb = rgb.to(memory_format=torch.channels_last)
+    with torch.autocast(
+        rgb.device.type, dtype=torch.bfloat16, enabled=recipe.loop.autocast == "bf16"
+    ):
+        output = network(rgb, sparse_depth)
+    terms: dict[str, Tensor] = criterion(
+        output,
+        samples["semantic"].to(device, non_blocking=True),
+        samples["depth"].to(device, non_blocking=True),
+        semantic_weight=samples["semantic_weight"].to(device, non_blocking=True),
+    )
+    return terms
+
+
+def _build_network(recipe: Recipe, init: Path | None) -> SSDNet:
+    network = create_model(recipe.model.name, max_depth_m=recipe.model.max_depth_m)
+    if init is not None:
+        start = load_checkpoint(init)
+        if start.model.config != network.config:
+            raise CheckpointError(
+                f"{init}: a '{start.model.config.name}' that differs from the recipe's "
+                f"'{network.config.name}'. Start from a checkpoint of the same configuration."
+            )
+        network.load_state_dict(start.model.state_dict())
+    return network
+
+
+def _build_optimizer(recipe: OptimizerRecipe, network: SSDNet) -> torch.optim.Optimizer:
+    # Biases and normalisation are not decayed.
+    kernels = [p for p in network.parameters() if p.ndim > 1]
+    others = [p for p in network.parameters() if p.ndim <= 1]
+    groups: list[dict[str, Any]] = [
+        {"params": kernels, "weight_decay": recipe.weight_decay},
+        {"params": others, "weight_decay": 0.0},
+    ]
+    if recipe.name == "sgd":
+        return torch.optim.SGD(groups, lr=recipe.learning_rate, momentum=recipe.momentum)
+    return torch.optim.AdamW(groups, lr=recipe.learning_rate)
+
+
+def _claim(out: Path, resolved: Mapping[str, Any]) -> None:
+    """Make ``out`` this training's folder, or say that it is another's."""
+    path = out / "recipe.json"
+    text = json.dumps(resolved, indent=2, default=str)
+    try:
+        if path.is_file():
+            if path.read_text(encoding="utf-8") != text:
+                raise InputError(
+                    f"{out}: holds a training with another recipe (see its recipe.json). "
+                    "Choose another --out, or the recipe it was started with."
+                )
+            return
+        out.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(
+            f"{out}: cannot be written: {error.strerror}. Choose another --out."
+        ) from error
+
+
+def _resume(
+    path: Path, network: SSDNet, average: AveragedModel, optimizer: torch.optim.Optimizer
+) -> int:
+    """Load the loop's state if there is one; return the step to go on from."""
+    if not path.is_file():
+        return 0
+    checkpoint = load_checkpoint(path)
+    if not checkpoint.trainer:
+        raise CheckpointError(f"{path}: holds no optimiser state, so it cannot be resumed.")
+    network.load_state_dict(checkpoint.model.state_dict())
+    average.load_state_dict(checkpoint.trainer["average"])
+    optimizer.load_state_dict(checkpoint.trainer["optimizer"])
+    return int(checkpoint.trainer["step"])
+
+
+def _weights_name(init: Path | None) -> str | None:
+    return None if init is None else init.name

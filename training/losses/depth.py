@@ -1,0 +1,78 @@
+"""Depth loss over all scales, Eq. 4."""
+
+from collections.abc import Callable
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from training.losses.masked import masked_mean, split_into_blocks
+from training.losses.ssim import ssim_loss
+
+#: (prediction, target, valid), all (N, 1, h, w), depth normalised to 0..1 -> loss ().
+DepthCriterion = Callable[[Tensor, Tensor, Tensor], Tensor]
+
+
+def normalise_depth(depth: Tensor, max_depth_m: float) -> tuple[Tensor, Tensor]:
+    """Split metres into normalised depth 0..1 and a bool mask of what was measured.
+
+    `depth` float (N, 1, H, W) [m]; 0, negative, NaN, Inf or beyond `max_depth_m` = none.
+    """
+    valid = (depth > 0) & (depth <= max_depth_m)
+    return torch.where(valid, depth, 0.0) / max_depth_m, valid
+
+
+def depth_at_scale(target: Tensor, valid: Tensor, grid: tuple[int, int]) -> tuple[Tensor, Tensor]:
+    """Ground truth on a coarser grid: the mean of the valid pixels under each cell, and a mask.
+
+    `target` float (N, 1, H, W), 0 where not `valid`; a cell without a valid pixel is invalid.
+    """
+    if target.shape[-2:] == grid:
+        return target, valid
+    blocks, side = split_into_blocks(torch.cat((target, valid.to(target.dtype)), dim=1), grid)
+    mean, share = F.avg_pool2d(blocks, side).chunk(2, dim=1)
+    known = share > 0.5 / side**2
+    return torch.where(known, mean / share.clamp(min=0.5 / side**2), 0.0), known
+
+
+def paper_depth_loss(
+    prediction: Tensor, target: Tensor, valid: Tensor, *, l1: float, l2: float, ssim: float
+) -> Tensor:
+    """Eq. 4 at one scale: l1 * mean |e| + l2 * mean e^2 + ssim * (1 - mean SSIM), ().
+
+    Normalised depth, means over valid pixels, see `masked_mean` for the mean over samples. The
+    paper's weights are 0.4, 0.4, 0.2.
+    """
+    error = prediction - target
+    loss = l1 * masked_mean(error.abs(), valid) + l2 * masked_mean(error.square(), valid)
+    return loss + ssim * ssim_loss(prediction, target, valid) if ssim else loss
+
+
+def metric_depth_loss(
+    prediction: Tensor, target: Tensor, valid: Tensor, *, max_depth_m: float, l2: float
+) -> Tensor:
+    """Mean |e| + l2 * mean e^2 with the error e in metres, at one scale, ().
+
+    Not the paper's: it suits LiDAR targets, which are too sparse for SSIM's windows, and keeps
+    the gradient of near errors alive. `l2` is in 1/m.
+    """
+    error = (prediction - target) * max_depth_m
+    return masked_mean(error.abs() + l2 * error.square(), valid)
+
+
+def multi_scale_depth_loss(
+    predictions: tuple[Tensor, ...], target: Tensor, valid: Tensor, criterion: DepthCriterion
+) -> Tensor:
+    """Mean of a criterion over the scales of the prediction, each against its own ground truth.
+
+    `predictions` float (N, 1, h_i, w_i), normalised; `target`, `valid` (N, 1, H, W), see
+    `normalise_depth`. The paper gives no weights of the scales: all count the same.
+    """
+    losses = [
+        criterion(
+            prediction.float(),
+            *depth_at_scale(target, valid, (prediction.shape[-2], prediction.shape[-1])),
+        )
+        for prediction in predictions
+    ]
+    return torch.stack(losses).mean()

@@ -1,0 +1,32 @@
+"""Means over what is known, and targets on coarser grids."""
+
+import torch.nn.functional as F
+from torch import Tensor
+
+
+def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
+    """Mean over the masked pixels of each sample, then over the samples that have any: ().
+
+    `values` float (N, 1, H, W), finite everywhere; `mask` bool of the same shape. A sample with
+    dense ground truth and one with a few thousand LiDAR returns count the same. With nothing
+    known at all it is 0, with a gradient of 0.
+    """
+    known = mask.to(values.dtype)
+    counts = known.sum(dim=(1, 2, 3))
+    means = (values * known).sum(dim=(1, 2, 3)) / counts.clamp(min=1)
+    return means.sum() / (counts > 0).sum().clamp(min=1)
+
+
+def split_into_blocks(x: Tensor, grid: tuple[int, int]) -> tuple[Tensor, int]:
+    """Pad a full-size map so that it divides into a coarser grid; return it and the block's side.
+
+    `x` float (N, 1, H, W); `grid` (height, width) of a map whose every cell stands for a square
+    of 2^k pixels from the top left on. The last cells may reach past the image, as ceil-mode
+    pooling and padding to the stride make them; the padding is 0.
+    """
+    height, width = x.shape[-2:]
+    side = 1
+    while side * grid[0] < height or side * grid[1] < width:
+        side *= 2
+    padding = (0, side * grid[1] - width, 0, side * grid[0] - height)
+    return (F.pad(x, padding) if any(padding) else x), side

@@ -1,0 +1,75 @@
+"""Class-weighted cross-entropy, Eq. 5, and the weights of the classes."""
+
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+IGNORE = 255
+
+ClassWeighting = Literal["median", "sqrt_median", "paper", "none"]
+
+
+def class_weights(pixel_counts: Tensor, weighting: ClassWeighting = "median") -> Tensor:
+    """Weights beta of Eq. 5 from how many pixels each class has: float32 (C,).
+
+    `pixel_counts` (C,), >= 0. "median": median frequency over the class's own; "sqrt_median": its
+    square root, a gentler one; "none": all 1; "paper": the class's proportion, literally as
+    printed, which favours the frequent classes. A class never seen gets the largest weight of the
+    others, or 0 from "paper". Raises ValueError if no pixel was counted at all.
+    """
+    counts = pixel_counts.double()
+    seen = counts > 0
+    if not seen.any():
+        raise ValueError("no labelled pixel was counted, so there are no class frequencies")
+    if weighting == "none":
+        return torch.ones(len(counts))
+    frequency = counts / counts.sum()
+    if weighting == "paper":
+        return frequency.float()
+    # quantile and not median: of an even count the latter takes the lower of the two middle ones.
+    ratio = frequency[seen].quantile(0.5) / frequency[seen]
+    if weighting == "sqrt_median":
+        ratio = ratio.sqrt()
+    weights = ratio.max().repeat(len(counts))
+    weights[seen] = ratio
+    return weights.float()
+
+
+def cross_entropy_map(log_probabilities: Tensor, semantic: Tensor, weights: Tensor) -> Tensor:
+    """One pixel's term of Eq. 5, -beta log p of its class: float (N, H, W), 0 where ignored.
+
+    `log_probabilities` float (N, C, H, W); `semantic` int64 (N, H, W), 255 = ignore; `weights`
+    float (C,). Our reading of the printed beta_j: the weight of the class that pixel j is of.
+    """
+    return F.nll_loss(
+        log_probabilities, semantic, weight=weights, ignore_index=IGNORE, reduction="none"
+    )
+
+
+def labelled_mean(values: Tensor, known: Tensor, sample_weight: Tensor | None = None) -> Tensor:
+    """Mean over all known pixels of the batch, ().
+
+    `values` float (N, H, W), 0 where not `known`, bool (N, H, W). `sample_weight` float (N,)
+    scales each sample's part without changing what is divided by, so a batch of labels worth 0.2
+    gives 0.2 of the loss. 0, with a gradient of 0, if nothing is known.
+    """
+    sums = values.sum(dim=(1, 2))
+    if sample_weight is not None:
+        sums = sums * sample_weight
+    return sums.sum() / known.sum().clamp(min=1)
+
+
+def weighted_cross_entropy(
+    log_probabilities: Tensor,
+    semantic: Tensor,
+    weights: Tensor,
+    sample_weight: Tensor | None = None,
+) -> Tensor:
+    """Eq. 5 as a mean over the labelled pixels, (). Arguments as the two functions above.
+
+    The paper sums; a sum would drown the joint terms, which are means.
+    """
+    values = cross_entropy_map(log_probabilities, semantic, weights)
+    return labelled_mean(values, semantic != IGNORE, sample_weight)

@@ -1,0 +1,223 @@
+"""The whole loss, Eq. 12."""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from models import SSDNetOutput
+from training.losses.boundary import (
+    BetaMode,
+    balanced_cross_entropy,
+    boundary_at_scale,
+    boundary_target,
+)
+from training.losses.depth import (
+    metric_depth_loss,
+    multi_scale_depth_loss,
+    normalise_depth,
+    paper_depth_loss,
+)
+from training.losses.joint import (
+    NeighbourMaps,
+    hard_disagreement,
+    semantic_boundary_loss,
+    semantic_depth_loss,
+    soft_disagreement,
+)
+from training.losses.semantic import (
+    IGNORE,
+    ClassWeighting,
+    cross_entropy_map,
+    labelled_mean,
+)
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """Every choice of the loss. The defaults are our reading of the paper.
+
+    A term of weight 0 is not computed: SSDNet_ind is `semantic_boundary_weight` and
+    `semantic_depth_weight` 0. Raises ValueError for a negative number, or if all weights are 0.
+    """
+
+    #: One weight a term of Eq. 12: Eq. 4, 5, 6, 8, 11; and Eq. 6 on the boundary decoder's sides.
+    depth_weight: float = 1.0
+    semantic_weight: float = 1.0
+    boundary_weight: float = 1.0
+    semantic_boundary_weight: float = 1.0
+    semantic_depth_weight: float = 1.0
+    side_boundary_weight: float = 0.0
+
+    #: How Eq. 5's beta comes from the class frequencies; "paper" is literal.
+    class_weighting: ClassWeighting = "median"
+    #: Over what Eq. 6's beta is counted.
+    boundary_beta: BetaMode = "batch"
+
+    #: "paper": Eq. 4 on normalised depth. "metric": L1 + metric_l2 * L2 in metres.
+    depth_form: Literal["paper", "metric"] = "paper"
+    depth_l1: float = 0.4
+    depth_l2: float = 0.4
+    depth_ssim: float = 0.2
+    metric_l2: float = 0.02
+    #: Mean over all scales, or the finest alone.
+    depth_scales: Literal["mean", "finest"] = "mean"
+
+    #: Eq. 7 on probabilities, or as printed on arg-max labels (no gradient to the semantic head).
+    disagreement: Literal["soft", "hard"] = "soft"
+    #: Eq. 11's unit of depth: 1 = normalised.
+    joint_depth_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be minimised, with a ValueError that names it."""
+        numbers = {key: value for key, value in vars(self).items() if isinstance(value, float)}
+        for key, value in numbers.items():
+            if not 0 <= value < float("inf"):
+                raise ValueError(f"loss.{key} = {value}; it must be 0 or a positive number")
+        if not any(value for key, value in numbers.items() if key.endswith("_weight")):
+            raise ValueError("all weights of the loss are 0: nothing would be trained")
+
+
+class SSDNetLoss(nn.Module):
+    """Eq. 12: the weighted sum of the losses of every task and of the joint ones, all means.
+
+    `class_weights` float (C,), see `training.losses.class_weights`; None = every class alike.
+    `max_depth_m` is the depth that the network's normalised 1.0 stands for.
+    """
+
+    class_weights: Tensor | None
+
+    def __init__(
+        self,
+        config: LossConfig,
+        class_weights: Tensor | None = None,
+        *,
+        max_depth_m: float,
+    ) -> None:
+        super().__init__()
+        self.config = config
+        self.max_depth_m = max_depth_m
+        self.register_buffer("class_weights", class_weights, persistent=False)
+
+    def forward(
+        self,
+        output: SSDNetOutput,
+        semantic: Tensor,
+        depth: Tensor,
+        semantic_weight: Tensor | None = None,
+    ) -> dict[str, Tensor]:
+        """Return every term by name, not yet weighted, and their weighted sum as "total"; all ().
+
+        `semantic` int64 (N, H, W), 255 = none. `depth` float32 (N, 1, H, W) [m]; 0, not finite
+        or beyond `max_depth_m` = none. `semantic_weight` float (N,): how much each sample's labels
+        count in Eq. 5 and 6, below 1 for labels made by a network. Samples may lack either target
+        altogether. Names: depth, semantic, boundary, semantic_boundary, semantic_depth,
+        side_boundary; those of absent heads or of weight 0 are left out. Computed in float32
+        whatever the network was computed in. Raises ValueError on targets of another size.
+        """
+        if output.boundary_logits.shape[-2:] != semantic.shape[-2:] or (
+            semantic.shape[-2:] != depth.shape[-2:]
+        ):
+            raise ValueError(
+                f"the network's answer is {tuple(output.boundary_logits.shape[-2:])}, semantic "
+                f"{tuple(semantic.shape[-2:])} and depth {tuple(depth.shape[-2:])}; expected one "
+                "size (height, width)"
+            )
+        with torch.autocast(output.boundary_logits.device.type, enabled=False):
+            terms = self._boundary_terms(output, semantic, semantic_weight)
+            terms |= self._depth_terms(output, depth)
+            terms |= self._semantic_terms(output, semantic, semantic_weight)
+        weighted = [getattr(self.config, f"{name}_weight") * term for name, term in terms.items()]
+        # Without any term the total is still a 0 that can be differentiated.
+        terms["total"] = sum(weighted, start=0.0 * output.boundary_logits[0, 0, 0, 0].float())
+        return terms
+
+    def _boundary_terms(
+        self, output: SSDNetOutput, semantic: Tensor, semantic_weight: Tensor | None
+    ) -> dict[str, Tensor]:
+        config = self.config
+        sides = output.side_boundary_logits if config.side_boundary_weight else ()
+        if not (config.boundary_weight or sides):
+            return {}
+        target, valid = boundary_target(semantic)
+
+        def loss(logits: Tensor) -> Tensor:
+            return balanced_cross_entropy(
+                logits.float(),
+                *boundary_at_scale(target, valid, (logits.shape[-2], logits.shape[-1])),
+                beta_mode=config.boundary_beta,
+                sample_weight=semantic_weight,
+            )
+
+        terms = {"boundary": loss(output.boundary_logits)} if config.boundary_weight else {}
+        if sides:
+            terms["side_boundary"] = torch.stack([loss(side) for side in sides]).mean()
+        return terms
+
+    def _depth_terms(self, output: SSDNetOutput, depth: Tensor) -> dict[str, Tensor]:
+        config = self.config
+        if output.depths is None or not config.depth_weight:
+            return {}
+        if config.depth_form == "metric":
+            criterion = partial(
+                metric_depth_loss, max_depth_m=self.max_depth_m, l2=config.metric_l2
+            )
+        else:
+            criterion = partial(
+                paper_depth_loss, l1=config.depth_l1, l2=config.depth_l2, ssim=config.depth_ssim
+            )
+        scales = output.depths if config.depth_scales == "mean" else output.depths[:1]
+        target, valid = normalise_depth(depth, self.max_depth_m)
+        return {"depth": multi_scale_depth_loss(scales, target, valid, criterion)}
+
+    def _semantic_terms(
+        self, output: SSDNetOutput, semantic: Tensor, semantic_weight: Tensor | None
+    ) -> dict[str, Tensor]:
+        config, logits = self.config, output.semantic_logits
+        if logits is None:
+            return {}
+        with_depth = bool(config.semantic_depth_weight) and output.depths is not None
+        joint = bool(config.semantic_boundary_weight) or with_depth
+        if not (config.semantic_weight or joint):
+            return {}
+        weights = self.class_weights
+        if weights is None:
+            weights = torch.ones(logits.shape[1], device=logits.device)
+        form = config.disagreement if joint else None
+        cross_entropy, disagreement = _class_maps(logits, semantic, weights, form)
+        terms = {}
+        if config.semantic_weight:
+            known = semantic != IGNORE
+            terms["semantic"] = labelled_mean(cross_entropy, known, semantic_weight)
+        if disagreement is not None and config.semantic_boundary_weight:
+            boundary = torch.sigmoid(output.boundary_logits.float())
+            terms["semantic_boundary"] = semantic_boundary_loss(disagreement, boundary)
+        if disagreement is not None and with_depth and output.depths is not None:
+            terms["semantic_depth"] = semantic_depth_loss(
+                disagreement, output.depths[0].float(), depth_scale=config.joint_depth_scale
+            )
+        return terms
+
+
+def _class_maps(
+    logits: Tensor, semantic: Tensor, weights: Tensor, form: Literal["soft", "hard"] | None
+) -> tuple[Tensor, NeighbourMaps | None]:
+    """Everything that needs all classes of a pixel: Eq. 5's map and the disagreement.
+
+    Sample by sample, because the class maps of a whole batch fit no cache: half the time on a CPU.
+    """
+    cross_entropy, disagreements = [], []
+    for sample, label in zip(logits.unbind(0), semantic.unbind(0), strict=True):
+        log_probabilities = F.log_softmax(sample[None].float(), dim=1)
+        cross_entropy.append(cross_entropy_map(log_probabilities, label[None], weights))
+        if form == "soft":
+            disagreements.append(soft_disagreement(log_probabilities.exp()))
+        elif form == "hard":
+            disagreements.append(hard_disagreement(log_probabilities.argmax(dim=1)))
+    if not disagreements:
+        return torch.cat(cross_entropy), None
+    across, down = zip(*disagreements, strict=True)
+    return torch.cat(cross_entropy), NeighbourMaps(torch.cat(across), torch.cat(down))
