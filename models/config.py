@@ -69,6 +69,8 @@ class ModelConfig:
             )
         if self.depth_prior and not (self.depth_head and self.use_sparse_depth):
             raise ValueError("depth_prior needs the sparse depth and a depth head")
+        if self.depth_prior and not self.valid_mask_input:
+            raise ValueError("depth_prior needs valid_mask_input")
         if self.depth_prior and not self.stem_channels:
             raise ValueError("depth_prior works on the grid of a strided stem")
         if not self.max_depth_m > 0:

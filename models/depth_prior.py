@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -21,28 +20,23 @@ class DepthPrior(NamedTuple):
     support: Tensor
 
 
-def pull_push_fill(depth: Tensor, valid_mask: Tensor, *, factor: int, levels: int) -> DepthPrior:
+def pull_push_fill(measured: Tensor, *, factor: int, levels: int) -> DepthPrior:
     """Fill sparse depth on a grid ``factor`` times coarser by the pull-push method.
 
     Masked means are pulled up a pyramid of ``levels`` halvings and pushed down again into the
     cells without a measurement (Gortler et al. 1996). Cells that no level reaches, and the
     whole map when nothing is measured, come out as filled 0 with support 0.
 
-    depth (N, 1, H, W), normalised, 0 where ``valid_mask`` (same shape, 0 or 1) is 0; height and
-    width are multiples of ``factor * 2**levels``.
+    measured (N, 2, H, W): the normalised depth, 0 where not measured, and the mask of measured
+    pixels, 0 or 1; height and width are multiples of ``factor * 2**levels``.
     """
-    weighted = F.avg_pool2d(depth, factor)
-    density = F.avg_pool2d(valid_mask, factor)
-    pyramid = [(weighted, density)]
+    # Depth and mask go through the same steps as one tensor: a level costs one pooling and one
+    # upsampling, and their ratio stays a weighted mean of measurements.
+    pyramid = [F.avg_pool2d(measured, factor)]
     for _ in range(levels):
-        weighted, density = F.avg_pool2d(weighted, 2), F.avg_pool2d(density, 2)
-        pyramid.append((weighted, density))
-
-    # One tensor for both, so that a level costs one Resize: [filled, support].
-    coarse = torch.cat(pyramid[-1], dim=1) / (pyramid[-1][1] + COARSE_WEIGHT)
-    for weighted, density in reversed(pyramid[:-1]):
-        measured = torch.cat((weighted, density), dim=1)
-        coarse = (measured + COARSE_WEIGHT * upsample(coarse)) / (density + COARSE_WEIGHT)
+        pyramid.append(F.avg_pool2d(pyramid[-1], 2))
+    coarse = pyramid[-1] / (pyramid[-1][:, 1:] + COARSE_WEIGHT)
+    for level in reversed(pyramid[:-1]):
+        coarse = (level + COARSE_WEIGHT * upsample(coarse)) / (level[:, 1:] + COARSE_WEIGHT)
     weighted, support = coarse[:, :1], coarse[:, 1:]
-    # Both went through the same sums, so their ratio is a weighted mean of measurements.
-    return DepthPrior(weighted / support.clamp(min=1e-6), pyramid[0][1], support)
+    return DepthPrior(weighted / support.clamp(min=1e-6), pyramid[0][:, 1:], support)

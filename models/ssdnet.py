@@ -120,10 +120,8 @@ class SSDNet(nn.Module):
         prior = None
         x_stem = self.stem(x)
         if self.prior_stem is not None:
-            measured = x[:, -2:]  # depth and mask, padded
             prior = pull_push_fill(
-                measured[:, :1],
-                measured[:, 1:],
+                x[:, -2:],  # depth and mask, padded
                 factor=config.output_stride,
                 levels=config.num_skips,
             )

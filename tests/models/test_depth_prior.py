@@ -6,7 +6,8 @@ from models.depth_prior import pull_push_fill
 
 
 def fill(depth, **options):
-    return pull_push_fill(depth, (depth > 0).float(), **{"factor": 4, "levels": 3, **options})
+    measured = torch.cat((depth, (depth > 0).float()), dim=1)
+    return pull_push_fill(measured, **{"factor": 4, "levels": 3, **options})
 
 
 def test_nothing_measured_is_zero_without_support():

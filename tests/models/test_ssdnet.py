@@ -176,7 +176,8 @@ def test_upsampling_by_factor_equals_by_size():
         ({"decoder_channels": (8, 8)}, "5 skips"),
         ({"encoder_blocks": (1, 1)}, "same length"),
         ({"max_depth_m": 0.0}, "positive"),
-        ({"depth_prior": True}, "strided stem"),
+        ({"depth_prior": True}, "valid_mask_input"),
+        ({"depth_prior": True, "valid_mask_input": True}, "strided stem"),
     ],
 )
 def test_impossible_configurations_say_why(changes, text):

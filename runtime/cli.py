@@ -1,0 +1,224 @@
+"""`ssdnet-run`: a stream of frames in, pictures, tables and latencies out."""
+
+import sys
+from enum import StrEnum
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import typer
+
+from runtime import __version__
+from runtime.errors import InputError, SSDNetError
+from runtime.frames import KITTI_DEPTH_SCALE, FrameFiles, list_frames, read_frame
+from runtime.latency_plot import draw_latency
+from runtime.predictor import Predictor
+from runtime.report import (
+    build_report,
+    describe_predictor,
+    describe_run,
+    frames_csv,
+    missed,
+    to_json,
+)
+from runtime.stream import OK, FrameRecord, StreamResult, run_stream
+from runtime.writer import (
+    FRAMES_FILE,
+    KINDS,
+    LATENCY_FILE,
+    REPORT_FILE,
+    FrameWriter,
+    encode,
+    write_whole,
+)
+
+ERROR, USAGE, SKIPPED, MISSED = 1, 2, 3, 4  # exit codes
+
+
+class Provider(StrEnum):
+    """The providers that can be asked for."""
+
+    cpu = "cpu"
+    cuda = "cuda"
+
+
+def main() -> None:
+    """Entry point of the command."""
+    app()
+
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.command(
+    epilog="Exit codes: 0 done; 1 error; 2 usage; 3 finished, but frames were skipped or Ctrl-C "
+    "came; 4 --deadline-ms was missed by any frame, even if others were skipped."
+)
+def run(
+    rgb: Annotated[Path | None, typer.Option(help="Folder of the pictures (PNG or JPEG).")] = None,
+    depth: Annotated[
+        Path | None, typer.Option(help="Folder of the sparse depth maps (16-bit PNG).")
+    ] = None,
+    demo: Annotated[bool, typer.Option("--demo", help="Run the bundled stream.")] = False,
+    model: Annotated[
+        Path | None, typer.Option(help="ONNX file made by ssdnet-export. [default: bundled]")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("ssdnet-run"),
+    provider: Annotated[Provider, typer.Option(help="What runs the model.")] = Provider.cpu,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Threads of inference. [default: physical cores]")
+    ] = None,
+    depth_scale: Annotated[
+        float, typer.Option(help="Units of the depth PNG a metre: KITTI 256, Virtual KITTI 100.")
+    ] = KITTI_DEPTH_SCALE,
+    deadline_ms: Annotated[
+        float | None, typer.Option(help="Time a prediction may take, without reading and writing.")
+    ] = None,
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="Stop after so many complete frames.")
+    ] = None,
+    warmup: Annotated[
+        int, typer.Option(min=0, help="Predictions before the first frame, kept apart.")
+    ] = 3,
+    save: Annotated[
+        str, typer.Option(help=f"What to write: {', '.join(KINDS)}; or all, or none.")
+    ] = "all",
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace an earlier run in --out.")
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print report.json instead of the tables.")
+    ] = False,
+) -> None:
+    """Predict classes, depth and boundaries of every frame of a stream, with the latency of each.
+
+    Frames are pairs of files with the same stem, in natural order.
+    """
+    kinds = _kinds(save)
+    _require_positive("--depth-scale", depth_scale)
+    _require_positive("--deadline-ms", deadline_ms)
+    if demo != (rgb is None and depth is None) or (rgb is None) != (depth is None):
+        raise typer.BadParameter("give either --demo, or both --rgb and --depth")
+    # What cannot be decoded becomes a flagged frame; OpenCV would print about it as well.
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    cv2.setNumThreads(1)  # the cores belong to inference
+    try:
+        rgb_dir, depth_dir = (rgb, depth) if rgb and depth else bundled_stream()
+        frames = list_frames(rgb_dir, depth_dir, limit=limit)
+        with Predictor(model, provider=provider.value, threads=threads, warmup=0) as predictor:
+            writer = FrameWriter(out, predictor.contract, kinds=kinds, overwrite=overwrite)
+            frame_size = _warm_up(predictor, frames, depth_scale, runs=warmup)
+            if not as_json:
+                typer.echo(describe_predictor(predictor, frame_size))
+            result = _run(predictor, frames, writer, depth_scale, write=bool(kinds))
+            report = build_report(
+                predictor,
+                result,
+                version=__version__,
+                inputs={
+                    "rgb": str(rgb_dir),
+                    "depth": str(depth_dir),
+                    "depth_scale": depth_scale,
+                    "warmup": warmup,
+                },
+                output=str(out),
+                deadline_ms=deadline_ms,
+            )
+        _write_summary(out, result, report, deadline_ms)
+    except SSDNetError as error:
+        typer.echo(f"error: {error}", err=True)
+        raise typer.Exit(ERROR) from error
+    if as_json:
+        typer.echo(to_json(report), nl=False)
+    else:
+        typer.echo(describe_run(result, report))
+        typer.echo(f"results: {out.resolve()}")
+        if "overlay" in kinds:
+            typer.echo(f"pictures: {(out / 'overlay').resolve()}")
+    raise typer.Exit(_exit_code(result, deadline_ms))
+
+
+def _kinds(save: str) -> tuple[str, ...]:
+    if save in ("all", "none"):
+        return KINDS if save == "all" else ()
+    asked = [kind.strip() for kind in save.split(",")]
+    unknown = [kind for kind in asked if kind not in KINDS]
+    if unknown:
+        raise typer.BadParameter(f"--save knows {', '.join(KINDS)}, all and none, not {unknown}")
+    return tuple(kind for kind in KINDS if kind in asked)
+
+
+def _require_positive(option: str, value: float | None) -> None:
+    if value is not None and not 0 < value < float("inf"):
+        raise typer.BadParameter(f"{option} must be a positive number, got {value}")
+
+
+def bundled_stream() -> tuple[Path, Path]:
+    stream = Path(str(resources.files("runtime"))) / "assets" / "stream"
+    if not stream.is_dir():
+        raise InputError(
+            f"the bundled stream {stream} is missing: install ssdnet again, or give --rgb and "
+            "--depth"
+        )
+    return stream / "rgb", stream / "depth"
+
+
+def _warm_up(
+    predictor: Predictor, frames: tuple[FrameFiles, ...], depth_scale: float, *, runs: int
+) -> tuple[int, int] | None:
+    """Warm up at the size of the first frame that can be predicted, and give back its size."""
+    for files in frames:
+        try:
+            frame = read_frame(files, depth_scale=depth_scale)
+            height, width = frame.rgb.shape[:2]
+            predictor.warm_up((height, width), runs=runs)
+        except SSDNetError:
+            continue  # the run itself will flag it
+        return height, width
+    return None
+
+
+def _run(
+    predictor: Predictor,
+    frames: tuple[FrameFiles, ...],
+    writer: FrameWriter,
+    depth_scale: float,
+    *,
+    write: bool,
+) -> StreamResult:
+    """Run the stream, under a progress bar where stderr is a terminal."""
+    save = writer.write if write else None
+    if not sys.stderr.isatty():
+        return run_stream(predictor, frames, depth_scale=depth_scale, write=save)
+    with typer.progressbar(length=len(frames), file=sys.stderr, label="frames") as bar:
+
+        def advance(record: FrameRecord) -> None:
+            bar.update(1)
+
+        return run_stream(predictor, frames, depth_scale=depth_scale, write=save, on_record=advance)
+
+
+def _write_summary(
+    out: Path, result: StreamResult, report: dict[str, Any], deadline_ms: float | None
+) -> None:
+    latencies_ms = [record.latency.total_ms for record in result.records if record.latency]
+    if latencies_ms:
+        picture = draw_latency(latencies_ms, deadline_ms=deadline_ms)
+        write_whole(out / LATENCY_FILE, encode(".png", picture, ()))
+    table = frames_csv(result.records, deadline_ms=deadline_ms)
+    write_whole(out / FRAMES_FILE, table.encode())
+    write_whole(out / REPORT_FILE, to_json(report).encode())  # last: a run with a report is whole
+
+
+def _exit_code(result: StreamResult, deadline_ms: float | None) -> int:
+    late = missed(result.records, deadline_ms)
+    if late is not None and late.count:
+        return MISSED  # the gate was asked for: it outranks skipped frames
+    if result.interrupted or any(record.status != OK for record in result.records):
+        return SKIPPED
+    return 0
+
+
+if __name__ == "__main__":
+    main()

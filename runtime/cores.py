@@ -1,0 +1,36 @@
+"""How many processor cores this process may keep busy."""
+
+import math
+import os
+from pathlib import Path
+
+_TOPOLOGY = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"
+_CGROUP_QUOTA = Path("/sys/fs/cgroup/cpu.max")
+
+
+def available_cores() -> int:
+    """Physical cores this process may use, at least 1.
+
+    Counts hyper-threads of one core once (they share its arithmetic units) and heeds the
+    process's affinity and a container's CPU quota, where the system tells them.
+    """
+    try:
+        logical = os.sched_getaffinity(0)
+    except AttributeError:  # not Linux
+        return os.cpu_count() or 1
+    return max(1, min(_physical(logical), _quota()))
+
+
+def _physical(logical: set[int]) -> int:
+    try:
+        return len({Path(_TOPOLOGY.format(cpu)).read_text() for cpu in logical})
+    except OSError:
+        return len(logical)
+
+
+def _quota() -> int:
+    try:
+        quota, period = _CGROUP_QUOTA.read_text().split()
+        return math.ceil(int(quota) / int(period))
+    except (OSError, ValueError):  # no cgroup v2, or "max": no limit
+        return os.cpu_count() or 1

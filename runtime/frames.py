@@ -1,0 +1,157 @@
+"""Pair the files of two folders to frames, and read them."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import InputError
+
+RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
+DEPTH_SUFFIXES = (".png",)
+KITTI_DEPTH_SCALE = 256.0  # PNG units a metre; Virtual KITTI has 100
+
+
+@dataclass(frozen=True)
+class FrameFiles:
+    """One name and the files found for it; a file that is missing is None."""
+
+    name: str
+    rgb: Path | None
+    sparse_depth: Path | None
+
+    @property
+    def complete(self) -> bool:
+        """Whether both files are there."""
+        return self.rgb is not None and self.sparse_depth is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What one pair of files holds: uint8 (H, W, 3) and float32 (H, W) [m]."""
+
+    rgb: NDArray[np.uint8]
+    sparse_depth: NDArray[np.float32]
+
+
+def list_frames(
+    rgb_dir: Path, depth_dir: Path, *, limit: int | None = None
+) -> tuple[FrameFiles, ...]:
+    """Pair the pictures of two folders by file stem, in natural order ("9" before "10").
+
+    Names without a partner are listed too, with None for the missing file. With `limit` the list
+    ends after that many complete frames. Files of other types and hidden files are left alone.
+
+    Raises InputError if a folder is missing or has no pictures, if a stem occurs twice in a
+    folder, or if no name occurs in both.
+    """
+    rgb = _pictures(rgb_dir, RGB_SUFFIXES)
+    depth = _pictures(depth_dir, DEPTH_SUFFIXES)
+    if not rgb.keys() & depth.keys():
+        raise InputError(
+            f"no name occurs in both folders: {rgb_dir} has {_few(rgb)}, {depth_dir} has "
+            f"{_few(depth)}: the picture and the depth map of a frame need the same file stem"
+        )
+    frames: list[FrameFiles] = []
+    complete = 0
+    for name in sorted(rgb.keys() | depth.keys(), key=_natural):
+        if limit is not None and complete == limit:
+            break
+        frames.append(FrameFiles(name, rgb.get(name), depth.get(name)))
+        complete += frames[-1].complete
+    return tuple(frames)
+
+
+def read_frame(files: FrameFiles, *, depth_scale: float) -> Frame:
+    """Read both files of a frame.
+
+    Raises InputError if one is missing or is not what it should be.
+    """
+    if files.rgb is None:
+        raise InputError(f"{files.name} has a depth map, but no picture")
+    if files.sparse_depth is None:
+        raise InputError(f"{files.name} has a picture, but no depth map")
+    return Frame(
+        rgb=read_rgb(files.rgb),
+        sparse_depth=read_sparse_depth(files.sparse_depth, depth_scale=depth_scale),
+    )
+
+
+def read_rgb(path: Path) -> NDArray[np.uint8]:
+    """Read a PNG or JPEG file as uint8 (H, W, 3), red first.
+
+    Raises InputError if the file cannot be read, or is truncated or damaged.
+    """
+    image: NDArray[np.uint8] = _decode(path, cv2.IMREAD_COLOR_RGB)
+    return image
+
+
+def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> NDArray[np.float32]:
+    """Read a 16-bit PNG depth map as float32 (H, W) [m], 0 = no measurement.
+
+    depth_scale: PNG units a metre, 256 for KITTI, 100 for Virtual KITTI.
+    Raises InputError if the file cannot be read, is truncated or damaged, or is not one channel
+    of 16 bits.
+    """
+    image = _decode(path, cv2.IMREAD_UNCHANGED)
+    if image.dtype != np.uint16 or image.ndim != 2:
+        channels = 1 if image.ndim == 2 else image.shape[2]
+        raise InputError(
+            f"{path} must be a depth map of one channel of 16 bits, got {channels} of "
+            f"{image.dtype.itemsize * 8} bits: a picture made for looking at holds no metres"
+        )
+    depth: NDArray[np.float32] = np.divide(image, np.float32(depth_scale), dtype=np.float32)
+    return depth
+
+
+def _decode(path: Path, flags: int) -> NDArray[Any]:
+    try:
+        content = np.fromfile(path, dtype=np.uint8)
+    except OSError as error:
+        raise InputError(f"cannot read {path} ({error.strerror})") from error
+    try:
+        image: NDArray[Any] | None = cv2.imdecode(content, flags)
+    except cv2.error:  # an empty file, or a size beyond OpenCV's limit
+        image = None
+    if image is None:
+        raise InputError(f"{path} is empty, truncated or damaged ({content.size} bytes)")
+    return image
+
+
+def _pictures(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    """Stem -> path of the pictures in a folder."""
+    try:
+        paths = sorted(folder.iterdir())
+    except OSError as error:
+        raise InputError(f"cannot list the folder {folder} ({error.strerror})") from error
+    pictures: dict[str, Path] = {}
+    for path in paths:
+        if path.suffix.lower() not in suffixes or path.name.startswith("."):
+            continue
+        if path.stem in pictures:
+            raise InputError(
+                f"{pictures[path.stem]} and {path} have the same stem: which one belongs to the "
+                "frame cannot be known, remove one"
+            )
+        pictures[path.stem] = path
+    if not pictures:
+        raise InputError(
+            f"the folder {folder} has no {' or '.join(suffixes)} files: give the folder that "
+            "holds the frames themselves"
+        )
+    return pictures
+
+
+def _natural(name: str) -> tuple[list[str | int], str]:
+    """Sort key: runs of digits count as numbers."""
+    parts = re.split(r"([0-9]+)", name)  # text at even places, digits at odd ones
+    return [int(part) if index % 2 else part for index, part in enumerate(parts)], name
+
+
+def _few(names: dict[str, Path]) -> str:
+    shown = ", ".join(sorted(names, key=_natural)[:3])
+    return f"{shown} …" if len(names) > 3 else shown

@@ -1,0 +1,66 @@
+"""A picture of the latency of every frame over time."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+_HEIGHT, _WIDTH = 320, 960
+_LEFT, _RIGHT, _TOP, _BOTTOM = 60, 16, 30, 40  # margins in pixels
+_FONT, _FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
+_INK, _GRID, _LINE, _LATE = (40, 40, 40), (225, 225, 225), (180, 110, 30), (40, 40, 220)
+_TICKS = 5
+
+
+def draw_latency(
+    latencies_ms: Sequence[float], *, deadline_ms: float | None = None
+) -> NDArray[np.uint8]:
+    """Draw latencies [ms] against the number of the frame, the deadline as a red line.
+
+    latencies_ms: at least one. Frames later than the deadline are red points.
+    Returns uint8 (H, W, 3), blue first.
+    """
+    picture = np.full((_HEIGHT, _WIDTH, 3), 255, dtype=np.uint8)
+    top_ms = _round_up(max(*latencies_ms, deadline_ms or 0.0, 1e-3))
+    last = max(len(latencies_ms) - 1, 1)
+
+    def x_of(frame: float) -> int:
+        return round(_LEFT + frame / last * (_WIDTH - _LEFT - _RIGHT))
+
+    def y_of(latency_ms: float) -> int:
+        return round(_HEIGHT - _BOTTOM - latency_ms / top_ms * (_HEIGHT - _TOP - _BOTTOM))
+
+    for tick in range(_TICKS + 1):
+        value_ms, frame = top_ms * tick / _TICKS, round(last * tick / _TICKS)
+        cv2.line(picture, (_LEFT, y_of(value_ms)), (_WIDTH - _RIGHT, y_of(value_ms)), _GRID)
+        _text(picture, f"{value_ms:g}", (8, y_of(value_ms) + 5))
+        _text(picture, str(frame), (x_of(frame) - 10, _HEIGHT - _BOTTOM + 18))
+    _text(picture, "prediction [ms]", (8, 18))
+    _text(picture, "frame", (_WIDTH // 2, _HEIGHT - 6))
+
+    points = [(x_of(frame), y_of(time_ms)) for frame, time_ms in enumerate(latencies_ms)]
+    cv2.polylines(picture, [np.array(points, dtype=np.int32)], False, _LINE, 1, cv2.LINE_AA)
+    for point, time_ms in zip(points, latencies_ms, strict=True):
+        late = deadline_ms is not None and time_ms > deadline_ms
+        cv2.circle(picture, point, 3 if late else 2, _LATE if late else _LINE, cv2.FILLED)
+    if deadline_ms is not None:
+        y = y_of(deadline_ms)
+        cv2.line(picture, (_LEFT, y), (_WIDTH - _RIGHT, y), _LATE)
+        _text(picture, f"deadline {deadline_ms:g} ms", (_WIDTH - 170, y - 5), _LATE)
+    return picture
+
+
+def _round_up(value: float) -> float:
+    """The next of 1, 2, 5, 10, 20, 50 … at or above `value`."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return next(float(power * step) for step in (1, 2, 5, 10) if power * step >= value)
+
+
+def _text(
+    picture: NDArray[np.uint8],
+    text: str,
+    at: tuple[int, int],
+    color: tuple[int, int, int] = _INK,
+) -> None:
+    cv2.putText(picture, text, at, _FONT, _FONT_SCALE, color, 1, cv2.LINE_AA)

@@ -1,0 +1,75 @@
+"""What one call of the predictor gives back."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Reasons in Prediction.degraded. The answer is usable, with less behind it than usual:
+NO_DEPTH = "no_depth"  # not one usable return: the answer comes from the camera alone
+SPARSE_DEPTH_LOW = "sparse_depth_low"  # fewer returns than SPARSE_DEPTH_LOW_SHARE of the pixels
+IMAGE_CONSTANT = "image_constant"  # every pixel alike: a covered or dead camera
+# The answer is not usable (valid is False):
+DEPTH_NOT_FINITE = "depth_not_finite"
+BOUNDARY_NOT_FINITE = "boundary_not_finite"
+LOGITS_NOT_FINITE = "semantic_logits_not_finite"
+SEMANTIC_UNKNOWN_CLASS = "semantic_unknown_class"
+
+# A 16-line LiDAR fills about 1 % of a driving picture; a tenth of that is a fault.
+SPARSE_DEPTH_LOW_SHARE = 0.001
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Where the time of one prediction went, by the monotonic clock [ms]."""
+
+    preprocess_ms: float  # checking, cleaning and resizing the inputs
+    inference_ms: float  # the session
+    postprocess_ms: float  # checking and resizing the outputs
+    total_ms: float
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """Pixels of the sparse depth that were treated as no measurement, by kind."""
+
+    nan: int = 0
+    infinite: int = 0
+    negative: int = 0
+    too_far: int = 0  # beyond the contract's max_depth_m
+
+    @property
+    def total(self) -> int:
+        """All kinds together."""
+        return self.nan + self.infinite + self.negative + self.too_far
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The answer for one frame, at the frame's own size (H, W). The arrays belong to the caller.
+
+    semantic: uint8 (H, W), class ids, see `Contract.classes`; None without that head
+    depth: float32 (H, W) [m]; None without that head
+    boundary: float32 (H, W), probability 0..1; None without that head
+    semantic_logits: float32 (C, H, W); None unless the model was exported with logits
+    frame_size: (height, width)
+    latency: where the time went
+    valid: False when an output holds NaN, Inf or an unknown class; `degraded` says which
+    degraded: reasons why the answer is worth less than usual; () in the normal case
+    cleaned: depth pixels that were treated as no measurement
+    depth_returns: number of depth pixels used
+    stamp: what was handed to `predict`, untouched
+    """
+
+    semantic: NDArray[np.uint8] | None
+    depth: NDArray[np.float32] | None
+    boundary: NDArray[np.float32] | None
+    frame_size: tuple[int, int]
+    latency: Latency
+    valid: bool = True
+    degraded: tuple[str, ...] = ()
+    cleaned: Cleaned = field(default_factory=Cleaned)
+    depth_returns: int = 0
+    semantic_logits: NDArray[np.float32] | None = None
+    stamp: Any = None

@@ -1,0 +1,254 @@
+"""The engine: one model, one verb."""
+
+import hashlib
+import os
+import time
+from importlib import resources
+from os import PathLike
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime import inputs, outputs
+from runtime.contract import METADATA_KEY, Contract
+from runtime.cores import available_cores
+from runtime.errors import ContractError, InferenceError, InputError
+from runtime.prediction import (
+    IMAGE_CONSTANT,
+    NO_DEPTH,
+    SPARSE_DEPTH_LOW,
+    SPARSE_DEPTH_LOW_SHARE,
+    Latency,
+    Prediction,
+)
+from runtime.session import node_counts, open_session
+from runtime.signature import read_signature
+
+BUNDLED_MODEL = "ssdnet-lite.onnx"
+
+
+class Predictor:
+    """Run a model of the contract: one picture and one sparse depth map in, three answers out.
+
+    model: an ONNX file made by ssdnet-export; None = the bundled model
+    provider: "cpu" or "cuda"; what is asked for is what runs
+    device_id: which GPU
+    threads: threads within an operator; None = the physical cores this process may use
+    warmup: predictions made at once, at the model's own size, so that the first frame is not slow
+
+    One predictor may be used by several threads at a time. After any error of `predict` it stays
+    usable.
+
+    Raises ContractError for a missing, damaged, foreign or too new model, ProviderError if the
+    provider cannot run it, InputError for arguments out of range.
+    """
+
+    contract: Contract
+    digest: str  # sha256 of the model file, hexadecimal
+    model: str  # path of the model file
+    provider: str  # as asked for
+    providers: tuple[str, ...]  # execution providers of the session
+    node_counts: dict[str, int] | None  # execution provider -> nodes; None if not known
+    threads: int
+    input_size: tuple[int, int] | None  # (height, width) of a fixed model; None = any
+    heads: tuple[str, ...]  # for example ("semantic", "depth", "boundary")
+    load_ms: float  # reading and optimising the model
+    first_inference_ms: float | None  # the first of the warm-up; None without
+
+    def __init__(
+        self,
+        model: str | bytes | PathLike[str] | None = None,
+        *,
+        provider: str = "cpu",
+        device_id: int = 0,
+        threads: int | None = None,
+        warmup: int = 1,
+    ) -> None:
+        if threads is not None and threads < 1:
+            raise InputError(f"threads must be at least 1, got {threads}")
+        if warmup < 0:
+            raise InputError(f"warmup must be at least 0, got {warmup}")
+        started = time.perf_counter()
+        self.model, content = _read_model(model)
+        self.digest = hashlib.sha256(content).hexdigest()
+        self.provider = provider
+        self.threads = threads or available_cores()
+        session = open_session(
+            content, provider=provider, device_id=device_id, threads=self.threads
+        )
+        self.contract = _read_contract(session)
+        signature = read_signature(session)
+        self.input_size, self.heads = signature.size, signature.heads
+        if "semantic" in self.heads and not self.contract.classes:
+            raise ContractError(
+                "the model has the output 'semantic', but its metadata names no classes: "
+                "export it again with ssdnet-export"
+            )
+        self.providers = tuple(session.get_providers())
+        self.node_counts = node_counts(session)
+        self._session: Any = session
+        self.load_ms = _ms_since(started)
+        self.first_inference_ms = None
+        self.warm_up(self.input_size or self.contract.native_size, runs=warmup)
+
+    def predict(
+        self,
+        rgb: NDArray[np.uint8],
+        sparse_depth: NDArray[np.float32],
+        *,
+        stamp: Any = None,
+    ) -> Prediction:
+        """Predict classes, depth and boundaries of one frame.
+
+        rgb: uint8 (H, W, 3), red first, as the camera gives it
+        sparse_depth: float32 (H, W) [m] along the optical axis; 0 = no measurement, as is NaN,
+            Inf, anything negative or beyond `contract.max_depth_m` (counted in the answer)
+        stamp: handed through to the answer
+
+        A model of fixed size gets the frame resized to it (`rgb` bilinear, `sparse_depth` by
+        nearest), and its answers are resized back.
+
+        Raises InputError for arrays of another type or shape, InferenceError if the session fails
+        or the predictor was closed.
+        """
+        started = time.perf_counter()
+        rgb = inputs.check_rgb(rgb)
+        frame_size = (rgb.shape[0], rgb.shape[1])
+        sparse_depth = inputs.check_sparse_depth(sparse_depth, size=frame_size)
+        sparse_depth, cleaned, returns = inputs.clean_sparse_depth(
+            sparse_depth, max_depth_m=self.contract.max_depth_m
+        )
+        degraded = _input_reasons(rgb, returns)
+        size = self.input_size or frame_size
+        if size != frame_size:
+            rgb = inputs.resize_rgb(rgb, size)
+            sparse_depth = inputs.resize_sparse_depth(sparse_depth, size)
+        preprocessed = time.perf_counter()
+
+        results = self._run(rgb, sparse_depth)
+        inferred = time.perf_counter()
+
+        faults = outputs.faults(results, num_classes=len(self.contract.classes))
+        if size != frame_size:
+            results = {
+                head: outputs.resize_output(head, values, frame_size)
+                for head, values in results.items()
+            }
+        finished = time.perf_counter()
+        return Prediction(
+            semantic=results.get("semantic"),
+            depth=results.get("depth"),
+            boundary=results.get("boundary"),
+            semantic_logits=results.get("semantic_logits"),
+            frame_size=frame_size,
+            latency=Latency(
+                preprocess_ms=(preprocessed - started) * 1e3,
+                inference_ms=(inferred - preprocessed) * 1e3,
+                postprocess_ms=(finished - inferred) * 1e3,
+                total_ms=(finished - started) * 1e3,
+            ),
+            valid=not faults,
+            degraded=degraded + faults,
+            cleaned=cleaned,
+            depth_returns=returns,
+            stamp=stamp,
+        )
+
+    def warm_up(self, size: tuple[int, int], *, runs: int = 1) -> None:
+        """Predict empty frames of `size` (height, width), so that memory and caches are ready.
+
+        The time of the very first is kept as `first_inference_ms`.
+        """
+        rgb = np.zeros((*size, 3), dtype=np.uint8)
+        sparse_depth = np.zeros(size, dtype=np.float32)
+        for _ in range(runs):
+            latency = self.predict(rgb, sparse_depth).latency
+            if self.first_inference_ms is None:
+                self.first_inference_ms = latency.total_ms
+
+    def close(self) -> None:
+        """Free the session. Predicting afterwards raises InferenceError."""
+        self._session = None
+
+    def __enter__(self) -> "Predictor":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _run(
+        self, rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32]
+    ) -> dict[str, NDArray[Any]]:
+        session = self._session
+        if session is None:
+            raise InferenceError("the predictor is closed: make a new one")
+        feed = {"rgb": rgb[np.newaxis], "sparse_depth": sparse_depth[np.newaxis]}
+        try:
+            batches = session.run(self.heads, feed)
+        except Exception as error:
+            raise InferenceError(
+                f"the session failed on a frame of {rgb.shape[0]} x {rgb.shape[1]}: {error}"
+            ) from error
+        results = {head: batch[0] for head, batch in zip(self.heads, batches, strict=True)}
+        for head, values in results.items():
+            if values.shape[-2:] != sparse_depth.shape:
+                raise InferenceError(
+                    f"the model gave {head} of {values.shape[-2:]} for a frame of "
+                    f"{sparse_depth.shape}: export it again with ssdnet-export"
+                )
+        return results
+
+
+def _read_model(model: str | bytes | PathLike[str] | None) -> tuple[str, bytes]:
+    if model is None:
+        bundled = resources.files("runtime") / "assets" / BUNDLED_MODEL
+        if not bundled.is_file():
+            raise ContractError(
+                f"the bundled model {bundled} is missing: install ssdnet again, or name a model "
+                "made by ssdnet-export"
+            )
+        return str(bundled), bundled.read_bytes()
+    path = Path(os.fsdecode(model))
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ContractError(
+            f"cannot read the model {path} ({error.strerror}): name an ONNX file made by "
+            "ssdnet-export, or none for the bundled model"
+        ) from error
+    if not content:
+        raise ContractError(f"the model {path} is an empty file: get it again")
+    return str(path), content
+
+
+def _read_contract(session: Any) -> Contract:
+    metadata = session.get_modelmeta().custom_metadata_map
+    if METADATA_KEY not in metadata:
+        raise ContractError(
+            f"not a model for this engine: the ONNX file has no metadata {METADATA_KEY!r} "
+            f"(it has {sorted(metadata)}): export one with ssdnet-export"
+        )
+    return Contract.from_json(metadata[METADATA_KEY])
+
+
+def _input_reasons(rgb: NDArray[np.uint8], returns: int) -> tuple[str, ...]:
+    reasons = []
+    if returns == 0:
+        reasons.append(NO_DEPTH)
+    elif returns < SPARSE_DEPTH_LOW_SHARE * rgb.shape[0] * rgb.shape[1]:
+        reasons.append(SPARSE_DEPTH_LOW)
+    if inputs.is_constant(rgb):
+        reasons.append(IMAGE_CONSTANT)
+    return tuple(reasons)
+
+
+def _ms_since(started: float) -> float:
+    return (time.perf_counter() - started) * 1e3

@@ -1,0 +1,166 @@
+"""Open an ONNX Runtime session that runs on the provider that was asked for, or not at all."""
+
+import contextlib
+import io
+import os
+from collections import Counter
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+from runtime.errors import ContractError, ProviderError
+
+PROVIDERS: Mapping[str, str] = MappingProxyType(
+    {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
+)
+_INSTALL = (
+    'pip install "ssdnet[cpu]" for the CPU, or pip install "ssdnet[gpu]" for an NVIDIA GPU '
+    "(one of the two: they exclude each other)"
+)
+_GPU_NEEDS = (
+    'it needs an NVIDIA driver and: pip uninstall -y onnxruntime; pip install "ssdnet[gpu]"'
+)
+# A convolution on another provider means that the work was not done where it was asked for.
+_HEAVY_OPERATORS = frozenset({"Conv", "FusedConv", "QLinearConv", "ConvInteger", "NhwcConv"})
+
+
+def import_onnxruntime() -> Any:
+    """The onnxruntime module; ProviderError with the two commands if it is not installed."""
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise ProviderError(f"ONNX Runtime is not installed ({error}): {_INSTALL}") from error
+    return onnxruntime
+
+
+def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -> Any:
+    """Open a session on `provider` ("cpu" or "cuda") with `threads` threads within an operator.
+
+    model: the bytes of one self-contained ONNX file.
+    Raises ProviderError if the provider cannot be had, and ContractError if the model cannot be
+    loaded.
+    """
+    if provider not in PROVIDERS:
+        raise ProviderError(f"unknown provider {provider!r}: expected one of {sorted(PROVIDERS)}")
+    ort = import_onnxruntime()
+    name = PROVIDERS[provider]
+    _require_available(ort, provider, name)
+    said = _preload(ort) if provider == "cuda" else ""
+    try:
+        session = ort.InferenceSession(
+            model,
+            sess_options=_options(ort, threads),
+            providers=[(name, _provider_options(provider, device_id))],
+            enable_fallback=False,
+        )
+    except Exception as error:
+        if provider == "cpu":
+            raise _unloadable(error) from error
+        # The file's fault or the provider's? The CPU, which is always there, knows.
+        open_session(model, provider="cpu", device_id=0, threads=threads)
+        raise ProviderError(
+            f"provider {provider!r} could not be started ({error}) {said}: {_GPU_NEEDS}"
+        ) from error
+    _require_running(session, provider, name, said)
+    return session
+
+
+def node_counts(session: Any) -> dict[str, int] | None:
+    """Execution provider -> number of graph nodes it runs; None if this runtime cannot tell."""
+    nodes = _assigned_nodes(session)
+    return None if nodes is None else dict(Counter(provider for provider, _ in nodes))
+
+
+def _options(ort: Any, threads: int) -> Any:
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
+    options.log_severity_level = 4  # what goes wrong comes as an exception
+    entries = {
+        # A spinning thread burns a core between the frames of a stream, and is no faster.
+        "session.intra_op.allow_spinning": "0",
+        "session.inter_op.allow_spinning": "0",
+        "session.record_ep_graph_assignment_info": "1",
+        # One file is the whole model: a folder that cannot exist makes weights elsewhere fail.
+        "session.model_external_initializers_file_folder_path": os.devnull,
+    }
+    for key, value in entries.items():
+        options.add_session_config_entry(key, value)
+    return options
+
+
+def _provider_options(provider: str, device_id: int) -> dict[str, str]:
+    if provider == "cuda":
+        # An exhaustive search would stall the first frame of every new size.
+        return {"device_id": str(device_id), "cudnn_conv_algo_search": "HEURISTIC"}
+    return {}
+
+
+def _require_available(ort: Any, provider: str, name: str) -> None:
+    available = ort.get_available_providers()
+    if name not in available:
+        needs = _GPU_NEEDS if provider == "cuda" else _INSTALL
+        raise ProviderError(
+            f"provider {provider!r} is not part of the installed ONNX Runtime {ort.__version__} "
+            f"(it has {', '.join(available)}): {needs}"
+        )
+
+
+def _preload(ort: Any) -> str:
+    """Load CUDA and cuDNN from their pip packages; give back what was printed about it."""
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.suppress(Exception):
+        ort.preload_dlls()
+    return " ".join(said.getvalue().split())
+
+
+def _require_running(session: Any, provider: str, name: str, said: str) -> None:
+    """ONNX Runtime moves to the CPU with a mere warning: find out, and refuse.
+
+    Shape arithmetic of a model of free size belongs on the CPU, so single nodes there are right
+    (`session.disable_cpu_ep_fallback` would refuse them); a convolution there is not.
+    """
+    running = session.get_providers()
+    if name not in running:
+        raise ProviderError(
+            f"asked for provider {provider!r}, but ONNX Runtime would run {', '.join(running)} "
+            f"{said}: {_GPU_NEEDS}"
+        )
+    strays = sorted(
+        {
+            f"{operator} on {where}"
+            for where, operator in _assigned_nodes(session) or []
+            if where != name and operator in _HEAVY_OPERATORS
+        }
+    )
+    if strays:
+        raise ProviderError(
+            f"asked for provider {provider!r}, but ONNX Runtime would run {', '.join(strays)}: "
+            "use another provider, or export the model again"
+        )
+
+
+def _assigned_nodes(session: Any) -> list[tuple[str, str]] | None:
+    """(execution provider, operator) of every node."""
+    if not hasattr(session, "get_provider_graph_assignment_info"):
+        return None
+    return [
+        (subgraph.ep_name, node.op_type)
+        for subgraph in session.get_provider_graph_assignment_info()
+        for node in subgraph.get_nodes()
+    ]
+
+
+def _unloadable(error: Exception) -> ContractError:
+    text = str(error)
+    if "external data" in text.lower():
+        return ContractError(
+            f"the model keeps weights outside its own file ({text}): "
+            "export it into one file with ssdnet-export"
+        )
+    return ContractError(
+        f"the model cannot be loaded ({text}): the file is truncated, not ONNX, or of a newer "
+        "version than this ONNX Runtime; get it again, or update onnxruntime"
+    )

@@ -1,0 +1,75 @@
+"""Read from a session whether the graph has the inputs and outputs of the contract."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from runtime.errors import ContractError
+
+_INPUTS = {"rgb": ("tensor(uint8)", 4), "sparse_depth": ("tensor(float)", 3)}
+_OUTPUTS = {
+    "semantic": ("tensor(uint8)", 3),
+    "depth": ("tensor(float)", 3),
+    "boundary": ("tensor(float)", 3),
+    "semantic_logits": ("tensor(float)", 4),
+}
+
+
+@dataclass(frozen=True)
+class Signature:
+    """What the tensors of a model say.
+
+    size: (height, width) of its inputs, or None if it takes any
+    heads: the names of the contract's outputs it has, in the contract's order
+    """
+
+    size: tuple[int, int] | None
+    heads: tuple[str, ...]
+
+
+def read_signature(session: Any) -> Signature:
+    """Read the signature of an ONNX Runtime session.
+
+    Outputs that the contract does not know are left alone.
+    Raises ContractError where a tensor of the contract is missing or of another type or shape.
+    """
+    inputs = {tensor.name: tensor for tensor in session.get_inputs()}
+    outputs = {tensor.name: tensor for tensor in session.get_outputs()}
+    if inputs.keys() != _INPUTS.keys():
+        raise _foreign(f"inputs {sorted(_INPUTS)}", f"{sorted(inputs)}")
+    heads = tuple(name for name in _OUTPUTS if name in outputs)
+    if not heads:
+        raise _foreign(f"at least one output of {sorted(_OUTPUTS)}", f"{sorted(outputs)}")
+    for name, (dtype, rank) in _INPUTS.items():
+        _check_tensor(inputs[name], dtype, rank)
+    for name in heads:
+        _check_tensor(outputs[name], *_OUTPUTS[name])
+    if inputs["rgb"].shape[3] != 3:
+        raise _foreign("rgb of shape (N, H, W, 3)", f"{inputs['rgb'].shape}")
+    sizes = {
+        tuple(side if isinstance(side, int) else None for side in tensor.shape[1:3])
+        for tensor in inputs.values()
+    }
+    if len(sizes) > 1:
+        raise _foreign("rgb and sparse_depth of one size", f"{sorted(map(str, sizes))}")
+    height, width = sizes.pop()
+    if (height is None) != (width is None):
+        raise _foreign("height and width both fixed or both free", f"{inputs['rgb'].shape}")
+    size = None if height is None or width is None else (height, width)
+    return Signature(size=size, heads=heads)
+
+
+def _check_tensor(tensor: Any, dtype: str, rank: int) -> None:
+    if tensor.type != dtype or len(tensor.shape) != rank:
+        raise _foreign(
+            f"{tensor.name} to be {dtype} with {rank} dimensions", f"{tensor.type} {tensor.shape}"
+        )
+    batch = tensor.shape[0]
+    if isinstance(batch, int) and batch != 1:
+        raise _foreign(f"{tensor.name} to take one frame at a time", f"a batch of {batch}")
+
+
+def _foreign(expected: str, found: str) -> ContractError:
+    return ContractError(
+        f"not a model for this engine: expected {expected}, found {found}: "
+        "export one with ssdnet-export"
+    )

@@ -1,0 +1,144 @@
+"""Small ONNX models that keep the contract and whose right answers can be worked out by hand."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from runtime.contract import METADATA_KEY, SCHEMA_VERSION, ClassInfo, Contract
+
+MAX_DEPTH_M = 80.0
+DEPTH_OFFSET_M = 1.5
+
+CONTRACT = Contract(
+    schema_version=SCHEMA_VERSION,
+    model_name="by-hand",
+    classes=(ClassInfo("dark", (0, 0, 128)), ClassInfo("red", (200, 30, 30))),
+    max_depth_m=MAX_DEPTH_M,
+    native_size=(48, 64),
+    stride=1,
+    resize={
+        "rgb": "bilinear",
+        "sparse_depth": "nearest",
+        "semantic": "nearest",
+        "depth": "nearest",
+        "boundary": "bilinear",
+    },
+    precision="fp32",
+    training={"data": [], "terms": "none"},
+    versions={"opset": "20"},
+    parity={},
+    checkpoint_sha256="0" * 64,
+)
+
+
+def make_model(
+    *,
+    size: tuple[int, int] | None = None,
+    contract: Contract | None = CONTRACT,
+    metadata: str | None = None,
+    heads: tuple[str, ...] = ("semantic", "depth", "boundary"),
+    rgb_type: int = TensorProto.UINT8,
+    opset: int = 20,
+    only_runs_at: tuple[int, int] | None = None,
+) -> onnx.ModelProto:
+    """A model of fixed `size` (height, width) or of any, with
+
+    semantic = 1 where red >= 128, else 0
+    depth = sparse_depth + DEPTH_OFFSET_M, without cleaning: a NaN in would be a NaN out
+    boundary = green / blue, NaN where both are 0
+    semantic_logits = (red, -red)
+
+    only_runs_at: the graph fails for frames of another size.
+    """
+    height, width = size or ("H", "W")
+    initializers = {
+        "red_at": np.array(0),
+        "green_at": np.array(1),
+        "blue_at": np.array(2),
+        "half": np.float32(128),
+        "offset": np.float32(DEPTH_OFFSET_M),
+        "channel_axis": np.array([1]),
+    }
+    nodes = [
+        helper.make_node("Cast", ["rgb"], ["colors"], to=TensorProto.FLOAT),
+        *(
+            helper.make_node("Gather", ["colors", f"{color}_at"], [color], axis=3)
+            for color in ("red", "green", "blue")
+        ),
+        helper.make_node("GreaterOrEqual", ["red", "half"], ["is_red"]),
+        helper.make_node("Cast", ["is_red"], ["semantic"], to=TensorProto.UINT8),
+        helper.make_node("Div", ["green", "blue"], ["boundary"]),
+        helper.make_node("Unsqueeze", ["red", "channel_axis"], ["logit"]),
+        helper.make_node("Neg", ["logit"], ["minus"]),
+        helper.make_node("Concat", ["logit", "minus"], ["semantic_logits"], axis=1),
+    ]
+    depth = "sparse_depth"
+    if only_runs_at is not None:
+        initializers["plane"] = np.zeros((1, *only_runs_at), np.float32)
+        nodes.append(helper.make_node("Add", [depth, "plane"], ["same_depth"]))
+        depth = "same_depth"
+    nodes.append(helper.make_node("Add", [depth, "offset"], ["depth"]))
+    plane = ["N", height, width]
+    outputs = {
+        "semantic": (TensorProto.UINT8, plane),
+        "depth": (TensorProto.FLOAT, plane),
+        "boundary": (TensorProto.FLOAT, plane),
+        "semantic_logits": (TensorProto.FLOAT, ["N", 2, height, width]),
+    }
+    graph = helper.make_graph(
+        nodes,
+        "by_hand",
+        [
+            helper.make_tensor_value_info("rgb", rgb_type, ["N", height, width, 3]),
+            helper.make_tensor_value_info("sparse_depth", TensorProto.FLOAT, plane),
+        ],
+        [helper.make_tensor_value_info(head, *outputs[head]) for head in heads],
+        [numpy_helper.from_array(np.asarray(v), name) for name, v in initializers.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=10)
+    text = metadata if contract is None else contract.to_json()
+    if text is not None:
+        helper.set_model_props(model, {METADATA_KEY: text})
+    return model
+
+
+ModelFile = Callable[..., Path]
+
+
+@pytest.fixture
+def model_file(tmp_path: Path) -> ModelFile:
+    """Write a model made by `make_model` (same arguments) and give back its path."""
+
+    def write(name: str = "model.onnx", **options: object) -> Path:
+        path = tmp_path / name
+        path.write_bytes(make_model(**options).SerializeToString())
+        return path
+
+    return write
+
+
+@pytest.fixture
+def contract() -> Contract:
+    return dataclasses.replace(CONTRACT)
+
+
+Frame = tuple[np.ndarray, np.ndarray]
+
+
+@pytest.fixture
+def make_frame() -> Callable[..., Frame]:
+    """Give (rgb, sparse_depth) of random colours (blue never 0) and 5 % random returns."""
+
+    def make(height: int = 48, width: int = 64, seed: int = 0) -> Frame:
+        random = np.random.default_rng(seed)
+        rgb = random.integers(1, 256, (height, width, 3), dtype=np.uint8)
+        depth = random.uniform(1, MAX_DEPTH_M, (height, width)).astype(np.float32)
+        depth[random.random((height, width)) > 0.05] = 0
+        return rgb, depth
+
+    return make

@@ -1,0 +1,63 @@
+"""The reader and the command on a real camera + LiDAR stream."""
+
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from runtime.cli import app
+from runtime.frames import list_frames, read_frame
+
+DATA = os.environ.get("SSDNET_DATA")
+pytestmark = pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
+
+
+@pytest.fixture
+def kitti() -> Path:
+    return Path(DATA) / "kitti_stream"
+
+
+def projected(points, calibration, size):
+    """Velodyne returns (n, 4) as a depth map [m], by the formula of the recording's README."""
+    matrices = {
+        key: np.array(values.split(), dtype=float)
+        for key, _, values in (line.partition(":") for line in calibration.splitlines())
+        if key in ("P_rect_02", "R_rect_00", "velo_to_cam_R", "velo_to_cam_T")
+    }
+    rotation, shift = matrices["velo_to_cam_R"].reshape(3, 3), matrices["velo_to_cam_T"]
+    camera = matrices["R_rect_00"].reshape(3, 3) @ (rotation @ points[:, :3].T + shift[:, None])
+    projection = matrices["P_rect_02"].reshape(3, 4)
+    u, v, w = projection[:, :3] @ camera + projection[:, 3:]
+    columns, rows = np.floor(u / w).astype(int), np.floor(v / w).astype(int)
+    inside = (w > 0) & (rows >= 0) & (rows < size[0]) & (columns >= 0) & (columns < size[1])
+    depth = np.full(size, np.inf)
+    np.minimum.at(depth, (rows[inside], columns[inside]), w[inside])
+    return np.where(np.isinf(depth), 0, depth)
+
+
+def test_the_depth_maps_are_the_lidar_in_metres(kitti):
+    """The files were projected from the returns that are also there: two ways to one map."""
+    calibration = (kitti / "calib_2011_09_26.txt").read_text()
+    frames = list_frames(kitti / "image_02", kitti / "sparse_depth_02", limit=3)
+    for files in frames:
+        frame = read_frame(files, depth_scale=256)
+        assert frame.rgb.shape == (375, 1242, 3)
+        points = np.fromfile(kitti / "velodyne_fov" / f"{files.name}.bin", np.float32)
+        expected = projected(points.reshape(-1, 4), calibration, (375, 1242))
+        assert np.array_equal(frame.sparse_depth > 0, expected > 0)
+        assert abs(frame.sparse_depth - expected).max() < 0.51 / 256  # the file's rounding
+
+
+def test_the_command_runs_the_stream(kitti, tmp_path, model_file):
+    arguments = ["--rgb", kitti / "image_02", "--depth", kitti / "sparse_depth_02"]
+    arguments += ["--model", model_file(), "--out", tmp_path / "out", "--limit", 4]
+    arguments += ["--save", "depth,overlay"]
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert result.exit_code in (0, 3), "black pixels have no boundary in the model by hand"
+    with (tmp_path / "out/frames.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["name"] for row in rows] == [f"{index:010d}" for index in range(4)]
+    assert all(15_000 < int(row["depth_returns"]) < 18_000 for row in rows)

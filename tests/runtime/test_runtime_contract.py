@@ -1,0 +1,80 @@
+"""The document inside the model file: what is written comes back, what is wrong is named."""
+
+import json
+
+import pytest
+
+from runtime import ClassInfo, Contract, ContractError
+
+
+def document(contract: Contract, **changes: object) -> str:
+    return json.dumps(json.loads(contract.to_json()) | changes)
+
+
+def test_what_is_written_comes_back(contract):
+    back = Contract.from_json(contract.to_json())
+    assert back == contract
+    assert back.classes[1] == ClassInfo("red", (200, 30, 30))
+    assert back.native_size == (48, 64)
+
+
+def test_keys_of_a_later_minor_version_are_ignored(contract):
+    back = Contract.from_json(document(contract, schema_version="1.7", lens="wide"))
+    assert back.schema_version == "1.7"
+
+
+@pytest.mark.parametrize("version", ["2.0", "0.9", "10.0", "new"])
+def test_another_major_version_is_refused_and_named(contract, version):
+    with pytest.raises(ContractError, match=f"{version}.*reads 1.x.*update ssdnet"):
+        Contract.from_json(document(contract, schema_version=version))
+
+
+@pytest.mark.parametrize("key", list(Contract.__dataclass_fields__))
+def test_a_missing_key_is_named(contract, key):
+    content = json.loads(contract.to_json())
+    del content[key]
+    with pytest.raises(ContractError, match=f"lacks the key '{key}'"):
+        Contract.from_json(json.dumps(content))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("model_name", 3),
+        ("classes", {}),
+        ("classes", ["road"]),
+        ("classes", [{"name": "a", "color": [1, 2]}]),
+        ("classes", [{"name": "a", "color": [1, 2, 256]}]),
+        ("classes", [{"name": "a", "color": [1, 2, True]}]),
+        ("classes", [{"name": "a", "color": [1, 2, 3]}] * 2),
+        ("classes", [{"name": str(i), "color": [1, 2, 3]} for i in range(256)]),
+        ("max_depth_m", 0),
+        ("max_depth_m", "80"),
+        ("max_depth_m", True),
+        ("max_depth_m", float("inf")),
+        ("max_depth_m", float("nan")),
+        ("native_size", [48]),
+        ("native_size", [48, 64.5]),
+        ("stride", 0),
+        ("resize", {"rgb": "bilinear"}),
+        ("precision", None),
+        ("training", []),
+        ("versions", {"torch": 2}),
+        ("parity", "none"),
+    ],
+)
+def test_a_wrong_value_is_named(contract, key, value):
+    with pytest.raises(ContractError, match=rf"damaged: {key}|lacks the key 'sparse_depth'"):
+        Contract.from_json(document(contract, **{key: value}))
+
+
+def test_sparse_depth_that_would_be_mixed_is_refused(contract):
+    rules = dict(contract.resize, sparse_depth="bilinear")
+    with pytest.raises(ContractError, match=r"resize\.sparse_depth must be nearest"):
+        Contract.from_json(document(contract, resize=rules))
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", "[" * 100_000])
+def test_what_is_no_document_is_refused(text):
+    with pytest.raises(ContractError, match="ssdnet-export"):
+        Contract.from_json(text)

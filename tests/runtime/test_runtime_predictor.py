@@ -1,0 +1,287 @@
+"""The predictor on models whose right answers can be worked out by hand."""
+
+import dataclasses
+import hashlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from runtime import InferenceError, InputError, Predictor
+
+DEPTH_OFFSET_M = 1.5  # of the models by hand
+
+
+def assert_right(prediction, rgb, depth):
+    """The answers of the model by hand, see conftest.make_model."""
+    assert np.array_equal(prediction.semantic, (rgb[..., 0] >= 128).astype(np.uint8))
+    assert np.array_equal(prediction.depth, depth + np.float32(DEPTH_OFFSET_M))
+    expected = rgb[..., 1].astype(np.float32) / rgb[..., 2]
+    np.testing.assert_allclose(prediction.boundary, expected, rtol=1e-6)
+
+
+def test_answers_are_right_at_any_size(model_file, make_frame):
+    with Predictor(model_file()) as predictor:
+        for height, width in [(48, 64), (33, 35), (125, 414)]:
+            rgb, depth = make_frame(height, width)
+            prediction = predictor.predict(rgb, depth, stamp=("camera", 17))
+            assert_right(prediction, rgb, depth)
+            assert prediction.valid
+            assert prediction.degraded == ()
+            assert prediction.frame_size == (height, width)
+            assert prediction.stamp == ("camera", 17)
+            assert prediction.depth_returns == np.count_nonzero(depth)
+            assert prediction.cleaned.total == 0
+            assert (prediction.semantic.dtype, prediction.depth.dtype) == (np.uint8, np.float32)
+            assert prediction.boundary.dtype == np.float32
+
+
+def test_what_the_predictor_tells_about_itself(model_file, contract):
+    path = model_file(size=(48, 64))
+    predictor = Predictor(path, threads=1, warmup=2)
+    assert predictor.contract == contract
+    assert predictor.digest == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert predictor.input_size == (48, 64)
+    assert predictor.heads == ("semantic", "depth", "boundary")
+    assert predictor.providers == ("CPUExecutionProvider",)
+    assert predictor.node_counts is not None
+    assert predictor.node_counts["CPUExecutionProvider"] > 5
+    assert predictor.threads == 1
+    assert predictor.load_ms > 0
+    assert predictor.first_inference_ms > 0
+    assert Predictor(path, warmup=0).first_inference_ms is None
+    assert Predictor(bytes(path)).digest == predictor.digest, "a path as bytes"
+    assert Predictor(model_file("free.onnx")).input_size is None
+
+
+def test_the_session_is_set_up_for_an_embedded_engine(model_file):
+    options = Predictor(model_file(), threads=1)._session.get_session_options()
+    assert options.get_session_config_entry("session.intra_op.allow_spinning") == "0"
+    assert options.get_session_config_entry("session.inter_op.allow_spinning") == "0"
+    assert options.intra_op_num_threads == 1
+
+
+def test_two_frames_in_a_row_do_not_mix(model_file, make_frame):
+    with Predictor(model_file()) as predictor:
+        first_frame, second_frame = make_frame(seed=1), make_frame(seed=2)
+        first = predictor.predict(*first_frame)
+        second = predictor.predict(*second_frame)
+        assert_right(first, *first_frame)
+        assert_right(second, *second_frame)
+        for values in (first.semantic, first.depth, first.boundary):
+            values[:] = 9  # the arrays are the caller's: writable, and nobody else's
+        assert_right(second, *second_frame)
+        assert_right(predictor.predict(*first_frame), *first_frame)
+
+
+def test_the_same_buffers_refilled_give_the_new_answer(model_file, make_frame):
+    rgb, depth = make_frame(seed=1)
+    new_rgb, new_depth = make_frame(seed=2)
+    with Predictor(model_file(size=(48, 64))) as predictor:
+        predictor.predict(rgb, depth)
+        rgb[:], depth[:] = new_rgb, new_depth
+        assert_right(predictor.predict(rgb, depth), new_rgb, new_depth)
+
+
+def test_a_head_that_the_model_lacks_is_none(model_file, make_frame):
+    with Predictor(model_file(heads=("depth",))) as predictor:
+        prediction = predictor.predict(*make_frame())
+        assert prediction.semantic is None
+        assert prediction.boundary is None
+        assert prediction.depth is not None
+        assert predictor.heads == ("depth",)
+
+
+def test_logits_come_where_the_model_has_them(model_file, make_frame):
+    rgb, depth = make_frame()
+    heads = ("semantic", "semantic_logits")
+    prediction = Predictor(model_file(heads=heads)).predict(rgb, depth)
+    assert prediction.semantic_logits.shape == (2, 48, 64)
+    assert np.array_equal(prediction.semantic_logits[0], rgb[..., 0])
+    fixed = Predictor(model_file("fixed.onnx", heads=heads, size=(40, 40))).predict(rgb, depth)
+    assert fixed.semantic_logits.shape == (2, 48, 64)
+    assert np.array_equal(fixed.semantic_logits[1], -fixed.semantic_logits[0])
+
+
+# --- a frame of another size than a fixed model ------------------------------------------------
+
+
+def test_a_small_frame_comes_back_at_its_own_size_and_place(model_file):
+    rgb = np.full((40, 50, 3), 60, np.uint8)
+    rgb[:20, :, 0] = 255
+    depth = np.zeros((40, 50), np.float32)
+    depth[5, 7], depth[39, 49] = 10, 20
+    prediction = Predictor(model_file(size=(80, 100))).predict(rgb, depth)
+    assert_right_after_whole_factor(prediction, rgb, depth)
+
+
+def assert_right_after_whole_factor(prediction, rgb, depth):
+    """Doubled and halved again, nearest gives every pixel back as it was."""
+    assert prediction.frame_size == depth.shape == prediction.boundary.shape
+    assert np.array_equal(prediction.semantic, (rgb[..., 0] >= 128).astype(np.uint8))
+    assert np.array_equal(prediction.depth, depth + np.float32(DEPTH_OFFSET_M))
+    assert np.allclose(prediction.boundary, 1)
+
+
+def test_a_large_frame_keeps_every_return_that_has_a_pixel(model_file):
+    rgb = np.full((375, 1242, 3), 60, np.uint8)
+    depth = np.zeros((375, 1242), np.float32)
+    places = [(0, 0), (10, 33), (374, 1241), (200, 601)]
+    for metres, (row, column) in enumerate(places, start=5):
+        depth[row, column] = metres
+    prediction = Predictor(model_file(size=(125, 414))).predict(rgb, depth)
+    assert prediction.depth.shape == (375, 1242)
+    assert prediction.depth_returns == 4
+    for metres, (row, column) in enumerate(places, start=5):
+        assert prediction.depth[row, column] == metres + DEPTH_OFFSET_M
+
+
+def test_boundaries_are_resized_smoothly_and_classes_are_not(model_file):
+    rgb = np.full((64, 64, 3), 100, np.uint8)
+    rgb[:, 32:, 0] = 200
+    rgb[:, 32:, 1] = 200  # boundary 1 to the left, 2 to the right
+    depth = np.ones((64, 64), np.float32)
+    prediction = Predictor(model_file(size=(32, 32))).predict(rgb, depth)
+    assert set(np.unique(prediction.semantic)) == {0, 1}
+    assert (prediction.semantic[:, 32:] == 1).all()
+    assert (prediction.semantic[:, :32] == 0).all()
+    assert len(np.unique(prediction.boundary)) > 2
+    assert prediction.boundary[0, 0] == pytest.approx(1)
+    assert prediction.boundary[0, -1] == pytest.approx(2)
+
+
+# --- bad input ---------------------------------------------------------------------------------
+
+
+def test_impossible_depth_is_no_measurement(model_file, make_frame):
+    rgb, depth = make_frame()
+    clean = depth.copy()
+    places = [(1, 2), (3, 4), (5, 6), (7, 8), (9, 10)]
+    for (row, column), bad in zip(places, [np.nan, np.inf, -np.inf, -3.0, 80.5], strict=True):
+        depth[row, column], clean[row, column] = bad, 0
+    with Predictor(model_file()) as predictor:
+        prediction = predictor.predict(rgb, depth)
+    assert_right(prediction, rgb, clean)
+    assert prediction.valid
+    cleaned = prediction.cleaned
+    kinds = (cleaned.nan, cleaned.infinite, cleaned.negative, cleaned.too_far)
+    assert kinds == (1, 2, 1, 1)
+    assert prediction.depth_returns == np.count_nonzero(clean)
+
+
+@pytest.mark.parametrize("fill", [0.0, np.nan, -1.0, np.inf, 1000.0])
+def test_without_any_depth_the_answer_is_flagged(model_file, make_frame, fill):
+    rgb, depth = make_frame()
+    depth[:] = fill
+    with Predictor(model_file()) as predictor:
+        prediction = predictor.predict(rgb, depth)
+    assert prediction.valid
+    assert prediction.degraded == ("no_depth",)
+    assert prediction.depth_returns == 0
+    assert_right(prediction, rgb, np.zeros_like(depth))
+
+
+def test_few_returns_are_flagged(model_file, make_frame):
+    rgb, depth = make_frame(100, 100)
+    predictor = Predictor(model_file())
+    depth[:] = 0
+    depth[0, :9] = 5  # 9 of 10,000: below a thousandth
+    assert predictor.predict(rgb, depth).degraded == ("sparse_depth_low",)
+    depth[0, 9] = 5
+    assert predictor.predict(rgb, depth).degraded == ()
+
+
+def test_a_dead_camera_is_flagged(model_file, make_frame):
+    rgb, depth = make_frame()
+    rgb[:] = 17
+    prediction = Predictor(model_file()).predict(rgb, depth)
+    assert prediction.degraded == ("image_constant",)
+    assert prediction.valid
+
+
+@pytest.mark.parametrize("size", [None, (40, 40)])
+def test_nan_and_inf_in_an_answer_are_never_passed_on_silently(model_file, make_frame, size):
+    rgb, depth = make_frame()
+    predictor = Predictor(model_file(size=size))
+    for green in (0, 5):  # 0 / 0 is NaN, 5 / 0 is Inf
+        rgb[10:20, 10:20] = (0, green, 0)
+        prediction = predictor.predict(rgb, depth)
+        assert not prediction.valid
+        assert prediction.degraded == ("boundary_not_finite",)
+
+
+def test_a_class_without_a_name_is_not_valid(model_file, make_frame, contract):
+    one_class = dataclasses.replace(contract, classes=contract.classes[:1])
+    predictor = Predictor(model_file(contract=one_class))
+    rgb, depth = make_frame()
+    prediction = predictor.predict(rgb, depth)
+    assert not prediction.valid
+    assert prediction.degraded == ("semantic_unknown_class",)
+    rgb[..., 0] = 0
+    assert predictor.predict(rgb, depth).valid
+
+
+def test_after_bad_input_the_predictor_is_as_good_as_new(model_file, make_frame):
+    rgb, depth = make_frame()
+    bad_frames = [
+        (rgb.astype(np.float32), depth),
+        (rgb.transpose(2, 0, 1), depth),
+        (rgb, depth[:-1]),
+        (rgb, (depth * 256).astype(np.uint16)),
+        (rgb, depth.astype(np.float64)),
+        (rgb[..., 0], depth),
+        (None, None),
+    ]
+    with Predictor(model_file(size=(48, 64))) as predictor:
+        for bad_rgb, bad_depth in bad_frames:
+            with pytest.raises(InputError):
+                predictor.predict(bad_rgb, bad_depth)
+            assert_right(predictor.predict(rgb, depth), rgb, depth)
+
+
+def test_after_a_failed_session_the_predictor_is_usable(model_file, make_frame):
+    with Predictor(model_file(only_runs_at=(48, 64))) as predictor:
+        with pytest.raises(InferenceError, match="failed on a frame of 50 x 70"):
+            predictor.predict(*make_frame(50, 70))
+        rgb, depth = make_frame(48, 64)
+        assert_right(predictor.predict(rgb, depth), rgb, depth)
+
+
+def test_a_closed_predictor_says_so(model_file, make_frame):
+    with Predictor(model_file()) as predictor:
+        predictor.predict(*make_frame())
+    with pytest.raises(InferenceError, match="closed"):
+        predictor.predict(*make_frame())
+    predictor.close()  # twice does no harm
+
+
+@pytest.mark.parametrize("arguments", [{"threads": 0}, {"threads": -1}, {"warmup": -1}])
+def test_arguments_out_of_range_are_refused(model_file, arguments):
+    with pytest.raises(InputError, match="at least"):
+        Predictor(model_file(), **arguments)
+
+
+def test_memory_does_not_grow(model_file, make_frame):
+    """A program of its own, so that what other tests left behind does not count."""
+    program = """
+import resource, sys, numpy as np
+from runtime import Predictor
+rgb = np.random.default_rng(0).integers(1, 256, (200, 300, 3), dtype=np.uint8)
+depth = np.ones((200, 300), np.float32)
+predictor = Predictor(sys.argv[1], threads=1)
+def peak_after(frames):
+    for _ in range(frames):
+        predictor.predict(rgb, depth)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+before = peak_after(100)
+print(peak_after(400) - before)
+"""
+    grown = subprocess.run(
+        [sys.executable, "-c", program, str(model_file(size=(48, 64)))],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    # A leak of one answer a frame would be 400 x 540 kB.
+    assert int(grown.stdout) < 20_000, "kB over 400 frames"

@@ -1,0 +1,143 @@
+"""What was asked for is what runs, or an error says what is missing: with a stand-in runtime."""
+
+import os
+import sys
+from types import SimpleNamespace
+
+import onnxruntime
+import pytest
+
+from runtime import ContractError, Predictor, ProviderError
+from runtime.cores import available_cores
+from runtime.session import node_counts, open_session
+
+CPU, CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"
+
+
+class FakeSession:
+    """A session that runs `running`, with nodes of (provider, operator)."""
+
+    def __init__(self, running, nodes):
+        self.running = running
+        self.nodes = nodes
+
+    def get_providers(self):
+        return self.running
+
+    def get_provider_graph_assignment_info(self):
+        return [
+            SimpleNamespace(ep_name=name, get_nodes=lambda op=op: [SimpleNamespace(op_type=op)])
+            for name, op in self.nodes
+        ]
+
+
+class FakeOptions:
+    def __init__(self):
+        self.entries = {}
+
+    def add_session_config_entry(self, key, value):
+        self.entries[key] = value
+
+
+@pytest.fixture
+def fake_runtime(monkeypatch):
+    """Install a stand-in for onnxruntime; `answers` maps a provider to a session or an error."""
+
+    def install(answers, available=(CUDA, CPU)):
+        calls = []
+
+        def make_session(model, *, sess_options, providers, enable_fallback):
+            assert not enable_fallback
+            calls.append((providers[0], sess_options))
+            answer = answers[providers[0][0]]
+            if isinstance(answer, Exception):
+                raise answer
+            return answer
+
+        def preload_dlls():
+            sys.stdout.write("Failed to load libcudnn.so.9\n")
+
+        module = SimpleNamespace(
+            __version__="9.9",
+            InferenceSession=make_session,
+            SessionOptions=FakeOptions,
+            ExecutionMode=SimpleNamespace(ORT_SEQUENTIAL=0),
+            GraphOptimizationLevel=SimpleNamespace(ORT_ENABLE_ALL=99),
+            get_available_providers=lambda: list(available),
+            preload_dlls=preload_dlls,
+        )
+        monkeypatch.setitem(sys.modules, "onnxruntime", module)
+        return calls
+
+    return install
+
+
+def open_cuda():
+    return open_session(b"model", provider="cuda", device_id=1, threads=2)
+
+
+def test_without_onnxruntime_the_two_commands_are_named(monkeypatch, model_file):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(ProviderError) as error:
+        Predictor(model_file())
+    assert 'pip install "ssdnet[cpu]"' in str(error.value)
+    assert 'pip install "ssdnet[gpu]"' in str(error.value)
+
+
+def test_cuda_that_this_onnxruntime_does_not_have(model_file, make_frame):
+    if CUDA in onnxruntime.get_available_providers():
+        pytest.skip("the installed ONNX Runtime has CUDA")
+    with pytest.raises(ProviderError, match=r"'cuda' is not part of .*ssdnet\[gpu\]"):
+        Predictor(model_file(), provider="cuda")
+
+
+@pytest.mark.parametrize("name", ["gpu", "CUDA", "tensorrt", ""])
+def test_a_provider_of_another_name(model_file, name):
+    with pytest.raises(ProviderError, match=r"expected one of \['cpu', 'cuda'\]"):
+        Predictor(model_file(), provider=name)
+
+
+def test_cuda_that_runs(fake_runtime):
+    nodes = [(CUDA, "Conv"), (CUDA, "Relu"), (CPU, "Gather")]
+    calls = fake_runtime({CUDA: FakeSession([CUDA, CPU], nodes)})
+    session = open_cuda()
+    assert node_counts(session) == {CUDA: 2, CPU: 1}
+    ((name, provider_options), options) = calls[0]
+    assert name == CUDA
+    assert provider_options == {"device_id": "1", "cudnn_conv_algo_search": "HEURISTIC"}
+    assert options.intra_op_num_threads == 2
+
+
+def test_a_silent_fall_back_to_the_cpu_is_an_error(fake_runtime, capsys):
+    fake_runtime({CUDA: FakeSession([CPU], [(CPU, "Conv")])})
+    with pytest.raises(ProviderError, match=r"would run CPUExecutionProvider.*libcudnn.so.9"):
+        open_cuda()
+    assert capsys.readouterr().out == "", "the library printed"
+
+
+def test_a_convolution_left_on_the_cpu_is_an_error(fake_runtime):
+    fake_runtime({CUDA: FakeSession([CUDA, CPU], [(CUDA, "Relu"), (CPU, "Conv")])})
+    with pytest.raises(ProviderError, match="Conv on CPUExecutionProvider"):
+        open_cuda()
+
+
+def test_a_gpu_that_cannot_be_started(fake_runtime):
+    cpu = FakeSession([CPU], [(CPU, "Conv")])
+    fake_runtime({CUDA: RuntimeError("no CUDA-capable device is detected"), CPU: cpu})
+    with pytest.raises(ProviderError, match="no CUDA-capable device"):
+        open_cuda()
+
+
+def test_a_damaged_model_is_not_blamed_on_the_gpu(fake_runtime):
+    error = RuntimeError("Protobuf parsing failed")
+    fake_runtime({CUDA: error, CPU: error})
+    with pytest.raises(ContractError, match="Protobuf parsing failed"):
+        open_cuda()
+
+
+def test_a_runtime_that_cannot_count_nodes():
+    assert node_counts(object()) is None
+
+
+def test_cores_are_counted():
+    assert 1 <= available_cores() <= (os.cpu_count() or 1)
