@@ -109,12 +109,13 @@ def resize(sample: Sample, size: tuple[int, int]) -> Sample:
                 [0, 0, 1],
             ]
         )
-    scan_line = sample.scan_line
-    depth: NDArray[Any]
-    if scan_line is not None:
-        depth, scan_line = move_returns(sample.depth, size, scan_line)
+    if sample.scan_line is not None:
+        depth, scan_line = move_returns(sample.depth, size, sample.scan_line)
     else:
-        depth = cv2.resize(sample.depth, shape, interpolation=cv2.INTER_NEAREST_EXACT)
+        nearest: NDArray[Any] = cv2.resize(
+            sample.depth, shape, interpolation=cv2.INTER_NEAREST_EXACT
+        )
+        depth, scan_line = nearest, None
     rgb: NDArray[Any] = cv2.resize(
         sample.rgb, shape, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
     )

@@ -1,6 +1,8 @@
 """Scores of a network on whole frames, the same for PyTorch and for an exported file."""
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,9 +12,13 @@ from numpy.typing import NDArray
 from models import SSDNet
 from training.augment import keep_every_line, masked
 from training.datasets.kitti_stream_lines import withhold_occluded
-from training.datasets.sample import Sample, SampleSource, nothing_known
+from training.datasets.sample import IGNORE, Sample, SampleSource, nothing_known
 from training.lidar import scan_lines
+from training.metrics import BoundaryScores, DepthScores, SemanticScores
 from training.recipe import SourceRecipe
+
+#: The boundary's F-score is that of the best of these over the whole set.
+BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
 
 
 class Answer(NamedTuple):
@@ -48,21 +54,91 @@ def torch_predict(network: SSDNet) -> Predict:
     return predict
 
 
-def split_lidar(sample: Sample) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the input and the target of a frame for scoring depth, both float32 (H, W), metres.
+class LidarSplit(NamedTuple):
+    """A frame with the depth to feed and the depth to score, float32 (H, W), metres, 0 = none."""
+
+    sample: Sample
+    fed: NDArray[np.float32]
+    target: NDArray[np.float32]
+
+
+def split_lidar(sample: Sample) -> LidarSplit:
+    """Choose what of a frame's depth is fed and what is scored.
 
     A recorded scan: every second line is fed, the others (less those hidden behind nearer
     returns) are scored. Dense depth: 64 simulated lines are fed, all of it is scored. No depth:
     neither.
     """
     if not sample.depth.any():
-        return nothing_known(sample.size), sample.depth
+        return LidarSplit(sample, nothing_known(sample.size), sample.depth)
     if sample.scan_line is not None:
         seen = keep_every_line(sample, 2, 0)
-        return seen, withhold_occluded(masked(sample.depth, seen == 0), sample.depth)
+        withheld = masked(sample.depth, seen == 0)
+        return LidarSplit(sample, seen, withhold_occluded(withheld, sample.depth))
     if sample.intrinsics is None:
         raise ValueError(f"{sample.name} has dense depth but no intrinsics to draw scan lines with")
-    return scan_lines(sample.depth, sample.intrinsics, 64, np.random.default_rng(0)), sample.depth
+    fed = scan_lines(sample.depth, sample.intrinsics, 64, np.random.default_rng(0))
+    return LidarSplit(sample, fed, sample.depth)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Counts of a whole set, a part each head; a part without any target stays empty."""
+
+    semantic: SemanticScores
+    depth: DepthScores
+    boundary: BoundaryScores
+
+    def figures(self, class_names: Sequence[str] = ()) -> dict[str, float]:
+        """Return what was scored as named numbers: shares 0..1, metres, 1/km."""
+        figures: dict[str, float] = {}
+        semantic, depth, boundary = (
+            self.semantic.compute(),
+            self.depth.compute(),
+            self.boundary.compute(),
+        )
+        if self.semantic.confusion.any():
+            figures |= {
+                "miou": semantic.mean_iou,
+                "accuracy": semantic.accuracy,
+                "mean_accuracy": semantic.mean_accuracy,
+                "fwiou": semantic.frequency_weighted_iou,
+            }
+            figures |= {
+                f"iou_{name}": value
+                for name, value in zip(class_names, semantic.class_iou, strict=bool(class_names))
+            }
+        if depth.pixels:
+            figures |= {
+                "mae_m": depth.mae_m,
+                "rmse_m": depth.rmse_m,
+                "imae_per_km": depth.imae_per_km,
+                "irmse_per_km": depth.irmse_per_km,
+            }
+        if not math.isnan(boundary.recall):
+            figures |= {
+                "boundary_f": boundary.f_score,
+                "boundary_precision": boundary.precision,
+                "boundary_recall": boundary.recall,
+                "boundary_threshold": boundary.threshold,
+            }
+        return figures
+
+
+def score(predict: Predict, frames: Iterable[LidarSplit], *, num_classes: int) -> Scores:
+    """Score a predictor on frames of `split_lidar`; missing heads and targets are left out."""
+    scores = Scores(SemanticScores(num_classes), DepthScores(), BoundaryScores(BOUNDARY_THRESHOLDS))
+    for frame in frames:
+        sample = frame.sample
+        answer = predict(sample.rgb, frame.fed)
+        labelled = bool((sample.semantic != IGNORE).any())
+        if answer.semantic is not None and labelled:
+            scores.semantic.update(answer.semantic, sample.semantic)
+        if answer.depth is not None and frame.target.any():
+            scores.depth.update(answer.depth, frame.target)
+        if answer.boundary is not None and labelled:
+            scores.boundary.update(answer.boundary, sample.semantic)
+    return scores
 
 
 def score_sources(
@@ -70,27 +146,13 @@ def score_sources(
 ) -> dict[str, float]:
     """Score a network on validation sets: mIoU where there are labels, MAE and RMSE where depth."""
     predict = torch_predict(network)
-    scores = {}
+    result: dict[str, float] = {}
     for name, (_, source) in sources.items():
-        classes = network.config.num_classes
-        confusion = np.zeros((classes, classes), dtype=np.int64)
-        errors = []
-        for index in range(len(source)):
-            sample = source[index]
-            seen, target = split_lidar(sample)
-            answer = predict(sample.rgb, seen)
-            known = sample.semantic < classes
-            if answer.semantic is not None and known.any():
-                pairs = sample.semantic[known].astype(np.int64) * classes + answer.semantic[known]
-                confusion += np.bincount(pairs, minlength=classes**2).reshape(classes, classes)
-            if answer.depth is not None:
-                errors.append(answer.depth[target > 0] - target[target > 0])
-        if confusion.any():
-            hit = np.diag(confusion)
-            union = confusion.sum(0) + confusion.sum(1) - hit
-            scores[f"{name}/miou"] = float(np.mean(hit[union > 0] / union[union > 0]))
-        difference = np.concatenate(errors) if errors else np.zeros(0)
-        if difference.size:
-            scores[f"{name}/mae_m"] = float(np.abs(difference).mean())
-            scores[f"{name}/rmse_m"] = float(np.sqrt(np.square(difference).mean()))
-    return scores
+        frames = (split_lidar(source[index]) for index in range(len(source)))
+        figures = score(predict, frames, num_classes=network.config.num_classes).figures()
+        result |= {
+            f"{name}/{key}": figures[key]
+            for key in ("miou", "mae_m", "rmse_m", "boundary_f")
+            if key in figures
+        }
+    return result

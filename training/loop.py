@@ -69,9 +69,7 @@ def train(
     if network.config.semantic_head:
         counts = count_pixels(recipe.data, sources, network.config.num_classes)
         weights = class_weights(torch.from_numpy(counts), recipe.loss.class_weighting)
-    criterion = SSDNetLoss(
-        recipe.loss, weights, max_depth_m=network.config.max_depth_m
-    ).to(device)
+    criterion = SSDNetLoss(recipe.loss, weights, max_depth_m=network.config.max_depth_m).to(device)
     optimizer = _build_optimizer(recipe.optimizer, network)
     # Buffers are averaged too: batch statistics must fit the averaged weights.
     average = AveragedModel(

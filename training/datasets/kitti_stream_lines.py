@@ -97,10 +97,11 @@ def read_points(path: Path | str) -> FloatArray:
 
 
 def scan_line_of(points: FloatArray) -> npt.NDArray[np.int64]:
-    """Number the scan line of every return: int64 (N,), 0 = topmost, without gaps.
+    """Number the scan line of every return: int64 (N,), from 0 without gaps, top to bottom.
 
-    `points` float32 (N, >= 3) in KITTI's own order: line after line from the top, each counter-
-    clockwise from straight ahead. Cropping to the camera's view keeps that order, so a line ends
+    `points` float32 (N, >= 3) in KITTI's own order: line after line, the sensor's upper block of
+    lasers and then its lower one, which overlap by a line or two; each line counter-clockwise from
+    straight ahead. Cropping to the camera's view keeps that order, so a line ends
     where the azimuth (0..360 degrees) steps back. Elevation cannot tell lines apart: within one
     line it wanders by several line spacings, because the sensor is tilted.
     A line without any return in view leaves no trace and gets no number.

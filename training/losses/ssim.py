@@ -58,7 +58,8 @@ def ssim(a: Tensor, b: Tensor, valid: Tensor, *, window: int = WINDOW) -> tuple[
     height, width = min(window, a.shape[-2]), min(window, a.shape[-1])
 
     def window_means(*maps: Tensor) -> tuple[Tensor, ...]:
-        means = _BoxMean.apply(torch.cat(maps, dim=1), (height, width))  # type: ignore[no-untyped-call]
+        stacked = torch.cat(maps, dim=1)
+        means: Tensor = _BoxMean.apply(stacked, (height, width))  # type: ignore[no-untyped-call]
         return means.chunk(len(maps), dim=1)
 
     known = valid.to(a.dtype)

@@ -1,0 +1,90 @@
+"""Accuracy of an exported model through the engine itself, beside classical baselines.
+
+    python benchmarks/accuracy.py --data DIR [--data DIR ...] [--model model.onnx] [--json OUT]
+
+Scores whatever it finds below the --data folders: `camvid` (val; RGB only, no depth given),
+`kitti_stream` (frames 50-59; every second scan line fed, the others scored) and `rendered/val`
+(64 simulated scan lines fed, all pixels scored). Everything runs at the frames' own size.
+"""
+
+import argparse
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from runtime import Predictor
+from training.baselines import ip_basic, nearest_fill
+from training.datasets.sample import SampleSource
+from training.evaluate import Answer, LidarSplit, Predict, Scores, score, split_lidar
+from training.recipe import SourceRecipe
+from training.sources import open_source
+
+SETS = {
+    "CamVid val": SourceRecipe("camvid", "camvid", split="val"),
+    "KITTI frames 50-59": SourceRecipe("kitti_stream", "kitti_stream", first=50, last=59),
+    "rendered val": SourceRecipe("virtual_kitti", "rendered/val"),
+}
+
+
+def main() -> None:
+    """Print a table a set."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, action="append", required=True)
+    parser.add_argument("--model", type=Path, help="ONNX file; the bundled one by default")
+    parser.add_argument("--json", type=Path, help="write the figures here, too")
+    arguments = parser.parse_args()
+    figures = {}
+    with Predictor(arguments.model) as predictor:
+        classes = [info.name for info in predictor.contract.classes]
+        for title, recipe in SETS.items():
+            if not any((root / recipe.path).is_dir() for root in arguments.data):
+                print(f"## {title}: no folder {recipe.path}, left out\n")
+                continue
+            source = open_source(recipe, arguments.data)
+            ways: dict[str, Predict] = {"ssdnet": engine_predict(predictor)}
+            if recipe.kind != "camvid":
+                ways |= {"nearest filling": fill_predict(nearest_fill)}
+                ways |= {"IP-Basic": fill_predict(ip_basic)}
+            print(f"## {title}, {len(source)} frames")
+            figures[title] = {}
+            for name, way in ways.items():
+                scores = score(way, frames(source, name), num_classes=len(classes))
+                figures[title][name] = report(name, scores, classes)
+            print()
+    if arguments.json:
+        arguments.json.write_text(json.dumps(figures, indent=2))
+
+
+def frames(source: SampleSource, title: str) -> Iterator[LidarSplit]:
+    """Yield every frame with the depth to feed and to score."""
+    for index in tqdm(range(len(source)), desc=title, disable=None):
+        yield split_lidar(source[index])
+
+
+def engine_predict(predictor: Predictor) -> Predict:
+    """Return the engine as a predictor."""
+
+    def predict(rgb: np.ndarray, sparse_depth: np.ndarray) -> Answer:
+        prediction = predictor.predict(rgb, sparse_depth)
+        return Answer(prediction.semantic, prediction.depth, prediction.boundary)
+
+    return predict
+
+
+def fill_predict(fill: Callable[[np.ndarray], np.ndarray]) -> Predict:
+    """Return a depth-only baseline as a predictor."""
+    return lambda rgb, sparse_depth: Answer(None, fill(sparse_depth), None)
+
+
+def report(name: str, scores: Scores, classes: list[str]) -> dict[str, float]:
+    """Print one model's figures and return them."""
+    figures = scores.figures(classes)
+    print(f"- {name}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items()))
+    return figures
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,172 @@
+"""What the engine adds to the bare session, and what a stream with writing adds to both.
+
+    python benchmarks/latency.py [--sizes 375x1242 ...] [--threads 2] [--rounds 7] [--json OUT]
+
+For each model and size three ways of running the same frames take turns, so that a machine whose
+speed drifts slows all of them alike: the ONNX Runtime session alone, `Predictor.predict`, and
+`ssdnet-run`'s stream (PNG frames in, every kind of picture out). Quote the ratios.
+"""
+
+import argparse
+import json
+import platform
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from export import export_checkpoint
+from models import create_model, save_checkpoint
+from runtime import Predictor
+from runtime.cli import bundled_stream
+from runtime.frames import list_frames, read_frame
+from runtime.report import cpu_name
+from runtime.stream import run_stream
+from runtime.writer import KINDS, FrameWriter
+
+SIZES = ("125x414", "375x1242", "512x1024")
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--models", nargs="+", default=["ssdnet-lite", "ssdnet"])
+    parser.add_argument("--sizes", nargs="+", default=list(SIZES), help="HEIGHTxWIDTH")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--rounds", type=int, default=7, help="turns of each way")
+    parser.add_argument("--seconds", type=float, default=2.0, help="length of one turn")
+    parser.add_argument("--json", type=Path, help="write the figures here, too")
+    arguments = parser.parse_args()
+
+    print(
+        f"{cpu_name()}, {arguments.threads} threads, onnxruntime {version('onnxruntime')}, "
+        f"Python {platform.python_version()}; medians of {arguments.rounds} interleaved turns\n"
+    )
+    print(
+        "| model | size | frames a turn | session ms | predict ms | ratio | "
+        "stream ms a frame | throughput against predict |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
+    rows = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for name in arguments.models:
+            model = _model(name, Path(scratch))
+            for size in arguments.sizes:
+                height, width = (int(part) for part in size.split("x"))
+                row = measure(
+                    model,
+                    (height, width),
+                    Path(scratch) / f"{name}-{size}",
+                    threads=arguments.threads,
+                    rounds=arguments.rounds,
+                    seconds=arguments.seconds,
+                )
+                rows.append({"model": name, "size": size, **row})
+                print(
+                    f"| {name} | {size} | {row['frames']} | {row['session_ms']:.2f} | "
+                    f"{row['predict_ms']:.2f} | {row['predict_ratio']:.3f} | "
+                    f"{row['stream_ms']:.2f} | {row['throughput']:.2f} |",
+                    flush=True,
+                )
+    if arguments.json:
+        arguments.json.write_text(json.dumps(rows, indent=2))
+
+
+def measure(
+    model: Path | None,
+    size: tuple[int, int],
+    scratch: Path,
+    *,
+    threads: int,
+    rounds: int,
+    seconds: float,
+) -> dict[str, float]:
+    """Time one model at one size; every figure is a median over rounds."""
+    with Predictor(model, threads=threads) as predictor:
+        files = _frames(scratch, size)
+        frames = [read_frame(pair, depth_scale=256.0) for pair in files]
+        session = predictor._session  # the very same session, so that only the engine differs
+        feeds = [
+            {"rgb": frame.rgb[None], "sparse_depth": frame.sparse_depth[None]} for frame in frames
+        ]
+        one = _timed(lambda: predictor.predict(frames[0].rgb, frames[0].sparse_depth), warm=True)
+        count = max(4, min(40, round(seconds / one)))
+        order = [index % len(frames) for index in range(count)]
+        writer = FrameWriter(scratch / "out", predictor.contract, kinds=KINDS)
+        pairs = [files[index] for index in order]
+
+        def run_session() -> None:
+            for index in order:
+                session.run(predictor.heads, feeds[index])
+
+        def run_predict() -> None:
+            for index in order:
+                predictor.predict(frames[index].rgb, frames[index].sparse_depth)
+
+        def run_whole_stream() -> None:
+            run_stream(predictor, pairs, depth_scale=256.0, write=writer.write)
+
+        ways = (run_session, run_predict, run_whole_stream)
+        times = np.array([[_timed(way) for way in ways] for _ in range(rounds)]) / count * 1e3
+    session_ms, predict_ms, stream_ms = (float(np.median(column)) for column in times.T)
+    return {
+        "frames": count,
+        "session_ms": session_ms,
+        "predict_ms": predict_ms,
+        "stream_ms": stream_ms,
+        "predict_ratio": statistics.median(times[:, 1] / times[:, 0]),
+        "throughput": statistics.median(times[:, 1] / times[:, 2]),
+    }
+
+
+def _timed(call: Callable[[], object], *, warm: bool = False) -> float:
+    if warm:
+        call()
+    started = time.perf_counter()
+    call()
+    return time.perf_counter() - started
+
+
+def _model(name: str, scratch: Path) -> Path | None:
+    """Return the bundled lite, or an export of random weights, which run as fast as trained."""
+    if name == "ssdnet-lite":
+        return None
+    checkpoint, onnx = scratch / f"{name}.pt", scratch / f"{name}.onnx"
+    save_checkpoint(checkpoint, create_model(name).eval())
+    export_checkpoint(checkpoint, onnx, dynamic=True)
+    return onnx
+
+
+def _frames(folder: Path, size: tuple[int, int]) -> list:
+    """Write the bundled stream at another size and list it."""
+    rgb, depth = bundled_stream()
+    for pair in list_frames(rgb, depth, limit=5):
+        frame = read_frame(pair, depth_scale=256.0)
+        _write(folder / "rgb" / f"{pair.name}.png", _to(frame.rgb[..., ::-1], size))
+        units = (_to(frame.sparse_depth, size) * 256).astype(np.uint16)
+        _write(folder / "depth" / f"{pair.name}.png", units)
+    return list(list_frames(folder / "rgb", folder / "depth"))
+
+
+def _to(image: NDArray, size: tuple[int, int]) -> NDArray:
+    nearest = image.ndim == 2
+    return cv2.resize(
+        image,
+        (size[1], size[0]),
+        interpolation=cv2.INTER_NEAREST_EXACT if nearest else cv2.INTER_CUBIC,
+    )
+
+
+def _write(path: Path, image: NDArray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), image)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,53 @@
+"""Resident memory over many frames: does the engine hold on to anything?
+
+    python benchmarks/memory.py [--frames 2000] [--threads 2]
+
+Predicts the bundled stream over and over, also through the reading and writing stream, and prints
+the resident size every tenth of the way.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import psutil
+
+from runtime import Predictor
+from runtime.cli import bundled_stream
+from runtime.frames import list_frames, read_frame
+from runtime.stream import run_stream
+from runtime.writer import KINDS, FrameWriter
+
+
+def main() -> None:
+    """Print a table: frames done, resident MB of the bare predictor and of the stream."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frames", type=int, default=2000)
+    parser.add_argument("--threads", type=int, default=2)
+    arguments = parser.parse_args()
+    process = psutil.Process()
+    part = max(1, arguments.frames // 10)
+
+    def resident_mb() -> float:
+        return process.memory_info().rss / 1e6
+
+    with tempfile.TemporaryDirectory() as scratch, Predictor(threads=arguments.threads) as engine:
+        files = list_frames(*bundled_stream())
+        frames = [read_frame(pair, depth_scale=256.0) for pair in files]
+        writer = FrameWriter(Path(scratch) / "out", engine.contract, kinds=KINDS)
+        print("| frames | Predictor.predict [MB] |\n|---|---|")
+        for done in range(0, arguments.frames + 1, part):
+            print(f"| {done} | {resident_mb():.1f} |", flush=True)
+            for index in range(part if done < arguments.frames else 0):
+                frame = frames[index % len(frames)]
+                engine.predict(frame.rgb, frame.sparse_depth)
+        print("\n| frames | stream with writing [MB] |\n|---|---|")
+        for done in range(0, arguments.frames + 1, part):
+            print(f"| {done} | {resident_mb():.1f} |", flush=True)
+            if done < arguments.frames:
+                pairs = [files[index % len(files)] for index in range(part)]
+                run_stream(engine, pairs, depth_scale=256.0, write=writer.write)
+
+
+if __name__ == "__main__":
+    main()

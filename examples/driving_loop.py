@@ -1,0 +1,67 @@
+"""The engine inside a 10 Hz loop: what to look at before trusting an answer.
+
+    python examples/driving_loop.py [--rgb DIR --depth DIR]
+
+Plays a stream (the bundled one by default) at the sensor's rate, always takes the newest frame,
+and shows how a stack tells a good answer from a degraded, an invalid or a late one.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from runtime import InputError, Predictor
+from runtime.cli import bundled_stream
+from runtime.frames import list_frames, read_frame
+
+PERIOD_S = 0.1
+DEADLINE_MS = 80.0
+
+
+def main() -> None:
+    """Play the stream once."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rgb", type=Path)
+    parser.add_argument("--depth", type=Path)
+    arguments = parser.parse_args()
+    folders = (arguments.rgb, arguments.depth) if arguments.rgb else bundled_stream()
+    frames = [read_frame(files, depth_scale=256.0) for files in list_frames(*folders)]
+
+    with Predictor() as predictor:
+        # Memory and caches are ready for the camera's size before the first frame counts.
+        height, width = frames[0].sparse_depth.shape
+        predictor.warm_up((height, width), runs=3)
+        names = [info.name for info in predictor.contract.classes]
+        in_path = np.isin(np.arange(256), [names.index(n) for n in ("car", "pedestrian")])
+        started = time.monotonic()
+        done = -1
+        while (newest := int((time.monotonic() - started) / PERIOD_S)) < len(frames):
+            if newest == done:
+                time.sleep(0.001)
+                continue
+            dropped, done = newest - done - 1, newest
+            frame = frames[newest]
+            stamp_s = started + newest * PERIOD_S  # when the sensors saw it
+            try:
+                prediction = predictor.predict(frame.rgb, frame.sparse_depth, stamp=stamp_s)
+            except InputError as error:  # a wiring fault: the frame is unusable, the engine is not
+                print(f"frame {newest}: {error}")
+                continue
+            age_ms = (time.monotonic() - prediction.stamp) * 1e3
+            late = "LATE " if prediction.latency.total_ms > DEADLINE_MS else ""
+            if not prediction.valid:
+                print(f"frame {newest}: do not use: {', '.join(prediction.degraded)}")
+                continue
+            middle = slice(width * 2 // 5, width * 3 // 5)
+            ahead = prediction.depth[:, middle][in_path[prediction.semantic[:, middle]]]
+            nearest = f"{np.percentile(ahead, 5):5.1f} m" if ahead.size > 50 else "  none"
+            print(
+                f"frame {newest}: nearest road user ahead {nearest}, age {age_ms:5.1f} ms, "
+                f"dropped {dropped} {late}{' '.join(prediction.degraded)}"
+            )
+
+
+if __name__ == "__main__":
+    main()

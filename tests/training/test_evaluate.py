@@ -1,0 +1,108 @@
+"""Scoring feeds what it says it feeds and counts what can be counted by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models import SSDNet
+from models.config import CONFIGS
+from training.datasets.sample import Sample
+from training.evaluate import Answer, score, split_lidar, torch_predict
+
+K = np.array([[300.0, 0, 60], [0, 300.0, 20], [0, 0, 1]])
+
+
+def sample(**changes):
+    """A wall at 10 m with sky above, road left and car right."""
+    depth = np.full((60, 120), 10, np.float32)
+    depth[:10] = 0
+    semantic = np.full((60, 120), 3, np.uint8)
+    semantic[:, 60:] = 8
+    semantic[:10] = 0
+    rgb = np.zeros((60, 120, 3), np.uint8)
+    return replace(Sample(rgb, depth, depth, semantic, K, "wall"), **changes)
+
+
+def recorded():
+    rows = np.arange(60)[:, None] * np.ones(120, int)
+    measured = (rows % 2 == 0) & (rows >= 10)
+    depth = np.where(measured, 10 + rows / 10, 0).astype(np.float32)
+    line = np.where(measured, rows // 2, -1).astype(np.int16)
+    return sample(depth=depth, sparse_depth=depth, scan_line=line)
+
+
+def test_recorded_scan_feeds_every_second_line_and_scores_the_others():
+    split = split_lidar(recorded())
+    fed = set(split.sample.scan_line[split.fed > 0])
+    scored = set(split.sample.scan_line[split.target > 0])
+    assert fed == {6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28}
+    assert scored == {5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29}
+
+
+def test_dense_depth_is_fed_along_scan_lines_and_scored_whole():
+    split = split_lidar(sample())
+    assert 0 < np.count_nonzero(split.fed) < 0.5 * split.fed.size
+    np.testing.assert_array_equal(split.target, sample().depth)
+    np.testing.assert_array_equal(split.fed, split_lidar(sample()).fed)  # the same every time
+
+
+def test_no_depth_feeds_and_scores_none():
+    none = np.zeros((60, 120), np.float32)
+    split = split_lidar(sample(depth=none, sparse_depth=none))
+    assert not split.fed.any()
+    assert not split.target.any()
+
+
+def test_dense_depth_without_intrinsics_is_refused():
+    with pytest.raises(ValueError, match="no intrinsics"):
+        split_lidar(sample(intrinsics=None))
+
+
+def figures(predict, frame=None):
+    split = split_lidar(frame or sample())
+    return score(predict, [split], num_classes=11).figures([f"c{i}" for i in range(11)])
+
+
+def test_truth_scores_full_marks():
+    truth = sample()
+    edge = np.zeros((60, 120), np.float32)
+    edge[10] = 1
+    edge[10:, 60] = 1
+    result = figures(lambda rgb, fed: Answer(truth.semantic, truth.depth + 0.5, edge))
+    assert result["miou"] == 1
+    assert result["mae_m"] == pytest.approx(0.5)
+    assert result["rmse_m"] == pytest.approx(0.5)
+    assert result["boundary_f"] == pytest.approx(1)
+    assert result["iou_c8"] == 1
+
+
+def test_one_class_everywhere_scores_its_share():
+    result = figures(lambda rgb, fed: Answer(np.full((60, 120), 3, np.uint8), None, None))
+    assert result["miou"] == pytest.approx((3000 / 7200 + 0 + 0) / 3)
+    assert result["accuracy"] == pytest.approx(3000 / 7200)
+    assert "mae_m" not in result
+
+
+def test_unlabelled_frames_do_not_count():
+    unknown = np.full((60, 120), 255, np.uint8)
+    frame = sample(semantic=unknown)
+    result = figures(lambda rgb, fed: Answer(unknown, frame.depth, None), frame)
+    assert "miou" not in result
+    assert result["mae_m"] == 0
+
+
+def test_network_answers_at_the_frames_size_in_metres():
+    small = replace(
+        CONFIGS["ssdnet-lite"],
+        encoder_channels=(8, 8, 8, 8),
+        decoder_channels=(8, 8, 8),
+        stem_channels=(8, 8),
+        max_depth_m=50.0,
+    )
+    network = SSDNet(small)
+    answer = torch_predict(network)(sample().rgb, sample().depth)
+    assert answer.semantic.shape == answer.depth.shape == answer.boundary.shape == (60, 120)
+    assert answer.semantic.dtype == np.uint8
+    assert 1 < answer.depth.mean() < 49  # a sigmoid in the middle of 0..50 m
+    assert not network.training

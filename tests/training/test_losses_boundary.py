@@ -1,0 +1,106 @@
+"""Boundary ground truth and Eq. 6 against plain loops and cases by hand."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from training.losses.boundary import balanced_cross_entropy, boundary_at_scale, boundary_target
+
+
+def test_boundary_target_by_hand():
+    semantic = torch.tensor(
+        [
+            [
+                [0, 0, 1, 1],
+                [0, 0, 1, 255],
+                [2, 2, 1, 1],
+            ]
+        ]
+    )
+    target, valid = boundary_target(semantic)
+    assert target.int().tolist() == [[[[0, 0, 1, 0], [0, 0, 1, 0], [1, 1, 1, 0]]]]
+    # The ignored pixel is unknown, and so is the one under it, whose upper neighbour is ignored.
+    assert valid.int().tolist() == [[[[1, 1, 1, 1], [1, 1, 1, 0], [1, 1, 1, 0]]]]
+
+
+def test_boundary_target_equals_loops():
+    semantic = np.random.default_rng(0).choice([0, 0, 1, 2, 255], size=(2, 9, 11))
+    target, valid = boundary_target(torch.from_numpy(semantic))
+    for n, v, u in np.ndindex(*semantic.shape):
+        here = semantic[n, v, u]
+        before = [semantic[n, v, u - 1]] * (u > 0) + [semantic[n, v - 1, u]] * (v > 0)
+        differs = here != 255 and any(other not in (255, here) for other in before)
+        decided = here != 255 and (differs or 255 not in before)
+        assert target[n, 0, v, u] == differs
+        assert valid[n, 0, v, u] == decided
+
+
+def test_boundary_at_scale_takes_any_pixel_of_a_cell():
+    target = torch.zeros(1, 1, 5, 6, dtype=torch.bool)
+    valid = torch.ones_like(target)
+    target[0, 0, 1, 3] = True
+    target[0, 0, 4, 0] = True
+    valid[0, 0, 4, 0] = False  # not known, so it does not count
+    valid[0, 0, :2, :2] = False
+    coarse, known = boundary_at_scale(target, valid, (3, 3))
+    assert coarse.int().tolist() == [[[[0, 1, 0], [0, 0, 0], [0, 0, 0]]]]
+    assert known.int().tolist() == [[[[0, 1, 1], [1, 1, 1], [1, 1, 1]]]]
+
+
+def cross_entropy_by_loops(logits, target, valid, beta_mode, sample_weight):
+    def beta_of(samples):
+        known = sum(int(valid[n].sum()) for n in samples)
+        return sum(int((valid[n] & ~target[n]).sum()) for n in samples) / known
+
+    everyone = range(len(logits))
+    total, count = 0.0, 0
+    for n in everyone:
+        beta = beta_of(everyone if beta_mode == "batch" else [n])
+        for v, u in np.ndindex(*logits.shape[2:]):
+            if not valid[n, 0, v, u]:
+                continue
+            p = 1 / (1 + math.exp(-logits[n, 0, v, u]))
+            g = target[n, 0, v, u]
+            entropy = beta * math.log(p) if g else (1 - beta) * math.log(1 - p)
+            total -= sample_weight[n] * entropy
+            count += 1
+    return total / count
+
+
+@pytest.mark.parametrize("beta_mode", ["batch", "image"])
+def test_balanced_cross_entropy_equals_loops(beta_mode):
+    rng = np.random.default_rng(1)
+    logits = rng.standard_normal((2, 1, 6, 7)).astype(np.float32)
+    target = rng.random((2, 1, 6, 7)) < np.array([0.1, 0.4]).reshape(2, 1, 1, 1)
+    valid = rng.random((2, 1, 6, 7)) < 0.8
+    sample_weight = np.array([0.3, 1.0], dtype=np.float32)
+    ours = balanced_cross_entropy(
+        torch.from_numpy(logits),
+        torch.from_numpy(target),
+        torch.from_numpy(valid),
+        beta_mode=beta_mode,
+        sample_weight=torch.from_numpy(sample_weight),
+    )
+    expected = cross_entropy_by_loops(logits, target, valid, beta_mode, sample_weight)
+    assert ours.item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_few_boundary_pixels_weigh_as_much_as_all_others():
+    # At p = 0.5 the gradients of both classes cancel exactly if beta balances them.
+    logits = torch.zeros(1, 1, 4, 5, requires_grad=True)
+    target = torch.zeros(1, 1, 4, 5, dtype=torch.bool)
+    target[0, 0, 2, :3] = True
+    balanced_cross_entropy(logits, target, torch.ones_like(target)).backward()
+    assert logits.grad.sum().item() == pytest.approx(0, abs=1e-7)
+    assert logits.grad[target].sum().item() == pytest.approx(-0.5 * 17 / 20 * 3 / 20, rel=1e-5)
+
+
+def test_without_labels_loss_and_gradient_are_zero():
+    logits = torch.randn(2, 1, 4, 4, requires_grad=True)
+    target, valid = boundary_target(torch.full((2, 4, 4), 255))
+    loss = balanced_cross_entropy(logits, target, valid, beta_mode="image")
+    loss.backward()
+    assert loss.item() == 0.0
+    assert logits.grad.abs().max() == 0.0

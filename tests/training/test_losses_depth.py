@@ -1,0 +1,198 @@
+"""Eq. 2-4 against plain loops, scikit-image and cases by hand."""
+
+import numpy as np
+import pytest
+import torch
+from skimage.metrics import structural_similarity
+
+from training.losses.depth import (
+    depth_at_scale,
+    metric_depth_loss,
+    multi_scale_depth_loss,
+    normalise_depth,
+    paper_depth_loss,
+)
+from training.losses.masked import masked_mean, split_into_blocks
+from training.losses.ssim import _BoxMean, ssim, ssim_loss
+
+C1, C2, C3 = 1e-4, 9e-4, 4.5e-4
+
+
+def smooth_pair(shape, seed=0):
+    """A prediction near a target, both in 0..1: float32 (N, 1, H, W)."""
+    rng = np.random.default_rng(seed)
+    target = rng.random(shape, dtype=np.float32)
+    prediction = np.clip(target + 0.2 * rng.standard_normal(shape), 0, 1).astype(np.float32)
+    return torch.from_numpy(prediction), torch.from_numpy(target)
+
+
+def ssim_by_loops(a, b, valid, window=11):
+    """Mean of l * c * s, Eq. 3 with its three factors, over windows with a valid pixel."""
+    height, width = a.shape
+    values = []
+    for top in range(height - window + 1):
+        for left in range(width - window + 1):
+            xs, ys = [], []
+            for v in range(top, top + window):
+                for u in range(left, left + window):
+                    if valid[v, u]:
+                        xs.append(float(a[v, u]))
+                        ys.append(float(b[v, u]))
+            if not xs:
+                continue
+            n = len(xs)
+            mean_x, mean_y = sum(xs) / n, sum(ys) / n
+            var_x = sum((x - mean_x) ** 2 for x in xs) / n
+            var_y = sum((y - mean_y) ** 2 for y in ys) / n
+            covariance = sum((x - mean_x) * (y - mean_y) for x, y in zip(xs, ys, strict=True)) / n
+            luminance = (2 * mean_x * mean_y + C1) / (mean_x**2 + mean_y**2 + C1)
+            contrast = (2 * (var_x * var_y) ** 0.5 + C2) / (var_x + var_y + C2)
+            structure = (covariance + C3) / ((var_x * var_y) ** 0.5 + C3)
+            values.append(luminance * contrast * structure)
+    return sum(values) / len(values)
+
+
+def test_ssim_equals_scikit_image():
+    prediction, target = smooth_pair((1, 1, 24, 30))
+    ours, known = ssim(prediction, target, torch.ones_like(target, dtype=torch.bool))
+    _, theirs = structural_similarity(
+        prediction[0, 0].numpy(),
+        target[0, 0].numpy(),
+        win_size=11,
+        gaussian_weights=False,
+        use_sample_covariance=False,
+        data_range=1.0,
+        K1=0.01,
+        K2=0.03,
+        full=True,
+    )
+    assert known.all()
+    np.testing.assert_allclose(ours[0, 0], theirs[5:-5, 5:-5], atol=2e-5)
+
+
+def test_ssim_loss_equals_loops_with_holes():
+    prediction, target = smooth_pair((2, 1, 15, 18), seed=1)
+    valid = torch.from_numpy(np.random.default_rng(2).random((2, 1, 15, 18)) < 0.1)
+    valid[1, :, :, :14] = False  # windows without any ground truth
+    expected = np.mean(
+        [1 - ssim_by_loops(prediction[n, 0], target[n, 0], valid[n, 0]) for n in range(2)]
+    )
+    assert ssim_loss(prediction, target, valid).item() == pytest.approx(expected, abs=2e-5)
+
+
+def test_ssim_of_equal_maps_is_one_and_loss_zero():
+    _, target = smooth_pair((1, 1, 12, 12))
+    assert ssim_loss(target, target, target >= 0).item() == pytest.approx(0, abs=1e-6)
+
+
+def test_ssim_window_shrinks_to_a_small_map():
+    prediction, target = smooth_pair((1, 1, 8, 26))
+    values, _ = ssim(prediction, target, torch.ones_like(target, dtype=torch.bool))
+    assert values.shape == (1, 1, 1, 16)
+
+
+def test_flat_surfaces_have_a_finite_ssim_gradient():
+    prediction = torch.full((1, 1, 12, 12), 0.3, requires_grad=True)
+    ssim_loss(prediction, torch.full((1, 1, 12, 12), 0.5), torch.ones(1, 1, 12, 12) > 0).backward()
+    assert prediction.grad.isfinite().all()
+    assert prediction.grad.abs().sum() > 0
+
+
+def test_box_mean_gradient_by_finite_differences():
+    x = torch.rand(1, 2, 7, 6, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda t: _BoxMean.apply(t, (3, 4)), (x,))
+
+
+def test_normalise_depth_keeps_only_measurements():
+    depth = torch.tensor([0.0, -1.0, 50.0, 100.0, 100.5, float("nan"), float("inf")])
+    normalised, valid = normalise_depth(depth.view(1, 1, 1, 7), 100.0)
+    assert valid.flatten().tolist() == [False, False, True, True, False, False, False]
+    assert normalised.flatten().tolist() == [0, 0, 0.5, 1.0, 0, 0, 0]
+
+
+def test_depth_at_scale_is_the_mean_of_valid_pixels():
+    rng = np.random.default_rng(3)
+    valid = rng.random((13, 21)) < 0.3
+    target = np.where(valid, rng.random((13, 21)), 0).astype(np.float32)
+    valid[:4, :4] = False
+    target[:4, :4] = 0
+    ours, known = depth_at_scale(
+        torch.from_numpy(target)[None, None], torch.from_numpy(valid)[None, None], (4, 6)
+    )
+    for v in range(4):
+        for u in range(6):
+            block = target[4 * v : 4 * v + 4, 4 * u : 4 * u + 4]
+            block_valid = valid[4 * v : 4 * v + 4, 4 * u : 4 * u + 4]
+            assert known[0, 0, v, u] == block_valid.any()
+            expected = block[block_valid].mean() if block_valid.any() else 0.0
+            assert ours[0, 0, v, u] == pytest.approx(expected, abs=1e-6)
+    assert not known[0, 0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("size", "grid", "side"),
+    [
+        ((125, 414), (125, 414), 1),
+        ((125, 414), (63, 207), 2),
+        ((125, 414), (8, 26), 16),
+        ((33, 33), (8, 8), 8),  # a network that pads 33 to 64
+        ((320, 448), (80, 112), 4),
+    ],
+)
+def test_block_side_of_a_grid(size, grid, side):
+    blocks, found = split_into_blocks(torch.ones(1, 1, *size), grid)
+    assert found == side
+    assert blocks.shape[-2:] == (grid[0] * side, grid[1] * side)
+    assert blocks.sum() == size[0] * size[1]
+
+
+def test_masked_mean_counts_samples_alike():
+    values = torch.tensor([[1.0, 1.0, 1.0, 1.0], [5.0, 9.0, 9.0, 9.0], [7.0, 7.0, 7.0, 7.0]])
+    mask = torch.tensor([[1, 1, 1, 1], [1, 0, 0, 0], [0, 0, 0, 0]], dtype=torch.bool)
+    assert masked_mean(values.view(3, 1, 2, 2), mask.view(3, 1, 2, 2)).item() == 3.0
+
+
+def test_paper_depth_loss_by_hand():
+    # Errors 0.1 and 0.3 on the two valid pixels; the third would be 0.9.
+    prediction = torch.tensor([0.6, 0.2, 0.9]).view(1, 1, 1, 3)
+    target = torch.tensor([0.5, 0.5, 0.0]).view(1, 1, 1, 3)
+    loss = paper_depth_loss(prediction, target, target > 0, l1=0.4, l2=0.4, ssim=0.0)
+    assert loss.item() == pytest.approx(0.4 * 0.2 + 0.4 * (0.01 + 0.09) / 2, abs=1e-6)
+    with_ssim = paper_depth_loss(prediction, target, target > 0, l1=0.4, l2=0.4, ssim=0.2)
+    expected = 0.2 * ssim_loss(prediction, target, target > 0).item()
+    assert (with_ssim - loss).item() == pytest.approx(expected, abs=1e-6)
+    assert expected > 1e-3
+
+
+def test_metric_depth_loss_by_hand():
+    prediction = torch.tensor([0.6, 0.2, 0.9]).view(1, 1, 1, 3)
+    target = torch.tensor([0.5, 0.5, 0.0]).view(1, 1, 1, 3)
+    loss = metric_depth_loss(prediction, target, target > 0, max_depth_m=100.0, l2=0.02)
+    assert loss.item() == pytest.approx((10 + 30) / 2 + 0.02 * (100 + 900) / 2, rel=1e-5)
+
+
+def test_scales_count_alike():
+    target = torch.full((1, 1, 4, 4), 0.5)
+    predictions = (torch.full((1, 1, 4, 4), 0.6), torch.full((1, 1, 2, 2), 0.8))
+
+    def l1(prediction, target, valid):
+        return masked_mean((prediction - target).abs(), valid)
+
+    loss = multi_scale_depth_loss(predictions, target, target > 0, l1)
+    assert loss.item() == pytest.approx((0.1 + 0.3) / 2, abs=1e-6)
+
+
+def test_without_ground_truth_loss_and_gradient_are_exactly_zero():
+    logits = torch.randn(2, 1, 16, 16, requires_grad=True)
+    coarse = torch.randn(2, 1, 8, 8, requires_grad=True)
+    target = torch.zeros(2, 1, 16, 16)
+
+    def criterion(prediction, target, valid):
+        return paper_depth_loss(prediction, target, valid, l1=0.4, l2=0.4, ssim=0.2)
+
+    predictions = (torch.sigmoid(logits), torch.sigmoid(coarse))
+    loss = multi_scale_depth_loss(predictions, target, target > 0, criterion)
+    loss.backward()
+    assert loss.item() == 0.0
+    assert logits.grad.abs().max() == 0.0
+    assert coarse.grad.abs().max() == 0.0

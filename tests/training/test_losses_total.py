@@ -1,0 +1,241 @@
+"""Eq. 12: which terms there are, how they add up, and what masked targets do."""
+
+import pytest
+import torch
+
+from models import SSDNetOutput
+from training.losses import LossConfig, SSDNetLoss, class_weights
+from training.losses.boundary import balanced_cross_entropy, boundary_target
+from training.losses.depth import depth_at_scale, normalise_depth, paper_depth_loss
+from training.losses.joint import (
+    hard_disagreement,
+    semantic_boundary_loss,
+    semantic_depth_loss,
+    soft_disagreement,
+)
+from training.losses.semantic import weighted_cross_entropy
+
+ALL_OFF = {
+    "depth_weight": 0.0,
+    "semantic_weight": 0.0,
+    "boundary_weight": 0.0,
+    "semantic_boundary_weight": 0.0,
+    "semantic_depth_weight": 0.0,
+}
+
+
+def leaves(count=2, size=(16, 24), classes=5, seed=0, dtype=torch.float32):
+    """What a network computes before its last functions, to look at gradients."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def leaf(*shape):
+        return torch.randn(*shape, generator=generator).to(dtype).requires_grad_()
+
+    height, width = size
+    return {
+        "semantic": leaf(count, classes, height, width),
+        "depth": leaf(count, 1, height, width),
+        "coarse_depth": leaf(count, 1, height // 8, width // 8),
+        "boundary": leaf(count, 1, height, width),
+        "side": leaf(count, 1, height // 4, width // 4),
+    }
+
+
+def answer(parts):
+    return SSDNetOutput(
+        semantic_logits=parts["semantic"],
+        depths=(torch.sigmoid(parts["depth"]), torch.sigmoid(parts["coarse_depth"])),
+        boundary_logits=parts["boundary"],
+        side_boundary_logits=(parts["side"],),
+    )
+
+
+def targets(count=2, size=(16, 24), classes=5, seed=1):
+    generator = torch.Generator().manual_seed(seed)
+    # Labels in squares of 4, so that some pixels are boundary and some are not.
+    semantic = torch.randint(0, classes, (count, size[0] // 4, size[1] // 4), generator=generator)
+    semantic = semantic.repeat_interleave(4, dim=1).repeat_interleave(4, dim=2)
+    depth = 100 * torch.rand(count, 1, *size, generator=generator)
+    depth[torch.rand(count, 1, *size, generator=generator) < 0.5] = 0
+    return semantic, depth
+
+
+def test_total_is_the_weighted_sum_of_the_families():
+    parts = leaves()
+    semantic, depth = targets()
+    weights = class_weights(torch.tensor([50, 40, 30, 20, 10]))
+    sample_weight = torch.tensor([1.0, 0.2])
+    config = LossConfig(
+        depth_weight=0.5,
+        semantic_weight=2.0,
+        boundary_weight=3.0,
+        semantic_boundary_weight=0.7,
+        semantic_depth_weight=0.3,
+        side_boundary_weight=1.1,
+        joint_depth_scale=20.0,
+    )
+    terms = SSDNetLoss(config, weights, max_depth_m=100.0)(
+        answer(parts), semantic, depth, semantic_weight=sample_weight
+    )
+    log_p = torch.log_softmax(parts["semantic"], dim=1)
+    maps = soft_disagreement(log_p.exp())
+    target, valid = boundary_target(semantic)
+    coarse = (
+        target.float().reshape(2, 1, 4, 4, 6, 4).amax(dim=(3, 5)) > 0,
+        torch.ones(2, 1, 4, 6, dtype=torch.bool),
+    )
+    normalised = normalise_depth(depth, 100.0)
+    of_depth = [
+        paper_depth_loss(
+            torch.sigmoid(parts[name]),
+            *depth_at_scale(*normalised, tuple(parts[name].shape[-2:])),
+            l1=0.4,
+            l2=0.4,
+            ssim=0.2,
+        )
+        for name in ("depth", "coarse_depth")
+    ]
+    expected = {
+        "depth": sum(of_depth) / 2,
+        "semantic": weighted_cross_entropy(log_p, semantic, weights, sample_weight),
+        "boundary": balanced_cross_entropy(
+            parts["boundary"], target, valid, sample_weight=sample_weight
+        ),
+        "side_boundary": balanced_cross_entropy(
+            parts["side"], *coarse, sample_weight=sample_weight
+        ),
+        "semantic_boundary": semantic_boundary_loss(maps, torch.sigmoid(parts["boundary"])),
+        "semantic_depth": semantic_depth_loss(
+            maps, torch.sigmoid(parts["depth"]), depth_scale=20.0
+        ),
+    }
+    assert set(terms) == {*expected, "total"}
+    for name, value in expected.items():
+        assert terms[name].item() == pytest.approx(value.item(), rel=1e-5), name
+        assert value.item() > 1e-3
+    total = sum(getattr(config, f"{name}_weight") * value for name, value in expected.items())
+    assert terms["total"].item() == pytest.approx(total.item(), rel=1e-5)
+
+
+def test_literal_forms_of_the_paper():
+    parts = leaves()
+    config = LossConfig(class_weighting="paper", disagreement="hard", boundary_beta="image")
+    terms = SSDNetLoss(config, max_depth_m=100.0)(answer(parts), *targets())
+    maps = hard_disagreement(parts["semantic"].argmax(dim=1))
+    expected = semantic_boundary_loss(maps, torch.sigmoid(parts["boundary"]))
+    assert terms["semantic_boundary"].item() == pytest.approx(expected.item(), rel=1e-5)
+
+
+@pytest.mark.parametrize(("form", "reaches"), [("soft", True), ("hard", False)])
+def test_joint_gradient_to_the_semantic_head(form, reaches):
+    parts = leaves()
+    config = LossConfig(**{**ALL_OFF, "semantic_boundary_weight": 1.0}, disagreement=form)
+    terms = SSDNetLoss(config, max_depth_m=100.0)(answer(parts), *targets())
+    assert set(terms) == {"semantic_boundary", "total"}
+    terms["total"].backward()
+    gradient = parts["semantic"].grad
+    assert (gradient is not None and bool(gradient.abs().sum() > 0)) == reaches
+    assert parts["boundary"].grad.abs().sum() > 0
+
+
+@pytest.mark.parametrize("depth_form", ["paper", "metric"])
+def test_samples_without_targets_get_no_gradient(depth_form):
+    semantic, depth = targets()
+    semantic[0], depth[1] = 255, 0  # sample 0 lacks labels, sample 1 lacks depth
+    parts = leaves()
+    config = LossConfig(
+        depth_form=depth_form,
+        semantic_boundary_weight=0.0,
+        semantic_depth_weight=0.0,
+        side_boundary_weight=1.0,
+    )
+    SSDNetLoss(config, max_depth_m=100.0)(answer(parts), semantic, depth)["total"].backward()
+    for name, part in parts.items():
+        assert part.grad.isfinite().all()
+        empty = 1 if "depth" in name else 0
+        assert part.grad[empty].abs().max() == 0, name
+        assert part.grad[1 - empty].abs().max() > 0, name
+
+
+def test_no_targets_at_all_is_zero_and_finite():
+    parts = leaves()
+    config = LossConfig(
+        semantic_boundary_weight=0.0, semantic_depth_weight=0.0, side_boundary_weight=1.0
+    )
+    semantic, depth = torch.full((2, 16, 24), 255), torch.zeros(2, 1, 16, 24)
+    terms = SSDNetLoss(config, max_depth_m=100.0)(answer(parts), semantic, depth)
+    terms["total"].backward()
+    assert all(term.item() == 0 for term in terms.values())
+    assert all(part.grad.abs().max() == 0 for part in parts.values())
+
+
+@pytest.mark.parametrize(
+    ("missing", "names"),
+    [
+        ("semantic_logits", {"depth", "boundary", "total"}),
+        ("depths", {"semantic", "boundary", "semantic_boundary", "total"}),
+    ],
+)
+def test_terms_of_absent_heads_are_left_out(missing, names):
+    output = answer(leaves())._replace(**{missing: None})
+    terms = SSDNetLoss(LossConfig(), max_depth_m=100.0)(output, *targets())
+    assert set(terms) == names
+    assert terms["total"].requires_grad
+
+
+def test_finest_scale_alone_leaves_the_coarse_ones_untrained():
+    parts = leaves()
+    config = LossConfig(depth_form="metric", depth_scales="finest")
+    SSDNetLoss(config, max_depth_m=100.0)(answer(parts), *targets())["total"].backward()
+    assert parts["coarse_depth"].grad is None
+    assert parts["depth"].grad.abs().sum() > 0
+
+
+def test_metric_form_is_in_metres_of_the_networks_range():
+    parts = leaves()
+    semantic, depth = targets()
+    depth = depth / 2
+    config = LossConfig(
+        **{**ALL_OFF, "depth_weight": 1.0}, depth_form="metric", depth_scales="finest"
+    )
+    terms = SSDNetLoss(config, max_depth_m=50.0)(answer(parts), semantic, depth)
+    means = []
+    for sample in range(2):
+        known = depth[sample] > 0
+        error = (50 * torch.sigmoid(parts["depth"][sample]) - depth[sample])[known]
+        means.append((error.abs() + 0.02 * error**2).mean().item())
+    assert terms["depth"].item() == pytest.approx(sum(means) / 2, rel=1e-5)
+
+
+def test_bf16_answers_are_scored_in_float32_under_autocast():
+    parts = leaves(dtype=torch.bfloat16)
+    semantic, depth = targets()
+    criterion = SSDNetLoss(LossConfig(side_boundary_weight=1.0), max_depth_m=100.0)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        output = answer(parts)
+        terms = criterion(output, semantic, depth)
+    exact = criterion(
+        SSDNetOutput(
+            output.semantic_logits.float(),
+            tuple(depth.float() for depth in output.depths),
+            output.boundary_logits.float(),
+            tuple(side.float() for side in output.side_boundary_logits),
+        ),
+        semantic,
+        depth,
+    )
+    for name, term in terms.items():
+        assert term.dtype == torch.float32
+        assert term.item() == pytest.approx(exact[name].item(), rel=1e-6), name
+    terms["total"].backward()
+    assert all(part.grad.isfinite().all() for part in parts.values())
+
+
+def test_wrong_sizes_and_configurations_are_refused():
+    semantic, depth = targets()
+    with pytest.raises(ValueError, match="expected one size"):
+        SSDNetLoss(LossConfig(), max_depth_m=100.0)(answer(leaves()), semantic[:, 1:], depth)
+    with pytest.raises(ValueError, match=r"loss\.metric_l2 = -1"):
+        LossConfig(metric_l2=-1.0)
+    with pytest.raises(ValueError, match="all weights"):
+        LossConfig(**ALL_OFF)

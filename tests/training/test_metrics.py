@@ -1,0 +1,206 @@
+"""Table 1's metrics against plain loops and cases by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from training.metrics import BoundaryScores, DepthScores, SemanticScores
+
+
+def test_semantic_metrics_by_hand():
+    #            label 0 0 0 0   1 1   2   ignored
+    scores = SemanticScores(5)
+    scores.update(
+        np.array([[0, 0, 0, 1, 1, 3, 2, 0]], dtype=np.uint8),
+        np.array([[0, 0, 0, 0, 1, 1, 2, 255]], dtype=np.uint8),
+    )
+    metrics = scores.compute()
+    # IoU: 3/4, 1/3, 1/1, 0/1 (class 3 only predicted); class 4 is nowhere and left out.
+    assert metrics.class_iou[:4] == pytest.approx((3 / 4, 1 / 3, 1.0, 0.0))
+    assert math.isnan(metrics.class_iou[4])
+    assert metrics.mean_iou == pytest.approx((3 / 4 + 1 / 3 + 1) / 4)
+    assert metrics.accuracy == pytest.approx(5 / 7)
+    assert metrics.mean_accuracy == pytest.approx((3 / 4 + 1 / 2 + 1) / 3)
+    assert metrics.frequency_weighted_iou == pytest.approx((4 * 3 / 4 + 2 / 3 + 1) / 7)
+
+
+def test_confusion_matrix_equals_loops_and_merges():
+    rng = np.random.default_rng(0)
+    frames = [
+        (
+            rng.integers(0, 4, (9, 11)).astype(np.uint8),
+            rng.choice([0, 1, 2, 3, 255], (9, 11)).astype(np.uint8),
+        )
+        for _ in range(3)
+    ]
+    expected = np.zeros((4, 4), dtype=np.int64)
+    for prediction, semantic in frames:
+        for v, u in np.ndindex(9, 11):
+            if semantic[v, u] != 255:
+                expected[semantic[v, u], prediction[v, u]] += 1
+    first, second = SemanticScores(4), SemanticScores(4)
+    first.update(*frames[0])
+    for frame in frames[1:]:
+        second.update(*frame)
+    first.merge(second)
+    np.testing.assert_array_equal(first.confusion, expected)
+
+
+def test_semantic_scores_of_nothing_are_nan():
+    scores = SemanticScores(3)
+    scores.update(np.zeros((2, 2), np.uint8), np.full((2, 2), 255, np.uint8))
+    metrics = scores.compute()
+    assert all(math.isnan(value) for value in (metrics.accuracy, metrics.mean_iou))
+    assert math.isnan(metrics.frequency_weighted_iou)
+
+
+def test_ids_that_are_no_class_are_refused():
+    zeros = np.zeros((2, 2), np.uint8)
+    with pytest.raises(ValueError, match=r"semantic holds class ids 3..3"):
+        SemanticScores(3).update(zeros, np.full((2, 2), 3, np.uint8))
+    with pytest.raises(ValueError, match=r"prediction holds class ids 7..7"):
+        SemanticScores(3).update(np.full((2, 2), 7, np.uint8), zeros)
+    with pytest.raises(ValueError, match="shapes differ"):
+        SemanticScores(3).update(zeros, np.zeros((2, 3), np.uint8))
+    with pytest.raises(ValueError, match="num_classes"):
+        SemanticScores(3).merge(SemanticScores(4))
+
+
+def test_depth_metrics_by_hand():
+    scores = DepthScores()
+    scores.update(
+        np.array([[12.0, 19.0, 44.0, 90.0, 5.0, 5.0]], dtype=np.float32),
+        np.array([[10.0, 20.0, 40.0, 80.0, 0.0, np.nan]], dtype=np.float32),
+    )
+    metrics = scores.compute()  # errors 2, 1, 4, 10
+    assert [(r.up_to_m, r.pixels) for r in metrics.ranges] == [(20.0, 2), (50.0, 3), (100.0, 4)]
+    assert [r.mae_m for r in metrics.ranges] == pytest.approx([1.5, 7 / 3, 17 / 4])
+    assert [r.rmse_m for r in metrics.ranges] == pytest.approx(
+        [math.sqrt(5 / 2), math.sqrt(21 / 3), math.sqrt(121 / 4)]
+    )
+    assert (metrics.pixels, metrics.mae_m) == (4, pytest.approx(17 / 4))
+    inverse = [1000 / 10 - 1000 / 12, 1000 / 19 - 1000 / 20, 1000 / 40 - 1000 / 44, 12.5 - 100 / 9]
+    assert metrics.imae_per_km == pytest.approx(sum(inverse) / 4)
+    assert metrics.irmse_per_km == pytest.approx(math.sqrt(sum(x * x for x in inverse) / 4))
+
+
+def test_depth_scores_accumulate_over_pixels_not_frames():
+    rng = np.random.default_rng(1)
+    frames = [(100 * rng.random((4, n)), 100 * rng.random((4, n))) for n in (3, 8, 20)]
+    merged = DepthScores()
+    for prediction, depth in frames:
+        one = DepthScores()
+        one.update(prediction, depth)
+        merged.merge(one)
+    error = np.concatenate([(prediction - depth).ravel() for prediction, depth in frames])
+    assert merged.compute().mae_m == pytest.approx(np.abs(error).mean())
+    assert merged.compute().rmse_m == pytest.approx(np.sqrt((error**2).mean()))
+    with pytest.raises(ValueError, match="up_to_m"):
+        merged.merge(DepthScores((10.0,)))
+
+
+def test_no_answer_is_scored_and_nan_is_refused():
+    scores = DepthScores()
+    scores.update(np.zeros((1, 1)), np.full((1, 1), 10.0))
+    metrics = scores.compute()
+    assert metrics.mae_m == 10.0
+    assert metrics.imae_per_km == pytest.approx(1000 / 0.1 - 1000 / 10)
+    with pytest.raises(ValueError, match="1 of 1 predicted depths are NaN"):
+        scores.update(np.full((1, 1), np.nan), np.ones((1, 1)))
+    assert math.isnan(DepthScores().compute().mae_m)
+
+
+def two_halves(edge, size=(6, 12)):
+    """A label map that changes at one column, which is its boundary."""
+    semantic = np.zeros(size, dtype=np.uint8)
+    semantic[:, edge:] = 1
+    return semantic
+
+
+@pytest.mark.parametrize(
+    ("column", "tolerance_px", "expected"), [(4, 0, 1.0), (6, 2, 1.0), (6, 1, 0.0), (7, 2, 0.0)]
+)
+def test_boundary_counts_within_the_tolerance(column, tolerance_px, expected):
+    probability = np.zeros((6, 12), dtype=np.float32)
+    probability[:, column] = 0.9
+    scores = BoundaryScores(tolerance_px=tolerance_px)
+    scores.update(probability, two_halves(4))
+    assert scores.compute().f_score == expected
+
+
+def test_boundary_precision_and_recall_by_hand():
+    probability = np.zeros((6, 12), dtype=np.float32)
+    probability[:2, 4] = 0.9  # 2 of 6 true pixels, and at tolerance 1 the third is found too
+    probability[0, 8:12] = 0.9  # 4 wrong ones
+    semantic = two_halves(4)
+    semantic[0, 11] = 255  # the last wrong one is unknown and left out
+    scores = BoundaryScores(tolerance_px=1)
+    scores.update(probability, semantic)
+    metrics = scores.compute()
+    assert metrics.precision == pytest.approx(2 / 5)
+    assert metrics.recall == pytest.approx(3 / 6)
+    assert metrics.f_score == pytest.approx(2 * 0.4 * 0.5 / 0.9)
+
+
+def boundary_by_loops(probability, semantic, threshold, tolerance):
+    height, width = semantic.shape
+    true, unknown = set(), set()
+    for v, u in np.ndindex(height, width):
+        before = [semantic[v, u - 1]] * (u > 0) + [semantic[v - 1, u]] * (v > 0)
+        here = semantic[v, u]
+        if here == 255:
+            unknown.add((v, u))
+        elif any(other not in (255, here) for other in before):
+            true.add((v, u))
+        elif 255 in before:
+            unknown.add((v, u))
+    predicted = {
+        (v, u)
+        for v, u in np.ndindex(height, width)
+        if probability[v, u] > threshold and (v, u) not in unknown
+    }
+
+    def share_near(these, those):
+        near = [any(math.dist(a, b) <= tolerance for b in those) for a in these]
+        return sum(near) / len(near)
+
+    return share_near(predicted, true), share_near(true, predicted)
+
+
+def test_boundary_scores_equal_loops():
+    rng = np.random.default_rng(2)
+    semantic = rng.choice([0, 1, 255], (5, 7)).repeat(3, axis=0).repeat(3, axis=1)
+    probability = rng.random(semantic.shape) ** 6
+    scores = BoundaryScores((0.4,), tolerance_px=2)
+    scores.update(probability, semantic)
+    metrics = scores.compute()
+    expected = boundary_by_loops(probability, semantic, 0.4, 2)
+    assert (metrics.precision, metrics.recall) == pytest.approx(expected)
+    assert 0 < metrics.precision < 1
+    assert 0 < metrics.recall < 1
+
+
+def test_best_threshold_over_the_set_and_merge():
+    truth = two_halves(4)
+    probability = np.full((6, 12), 0.4, dtype=np.float32)
+    probability[:, 4] = 0.8
+    total = BoundaryScores((0.3, 0.5, 0.9), tolerance_px=0)
+    for _ in range(2):
+        one = BoundaryScores((0.3, 0.5, 0.9), tolerance_px=0)
+        one.update(probability, truth)
+        total.merge(one)
+    assert total.compute().threshold == 0.5
+    assert total.compute().f_score == 1.0
+    with pytest.raises(ValueError, match="tolerance_px"):
+        total.merge(BoundaryScores((0.3, 0.5, 0.9), tolerance_px=1))
+
+
+def test_boundary_of_nothing():
+    flat = np.zeros((4, 4), dtype=np.uint8)
+    nothing = BoundaryScores()
+    nothing.update(np.zeros((4, 4)), flat)
+    assert math.isnan(nothing.compute().f_score)
+    false_alarm = BoundaryScores()
+    false_alarm.update(np.ones((4, 4)), flat)
+    assert false_alarm.compute().f_score == 0.0

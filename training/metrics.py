@@ -1,0 +1,266 @@
+"""The metrics of Table 1, KITTI's inverse-depth errors, and boundary precision and recall.
+
+Each `...Scores` accumulates over frames with `update`, takes in another's counts with `merge`, and
+`compute` says what all frames together come to. Everything is counted over pixels, not averaged
+over frames. A number that nothing was measured for is NaN.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torchmetrics.functional.classification import multiclass_confusion_matrix
+
+from training.losses.boundary import boundary_target
+from training.losses.semantic import IGNORE
+
+#: Predictions nearer than this are taken as this where depth is inverted [m].
+_NEAREST_M = 0.1
+
+
+@dataclass(frozen=True)
+class SemanticMetrics:
+    """Table 1, shares 0..1."""
+
+    accuracy: float
+    mean_accuracy: float
+    mean_iou: float
+    frequency_weighted_iou: float
+    #: IoU by class id; NaN for a class neither labelled nor predicted.
+    class_iou: tuple[float, ...]
+
+
+class SemanticScores:
+    """Acc, mAcc, mIoU and fwIoU from one confusion matrix.
+
+    A class that is neither in the ground truth nor predicted is left out of mIoU; one that is
+    predicted only counts with IoU 0. mAcc is over the classes in the ground truth.
+    """
+
+    def __init__(self, num_classes: int) -> None:
+        self.num_classes = num_classes
+        #: int64 (C, C): pixels by label (row) and prediction (column).
+        self.confusion: NDArray[np.int64] = np.zeros((num_classes, num_classes), dtype=np.int64)
+
+    def update(self, prediction: NDArray[np.integer], semantic: NDArray[np.integer]) -> None:
+        """Count a frame: class ids of any integer type (H, W); 255 in `semantic` = ignore.
+
+        Raises ValueError if the shapes differ or an id is not a class.
+        """
+        _require_same_shape(prediction=prediction, semantic=semantic)
+        known = semantic != IGNORE
+        for name, ids in (("prediction", prediction[known]), ("semantic", semantic[known])):
+            if ids.size and not (ids.min() >= 0 and ids.max() < self.num_classes):
+                raise ValueError(
+                    f"{name} holds class ids {ids.min()}..{ids.max()}, expected 0.."
+                    f"{self.num_classes - 1}"
+                )
+        counts = multiclass_confusion_matrix(
+            torch.from_numpy(prediction[known].astype(np.int64)),
+            torch.from_numpy(semantic[known].astype(np.int64)),
+            num_classes=self.num_classes,
+            validate_args=False,
+        )
+        self.confusion += counts.numpy()
+
+    def merge(self, other: "SemanticScores") -> None:
+        """Add another's counts. Raises ValueError for another number of classes."""
+        _require_equal("num_classes", self.num_classes, other.num_classes)
+        self.confusion += other.confusion
+
+    def compute(self) -> SemanticMetrics:
+        """Return the metrics of all frames so far."""
+        hit = np.diag(self.confusion).astype(np.float64)
+        labelled = self.confusion.sum(axis=1)
+        union = labelled + self.confusion.sum(axis=0) - hit
+        iou = _ratio(hit, union)
+        in_truth = labelled > 0
+        return SemanticMetrics(
+            accuracy=float(_ratio(hit.sum(), labelled.sum())),
+            mean_accuracy=_mean(_ratio(hit, labelled)[in_truth]),
+            mean_iou=_mean(iou[union > 0]),
+            frequency_weighted_iou=float(_ratio((labelled * iou)[in_truth].sum(), labelled.sum())),
+            class_iou=tuple(iou.tolist()),
+        )
+
+
+@dataclass(frozen=True)
+class DepthRangeMetrics:
+    """Errors over the pixels whose true depth lies in (0, `up_to_m`]."""
+
+    up_to_m: float
+    pixels: int
+    mae_m: float
+    rmse_m: float
+
+
+@dataclass(frozen=True)
+class DepthMetrics:
+    """Errors of depth over all measured pixels, and over Table 1's ranges."""
+
+    pixels: int
+    mae_m: float
+    rmse_m: float
+    #: Errors of inverse depth, as KITTI scores depth completion.
+    imae_per_km: float
+    irmse_per_km: float
+    ranges: tuple[DepthRangeMetrics, ...]
+
+
+class DepthScores:
+    """MAE and RMSE over all pixels and within ranges of true depth, iMAE and iRMSE in 1/km."""
+
+    def __init__(self, up_to_m: Sequence[float] = (20.0, 50.0, 100.0)) -> None:
+        self.up_to_m = tuple(up_to_m)
+        # Rows: each range, then all pixels. Columns: pixels, sum |e|, sum e^2.
+        self._sums = np.zeros((len(self.up_to_m) + 1, 3))
+        self._inverse_sums = np.zeros(2)
+
+    def update(self, prediction: NDArray[np.floating], depth: NDArray[np.floating]) -> None:
+        """Count a frame: float (H, W) [m]; 0, negative or not finite in `depth` = no truth.
+
+        A prediction of 0 ("no answer") is scored as the number it is; where depth is inverted
+        what is nearer than 0.1 m is taken as 0.1 m. Raises ValueError if the shapes differ or a
+        prediction is not finite where there is truth.
+        """
+        _require_same_shape(prediction=prediction, depth=depth)
+        known = np.isfinite(depth) & (depth > 0)
+        truth = depth[known].astype(np.float64)
+        answer = prediction[known].astype(np.float64)
+        if not np.isfinite(answer).all():
+            raise ValueError(
+                f"{int((~np.isfinite(answer)).sum())} of {answer.size} predicted depths are NaN or "
+                "infinite where there is ground truth; expected metres"
+            )
+        error = np.abs(answer - truth)
+        for row, limit in enumerate((*self.up_to_m, np.inf)):
+            within = error[truth <= limit]
+            self._sums[row] += within.size, within.sum(), np.square(within).sum()
+        inverse_error = 1000 * np.abs(1 / np.maximum(answer, _NEAREST_M) - 1 / truth)
+        self._inverse_sums += inverse_error.sum(), np.square(inverse_error).sum()
+
+    def merge(self, other: "DepthScores") -> None:
+        """Add another's sums. Raises ValueError for other ranges."""
+        _require_equal("up_to_m", self.up_to_m, other.up_to_m)
+        self._sums += other._sums
+        self._inverse_sums += other._inverse_sums
+
+    def compute(self) -> DepthMetrics:
+        """Return the metrics of all frames so far."""
+        pixels = self._sums[:, 0]
+        mae = _ratio(self._sums[:, 1], pixels)
+        rmse = np.sqrt(_ratio(self._sums[:, 2], pixels))
+        imae, inverse_square = _ratio(self._inverse_sums, pixels[-1])
+        ranges = tuple(
+            DepthRangeMetrics(limit, int(pixels[row]), float(mae[row]), float(rmse[row]))
+            for row, limit in enumerate(self.up_to_m)
+        )
+        return DepthMetrics(
+            pixels=int(pixels[-1]),
+            mae_m=float(mae[-1]),
+            rmse_m=float(rmse[-1]),
+            imae_per_km=float(imae),
+            irmse_per_km=float(np.sqrt(inverse_square)),
+            ranges=ranges,
+        )
+
+
+@dataclass(frozen=True)
+class BoundaryMetrics:
+    """Precision, recall and their harmonic mean at one threshold, shares 0..1."""
+
+    threshold: float
+    precision: float
+    recall: float
+    f_score: float
+
+
+class BoundaryScores:
+    """Boundary precision, recall and F-score at a pixel tolerance.
+
+    Predicted boundary is where the probability exceeds a threshold; true boundary where the label
+    changes, see `training.losses.boundary.boundary_target`. A predicted pixel is right if a true
+    one lies within `tolerance_px` of it (Euclidean), a true one is found if a predicted one does;
+    that is dilation, not one-to-one matching. Predictions are not thinned: a line that is thick,
+    but within the tolerance of the truth, is right. Pixels whose truth is unknown are left out.
+    With several thresholds `compute` gives the one of the best F-score over the whole set (ODS).
+    """
+
+    def __init__(self, thresholds: Sequence[float] = (0.5,), *, tolerance_px: int = 2) -> None:
+        self.thresholds = tuple(thresholds)
+        self.tolerance_px = tolerance_px
+        # A row a threshold: predicted, right, true, found pixels.
+        self._counts = np.zeros((len(self.thresholds), 4), dtype=np.int64)
+
+    def update(self, probability: NDArray[np.floating], semantic: NDArray[np.integer]) -> None:
+        """Count a frame: float (H, W) in 0..1 against class ids (H, W), 255 = ignore.
+
+        Raises ValueError if the shapes differ.
+        """
+        _require_same_shape(probability=probability, semantic=semantic)
+        target, valid = boundary_target(torch.from_numpy(semantic.astype(np.int64))[None])
+        known = valid[0, 0].numpy()
+        true = target[0, 0].numpy() & known
+        near_true = self._dilate(true)
+        for row, threshold in enumerate(self.thresholds):
+            predicted = (probability > threshold) & known
+            self._counts[row] += (
+                np.count_nonzero(predicted),
+                np.count_nonzero(predicted & near_true),
+                np.count_nonzero(true),
+                np.count_nonzero(true & self._dilate(predicted)),
+            )
+
+    def merge(self, other: "BoundaryScores") -> None:
+        """Add another's counts. Raises ValueError for other thresholds or another tolerance."""
+        _require_equal("thresholds", self.thresholds, other.thresholds)
+        _require_equal("tolerance_px", self.tolerance_px, other.tolerance_px)
+        self._counts += other._counts
+
+    def compute(self) -> BoundaryMetrics:
+        """Return the metrics of all frames so far at the best threshold.
+
+        Precision is NaN where nothing was predicted, recall where nothing was to be found; the
+        F-score is then 0, or NaN if both are missing.
+        """
+        metrics = []
+        for threshold, (predicted, right, true, found) in zip(
+            self.thresholds, self._counts.tolist(), strict=True
+        ):
+            precision = right / predicted if predicted else float("nan")
+            recall = found / true if true else float("nan")
+            f_score = 2 * precision * recall / (precision + recall) if right and found else 0.0
+            if not (predicted or true):
+                f_score = float("nan")
+            metrics.append(BoundaryMetrics(threshold, precision, recall, f_score))
+        return max(metrics, key=lambda item: item.f_score)
+
+    def _dilate(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        reach = np.arange(-self.tolerance_px, self.tolerance_px + 1)
+        disk = (reach[:, None] ** 2 + reach[None, :] ** 2 <= self.tolerance_px**2).astype(np.uint8)
+        return cv2.dilate(mask.astype(np.uint8), disk) > 0
+
+
+def _ratio(numerator: NDArray[np.floating], denominator: NDArray[np.number]) -> NDArray[np.float64]:
+    """Divide; 0 / 0 is NaN without a warning."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.true_divide(numerator, denominator), dtype=np.float64)
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    return float(values.mean()) if values.size else float("nan")
+
+
+def _require_same_shape(**arrays: NDArray[np.generic]) -> None:
+    shapes = {name: array.shape for name, array in arrays.items()}
+    if len(set(shapes.values())) > 1:
+        text = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise ValueError(f"shapes differ: {text}; expected one (height, width)")
+
+
+def _require_equal(name: str, ours: object, theirs: object) -> None:
+    if ours != theirs:
+        raise ValueError(f"cannot merge scores of another {name}: {ours} and {theirs}")

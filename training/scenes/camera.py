@@ -1,0 +1,61 @@
+"""Pinhole cameras of driving recordings, and where they are."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from training.scenes.arrays import Floats
+
+CameraName = Literal["kitti", "camvid"]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera fixed to the ego car: focal lengths and principal point in pixels.
+
+    mount_height_m: above the road. pitch_deg: tilt, up is positive.
+    """
+
+    size: tuple[int, int]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    mount_height_m: float
+    pitch_deg: float = 0.0
+
+    @property
+    def intrinsics(self) -> Floats:
+        """Camera matrix K (3, 3)."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
+
+    def rays(self, columns: Floats, rows: Floats) -> Floats:
+        """Directions (..., 3) in the camera frame (x right, y down, z = 1) through pixels."""
+        x, y = (columns - self.cx) / self.fx, (rows - self.cy) / self.fy
+        return np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32)
+
+
+def make_camera(name: CameraName, size: tuple[int, int]) -> Camera:
+    """A camera with the field of view of KITTI's or CamVid's, at any (height, width)."""
+    height, width = size
+    if name == "kitti":
+        # KITTI 2011_09_26, camera 2: 1242 x 375 pixels, focal length 721.54.
+        scale = width / 1242.0
+        return Camera(
+            size, 721.54 * scale, 721.54 * scale, 609.56 * scale, height * 172.85 / 375.0, 1.65
+        )
+    # CamVid publishes no calibration; half a view of 26 degrees fits its pictures.
+    focal = 500.0 * width / 480.0
+    return Camera(size, focal, focal, width / 2, height * 0.5, 1.35, -0.5)
+
+
+def look_along(heading: float, pitch: float, roll: float) -> Floats:
+    """Rotation (3, 3) from camera (x right, y down, z forward) to world (x, y, z up); rad."""
+    forward = np.array(
+        [np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), np.sin(pitch)]
+    )
+    right = np.array([np.sin(heading), -np.cos(heading), 0.0])
+    down = np.cross(forward, right)
+    c, s = np.cos(roll), np.sin(roll)
+    return np.stack([c * right + s * down, -s * right + c * down, forward], axis=1)

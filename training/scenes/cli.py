@@ -1,0 +1,124 @@
+"""`ssdnet-render`: render driving scenes into the Virtual KITTI 2 layout."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import typer
+
+app = typer.Typer(add_completion=False)
+
+_LONGEST_S = 16.0
+T = TypeVar("T")
+
+
+@app.command()
+def render(
+    out: Annotated[Path, typer.Argument(help="Folder for the scenes.")],
+    scenes: Annotated[int, typer.Option(min=1, help="Number of scenes.")] = 10,
+    frames: Annotated[int, typer.Option(min=1, help="Frames a scene and variant.")] = 4,
+    variants: Annotated[
+        str, typer.Option(help="Of clone,morning,sunset,overcast,fog,rain; comma-separated.")
+    ] = "clone,morning,sunset,overcast,fog,rain",
+    every_variant: Annotated[
+        bool, typer.Option(help="Each scene in each variant, not one after the other.")
+    ] = False,
+    size: Annotated[str, typer.Option(help="HEIGHTxWIDTH in pixels.")] = "375x1242",
+    camera: Annotated[str, typer.Option(help="Field of view: kitti or camvid.")] = "kitti",
+    street: Annotated[
+        str, typer.Option(help="town, residential, avenue, highway, square; empty: drawn.")
+    ] = "",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first scene.")] = 0,
+    fps: Annotated[float, typer.Option(min=0.1, help="Frames a second of the stream.")] = 10.0,
+    stride: Annotated[int, typer.Option(min=1, help="Keep every n-th frame of it.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    overwrite: Annotated[bool, typer.Option(help="Replace scenes that exist.")] = False,
+) -> None:
+    """Render streets: RGB, depth and classes of every frame."""
+    from runtime.errors import SSDNetError
+    from training.scenes.camera import CameraName
+    from training.scenes.scene_job import SceneJob
+    from training.scenes.street import STREET_KINDS, StreetKind
+    from training.scenes.weather import VARIANTS, Variant
+
+    cameras: dict[str, CameraName] = {"kitti": "kitti", "camvid": "camvid"}
+    kinds: dict[str, StreetKind] = {kind: kind for kind in STREET_KINDS}
+    known: dict[str, Variant] = {variant: variant for variant in VARIANTS}
+    wanted = _split(variants, known, "--variants")
+    step_s = stride / fps
+    if (frames - 1) * step_s > _LONGEST_S:
+        raise typer.BadParameter(
+            f"a street lasts {_LONGEST_S:.0f} s, not {(frames - 1) * step_s:.1f}; "
+            "ask for fewer frames or a smaller stride",
+            param_hint="--frames",
+        )
+    jobs = [
+        SceneJob(
+            root=out,
+            seed=seed + index,
+            variants=wanted if every_variant else (wanted[index % len(wanted)],),
+            frames=frames,
+            step_s=step_s,
+            camera=_split(camera, cameras, "--camera")[0],
+            size=_parse_size(size),
+            kind=_split(street, kinds, "--street")[0] if street else None,
+            overwrite=overwrite,
+        )
+        for index in range(scenes)
+    ]
+    try:
+        total = _run(jobs, workers)
+    except SSDNetError as error:
+        typer.echo(f"error: {error}", err=True)
+        raise typer.Exit(1) from error
+    typer.echo(f"{total} frames of {scenes} scenes in {out}")
+
+
+def _split(text: str, known: "dict[str, T]", option: str) -> "tuple[T, ...]":
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    unknown = [name for name in names if name not in known]
+    if unknown or not names:
+        raise typer.BadParameter(
+            f"{', '.join(unknown) or 'nothing'} is not among {', '.join(known)}", param_hint=option
+        )
+    return tuple(known[name] for name in names)
+
+
+def _parse_size(text: str) -> tuple[int, int]:
+    height, _, width = text.partition("x")
+    if not (height.isdigit() and width.isdigit() and int(height) >= 32 and int(width) >= 32):
+        raise typer.BadParameter(
+            f"{text!r} is not HEIGHTxWIDTH of 32 pixels or more", param_hint="--size"
+        )
+    return int(height), int(width)
+
+
+def _run(jobs: list, workers: int) -> int:  # type: ignore[type-arg]
+    from multiprocessing import get_context
+
+    from tqdm import tqdm
+
+    from training.scenes.scene_job import run_job
+
+    bar = tqdm(total=len(jobs), unit="scene", disable=not sys.stderr.isatty(), file=sys.stderr)
+    total = 0
+    with bar:
+        if workers == 1:
+            for job in jobs:
+                total += run_job(job)
+                bar.update()
+            return total
+        with get_context("spawn").Pool(workers) as pool:
+            for done in pool.imap_unordered(run_job, jobs):
+                total += done
+                bar.update()
+    return total
+
+
+def main() -> None:
+    """Entry point of `ssdnet-render`."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

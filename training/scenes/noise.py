@@ -1,0 +1,68 @@
+"""Seeded lattice noise and hashes: the raw material of every procedural texture."""
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from training.scenes.arrays import Floats
+
+_TABLE = 256
+_ROW = 1024
+
+
+@lru_cache(maxsize=1)
+def _table() -> Floats:
+    table = np.random.default_rng(20240521).uniform(-1, 1, (_TABLE, _TABLE)).astype(np.float32)
+    # One repeated row and column let bilinear reading wrap around.
+    return np.pad(table, ((0, 2), (0, 2)), mode="wrap")
+
+
+def value_noise(u: Floats, v: Floats) -> Floats:
+    """Smooth noise in -1..1 with unit lattice, at points u, v of any equal shape."""
+    n = u.size
+    rows = -(-n // _ROW)
+    x = np.zeros(rows * _ROW, dtype=np.float32)
+    y = np.zeros(rows * _ROW, dtype=np.float32)
+    x[:n] = u.ravel()
+    y[:n] = v.ravel()
+    np.mod(x, _TABLE, out=x)
+    np.mod(y, _TABLE, out=y)
+    out = cv2.remap(
+        _table(), x.reshape(rows, _ROW), y.reshape(rows, _ROW), interpolation=cv2.INTER_LINEAR
+    )
+    return out.reshape(-1)[:n].reshape(u.shape)
+
+
+def fractal_noise(
+    u: Floats, v: Floats, *, wavelength: float, octaves: int, footprint: Floats | None = None
+) -> Floats:
+    """Sum of octaves of `value_noise`, about -1..1.
+
+    wavelength: metres of the coarsest octave. footprint: metres a pixel covers; octaves finer
+    than it fade out, which is what keeps distant textures from sparkling.
+    """
+    total = np.zeros(u.shape, dtype=np.float32)
+    amplitude, size = 0.55, wavelength
+    for octave in range(octaves):
+        layer = value_noise(u / np.float32(size) + 17.3 * octave, v / np.float32(size))
+        if footprint is not None:
+            layer *= np.clip(1.5 - 2.0 * footprint / size, 0.0, 1.0)
+        total += amplitude * layer
+        amplitude *= 0.6
+        size *= 0.47
+    return total
+
+
+def hash01(*keys: NDArray[np.int64] | int) -> Floats:
+    """Uniform 0..1 from integer keys, the same for the same keys."""
+    state = np.uint32(2166136261)
+    with np.errstate(over="ignore"):
+        for key in keys:
+            k = np.asarray(key).astype(np.int64).astype(np.uint32)
+            state = (state ^ k) * np.uint32(16777619)
+            state = state ^ (state >> np.uint32(13))
+            state = state * np.uint32(1274126177)
+            state = state ^ (state >> np.uint32(16))
+    return (state.astype(np.float64) / 4294967296.0).astype(np.float32)

@@ -1,0 +1,61 @@
+"""One scene rendered and written: the unit of work that is handed to a process."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from training.scenes.camera import CameraName, make_camera
+from training.scenes.render import RenderedFrame, render_frame
+from training.scenes.street import StreetKind, build_street
+from training.scenes.vkitti_writer import write_variant
+from training.scenes.weather import VARIANTS, Variant, draw_weather
+
+
+@dataclass(frozen=True)
+class SceneJob:
+    """What to render of one scene.
+
+    seed: of layout, weather, light and noise. step_s: seconds between two frames.
+    """
+
+    root: Path
+    seed: int
+    variants: tuple[Variant, ...]
+    frames: int
+    step_s: float
+    camera: CameraName
+    size: tuple[int, int]
+    kind: StreetKind | None = None
+    overwrite: bool = False
+
+    @property
+    def name(self) -> str:
+        """Folder name of the scene."""
+        return f"Scene{self.seed:02d}"
+
+
+def render_frames(job: SceneJob, variant: Variant) -> Iterator[RenderedFrame]:
+    """Frames of one variant; equal jobs give equal arrays."""
+    # CamVid's pictures come from Britain, KITTI's from Germany; some of each do the other thing.
+    left_hand = (job.seed % 10 != 0) if job.camera == "camvid" else (job.seed % 5 == 0)
+    street = build_street(job.seed, kind=job.kind, left_hand=left_hand)
+    camera = make_camera(job.camera, job.size)
+    weather = draw_weather(variant, job.seed)
+    sway = float(np.random.default_rng(np.random.SeedSequence([job.seed, 4])).uniform(0, 1000))
+    for number in range(job.frames):
+        key = [job.seed, 3, VARIANTS.index(variant), number]
+        rng = np.random.default_rng(np.random.SeedSequence(key))
+        yield render_frame(street, camera, weather, time=number * job.step_s, sway=sway, rng=rng)
+
+
+def run_job(job: SceneJob) -> int:
+    """Render and write all variants of a scene; returns the number of frames."""
+    cv2.setNumThreads(1)
+    for variant in job.variants:
+        write_variant(
+            job.root, job.name, variant, render_frames(job, variant), overwrite=job.overwrite
+        )
+    return job.frames * len(job.variants)

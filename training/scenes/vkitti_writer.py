@@ -1,0 +1,92 @@
+"""Rendered frames on disk in the folder layout of Virtual KITTI 2 (Cabon et al. 2020)."""
+
+import os
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import DatasetError
+from training.scenes.arrays import Floats
+from training.scenes.classes import CLASS_TABLE, class_colors
+from training.scenes.render import RenderedFrame
+
+_JPEG_QUALITY = 92
+_SKY = 65535
+_EXTRINSIC = " ".join(
+    [f"r{i},{j}" if j < 4 else f"t{i}" for i in (1, 2, 3) for j in (1, 2, 3, 4)] + ["0 0 0 1"]
+)
+
+
+def write_variant(
+    root: Path,
+    scene: str,
+    variant: str,
+    frames: Iterable[RenderedFrame],
+    *,
+    overwrite: bool = False,
+) -> Path:
+    """Write the frames of one variant of a scene; the folder appears when it is complete.
+
+    root/scene/variant gets frames/{rgb,depth,classSegmentation}/Camera_0, colors.txt,
+    intrinsic.txt and extrinsic.txt. Depth is uint16 centimetres, 65535 the sky; extrinsics map
+    world to camera. Raises DatasetError if the folder exists and `overwrite` is not given, or if
+    it cannot be written.
+    """
+    target = root / scene / variant
+    if target.exists() and not overwrite:
+        raise DatasetError(
+            f"{target} exists already. Choose another folder or seed, or allow overwriting."
+        )
+    partial = target.parent / f".{variant}.{os.getpid()}.partial"
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        folders = {
+            kind: partial / "frames" / kind / "Camera_0"
+            for kind in ("rgb", "depth", "classSegmentation")
+        }
+        for folder in folders.values():
+            folder.mkdir(parents=True)
+        intrinsic = ["frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]"]
+        extrinsic = [f"frame cameraID {_EXTRINSIC}"]
+        for number, frame in enumerate(frames):
+            name = f"{number:05d}"
+            _write_image(folders["rgb"] / f"rgb_{name}.jpg", frame.rgb)
+            _write_image(folders["depth"] / f"depth_{name}.png", _centimetres(frame.depth))
+            _write_image(
+                folders["classSegmentation"] / f"classgt_{name}.png", class_colors()[frame.label]
+            )
+            k = frame.intrinsics
+            intrinsic.append(f"{number} 0 {k[0, 0]:.6g} {k[1, 1]:.6g} {k[0, 2]:.6g} {k[1, 2]:.6g}")
+            pose = " ".join(f"{value:.9g}" for value in frame.world_to_camera.ravel())
+            extrinsic.append(f"{number} 0 {pose}")
+        colors = ["Category r g b"]
+        colors += [f"{category} {r} {g} {b}" for category, (r, g, b) in CLASS_TABLE]
+        for file, lines in (("colors", colors), ("intrinsic", intrinsic), ("extrinsic", extrinsic)):
+            (partial / f"{file}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        if target.exists():
+            shutil.rmtree(target)
+        partial.replace(target)
+    except OSError as error:
+        raise DatasetError(f"{target} cannot be written: {error}.") from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return target
+
+
+def _centimetres(depth: Floats) -> NDArray[np.uint16]:
+    rounded = np.clip(np.rint(depth * 100.0), 1, _SKY - 1).astype(np.uint16)
+    return np.where(depth > 0, rounded, np.uint16(_SKY))
+
+
+def _write_image(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    """Encode first, then write: OpenCV's own writing only returns False where the disk is full."""
+    pixels = image[..., ::-1] if image.ndim == 3 else image
+    options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if path.suffix == ".jpg" else []
+    done, data = cv2.imencode(path.suffix, np.ascontiguousarray(pixels), options)
+    if not done:
+        raise OSError(f"{path.name} could not be encoded")
+    path.write_bytes(data.tobytes())
