@@ -100,6 +100,11 @@ def test_virtual_kitti_reads_centimetres_classes_and_intrinsics(scene):
     assert sample.intrinsics[1, 2] == 180
 
 
+def test_virtual_kitti_leaves_unfinished_scenes_alone(scene):
+    (scene / "Scene01" / ".fog.partial" / "frames" / "rgb" / "Camera_0").mkdir(parents=True)
+    assert len(VirtualKitti(scene)) == 2
+
+
 def test_virtual_kitti_chooses_scenes_and_variants(scene):
     assert len(VirtualKitti(scene, scenes=["Scene01"], variants=["clone"])) == 2
     with pytest.raises(DatasetError, match="no frames"):

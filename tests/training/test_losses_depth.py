@@ -136,6 +136,7 @@ def test_depth_at_scale_is_the_mean_of_valid_pixels():
         ((125, 414), (63, 207), 2),
         ((125, 414), (8, 26), 16),
         ((33, 33), (8, 8), 8),  # a network that pads 33 to 64
+        ((8, 414), (1, 26), 16),  # the height alone would do with 8
         ((320, 448), (80, 112), 4),
     ],
 )

@@ -58,10 +58,10 @@ class VirtualKitti:
         self._frames: list[tuple[Path, str]] = []
         self._colors: dict[Path, NDArray[np.uint8]] = {}
         self._intrinsics: dict[Path, dict[str, NDArray[np.float64]]] = {}
-        for scene in sorted(path for path in root.iterdir() if path.is_dir()):
+        for scene in _folders(root):
             if scenes is not None and scene.name not in scenes:
                 continue
-            for variant in sorted(path for path in scene.iterdir() if path.is_dir()):
+            for variant in _folders(scene):
                 if variants is None or variant.name in variants:
                     self._add(variant)
         if not self._frames:
@@ -103,6 +103,11 @@ class VirtualKitti:
             intrinsics=self._intrinsics[variant][str(int(number))],
             name=f"{variant.parent.name}/{variant.name}/{number}",
         )
+
+
+def _folders(path: Path) -> list[Path]:
+    """Visible folders in order; hidden ones are still being rendered."""
+    return sorted(p for p in path.iterdir() if p.is_dir() and not p.name.startswith("."))
 
 
 def _read_colors(path: Path) -> NDArray[np.uint8]:

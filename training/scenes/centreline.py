@@ -24,20 +24,20 @@ class Centreline:
 
     def at(self, s: ArrayLike, d: ArrayLike, up: ArrayLike = 0.0) -> Floats:
         """World points (..., 3) of street coordinates; up is metres above the road."""
-        s = np.asarray(s, dtype=np.float64)
-        heading = self.heading_at(s)
+        along = np.asarray(s, dtype=np.float64)
+        heading = self.heading_at(along)
         return np.stack(
             np.broadcast_arrays(
-                np.interp(s, self.s, self.x) - np.sin(heading) * d,
-                np.interp(s, self.s, self.y) + np.cos(heading) * d,
-                np.interp(s, self.s, self.z) + up,
+                np.interp(along, self.s, self.x) - np.sin(heading) * d,
+                np.interp(along, self.s, self.y) + np.cos(heading) * d,
+                np.interp(along, self.s, self.z) + up,
             ),
             axis=-1,
         )
 
     def heading_at(self, s: ArrayLike) -> Floats:
         """Direction of the street in rad, anticlockwise from the x axis."""
-        return np.asarray(np.interp(s, self.s, self.heading))
+        return np.asarray(np.interp(np.asarray(s), self.s, self.heading))
 
 
 def draw_centreline(rng: Generator, *, start: float, end: float, bend: float) -> Centreline:

@@ -38,7 +38,7 @@ def render(
     from runtime.errors import SSDNetError
     from training.scenes.camera import CameraName
     from training.scenes.scene_job import SceneJob
-    from training.scenes.street import STREET_KINDS, StreetKind
+    from training.scenes.street_plan import STREET_KINDS, StreetKind
     from training.scenes.weather import VARIANTS, Variant
 
     cameras: dict[str, CameraName] = {"kitti": "kitti", "camvid": "camvid"}

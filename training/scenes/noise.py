@@ -57,7 +57,7 @@ def fractal_noise(
 
 def hash01(*keys: NDArray[np.int64] | int) -> Floats:
     """Uniform 0..1 from integer keys, the same for the same keys."""
-    state = np.uint32(2166136261)
+    state: NDArray[np.uint32] = np.array(2166136261, dtype=np.uint32)
     with np.errstate(over="ignore"):
         for key in keys:
             k = np.asarray(key).astype(np.int64).astype(np.uint32)
@@ -65,4 +65,4 @@ def hash01(*keys: NDArray[np.int64] | int) -> Floats:
             state = state ^ (state >> np.uint32(13))
             state = state * np.uint32(1274126177)
             state = state ^ (state >> np.uint32(16))
-    return (state.astype(np.float64) / 4294967296.0).astype(np.float32)
+    return np.asarray(state.astype(np.float64) / 4294967296.0, dtype=np.float32)

@@ -138,7 +138,8 @@ def make_cyclist(dress: Dress, phase: float) -> Mesh:
         turn = 2 * np.pi * (phase + 0.5 * k)
         pedal = np.array([0.17 * np.cos(turn), 0.12 * sign, 0.32 + 0.17 * np.sin(turn)])
         hip = seat + np.array([0.0, 0.1 * sign, 0.02])
-        knee = _joint(hip, pedal + np.array([0, 0, 0.08]), 0.45, 0.46)
+        ankle = pedal + np.array([0, 0, 0.08])
+        knee = _joint(hip, ankle, 0.45, 0.46)
         parts.append(tube(hip, knee, (0.095, 0.065), bottom, rounded=True))
         parts.append(
             tube(knee, pedal + np.array([0, 0, 0.08]), (0.064, 0.048), bottom, rounded=True)
@@ -174,7 +175,7 @@ def _joint(a: Floats, b: Floats, upper: float, lower: float) -> Floats:
     unit = line / np.linalg.norm(line)
     forward = np.array([-unit[2], 0.0, unit[0]])
     forward *= np.sign(forward[0]) or 1.0
-    return a + unit * along + forward / np.linalg.norm(forward) * out
+    return np.asarray(a + unit * along + forward / np.linalg.norm(forward) * out)
 
 
 @lru_cache(maxsize=64)

@@ -1,6 +1,7 @@
 """One frame of a street: picture, depth and classes of the same rays."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -78,22 +79,24 @@ def render_frame(
     label = np.where(solid, mesh.label[hits.face], np.uint8(SceneClass.SKY)).astype(np.uint8)
 
     openness = _openness(mesh, caster, hits, directions, camera.size, rng)
-    rest = {
-        "pixel_angle": 1.0 / camera.fx,
-        "weather": weather,
-        "stripes": street.stripes,
-        "rng": rng,
-    }
+    light = partial(
+        shade,
+        mesh,
+        caster,
+        pixel_angle=1.0 / camera.fx,
+        weather=weather,
+        stripes=street.stripes,
+        rng=rng,
+    )
     origin = np.zeros(3, dtype=np.float32)
-    radiance = shade(mesh, caster, hits, origin, directions, openness=openness, **rest)
+    radiance = light(hits, origin, directions, openness=openness)
     rough = np.flatnonzero(_edges(depth.reshape(camera.size), radiance.reshape(height, width, 3)))
     total = radiance[rough].clip(0, 3)
     for dx, dy in _JITTER:
         rays = camera.rays(columns.ravel()[rough] + dx, rows.ravel()[rough] + dy) @ turn
         rays = rays.astype(np.float32)
-        total += shade(
-            mesh, caster, _cast(caster, rays), origin, rays, openness=openness[rough], **rest
-        ).clip(0, 3)
+        sample = light(_cast(caster, rays), origin, rays, openness=openness[rough])
+        total += sample.clip(0, 3)
     radiance[rough] = total / (1 + len(_JITTER))
 
     world_to_camera = np.eye(4)

@@ -9,7 +9,8 @@ import numpy as np
 
 from training.scenes.camera import CameraName, make_camera
 from training.scenes.render import RenderedFrame, render_frame
-from training.scenes.street import StreetKind, build_street
+from training.scenes.street import build_street
+from training.scenes.street_plan import StreetKind
 from training.scenes.vkitti_writer import write_variant
 from training.scenes.weather import VARIANTS, Variant, draw_weather
 

@@ -18,10 +18,10 @@ def expose(radiance: Floats, weather: Weather, rng: Generator) -> NDArray[np.uin
     height, width = radiance.shape[:2]
     metered = radiance[height // 3 :: 4, ::4].mean(axis=2)
     key = float(np.exp(np.log(metered + 1e-3).mean()))
-    image = radiance * np.float32(0.17 / key * 2.0**weather.exposure)
+    image: Floats = radiance * np.float32(0.17 / key * 2.0**weather.exposure)
     y, x = np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j].astype(np.float32)
     image *= (1 - 0.16 * (0.5 * x * x + 0.5 * y * y))[..., None]
-    image = cv2.GaussianBlur(image, (3, 3), 0.48)
+    image = np.asarray(cv2.GaussianBlur(image, (3, 3), 0.48))
     shot = np.sqrt(np.clip(image, 0, 1)) * weather.noise + 0.4 * weather.noise
     image = image + shot * rng.standard_normal(image.shape, dtype=np.float32)
     image = np.clip(image, 0, None)

@@ -9,8 +9,9 @@ from training.scenes.mesh import Mesh
 from training.scenes.noise import fractal_noise
 from training.scenes.paint import Stripe
 from training.scenes.raycast import Hits, RayCaster
+from training.scenes.surface import Points
 from training.scenes.surface_kinds import SurfaceKind
-from training.scenes.surfaces import Points, texture_surfaces
+from training.scenes.surfaces import texture_surfaces
 from training.scenes.weather import Weather, sky_color
 
 _GROUND = (SurfaceKind.ASPHALT, SurfaceKind.PAVING)
@@ -20,7 +21,7 @@ _LIFT = 2e-3
 def _interpolate(corners: Floats, hits: Hits, rows: NDArray[np.intp]) -> Floats:
     picked = corners[hits.face[rows]]
     u, v = hits.u[rows, None], hits.v[rows, None]
-    return picked[:, 0] * (1 - u - v) + picked[:, 1] * u + picked[:, 2] * v
+    return np.asarray(picked[:, 0] * (1 - u - v) + picked[:, 1] * u + picked[:, 2] * v)
 
 
 def shade(
@@ -51,7 +52,7 @@ def shade(
         veil = np.exp(-np.clip(view[free, 2:], 0, 1) * 0.06 / weather.haze)
         radiance[free] = radiance[free] * (1 - veil) + np.asarray(weather.horizon) * veil
     if not len(rows):
-        return radiance
+        return np.asarray(radiance)
     face, view = hits.face[rows], view[rows]
     distance = hits.distance[rows] * length[rows]
     point = origin + directions[rows] * hits.distance[rows, None]
@@ -124,7 +125,7 @@ def shade(
     kept = np.exp(-weather.haze * distance)[:, None]
     veil = 0.9 * np.asarray(weather.horizon, np.float32)
     radiance[rows] = color * kept + veil * (1 - kept)
-    return radiance
+    return np.asarray(radiance)
 
 
 def _surroundings(
@@ -145,7 +146,7 @@ def _surroundings(
 
 def _face_normal(corners: Floats) -> Floats:
     n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return n / (np.linalg.norm(n, axis=1, keepdims=True) + 1e-12)
+    return np.asarray(n / (np.linalg.norm(n, axis=1, keepdims=True) + 1e-12))
 
 
 def contact_shading(

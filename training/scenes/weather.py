@@ -79,7 +79,7 @@ def sky_color(weather: Weather, direction: Floats, *, detail: bool = True) -> Fl
     shine = 0.25 * towards_sun**8 + (6.0 * towards_sun**900 if detail else 0)
     color = color + shine[:, None] * np.asarray(weather.sun, np.float32)
     if not detail:
-        return color
+        return np.asarray(color)
     # Clouds lie on a plane overhead, so they crowd together towards the horizon.
     plane = direction[:, :2] / (up + 0.09)[:, None]
     seed = np.float32(weather.cloud_seed)
@@ -93,4 +93,4 @@ def sky_color(weather: Weather, direction: Floats, *, detail: bool = True) -> Fl
     )
     cloud = (lit + 0.1 * density)[:, None] * grey
     cover = (cover * np.clip(up * 9, 0.15, 1) * 0.9)[:, None]
-    return color * (1 - cover) + cloud * cover
+    return np.asarray(color * (1 - cover) + cloud * cover)

@@ -1,0 +1,74 @@
+"""The deploy graph: raw sensor units in, answers at full size out."""
+
+import torch
+from torch import Tensor, nn
+
+from models import SSDNet
+from models.blocks import upsample
+
+
+class DeployGraph(nn.Module):
+    """A network between the sensors' units and the answers of the contract.
+
+    ``with_logits`` adds the class scores to the outputs, if the network has any.
+    """
+
+    def __init__(self, model: SSDNet, *, with_logits: bool = False) -> None:
+        super().__init__()
+        self.model = model
+        self.with_logits = with_logits
+
+    @property
+    def heads(self) -> tuple[str, ...]:
+        """Names of the outputs, in the order in which `forward` gives them."""
+        config = self.model.config
+        present = {
+            "semantic": config.semantic_head,
+            "depth": config.depth_head,
+            "boundary": True,
+            "semantic_logits": config.semantic_head and self.with_logits,
+        }
+        return tuple(head for head, there in present.items() if there)
+
+    def forward(self, rgb: Tensor, sparse_depth: Tensor) -> tuple[Tensor, ...]:
+        """Predict one answer a head, at the size of the inputs.
+
+        rgb: uint8 (N, H, W, 3), red first. sparse_depth: float32 (N, H, W), metres; what is no
+        measurement is masked by the network. Returns, as far as the network has the head:
+        semantic uint8 (N, H, W), depth float32 (N, H, W) in metres, boundary float32 (N, H, W) in
+        0..1, semantic_logits float32 (N, C, H, W).
+        """
+        config = self.model.config
+        height, width = rgb.shape[1], rgb.shape[2]
+        coarse = self.model.predict_coarse(
+            rgb.permute(0, 3, 1, 2).to(torch.float32), sparse_depth.unsqueeze(1)
+        )
+        answers = {}
+        if coarse.semantic_logits is not None:
+            logits = upsample(coarse.semantic_logits, factor=config.output_stride)
+            # Cropped last: an id is a byte, its scores are 4 bytes a class.
+            answers["semantic"] = _best_class(logits)[:, :height, :width]
+            answers["semantic_logits"] = logits[:, :, :height, :width]
+
+        maps = [coarse.boundary_logits]
+        if coarse.depths is not None:
+            maps.append(coarse.depths[0] * config.max_depth_m)
+        # One tensor for both: ONNX Runtime splits the work of a Resize by channels, so two of one
+        # channel each take four times as long.
+        full = upsample(torch.cat(maps, dim=1), factor=config.output_stride)
+        full = full[:, :, :height, :width]
+        answers["boundary"] = torch.sigmoid(full[:, 0])
+        if coarse.depths is not None:
+            answers["depth"] = full[:, 1]
+        return tuple(answers[head] for head in self.heads)
+
+
+def _best_class(logits: Tensor) -> Tensor:
+    """Class ids uint8 (N, H, W) of (N, C, H, W).
+
+    The reshape keeps the classes innermost: without it ONNX Runtime moves the transposition
+    behind the ArgMax, which then strides through memory and takes twice as long.
+    """
+    batch, classes, height, width = logits.shape
+    ids = logits.permute(0, 2, 3, 1).reshape(-1, classes).argmax(dim=1)
+    return ids.to(torch.uint8).reshape(batch, height, width)

@@ -1,0 +1,174 @@
+"""Checkpoint in, one verified ONNX file out."""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import onnx
+import torch
+
+from export.deploy import DeployGraph
+from export.errors import ExportError
+from export.parity import HeadParity, measure_parity
+from export.probe_frames import ProbeFrame, probe_frames
+from export.trace import DEFAULT_OPSET, trace
+from models import Checkpoint, load_checkpoint
+from models.ssdnet import MINIMUM_SIZE
+from runtime import Contract, InputError, OutputError, __version__
+from runtime.contract import METADATA_KEY, RESIZE_RULES, SCHEMA_VERSION
+
+#: (height, width) if none is asked for: Cityscapes at half size, as in the paper.
+DEFAULT_SIZE = (512, 1024)
+
+
+@dataclass(frozen=True)
+class ExportReport:
+    """What was written, and how far it is from PyTorch."""
+
+    path: Path
+    size: tuple[int, int]
+    dynamic: bool
+    heads: tuple[str, ...]
+    #: Head -> the worst difference over all frames it was verified on.
+    parity: Mapping[str, HeadParity]
+    num_frames: int
+    num_bytes: int
+
+
+def export_checkpoint(
+    checkpoint_path: Path | str,
+    onnx_path: Path | str,
+    *,
+    size: tuple[int, int] | None = None,
+    dynamic: bool = False,
+    opset: int = DEFAULT_OPSET,
+    with_logits: bool = False,
+    overwrite: bool = False,
+) -> ExportReport:
+    """Write a checkpoint as one ONNX file, verified before it has its name.
+
+    size: (height, width) of a fixed model; for a ``dynamic`` one, which takes any, the size it
+    names as its own. None = DEFAULT_SIZE. ``with_logits`` adds the class scores to the outputs.
+
+    Raises CheckpointError for a checkpoint that cannot be read, InputError for a size that cannot
+    be, OutputError for a target that exists (without ``overwrite``) or cannot be written, and
+    ExportError if the graph cannot be made or differs from PyTorch by more than rounding. Nothing
+    is left on disk then; an older file of that name stays.
+    """
+    size = size or DEFAULT_SIZE
+    if min(size) < MINIMUM_SIZE:
+        raise InputError(f"height and width must be at least {MINIMUM_SIZE}, got {size}")
+    target = Path(onnx_path)
+    _check_target(target, overwrite=overwrite)
+    checkpoint = load_checkpoint(checkpoint_path)
+    graph = DeployGraph(checkpoint.model, with_logits=with_logits)
+    model = trace(graph, size=size, dynamic=dynamic, opset=opset)
+    contract = _contract(checkpoint, _digest(checkpoint_path), size=size, opset=opset)
+    frames = _frames(size, dynamic=dynamic, max_depth_m=contract.max_depth_m)
+    temporary = _temporary_beside(target)
+    try:
+        _write(model, contract, temporary)
+        parity = measure_parity(checkpoint.model, temporary, frames)
+        _require_parity(parity)
+        figures = {head: dict(measured.figures) for head, measured in parity.items()}
+        _write(model, replace(contract, parity=figures), temporary)
+        num_bytes = temporary.stat().st_size
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, target)
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written: {error}. Choose another place.") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    return ExportReport(target, size, dynamic, graph.heads, parity, len(frames), num_bytes)
+
+
+def _check_target(target: Path, *, overwrite: bool) -> None:
+    if target.is_dir():
+        raise OutputError(f"{target} is a folder: give the name of a file")
+    if target.exists() and not overwrite:
+        raise OutputError(f"{target} exists: choose another name, or ask to overwrite it")
+    if not target.parent.is_dir():
+        raise OutputError(f"{target.parent} is no folder: make it first")
+
+
+def _contract(
+    checkpoint: Checkpoint, digest: str, *, size: tuple[int, int], opset: int
+) -> Contract:
+    config = checkpoint.model.config
+    training: dict[str, Any] = dict(checkpoint.training)
+    return Contract(
+        schema_version=SCHEMA_VERSION,
+        model_name=config.name,
+        classes=config.classes,
+        max_depth_m=config.max_depth_m,
+        native_size=size,
+        stride=config.stride,
+        resize={tensor: rules[0] for tensor, rules in RESIZE_RULES.items()},
+        precision="fp32",
+        training=training,
+        versions={
+            "ssdnet": __version__,
+            "torch": str(torch.__version__),
+            "onnx": str(onnx.__version__),
+            "opset": str(opset),
+        },
+        parity={},
+        checkpoint_sha256=digest,
+    )
+
+
+def _digest(path: Path | str) -> str:
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _frames(size: tuple[int, int], *, dynamic: bool, max_depth_m: float) -> list[ProbeFrame]:
+    """What to verify on: the model's own size and, if it takes any, two more, one of them odd."""
+    sizes = [size]
+    if dynamic:
+        smallest = MINIMUM_SIZE
+        sizes.append((max(size[0] // 2 | 1, smallest), max(size[1] // 2 | 1, smallest)))
+        sizes.append((smallest + 1, smallest + 31))
+    return [frame for each in sizes for frame in probe_frames(each, max_depth_m=max_depth_m)]
+
+
+def _temporary_beside(target: Path) -> Path:
+    try:
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written: {error}. Choose another place.") from error
+    os.close(handle)
+    return Path(name)
+
+
+def _write(model: onnx.ModelProto, contract: Contract, path: Path) -> None:
+    """Write the model with its metadata, which other steps on a model would drop."""
+    try:
+        document = contract.to_json()
+    except (TypeError, ValueError) as error:
+        raise ExportError(
+            f"what the checkpoint says about its training is not plain JSON: {error}"
+        ) from error
+    del model.metadata_props[:]
+    model.metadata_props.add(key=METADATA_KEY, value=document)
+    with path.open("wb") as stream:
+        stream.write(model.SerializeToString())
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def _require_parity(parity: Mapping[str, HeadParity]) -> None:
+    failed = [
+        f"{head} {dict(measured.figures)}"
+        for head, measured in parity.items()
+        if not measured.passed
+    ]
+    if failed:
+        raise ExportError(
+            "the exported graph does not answer as PyTorch does, so nothing was written: "
+            + "; ".join(failed)
+        )

@@ -1,0 +1,73 @@
+"""Made-up frames that look enough like a drive to compare two implementations on."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class ProbeFrame:
+    """rgb uint8 (H, W, 3) and sparse_depth float32 (H, W) in metres, with a name."""
+
+    name: str
+    rgb: NDArray[np.uint8]
+    sparse_depth: NDArray[np.float32]
+
+
+def probe_frames(
+    size: tuple[int, int], *, max_depth_m: float, seeds: tuple[int, ...] = (0, 1)
+) -> list[ProbeFrame]:
+    """Return one frame a seed with scan lines, then an empty, a full and a faulty depth map.
+
+    size: (height, width). The faulty map has NaN, Inf, negative and too far values among good ones.
+    """
+    frames = []
+    for seed in seeds:
+        rgb, depth = _street(size, seed=seed, max_depth_m=max_depth_m)
+        frames.append(ProbeFrame(f"scan lines {seed}", rgb, _scan_lines(depth, seed=seed)))
+    frames.append(ProbeFrame("empty", rgb, np.zeros_like(depth)))
+    frames.append(ProbeFrame("full", rgb, depth))
+    faulty = _scan_lines(depth, seed=seeds[-1])
+    faults = np.array([np.nan, np.inf, -np.inf, -5.0, 2 * max_depth_m], dtype=np.float32)
+    rng = np.random.default_rng(seeds[-1])
+    hit = rng.random(size) < 0.05
+    faulty[hit] = rng.choice(faults, size=int(hit.sum()))
+    frames.append(ProbeFrame("faulty", rgb, faulty))
+    return frames
+
+
+def _street(
+    size: tuple[int, int], *, seed: int, max_depth_m: float
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """A ground plane under a sky, boxes standing on it, and texture; the depth is dense."""
+    rng = np.random.default_rng(seed)
+    height, width = size
+    rows = np.arange(height, dtype=np.float32)[:, None].repeat(width, axis=1)
+    horizon = height * rng.uniform(0.3, 0.5)
+    below = np.maximum(rows - horizon, 1e-3)
+    depth = np.minimum(1.6 * height / below, 0.9 * max_depth_m).astype(np.float32)
+    picture = np.where(rows[..., None] > horizon, rng.uniform(60, 120, 3), rng.uniform(150, 230, 3))
+    for distance in np.sort(rng.uniform(0.05, 0.6, 12))[::-1] * max_depth_m:
+        foot = int(min(horizon + 1.6 * height / distance, height))
+        box_height = int(rng.uniform(2, 8) * height / distance)
+        box_width = int(rng.uniform(1, 6) * height / distance) + 1
+        left, top = int(rng.integers(-box_width, width)), max(foot - box_height, 0)
+        box = np.s_[top:foot, max(left, 0) : max(left + box_width, 0)]
+        picture[box] = rng.uniform(0, 255, 3)
+        depth[box] = distance
+    for cells in (8, 32, 128):
+        noise = rng.normal(0, 12, (cells, 2 * cells, 3))
+        picture += cv2.resize(noise, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.clip(picture, 0, 255).astype(np.uint8), depth
+
+
+def _scan_lines(depth: NDArray[np.float32], *, seed: int) -> NDArray[np.float32]:
+    """Keep what a spinning LiDAR would see of a dense map: sloping lines with drop-outs."""
+    rng = np.random.default_rng(seed)
+    rows, columns = np.indices(depth.shape)
+    on_line = (rows + columns // 64) % 4 == 0
+    seen = on_line & (rows > 0.3 * depth.shape[0]) & (rng.random(depth.shape) < 0.5)
+    noisy = depth + rng.normal(0, 0.02, depth.shape)
+    return np.where(seen, noisy, 0).astype(np.float32)

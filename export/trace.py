@@ -1,0 +1,155 @@
+"""From a deploy graph to an ONNX model in memory."""
+
+import contextlib
+import io
+import logging
+import warnings
+from collections.abc import Iterator
+
+import onnx
+import torch
+from onnx import numpy_helper
+
+from export.deploy import DeployGraph
+from export.errors import ExportError
+
+#: What PyTorch's exporter writes without converting; ONNX Runtime reads it since 1.14.
+DEFAULT_OPSET = 18
+INPUTS = ("rgb", "sparse_depth")
+#: The free axes: N always, the others in a dynamic graph.
+AXES = ("batch", "height", "width")
+STANDARD_DOMAINS = ("", "ai.onnx")
+
+
+def trace(
+    graph: DeployGraph, *, size: tuple[int, int], dynamic: bool = False, opset: int = DEFAULT_OPSET
+) -> onnx.ModelProto:
+    """Trace a deploy graph at ``size`` (height, width) into one ONNX model, weights inside.
+
+    N is free; H and W too if ``dynamic``. Nothing is printed. Raises ExportError if the exporter
+    fails or writes something that is not standard ONNX of that opset.
+    """
+    newest = onnx.defs.onnx_opset_version()
+    if not DEFAULT_OPSET <= opset <= newest:
+        raise ExportError(f"opset must be {DEFAULT_OPSET} to {newest}, got {opset}")
+    free = dict.fromkeys(range(3 if dynamic else 1), torch.export.Dim.DYNAMIC)
+    # Two frames, because a 1 would be taken for a constant. Odd sides where they are free, because
+    # one that happens to fit the stride would leave no trace of the padding.
+    height, width = (size[0] | 1, size[1] | 1) if dynamic else size
+    example = torch.zeros(2, height, width, 3, dtype=torch.uint8), torch.zeros(2, height, width)
+    try:
+        with _quiet(), torch.no_grad():
+            program = torch.onnx.export(
+                graph.eval(),
+                example,
+                dynamo=True,
+                external_data=False,
+                opset_version=opset,
+                input_names=list(INPUTS),
+                output_names=list(graph.heads),
+                dynamic_shapes=(free, free),
+                verbose=False,
+            )
+    except Exception as error:  # the exporter raises anything
+        raise ExportError(
+            f"PyTorch's exporter failed on {graph.model.config.name!r} at {height} x {width}, "
+            f"opset {opset}: {error}"
+        ) from error
+    if program is None:
+        raise ExportError("PyTorch's exporter gave nothing: try another version of torch")
+    model = program.model_proto
+    _strip_notes(model)
+    _name_axes(model.graph)
+    _drop_empty_padding(model.graph)
+    check_standard(model, opset=opset)
+    return model
+
+
+def check_standard(model: onnx.ModelProto, *, opset: int) -> None:
+    """Raise ExportError unless the model is one valid file of standard operators."""
+    foreign = sorted(
+        {
+            f"{node.domain}::{node.op_type}"
+            for node in _nodes(model.graph)
+            if node.domain not in STANDARD_DOMAINS
+        }
+    )
+    foreign += [f"function {function.name}" for function in model.functions]
+    if foreign:
+        raise ExportError(f"the graph holds operators that are not standard: {', '.join(foreign)}")
+    versions = {entry.domain: entry.version for entry in model.opset_import}
+    if versions != {"": opset}:
+        raise ExportError(f"asked for opset {opset}, the exporter wrote {versions}")
+    outside = [
+        weight.name
+        for weight in model.graph.initializer
+        if weight.data_location == onnx.TensorProto.EXTERNAL
+    ]
+    if outside:
+        raise ExportError(f"weights outside the file: {', '.join(outside)}")
+    try:
+        onnx.checker.check_model(model, full_check=True)
+    except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError, ValueError) as error:
+        raise ExportError(f"the exported graph is not valid ONNX: {error}") from error
+
+
+def _nodes(graph: onnx.GraphProto) -> Iterator[onnx.NodeProto]:
+    """All nodes, those of nested graphs too."""
+    for node in graph.node:
+        yield node
+        for attribute in node.attribute:
+            for nested in (*([attribute.g] if attribute.HasField("g") else []), *attribute.graphs):
+                yield from _nodes(nested)
+
+
+def _strip_notes(model: onnx.ModelProto) -> None:
+    """Drop the exporter's notes: they name the source files of the machine that exported."""
+    graph = model.graph
+    notes = (model, graph, *_nodes(graph), *graph.input, *graph.output, *graph.initializer)
+    for holder in notes:
+        holder.doc_string = ""
+        del holder.metadata_props[:]
+    # Inner shapes are expressions of the tracer's symbols; every reader infers them itself.
+    del graph.value_info[:]
+
+
+def _name_axes(graph: onnx.GraphProto) -> None:
+    """Call the free axes by their names; the tracer leaves symbols and sums of symbols."""
+    for tensors, places in ((graph.input, (0, 1, 2)), (graph.output, (0, -2, -1))):
+        for tensor in tensors:
+            dims = tensor.type.tensor_type.shape.dim
+            for place, axis in zip(places, AXES, strict=True):
+                if dims[place].dim_param:
+                    dims[place].dim_param = axis
+
+
+def _drop_empty_padding(graph: onnx.GraphProto) -> None:
+    """Drop each Pad by nothing, as of a fixed size that fits the stride: it copies the picture."""
+    constants = {weight.name: weight for weight in graph.initializer}
+    for pad in [node for node in graph.node if node.op_type == "Pad"]:
+        amounts = constants.get(pad.input[1])
+        if amounts is None or numpy_helper.to_array(amounts).any():
+            continue
+        for node in graph.node:
+            for index, name in enumerate(node.input):
+                if name == pad.output[0]:
+                    node.input[index] = pad.input[0]
+        graph.node.remove(pad)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep what the exporter prints, logs and warns from the user."""
+    disabled = logging.root.manager.disable
+    said = io.StringIO()
+    with (
+        warnings.catch_warnings(),
+        contextlib.redirect_stdout(said),
+        contextlib.redirect_stderr(said),
+    ):
+        warnings.simplefilter("ignore")
+        logging.disable(logging.CRITICAL)
+        try:
+            yield
+        finally:
+            logging.disable(disabled)

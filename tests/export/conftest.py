@@ -1,0 +1,64 @@
+"""Small members of every variant of the family, for tests that trace or run them."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from export.probe_frames import probe_frames
+from models import ModelConfig, SSDNet, save_checkpoint
+from models.config import CONFIGS
+
+SIZE = (64, 96)
+
+
+def small_config(name: str) -> ModelConfig:
+    """The named variant with few channels and one block a stage."""
+    config = CONFIGS[name]
+    if name == "ssdnet-lite":
+        return replace(
+            config,
+            stem_channels=(16, 16),
+            encoder_channels=(16, 16, 32),
+            encoder_blocks=(1, 1, 1),
+            decoder_channels=(16, 16),
+        )
+    return replace(
+        config,
+        encoder_channels=(8, 8, 16),
+        encoder_blocks=(1, 1, 1),
+        decoder_channels=(16, 8, 8),
+        boundary_channels=4,
+    )
+
+
+def build_small(name: str) -> SSDNet:
+    """A network whose batch norms have seen pictures, so that its answers vary."""
+    torch.manual_seed(0)
+    model = SSDNet(small_config(name)).train()
+    frames = probe_frames(SIZE, max_depth_m=model.config.max_depth_m, seeds=(5, 6, 7))
+    with torch.no_grad():
+        for _ in range(10):
+            model(
+                torch.stack([torch.from_numpy(f.rgb).permute(2, 0, 1).float() for f in frames[:3]]),
+                torch.stack([torch.from_numpy(f.sparse_depth)[None] for f in frames[:3]]),
+            )
+    return model.eval()
+
+
+@pytest.fixture(scope="session")
+def lite() -> SSDNet:
+    return build_small("ssdnet-lite")
+
+
+@pytest.fixture(scope="session")
+def lite_checkpoint(lite, tmp_path_factory):
+    path = tmp_path_factory.mktemp("checkpoint") / "lite.pt"
+    save_checkpoint(path, lite, training={"data": ["made-up frames"], "terms": "none"})
+    return path
+
+
+@pytest.fixture(scope="session")
+def small_model():
+    """Builds a small member of the named variant."""
+    return build_small

@@ -1,0 +1,188 @@
+"""Checkpoint to file: what is left on disk, and what is not."""
+
+import copy
+import hashlib
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from export import exporter
+from export.cli import app
+from export.exporter import export_checkpoint
+from export.parity import measure_parity
+from export.probe_frames import probe_frames
+from models import CAMVID_CLASSES, save_checkpoint
+from runtime import CheckpointError, InputError, OutputError, Predictor
+
+SIZE = (64, 96)
+
+
+@pytest.fixture(scope="module")
+def exported(lite_checkpoint, tmp_path_factory):
+    path = tmp_path_factory.mktemp("exported") / "lite.onnx"
+    return export_checkpoint(lite_checkpoint, path, size=SIZE)
+
+
+def test_contract_says_where_the_file_comes_from(exported, lite_checkpoint):
+    with Predictor(exported.path, warmup=0) as predictor:
+        contract = predictor.contract
+        assert predictor.input_size == SIZE
+    assert contract.model_name == "ssdnet-lite"
+    assert contract.classes == CAMVID_CLASSES
+    assert contract.max_depth_m == 100.0
+    assert contract.native_size == SIZE
+    assert contract.stride == 16
+    assert contract.precision == "fp32"
+    assert contract.training == {"data": ["made-up frames"], "terms": "none"}
+    assert contract.versions["opset"] == "18"
+    assert contract.versions["torch"] == torch.__version__
+    digest = hashlib.sha256(lite_checkpoint.read_bytes()).hexdigest()
+    assert contract.checkpoint_sha256 == digest
+    assert set(contract.parity) == {"semantic", "depth", "boundary"}
+    assert contract.parity["semantic"]["agreement"] > 0.9995
+    assert 0 < contract.parity["depth"]["max_abs_m"] < 0.005
+
+
+def test_only_the_one_file_is_left(exported):
+    assert list(exported.path.parent.iterdir()) == [exported.path]
+    assert exported.num_bytes == exported.path.stat().st_size
+
+
+def test_frame_of_another_size_is_resized_by_the_engine(exported):
+    frame = probe_frames((75, 141), max_depth_m=100.0, seeds=(1,))[0]
+    with Predictor(exported.path, warmup=0) as predictor:
+        prediction = predictor.predict(frame.rgb, frame.sparse_depth)
+    assert prediction.valid
+    assert prediction.depth.shape == (75, 141)
+
+
+@pytest.mark.parametrize(
+    ("name", "heads", "dynamic"),
+    [
+        ("ssdnet", ("semantic", "depth", "boundary"), False),
+        ("ssdnet-sem", ("semantic", "boundary"), False),
+        ("ssdnet-dep", ("depth", "boundary"), False),
+        ("ssdnet-dep-d", ("depth", "boundary"), True),
+        ("ssdnet-dep-rgb", ("depth", "boundary"), True),
+    ],
+)
+def test_every_variant_exports_with_both_inputs(name, heads, dynamic, small_model, tmp_path):
+    model = small_model(name)
+    save_checkpoint(tmp_path / "c.pt", model)
+    report = export_checkpoint(
+        tmp_path / "c.pt", tmp_path / "m.onnx", size=(46, 62), dynamic=dynamic
+    )
+    assert report.heads == heads
+    with Predictor(report.path, warmup=0) as predictor:  # refuses a file without both inputs
+        assert predictor.heads == heads
+        assert predictor.contract.model_name == name
+        assert predictor.input_size == (None if dynamic else (46, 62))
+    if dynamic:
+        sizes = [(33, 32), (57, 80), (64, 61)]
+        frames = [f for size in sizes for f in probe_frames(size, max_depth_m=100.0, seeds=(4,))]
+        assert all(head.passed for head in measure_parity(model, report.path, frames).values())
+
+
+@pytest.mark.parametrize("part", ["stem.0.0", "encoder.stages.2.0.conv2.0", "depth_heads.0"])
+def test_parity_notices_a_small_change_of_the_weights(lite, exported, part):
+    perturbed = copy.deepcopy(lite)
+    with torch.no_grad():
+        perturbed.get_submodule(part).weight.mul_(1.01)
+    frames = probe_frames(SIZE, max_depth_m=100.0)
+    assert all(head.passed for head in measure_parity(lite, exported.path, frames).values())
+    assert not measure_parity(perturbed, exported.path, frames)["depth"].passed
+
+
+def test_parity_notices_outputs_that_are_not_finite(lite, exported):
+    broken = copy.deepcopy(lite)
+    with torch.no_grad():
+        broken.depth_heads[0].bias.fill_(float("nan"))
+    frames = probe_frames(SIZE, max_depth_m=100.0)[:1]
+    assert not measure_parity(broken, exported.path, frames)["depth"].passed
+
+
+def trace_of_a_perturbed_network(graph, **options):
+    graph = copy.deepcopy(graph)
+    with torch.no_grad():
+        graph.model.semantic_head.bias[0] += 0.2
+    return exporter_trace(graph, **options)
+
+
+exporter_trace = exporter.trace
+
+
+def test_a_file_that_differs_is_not_left_on_disk(lite_checkpoint, tmp_path, monkeypatch):
+    monkeypatch.setattr(exporter, "trace", trace_of_a_perturbed_network)
+    old = tmp_path / "m.onnx"
+    old.write_bytes(b"an older model")
+    arguments = [str(lite_checkpoint), str(old), "--height", "64", "--width", "96", "--overwrite"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 1
+    assert "does not answer as PyTorch does" in result.output
+    assert "semantic {'agreement'" in result.output
+    assert "depth" not in result.output  # only what differs is named
+    assert old.read_bytes() == b"an older model"
+    assert list(tmp_path.iterdir()) == [old]
+
+
+def test_existing_file_is_replaced_only_on_demand(lite_checkpoint, tmp_path):
+    path = tmp_path / "m.onnx"
+    path.write_bytes(b"an older model")
+    with pytest.raises(OutputError, match="exists"):
+        export_checkpoint(lite_checkpoint, path, size=SIZE)
+    assert path.read_bytes() == b"an older model"
+    arguments = [str(lite_checkpoint), str(path), "--height", "64", "--width", "96", "--overwrite"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert "max_abs_m" in result.output
+    onnx.checker.check_model(str(path))
+
+
+@pytest.mark.parametrize(
+    ("content", "text"), [(b"not a checkpoint", "not a readable checkpoint"), (None, "no such")]
+)
+def test_foreign_checkpoint_is_an_error_with_text(tmp_path, content, text):
+    path = tmp_path / "c.pt"
+    if content is not None:
+        path.write_bytes(content)
+    before = list(tmp_path.iterdir())
+    result = CliRunner().invoke(app, [str(path), str(tmp_path / "m.onnx")])
+    assert result.exit_code == 1
+    assert text in result.output
+    assert "Traceback" not in result.output
+    assert list(tmp_path.iterdir()) == before
+
+
+def test_wrong_arguments_are_refused(lite_checkpoint, tmp_path):
+    with pytest.raises(InputError, match="at least 32"):
+        export_checkpoint(lite_checkpoint, tmp_path / "m.onnx", size=(16, 64))
+    with pytest.raises(OutputError, match="is no folder"):
+        export_checkpoint(lite_checkpoint, tmp_path / "missing" / "m.onnx")
+    with pytest.raises(OutputError, match="is a folder"):
+        export_checkpoint(lite_checkpoint, tmp_path, overwrite=True)
+    result = CliRunner().invoke(app, [str(lite_checkpoint), "m.onnx", "--height", "64"])
+    assert result.exit_code == 2
+
+
+def test_checkpoint_of_another_project_is_a_checkpoint_error(tmp_path):
+    torch.save({"weights": torch.zeros(1)}, tmp_path / "c.pt")
+    with pytest.raises(CheckpointError, match="not an ssdnet checkpoint"):
+        export_checkpoint(tmp_path / "c.pt", tmp_path / "m.onnx")
+    assert [path.name for path in tmp_path.iterdir()] == ["c.pt"]
+
+
+def test_probe_frames_hold_what_they_are_named_after():
+    frames = {f.name: f for f in probe_frames((65, 96), max_depth_m=50.0, seeds=(0,))}
+    assert not frames["empty"].sparse_depth.any()
+    full = frames["full"].sparse_depth
+    assert full.min() > 0
+    assert full.max() <= 50.0
+    lines = frames["scan lines 0"].sparse_depth
+    assert 0.02 < (lines > 0).mean() < 0.3
+    faulty = frames["faulty"].sparse_depth
+    for kind in (np.isnan, np.isposinf, np.isneginf, lambda d: d == -5, lambda d: d == 100):
+        assert kind(faulty).any()
+    assert frames["full"].rgb.std() > 20

@@ -1,0 +1,173 @@
+"""What the traced file looks like and what the bare graph answers."""
+
+import numpy as np
+import pytest
+from onnx import TensorProto, helper
+
+from export.deploy import DeployGraph
+from export.errors import ExportError
+from export.parity import reference
+from export.probe_frames import ProbeFrame, probe_frames
+from export.trace import check_standard, trace
+from runtime.session import open_session
+
+HEIGHT, WIDTH = 64, 96  # a multiple of the small network's stride, which is 16
+
+
+def open_model(model):
+    return open_session(model.SerializeToString(), provider="cpu", device_id=0, threads=1)
+
+
+def run(session, frames):
+    feed = {
+        "rgb": np.stack([frame.rgb for frame in frames]),
+        "sparse_depth": np.stack([frame.sparse_depth for frame in frames]),
+    }
+    names = [tensor.name for tensor in session.get_outputs()]
+    return dict(zip(names, session.run(names, feed), strict=True))
+
+
+@pytest.fixture(scope="module")
+def dynamic_model(lite):
+    return trace(DeployGraph(lite, with_logits=True), size=(HEIGHT, WIDTH), dynamic=True)
+
+
+@pytest.fixture(scope="module")
+def dynamic_session(dynamic_model):
+    return open_model(dynamic_model)
+
+
+@pytest.fixture(scope="module")
+def fixed_model(lite):
+    return trace(DeployGraph(lite), size=(HEIGHT, WIDTH))
+
+
+def test_tensors_are_those_of_the_contract(dynamic_session):
+    free = ["batch", "height", "width"]
+    inputs = {t.name: (t.type, t.shape) for t in dynamic_session.get_inputs()}
+    assert inputs == {
+        "rgb": ("tensor(uint8)", [*free, 3]),
+        "sparse_depth": ("tensor(float)", free),
+    }
+    outputs = {t.name: (t.type, t.shape) for t in dynamic_session.get_outputs()}
+    assert outputs == {
+        "semantic": ("tensor(uint8)", free),
+        "depth": ("tensor(float)", free),
+        "boundary": ("tensor(float)", free),
+        "semantic_logits": ("tensor(float)", ["batch", 11, "height", "width"]),
+    }
+
+
+def test_nothing_of_the_exporting_machine_is_in_the_file(dynamic_model):
+    content = dynamic_model.SerializeToString()
+    assert b".py" not in content
+    assert b"stack_trace" not in content
+
+
+@pytest.mark.parametrize("size", [(HEIGHT, WIDTH), (125, 63), (33, 414), (32, 32), (97, 128)])
+def test_dynamic_graph_answers_at_every_size(lite, dynamic_session, size):
+    for frame in probe_frames(size, max_depth_m=100.0, seeds=(3,)):
+        answers = run(dynamic_session, [frame])
+        expected = reference(lite, frame)
+        assert answers["semantic"].shape == (1, *size)
+        assert (answers["semantic"][0] == expected["semantic"]).mean() > 0.999
+        np.testing.assert_allclose(answers["depth"][0], expected["depth"], atol=2e-3)
+        np.testing.assert_allclose(answers["boundary"][0], expected["boundary"], atol=1e-4)
+        np.testing.assert_allclose(
+            answers["semantic_logits"][0], expected["semantic_logits"], atol=1e-3, rtol=1e-3
+        )
+
+
+def test_two_frames_at_once_answer_as_one_by_one(dynamic_session):
+    frames = probe_frames((45, 77), max_depth_m=100.0)[:2]
+    together = run(dynamic_session, frames)
+    for index, frame in enumerate(frames):
+        for head, answer in run(dynamic_session, [frame]).items():
+            np.testing.assert_allclose(together[head][index], answer[0], rtol=1e-4, atol=1e-4)
+
+
+def test_faulty_depth_means_no_measurement_inside_the_graph(dynamic_session):
+    rng = np.random.default_rng(0)
+    frame = probe_frames((64, 96), max_depth_m=100.0, seeds=(1,))[0]
+    spoiled = frame.sparse_depth.copy()
+    faults = np.array([np.nan, np.inf, -np.inf, -1.0, 100.5], dtype=np.float32)
+    hit = rng.random(spoiled.shape) < 0.3
+    spoiled[hit] = rng.choice(faults, int(hit.sum()))
+    removed = np.where(hit, np.float32(0), frame.sparse_depth)
+
+    answers = run(dynamic_session, [ProbeFrame("spoiled", frame.rgb, spoiled)])
+    expected = run(dynamic_session, [ProbeFrame("removed", frame.rgb, removed)])
+    for head, answer in answers.items():
+        assert np.isfinite(answer).all()
+        np.testing.assert_array_equal(answer, expected[head])
+
+
+def test_empty_depth_gives_finite_answers(dynamic_session):
+    empty = np.zeros((48, 64), np.float32)
+    frame = ProbeFrame("empty", np.zeros((48, 64, 3), np.uint8), empty)
+    answers = run(dynamic_session, [frame])
+    assert np.isfinite(answers["depth"]).all()
+    assert np.isfinite(answers["boundary"]).all()
+
+
+def test_fixed_graph_pads_only_where_needed(lite, fixed_model):
+    def count_pads(model):
+        return sum(node.op_type == "Pad" for node in model.graph.node)
+
+    assert count_pads(fixed_model) == 0
+    odd = trace(DeployGraph(lite), size=(HEIGHT - 1, WIDTH))
+    assert count_pads(odd) == 1
+    frame = probe_frames((HEIGHT - 1, WIDTH), max_depth_m=100.0, seeds=(2,))[0]
+    depth = run(open_model(odd), [frame])["depth"][0]
+    np.testing.assert_allclose(depth, reference(lite, frame)["depth"], atol=2e-3)
+
+
+def test_fixed_graph_takes_several_frames_of_its_size_only(fixed_model):
+    session = open_model(fixed_model)
+    assert session.get_inputs()[0].shape == ["batch", HEIGHT, WIDTH, 3]
+    frames = probe_frames((HEIGHT, WIDTH), max_depth_m=100.0)[:3]
+    assert run(session, frames)["semantic"].shape == (3, HEIGHT, WIDTH)
+    with pytest.raises(Exception, match=r"(?i)dimension"):
+        run(session, probe_frames((HEIGHT, WIDTH + 16), max_depth_m=100.0)[:1])
+
+
+def test_unknown_opset_is_refused(lite):
+    with pytest.raises(ExportError, match="opset must be 18 to"):
+        trace(DeployGraph(lite), size=(HEIGHT, WIDTH), opset=9)
+
+
+def tiny_model(*, op_type="Relu", domain="", external=False):
+    value = helper.make_tensor_value_info
+    weight = helper.make_tensor("w", TensorProto.FLOAT, [1], [1.0])
+    if external:
+        weight.data_location = TensorProto.EXTERNAL
+    graph = helper.make_graph(
+        [helper.make_node(op_type, ["x"], ["y"], domain=domain)],
+        "tiny",
+        [value("x", TensorProto.FLOAT, [1])],
+        [value("y", TensorProto.FLOAT, [1])],
+        [weight],
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)])
+
+
+def test_standard_model_passes():
+    check_standard(tiny_model(), opset=18)
+
+
+@pytest.mark.parametrize(
+    ("model", "text"),
+    [
+        (tiny_model(op_type="FusedConv", domain="com.microsoft"), "com.microsoft::FusedConv"),
+        (tiny_model(op_type="NoSuchOperator"), "not valid ONNX"),
+        (tiny_model(external=True), "outside the file: w"),
+    ],
+)
+def test_what_is_not_standard_is_refused(model, text):
+    with pytest.raises(ExportError, match=text):
+        check_standard(model, opset=18)
+
+
+def test_another_opset_than_asked_for_is_refused():
+    with pytest.raises(ExportError, match="asked for opset 19"):
+        check_standard(tiny_model(), opset=19)

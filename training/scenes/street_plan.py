@@ -1,0 +1,100 @@
+"""Cross-section of a street: lanes, parking, verges, pavements and side roads."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from numpy.random import Generator
+
+StreetKind = Literal["town", "residential", "avenue", "highway", "square"]
+
+
+STREET_KINDS: tuple[StreetKind, ...] = ("town", "residential", "avenue", "highway", "square")
+
+
+KERB_M = 0.12
+
+
+START_M = -40.0
+
+
+END_M = 330.0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Cross-section of the street; everything in metres from the centre line.
+
+    side: +1 traffic keeps right, -1 keeps left. Own lanes lie at -side * d.
+    """
+
+    kind: StreetKind
+    side: float
+    lane: float
+    lanes: int
+    parking: float
+    verge: float
+    pavement: float
+    crossings: tuple[float, ...]
+    crossing_half: float
+
+    @property
+    def kerb(self) -> float:
+        """Distance of the kerbs from the centre line."""
+        return self.lane * self.lanes + self.parking
+
+    @property
+    def back(self) -> float:
+        """Distance of the plots behind the pavement."""
+        return self.kerb + self.verge + self.pavement
+
+    def free(self, s: float, margin: float = 0.0) -> bool:
+        """Whether s is clear of every side road."""
+        return all(abs(s - c) > self.crossing_half + margin for c in self.crossings)
+
+
+def draw_plan(rng: Generator, kind: StreetKind, side: float) -> Plan:
+    lanes = {
+        "town": 1,
+        "residential": 1,
+        "avenue": int(rng.integers(1, 3)),
+        "highway": int(rng.integers(1, 3)),
+        "square": int(rng.integers(1, 4)),
+    }[kind]
+    lane = float(rng.uniform(3.0, 3.7))
+    parking = (
+        2.2
+        if kind in ("town", "residential") and rng.random() < 0.7
+        else (0.5 if kind != "highway" else 1.5)
+    )
+    verge = {
+        "town": 0.0,
+        "residential": float(rng.choice([0.0, 1.5])),
+        "avenue": float(rng.uniform(1.5, 4)),
+        "highway": 0.0,
+        "square": 0.0,
+    }[kind]
+    pavement = 0.0 if kind == "highway" and rng.random() < 0.6 else float(rng.uniform(1.8, 4.5))
+    crossings: list[float] = []
+    where = float(rng.uniform(12, 70))
+    while where < 260 and kind != "highway":
+        crossings.append(where)
+        where += float(rng.uniform(45, 120))
+    if kind == "highway" and rng.random() < 0.3:
+        crossings = [float(rng.uniform(40, 90))]
+    return Plan(
+        kind,
+        side,
+        lane,
+        lanes,
+        parking,
+        verge,
+        pavement,
+        tuple(crossings),
+        float(rng.uniform(3.2, 5.5)),
+    )
+
+
+def lane_centre(plan: Plan, lane: int, *, own: bool = True) -> float:
+    """Centre of an own or oncoming lane; lane 0 is next to the centre line."""
+    d = -plan.side * plan.lane * (lane + 0.5)
+    return d if own else -d

@@ -1,0 +1,57 @@
+"""Points to texture, and what a texture says about them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.scenes.arrays import Floats
+
+
+@dataclass(frozen=True)
+class Points:
+    """Surface points to texture; n rows each.
+
+    texture: (n, 3) the object's own coordinates [m]. normal: (n, 3). color: (n, 3) base colour.
+    params: (n, 8). footprint: (n,) metres a pixel covers across the view ray; slant: (n,) cosine
+    between view ray and normal, 0..1.
+    """
+
+    texture: Floats
+    normal: Floats
+    color: Floats
+    params: Floats
+    footprint: Floats
+    slant: Floats
+
+    def take(self, rows: NDArray[np.intp]) -> "Points":
+        """Some of the points."""
+        return Points(
+            self.texture[rows],
+            self.normal[rows],
+            self.color[rows],
+            self.params[rows],
+            self.footprint[rows],
+            self.slant[rows],
+        )
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What the shader needs: albedo (n, 3) linear, gloss (n,) mirror share at normal incidence,
+    glow (n, 3) light of its own."""
+
+    albedo: Floats
+    gloss: Floats
+    glow: Floats
+
+
+def matt(albedo: Floats, gloss: float | Floats = 0.0) -> Surface:
+    shiny = np.broadcast_to(np.float32(gloss), (len(albedo),)).astype(np.float32)
+    return Surface(albedo, shiny, np.zeros_like(albedo))
+
+
+def mix(a: Floats, b: Floats | Sequence[float], weight: Floats) -> Floats:
+    w = weight[:, None]
+    return np.asarray(a * (1 - w) + np.asarray(b, dtype=np.float32) * w)
