@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from runtime.errors import DatasetError
 from training.baselines import ip_basic, nearest_fill
@@ -60,6 +61,49 @@ def test_without_measurements_there_is_no_depth(complete):
 
 
 # IP-Basic
+
+
+def ip_basic_in_scipy(sparse_depth, max_depth_m):
+    """The published steps once more, with SciPy's filters and a loop over the columns."""
+
+    def dilate(x, kernel):
+        return ndimage.grey_dilation(x, footprint=kernel, mode="constant", cval=-np.inf)
+
+    def erode(x, kernel):
+        return ndimage.grey_erosion(x, footprint=kernel, mode="constant", cval=np.inf)
+
+    def full(size):
+        return np.ones((size, size), dtype=bool)
+
+    diamond = np.array(
+        [[0, 0, 1, 0, 0], [0, 1, 1, 1, 0], [1, 1, 1, 1, 1], [0, 1, 1, 1, 0], [0, 0, 1, 0, 0]]
+    ).astype(bool)
+    x = np.where(sparse_depth > 0.1, max_depth_m - sparse_depth.astype(np.float64), 0)
+    x = dilate(x, diamond)
+    x = erode(dilate(x, full(5)), full(5))
+    x = np.where(x > 0.1, x, dilate(x, full(7)))
+    for column in x.T:
+        known = np.nonzero(column > 0.1)[0]
+        if known.size:
+            column[: known[0]] = column[known[0]]
+    x = np.where(x > 0.1, x, dilate(x, full(31)))
+    x = ndimage.median_filter(x, size=5, mode="nearest")
+    known = x > 0.1
+    taps = np.array([1, 4, 6, 4, 1]) / 16
+    blurred = ndimage.correlate1d(
+        ndimage.correlate1d(x, taps, 0, mode="mirror"), taps, 1, mode="mirror"
+    )
+    return np.where(known, max_depth_m - np.where(known, blurred, x), 0)
+
+
+@pytest.mark.parametrize("share", [0.001, 0.01, 0.1])
+def test_ip_basic_equals_scipy(share):
+    rng = np.random.default_rng(0)
+    shape = (90, 130)
+    sparse_depth = np.where(rng.random(shape) < share, 2 + 78 * rng.random(shape), 0)
+    sparse_depth = sparse_depth.astype(np.float32)
+    ours = ip_basic(sparse_depth, max_depth_m=90.0)
+    np.testing.assert_allclose(ours, ip_basic_in_scipy(sparse_depth, 90.0), atol=1e-3)
 
 
 def test_ip_basic_spreads_one_point_and_extends_its_columns_up():

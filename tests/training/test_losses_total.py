@@ -126,6 +126,25 @@ def test_literal_forms_of_the_paper():
     assert terms["semantic_boundary"].item() == pytest.approx(expected.item(), rel=1e-5)
 
 
+def test_beta_is_counted_over_what_the_configuration_says():
+    parts = leaves()
+    semantic, depth = targets()
+    semantic[1, :, 3:] = 0  # few boundaries here, many in the other image
+    boundary = [
+        SSDNetLoss(LossConfig(boundary_beta=mode), max_depth_m=100.0)(
+            answer(parts), semantic, depth
+        )["boundary"].item()
+        for mode in ("batch", "image")
+    ]
+    target, valid = boundary_target(semantic)
+    expected = [
+        balanced_cross_entropy(parts["boundary"], target, valid, beta_mode=mode).item()
+        for mode in ("batch", "image")
+    ]
+    assert boundary == pytest.approx(expected, rel=1e-6)
+    assert expected[0] != pytest.approx(expected[1], rel=1e-2)
+
+
 @pytest.mark.parametrize(("form", "reaches"), [("soft", True), ("hard", False)])
 def test_joint_gradient_to_the_semantic_head(form, reaches):
     parts = leaves()
@@ -237,5 +256,7 @@ def test_wrong_sizes_and_configurations_are_refused():
         SSDNetLoss(LossConfig(), max_depth_m=100.0)(answer(leaves()), semantic[:, 1:], depth)
     with pytest.raises(ValueError, match=r"loss\.metric_l2 = -1"):
         LossConfig(metric_l2=-1.0)
+    with pytest.raises(ValueError, match=r"loss\.depth_weight = -1"):
+        LossConfig(depth_weight=-1)
     with pytest.raises(ValueError, match="all weights"):
         LossConfig(**ALL_OFF)

@@ -87,7 +87,7 @@ def test_depth_metrics_by_hand():
 
 def test_depth_scores_accumulate_over_pixels_not_frames():
     rng = np.random.default_rng(1)
-    frames = [(100 * rng.random((4, n)), 100 * rng.random((4, n))) for n in (3, 8, 20)]
+    frames = [(1 + 99 * rng.random((4, n)), 1 + 99 * rng.random((4, n))) for n in (3, 8, 20)]
     merged = DepthScores()
     for prediction, depth in frames:
         one = DepthScores()
@@ -96,6 +96,11 @@ def test_depth_scores_accumulate_over_pixels_not_frames():
     error = np.concatenate([(prediction - depth).ravel() for prediction, depth in frames])
     assert merged.compute().mae_m == pytest.approx(np.abs(error).mean())
     assert merged.compute().rmse_m == pytest.approx(np.sqrt((error**2).mean()))
+    inverse = np.concatenate(
+        [(1e3 / prediction - 1e3 / depth).ravel() for prediction, depth in frames]
+    )
+    assert merged.compute().imae_per_km == pytest.approx(np.abs(inverse).mean())
+    assert merged.compute().irmse_per_km == pytest.approx(np.sqrt((inverse**2).mean()))
     with pytest.raises(ValueError, match="up_to_m"):
         merged.merge(DepthScores((10.0,)))
 
