@@ -14,6 +14,9 @@ from models import load_checkpoint
 from models.config import CONFIGS
 from runtime.errors import CheckpointError, DatasetError, InputError
 from training import cli, loop
+from training.augment import AugmentConfig
+from training.loop import NonFiniteLossError, exponential_average, learning_rate, train
+from training.losses import LossConfig
 from training.recipe import (
     DataRecipe,
     LoopRecipe,
@@ -23,9 +26,6 @@ from training.recipe import (
     SourceRecipe,
     ValidationRecipe,
 )
-from training.augment import AugmentConfig
-from training.loop import NonFiniteLossError, exponential_average, learning_rate, train
-from training.losses import LossConfig
 
 TINY = replace(
     CONFIGS["ssdnet-lite"],
