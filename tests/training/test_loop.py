@@ -177,7 +177,8 @@ def test_command_reports_bad_recipes_and_data(data, tmp_path):
     result = runner.invoke(cli.app, [str(tmp_path / "none.toml"), *out])
     assert result.exit_code == 1
     assert "cannot be read" in result.output
-    text = '[model]\nname="ssdnet-lite"\n[data]\nsource=[{kind="camvid",path="x"}]\n[schedule]\nsteps=1'
+    source = '[data]\nsource=[{kind="camvid",path="x"}]'
+    text = f'[model]\nname="ssdnet-lite"\n{source}\n[schedule]\nsteps=1'
     (tmp_path / "r.toml").write_text(text)
     result = runner.invoke(cli.app, [str(tmp_path / "r.toml"), *out])
     assert result.exit_code == 1

@@ -1,7 +1,6 @@
 """Image files as arrays, with an error that names the file."""
 
 from pathlib import Path
-
 from typing import Any
 
 import cv2

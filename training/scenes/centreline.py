@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import ArrayLike
 
 from training.scenes.arrays import Floats
 
@@ -22,7 +21,7 @@ class Centreline:
     z: Floats
     heading: Floats
 
-    def at(self, s: ArrayLike, d: ArrayLike, up: ArrayLike = 0.0) -> Floats:
+    def at(self, s: float | Floats, d: float | Floats, up: float | Floats = 0.0) -> Floats:
         """World points (..., 3) of street coordinates; up is metres above the road."""
         along = np.asarray(s, dtype=np.float64)
         heading = self.heading_at(along)
@@ -35,7 +34,7 @@ class Centreline:
             axis=-1,
         )
 
-    def heading_at(self, s: ArrayLike) -> Floats:
+    def heading_at(self, s: float | Floats) -> Floats:
         """Direction of the street in rad, anticlockwise from the x axis."""
         return np.asarray(np.interp(np.asarray(s), self.s, self.heading))
 

@@ -43,4 +43,4 @@ class RayCaster:
         found = self._scene.run(
             np.ascontiguousarray(origins), np.ascontiguousarray(directions), limit, query="OCCLUDED"
         )
-        return np.not_equal(found, -1)
+        return np.asarray(np.not_equal(found, -1))

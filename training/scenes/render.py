@@ -19,6 +19,7 @@ from training.scenes.street import Street
 from training.scenes.weather import Weather
 
 MAX_DEPTH_M = 655.0
+_SHADOW_MARGIN_M = 25.0
 _JITTER = ((-0.3, -0.3), (0.3, -0.1), (-0.1, 0.3))
 
 
@@ -113,9 +114,8 @@ def render_frame(
 
 def _ahead(mesh: Mesh, position: Floats, forward: Floats) -> Mesh:
     """Drop what lies well behind the camera; a margin keeps its shadows."""
-    reach = (mesh.positions[:, 0] - position.astype(np.float32)) @ forward.astype(np.float32)
-    largest = 25.0
-    return mesh.where(reach > -largest - 120.0 * (mesh.label == SceneClass.TERRAIN))
+    reach = (mesh.positions - position.astype(np.float32)) @ forward.astype(np.float32)
+    return mesh.where(reach.max(axis=1) > -_SHADOW_MARGIN_M)
 
 
 def _cast(caster: RayCaster, directions: Floats) -> Hits:

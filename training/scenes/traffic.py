@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.random import Generator
@@ -139,7 +140,7 @@ def draw_people(rng: Generator, plan: Plan) -> list[Actor]:
         speed = float(rng.uniform(3.5, 6)) * (1 if own else -1)
         actors.append(
             Actor(
-                lambda phase, dress=dress: people.make_cyclist(dress, phase),
+                partial(people.make_cyclist, dress),
                 float(rng.uniform(7, 50)),
                 d,
                 speed,
