@@ -36,7 +36,7 @@ def test_a_dashed_line_is_painted_where_its_dashes_are():
     assert np.round(cover).tolist() == [0, 1, 1, 0, 0, 1, 1, 0]
     assert not paint_cover(dashes, s, np.full_like(s, 1.2), sharp, sharp).any()
     # From far away a pixel holds whole dashes and shows their share.
-    far = paint_cover(dashes, s[3:4], f32(1.0), f32(9.0), f32(0.01))
+    far = paint_cover(dashes, f32(25.0), f32(1.0), f32(30.0), f32(0.01))
     assert far[0] == pytest.approx(1 / 3, abs=0.02)
 
 

@@ -22,6 +22,8 @@ def _table() -> Floats:
 def value_noise(u: Floats, v: Floats) -> Floats:
     """Smooth noise in -1..1 with unit lattice, at points u, v of any equal shape."""
     n = u.size
+    if not n:
+        return np.zeros(u.shape, dtype=np.float32)
     rows = -(-n // _ROW)
     x = np.zeros(rows * _ROW, dtype=np.float32)
     y = np.zeros(rows * _ROW, dtype=np.float32)
