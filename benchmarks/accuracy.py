@@ -4,7 +4,8 @@
 
 Scores whatever it finds below the --data folders: `camvid` (val; RGB only, no depth given),
 `kitti_stream` (frames 50-59; every second scan line fed, the others scored) and `rendered/val`
-(64 simulated scan lines fed, all pixels scored). Everything runs at the frames' own size.
+(64 simulated scan lines fed, all pixels scored). Depth is scored up to 100 m. Everything runs at
+the frames' own size.
 """
 
 import argparse

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from export import export_checkpoint
+from export.exporter import export_checkpoint
 from models import create_model, save_checkpoint
 from runtime import Predictor
 from runtime.cli import bundled_stream

@@ -109,9 +109,11 @@ class Scores:
                 for name, value in zip(class_names, semantic.class_iou, strict=bool(class_names))
             }
         if depth.pixels:
+            # The widest range of Table 1, 0-100 m: beyond it a network's range ends.
+            widest = depth.ranges[-1]
             figures |= {
-                "mae_m": depth.mae_m,
-                "rmse_m": depth.rmse_m,
+                "mae_m": widest.mae_m,
+                "rmse_m": widest.rmse_m,
                 "imae_per_km": depth.imae_per_km,
                 "irmse_per_km": depth.irmse_per_km,
             }

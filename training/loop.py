@@ -96,11 +96,12 @@ def train(
     }
 
     def save(path: Path, *, resumable: bool) -> None:
+        shipped = adjust_logits(averaged.state_dict(), weights, recipe.loop.logit_adjustment)
         save_checkpoint(
             path,
             network,
             training={**training_info, "step": step},
-            state_dict=(network if resumable else averaged).state_dict(),
+            state_dict=network.state_dict() if resumable else shipped,
             trainer=(
                 {
                     "step": step,
@@ -187,6 +188,22 @@ def exponential_average(
             torch._foreach_copy_(average, current)
 
     return update
+
+
+def adjust_logits(
+    state_dict: Mapping[str, Tensor], weights: Tensor | None, share: float
+) -> dict[str, Tensor]:
+    """Return the weights of a network whose semantic bias is lowered by share * log(class weight).
+
+    A network trained with class weights w answers with the odds of w * p; taking the log of them
+    off the logits gives p back (Menon et al. 2021), a share of it lies between. Nothing changes
+    without class weights.
+    """
+    adjusted = dict(state_dict)
+    if weights is not None and share:
+        bias = adjusted["semantic_head.bias"]
+        adjusted["semantic_head.bias"] = bias - share * weights.to(bias).log()
+    return adjusted
 
 
 def _compute_loss(

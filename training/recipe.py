@@ -88,6 +88,9 @@ class LoopRecipe:
     ema_decay: float = 0.999
     #: Largest norm of the gradient; 0 = no clipping.
     clip_norm: float = 0.0
+    #: Share of the log class weights that model.pt's semantic bias gives back (Menon et al. 2021):
+    #: weighted training finds rare classes too often. 0 = none, 1 = all.
+    logit_adjustment: float = 0.0
     checkpoint_every: int = 500
     log_every: int = 20
 

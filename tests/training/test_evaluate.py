@@ -77,6 +77,15 @@ def test_truth_scores_full_marks():
     assert result["iou_c8"] == 1
 
 
+def test_depth_beyond_100_m_is_not_scored():
+    depth = sample().depth
+    depth[20] = 300
+    frame = sample(depth=depth, sparse_depth=depth)
+    answer = np.where(depth > 100, np.float32(99), depth + 1).astype(np.float32)
+    result = figures(lambda rgb, fed: Answer(None, answer, None), frame)
+    assert result["mae_m"] == pytest.approx(1)
+
+
 def test_one_class_everywhere_scores_its_share():
     result = figures(lambda rgb, fed: Answer(np.full((60, 120), 3, np.uint8), None, None))
     assert result["miou"] == pytest.approx((3000 / 7200 + 0 + 0) / 3)

@@ -15,7 +15,13 @@ from models.config import CONFIGS
 from runtime.errors import CheckpointError, DatasetError, InputError
 from training import cli, loop
 from training.augment import AugmentConfig
-from training.loop import NonFiniteLossError, exponential_average, learning_rate, train
+from training.loop import (
+    NonFiniteLossError,
+    adjust_logits,
+    exponential_average,
+    learning_rate,
+    train,
+)
 from training.losses import LossConfig
 from training.recipe import (
     DataRecipe,
@@ -196,3 +202,27 @@ def test_average_forgets_its_start():
     long_run = [torch.zeros(1)]
     update(long_run, [torch.ones(1)], 10**6)
     torch.testing.assert_close(long_run[0], torch.tensor([1e-3]))
+
+
+def test_logit_adjustment_gives_the_class_weights_back():
+    """Odds of w * p turn into p, so that an even chance of a doubled class is no longer a win."""
+    state = {"semantic_head.bias": torch.tensor([0.0, math.log(2.0)]), "other": torch.ones(2)}
+    weights = torch.tensor([1.0, 2.0])
+    whole = adjust_logits(state, weights, 1.0)
+    torch.testing.assert_close(whole["semantic_head.bias"], torch.zeros(2))
+    half = adjust_logits(state, weights, 0.5)
+    torch.testing.assert_close(half["semantic_head.bias"][1], torch.tensor(0.5 * math.log(2.0)))
+    assert torch.equal(
+        adjust_logits(state, None, 1.0)["semantic_head.bias"], state["semantic_head.bias"]
+    )
+    assert torch.equal(whole["other"], state["other"])
+
+
+def test_final_checkpoint_is_adjusted_and_the_resumable_one_is_not(data, tmp_path):
+    plain = replace(recipe(steps=2), loss=replace(INDEPENDENT, class_weighting="median"))
+    adjusted = replace(plain, loop=replace(plain.loop, logit_adjustment=1.0))
+    a = train(plain, data=[data], out=tmp_path / "a")
+    b = train(adjusted, data=[data], out=tmp_path / "b")
+    bias = "semantic_head.bias"
+    assert torch.equal(weights(a.parent / "last.pt")[bias], weights(b.parent / "last.pt")[bias])
+    assert not torch.equal(weights(a)[bias], weights(b)[bias])
