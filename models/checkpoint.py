@@ -1,7 +1,6 @@
 """Checkpoints: weights that carry their own configuration."""
 
 import os
-import pickle
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -86,7 +85,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         raise CheckpointError(f"{path}: no such checkpoint file. Give the path of a .pt file.")
     try:
         document = torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, EOFError, OSError, ValueError, KeyError, pickle.UnpicklingError) as error:
+    except Exception as error:  # a damaged pickle can fail in any way
         raise CheckpointError(
             f"{path}: not a readable checkpoint: the file is truncated, damaged, or holds "
             f"something else than tensors and plain values ({_first_line(error)}). "
@@ -108,12 +107,12 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         raise CheckpointError(f"{path}: the checkpoint lacks {', '.join(missing)}. Train anew.")
     try:
         config = ModelConfig.from_dict(document["config"])
-    except (ValueError, TypeError, KeyError) as error:
+        model = SSDNet(config)
+    except (ValueError, TypeError, KeyError, RuntimeError) as error:
         raise CheckpointError(
             f"{path}: its configuration cannot be built here: {_first_line(error)}. "
             "It may come from a newer release."
         ) from error
-    model = SSDNet(config)
     try:
         model.load_state_dict(document["weights"], strict=True)
     except (RuntimeError, TypeError, AttributeError) as error:

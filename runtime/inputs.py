@@ -118,7 +118,7 @@ def resize_sparse_depth(
     """
     height, width = size
     old_height, old_width = sparse_depth.shape
-    if height * width >= old_height * old_width:
+    if height >= old_height and width >= old_width:
         grown: NDArray[np.float32] = cv2.resize(  # type: ignore[assignment]
             sparse_depth, (width, height), interpolation=cv2.INTER_NEAREST_EXACT
         )

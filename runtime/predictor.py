@@ -67,10 +67,10 @@ class Predictor:
         threads: int | None = None,
         warmup: int = 1,
     ) -> None:
-        if threads is not None and threads < 1:
-            raise InputError(f"threads must be at least 1, got {threads}")
-        if warmup < 0:
-            raise InputError(f"warmup must be at least 0, got {warmup}")
+        if threads is not None:
+            _require_count("threads", threads, at_least=1)
+        _require_count("warmup", warmup, at_least=0)
+        _require_count("device_id", device_id, at_least=0)
         started = time.perf_counter()
         self.model, content = _read_model(model)
         self.digest = hashlib.sha256(content).hexdigest()
@@ -207,6 +207,11 @@ class Predictor:
         return results
 
 
+def _require_count(name: str, value: Any, *, at_least: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value < at_least:
+        raise InputError(f"{name} must be a whole number of at least {at_least}, got {value!r}")
+
+
 def _read_model(model: str | bytes | PathLike[str] | None) -> tuple[str, bytes]:
     if model is None:
         bundled = resources.files("runtime") / "assets" / BUNDLED_MODEL
@@ -216,12 +221,19 @@ def _read_model(model: str | bytes | PathLike[str] | None) -> tuple[str, bytes]:
                 "made by ssdnet-export"
             )
         return str(bundled), bundled.read_bytes()
-    path = Path(os.fsdecode(model))
+    try:
+        path = Path(os.fsdecode(model))
+    except TypeError as error:
+        raise InputError(
+            f"model must be a path, got {type(model).__name__}: name an ONNX file, or none for "
+            "the bundled model"
+        ) from error
     try:
         content = path.read_bytes()
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        reason = getattr(error, "strerror", None) or error
         raise ContractError(
-            f"cannot read the model {path} ({error.strerror}): name an ONNX file made by "
+            f"cannot read the model {str(path)[:200]!r} ({reason}): name an ONNX file made by "
             "ssdnet-export, or none for the bundled model"
         ) from error
     if not content:

@@ -40,7 +40,7 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
     Raises ProviderError if the provider cannot be had, and ContractError if the model cannot be
     loaded.
     """
-    if provider not in PROVIDERS:
+    if not isinstance(provider, str) or provider not in PROVIDERS:
         raise ProviderError(f"unknown provider {provider!r}: expected one of {sorted(PROVIDERS)}")
     ort = import_onnxruntime()
     name = PROVIDERS[provider]

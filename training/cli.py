@@ -41,11 +41,20 @@ def train(
             device=device,
             stop_after=stop_after,
         )
+    except ImportError as error:
+        typer.echo(f'error: {error}: training needs pip install "ssdnet[train]"', err=True)
+        raise typer.Exit(1) from error
     except SSDNetError as error:
         typer.echo(f"error: {error}", err=True)
         raise typer.Exit(1) from error
     except KeyboardInterrupt:
-        typer.echo(f"stopped; the same command goes on from {out}/last.pt", err=True)
+        kept = (out / "last.pt").is_file()
+        typer.echo(
+            "stopped; the same command goes on from the last checkpoint"
+            if kept
+            else "stopped before the first checkpoint; the same command starts anew",
+            err=True,
+        )
         raise typer.Exit(1) from None
     typer.echo(str(path))
 
@@ -53,3 +62,7 @@ def train(
 def main() -> None:
     """Entry point of the installed command."""
     app()
+
+
+if __name__ == "__main__":
+    main()

@@ -20,6 +20,7 @@ from tqdm import tqdm
 
 from models import SSDNet, create_model, load_checkpoint, save_checkpoint
 from runtime.errors import CheckpointError, InputError, SSDNetError
+from runtime.writer import write_whole
 from training.evaluate import score_sources
 from training.losses import SSDNetLoss, class_weights
 from training.recipe import OptimizerRecipe, Recipe, ScheduleRecipe
@@ -53,7 +54,6 @@ def train(
     weights. ``stop_after`` ends early at that step, resumable.
     """
     resolved = {"recipe": asdict(recipe), "init": _weights_name(init)}
-    _claim(out, resolved)
     # OpenCV's thread pool does not survive the fork of the loader's workers: they would hang.
     cv2.setNumThreads(0)
     torch.manual_seed(recipe.data.seed)
@@ -62,13 +62,18 @@ def train(
 
     sources = [open_source(item, data) for item in recipe.data.source]
     validation = {item.path: (item, open_source(item, data)) for item in recipe.validation.source}
-    network = _build_network(recipe, init).to(device)
+    network = _build_network(recipe, init)
+    try:
+        network = network.to(device)
+    except (RuntimeError, AssertionError) as error:
+        raise InputError(f"device {device!r} cannot be had: {error}. Try --device cpu.") from error
     if recipe.loop.channels_last:
         network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     weights = None
     if network.config.semantic_head:
         counts = count_pixels(recipe.data, sources, network.config.num_classes)
         weights = class_weights(torch.from_numpy(counts), recipe.loss.class_weighting)
+    _claim(out, resolved)  # only now: what cannot start leaves no folder behind
     criterion = SSDNetLoss(recipe.loss, weights, max_depth_m=network.config.max_depth_m).to(device)
     optimizer = _build_optimizer(recipe.optimizer, network)
     # Buffers are averaged too: batch statistics must fit the averaged weights.
@@ -231,7 +236,10 @@ def _compute_loss(
 
 
 def _build_network(recipe: Recipe, init: Path | None) -> SSDNet:
-    network = create_model(recipe.model.name, max_depth_m=recipe.model.max_depth_m)
+    try:
+        network = create_model(recipe.model.name, max_depth_m=recipe.model.max_depth_m)
+    except ValueError as error:
+        raise InputError(f"the recipe's model cannot be built: {error}.") from error
     if init is not None:
         start = load_checkpoint(init)
         if start.model.config != network.config:
@@ -269,7 +277,7 @@ def _claim(out: Path, resolved: Mapping[str, Any]) -> None:
                 )
             return
         out.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text.encode())
     except OSError as error:
         raise InputError(
             f"{out}: cannot be written: {error.strerror}. Choose another --out."

@@ -14,6 +14,11 @@ from training.losses import LossConfig
 T = TypeVar("T")
 
 
+def _require(key: str, value: float, *, at_least: float) -> None:
+    if not value >= at_least:
+        raise ValueError(f"{key} = {value}; it must be at least {at_least}")
+
+
 @dataclass(frozen=True)
 class ModelRecipe:
     """Which network, by its name in `models.list_models()`."""
@@ -57,6 +62,18 @@ class DataRecipe:
     #: Samples from which the class frequencies for the loss are counted.
     frequency_samples: int = 400
 
+    def __post_init__(self) -> None:
+        """Refuse what cannot be drawn, with a ValueError that names the key."""
+        _require("data.source", len(self.source), at_least=1)
+        _require("data.batch_size", self.batch_size, at_least=1)
+        _require("data.workers", self.workers, at_least=0)
+        _require("data.frequency_samples", self.frequency_samples, at_least=1)
+        for size in self.augment.crop:
+            _require("data.augment.crop", size, at_least=32)
+        for item in self.source:
+            if not item.weight > 0:
+                raise ValueError(f"data.source.weight = {item.weight}; it must be positive")
+
 
 @dataclass(frozen=True)
 class OptimizerRecipe:
@@ -67,6 +84,11 @@ class OptimizerRecipe:
     weight_decay: float = 1e-2
     momentum: float = 0.9
 
+    def __post_init__(self) -> None:
+        """Refuse negative rates, with a ValueError that names the key."""
+        _require("optimizer.learning_rate", self.learning_rate, at_least=0)
+        _require("optimizer.weight_decay", self.weight_decay, at_least=0)
+
 
 @dataclass(frozen=True)
 class ScheduleRecipe:
@@ -76,6 +98,11 @@ class ScheduleRecipe:
     warmup_steps: int = 0
     shape: Literal["cosine", "constant"] = "cosine"
     final_ratio: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse negative lengths, with a ValueError that names the key."""
+        _require("schedule.steps", self.steps, at_least=1)
+        _require("schedule.warmup_steps", self.warmup_steps, at_least=0)
 
 
 @dataclass(frozen=True)
@@ -93,6 +120,12 @@ class LoopRecipe:
     logit_adjustment: float = 0.0
     checkpoint_every: int = 500
     log_every: int = 20
+
+    def __post_init__(self) -> None:
+        """Refuse intervals below one step, with a ValueError that names the key."""
+        _require("loop.checkpoint_every", self.checkpoint_every, at_least=1)
+        _require("loop.log_every", self.log_every, at_least=1)
+        _require("loop.ema_decay", self.ema_decay, at_least=0)
 
 
 @dataclass(frozen=True)
@@ -125,7 +158,7 @@ def read_recipe(path: Path | str) -> Recipe:
             table = tomllib.load(stream)
     except OSError as error:
         raise InputError(f"{path}: the recipe cannot be read: {error.strerror}.") from error
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not valid TOML: {error}.") from error
     try:
         return build(Recipe, table)

@@ -113,3 +113,28 @@ def test_failed_write_keeps_the_old_file_and_leaves_no_other(tmp_path, monkeypat
     monkeypatch.undo()
     assert load_checkpoint(path).training["data"] == ["old"]
     assert [p.name for p in tmp_path.iterdir()] == ["a.pt"]
+
+
+def test_damaged_bytes_are_never_another_error(tmp_path):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    whole = path.read_bytes()
+    draw = torch.Generator().manual_seed(0)
+    refused = 0
+    for position in torch.randint(0, 4000, (60,), generator=draw).tolist():
+        damaged = bytearray(whole)
+        damaged[position] ^= 0xFF
+        path.write_bytes(damaged)
+        try:
+            load_checkpoint(path)
+        except CheckpointError:
+            refused += 1
+    assert refused
+
+
+def test_configuration_that_cannot_be_built_is_named(tmp_path):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    change(path, config={**SMALL.to_dict(), "boundary_channels": -4})
+    with pytest.raises(CheckpointError, match="cannot be built here"):
+        load_checkpoint(path)

@@ -143,3 +143,10 @@ def test_a_picture_keeps_its_place():
     resized = resize_rgb(rgb, (90, 40))
     assert (resized[:44] == 200).all()
     assert (resized[46:] == 0).all()
+
+
+def test_returns_survive_when_one_side_grows_and_the_other_shrinks():
+    sparse_depth = np.zeros((100, 1000), dtype=np.float32)
+    sparse_depth[50, ::7] = 10.0  # 143 returns, each in a column of its own of 300
+    resized = resize_sparse_depth(sparse_depth, (400, 300))
+    assert np.count_nonzero(resized.any(axis=0)) == 143

@@ -226,3 +226,17 @@ def test_final_checkpoint_is_adjusted_and_the_resumable_one_is_not(data, tmp_pat
     bias = "semantic_head.bias"
     assert torch.equal(weights(a.parent / "last.pt")[bias], weights(b.parent / "last.pt")[bias])
     assert not torch.equal(weights(a)[bias], weights(b)[bias])
+
+
+@pytest.mark.parametrize(
+    ("changes", "device", "text"),
+    [
+        ({"model": ModelRecipe("foo")}, "cpu", "unknown model 'foo'"),
+        ({"model": ModelRecipe("ssdnet-lite", max_depth_m=-1.0)}, "cpu", "must be positive"),
+        ({}, "nowhere", "device 'nowhere' cannot be had"),
+    ],
+)
+def test_what_cannot_start_leaves_no_folder(data, tmp_path, changes, device, text):
+    with pytest.raises(InputError, match=text):
+        train(replace(recipe(), **changes), data=[data], out=tmp_path / "run", device=device)
+    assert not (tmp_path / "run").exists()

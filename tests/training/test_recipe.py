@@ -46,11 +46,22 @@ def test_defaults_and_conversions(tmp_path):
         ('kind = "camvid"', 'kind = "kitty"', "choose one of 'camvid'"),
         ("scale = [1, 2]", "scale = [1]", "needs 2 values"),
         ("scale = [1, 2]", "scale = [1,", "not valid TOML"),
+        ("steps = 10", "steps = -5", "schedule.steps = -5"),
+        ("batch_size = 4", "batch_size = 0", "data.batch_size = 0"),
+        ("scale = [1, 2]", "weight = -0.7", "must be positive"),
+        ("steps = 10", "steps = 10\n[loop]\ncheckpoint_every = 0", "loop.checkpoint_every = 0"),
+        ("steps = 10", "steps = 10\n[optimizer]\nlearning_rate = -1", "optimizer.learning_rate"),
     ],
 )
 def test_mistakes_are_named(tmp_path, old, new, text):
     with pytest.raises(InputError, match=text):
         read(tmp_path, MINIMAL.replace(old, new))
+
+
+def test_file_that_is_not_text(tmp_path):
+    (tmp_path / "r.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match="not valid TOML"):
+        read_recipe(tmp_path / "r.toml")
 
 
 def test_missing_file(tmp_path):

@@ -35,11 +35,15 @@ def render(
     overwrite: Annotated[bool, typer.Option(help="Replace scenes that exist.")] = False,
 ) -> None:
     """Render streets: RGB, depth and classes of every frame."""
-    from runtime.errors import SSDNetError
-    from training.scenes.camera import CameraName
-    from training.scenes.scene_job import SceneJob
-    from training.scenes.street_plan import STREET_KINDS, StreetKind
-    from training.scenes.weather import VARIANTS, Variant
+    try:
+        from runtime.errors import SSDNetError
+        from training.scenes.camera import CameraName
+        from training.scenes.scene_job import SceneJob
+        from training.scenes.street_plan import STREET_KINDS, StreetKind
+        from training.scenes.weather import VARIANTS, Variant
+    except ImportError as error:
+        typer.echo(f'error: {error}: rendering needs pip install "ssdnet[train]"', err=True)
+        raise typer.Exit(1) from error
 
     cameras: dict[str, CameraName] = {"kitti": "kitti", "camvid": "camvid"}
     kinds: dict[str, StreetKind] = {kind: kind for kind in STREET_KINDS}

@@ -1,0 +1,56 @@
+"""What ships: the bundled model and stream keep their promises."""
+
+from importlib import resources
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from runtime import Predictor
+from runtime.cli import app, bundled_stream
+from runtime.frames import list_frames, read_frame
+
+pytest.importorskip("onnxruntime")
+
+
+def test_assets_stay_under_15_mb():
+    assets = resources.files("runtime") / "assets"
+    sizes = [path.stat().st_size for path in assets.rglob("*") if path.is_file()]
+    assert 1e6 < sum(sizes) < 15e6
+
+
+def test_contract_of_the_bundled_model():
+    with Predictor(warmup=0) as predictor:
+        contract = predictor.contract
+        assert predictor.heads == ("semantic", "depth", "boundary")
+        assert predictor.input_size is None
+    assert [info.name for info in contract.classes][:4] == ["sky", "building", "pole", "road"]
+    assert len(contract.classes) == 11
+    assert contract.max_depth_m == 100
+    assert "non-commercial" in contract.training["terms"]
+    assert "unknown" not in contract.versions["ssdnet"]
+    assert contract.parity["semantic"]
+
+
+def test_it_sees_the_street():
+    """Road in front, sky or trees above, and depth close to the returns it was given."""
+    files = list_frames(*bundled_stream())
+    assert len(files) == 20
+    frame = read_frame(files[0], depth_scale=256.0)
+    with Predictor() as predictor:
+        prediction = predictor.predict(frame.rgb, frame.sparse_depth)
+        names = [info.name for info in predictor.contract.classes]
+    assert prediction.valid
+    assert prediction.degraded == ()
+    bottom_middle = prediction.semantic[220:, 300:500]
+    assert (bottom_middle == names.index("road")).mean() > 0.8
+    measured = frame.sparse_depth > 0
+    error = np.abs(prediction.depth - frame.sparse_depth)[measured]
+    assert np.median(error / frame.sparse_depth[measured]) < 0.05
+
+
+def test_demo_runs(tmp_path):
+    result = CliRunner().invoke(app, ["--demo", "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0
+    assert "20 (20 ok)" in result.output
+    assert len(list((tmp_path / "out" / "overlay").iterdir())) == 20
