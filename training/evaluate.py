@@ -15,7 +15,6 @@ from training.datasets.kitti_stream_lines import withhold_occluded
 from training.datasets.sample import IGNORE, Sample, SampleSource, nothing_known
 from training.lidar import scan_lines
 from training.metrics import BoundaryScores, DepthScores, SemanticScores
-from training.recipe import SourceRecipe
 
 #: The boundary's F-score is that of the best of these over the whole set.
 BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
@@ -143,13 +142,11 @@ def score(predict: Predict, frames: Iterable[LidarSplit], *, num_classes: int) -
     return scores
 
 
-def score_sources(
-    network: SSDNet, sources: Mapping[str, tuple[SourceRecipe, SampleSource]]
-) -> dict[str, float]:
+def score_sources(network: SSDNet, sources: Mapping[str, SampleSource]) -> dict[str, float]:
     """Score a network on validation sets: mIoU where there are labels, MAE and RMSE where depth."""
     predict = torch_predict(network)
     result: dict[str, float] = {}
-    for name, (_, source) in sources.items():
+    for name, source in sources.items():
         frames = (split_lidar(source[index]) for index in range(len(source)))
         figures = score(predict, frames, num_classes=network.config.num_classes).figures()
         result |= {

@@ -61,7 +61,7 @@ def train(
     np.random.seed(recipe.data.seed)  # noqa: NPY002  (for libraries that draw from it)
 
     sources = [open_source(item, data) for item in recipe.data.source]
-    validation = {item.path: (item, open_source(item, data)) for item in recipe.validation.source}
+    validation = {item.path: open_source(item, data) for item in recipe.validation.source}
     network = _build_network(recipe, init)
     try:
         network = network.to(device)
@@ -96,8 +96,7 @@ def train(
     training_info = {
         "data": [item.path for item in recipe.data.source],
         "terms": recipe.terms,
-        "recipe": asdict(recipe),
-        "init": resolved["init"],
+        **resolved,
     }
 
     def save(path: Path, *, resumable: bool) -> None:
