@@ -6,7 +6,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
 import typer
 
 from runtime import __version__
@@ -14,6 +13,7 @@ from runtime.errors import InputError, SSDNetError
 from runtime.frames import KITTI_DEPTH_SCALE, FrameFiles, list_frames, read_frame
 from runtime.latency_plot import draw_latency
 from runtime.predictor import Predictor
+from runtime.process import dedicate_process
 from runtime.report import (
     build_report,
     describe_predictor,
@@ -100,9 +100,7 @@ def run(
     _require_positive("--deadline-ms", deadline_ms)
     if demo != (rgb is None and depth is None) or (rgb is None) != (depth is None):
         raise typer.BadParameter("give either --demo, or both --rgb and --depth")
-    # What cannot be decoded becomes a flagged frame; OpenCV would print about it as well.
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    cv2.setNumThreads(1)  # the cores belong to inference
+    dedicate_process()
     try:
         rgb_dir, depth_dir = (rgb, depth) if rgb and depth else bundled_stream()
         frames = list_frames(rgb_dir, depth_dir, limit=limit)
