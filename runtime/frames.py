@@ -84,9 +84,15 @@ def read_frame(files: FrameFiles, *, depth_scale: float) -> Frame:
 def read_rgb(path: Path) -> NDArray[np.uint8]:
     """Read a PNG or JPEG file as uint8 (H, W, 3), red first.
 
-    Raises InputError if the file cannot be read, or is truncated or damaged.
+    A picture of one channel comes back with three equal ones. Raises InputError if the file
+    cannot be read, is truncated or damaged, or has more than 8 bits a channel.
     """
-    image: NDArray[np.uint8] = _decode(path, cv2.IMREAD_COLOR_RGB)
+    image = decode(path, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH)
+    if image.dtype != np.uint8:
+        raise InputError(
+            f"{path} must be a picture of 8 bits a channel, got {image.dtype.itemsize * 8} bits: "
+            "is it a depth map, the folders swapped?"
+        )
     return image
 
 
@@ -97,7 +103,7 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
     Raises InputError if the file cannot be read, is truncated or damaged, or is not one channel
     of 16 bits.
     """
-    image = _decode(path, cv2.IMREAD_UNCHANGED)
+    image = decode(path, cv2.IMREAD_UNCHANGED)
     if image.dtype != np.uint16 or image.ndim != 2:
         channels = 1 if image.ndim == 2 else image.shape[2]
         raise InputError(
@@ -108,7 +114,11 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
     return depth
 
 
-def _decode(path: Path, flags: int) -> NDArray[Any]:
+def decode(path: Path, flags: int) -> NDArray[Any]:
+    """Decode an image file with OpenCV's IMREAD_* `flags`.
+
+    Raises InputError if the file cannot be read, or is truncated or damaged.
+    """
     try:
         content = np.fromfile(path, dtype=np.uint8)
     except OSError as error:

@@ -116,6 +116,20 @@ def test_depth_of_8_bits_is_refused(tmp_path, image):
         read_sparse_depth(path)
 
 
+@pytest.mark.parametrize("shape", [(40, 50), (40, 50, 3)], ids=["depth map", "colour"])
+def test_a_picture_of_16_bits_is_refused(tmp_path, shape):
+    path = write(tmp_path / "p.png", np.full(shape, 9999, np.uint16))
+    with pytest.raises(InputError, match=r"8 bits a channel, got 16 bits.*folders swapped"):
+        read_rgb(path)
+
+
+def test_a_gray_picture_has_three_equal_channels(tmp_path):
+    gray = np.random.default_rng(0).integers(0, 255, (40, 50), dtype=np.uint8)
+    image = read_rgb(write(tmp_path / "p.png", gray))
+    assert image.dtype == np.uint8
+    assert (image == gray[..., None]).all()
+
+
 def test_depth_of_three_channels_is_refused(tmp_path):
     path = write(tmp_path / "d.png", np.zeros((40, 50, 3), np.uint16))
     with pytest.raises(InputError, match="got 3 of 16 bits"):

@@ -131,7 +131,7 @@ def test_virtual_kitti_chooses_scenes_and_variants(scene):
             ),
             "expected one channel of uint16",
         ),
-        (lambda f: (f / "frames/depth/Camera_0/depth_00000.png").unlink(), "cannot be read"),
+        (lambda f: (f / "frames/depth/Camera_0/depth_00000.png").unlink(), "cannot read"),
     ],
 )
 def test_virtual_kitti_errors_name_what_is_wrong(scene, spoil, text):

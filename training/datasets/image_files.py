@@ -7,18 +7,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import DatasetError
+from runtime import frames
+from runtime.errors import DatasetError, InputError
 
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:
     """Read an 8-bit colour image: uint8 (H, W, 3), RGB. Raises DatasetError."""
-    image = _read(path, cv2.IMREAD_COLOR)
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB).astype(np.uint8, copy=False)
+    try:
+        return frames.read_rgb(path)
+    except InputError as error:
+        raise DatasetError(f"{error}. Restore the data set's original file.") from error
 
 
 def read_gray(path: Path, dtype: type[np.uint8] | type[np.uint16]) -> NDArray[Any]:
     """Read a one-channel PNG of exactly ``dtype``: (H, W). Raises DatasetError."""
-    image = _read(path, cv2.IMREAD_UNCHANGED)
+    try:
+        image = frames.decode(path, cv2.IMREAD_UNCHANGED)
+    except InputError as error:
+        raise DatasetError(f"{error}. Restore the data set's original file.") from error
     if image.ndim != 2 or image.dtype != dtype:
         raise DatasetError(
             f"{path}: expected one channel of {np.dtype(dtype).name}, got shape {image.shape} of "
@@ -41,14 +47,3 @@ def require_folder(path: Path, purpose: str) -> Path:
     if not path.is_dir():
         raise DatasetError(f"{path}: no such folder; expected {purpose}.")
     return path
-
-
-def _read(path: Path, flags: int) -> NDArray[Any]:
-    try:
-        data = np.fromfile(path, dtype=np.uint8)
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read: {error.strerror or error}.") from error
-    image = cv2.imdecode(data, flags) if data.size else None
-    if image is None:
-        raise DatasetError(f"{path}: not a readable image; the file is truncated or damaged.")
-    return image
