@@ -1,7 +1,9 @@
 """Checkpoints: weights that carry their own configuration."""
 
 import os
+import pickle
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +17,7 @@ from runtime.errors import CheckpointError
 
 FORMAT = "ssdnet-checkpoint"
 VERSION = 1
+_ZIP_START = b"PK\x03\x04"
 
 
 @dataclass(frozen=True)
@@ -86,11 +89,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     try:
         document = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # a damaged pickle can fail in any way
-        raise CheckpointError(
-            f"{path}: not a readable checkpoint: the file is truncated, damaged, or holds "
-            f"something else than tensors and plain values ({_first_line(error)}). "
-            "Copy it again or train anew."
-        ) from error
+        raise CheckpointError(f"{path}: {_unreadable(path, error)}") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise CheckpointError(
             f"{path}: a PyTorch file, but not an ssdnet checkpoint (no 'format: {FORMAT}'). "
@@ -120,6 +119,23 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             f"{path}: its weights do not fit its own configuration '{config.name}': {error}"
         ) from error
     return Checkpoint(model.eval(), document["training"], document["trainer"])
+
+
+def _unreadable(path: Path, error: Exception) -> str:
+    """Say what is wrong with a file that torch.load refuses."""
+    with path.open("rb") as stream:
+        start = stream.read(len(_ZIP_START))
+    if not _ZIP_START.startswith(start):
+        return "not a checkpoint but a file of another kind. Give a file that ssdnet-train wrote."
+    if not zipfile.is_zipfile(path):  # its directory comes last
+        return f"truncated ({path.stat().st_size} bytes). Copy it again."
+    if isinstance(error, pickle.UnpicklingError):
+        # Not torch's own text: it goes on to say how to run the code all the same.
+        return (
+            "it holds something else than tensors and plain values, which could run code when "
+            "read. Give a file that ssdnet-train wrote."
+        )
+    return f"damaged ({_first_line(error)}). Copy it again."
 
 
 def _first_line(error: BaseException) -> str:

@@ -142,7 +142,7 @@ def test_existing_file_is_replaced_only_on_demand(lite_checkpoint, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "text"), [(b"not a checkpoint", "not a readable checkpoint"), (None, "no such")]
+    ("content", "text"), [(b"not a checkpoint", "of another kind"), (None, "no such")]
 )
 def test_foreign_checkpoint_is_an_error_with_text(tmp_path, content, text):
     path = tmp_path / "c.pt"

@@ -51,6 +51,23 @@ def test_truncated_file(tmp_path, kept):
         load_checkpoint(path)
 
 
+@pytest.mark.parametrize("content", [b"\x89PNG\r\n", b"hello", b"\x08\n\x12\x07pytorch"])
+def test_a_file_of_another_kind(tmp_path, content):
+    path = tmp_path / "a.pt"
+    path.write_bytes(content)
+    with pytest.raises(CheckpointError, match="of another kind"):
+        load_checkpoint(path)
+
+
+def test_damaged_file(tmp_path):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"ssdnet-checkpoint", b"\xff" * 17, 1))
+    with pytest.raises(CheckpointError, match="damaged"):
+        load_checkpoint(path)
+
+
 def test_foreign_pytorch_file(tmp_path):
     torch.save({"state_dict": {"a": torch.zeros(2)}}, tmp_path / "b.pt")
     with pytest.raises(CheckpointError, match="not an ssdnet checkpoint"):
@@ -66,8 +83,9 @@ class Evil:
 
 def test_a_file_that_wants_to_run_code_is_refused(tmp_path):
     torch.save({"format": "ssdnet-checkpoint", "x": Evil()}, tmp_path / "c.pt")
-    with pytest.raises(CheckpointError, match="something else than tensors"):
+    with pytest.raises(CheckpointError, match="something else than tensors") as caught:
         load_checkpoint(tmp_path / "c.pt")
+    assert "weights_only" not in str(caught.value)  # torch's text tells how to run the code
 
 
 def change(path, **changes):

@@ -48,7 +48,14 @@ def test_a_truncated_file_at_every_length(model_file):
 def test_a_file_of_another_kind(tmp_path, content):
     path = tmp_path / "other.onnx"
     path.write_bytes(content)
-    with pytest.raises(ContractError, match="cannot be loaded"):
+    with pytest.raises(ContractError, match=r"cannot be loaded .* not ONNX"):
+        Predictor(path)
+
+
+def test_a_truncated_model_is_called_so(model_file):
+    path = model_file()
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(ContractError, match="truncated or damaged; get it again"):
         Predictor(path)
 
 
