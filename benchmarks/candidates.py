@@ -45,10 +45,13 @@ def candidates() -> dict[str, ModelConfig]:
     }
     return {
         "ssdnet-lite": LITE,
+        "no semantic refinement": replace(LITE, semantic_refine_channels=0),
         "no depth prior": replace(LITE, depth_prior=False),
         "no global context": replace(LITE, global_context=False),
         "no depth decoder": replace(LITE, depth_head=False, depth_prior=False),
-        "no semantic decoder": replace(LITE, semantic_head=False, classes=()),
+        "no semantic decoder": replace(
+            LITE, semantic_head=False, classes=(), semantic_refine_channels=0
+        ),
         "stem 16 32": replace(LITE, stem_channels=(16, 32)),
         "boundary 8": replace(LITE, boundary_channels=8),
         **bottoms,

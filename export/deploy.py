@@ -45,7 +45,7 @@ class DeployGraph(nn.Module):
         )
         answers = {}
         if coarse.semantic_logits is not None:
-            logits = upsample(coarse.semantic_logits, factor=config.output_stride)
+            logits = upsample(coarse.semantic_logits, factor=config.semantic_stride)
             # Cropped last: an id is a byte, its scores are 4 bytes a class.
             answers["semantic"] = _best_class(logits)[:, :height, :width]
             answers["semantic_logits"] = logits[:, :, :height, :width]

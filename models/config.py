@@ -42,6 +42,9 @@ class ModelConfig:
     decoder_channels: tuple[int, ...] = (512, 192, 96, 64, 16)
     #: How a decoder takes in a skip: the paper's concatenation, or a 1x1 projection added.
     skip_fusion: Literal["concat", "add"] = "concat"
+    #: Channels of one more UpBlock of the semantic decoder, on the grid of the stem's first
+    #: convolution; 0 = none. Poles and signs are thinner than a cell of the coarser grid.
+    semantic_refine_channels: int = 0
     boundary_channels: int = 16
     #: Feed the mask of measured pixels beside the sparse depth.
     valid_mask_input: bool = False
@@ -67,6 +70,10 @@ class ModelConfig:
                 f"decoder_channels needs one width for each of the {self.num_skips} skips, "
                 f"got {len(self.decoder_channels)}"
             )
+        if self.semantic_refine_channels and not (
+            self.semantic_head and len(self.stem_channels) > 1
+        ):
+            raise ValueError("semantic_refine_channels needs a semantic head and two stem layers")
         if self.depth_prior and not (self.depth_head and self.use_sparse_depth):
             raise ValueError("depth_prior needs the sparse depth and a depth head")
         if self.depth_prior and not self.valid_mask_input:
@@ -91,6 +98,11 @@ class ModelConfig:
     def output_stride(self) -> int:
         """Ratio of the image to the finest grid the heads work on."""
         return int(2 ** len(self.stem_channels))
+
+    @property
+    def semantic_stride(self) -> int:
+        """Ratio of the image to the grid of the semantic logits."""
+        return 2 if self.semantic_refine_channels else self.output_stride
 
     @property
     def stride(self) -> int:
@@ -141,6 +153,7 @@ CONFIGS: dict[str, ModelConfig] = {
             encoder_block="residual",
             decoder_channels=(64, 48, 32),
             skip_fusion="add",
+            semantic_refine_channels=16,
             valid_mask_input=True,
             depth_prior=True,
             global_context=True,

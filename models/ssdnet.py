@@ -14,7 +14,7 @@ from models.boundary_decoder import BoundaryDecoder
 from models.config import ModelConfig
 from models.depth_prior import DepthPrior, pull_push_fill
 from models.encoder import build_encoder
-from models.task_decoder import TaskDecoder
+from models.task_decoder import TaskDecoder, UpBlock
 
 MINIMUM_SIZE = 32
 
@@ -59,10 +59,16 @@ class SSDNet(nn.Module):
         self.boundary_decoder = BoundaryDecoder(skips, config.boundary_channels)
 
         finest = config.decoder_channels[-1]
-        self.semantic_decoder = self.semantic_head = None
+        self.semantic_decoder = self.semantic_refine = self.semantic_head = None
         if config.semantic_head:
             self.semantic_decoder = TaskDecoder(config, skips, bottom)
-            self.semantic_head = nn.Conv2d(finest, config.num_classes, 1)
+            width = finest
+            if config.semantic_refine_channels:
+                width = config.semantic_refine_channels
+                self.semantic_refine = UpBlock(
+                    finest, config.stem_channels[0], width, config.skip_fusion
+                )
+            self.semantic_head = nn.Conv2d(width, config.num_classes, 1)
         self.depth_decoder = self.depth_heads = None
         if config.depth_head:
             self.depth_decoder = TaskDecoder(config, skips, bottom)
@@ -83,12 +89,14 @@ class SSDNet(nn.Module):
         height, width = _check_shapes(rgb, sparse_depth)
         coarse = self.predict_coarse(rgb, sparse_depth)
 
-        def full_size(x: Tensor) -> Tensor:
-            return upsample(x, factor=self.config.output_stride)[:, :, :height, :width]
+        def full_size(x: Tensor, stride: int = self.config.output_stride) -> Tensor:
+            return upsample(x, factor=stride)[:, :, :height, :width]
 
         return SSDNetOutput(
             semantic_logits=(
-                None if coarse.semantic_logits is None else full_size(coarse.semantic_logits)
+                None
+                if coarse.semantic_logits is None
+                else full_size(coarse.semantic_logits, self.config.semantic_stride)
             ),
             depths=(
                 None if coarse.depths is None else (full_size(coarse.depths[0]), *coarse.depths[1:])
@@ -118,7 +126,10 @@ class SSDNet(nn.Module):
         if exact:
             x = pad_to_multiple(x, config.stride)
         prior = None
-        x_stem = self.stem(x)
+        stem_features = [x]
+        for layer in self.stem:
+            stem_features.append(layer(stem_features[-1]))
+        x_stem = stem_features[-1]
         if self.prior_stem is not None:
             prior = pull_push_fill(
                 x[:, -2:],  # depth and mask, padded
@@ -133,8 +144,12 @@ class SSDNet(nn.Module):
 
         semantic_logits = None
         if self.semantic_decoder is not None and self.semantic_head is not None:
-            features = self.semantic_decoder(bottom, skips, boundaries, exact=exact)
-            semantic_logits = self.semantic_head(features[0])
+            finest = self.semantic_decoder(bottom, skips, boundaries, exact=exact)[0]
+            if self.semantic_refine is not None:
+                finest = self.semantic_refine(
+                    finest, stem_features[1], upsample(boundaries[0]), exact=exact
+                )
+            semantic_logits = self.semantic_head(finest)
         depths = None
         if self.depth_decoder is not None and self.depth_heads is not None:
             features = self.depth_decoder(bottom, skips, boundaries, exact=exact)

@@ -86,6 +86,30 @@ def test_paper_grids_round_up():
     assert [tuple(side.shape[2:]) for side in output.side_boundary_logits] == sizes
 
 
+def test_refined_semantics_are_twice_as_fine_as_the_rest():
+    model = SSDNet(small("ssdnet-lite")).eval()
+    coarse = model.predict_coarse(*frame(64, 96))
+    assert tuple(coarse.semantic_logits.shape[2:]) == (32, 48)
+    assert tuple(coarse.depths[0].shape[2:]) == (16, 24)
+    plain = SSDNet(small("ssdnet-lite", semantic_refine_channels=0)).eval()
+    assert tuple(plain.predict_coarse(*frame(64, 96)).semantic_logits.shape[2:]) == (16, 24)
+
+
+def test_refined_semantics_heed_the_boundary():
+    """Where the finest side output is sure of a boundary nothing of the features gets through."""
+    model = SSDNet(small("ssdnet-lite")).eval()
+    seen = {}
+    model.semantic_refine.baconv.conv.register_forward_pre_hook(
+        lambda _, args: seen.update(x=args[0])
+    )
+    model.boundary_decoder.sides[0][1].bias.data.fill_(-100.0)
+    model(*frame(64, 96))
+    assert seen["x"].abs().max() > 0
+    model.boundary_decoder.sides[0][1].bias.data.fill_(100.0)
+    model(*frame(64, 96))
+    assert not seen["x"].any()
+
+
 @pytest.mark.parametrize("size", [(31, 64), (64, 31)])
 def test_too_small_is_refused(size):
     with pytest.raises(ValueError, match="at least 32"):
@@ -173,6 +197,7 @@ def test_upsampling_by_factor_equals_by_size():
         ({"semantic_head": False, "classes": (), "depth_head": False}, "a semantic head, a depth"),
         ({"use_rgb": False, "use_sparse_depth": False}, "rgb, sparse depth or both"),
         ({"classes": ()}, "exactly when"),
+        ({"semantic_refine_channels": 8}, "two stem layers"),
         ({"decoder_channels": (8, 8)}, "5 skips"),
         ({"encoder_blocks": (1, 1)}, "same length"),
         ({"max_depth_m": 0.0}, "positive"),
