@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from training.losses.semantic import class_weights, weighted_cross_entropy
+from training.losses.semantic import (
+    class_weights,
+    soft_iou_loss,
+    soft_overlap,
+    weighted_cross_entropy,
+)
 
 
 def test_class_weights_by_hand():
@@ -76,3 +81,62 @@ def test_without_labels_loss_and_gradient_are_zero():
     loss.backward()
     assert loss.item() == 0.0
     assert logits.grad.abs().max() == 0.0
+
+
+def soft_iou_by_loops(probabilities, semantic, sample_weight):
+    classes = probabilities.shape[1]
+    losses = []
+    for k in range(classes):
+        both = predicted = labelled = 0.0
+        for n, v, u in np.ndindex(*semantic.shape):
+            if semantic[n, v, u] == 255:
+                continue
+            predicted += sample_weight[n] * probabilities[n, k, v, u]
+            if semantic[n, v, u] == k:
+                both += sample_weight[n] * probabilities[n, k, v, u]
+                labelled += sample_weight[n]
+        if labelled:
+            losses.append(1 - both / (predicted + labelled - both))
+    return sum(losses) / len(losses)
+
+
+@pytest.mark.parametrize("sample_weight", [(1.0, 1.0), (1.0, 0.2), (0.0, 1.0)])
+def test_soft_iou_equals_loops(sample_weight):
+    rng = np.random.default_rng(0)
+    logits = torch.from_numpy(rng.standard_normal((2, 5, 6, 7)))
+    probabilities = torch.softmax(logits, dim=1)
+    semantic = rng.choice([0, 0, 1, 2, 2, 255], size=(2, 6, 7))  # 3 and 4 are never seen
+    semantic[1][semantic[1] == 1] = 0
+    overlap = soft_overlap(
+        probabilities, torch.from_numpy(semantic), torch.tensor(sample_weight).double()
+    )
+    expected = soft_iou_by_loops(probabilities.numpy(), semantic, sample_weight)
+    assert soft_iou_loss(overlap).item() == pytest.approx(expected, rel=1e-9)
+    halves = [
+        soft_overlap(
+            probabilities[n : n + 1],
+            torch.from_numpy(semantic[n : n + 1]),
+            torch.tensor(sample_weight[n : n + 1]).double(),
+        )
+        for n in range(2)
+    ]
+    torch.testing.assert_close(sum(halves), overlap)
+
+
+def test_soft_iou_by_hand():
+    right = torch.zeros(1, 2, 1, 4)
+    right[0, 0, 0, :2] = right[0, 1, 0, 2:] = 1
+    semantic = torch.tensor([[[0, 0, 1, 1]]])
+    assert soft_iou_loss(soft_overlap(right, semantic)).item() == 0
+    # All said to be 0: IoU of 0 is 2 / 4, of 1 none.
+    one = torch.zeros(1, 2, 1, 4)
+    one[:, 0] = 1
+    assert soft_iou_loss(soft_overlap(one, semantic)).item() == pytest.approx(0.75)
+
+
+def test_soft_iou_of_nothing_labelled_is_0_with_a_gradient_of_0():
+    probabilities = torch.full((1, 3, 2, 2), 1 / 3, requires_grad=True)
+    loss = soft_iou_loss(soft_overlap(probabilities, torch.full((1, 2, 2), 255)))
+    loss.backward()
+    assert loss.item() == 0
+    assert not probabilities.grad.any()

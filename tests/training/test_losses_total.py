@@ -13,7 +13,7 @@ from training.losses.joint import (
     semantic_depth_loss,
     soft_disagreement,
 )
-from training.losses.semantic import weighted_cross_entropy
+from training.losses.semantic import soft_iou_loss, soft_overlap, weighted_cross_entropy
 
 ALL_OFF = {
     "depth_weight": 0.0,
@@ -260,3 +260,19 @@ def test_wrong_sizes_and_configurations_are_refused():
         LossConfig(depth_weight=-1)
     with pytest.raises(ValueError, match="all weights"):
         LossConfig(**ALL_OFF)
+
+
+def test_soft_iou_is_a_term_of_its_own():
+    parts = leaves()
+    semantic, depth = targets()
+    semantic[0, :5] = 255
+    sample_weight = torch.tensor([1.0, 0.2])
+    config = LossConfig(**{**ALL_OFF, "semantic_iou_weight": 2.0})
+    terms = SSDNetLoss(config, max_depth_m=100.0)(
+        answer(parts), semantic, depth, semantic_weight=sample_weight
+    )
+    probabilities = torch.softmax(parts["semantic"], dim=1)
+    expected = soft_iou_loss(soft_overlap(probabilities, semantic, sample_weight))
+    torch.testing.assert_close(terms["semantic_iou"], expected)
+    torch.testing.assert_close(terms["total"], 2 * expected)
+    assert set(terms) == {"semantic_iou", "total"}

@@ -73,3 +73,41 @@ def weighted_cross_entropy(
     """
     values = cross_entropy_map(log_probabilities, semantic, weights)
     return labelled_mean(values, semantic != IGNORE, sample_weight)
+
+
+def soft_overlap(
+    probabilities: Tensor, semantic: Tensor, sample_weight: Tensor | None = None
+) -> Tensor:
+    """What soft IoU is made of, summed over all labelled pixels: float (3, C).
+
+    `probabilities` float (N, C, H, W) that sum to 1 over C; `semantic` int64 (N, H, W), 255 =
+    ignore; `sample_weight` float (N,). Rows: probability on pixels of the class (intersection),
+    probability on all labelled pixels, pixels of the class. Rows of parts of a batch add up.
+    """
+    classes = probabilities.shape[1]
+    known = semantic != IGNORE
+    weight = known.to(probabilities.dtype)
+    if sample_weight is not None:
+        weight = weight * sample_weight[:, None, None]
+    predicted = torch.einsum("nchw,nhw->c", probabilities, weight)
+    label = torch.where(known, semantic, 0)
+    right = probabilities.gather(1, label[:, None]).squeeze(1) * weight
+    empty = probabilities.new_zeros(classes)
+    intersection = empty.index_add(0, label.flatten(), right.flatten())
+    labelled = empty.index_add(0, label.flatten(), weight.flatten())
+    return torch.stack((intersection, predicted, labelled))
+
+
+def soft_iou_loss(overlap: Tensor) -> Tensor:
+    """1 - mean soft IoU over the classes that the batch shows, ().
+
+    `overlap` (3, C), see `soft_overlap`. The measure that cross-entropy stands in for, made
+    differentiable (Rahman and Wang 2016, "Optimizing intersection-over-union in deep neural
+    networks"): thin and rare classes count like the others, without being found too often as
+    class weights make them. 0, with a gradient of 0, if nothing is labelled.
+    """
+    intersection, predicted, labelled = overlap
+    shown = labelled > 0
+    iou = intersection / (predicted + labelled - intersection).clamp(min=1e-6)
+    loss: Tensor = ((1 - iou) * shown).sum() / shown.sum().clamp(min=1)
+    return loss

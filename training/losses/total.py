@@ -33,6 +33,8 @@ from training.losses.semantic import (
     ClassWeighting,
     cross_entropy_map,
     labelled_mean,
+    soft_iou_loss,
+    soft_overlap,
 )
 
 
@@ -51,6 +53,8 @@ class LossConfig:
     semantic_boundary_weight: float = 1.0
     semantic_depth_weight: float = 1.0
     side_boundary_weight: float = 0.0
+    #: Soft IoU of the classes beside Eq. 5; not the paper's.
+    semantic_iou_weight: float = 0.0
 
     #: How Eq. 5's beta comes from the class frequencies; "paper" is literal.
     class_weighting: ClassWeighting = "median"
@@ -182,14 +186,23 @@ class SSDNetLoss(nn.Module):
             return {}
         with_depth = bool(config.semantic_depth_weight) and output.depths is not None
         joint = bool(config.semantic_boundary_weight) or with_depth
-        if not (config.semantic_weight or joint):
+        if not (config.semantic_weight or config.semantic_iou_weight or joint):
             return {}
         weights = self.class_weights
         if weights is None:
             weights = torch.ones(logits.shape[1], device=logits.device)
         form = config.disagreement if joint else None
-        cross_entropy, disagreement = _class_maps(logits, semantic, weights, form)
+        cross_entropy, overlap, disagreement = _class_maps(
+            logits,
+            semantic,
+            weights,
+            semantic_weight,
+            form,
+            with_overlap=bool(config.semantic_iou_weight),
+        )
         terms = {}
+        if overlap is not None:
+            terms["semantic_iou"] = soft_iou_loss(overlap)
         if config.semantic_weight:
             known = semantic != IGNORE
             terms["semantic"] = labelled_mean(cross_entropy, known, semantic_weight)
@@ -204,21 +217,34 @@ class SSDNetLoss(nn.Module):
 
 
 def _class_maps(
-    logits: Tensor, semantic: Tensor, weights: Tensor, form: Literal["soft", "hard"] | None
-) -> tuple[Tensor, NeighbourMaps | None]:
-    """Everything that needs all classes of a pixel: Eq. 5's map and the disagreement.
+    logits: Tensor,
+    semantic: Tensor,
+    weights: Tensor,
+    sample_weight: Tensor | None,
+    form: Literal["soft", "hard"] | None,
+    *,
+    with_overlap: bool,
+) -> tuple[Tensor, Tensor | None, NeighbourMaps | None]:
+    """Everything that needs all classes of a pixel: Eq. 5's map, soft overlap, disagreement.
 
     Sample by sample: the class maps of a whole batch fit no cache, which costs a CPU a third more.
     """
-    cross_entropy, disagreements = [], []
-    for sample, label in zip(logits.unbind(0), semantic.unbind(0), strict=True):
+    cross_entropy, overlaps, disagreements = [], [], []
+    # Unbound, not sliced: the gradient of each slice would be as large as the whole batch.
+    for index, (sample, label) in enumerate(zip(logits.unbind(0), semantic.unbind(0), strict=True)):
         log_probabilities = F.log_softmax(sample[None].float(), dim=1)
         cross_entropy.append(cross_entropy_map(log_probabilities, label[None], weights))
-        if form == "soft":
-            disagreements.append(soft_disagreement(log_probabilities.exp()))
+        probabilities = log_probabilities.exp() if with_overlap or form == "soft" else None
+        if with_overlap and probabilities is not None:
+            share = None if sample_weight is None else sample_weight[index : index + 1]
+            overlaps.append(soft_overlap(probabilities, label[None], share))
+        if form == "soft" and probabilities is not None:
+            disagreements.append(soft_disagreement(probabilities))
         elif form == "hard":
             disagreements.append(hard_disagreement(log_probabilities.argmax(dim=1)))
-    if not disagreements:
-        return torch.cat(cross_entropy), None
-    across, down = zip(*disagreements, strict=True)
-    return torch.cat(cross_entropy), NeighbourMaps(torch.cat(across), torch.cat(down))
+    disagreement = None
+    if disagreements:
+        across, down = zip(*disagreements, strict=True)
+        disagreement = NeighbourMaps(torch.cat(across), torch.cat(down))
+    overlap = torch.stack(overlaps).sum(dim=0) if overlaps else None
+    return torch.cat(cross_entropy), overlap, disagreement
