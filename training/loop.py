@@ -46,12 +46,13 @@ def train(
     device: str = "cpu",
     stop_after: int | None = None,
 ) -> Path:
-    """Train as the recipe says and return the path of the final checkpoint.
+    """Train as the recipe says and return the path of the final checkpoint, model.pt.
 
     Writes ``out``: recipe.json (resolved), last.pt (to resume from), model.pt (the averaged
     weights, to ship) and tensorboard/. An ``out`` with a last.pt of the same recipe goes on where
     it stopped; of another recipe it is an InputError. ``init`` starts from another checkpoint's
-    weights. ``stop_after`` ends early at that step, resumable.
+    weights, as far as they fit. ``stop_after`` ends early at that step, resumable, and returns
+    last.pt.
     """
     resolved = {"recipe": asdict(recipe), "init": _weights_name(init)}
     # OpenCV's thread pool does not survive the fork of the loader's workers: they would hang.
@@ -159,6 +160,8 @@ def train(
                 tqdm.write(f"step {step}: {text}", file=sys.stderr)
                 network.train()
     save(out / LAST, resumable=True)
+    if step < steps:  # stopped early: nothing to ship yet
+        return out / LAST
     save(out / FINAL, resumable=False)
     return out / FINAL
 
@@ -240,14 +243,33 @@ def _build_network(recipe: Recipe, init: Path | None) -> SSDNet:
     except ValueError as error:
         raise InputError(f"the recipe's model cannot be built: {error}.") from error
     if init is not None:
-        start = load_checkpoint(init)
-        if start.model.config != network.config:
-            raise CheckpointError(
-                f"{init}: a '{start.model.config.name}' that differs from the recipe's "
-                f"'{network.config.name}'. Start from a checkpoint of the same configuration."
-            )
-        network.load_state_dict(start.model.state_dict())
+        _start_from(network, init)
     return network
+
+
+def _start_from(network: SSDNet, init: Path) -> None:
+    """Take over the weights of a checkpoint; layers that it lacks, or has in another shape, stay.
+
+    So a network with other classes or another head starts from what is already known. What
+    starts anew is said on standard error. Raises CheckpointError if nothing fits.
+    """
+    known = load_checkpoint(init).model.state_dict()
+    wanted = network.state_dict()
+    taken = {
+        name: known[name]
+        for name, value in wanted.items()
+        if name in known and known[name].shape == value.shape
+    }
+    fresh = sorted({name.rsplit(".", 1)[0] for name in wanted.keys() - taken.keys()})
+    if not any(p.ndim > 1 and name in taken for name, p in network.named_parameters()):
+        raise CheckpointError(
+            f"{init}: none of its layers fits the recipe's '{network.config.name}'. "
+            "Start from a checkpoint of the same family."
+        )
+    network.load_state_dict({**wanted, **taken})
+    if fresh:
+        tqdm.write(f"{init}: {len(taken)} of {len(wanted)} tensors taken over", file=sys.stderr)
+        tqdm.write(f"starting anew: {', '.join(fresh)}", file=sys.stderr)
 
 
 def _build_optimizer(recipe: OptimizerRecipe, network: SSDNet) -> torch.optim.Optimizer:

@@ -135,6 +135,16 @@ class ValidationRecipe:
     every: int = 1000
     source: tuple[SourceRecipe, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Refuse sets whose scores would share a name, with a ValueError that names the key."""
+        _require("validation.every", self.every, at_least=1)
+        paths = [item.path for item in self.source]
+        twice = sorted({path for path in paths if paths.count(path) > 1})
+        if twice:
+            raise ValueError(
+                f"validation.source has {twice[0]!r} twice; scores are named by the path"
+            )
+
 
 @dataclass(frozen=True)
 class Recipe:

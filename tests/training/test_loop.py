@@ -10,7 +10,7 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from models import load_checkpoint
+from models import SSDNet, load_checkpoint, save_checkpoint
 from models.config import CONFIGS
 from runtime.errors import CheckpointError, DatasetError, InputError
 from training import cli, loop
@@ -156,9 +156,43 @@ def test_init_starts_from_other_weights_of_the_same_kind(data, tmp_path, monkeyp
     assert parameters
     for name in parameters:
         assert torch.equal(weights(first)[name], weights(second)[name])
-    monkeypatch.setitem(CONFIGS, "ssdnet-lite", replace(TINY, boundary_channels=8))
-    with pytest.raises(CheckpointError, match="differs from the recipe"):
-        train(frozen, data=[data], out=tmp_path / "c", init=first)
+
+
+def test_init_takes_over_what_fits_and_says_what_starts_anew(data, tmp_path, monkeypatch, capsys):
+    first = train(recipe(steps=1), data=[data], out=tmp_path / "a")
+    assert "starting anew" not in capsys.readouterr().err
+    wider = replace(TINY, semantic_refine_channels=TINY.semantic_refine_channels + 4)
+    monkeypatch.setitem(CONFIGS, "ssdnet-lite", wider)
+    frozen = replace(recipe(steps=1), optimizer=replace(recipe().optimizer, learning_rate=0.0))
+    second = train(frozen, data=[data], out=tmp_path / "b", init=first)
+    said = capsys.readouterr().err
+    assert "starting anew: semantic_head, semantic_refine." in said
+    old, new = weights(first), weights(second)
+    assert torch.equal(old["depth_heads.0.weight"], new["depth_heads.0.weight"])
+    assert old["semantic_head.weight"].shape != new["semantic_head.weight"].shape
+
+
+def test_init_of_which_nothing_fits_is_refused(data, tmp_path):
+    plain = replace(
+        CONFIGS["ssdnet"],
+        encoder_channels=(8,) * 5,
+        encoder_blocks=(1,) * 5,
+        decoder_channels=(8,) * 5,
+        boundary_channels=3,
+    )
+    other = tmp_path / "other.pt"
+    save_checkpoint(other, SSDNet(plain))
+    with pytest.raises(CheckpointError, match="none of its layers fits"):
+        train(recipe(steps=1), data=[data], out=tmp_path / "b", init=other)
+    assert not (tmp_path / "b").exists()
+
+
+def test_a_run_stopped_early_has_nothing_to_ship(data, tmp_path):
+    path = train(recipe(), data=[data], out=tmp_path / "run", stop_after=1)
+    assert path == tmp_path / "run" / "last.pt"
+    assert path.is_file()
+    assert not (tmp_path / "run" / "model.pt").exists()
+    assert train(recipe(), data=[data], out=tmp_path / "run") == tmp_path / "run" / "model.pt"
 
 
 def test_missing_data_set_names_the_folders(tmp_path):

@@ -5,7 +5,7 @@ from importlib import resources
 import pytest
 
 from runtime.errors import InputError
-from training.recipe import read_recipe
+from training.recipe import SourceRecipe, ValidationRecipe, read_recipe
 
 MINIMAL = """
 [model]
@@ -75,3 +75,11 @@ def test_missing_file(tmp_path):
 def test_shipped_recipes_are_valid(name):
     with resources.as_file(resources.files("training.recipes") / name) as path:
         assert read_recipe(path).schedule.steps > 0
+
+
+def test_two_validation_sets_of_one_path_are_refused():
+    source = SourceRecipe("camvid", "camvid", split="val")
+    with pytest.raises(ValueError, match="'camvid' twice"):
+        ValidationRecipe(source=(source, source))
+    with pytest.raises(ValueError, match=r"validation\.every"):
+        ValidationRecipe(every=0)
