@@ -15,6 +15,7 @@ import psutil
 from runtime import Predictor
 from runtime.cli import bundled_stream
 from runtime.frames import list_frames, read_frame
+from runtime.process import dedicate_process
 from runtime.stream import run_stream
 from runtime.writer import KINDS, FrameWriter
 
