@@ -42,6 +42,7 @@ def main() -> None:
             for index in range(part if done < arguments.frames else 0):
                 frame = frames[index % len(frames)]
                 engine.predict(frame.rgb, frame.sparse_depth)
+        dedicate_process()  # as ssdnet-run does; an embedded Predictor does not
         print("\n| frames | stream with writing [MB] |\n|---|---|")
         for done in range(0, arguments.frames + 1, part):
             print(f"| {done} | {resident_mb():.1f} |", flush=True)
