@@ -50,6 +50,11 @@ def _walls(length: float, depth: float, height: float, look: Look) -> list[Mesh]
     return walls
 
 
+def _flat_roof(length: float, depth: float, height: float, look: Look) -> Mesh:
+    corners = [(0, 0, height), (length, 0, height), (length, -depth, height), (0, -depth, height)]
+    return quad(corners, look)
+
+
 def _gable_roof(
     length: float,
     depth: float,
@@ -158,17 +163,7 @@ def make_town_house(rng: Generator, length: float, *, shop: bool) -> Mesh:
                 for x in np.arange(1.8, length - 1.2, 3.2):
                     parts.append(_dormer(x, height, rise, depth, look))
     else:
-        parts.append(
-            quad(
-                [
-                    (0, 0, height),
-                    (length, 0, height),
-                    (length, -depth, height),
-                    (0, -depth, height),
-                ],
-                roof,
-            )
-        )
+        parts.append(_flat_roof(length, depth, height, roof))
         parts.append(box((length + 0.1, 0.3, 0.7), (length / 2, -0.1, height + 0.3), trim))
     if rng.random() < 0.7:
         parts.append(box((length, 0.35, 0.22), (length / 2, 0.12, height - 0.1), trim))
@@ -248,12 +243,7 @@ def make_office(rng: Generator, length: float) -> Mesh:
     )
     roof = Look(SurfaceKind.PLAIN, (0.25, 0.25, 0.25), SceneClass.BUILDING)
     parts = _walls(length, depth, height, look)
-    parts.append(
-        quad(
-            [(0, 0, height), (length, 0, height), (length, -depth, height), (0, -depth, height)],
-            roof,
-        )
-    )
+    parts.append(_flat_roof(length, depth, height, roof))
     parts.append(
         box((length * 0.3, depth * 0.4, 2.2), (length / 2, -depth / 2, height + 1.1), roof)
     )
@@ -319,17 +309,4 @@ def make_shed(rng: Generator, length: float) -> Mesh:
         ),
     )
     roof = Look(SurfaceKind.PLAIN, (0.3, 0.3, 0.3), SceneClass.BUILDING)
-    return join(
-        [
-            *_walls(length, depth, height, look),
-            quad(
-                [
-                    (0, 0, height),
-                    (length, 0, height),
-                    (length, -depth, height),
-                    (0, -depth, height),
-                ],
-                roof,
-            ),
-        ]
-    )
+    return join([*_walls(length, depth, height, look), _flat_roof(length, depth, height, roof)])

@@ -215,7 +215,6 @@ def _side_road(
                     else buildings.make_town_house(rng, length, shop=False)
                 )
                 # The front looks at the side road: its normal points to -edge along s.
-                turned = -edge * np.pi / 2 + np.pi
                 start = d if edge > 0 else d + length
                 turned = np.pi / 2 if edge > 0 else -np.pi / 2
                 at = sign * (start if sign > 0 else 2 * d + length - start)
