@@ -76,13 +76,13 @@ def train(
         weights = class_weights(torch.from_numpy(counts), recipe.loss.class_weighting)
     _claim(out, resolved)  # only now: what cannot start leaves no folder behind
     criterion = SSDNetLoss(recipe.loss, weights, max_depth_m=network.config.max_depth_m).to(device)
-    optimizer = _build_optimizer(recipe.optimizer, network)
+    optimizer = _build_optimizer(recipe.optimizer, network, criterion)
     # Buffers are averaged too: batch statistics must fit the averaged weights.
     average = AveragedModel(
         network, multi_avg_fn=exponential_average(recipe.loop.ema_decay), use_buffers=True
     )
     averaged: SSDNet = average.module  # type: ignore[assignment]
-    step = _resume(out / LAST, network, average, optimizer)
+    step = _resume(out / LAST, network, average, optimizer, criterion)
 
     steps, batch = recipe.schedule.steps, recipe.data.batch_size
     mixture = open_mixture(recipe.data, sources, length=steps * batch)
@@ -112,6 +112,7 @@ def train(
                     "step": step,
                     "optimizer": optimizer.state_dict(),
                     "average": average.state_dict(),
+                    "criterion": criterion.state_dict(),
                 }
                 if resumable
                 else None
@@ -148,6 +149,8 @@ def train(
             if step % recipe.loop.log_every == 0:
                 for name, value in terms.items():
                     board.add_scalar(f"loss/{name}", value.item(), step)
+                for name, log_variance in criterion.log_variances.items():
+                    board.add_scalar(f"log_variance/{name}", log_variance.item(), step)
                 board.add_scalar("learning_rate", rate, step)
                 progress.set_postfix(loss=f"{terms['total'].item():.3f}")
             if step % recipe.loop.checkpoint_every == 0:
@@ -272,10 +275,13 @@ def _start_from(network: SSDNet, init: Path) -> None:
         tqdm.write(f"starting anew: {', '.join(fresh)}", file=sys.stderr)
 
 
-def _build_optimizer(recipe: OptimizerRecipe, network: SSDNet) -> torch.optim.Optimizer:
-    # Biases and normalisation are not decayed.
+def _build_optimizer(
+    recipe: OptimizerRecipe, network: SSDNet, criterion: SSDNetLoss
+) -> torch.optim.Optimizer:
+    # Biases, normalisation and what the loss learns are not decayed.
     kernels = [p for p in network.parameters() if p.ndim > 1]
     others = [p for p in network.parameters() if p.ndim <= 1]
+    others += criterion.parameters()
     groups: list[dict[str, Any]] = [
         {"params": kernels, "weight_decay": recipe.weight_decay},
         {"params": others, "weight_decay": 0.0},
@@ -306,7 +312,11 @@ def _claim(out: Path, resolved: Mapping[str, Any]) -> None:
 
 
 def _resume(
-    path: Path, network: SSDNet, average: AveragedModel, optimizer: torch.optim.Optimizer
+    path: Path,
+    network: SSDNet,
+    average: AveragedModel,
+    optimizer: torch.optim.Optimizer,
+    criterion: SSDNetLoss,
 ) -> int:
     """Load the loop's state if there is one; return the step to go on from."""
     if not path.is_file():
@@ -317,6 +327,7 @@ def _resume(
     network.load_state_dict(checkpoint.model.state_dict())
     average.load_state_dict(checkpoint.trainer["average"])
     optimizer.load_state_dict(checkpoint.trainer["optimizer"])
+    criterion.load_state_dict(checkpoint.trainer["criterion"])
     return int(checkpoint.trainer["step"])
 
 

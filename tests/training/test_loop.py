@@ -114,6 +114,20 @@ def test_interrupted_run_ends_at_the_same_weights(data, tmp_path):
         assert torch.equal(value, expected[name]), name
 
 
+def test_learned_weights_of_the_loss_survive_an_interruption(data, tmp_path):
+    run = replace(recipe(), loss=LossConfig(weighting="uncertainty"))
+    train(run, data=[data], out=tmp_path / "whole")
+    train(run, data=[data], out=tmp_path / "parts", stop_after=2)
+    train(run, data=[data], out=tmp_path / "parts")
+    whole, parts = (
+        load_checkpoint(tmp_path / name / "last.pt").trainer["criterion"]
+        for name in ("whole", "parts")
+    )
+    assert whole["log_variances.semantic"] != 0
+    assert whole["log_variances.depth"] == 0  # CamVid has no depth
+    assert all(torch.equal(parts[name], value) for name, value in whole.items())
+
+
 def test_another_seed_ends_elsewhere(data, tmp_path):
     first = recipe(steps=2)
     other = replace(first, data=replace(first.data, seed=5))

@@ -1,5 +1,8 @@
 """Eq. 12: which terms there are, how they add up, and what masked targets do."""
 
+import math
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -276,3 +279,47 @@ def test_soft_iou_is_a_term_of_its_own():
     torch.testing.assert_close(terms["semantic_iou"], expected)
     torch.testing.assert_close(terms["total"], 2 * expected)
     assert set(terms) == {"semantic_iou", "total"}
+
+
+def test_learned_weighting_by_hand():
+    parts = leaves()
+    semantic, depth = targets()
+    fixed = LossConfig(semantic_weight=2.0, depth_weight=0.5)
+    plain = SSDNetLoss(fixed, max_depth_m=100.0)(answer(parts), semantic, depth)
+    criterion = SSDNetLoss(replace(fixed, weighting="uncertainty"), max_depth_m=100.0)
+    assert set(criterion.log_variances) == set(plain) - {"total"}
+    values = {name: 0.3 * index - 0.5 for index, name in enumerate(criterion.log_variances)}
+    for name, value in values.items():
+        criterion.log_variances[name].data.fill_(value)
+    terms = criterion(answer(parts), semantic, depth)
+    expected = 0.0
+    for name, value in values.items():
+        share = 0.5 if name == "depth" else 1.0
+        weighted = getattr(fixed, f"{name}_weight") * plain[name].item()
+        expected += share * weighted / math.exp(value) + value / 2
+    assert terms["total"].item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_learned_weighting_settles_where_sigma_squared_is_twice_the_loss():
+    """The minimum over s of e^-s L + s / 2 is at e^s = 2 L."""
+    parts = leaves()
+    semantic, depth = targets()
+    config = LossConfig(**{**ALL_OFF, "semantic_weight": 1.0}, weighting="uncertainty")
+    criterion = SSDNetLoss(config, max_depth_m=100.0)
+    optimizer = torch.optim.SGD(criterion.parameters(), lr=0.5)
+    for _ in range(100):
+        terms = criterion(answer(parts), semantic, depth)
+        optimizer.zero_grad()
+        terms["total"].backward()
+        optimizer.step()
+    sigma_squared = criterion.log_variances["semantic"].exp().item()
+    assert sigma_squared == pytest.approx(2 * terms["semantic"].item(), rel=1e-3)
+
+
+def test_learned_weighting_leaves_alone_what_has_no_targets():
+    parts = leaves()
+    semantic, depth = targets()
+    criterion = SSDNetLoss(LossConfig(weighting="uncertainty"), max_depth_m=100.0)
+    criterion(answer(parts), semantic, torch.zeros_like(depth))["total"].backward()
+    assert criterion.log_variances["depth"].grad.item() == 0
+    assert criterion.log_variances["semantic"].grad.item() != 0

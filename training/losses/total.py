@@ -37,6 +37,17 @@ from training.losses.semantic import (
     soft_overlap,
 )
 
+#: Names of the terms; each has a weight "<name>_weight" in `LossConfig`.
+TERMS = (
+    "depth",
+    "semantic",
+    "semantic_iou",
+    "boundary",
+    "side_boundary",
+    "semantic_boundary",
+    "semantic_depth",
+)
+
 
 @dataclass(frozen=True)
 class LossConfig:
@@ -55,6 +66,10 @@ class LossConfig:
     side_boundary_weight: float = 0.0
     #: Soft IoU of the classes beside Eq. 5; not the paper's.
     semantic_iou_weight: float = 0.0
+
+    #: "fixed": the weights above, as in the paper. "uncertainty": each is multiplied by a factor
+    #: that is learned along with the network (Kendall et al. 2018, the paper's reference 35).
+    weighting: Literal["fixed", "uncertainty"] = "fixed"
 
     #: How Eq. 5's beta comes from the class frequencies; "paper" is literal.
     class_weighting: ClassWeighting = "median"
@@ -95,6 +110,8 @@ class SSDNetLoss(nn.Module):
     """
 
     class_weights: Tensor | None
+    #: log sigma^2 of each term, learned if the weighting is "uncertainty".
+    log_variances: nn.ParameterDict
 
     def __init__(
         self,
@@ -107,6 +124,10 @@ class SSDNetLoss(nn.Module):
         self.config = config
         self.max_depth_m = max_depth_m
         self.register_buffer("class_weights", class_weights, persistent=False)
+        learned = TERMS if config.weighting == "uncertainty" else ()
+        self.log_variances = nn.ParameterDict(
+            {name: nn.Parameter(torch.zeros(())) for name in learned if self._weight(name)}
+        )
 
     def forward(
         self,
@@ -116,6 +137,10 @@ class SSDNetLoss(nn.Module):
         semantic_weight: Tensor | None = None,
     ) -> dict[str, Tensor]:
         """Return every term by name, not yet weighted, and their weighted sum as "total"; all ().
+
+        With the weighting "uncertainty" a term L counts as weight * L / sigma^2 + log sigma, depth
+        as half of the first (a regression: Kendall et al. 2018, Eq. 5 and 10); what a batch has no
+        targets for leaves its sigma alone.
 
         `semantic` int64 (N, H, W), 255 = none. `depth` float32 (N, 1, H, W) [m]; 0, not finite
         or beyond `max_depth_m` = none. `semantic_weight` float (N,): how much each sample's labels
@@ -135,10 +160,24 @@ class SSDNetLoss(nn.Module):
         terms = self._boundary_terms(output, semantic, semantic_weight)
         terms |= self._depth_terms(output, depth)
         terms |= self._semantic_terms(output, semantic, semantic_weight)
-        weighted = [getattr(self.config, f"{name}_weight") * term for name, term in terms.items()]
+        weighted = [self._weigh(name, term) for name, term in terms.items()]
         # Without any term the total is still a 0 that can be differentiated.
         terms["total"] = sum(weighted, start=0.0 * output.boundary_logits[0, 0, 0, 0].float())
         return terms
+
+    def _weight(self, name: str) -> float:
+        weight: float = getattr(self.config, f"{name}_weight")
+        return weight
+
+    def _weigh(self, name: str, term: Tensor) -> Tensor:
+        weighted = self._weight(name) * term
+        if name not in self.log_variances:
+            return weighted
+        log_variance = self.log_variances[name]
+        share = 0.5 if name == "depth" else 1.0
+        known = (term.detach() != 0).to(term.dtype)  # a term without targets is exactly 0
+        total: Tensor = share * torch.exp(-log_variance) * weighted + 0.5 * log_variance * known
+        return total
 
     def _boundary_terms(
         self, output: SSDNetOutput, semantic: Tensor, semantic_weight: Tensor | None
