@@ -31,10 +31,11 @@ Tensors = tuple[Tensor, ...] | list[Tensor]
 
 LAST = "last.pt"
 FINAL = "model.pt"
+NON_FINITE = "non_finite.json"
 
 
 class NonFiniteLossError(SSDNetError):
-    """The loss became NaN or infinite; names the step and the frames of its batch."""
+    """The loss became NaN or infinite; names the step and the file with the frames."""
 
 
 def train(
@@ -84,12 +85,12 @@ def train(
     averaged: SSDNet = average.module  # type: ignore[assignment]
     step = _resume(out / LAST, network, average, optimizer, criterion)
 
-    steps, batch = recipe.schedule.steps, recipe.data.batch_size
-    mixture = open_mixture(recipe.data, sources, length=steps * batch)
+    steps, batch, parts = recipe.schedule.steps, recipe.data.batch_size, recipe.loop.accumulate
+    mixture = open_mixture(recipe.data, sources, length=steps * parts * batch)
     loader = DataLoader(
         mixture,
         batch_size=batch,
-        sampler=range(step * batch, steps * batch),
+        sampler=range(step * parts * batch, steps * parts * batch),
         num_workers=recipe.data.workers,
         prefetch_factor=3 if recipe.data.workers else None,
         pin_memory=device != "cpu",
@@ -125,20 +126,17 @@ def train(
         tqdm(total=steps, initial=step, desc="train", unit="step", disable=None) as progress,
     ):
         network.train()
-        for samples in loader:
-            if step >= last_step:
-                break
+        batches = iter(loader)
+        while step < last_step:
             rate = learning_rate(recipe.schedule, recipe.optimizer.learning_rate, step)
             for group in optimizer.param_groups:
                 group["lr"] = rate
-            terms = _compute_loss(network, criterion, samples, recipe, device)
-            if not torch.isfinite(terms["total"]):
-                raise NonFiniteLossError(
-                    f"step {step}: the loss is {terms['total'].item()}; frames: "
-                    f"{', '.join(samples['name'])}. Lower the learning rate or look at them."
-                )
             optimizer.zero_grad(set_to_none=True)
-            terms["total"].backward()  # type: ignore[no-untyped-call]
+            for _ in range(parts):
+                samples = next(batches)
+                terms = _compute_loss(network, criterion, samples, recipe, device)
+                _require_finite(terms, step, samples["name"], out / NON_FINITE)
+                (terms["total"] / parts).backward()  # type: ignore[no-untyped-call]
             if recipe.loop.clip_norm:
                 torch.nn.utils.clip_grad_norm_(network.parameters(), recipe.loop.clip_norm)
             optimizer.step()
@@ -238,6 +236,23 @@ def _compute_loss(
         semantic_weight=samples["semantic_weight"].to(device, non_blocking=True),
     )
     return terms
+
+
+def _require_finite(
+    terms: Mapping[str, Tensor], step: int, names: Sequence[str], path: Path
+) -> None:
+    """Stop on a loss that is NaN or infinite; its terms and frames are saved to ``path``."""
+    if torch.isfinite(terms["total"]):
+        return
+    # Text: JSON has no NaN.
+    values = {name: str(term.item()) for name, term in terms.items()}
+    document = {"step": step, "terms": values, "frames": list(names)}
+    write_whole(path, json.dumps(document, indent=2).encode())
+    raise NonFiniteLossError(
+        f"step {step}: the loss is {values['total']}; its terms and the {len(names)} frames of its "
+        f"batch are in {path}. Lower the learning rate or look at them; the same command goes on "
+        "from the last checkpoint."
+    )
 
 
 def _build_network(recipe: Recipe, init: Path | None) -> SSDNet:

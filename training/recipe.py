@@ -118,6 +118,8 @@ class LoopRecipe:
     #: Share of the log class weights that model.pt's semantic bias gives back (Menon et al. 2021):
     #: weighted training finds rare classes too often. 0 = none, 1 = all.
     logit_adjustment: float = 0.0
+    #: Batches whose gradients are averaged for one step; batch normalisation sees each alone.
+    accumulate: int = 1
     checkpoint_every: int = 500
     log_every: int = 20
 
@@ -125,6 +127,7 @@ class LoopRecipe:
         """Refuse intervals below one step, with a ValueError that names the key."""
         _require("loop.checkpoint_every", self.checkpoint_every, at_least=1)
         _require("loop.log_every", self.log_every, at_least=1)
+        _require("loop.accumulate", self.accumulate, at_least=1)
         _require("loop.ema_decay", self.ema_decay, at_least=0)
 
 

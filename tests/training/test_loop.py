@@ -1,5 +1,6 @@
 """The loop learns, resumes to the same weights, and stops when it must."""
 
+import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from models import SSDNet, load_checkpoint, save_checkpoint
+from models import SSDNet, create_model, load_checkpoint, save_checkpoint
 from models.config import CONFIGS
 from runtime.errors import CheckpointError, DatasetError, InputError
 from training import cli, loop
@@ -27,6 +28,7 @@ from training.recipe import (
     DataRecipe,
     LoopRecipe,
     ModelRecipe,
+    OptimizerRecipe,
     Recipe,
     ScheduleRecipe,
     SourceRecipe,
@@ -150,8 +152,42 @@ def test_non_finite_loss_names_the_frames(data, tmp_path, monkeypatch):
         return {**terms, "total": terms["total"] * float("nan")}
 
     monkeypatch.setattr(loop, "_compute_loss", spoil)
-    with pytest.raises(NonFiniteLossError, match=r"step 0: .*frames: camvid/"):
+    with pytest.raises(NonFiniteLossError, match=r"step 0: the loss is nan.*non_finite\.json"):
         train(recipe(), data=[data], out=tmp_path / "run")
+    said = json.loads((tmp_path / "run" / "non_finite.json").read_text())
+    assert said["step"] == 0
+    assert len(said["frames"]) == recipe().data.batch_size
+    assert all(name.startswith("camvid/") for name in said["frames"])
+    assert said["terms"]["total"] == "nan"
+    assert float(said["terms"]["semantic"]) > 0
+
+
+def test_accumulated_batches_make_the_step_of_their_mean_gradient(data, tmp_path, monkeypatch):
+    """Two batches of 1 against one of 2, in a network whose normalisation ignores the batch."""
+
+    monkeypatch.setattr(SSDNet, "train", lambda self, _=True: torch.nn.Module.train(self, False))
+    sgd = OptimizerRecipe(name="sgd", learning_rate=0.01, weight_decay=0.0, momentum=0.0)
+    # The cross-entropy of frames that are labelled everywhere: a mean of means is the mean.
+    run = replace(
+        recipe(steps=1, accumulate=2),
+        optimizer=sgd,
+        loss=LossConfig(0.0, 1.0, 0.0, 0.0, 0.0, class_weighting="none"),
+    )
+    whole_frames = replace(run.data.augment, scale=(1.0, 1.0))
+    apart = replace(run, data=replace(run.data, augment=whole_frames, batch_size=1))
+    together = replace(
+        run,
+        data=replace(apart.data, batch_size=2),
+        loop=replace(run.loop, accumulate=1),
+    )
+    train(apart, data=[data], out=tmp_path / "a")
+    train(together, data=[data], out=tmp_path / "b")
+    a, b = (weights(tmp_path / name / "last.pt") for name in ("a", "b"))
+    torch.manual_seed(run.data.seed)
+    start = create_model("ssdnet-lite").state_dict()
+    assert not torch.equal(a["semantic_head.bias"], start["semantic_head.bias"])
+    for name, value in a.items():
+        torch.testing.assert_close(value, b[name], rtol=1e-4, atol=1e-7)
 
 
 def test_final_checkpoint_carries_data_and_terms(data, tmp_path):
