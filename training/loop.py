@@ -317,6 +317,8 @@ def _claim(out: Path, resolved: Mapping[str, Any]) -> None:
                     f"{out}: holds a training with another recipe (see its recipe.json). "
                     "Choose another --out, or the recipe it was started with."
                 )
+            for unfinished in out.glob(".*.pt.*"):  # a run was killed while it wrote
+                unfinished.unlink()
             return
         out.mkdir(parents=True, exist_ok=True)
         write_whole(path, text.encode())

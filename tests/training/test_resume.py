@@ -1,0 +1,92 @@
+"""A training killed at any moment goes on to the same weights."""
+
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from models import load_checkpoint
+
+# A small network on CamVid's layout; says when it writes a checkpoint, and takes its time.
+TRAIN = """
+import os, sys, time
+from dataclasses import replace
+from pathlib import Path
+import torch
+from models.config import CONFIGS
+CONFIGS["ssdnet-lite"] = replace(
+    CONFIGS["ssdnet-lite"], stem_channels=(8, 8), encoder_channels=(8, 8, 8, 8),
+    encoder_blocks=(1, 1, 1, 1), decoder_channels=(8, 8, 8), boundary_channels=4,
+)
+torch.set_num_threads(1)
+write = os.fsync
+def slow(handle):
+    print("writing", flush=True)
+    time.sleep(0.3)
+    write(handle)
+os.fsync = slow
+from training.augment import AugmentConfig
+from training.loop import train
+from training.recipe import *
+recipe = Recipe(
+    model=ModelRecipe("ssdnet-lite"),
+    data=DataRecipe(
+        (SourceRecipe("camvid", "camvid"),), AugmentConfig(crop=(32, 32)), batch_size=2,
+        workers=1, frequency_samples=4,
+    ),
+    schedule=ScheduleRecipe(steps=12),
+    loop=LoopRecipe(checkpoint_every=3, log_every=1),
+)
+train(recipe, data=[Path(sys.argv[1])], out=Path(sys.argv[2]))
+"""
+
+
+@pytest.fixture
+def data(tmp_path):
+    rng = np.random.default_rng(0)
+    for folder, shape, top in (("train", (40, 48, 3), 255), ("trainannot", (40, 48), 11)):
+        (tmp_path / "data" / "camvid" / folder).mkdir(parents=True)
+        for index in range(4):
+            image = rng.integers(0, top, shape, dtype=np.uint8)
+            cv2.imwrite(str(tmp_path / "data" / "camvid" / folder / f"{index}.png"), image)
+    return tmp_path / "data"
+
+
+def start(data: Path, out: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-W", "ignore", "-c", TRAIN, str(data), str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+
+
+def test_killed_at_any_moment_it_goes_on_to_the_same_weights(data, tmp_path):
+    assert start(data, tmp_path / "whole").wait() == 0
+    out = tmp_path / "killed"
+    draw = random.Random()  # another moment in every run of the test
+    # In the middle of writing the first, of writing a later one, and at random moments between.
+    for lines, delay_s in ((1, 0.1), (2, 0.1), (1, draw.uniform(0.3, 0.6))):
+        process = start(data, out)
+        for _ in range(lines):
+            assert process.stdout.readline() == "writing\n"
+        time.sleep(delay_s)
+        process.kill()
+        process.wait()
+        assert not (out / "model.pt").exists()
+    steps = load_checkpoint(out / "last.pt").trainer["step"]
+    assert 3 <= steps < 12
+    assert start(data, out).wait() == 0
+    expected = load_checkpoint(tmp_path / "whole" / "last.pt")
+    reached = load_checkpoint(out / "last.pt")
+    assert reached.trainer["step"] == 12
+    for name, value in expected.model.state_dict().items():
+        assert torch.equal(reached.model.state_dict()[name], value), name
+    left = sorted(path.name for path in out.iterdir() if path.name != "tensorboard")
+    assert left == ["last.pt", "model.pt", "recipe.json"]
