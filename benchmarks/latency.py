@@ -4,9 +4,9 @@
 
 For each model and size three ways of running the same frames take turns, so that a machine whose
 speed drifts slows all of them alike: the ONNX Runtime session alone, `Predictor.predict`, and
-`ssdnet-run`'s stream (files in, every kind of picture out), once from JPEG pictures, as cameras
-record, and once from PNG, as data sets come: a PNG takes four times as long to decode. The depth
-maps are PNGs either way. Quote the ratios.
+`ssdnet-run`'s stream (files in, every kind of picture out), the last one twice: once from JPEG
+pictures, as cameras record, and once from PNG, as data sets come: a PNG takes four times as long to
+decode. The depth maps are PNGs either way. Quote the ratios.
 """
 
 import argparse

@@ -96,7 +96,7 @@ class ModelConfig:
 
     @property
     def output_stride(self) -> int:
-        """Ratio of the image to the finest grid the heads work on."""
+        """Ratio of the image to the finest grid of depth and boundaries."""
         return int(2 ** len(self.stem_channels))
 
     @property

@@ -106,8 +106,9 @@ class SSDNet(nn.Module):
         )
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
-        """Predict on the finest grid the heads work on, 1 / ``config.output_stride`` of the image.
+        """Predict on the heads' own grids: 1 / ``config.output_stride`` of the image.
 
+        Semantics are on 1 / ``config.semantic_stride``, finer where they are refined.
         Inputs as `forward`. A network with a strided stem pads the image at the bottom and right
         to a multiple of its stride, so its grids cover the padding too; the others do not pad.
         """

@@ -1,5 +1,7 @@
 """Image files as arrays, with an error that names the file."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,24 +15,29 @@ from runtime.errors import DatasetError, InputError
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:
     """Read an 8-bit colour image: uint8 (H, W, 3), RGB. Raises DatasetError."""
-    try:
+    with _as_dataset_error():
         return frames.read_rgb(path)
-    except InputError as error:
-        raise DatasetError(f"{error}. Restore the data set's original file.") from error
 
 
 def read_gray(path: Path, dtype: type[np.uint8] | type[np.uint16]) -> NDArray[Any]:
     """Read a one-channel PNG of exactly ``dtype``: (H, W). Raises DatasetError."""
-    try:
+    with _as_dataset_error():
         image = frames.decode(path, cv2.IMREAD_UNCHANGED)
-    except InputError as error:
-        raise DatasetError(f"{error}. Restore the data set's original file.") from error
     if image.ndim != 2 or image.dtype != dtype:
         raise DatasetError(
             f"{path}: expected one channel of {np.dtype(dtype).name}, got shape {image.shape} of "
             f"{image.dtype}. Restore the data set's original file."
         )
     return image
+
+
+@contextmanager
+def _as_dataset_error() -> Iterator[None]:
+    """Turn what the engine's reader says of a file into an error of the data set."""
+    try:
+        yield
+    except InputError as error:
+        raise DatasetError(f"{error}. Restore the data set's original file.") from error
 
 
 def require_size(path: Path, size: tuple[int, ...], expected: tuple[int, int]) -> None:
