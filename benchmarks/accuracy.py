@@ -17,9 +17,9 @@ import numpy as np
 from tqdm import tqdm
 
 from runtime import Predictor
-from training.baselines import ip_basic, nearest_fill
 from training.datasets.sample import SampleSource
-from training.evaluate import Answer, LidarSplit, Predict, Scores, score, split_lidar
+from training.evaluation.baselines import ip_basic, nearest_fill
+from training.evaluation.scoring import Answer, LidarSplit, Predict, Scores, score, split_lidar
 from training.recipe import SourceRecipe
 from training.sources import open_source
 

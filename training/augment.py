@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from training.datasets.kitti_stream_lines import withhold_occluded
+from training.datasets.kitti_lidar import withhold_occluded
 from training.datasets.sample import IGNORE, Sample, nothing_known
 from training.lidar import random_share, scan_lines
 

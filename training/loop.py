@@ -21,7 +21,7 @@ from tqdm import tqdm
 from models import SSDNet, create_model, load_checkpoint, save_checkpoint
 from runtime.errors import CheckpointError, InputError, SSDNetError
 from runtime.writer import write_whole
-from training.evaluate import score_sources
+from training.evaluation.scoring import score_sources
 from training.losses import SSDNetLoss, class_weights
 from training.recipe import OptimizerRecipe, Recipe, ScheduleRecipe
 from training.sources import count_pixels, open_mixture, open_source

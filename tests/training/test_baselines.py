@@ -9,8 +9,7 @@ import pytest
 from scipy import ndimage
 
 from runtime.errors import DatasetError
-from training.baselines import ip_basic, nearest_fill
-from training.datasets.kitti_stream_lines import (
+from training.datasets.kitti_lidar import (
     Calibration,
     project,
     read_calibration,
@@ -18,7 +17,8 @@ from training.datasets.kitti_stream_lines import (
     scan_line_of,
     withhold_occluded,
 )
-from training.metrics import DepthScores
+from training.evaluation.baselines import ip_basic, nearest_fill
+from training.evaluation.metrics import DepthScores
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from training.metrics import BoundaryScores, DepthScores, SemanticScores
+from training.evaluation.metrics import BoundaryScores, DepthScores, SemanticScores
 
 
 def test_semantic_metrics_by_hand():

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.errors import DatasetError
 from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
-from training.datasets.kitti_stream_lines import (
+from training.datasets.kitti_lidar import (
     project,
     read_calibration,
     read_points,

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from models import SSDNet
 from training.augment import keep_every_line, masked
-from training.datasets.kitti_stream_lines import withhold_occluded
+from training.datasets.kitti_lidar import withhold_occluded
 from training.datasets.sample import IGNORE, Sample, SampleSource, nothing_known
+from training.evaluation.metrics import BoundaryScores, DepthScores, SemanticScores
 from training.lidar import scan_lines
-from training.metrics import BoundaryScores, DepthScores, SemanticScores
 
 #: The boundary's F-score is that of the best of these over the whole set.
 BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))

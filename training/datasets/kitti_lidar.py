@@ -1,4 +1,4 @@
-"""LiDAR returns of the KITTI stream: scan lines, projection, and honest depth targets.
+"""LiDAR returns of KITTI recordings: scan lines, projection, and honest depth targets.
 
 There is no dense depth ground truth beside a recorded stream. Depth is measured by feeding some
 of the scan lines and scoring on the others, so returns have to be told apart by line first and

@@ -1,0 +1,1 @@
+"""Metrics, scores of a network on whole sets, and the baselines it has to beat."""
