@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from models.classes import CAMVID_CLASSES, numbered_classes
+from models.classes import CAMVID_CLASSES, CLASS_TABLES, numbered_classes
 from models.config import CONFIGS, ModelConfig
 from models.ssdnet import SSDNet, SSDNetOutput
 from runtime.contract import ClassInfo
 
 __all__ = [
     "CAMVID_CLASSES",
+    "CLASS_TABLES",
     "Checkpoint",
     "ModelConfig",
     "SSDNet",
@@ -37,12 +38,14 @@ def create_model(
     classes: Sequence[ClassInfo] | None = None,
     num_classes: int | None = None,
     max_depth_m: float | None = None,
+    boundary_gating: bool = True,
 ) -> SSDNet:
     """Build a network by name, with random weights.
 
     ``classes`` (or ``num_classes`` for numbered ones) replaces CamVid's eleven; ``max_depth_m`` is
-    the depth range in metres. Raises ValueError for an unknown name, for both kinds of classes at
-    once, or for classes on a network without a semantic head.
+    the depth range in metres; without ``boundary_gating`` the decoders ignore the boundary.
+    Raises ValueError for an unknown name, for both kinds of classes at once, or for classes on a
+    network without a semantic head.
     """
     if name not in CONFIGS:
         raise ValueError(f"unknown model {name!r}; known: {', '.join(CONFIGS)}")
@@ -55,4 +58,4 @@ def create_model(
         config = replace(config, classes=tuple(classes))
     if max_depth_m is not None:
         config = replace(config, max_depth_m=max_depth_m)
-    return SSDNet(config)
+    return SSDNet(replace(config, boundary_gating=boundary_gating))

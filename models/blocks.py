@@ -23,16 +23,17 @@ class BaConv(nn.Module):
     Gating the input and convolving it is the same sum, so no custom operator is needed and an
     exported graph holds `Mul` and `Conv` alone.
 
-    Shapes: x (N, C, H, W), boundary (N, 1, H, W) in 0..1; returns (N, C', H, W). No bias.
+    Shapes: x (N, C, H, W), boundary (N, 1, H, W) in 0..1, None = 0; returns (N, C', H, W). No
+    bias.
     """
 
     def __init__(self, in_channels: int, out_channels: int, *, kernel: int = 3) -> None:
         super().__init__()
         self.conv = nn.Conv2d(in_channels, out_channels, kernel, padding=kernel // 2, bias=False)
 
-    def forward(self, x: Tensor, boundary: Tensor) -> Tensor:
+    def forward(self, x: Tensor, boundary: Tensor | None) -> Tensor:
         """Convolve x with the share of each pixel that is not boundary."""
-        out: Tensor = self.conv(x * (1.0 - boundary))
+        out: Tensor = self.conv(x if boundary is None else x * (1.0 - boundary))
         return out
 
 

@@ -46,6 +46,8 @@ class ModelConfig:
     #: convolution; 0 = none. Poles and signs are thinner than a cell of the coarser grid.
     semantic_refine_channels: int = 0
     boundary_channels: int = 16
+    #: Gate the decoders by 1 - B (Eq. 1); without it B = 0 and a BaConv is a plain convolution.
+    boundary_gating: bool = True
     #: Feed the mask of measured pixels beside the sparse depth.
     valid_mask_input: bool = False
     #: Fill the sparse depth by a masked average pyramid and let the depth head refine it.
@@ -133,30 +135,55 @@ class ModelConfig:
 
 SSDNET = ModelConfig()
 
-#: Named members of the family. SSDNet_ind is `ssdnet` trained without the joint losses.
+#: The same structure at a fortieth of the parameters, for experiments on a CPU: a strided stem
+#: instead of the first stage at full size, and narrower.
+SSDNET_SMALL = ModelConfig(
+    name="ssdnet-small",
+    stem_channels=(16,),
+    encoder_channels=(32, 48, 64, 96),
+    encoder_blocks=(1, 2, 2, 2),
+    decoder_channels=(64, 48, 32, 16),
+)
+
+SSDNET_LITE = ModelConfig(
+    name="ssdnet-lite",
+    stem_channels=(32, 32),
+    encoder_channels=(32, 64, 128, 256),
+    encoder_blocks=(2, 2, 2, 2),
+    encoder_block="residual",
+    decoder_channels=(64, 48, 32),
+    skip_fusion="add",
+    semantic_refine_channels=16,
+    valid_mask_input=True,
+    depth_prior=True,
+    global_context=True,
+)
+
+
+_DEPTH_ALONE: dict[str, Any] = {"semantic_head": False, "classes": ()}
+
+
+def _with_ablations(config: ModelConfig) -> tuple[ModelConfig, ...]:
+    """The network and the rows of the paper's ablation; SSDNet_ind differs in its losses only."""
+
+    def variant(suffix: str, **changes: Any) -> ModelConfig:
+        return replace(config, name=f"{config.name}-{suffix}", **changes)
+
+    return (
+        config,
+        variant("sem", depth_head=False),
+        variant("dep", **_DEPTH_ALONE),
+        variant("dep-d", **_DEPTH_ALONE, use_rgb=False),
+        variant("dep-rgb", **_DEPTH_ALONE, use_sparse_depth=False),
+    )
+
+
+#: Named members of the family.
 CONFIGS: dict[str, ModelConfig] = {
     config.name: config
     for config in (
-        SSDNET,
-        replace(SSDNET, name="ssdnet-sem", depth_head=False),
-        replace(SSDNET, name="ssdnet-dep", semantic_head=False, classes=()),
-        replace(SSDNET, name="ssdnet-dep-d", semantic_head=False, classes=(), use_rgb=False),
-        replace(
-            SSDNET, name="ssdnet-dep-rgb", semantic_head=False, classes=(), use_sparse_depth=False
-        ),
-        replace(
-            SSDNET,
-            name="ssdnet-lite",
-            stem_channels=(32, 32),
-            encoder_channels=(32, 64, 128, 256),
-            encoder_blocks=(2, 2, 2, 2),
-            encoder_block="residual",
-            decoder_channels=(64, 48, 32),
-            skip_fusion="add",
-            semantic_refine_channels=16,
-            valid_mask_input=True,
-            depth_prior=True,
-            global_context=True,
-        ),
+        *_with_ablations(SSDNET),
+        *_with_ablations(SSDNET_SMALL),
+        SSDNET_LITE,
     )
 }

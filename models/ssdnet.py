@@ -141,15 +141,16 @@ class SSDNet(nn.Module):
 
         skips, bottom = self.encoder(x_stem)
         boundary_logits, sides = self.boundary_decoder(skips, exact=exact)
-        boundaries = [torch.sigmoid(side) for side in sides]
+        boundaries: list[Tensor] | list[None] = [None] * len(sides)
+        if config.boundary_gating:
+            boundaries = [torch.sigmoid(side) for side in sides]
 
         semantic_logits = None
         if self.semantic_decoder is not None and self.semantic_head is not None:
             finest = self.semantic_decoder(bottom, skips, boundaries, exact=exact)[0]
             if self.semantic_refine is not None:
-                finest = self.semantic_refine(
-                    finest, stem_features[1], upsample(boundaries[0]), exact=exact
-                )
+                gate = None if boundaries[0] is None else upsample(boundaries[0])
+                finest = self.semantic_refine(finest, stem_features[1], gate, exact=exact)
             semantic_logits = self.semantic_head(finest)
         depths = None
         if self.depth_decoder is not None and self.depth_heads is not None:

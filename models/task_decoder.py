@@ -32,7 +32,7 @@ class UpBlock(nn.Module):
             self.conv = nn.Identity()
         self.norm = nn.BatchNorm2d(channels)
 
-    def forward(self, x: Tensor, skip: Tensor, boundary: Tensor, *, exact: bool) -> Tensor:
+    def forward(self, x: Tensor, skip: Tensor, boundary: Tensor | None, *, exact: bool) -> Tensor:
         """x (N, C, h, w), skip (N, S, H, W), boundary (N, 1, H, W) in 0..1 -> (N, C', H, W)."""
         if self.fusion == "add":
             x = self.reduce(x)  # before upsampling: a quarter of the work
@@ -57,7 +57,12 @@ class TaskDecoder(nn.Module):
         self.blocks = nn.ModuleList(blocks)
 
     def forward(
-        self, bottom: Tensor, skips: list[Tensor], boundaries: list[Tensor], *, exact: bool
+        self,
+        bottom: Tensor,
+        skips: list[Tensor],
+        boundaries: list[Tensor] | list[None],
+        *,
+        exact: bool,
     ) -> list[Tensor]:
         """Return the features after each UpBlock, finest first (as the skips are)."""
         features = []
