@@ -90,7 +90,7 @@ def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
 def resize(sample: Sample, size: tuple[int, int]) -> Sample:
     """Resize to (height, width): RGB bilinear (by area when it shrinks), labels nearest.
 
-    Dense depth is taken by nearest, too; measured depth is moved return by return, so that no
+    Dense depth is taken by nearest, too; recorded depth is moved return by return, so that no
     return is doubled and, where two meet, the nearer stays.
     """
     if size == sample.size:
@@ -109,13 +109,19 @@ def resize(sample: Sample, size: tuple[int, int]) -> Sample:
                 [0, 0, 1],
             ]
         )
+    scan_line = None
     if sample.scan_line is not None:
         depth, scan_line = move_returns(sample.depth, size, sample.scan_line)
+    elif sample.recorded_input:
+        depth, _ = move_returns(sample.depth, size)
     else:
         nearest: NDArray[Any] = cv2.resize(
             sample.depth, shape, interpolation=cv2.INTER_NEAREST_EXACT
         )
-        depth, scan_line = nearest, None
+        depth = nearest
+    sparse_depth = depth
+    if sample.recorded_input:
+        sparse_depth, _ = move_returns(sample.sparse_depth, size)
     rgb: NDArray[Any] = cv2.resize(
         sample.rgb, shape, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
     )
@@ -125,7 +131,7 @@ def resize(sample: Sample, size: tuple[int, int]) -> Sample:
     return replace(
         sample,
         rgb=rgb,
-        sparse_depth=depth,
+        sparse_depth=sparse_depth,
         depth=depth,
         semantic=semantic,
         scan_line=scan_line,
@@ -134,11 +140,17 @@ def resize(sample: Sample, size: tuple[int, int]) -> Sample:
 
 
 def move_returns(
-    depth: NDArray[np.float32], size: tuple[int, int], scan_line: NDArray[np.int16]
+    depth: NDArray[np.float32],
+    size: tuple[int, int],
+    scan_line: NDArray[np.int16] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
-    """Move each measured pixel to its place in a map of (height, width); the nearest wins."""
+    """Move each measured pixel to its place in a map of (height, width); the nearest wins.
+
+    Returns the map and the scan line of its pixels, -1 where there is none or it is not known.
+    """
     v, u = np.nonzero(depth)
-    values, lines = depth[v, u], scan_line[v, u]
+    values = depth[v, u]
+    lines = np.full(len(v), -1, np.int16) if scan_line is None else scan_line[v, u]
     order = np.argsort(-values, kind="stable")  # nearest written last
     v, u = v[order], u[order]
     row = ((v + 0.5) * size[0] / depth.shape[0]).astype(np.intp)
@@ -175,7 +187,8 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
     """Choose what the LiDAR saw: nothing, a random share of the measurements, or scan lines.
 
     A recorded scan is split: what is withheld from the input is the target, less the returns
-    hidden behind nearer ones; dense depth stays the target as a whole.
+    hidden behind nearer ones; dense depth stays the target as a whole. An input recorded beside
+    its target stays as it is, or is thinned at random.
     """
     if not sample.depth.any():
         return replace(sample, sparse_depth=nothing_known(sample.size))
@@ -198,6 +211,9 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
         return replace(sample, sparse_depth=seen, depth=withhold_occluded(target, sample.depth))
     if missing:
         seen = nothing_known(sample.size)
+    elif sample.recorded_input:
+        share = rng.uniform(*config.recorded_share) if pattern == "random" else 1.0
+        seen = random_share(sample.sparse_depth, float(share), rng)
     elif pattern == "random" or sample.intrinsics is None:
         seen = random_share(sample.depth, float(rng.uniform(*config.random_share)), rng)
     else:

@@ -25,29 +25,93 @@ class ModelRecipe:
 
     name: str
     max_depth_m: float = 100.0
+    #: The class table, a name in `models.CLASS_TABLES`, that every set's labels are told in.
+    classes: Literal["camvid", "cityscapes", "virtual_kitti"] = "camvid"
+    #: False = the network's decoders are not gated by the boundary.
+    boundary_gating: bool = True
 
 
 @dataclass(frozen=True)
 class SourceRecipe:
-    """One data set of the mixture, or one of the validation sets."""
+    """One data set of the mixture, or one of the validation sets.
 
-    kind: Literal["camvid", "kitti_stream", "virtual_kitti"]
-    #: Folder, relative to one of the ``--data`` folders.
-    path: str
+    A key that the kind does not know must keep its default.
+    """
+
+    kind: Literal[
+        "camvid",
+        "cityscapes",
+        "kitti_depth",
+        "kitti_raw",
+        "kitti_stream",
+        "rendered",
+        "rendered_on_the_fly",
+        "virtual_kitti",
+        "virtual_kitti_1",
+    ]
+    #: Folder, relative to one of the ``--data`` folders; none for scenes rendered on the fly.
+    path: str = ""
     #: How often it is drawn, relative to the others.
     weight: float = 1.0
-    #: CamVid's split.
+    #: The set's own split: train, val, test, selection (KITTI depth), all (Virtual KITTI).
     split: str = "train"
     #: First and last frame of a stream, inclusive.
     first: int = 0
     last: int | None = None
-    #: Scenes and variants in the Virtual KITTI layout; all by default.
+    #: Scenes and variants of Virtual KITTI or rendered scenes; the split's by default.
     scenes: tuple[str, ...] | None = None
     variants: tuple[str, ...] | None = None
+    #: File below ``path`` that lists the frames, rows of "scene/variant/number".
+    frames: str | None = None
+    #: Drives of KITTI raw data; all by default.
+    drives: tuple[str, ...] | None = None
+    #: Cameras: 0 and 1 of Virtual KITTI 2, 2 and 3 of KITTI; the left one by default.
+    cameras: tuple[int, ...] | None = None
+    #: KITTI raw: leave out the returns that the camera cannot see behind nearer ones.
+    withhold_hidden: bool = False
+    #: Rendered on the fly: how many scenes, frames a scene, and the first scene's seed.
+    num_scenes: int = 100
+    frames_per_scene: int = 4
+    scene_seed: int = 0
+    #: (height, width) that every frame is brought to first; its own size by default.
+    size: tuple[int, int] | None = None
     #: How much the set's labels count, for labels made by a network.
     semantic_weight: float = 1.0
     #: Range of the random magnification; the common one by default.
     scale: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what says nothing about this kind of set, with a ValueError that names the key."""
+        if not (self.path or self.kind == "rendered_on_the_fly"):
+            raise ValueError(f"data.source of kind {self.kind!r} needs a path")
+        for key, least in (("num_scenes", 1), ("frames_per_scene", 1), ("scene_seed", 0)):
+            _require(f"data.source.{key}", getattr(self, key), at_least=least)
+        known = {"kind", "path", "weight", "size", "scale", *_KEYS[self.kind]}
+        for item in fields(self):
+            if item.name not in known and getattr(self, item.name) != item.default:
+                raise ValueError(
+                    f"data.source.{item.name} means nothing to a set of kind {self.kind!r}; it "
+                    f"knows {', '.join(sorted(known))}"
+                )
+
+    @property
+    def name(self) -> str:
+        """What scores of the set are called."""
+        return self.path or self.kind
+
+
+#: What each kind of set can be told, beside what all of them can.
+_KEYS: Mapping[str, frozenset[str]] = {
+    "camvid": frozenset({"split"}),
+    "cityscapes": frozenset({"split"}),
+    "kitti_depth": frozenset({"split", "cameras"}),
+    "kitti_raw": frozenset({"drives", "cameras", "withhold_hidden"}),
+    "kitti_stream": frozenset({"first", "last", "semantic_weight"}),
+    "rendered": frozenset({"scenes", "variants", "frames"}),
+    "rendered_on_the_fly": frozenset({"variants", "num_scenes", "frames_per_scene", "scene_seed"}),
+    "virtual_kitti": frozenset({"split", "scenes", "variants", "frames", "cameras"}),
+    "virtual_kitti_1": frozenset({"split", "scenes", "variants", "frames"}),
+}
 
 
 @dataclass(frozen=True)
@@ -56,8 +120,11 @@ class DataRecipe:
 
     source: tuple[SourceRecipe, ...]
     augment: AugmentConfig = field(default_factory=AugmentConfig)
+    #: Of each process.
     batch_size: int = 8
     workers: int = 1
+    #: Memory for decoded frames, all workers together [GiB]; 0 = each is decoded every time.
+    cache_gib: float = 0.0
     seed: int = 0
     #: Samples from which the class frequencies for the loss are counted.
     frequency_samples: int = 400
@@ -67,6 +134,7 @@ class DataRecipe:
         _require("data.source", len(self.source), at_least=1)
         _require("data.batch_size", self.batch_size, at_least=1)
         _require("data.workers", self.workers, at_least=0)
+        _require("data.cache_gib", self.cache_gib, at_least=0)
         _require("data.frequency_samples", self.frequency_samples, at_least=1)
         for size in self.augment.crop:
             _require("data.augment.crop", size, at_least=32)
@@ -109,8 +177,14 @@ class ScheduleRecipe:
 class LoopRecipe:
     """How steps are computed and what is kept."""
 
-    autocast: Literal["none", "bf16"] = "none"
+    #: Type of the network's arithmetic. fp16 scales the loss; a step whose gradients overflow is
+    #: left out and the scale is halved.
+    autocast: Literal["none", "bf16", "fp16"] = "none"
     channels_last: bool = True
+    #: Let torch.compile make kernels of its own: minutes once, faster steps after.
+    compile: bool = False
+    #: Several processes: normalise over the batches of all of them.
+    sync_batch_norm: bool = True
     #: Decay of the averaged weights that ship; 0 = no averaging.
     ema_decay: float = 0.999
     #: Largest norm of the gradient; 0 = no clipping.
@@ -118,7 +192,8 @@ class LoopRecipe:
     #: Share of the log class weights that model.pt's semantic bias gives back (Menon et al. 2021):
     #: weighted training finds rare classes too often. 0 = none, 1 = all.
     logit_adjustment: float = 0.0
-    #: Batches whose gradients are averaged for one step; batch normalisation sees each alone.
+    #: Batches, of each process, whose gradients are averaged for one step; batch normalisation
+    #: sees each of them alone.
     accumulate: int = 1
     checkpoint_every: int = 500
     log_every: int = 20
@@ -137,11 +212,14 @@ class ValidationRecipe:
 
     every: int = 1000
     source: tuple[SourceRecipe, ...] = ()
+    #: Frames of each set, evenly spread, that TensorBoard shows as pictures.
+    pictures: int = 3
 
     def __post_init__(self) -> None:
         """Refuse sets whose scores would share a name, with a ValueError that names the key."""
         _require("validation.every", self.every, at_least=1)
-        paths = [item.path for item in self.source]
+        _require("validation.pictures", self.pictures, at_least=0)
+        paths = [item.name for item in self.source]
         twice = sorted({path for path in paths if paths.count(path) > 1})
         if twice:
             raise ValueError(
@@ -164,19 +242,59 @@ class Recipe:
     terms: str = ""
 
 
-def read_recipe(path: Path | str) -> Recipe:
-    """Read a recipe. Raises InputError for a missing file, bad TOML, unknown or mistyped keys."""
+def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:
+    """Read a recipe.
+
+    ``base = "other.toml"`` at its top takes another recipe, beside it, and changes single keys of
+    it; a list (``data.source``) is replaced as a whole. ``changes`` are further ones, each
+    "table.key = value" in TOML's own spelling.
+
+    Raises InputError for a missing file, bad TOML, unknown or mistyped keys.
+    """
+    table = _read_table(Path(path), ())
+    for change in changes:
+        try:
+            table = _merge(table, tomllib.loads(change))
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(
+                f"{change!r} is not 'table.key = value' in TOML ({error}); text needs quotes."
+            ) from error
     try:
-        with Path(path).open("rb") as stream:
+        return build(Recipe, table)
+    except (InputError, ValueError) as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _read_table(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
+    """The recipe's table on top of its base's."""
+    if path.resolve() in above:
+        raise InputError(f"{path}: is its own base.")
+    try:
+        with path.open("rb") as stream:
             table = tomllib.load(stream)
     except OSError as error:
         raise InputError(f"{path}: the recipe cannot be read: {error.strerror}.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not valid TOML: {error}.") from error
-    try:
-        return build(Recipe, table)
-    except (InputError, ValueError) as error:
-        raise InputError(f"{path}: {error}") from error
+    base = table.pop("base", None)
+    if base is None:
+        return table
+    if not isinstance(base, str):
+        raise InputError(f"{path}: base = {base!r}; expected the name of a recipe beside it.")
+    return _merge(_read_table(path.parent / base, (*above, path.resolve())), table)
+
+
+def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables merge key by key; anything else is replaced."""
+    merged = dict(base)
+    for key, value in changes.items():
+        below = merged.get(key)
+        merged[key] = (
+            _merge(below, value)
+            if isinstance(below, Mapping) and isinstance(value, Mapping)
+            else value
+        )
+    return merged
 
 
 def build(kind: type[T], table: Mapping[str, Any], where: str = "") -> T:

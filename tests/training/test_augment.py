@@ -42,6 +42,15 @@ def recorded(height=48, width=64):
     return replace(sample, depth=depth, sparse_depth=depth, scan_line=line)
 
 
+def recorded_beside_its_target(height=48, width=64):
+    """The plane as semi-dense ground truth, and a LiDAR that measured 0.5 m more, elsewhere."""
+    sample = plane(height, width)
+    v, u = np.mgrid[:height, :width]
+    depth = np.where((u + v) % 2 == 0, sample.depth, 0).astype(np.float32)
+    seen = np.where((u % 4 == 1) & (v % 3 == 0), sample.depth + 0.5, 0).astype(np.float32)
+    return replace(sample, depth=depth, sparse_depth=seen, recorded_input=True)
+
+
 def test_flip_twice_is_the_same_and_once_moves_everything():
     sample = plane()
     once, twice = flip(sample), flip(flip(sample))
@@ -106,7 +115,7 @@ def test_recorded_lines_are_split_into_input_and_target():
 
 def test_missing_lidar_leaves_the_target():
     config = AugmentConfig(lidar_missing=1)
-    for sample in (plane(), recorded()):
+    for sample in (plane(), recorded(), recorded_beside_its_target()):
         out = draw_lidar(sample, config, np.random.default_rng(0))
         assert not out.sparse_depth.any()
         assert out.depth.any()
@@ -120,6 +129,68 @@ def test_random_share_of_dense_depth():
     np.testing.assert_array_equal(out.sparse_depth[seen], out.depth[seen])
 
 
+def test_input_and_target_recorded_apart_stay_apart_when_enlarged():
+    sample = recorded_beside_its_target()
+    large = resize(sample, (144, 192))
+    # Every return is at the middle of the three times three pixels it was, and nowhere else.
+    for name in ("sparse_depth", "depth"):
+        expected = np.zeros((144, 192), np.float32)
+        expected[1::3, 1::3] = getattr(sample, name)
+        np.testing.assert_array_equal(getattr(large, name), expected)
+    assert large.recorded_input
+    assert large.scan_line is None
+
+
+def test_nearest_return_of_each_map_stays_when_shrunk():
+    sample = recorded_beside_its_target(2, 4)
+    seen = np.array([[0, 9, 0, 0], [7, 8, 0, 0]], np.float32)
+    truth = np.array([[5, 0, 3, 0], [0, 6, 0, 4]], np.float32)
+    small = resize(replace(sample, sparse_depth=seen, depth=truth), (1, 2))
+    assert small.sparse_depth.tolist() == [[7, 0]]
+    assert small.depth.tolist() == [[5, 3]]
+
+
+def test_input_recorded_beside_its_target_is_kept_or_thinned():
+    sample = recorded_beside_its_target()
+    whole = draw_lidar(
+        sample, AugmentConfig(lidar_missing=0, lidar_random=0), np.random.default_rng(0)
+    )
+    np.testing.assert_array_equal(whole.sparse_depth, sample.sparse_depth)
+    thin = AugmentConfig(lidar_missing=0, lidar_random=1, recorded_share=(0.6, 0.6))
+    thinned = draw_lidar(sample, thin, np.random.default_rng(0))
+    kept = thinned.sparse_depth > 0
+    share = np.count_nonzero(kept) / np.count_nonzero(sample.sparse_depth)
+    assert share == pytest.approx(0.6, abs=0.08)
+    np.testing.assert_array_equal(thinned.sparse_depth[kept], sample.sparse_depth[kept])
+    for out in (whole, thinned):
+        np.testing.assert_array_equal(out.depth, sample.depth)
+
+
+def test_input_recorded_beside_its_target_needs_no_intrinsics():
+    sample = replace(recorded_beside_its_target(), intrinsics=None)
+    config = AugmentConfig(lidar_missing=0, lidar_random=0, recorded_share=(0.5, 0.5))
+    out = draw_lidar(sample, config, np.random.default_rng(0))
+    kept = out.sparse_depth > 0
+    assert 0 < np.count_nonzero(kept) < np.count_nonzero(sample.sparse_depth)
+    np.testing.assert_array_equal(out.sparse_depth[kept], sample.sparse_depth[kept])
+
+
+def test_cut_and_flip_move_input_and_target_recorded_apart():
+    sample = recorded_beside_its_target()
+    window = cut(sample, 3, 5, (20, 30))
+    np.testing.assert_array_equal(window.sparse_depth, sample.sparse_depth[3:23, 5:35])
+    np.testing.assert_array_equal(window.depth, sample.depth[3:23, 5:35])
+    mirrored = flip(window)
+    np.testing.assert_array_equal(mirrored.sparse_depth, window.sparse_depth[:, ::-1])
+    np.testing.assert_array_equal(mirrored.depth, window.depth[:, ::-1])
+    assert mirrored.recorded_input
+
+
+def test_size_that_is_there_already_changes_nothing():
+    sample = recorded_beside_its_target()
+    assert resize(sample, sample.size) is sample
+
+
 def test_keep_every_line_needs_lines():
     with pytest.raises(ValueError, match="no scan lines"):
         keep_every_line(plane(), 2, 0)
@@ -127,7 +198,7 @@ def test_keep_every_line_needs_lines():
 
 def test_result_has_the_crop_size_and_is_reproducible():
     config = AugmentConfig(crop=(40, 56))
-    for sample in (plane(), recorded()):
+    for sample in (plane(), recorded(), recorded_beside_its_target()):
         a, b = (augment(sample, config, np.random.default_rng(7)) for _ in range(2))
         other = augment(sample, config, np.random.default_rng(8))
         assert a.rgb.shape == (40, 56, 3)

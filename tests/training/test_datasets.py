@@ -1,4 +1,4 @@
-"""Readers on small files in exactly the real layouts, and on the real recordings where present."""
+"""CamVid and KITTI streams on small files in their real layouts, and on the recordings if there."""
 
 import os
 from pathlib import Path
@@ -10,7 +10,6 @@ import pytest
 from runtime.errors import DatasetError
 from training.datasets.camvid import CamVid
 from training.datasets.kitti_stream import KittiStream
-from training.datasets.virtual_kitti import VirtualKitti
 
 
 @pytest.fixture
@@ -67,77 +66,84 @@ def test_camvid_errors_name_the_file(camvid):
         CamVid(camvid)
 
 
+@pytest.mark.parametrize("classes", ["cityscapes", "virtual_kitti"])
+def test_camvid_cannot_be_told_in_other_classes(camvid, classes):
+    with pytest.raises(DatasetError, match=f"labels of camvid cannot be told .*{classes}"):
+        CamVid(camvid, classes=classes)
+
+
+#: A camera of 10 px focal length, its centre at (8, 4), that looks along the LiDAR's x.
+CALIBRATION = """\
+S_rect_02: 16 8
+R_rect_00: 1 0 0 0 1 0 0 0 1
+P_rect_02: 10 0 8 0 0 10 4 0 0 0 1 0
+velo_to_cam_R: 0 -1 0 0 0 -1 1 0 0
+velo_to_cam_T: 0 0 0
+"""
+
+
 @pytest.fixture
-def scene(tmp_path):
-    folder = tmp_path / "Scene01" / "clone"
-    frames = folder / "frames"
-    (tmp_path / "Scene01" / "clone").mkdir(parents=True)
-    (folder / "colors.txt").write_text("Category r g b\nRoad 100 60 100\nSky 90 200 255\n")
-    (folder / "intrinsic.txt").write_text(
-        "frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]\n0 0 725.0 726.0 620.5 187.0\n"
-        "0 1 1 1 1 1\n1 0 700.0 701.0 600.5 180.0\n"
-    )
-    for frame in range(2):
-        write(frames / f"rgb/Camera_0/rgb_{frame:05d}.jpg", np.full((8, 10, 3), 90, np.uint8))
-        depth = np.full((8, 10), 1234 + frame, np.uint16)
-        depth[:2] = 65535
-        write(frames / f"depth/Camera_0/depth_{frame:05d}.png", depth)
-        label = np.full((8, 10, 3), (100, 60, 100), np.uint8)  # BGR of Road
-        label[:2] = (255, 200, 90)
-        write(frames / f"classSegmentation/Camera_0/classgt_{frame:05d}.png", label)
+def stream(tmp_path):
+    """Three frames with a line at 10 m and one at 5 m; the first has labels."""
+    (tmp_path / "velodyne_fov").mkdir()
+    (tmp_path / "calib_2011_09_26.txt").write_text(CALIBRATION)
+    # In the middles of pixels (4, 1) and (12, 1), then (12, 6) and, nearer, (12, 1) again.
+    points = [(10, 3.5, 2.5, 0), (10, -4.5, 2.5, 0), (5, 1.75, -1.25, 0), (5, -2.25, 1.25, 0)]
+    for number in range(3):
+        write(tmp_path / "image_02" / f"{number:010d}.png", np.full((8, 16, 3), 90, np.uint8))
+        scan = tmp_path / "velodyne_fov" / f"{number:010d}.bin"
+        scan.write_bytes(np.array(points, "<f4").tobytes())
+    labels = np.broadcast_to(np.arange(16, dtype=np.uint8), (8, 16)).copy()
+    labels[0] = 255
+    write(tmp_path / "pseudo_semantic" / "0000000000.png", labels)
     return tmp_path
 
 
-def test_virtual_kitti_reads_centimetres_classes_and_intrinsics(scene):
-    source = VirtualKitti(scene)
-    sample = source[1]
-    assert len(source) == 2
-    assert sample.depth[5, 5] == pytest.approx(12.35)
-    assert not sample.depth[:2].any()  # sky
-    assert (sample.semantic[:2] == 0).all()
-    assert (sample.semantic[2:] == 3).all()
-    assert sample.intrinsics[0, 0] == 700
-    assert sample.intrinsics[1, 2] == 180
-
-
-def test_virtual_kitti_leaves_unfinished_scenes_alone(scene):
-    (scene / "Scene01" / ".fog.partial" / "frames" / "rgb" / "Camera_0").mkdir(parents=True)
-    assert len(VirtualKitti(scene)) == 2
-
-
-def test_virtual_kitti_chooses_scenes_and_variants(scene):
-    assert len(VirtualKitti(scene, scenes=["Scene01"], variants=["clone"])) == 2
-    with pytest.raises(DatasetError, match="no frames"):
-        VirtualKitti(scene, variants=["fog"])
+def test_stream_keeps_lines_apart_and_the_nearest_return(stream):
+    sample = KittiStream(stream, semantic_weight=0.2)[0]
+    assert {(v, u): sample.depth[v, u] for v, u in np.argwhere(sample.depth)} == {
+        (1, 4): 10.0,
+        (1, 12): 5.0,
+        (6, 4): 5.0,
+    }
+    assert sample.scan_line[[1, 1, 6], [4, 12, 4]].tolist() == [0, 1, 1]
+    assert np.count_nonzero(sample.scan_line >= 0) == 3
+    assert sample.intrinsics.tolist() == [[10, 0, 8], [0, 10, 4], [0, 0, 1]]
+    assert sample.semantic_weight == 0.2
 
 
 @pytest.mark.parametrize(
-    ("spoil", "text"),
+    ("classes", "ids"),
     [
-        (lambda f: (f / "colors.txt").write_text("Category r g b\nMoon 1 2 3\n"), "'Moon'"),
-        (lambda f: (f / "colors.txt").write_text("Category r g b\nRoad 1 2\n"), "not 'Category"),
-        (lambda f: (f / "intrinsic.txt").unlink(), "intrinsic.txt: cannot be read"),
-        (lambda f: (f / "intrinsic.txt").write_text("header\n0 0 1\n"), "fx fy cx cy"),
-        (
-            lambda f: write(
-                f / "frames/classSegmentation/Camera_0/classgt_00000.png",
-                np.full((8, 10, 3), (7, 8, 9), np.uint8),
-            ),
-            r"colour \(9, 8, 7\)",
-        ),
-        (
-            lambda f: write(
-                f / "frames/depth/Camera_0/depth_00000.png", np.zeros((8, 10), np.uint8)
-            ),
-            "expected one channel of uint16",
-        ),
-        (lambda f: (f / "frames/depth/Camera_0/depth_00000.png").unlink(), "cannot read"),
+        ("camvid", [3, 4, 1, 1, 7, 2, 6, 6, 5, 5, 0, 9, 10, 8, 8, 8]),
+        ("cityscapes", list(range(16))),
     ],
 )
-def test_virtual_kitti_errors_name_what_is_wrong(scene, spoil, text):
-    spoil(scene / "Scene01" / "clone")
-    with pytest.raises(DatasetError, match=text):
-        VirtualKitti(scene)[0]
+def test_stream_labels_are_train_ids(stream, classes, ids):
+    source = KittiStream(stream, classes=classes)
+    assert (source[0].semantic[0] == 255).all()
+    assert (source[0].semantic[1:] == ids).all()
+    assert (source[1].semantic == 255).all()
+
+
+def test_stream_takes_its_first_to_last_frame(stream):
+    source = KittiStream(stream, first=1, last=1)
+    assert [len(source), source[0].name] == [1, "kitti_stream/0000000001"]
+    with pytest.raises(DatasetError, match=r"3 PNG frames, none of them in 3\.\.None"):
+        KittiStream(stream, first=3)
+
+
+def test_damaged_stream_files_are_named(stream):
+    scan = stream / "velodyne_fov" / "0000000000.bin"
+    scan.write_bytes(scan.read_bytes()[:-1])
+    with pytest.raises(DatasetError, match=r"0000000000\.bin has 63 bytes"):
+        KittiStream(stream)[0]
+    scan.unlink()
+    with pytest.raises(DatasetError, match=r"cannot read the scan .*0000000000\.bin"):
+        KittiStream(stream)[0]
+    (stream / "calib_2011_09_26.txt").write_text("S_rect_02: 16 8\n")
+    with pytest.raises(DatasetError, match=r"calib_2011_09_26\.txt has no line 'P_rect_02:'"):
+        KittiStream(stream)
 
 
 def test_missing_stream_folders(tmp_path):

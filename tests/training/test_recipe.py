@@ -1,10 +1,12 @@
 """Recipes are read strictly: a typing mistake never trains silently."""
 
-from importlib import resources
+from pathlib import Path
 
 import pytest
 
+from models import list_models
 from runtime.errors import InputError
+from training import recipes
 from training.recipe import SourceRecipe, ValidationRecipe, read_recipe
 
 MINIMAL = """
@@ -70,11 +72,193 @@ def test_missing_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", [p.name for p in resources.files("training.recipes").iterdir() if p.suffix == ".toml"]
+    "path",
+    sorted(Path(recipes.__file__).parent.rglob("*.toml")),
+    ids=lambda path: f"{path.parent.name}/{path.stem}",
 )
-def test_shipped_recipes_are_valid(name):
-    with resources.as_file(resources.files("training.recipes") / name) as path:
-        assert read_recipe(path).schedule.steps > 0
+def test_shipped_recipes_are_valid(path):
+    recipe = read_recipe(path)
+    assert recipe.schedule.steps > 0
+    assert recipe.model.name in list_models()
+
+
+BASE = """
+[model]
+name = "ssdnet"
+max_depth_m = 80
+[data]
+batch_size = 4
+seed = 5
+[[data.source]]
+kind = "camvid"
+path = "camvid"
+[[data.source]]
+kind = "kitti_stream"
+path = "kitti_stream"
+[schedule]
+steps = 10
+"""
+
+
+@pytest.fixture
+def base(tmp_path):
+    (tmp_path / "base.toml").write_text(BASE)
+    return tmp_path
+
+
+def test_base_gives_what_is_not_said(base):
+    recipe = read(base, 'base = "base.toml"\n[model]\nname = "ssdnet-lite"\n[loop]\nlog_every = 7')
+    assert (recipe.model.name, recipe.model.max_depth_m) == ("ssdnet-lite", 80.0)
+    assert (recipe.data.batch_size, recipe.data.seed) == (4, 5)
+    assert recipe.schedule.steps == 10
+    assert recipe.loop.log_every == 7
+    assert recipe == read_recipe(
+        base / "base.toml", ["model.name = 'ssdnet-lite'", "loop.log_every = 7"]
+    )
+
+
+def test_lists_of_the_base_are_replaced_as_a_whole(base):
+    source = '[[data.source]]\nkind = "camvid"\npath = "other"'
+    recipe = read(base, f'base = "base.toml"\n{source}')
+    assert [item.path for item in recipe.data.source] == ["other"]
+    assert recipe.data.batch_size == 4
+
+
+def test_base_may_have_a_base_and_lie_elsewhere(base):
+    (base / "below").mkdir()
+    (base / "below" / "middle.toml").write_text('base = "../base.toml"\n[data]\nseed = 6')
+    recipe = read(base, 'base = "below/middle.toml"\n[data]\nbatch_size = 2')
+    assert (recipe.data.seed, recipe.data.batch_size) == (6, 2)
+
+
+def test_changes_come_last_and_in_order(base):
+    (base / "r.toml").write_text('base = "base.toml"\n[data]\nseed = 6')
+    recipe = read_recipe(
+        base / "r.toml",
+        [
+            "data.seed = 7",
+            "data.seed = 8",
+            'model = {name = "ssdnet-lite"}',
+            "data.augment.crop = [64, 96]",
+            'data.source = [{kind = "cityscapes", path = "c", size = [64, 128]}]',
+        ],
+    )
+    assert recipe.data.seed == 8
+    assert (recipe.model.name, recipe.model.max_depth_m) == ("ssdnet-lite", 80.0)
+    assert recipe.data.augment.crop == (64, 96)
+    assert recipe.data.source == (SourceRecipe("cityscapes", "c", size=(64, 128)),)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ("model.name = ssdnet", "'model.name = ssdnet' is not .* text needs quotes"),
+        ("model.name", "is not 'table.key = value'"),
+        ("model.nam = 'ssdnet'", r"r\.toml: unknown key model\.nam"),
+        ("data.batch_size = 0", r"r\.toml: data\.batch_size = 0"),
+        ("model = 3", "model = 3 has the wrong type"),
+        ("data.source.path = 'camvid'", "data.source = .* has the wrong type"),
+        ("base = 'base.toml'", "unknown key base"),
+    ],
+)
+def test_mistaken_changes_are_named(tmp_path, change, text):
+    (tmp_path / "r.toml").write_text(MINIMAL)
+    with pytest.raises(InputError, match=text):
+        read_recipe(tmp_path / "r.toml", [change])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('base = "none.toml"', r"none\.toml: the recipe cannot be read"),
+        ("base = 3", r"r\.toml: base = 3; expected the name"),
+        ('base = "broken.toml"', r"broken\.toml: not valid TOML"),
+        ('base = "r.toml"', r"r\.toml: is its own base"),
+        ('base = "../{folder}/r.toml"', r"r\.toml: is its own base"),
+        ('base = "back.toml"', r"r\.toml: is its own base"),
+        ('base = "base.toml"\n[data]\nbatchsize = 1', r"r\.toml: unknown key data\.batchsize"),
+    ],
+)
+def test_mistaken_bases_are_named(base, text, message):
+    (base / "broken.toml").write_text("base =")
+    (base / "back.toml").write_text('base = "r.toml"')
+    with pytest.raises(InputError, match=message):
+        read(base, text.replace("{folder}", base.name))
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys"),
+    [
+        ("camvid", {"first": 1}),
+        ("camvid", {"scenes": ("Scene01",)}),
+        ("cityscapes", {"frames": "list.txt"}),
+        ("cityscapes", {"semantic_weight": 0.5}),
+        ("kitti_depth", {"drives": ("2011_09_26_drive_0001_sync",)}),
+        ("kitti_raw", {"split": "val"}),
+        ("kitti_raw", {"last": 9}),
+        ("kitti_stream", {"cameras": (3,)}),
+        ("rendered", {"split": "val"}),
+        ("rendered", {"num_scenes": 3}),
+        ("rendered_on_the_fly", {"scenes": ("Scene01",)}),
+        ("virtual_kitti", {"withhold_hidden": True}),
+        ("virtual_kitti_1", {"cameras": (1,)}),
+    ],
+)
+def test_keys_that_mean_nothing_to_a_kind_are_refused(kind, keys):
+    (key,) = keys
+    with pytest.raises(ValueError, match=rf"data\.source\.{key} means nothing to .*'{kind}'; it"):
+        SourceRecipe(kind, "folder", **keys)
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys"),
+    [
+        ("camvid", {"split": "test"}),
+        ("cityscapes", {"split": "val"}),
+        ("kitti_depth", {"split": "selection", "cameras": (2, 3)}),
+        ("kitti_raw", {"drives": ("d",), "cameras": (3,), "withhold_hidden": True}),
+        ("kitti_stream", {"first": 1, "last": 2, "semantic_weight": 0.2}),
+        ("rendered", {"scenes": ("s",), "variants": ("v",), "frames": "f.txt"}),
+        (
+            "rendered_on_the_fly",
+            {"variants": ("fog",), "num_scenes": 2, "frames_per_scene": 1, "scene_seed": 9},
+        ),
+        (
+            "virtual_kitti",
+            {"split": "all", "scenes": ("s",), "variants": ("v",), "frames": "f", "cameras": (1,)},
+        ),
+        ("virtual_kitti_1", {"split": "all", "scenes": ("s",), "variants": ("v",), "frames": "f"}),
+    ],
+)
+def test_every_kind_takes_its_own_keys(kind, keys):
+    common = {"weight": 2.0, "size": (64, 96), "scale": (1.0, 2.0)}
+    source = SourceRecipe(kind, "folder", **keys, **common)
+    assert all(getattr(source, key) == value for key, value in {**keys, **common}.items())
+
+
+def test_only_scenes_rendered_on_the_fly_need_no_path():
+    assert SourceRecipe("rendered_on_the_fly").name == "rendered_on_the_fly"
+    assert SourceRecipe("rendered", "rendered/val").name == "rendered/val"
+    with pytest.raises(ValueError, match="kind 'rendered' needs a path"):
+        SourceRecipe("rendered")
+
+
+@pytest.mark.parametrize(
+    "keys", [{"num_scenes": 0}, {"frames_per_scene": 0}, {"scene_seed": -1}], ids=str
+)
+def test_scenes_on_the_fly_are_counted_from_one(keys):
+    (key,) = keys
+    with pytest.raises(ValueError, match=rf"data\.source\.{key} = "):
+        SourceRecipe("rendered_on_the_fly", **keys)
+
+
+def test_mistaken_sources_are_named_with_their_file(tmp_path):
+    with pytest.raises(InputError, match=r"r\.toml: data\.source\.last means nothing"):
+        read(tmp_path, MINIMAL.replace("scale = [1, 2]", "last = 3"))
+    with pytest.raises(InputError, match=r"r\.toml: data\.cache_gib = -1"):
+        read(tmp_path, MINIMAL.replace("batch_size = 4", "cache_gib = -1"))
+    with pytest.raises(InputError, match=r"model\.classes = 'coco'; choose one of 'camvid'"):
+        read(tmp_path, MINIMAL.replace("[data]\n", "classes = 'coco'\n[data]\n"))
 
 
 def test_two_validation_sets_of_one_path_are_refused():

@@ -4,22 +4,28 @@ from pathlib import Path
 
 import numpy as np
 
+from models import CLASS_TABLES
 from runtime.errors import DatasetError
+from training.datasets.class_mapping import id_lookup
 from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
-from training.datasets.sample import IGNORE, Sample, class_lookup, nothing_known
+from training.datasets.sample import Sample, nothing_known
 
-#: The files' ids are ours; 11 is unlabelled.
-_IDS = class_lookup([*range(11), IGNORE])
+#: Labels by the files' ids; 11 is unlabelled.
+_LABELS: tuple[str | None, ...] = (*(info.name for info in CLASS_TABLES["camvid"]), None)
 
 
 class CamVid:
     """Frames of ``root/<split>`` with labels of ``root/<split>annot`` (uint8 PNG, 11 = none).
 
-    No depth and no calibration. Raises DatasetError for a missing folder, an image without a
-    label file, and unreadable or wrongly sized files.
+    No depth and no calibration. ``classes`` is the class table that labels are told in. Raises
+    DatasetError for a missing folder, an image without a label file, and unreadable or wrongly
+    sized files.
     """
 
-    def __init__(self, root: Path | str, *, split: str = "train", decimate: int = 1) -> None:
+    def __init__(
+        self, root: Path | str, *, split: str = "train", decimate: int = 1, classes: str = "camvid"
+    ) -> None:
+        self._lookup = id_lookup("camvid", classes, _LABELS)
         folder = require_folder(Path(root) / split, "CamVid's images")
         annotations = require_folder(Path(root) / f"{split}annot", "CamVid's label images")
         images = sorted(p for p in folder.iterdir() if p.suffix in {".png", ".jpg"})[::decimate]
@@ -46,7 +52,7 @@ class CamVid:
             rgb=rgb,
             sparse_depth=nothing_known(rgb.shape[:2]),
             depth=nothing_known(rgb.shape[:2]),
-            semantic=_IDS[label],
+            semantic=self._lookup[label],
             intrinsics=None,
             name=f"camvid/{image_path.stem}",
         )

@@ -24,7 +24,7 @@ _LINE_BREAK_DEG = 5.0
 
 @dataclass(frozen=True)
 class Calibration:
-    """How a LiDAR return falls into the image of the left colour camera.
+    """How a LiDAR return falls into the image of a colour camera.
 
     `velo_to_image` float64 (3, 4): `[u w, v w, w] = velo_to_image @ [x, y, z, 1]`, with `w` the
     depth along the optical axis [m]. `intrinsics` float64 (3, 3) of the rectified camera [px].
@@ -43,34 +43,64 @@ def read_calibration(path: Path | str) -> Calibration:
     last two with a prefix) and chains them as P_rect_02 R_rect_00 [R T].
     Raises `DatasetError` for a missing file, a missing name or a wrong count of numbers.
     """
-    path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"cannot read the calibration {path}: {error}") from error
-    entries = dict(
-        line.split(":", 1) for line in lines if ":" in line and not line.lstrip().startswith("#")
-    )
+    numbers = CalibrationFile(Path(path))
+    return _chain(numbers, numbers, camera=2, prefix="velo_to_cam_")
 
-    def matrix(name: str, *shape: int) -> npt.NDArray[np.float64]:
-        count = int(np.prod(shape))
-        if name not in entries:
-            raise DatasetError(f"{path} has no line '{name}:'; expected {count} numbers under it")
+
+def read_raw_calibration(folder: Path | str, camera: int) -> Calibration:
+    """Read a colour camera's projection from the files of a day of KITTI raw data.
+
+    `folder` holds calib_cam_to_cam.txt and calib_velo_to_cam.txt; `camera` is 2 or 3. Raises
+    `DatasetError` as `read_calibration`.
+    """
+    cameras = CalibrationFile(Path(folder) / "calib_cam_to_cam.txt")
+    velodyne = CalibrationFile(Path(folder) / "calib_velo_to_cam.txt")
+    return _chain(cameras, velodyne, camera=camera, prefix="")
+
+
+class CalibrationFile:
+    """A text file of `name: numbers` lines. Raises `DatasetError` if it cannot be read."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
         try:
-            values = np.array(entries[name].split(), dtype=np.float64)
+            lines = path.read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise DatasetError(f"cannot read the calibration {path}: {error}") from error
+        self._entries = dict(
+            line.split(":", 1)
+            for line in lines
+            if ":" in line and not line.lstrip().startswith("#")
+        )
+
+    def matrix(self, name: str, *shape: int) -> npt.NDArray[np.float64]:
+        """The numbers under a name. Raises `DatasetError` if they are missing or not as many."""
+        count = int(np.prod(shape))
+        if name not in self._entries:
+            raise DatasetError(
+                f"{self._path} has no line '{name}:'; expected {count} numbers under it"
+            )
+        try:
+            values = np.array(self._entries[name].split(), dtype=np.float64)
         except ValueError as error:
-            raise DatasetError(f"{path}: '{name}' holds something not a number") from error
+            raise DatasetError(f"{self._path}: '{name}' holds something not a number") from error
         if values.size != count:
-            raise DatasetError(f"{path}: '{name}' has {values.size} numbers, expected {count}")
+            raise DatasetError(
+                f"{self._path}: '{name}' has {values.size} numbers, expected {count}"
+            )
         return values.reshape(shape)
 
-    projection = matrix("P_rect_02", 3, 4)
+
+def _chain(
+    cameras: CalibrationFile, velodyne: CalibrationFile, *, camera: int, prefix: str
+) -> Calibration:
+    projection = cameras.matrix(f"P_rect_{camera:02d}", 3, 4)
     rectify = np.eye(4)
-    rectify[:3, :3] = matrix("R_rect_00", 3, 3)
+    rectify[:3, :3] = cameras.matrix("R_rect_00", 3, 3)
     velo_to_cam = np.eye(4)
-    velo_to_cam[:3, :3] = matrix("velo_to_cam_R", 3, 3)
-    velo_to_cam[:3, 3] = matrix("velo_to_cam_T", 3)
-    width, height = matrix("S_rect_02", 2)
+    velo_to_cam[:3, :3] = velodyne.matrix(f"{prefix}R", 3, 3)
+    velo_to_cam[:3, 3] = velodyne.matrix(f"{prefix}T", 3)
+    width, height = cameras.matrix(f"S_rect_{camera:02d}", 2)
     return Calibration(
         velo_to_image=projection @ rectify @ velo_to_cam,
         intrinsics=projection[:, :3],
@@ -134,6 +164,25 @@ def project(points: FloatArray, calibration: Calibration, size: tuple[int, int])
     np.minimum.at(sparse_depth, pixel, depth[inside].astype(np.float32))
     sparse_depth[np.isinf(sparse_depth)] = 0.0
     return sparse_depth.reshape(height, width)
+
+
+def project_lines(
+    points: FloatArray, calibration: Calibration, size: tuple[int, int]
+) -> tuple[FloatArray, npt.NDArray[np.int16]]:
+    """Project a scan and keep apart by which line each pixel was measured.
+
+    `points` as in `scan_line_of`. Returns depth float32 (H, W) [m], 0 = none, and the line int16
+    (H, W), -1 = none; the nearest return of a pixel wins.
+    """
+    lines = scan_line_of(points)
+    depth = np.zeros(size, dtype=np.float32)
+    scan_line = np.full(size, -1, dtype=np.int16)
+    for line in range(int(lines.max()) + 1 if len(lines) else 0):
+        returns = project(points[lines == line], calibration, size)
+        nearer = (returns > 0) & ((depth == 0) | (returns < depth))
+        depth[nearer] = returns[nearer]
+        scan_line[nearer] = line
+    return depth, scan_line
 
 
 def withhold_occluded(

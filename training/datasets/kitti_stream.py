@@ -4,21 +4,13 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.errors import DatasetError
+from training.datasets.cityscapes import TRAIN_LABELS
+from training.datasets.class_mapping import id_lookup
 from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
-from training.datasets.kitti_lidar import (
-    project,
-    read_calibration,
-    read_points,
-    scan_line_of,
-)
-from training.datasets.sample import IGNORE, Sample, class_lookup, nothing_known
-
-#: Cityscapes' trainIds 0..18 to CamVid's eleven: wall joins building as in the SegNet mapping,
-#: terrain joins tree (CamVid's VegetationMisc), rider and two-wheelers are bicyclist.
-CITYSCAPES_TO_CAMVID = class_lookup([3, 4, 1, 1, 7, 2, 6, 6, 5, 5, 0, 9, 10, 8, 8, 8, 8, 10, 10])
+from training.datasets.kitti_lidar import project_lines, read_calibration, read_points
+from training.datasets.sample import IGNORE, Sample
 
 
 class KittiStream:
@@ -37,7 +29,9 @@ class KittiStream:
         first: int = 0,
         last: int | None = None,
         semantic_weight: float = 1.0,
+        classes: str = "camvid",
     ) -> None:
+        self._lookup = id_lookup("cityscapes", classes, TRAIN_LABELS)
         self._root = Path(root)
         images = require_folder(self._root / "image_02", "the stream's PNG images")
         require_folder(self._root / "velodyne_fov", "the stream's .bin LiDAR returns")
@@ -64,14 +58,15 @@ class KittiStream:
     def _read(self, stem: str) -> Sample:
         image_path = self._root / "image_02" / f"{stem}.png"
         rgb = read_rgb(image_path)
-        size = rgb.shape[:2]
-        depth, scan_line = self._returns(stem, size)
+        size = (rgb.shape[0], rgb.shape[1])
+        points = read_points(self._root / "velodyne_fov" / f"{stem}.bin")
+        depth, scan_line = project_lines(points, self._calibration, size)
         semantic = np.full(size, IGNORE, dtype=np.uint8)
         label_path = self._root / "pseudo_semantic" / f"{stem}.png"
         if label_path.is_file():
             label = read_gray(label_path, np.uint8)
             require_size(label_path, label.shape, size)
-            semantic = CITYSCAPES_TO_CAMVID[label]
+            semantic = self._lookup[label]
         return Sample(
             rgb=rgb,
             sparse_depth=depth,
@@ -82,18 +77,3 @@ class KittiStream:
             scan_line=scan_line,
             semantic_weight=self._semantic_weight,
         )
-
-    def _returns(
-        self, stem: str, size: tuple[int, int]
-    ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
-        """Depth of every return and the line that measured it."""
-        points = read_points(self._root / "velodyne_fov" / f"{stem}.bin")
-        lines = scan_line_of(points)
-        depth = nothing_known(size)
-        scan_line = np.full(size, -1, dtype=np.int16)
-        for line in range(int(lines.max()) + 1 if len(lines) else 0):
-            returns = project(points[lines == line], self._calibration, size)
-            nearer = (returns > 0) & ((depth == 0) | (returns < depth))
-            depth[nearer] = returns[nearer]
-            scan_line[nearer] = line
-        return depth, scan_line

@@ -1,6 +1,5 @@
 """What every data set yields: one frame with all that is known about it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -27,10 +26,16 @@ class Sample:
     #: Set and frame, for messages.
     name: str
     #: int16 (H, W), the LiDAR scan line each pixel of ``depth`` was measured by, -1 = none;
-    #: None where the depth is dense.
+    #: None where the depth is dense, or the input is a recording apart from it.
     scan_line: NDArray[np.int16] | None = None
+    #: Whether ``sparse_depth`` was recorded beside a target of its own: it can be thinned, but no
+    #: other LiDAR can be drawn from the target.
+    recorded_input: bool = False
     #: How much the semantic target counts in the loss: below 1 for labels made by a network.
     semantic_weight: float = 1.0
+    #: Focal length times stereo baseline [px m], where depth was measured as disparity: d = this /
+    #: depth, in pixels of the set's own images whatever size they were brought to.
+    focal_baseline_px_m: float | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -49,10 +54,3 @@ class SampleSource(Protocol):
 def nothing_known(size: tuple[int, int]) -> NDArray[np.float32]:
     """Return a depth map without any measurement: float32 (height, width) of zeros."""
     return np.zeros(size, dtype=np.float32)
-
-
-def class_lookup(mapping: Sequence[int]) -> NDArray[np.uint8]:
-    """Return a 256-entry table from a set's ids to ours; ids beyond ``mapping`` are ignored."""
-    table = np.full(256, IGNORE, dtype=np.uint8)
-    table[: len(mapping)] = mapping
-    return table

@@ -8,7 +8,6 @@ import typer
 
 app = typer.Typer(add_completion=False)
 
-_LONGEST_S = 16.0
 T = TypeVar("T")
 
 
@@ -38,7 +37,7 @@ def render(
     try:
         from runtime.errors import SSDNetError
         from training.scenes.camera import CameraName
-        from training.scenes.scene_job import SceneJob
+        from training.scenes.scene_job import LONGEST_S, SceneJob
         from training.scenes.street_plan import STREET_KINDS, StreetKind
         from training.scenes.weather import VARIANTS, Variant
     except ImportError as error:
@@ -50,9 +49,9 @@ def render(
     known: dict[str, Variant] = {variant: variant for variant in VARIANTS}
     wanted = _split(variants, known, "--variants")
     step_s = stride / fps
-    if (frames - 1) * step_s > _LONGEST_S:
+    if (frames - 1) * step_s > LONGEST_S:
         raise typer.BadParameter(
-            f"a street lasts {_LONGEST_S:.0f} s, not {(frames - 1) * step_s:.1f}; "
+            f"a street lasts {LONGEST_S:.0f} s, not {(frames - 1) * step_s:.1f}; "
             "ask for fewer frames or a smaller stride",
             param_hint="--frames",
         )

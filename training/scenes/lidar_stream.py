@@ -16,6 +16,7 @@ from runtime.errors import SSDNetError
 from runtime.frames import KITTI_DEPTH_SCALE
 from runtime.writer import write_whole
 from training.datasets.virtual_kitti import VirtualKitti
+from training.datasets.virtual_kitti_split import Selection
 from training.lidar import scan_lines
 
 
@@ -27,9 +28,8 @@ def write_lidar_stream(variant: Path, out: Path, *, lines: int = 64, seed: int =
     return). Raises DatasetError for what cannot be read, OutputError for what cannot be written.
     """
     variant = variant.resolve()
-    source = VirtualKitti(
-        variant.parent.parent, scenes=[variant.parent.name], variants=[variant.name]
-    )
+    selection = Selection(scenes=(variant.parent.name,), variants=(variant.name,))
+    source = VirtualKitti(variant.parent.parent, selection=selection)
     rng = np.random.default_rng(seed)
     (out / "rgb").mkdir(parents=True, exist_ok=True)
     (out / "depth").mkdir(exist_ok=True)

@@ -9,10 +9,13 @@ import numpy as np
 
 from training.scenes.camera import CameraName, make_camera
 from training.scenes.render import RenderedFrame, render_frame
-from training.scenes.street import build_street
+from training.scenes.street import Street, build_street
 from training.scenes.street_plan import StreetKind
 from training.scenes.vkitti_writer import write_variant
-from training.scenes.weather import VARIANTS, Variant, draw_weather
+from training.scenes.weather import VARIANTS, Variant, Weather, draw_weather
+
+#: How long the ego car can drive before the street ends [s].
+LONGEST_S = 16.0
 
 
 @dataclass(frozen=True)
@@ -38,18 +41,47 @@ class SceneJob:
         return f"Scene{self.seed:02d}"
 
 
-def render_frames(job: SceneJob, variant: Variant) -> Iterator[RenderedFrame]:
-    """Frames of one variant; equal jobs give equal arrays."""
+@dataclass(frozen=True)
+class Scene:
+    """One variant of a scene, ready to be rendered frame by frame."""
+
+    job: SceneJob
+    variant: Variant
+    street: Street
+    weather: Weather
+    sway: float
+
+    def render(self, number: int) -> RenderedFrame:
+        """Frame ``number``; equal jobs give equal arrays."""
+        key = [self.job.seed, 3, VARIANTS.index(self.variant), number]
+        return render_frame(
+            self.street,
+            make_camera(self.job.camera, self.job.size),
+            self.weather,
+            time=number * self.job.step_s,
+            sway=self.sway,
+            rng=np.random.default_rng(np.random.SeedSequence(key)),
+        )
+
+
+def open_scene(job: SceneJob, variant: Variant) -> Scene:
+    """Build the street of a job; this takes most of a second."""
     # CamVid's pictures come from Britain, KITTI's from Germany; some of each do the other thing.
     left_hand = (job.seed % 10 != 0) if job.camera == "camvid" else (job.seed % 5 == 0)
-    street = build_street(job.seed, kind=job.kind, left_hand=left_hand)
-    camera = make_camera(job.camera, job.size)
-    weather = draw_weather(variant, job.seed)
-    sway = float(np.random.default_rng(np.random.SeedSequence([job.seed, 4])).uniform(0, 1000))
-    for number in range(job.frames):
-        key = [job.seed, 3, VARIANTS.index(variant), number]
-        rng = np.random.default_rng(np.random.SeedSequence(key))
-        yield render_frame(street, camera, weather, time=number * job.step_s, sway=sway, rng=rng)
+    sway = np.random.default_rng(np.random.SeedSequence([job.seed, 4])).uniform(0, 1000)
+    return Scene(
+        job,
+        variant,
+        build_street(job.seed, kind=job.kind, left_hand=left_hand),
+        draw_weather(variant, job.seed),
+        float(sway),
+    )
+
+
+def render_frames(job: SceneJob, variant: Variant) -> Iterator[RenderedFrame]:
+    """Frames of one variant, in order."""
+    scene = open_scene(job, variant)
+    return (scene.render(number) for number in range(job.frames))
 
 
 def run_job(job: SceneJob) -> int:

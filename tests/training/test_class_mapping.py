@@ -1,0 +1,74 @@
+"""Labels of every data set in every class table, against ids written down by hand."""
+
+import pytest
+
+from models import CLASS_TABLES
+from runtime.errors import DatasetError
+from training.datasets.cityscapes import TRAIN_LABELS
+from training.datasets.class_mapping import class_ids, id_lookup
+from training.scenes.classes import CLASS_TABLE as RENDERED_CLASSES
+
+KNOWN_PAIRS = [
+    ("camvid", "camvid"),
+    ("cityscapes", "cityscapes"),
+    ("cityscapes", "camvid"),
+    ("virtual_kitti", "virtual_kitti"),
+    ("virtual_kitti", "camvid"),
+    ("virtual_kitti", "cityscapes"),
+]
+
+
+def test_a_set_in_its_own_table_keeps_its_ids():
+    for name in ("camvid", "cityscapes"):
+        assert list(class_ids(name, name).values()) == list(range(len(CLASS_TABLES[name])))
+    assert list(class_ids("virtual_kitti", "virtual_kitti").values())[:14] == list(range(14))
+
+
+def test_cityscapes_in_camvids_classes():
+    lookup = id_lookup("cityscapes", "camvid", TRAIN_LABELS)
+    # By trainId: road, sidewalk, building, wall, fence, pole, light, sign, vegetation, terrain,
+    # sky, person, rider, car, truck, bus, train, motorcycle, bicycle.
+    assert lookup[:19].tolist() == [
+        *(3, 4, 1, 1, 7, 2, 6, 6, 5, 5),
+        *(0, 9, 10, 8, 8, 8, 8, 10, 10),
+    ]
+    assert (lookup[19:] == 255).all()
+
+
+def test_rendered_scenes_in_every_table():
+    names = [name for name, _ in RENDERED_CLASSES]
+    # Sky, terrain, tree, vegetation, building, road, guard rail, traffic sign, traffic light, pole,
+    # misc, truck, car, van; then pavement, fence, pedestrian and cyclist, which are added.
+    expected = {
+        "virtual_kitti": [1, 0, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 255, 255, 255, 255],
+        "camvid": [0, 5, 5, 5, 1, 3, 7, 6, 6, 2, 255, 8, 8, 8, 4, 7, 9, 10],
+        "cityscapes": [10, 9, 8, 8, 2, 0, 255, 7, 6, 5, 255, 14, 13, 13, 1, 4, 11, 255],
+    }
+    for table, ids in expected.items():
+        assert id_lookup("virtual_kitti", table, names)[:18].tolist() == ids
+
+
+@pytest.mark.parametrize(("labels", "table"), KNOWN_PAIRS)
+def test_ids_are_those_of_the_table_or_ignored(labels, table):
+    ids = class_ids(labels, table)
+    assert set(ids.values()) <= {*range(len(CLASS_TABLES[table])), 255}
+
+
+@pytest.mark.parametrize(
+    ("labels", "table"),
+    [
+        (labels, table)
+        for labels in ("camvid", "cityscapes", "virtual_kitti")
+        for table in (*CLASS_TABLES, "ade20k")
+        if (labels, table) not in KNOWN_PAIRS
+    ],
+)
+def test_a_pair_that_mixes_up_classes_is_refused(labels, table):
+    with pytest.raises(DatasetError, match=rf"labels of {labels} .* classes of '{table}'.*camvid"):
+        class_ids(labels, table)
+
+
+def test_labels_without_a_name_are_ignored():
+    lookup = id_lookup("camvid", "camvid", [None, "road", None])
+    assert lookup.shape == (256,)
+    assert lookup[:4].tolist() == [255, 3, 255, 255]

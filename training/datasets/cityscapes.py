@@ -1,0 +1,149 @@
+"""Cityscapes (Cordts et al. 2016): fine labels, and depth from its stereo disparity."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models import CLASS_TABLES
+from runtime.errors import DatasetError
+from training.datasets.class_mapping import id_lookup
+from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
+from training.datasets.sample import Sample, nothing_known
+from training.datasets.virtual_kitti import require_partners
+
+#: The labelIds 0..33 in order: those of evaluation by name, None = ignored.
+_LABELS: tuple[str | None, ...] = (
+    *[None] * 7,
+    "road",
+    "sidewalk",
+    *[None] * 2,  # parking, rail track
+    "building",
+    "wall",
+    "fence",
+    *[None] * 3,  # guard rail, bridge, tunnel
+    "pole",
+    None,  # pole group
+    "traffic light",
+    "traffic sign",
+    "vegetation",
+    "terrain",
+    "sky",
+    "person",
+    "rider",
+    "car",
+    "truck",
+    "bus",
+    *[None] * 2,  # caravan, trailer
+    "train",
+    "motorcycle",
+    "bicycle",
+)
+#: The same classes by their trainIds 0..18.
+TRAIN_LABELS: tuple[str | None, ...] = tuple(info.name for info in CLASS_TABLES["cityscapes"])
+
+_IMAGE = "_leftImg8bit.png"
+
+
+class Cityscapes:
+    """Frames of ``root/leftImg8bit/<split>/<city>/<frame>_leftImg8bit.png``.
+
+    Labels from ``gtFine`` (``_gtFine_labelIds.png``). Where the folders ``disparity`` and
+    ``camera`` are there, depth is baseline * fx / d with the disparity d = (p - 1) / 256 px of a
+    16-bit pixel p > 0, float32 metres; without them it is unknown. ``classes`` is the class table
+    that labels are told in. Raises DatasetError for missing folders or partners, unknown ids,
+    wrong sizes and incomplete camera files.
+    """
+
+    def __init__(
+        self, root: Path | str, *, split: str = "train", classes: str = "cityscapes"
+    ) -> None:
+        self._root, self._split = Path(root), split
+        images = require_folder(
+            self._root / "leftImg8bit" / split, "Cityscapes' images, a folder a city"
+        )
+        self._lookup = id_lookup("cityscapes", classes, _LABELS)
+        self._with_depth = (self._root / "disparity").is_dir()
+        self._frames: list[tuple[str, str]] = []
+        for city in sorted(path for path in images.iterdir() if path.is_dir()):
+            stems = sorted(p.name.removesuffix(_IMAGE) for p in city.glob(f"*{_IMAGE}"))
+            partners = {"gtFine": "_gtFine_labelIds.png"}
+            if self._with_depth:
+                partners |= {"disparity": "_disparity.png", "camera": "_camera.json"}
+            for kind, suffix in partners.items():
+                folder = require_folder(self._root / kind / split / city.name, f"{kind}'s files")
+                require_partners(folder, [stem + suffix for stem in stems])
+            self._frames += [(city.name, stem) for stem in stems]
+        if not self._frames:
+            raise DatasetError(f"{images}: no <city>/*{_IMAGE} in it.")
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> Sample:
+        city, stem = self._frames[index]
+        rgb = read_rgb(self._path("leftImg8bit", city, stem + _IMAGE))
+        size = (rgb.shape[0], rgb.shape[1])
+        depth, intrinsics, focal_baseline = nothing_known(size), None, None
+        if self._with_depth:
+            intrinsics, focal_baseline = _read_camera(
+                self._path("camera", city, stem + "_camera.json")
+            )
+            path = self._path("disparity", city, stem + "_disparity.png")
+            stored = read_gray(path, np.uint16)
+            require_size(path, stored.shape, size)
+            depth = disparity_to_depth(stored, focal_baseline)
+        return Sample(
+            rgb=rgb,
+            sparse_depth=depth,
+            depth=depth,
+            semantic=self._read_labels(
+                self._path("gtFine", city, stem + "_gtFine_labelIds.png"), size
+            ),
+            intrinsics=intrinsics,
+            name=f"cityscapes/{self._split}/{stem}",
+            focal_baseline_px_m=focal_baseline,
+        )
+
+    def _path(self, kind: str, city: str, name: str) -> Path:
+        return self._root / kind / self._split / city / name
+
+    def _read_labels(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
+        label = read_gray(path, np.uint8)
+        require_size(path, label.shape, size)
+        if label.max() >= len(_LABELS):
+            raise DatasetError(
+                f"{path}: label id {label.max()}, expected 0..{len(_LABELS) - 1} of labelIds. "
+                "Give the original *_labelIds.png, not trainIds."
+            )
+        ids: NDArray[np.uint8] = self._lookup[label]
+        return ids
+
+
+def disparity_to_depth(stored: NDArray[np.uint16], focal_baseline: float) -> NDArray[np.float32]:
+    """Depth of Cityscapes' disparity pictures: float32 (H, W), metres, 0 = none.
+
+    stored: uint16 (H, W), p > 0 means d = (p - 1) / 256 px; a disparity of 0 lies at infinity and
+    counts as none. focal_baseline: fx * baseline, px m.
+    """
+    disparity = (stored.astype(np.float32) - 1.0) / 256.0
+    depth = np.zeros(stored.shape, dtype=np.float32)
+    np.divide(np.float32(focal_baseline), disparity, out=depth, where=disparity > 0)
+    return depth
+
+
+def _read_camera(path: Path) -> tuple[NDArray[np.float64], float]:
+    """K (3, 3) and fx * baseline (px m) of a camera file."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        camera, baseline = document["intrinsic"], float(document["extrinsic"]["baseline"])
+        fx, fy, u0, v0 = (float(camera[key]) for key in ("fx", "fy", "u0", "v0"))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DatasetError(
+            f"{path}: expected JSON with intrinsic fx, fy, u0, v0 and extrinsic baseline "
+            f"({type(error).__name__}: {error}). Restore the original file."
+        ) from error
+    if not (baseline > 0 and fx > 0 and fy > 0):
+        raise DatasetError(f"{path}: baseline {baseline}, fx {fx}, fy {fy}; all must be positive.")
+    return np.array([[fx, 0, u0], [0, fy, v0], [0, 0, 1]], np.float64), fx * baseline

@@ -1,0 +1,139 @@
+"""What the labels of one data set are called in the class table of another.
+
+A network has one class table; every data set of a mixture is told in it. A pair of data set and
+table that is not here cannot be told without mixing up classes (CamVid's car holds trucks and
+buses, so it has no place among Cityscapes' classes).
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models import CLASS_TABLES
+from runtime.errors import DatasetError
+from training.datasets.sample import IGNORE
+
+#: Virtual KITTI's categories, and those that rendered scenes add, by the names in their files.
+_VIRTUAL_KITTI_NAMES: Mapping[str, str] = {
+    "Terrain": "terrain",
+    "Sky": "sky",
+    "Tree": "tree",
+    "Vegetation": "vegetation",
+    "Building": "building",
+    "Road": "road",
+    "GuardRail": "guard rail",
+    "TrafficSign": "traffic sign",
+    "TrafficLight": "traffic light",
+    "Pole": "pole",
+    "Misc": "misc",
+    "Truck": "truck",
+    "Car": "car",
+    "Van": "van",
+}
+_RENDERED_ONLY = ("Pavement", "Fence", "Pedestrian", "Cyclist", "Undefined")
+
+_Names = Mapping[str, str | None]
+
+#: (data set, table) -> label of the data set -> class of the table, None = ignored.
+_MAPPINGS: Mapping[tuple[str, str], _Names] = {
+    ("camvid", "camvid"): {info.name: info.name for info in CLASS_TABLES["camvid"]},
+    ("cityscapes", "cityscapes"): {info.name: info.name for info in CLASS_TABLES["cityscapes"]},
+    # Wall joins building as in the SegNet mapping, terrain joins tree (CamVid's VegetationMisc),
+    # rider and two-wheelers are bicyclist.
+    ("cityscapes", "camvid"): {
+        "road": "road",
+        "sidewalk": "pavement",
+        "building": "building",
+        "wall": "building",
+        "fence": "fence",
+        "pole": "pole",
+        "traffic light": "sign",
+        "traffic sign": "sign",
+        "vegetation": "tree",
+        "terrain": "tree",
+        "sky": "sky",
+        "person": "pedestrian",
+        "rider": "bicyclist",
+        "car": "car",
+        "truck": "car",
+        "bus": "car",
+        "train": "car",
+        "motorcycle": "bicyclist",
+        "bicycle": "bicyclist",
+    },
+    ("virtual_kitti", "virtual_kitti"): {
+        **_VIRTUAL_KITTI_NAMES,
+        **dict.fromkeys(_RENDERED_ONLY),
+    },
+    ("virtual_kitti", "camvid"): {
+        "Sky": "sky",
+        "Building": "building",
+        "Pole": "pole",
+        "Road": "road",
+        "Pavement": "pavement",
+        "Tree": "tree",
+        "Vegetation": "tree",
+        "Terrain": "tree",
+        "TrafficSign": "sign",
+        "TrafficLight": "sign",
+        "Fence": "fence",
+        "GuardRail": "fence",
+        "Car": "car",
+        "Van": "car",
+        "Truck": "car",
+        "Pedestrian": "pedestrian",
+        "Cyclist": "bicyclist",
+        "Misc": None,
+        "Undefined": None,
+    },
+    # Cityscapes labels a rider apart from the bicycle: the two cannot be told apart here.
+    ("virtual_kitti", "cityscapes"): {
+        "Sky": "sky",
+        "Building": "building",
+        "Pole": "pole",
+        "Road": "road",
+        "Pavement": "sidewalk",
+        "Tree": "vegetation",
+        "Vegetation": "vegetation",
+        "Terrain": "terrain",
+        "TrafficSign": "traffic sign",
+        "TrafficLight": "traffic light",
+        "Fence": "fence",
+        "GuardRail": None,
+        "Car": "car",
+        "Van": "car",
+        "Truck": "truck",
+        "Pedestrian": "person",
+        "Cyclist": None,
+        "Misc": None,
+        "Undefined": None,
+    },
+}
+
+
+def class_ids(labels: str, table: str) -> dict[str, int]:
+    """Id in a class table of every label of a data set; 255 = ignored.
+
+    ``labels`` is "camvid", "cityscapes" or "virtual_kitti" (rendered scenes too), ``table`` a name
+    in `models.CLASS_TABLES`. Raises DatasetError for a pair that cannot be told.
+    """
+    if (labels, table) not in _MAPPINGS:
+        known = sorted(t for s, t in _MAPPINGS if s == labels)
+        raise DatasetError(
+            f"labels of {labels} cannot be told in the classes of {table!r}; set the recipe's "
+            f"model.classes to one of {', '.join(known)}, or leave the set out."
+        )
+    ids = {info.name: index for index, info in enumerate(CLASS_TABLES[table])}
+    mapping = _MAPPINGS[labels, table]
+    return {label: IGNORE if name is None else ids[name] for label, name in mapping.items()}
+
+
+def id_lookup(labels: str, table: str, order: Sequence[str | None]) -> NDArray[np.uint8]:
+    """Table of 256 entries from a file's ids to ours; ``order`` names the file's ids from 0."""
+    ids = class_ids(labels, table)
+    lookup = np.full(256, IGNORE, dtype=np.uint8)
+    for index, label in enumerate(order):
+        if label is not None:
+            lookup[index] = ids[label]
+    return lookup

@@ -1,0 +1,159 @@
+"""KITTI's depth completion benchmark (Uhrig et al. 2017)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import DatasetError
+from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
+from training.datasets.kitti_lidar import CalibrationFile
+from training.datasets.sample import IGNORE, Sample
+from training.datasets.virtual_kitti import require_partners
+
+_METRES = 1 / 256
+
+
+@dataclass(frozen=True)
+class _Frame:
+    image: Path
+    velodyne: Path
+    groundtruth: Path
+    name: str
+    #: calib_cam_to_cam.txt of the date, or the nine numbers of the selection.
+    intrinsics: Path | None
+    camera: int
+
+
+class KittiDepth:
+    """LiDAR scans with semi-dense ground truth from eleven of them; no classes.
+
+    split "train" and "val": ``root/<split>/<drive>/proj_depth/{velodyne_raw,groundtruth}/image_0<c>
+    /<number>.png``, as the archives unpack, with the images of the raw data, either at
+    ``root/<split>/<drive>/image_0<c>/data`` or at ``root/raw/<date>/<drive>/image_0<c>/data``; the
+    benchmark leaves out each drive's first and last five frames. "selection" is the selected
+    validation set: ``root/[depth_selection/]val_selection_cropped/{image,velodyne_raw,
+    groundtruth_depth,intrinsics}``.
+
+    Depth is metres, 16-bit PNGs hold 256 units a metre. Raises DatasetError for missing folders or
+    partners, files of another kind and wrong sizes.
+    """
+
+    def __init__(
+        self, root: Path | str, *, split: str = "train", cameras: Sequence[int] = (2, 3)
+    ) -> None:
+        root = Path(root)
+        if split == "selection":
+            self._frames = _list_selection(root)
+        elif split in ("train", "val"):
+            self._frames = _list_drives(root, split, cameras)
+        else:
+            raise DatasetError(f"KITTI depth has no split {split!r}; known: train, val, selection.")
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __getitem__(self, index: int) -> Sample:
+        frame = self._frames[index]
+        rgb = read_rgb(frame.image)
+        size = (rgb.shape[0], rgb.shape[1])
+        return Sample(
+            rgb=rgb,
+            sparse_depth=_read_depth(frame.velodyne, size),
+            depth=_read_depth(frame.groundtruth, size),
+            semantic=np.full(size, IGNORE, dtype=np.uint8),
+            intrinsics=_read_intrinsics(frame),
+            name=frame.name,
+            recorded_input=True,
+        )
+
+
+def _list_drives(root: Path, split: str, cameras: Sequence[int]) -> list[_Frame]:
+    folder = require_folder(root / split, "KITTI depth's drives")
+    frames = []
+    for drive in sorted(path for path in folder.iterdir() if path.is_dir()):
+        date = "_".join(drive.name.split("_")[:3])
+        for camera in cameras:
+            side = f"image_{camera:02d}"
+            truth = require_folder(drive / "proj_depth" / "groundtruth" / side, "ground truth")
+            velodyne = require_folder(drive / "proj_depth" / "velodyne_raw" / side, "LiDAR maps")
+            candidates = (drive / side / "data", root / "raw" / date / drive.name / side / "data")
+            images = next((path for path in candidates if path.is_dir()), None)
+            if images is None:
+                raise DatasetError(
+                    f"{candidates[0]}: no such folder, nor {candidates[1]}; expected the images "
+                    "of KITTI's raw data for this drive."
+                )
+            names = sorted(path.name for path in truth.glob("*.png"))
+            require_partners(velodyne, names)
+            require_partners(images, names)
+            calibration = root / "raw" / date / "calib_cam_to_cam.txt"
+            frames += [
+                _Frame(
+                    images / name,
+                    velodyne / name,
+                    truth / name,
+                    f"{drive.name}/{camera}/{Path(name).stem}",
+                    calibration if calibration.is_file() else None,
+                    camera,
+                )
+                for name in names
+            ]
+    if not frames:
+        raise DatasetError(f"{folder}: no drive with frames of cameras {list(cameras)} in it.")
+    return frames
+
+
+def _list_selection(root: Path) -> list[_Frame]:
+    below = "val_selection_cropped"
+    folder = next(
+        (path for path in (root / "depth_selection" / below, root / below) if path.is_dir()), None
+    )
+    if folder is None:
+        raise DatasetError(
+            f"{root / below}: no such folder, nor below depth_selection; expected KITTI's selected "
+            "validation set."
+        )
+    images = require_folder(folder / "image", "the selection's images")
+    stems = sorted(path.stem for path in images.glob("*_image_0[23].png"))
+    if not stems:
+        raise DatasetError(f"{images}: no *_image_0<camera>.png in it.")
+
+    def partners(kind: str, word: str, suffix: str) -> list[Path]:
+        other = require_folder(folder / kind, f"the selection's {kind}")
+        # The drive's name holds no "_image_", so the first one is the kind of the file.
+        names = [stem.replace("_image_", f"_{word}_", 1) + suffix for stem in stems]
+        require_partners(other, names)
+        return [other / name for name in names]
+
+    velodyne = partners("velodyne_raw", "velodyne_raw", ".png")
+    truth = partners("groundtruth_depth", "groundtruth_depth", ".png")
+    intrinsics = partners("intrinsics", "image", ".txt")
+    return [
+        _Frame(images / f"{stem}.png", lidar, depth, stem, matrix, int(stem[-1]))
+        for stem, lidar, depth, matrix in zip(stems, velodyne, truth, intrinsics, strict=True)
+    ]
+
+
+def _read_depth(path: Path, size: tuple[int, int]) -> NDArray[np.float32]:
+    stored = read_gray(path, np.uint16)
+    require_size(path, stored.shape, size)
+    depth: NDArray[np.float32] = stored.astype(np.float32) * np.float32(_METRES)
+    return depth
+
+
+def _read_intrinsics(frame: _Frame) -> NDArray[np.float64] | None:
+    path = frame.intrinsics
+    if path is None:
+        return None
+    if path.name == "calib_cam_to_cam.txt":
+        return CalibrationFile(path).matrix(f"P_rect_{frame.camera:02d}", 3, 4)[:, :3]
+    try:
+        numbers = np.array(path.read_text(encoding="utf-8").split(), dtype=np.float64)
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{path}: expected nine numbers: {error}.") from error
+    if numbers.size != 9:
+        raise DatasetError(f"{path}: {numbers.size} numbers, expected the nine of a 3x3 matrix.")
+    return numbers.reshape(3, 3)

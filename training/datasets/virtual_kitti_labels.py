@@ -1,0 +1,75 @@
+"""Class pictures of Virtual KITTI: one colour a category, listed in a text file beside them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import DatasetError
+from training.datasets.class_mapping import class_ids
+from training.datasets.image_files import read_rgb, require_size
+
+
+@dataclass(frozen=True, eq=False)
+class ColorTable:
+    """Classes of the colours of a file: ``colors`` int32 (n,), ascending, r << 16 | g << 8 | b;
+    ``ids`` uint8 (n,); ``path``, the file."""
+
+    colors: NDArray[np.int32]
+    ids: NDArray[np.uint8]
+    path: Path
+
+
+def read_rows(path: Path) -> list[list[str]]:
+    """Rows of a text table without its header. Raises DatasetError."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError(f"{path}: cannot be read: {error}.") from error
+    rows = [line.split() for line in lines[1:] if line.strip()]
+    if not rows:
+        raise DatasetError(f"{path}: no rows under its header.")
+    return rows
+
+
+def read_colors(path: Path, classes: str) -> ColorTable:
+    """Read the colours of a file and their ids in the class table ``classes``.
+
+    Rows are 'Category r g b', as in Virtual KITTI 2, or 'Category:instance r g b', as in 1.3.1.
+    Raises DatasetError for an unknown category and for rows of another form.
+    """
+    known = class_ids("virtual_kitti", classes)
+    found: dict[int, int] = {}
+    for row in read_rows(path):
+        name, values = row[0].split(":")[0], row[-3:]
+        if name not in known:
+            raise DatasetError(f"{path}: unknown category {name!r}; known: {', '.join(known)}.")
+        try:
+            red, green, blue = (int(value) for value in values)
+        except ValueError as error:
+            raise DatasetError(f"{path}: {' '.join(row)!r} is not 'Category r g b'.") from error
+        if not all(0 <= value <= 255 for value in (red, green, blue)):
+            raise DatasetError(f"{path}: {' '.join(row)!r} has a colour outside 0..255.")
+        found[red << 16 | green << 8 | blue] = known[name]
+    colors = sorted(found)
+    ids = np.array([found[color] for color in colors], dtype=np.uint8)
+    return ColorTable(np.array(colors, dtype=np.int32), ids, path)
+
+
+def read_classes(path: Path, table: ColorTable, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Class ids uint8 (H, W) of a colour picture; an unlisted colour is a DatasetError."""
+    label = read_rgb(path)
+    require_size(path, label.shape, size)
+    channels = label.astype(np.int32)
+    color = channels[..., 0] << 16 | channels[..., 1] << 8 | channels[..., 2]
+    index = np.searchsorted(table.colors, color).clip(max=len(table.colors) - 1)
+    unlisted = table.colors[index] != color
+    if unlisted.any():
+        red, green, blue = label[unlisted][0]
+        raise DatasetError(
+            f"{path}: colour ({red}, {green}, {blue}) is not in {table.path.name}. "
+            "Restore the original file (JPEG compression changes colours)."
+        )
+    ids: NDArray[np.uint8] = table.ids[index]
+    return ids

@@ -1,0 +1,91 @@
+"""Which frames of Virtual KITTI are for training, validation and test."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from runtime.errors import DatasetError
+
+Split = Literal["train", "val", "test", "all"]
+
+#: The paper counts eight of the ten variants without naming them. Ours are those whose view is
+#: nearest to the recorded one.
+PAPER_VARIANTS = (
+    "15-deg-left",
+    "15-deg-right",
+    "clone",
+    "fog",
+    "morning",
+    "overcast",
+    "rain",
+    "sunset",
+)
+_TEST_SCENE = 1  # 447 frames a variant, the paper's 3,576 in all
+_VAL_SCENE, _VAL_FIRST = 20, 547  # the last 290 of its 837 frames: the paper's 2,320 in all
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which frames of a set to take.
+
+    split: "train", "val" and "test" are the paper's sizes (11,112 / 2,320 / 3,576), by whole
+    scenes: Scene01 is the test, the last 290 frames of Scene20 are for validation; "all" is every
+    frame. scenes or variants given by name replace the split's own; `frames`, rows of
+    "scene/variant/number", replaces everything.
+    """
+
+    split: Split = "all"
+    scenes: tuple[str, ...] | None = None
+    variants: tuple[str, ...] | None = None
+    frames: frozenset[str] | None = None
+
+    def takes_variant(self, scene: str, variant: str) -> bool:
+        """Whether any frame of a variant of a scene may be taken."""
+        if self.frames is not None:
+            return any(frame.startswith(f"{scene}/{variant}/") for frame in self.frames)
+        if self.variants is not None:
+            known = variant in self.variants
+        else:
+            known = self.split == "all" or variant in PAPER_VARIANTS
+        return known and (self.scenes is None or scene in self.scenes)
+
+    def takes(self, scene: str, variant: str, number: str) -> bool:
+        """Whether a frame is taken, of a variant that is."""
+        if self.frames is not None:
+            return f"{scene}/{variant}/{number}" in self.frames
+        if self.split == "all" or self.scenes is not None:
+            return True
+        scene_number = int("".join(filter(str.isdigit, scene)) or 0)
+        is_val = scene_number == _VAL_SCENE and int(number) >= _VAL_FIRST
+        if self.split == "val":
+            return is_val
+        return (scene_number == _TEST_SCENE) == (self.split == "test") and not is_val
+
+
+def read_frame_list(path: Path) -> frozenset[str]:
+    """Read a list of frames, a row "scene/variant/number" each. Raises DatasetError."""
+    try:
+        rows = path.read_text(encoding="utf-8").split()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError(f"{path}: the list of frames cannot be read: {error}.") from error
+    wrong = [row for row in rows if row.count("/") != 2]
+    if wrong or not rows:
+        raise DatasetError(
+            f"{path}: {wrong[0] if wrong else 'nothing'!r} is not 'scene/variant/number', for "
+            "example Scene01/clone/00000."
+        )
+    return frozenset(rows)
+
+
+def require_every_frame(selection: Selection, found: Sequence[str], root: Path) -> None:
+    """Raise DatasetError if nothing was found, or not all that a list names."""
+    missing = sorted(selection.frames - set(found)) if selection.frames is not None else []
+    if missing:
+        raise DatasetError(f"{root}: {missing[0]} is listed, but missing ({len(missing)} such).")
+    if not found:
+        raise DatasetError(
+            f"{root}: no frames of the split {selection.split!r} (scenes "
+            f"{selection.scenes or 'as the split says'}, variants "
+            f"{selection.variants or 'as the split says'})."
+        )
