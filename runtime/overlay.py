@@ -1,14 +1,14 @@
 """One picture of a frame and its answers, to look at."""
 
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.contract import Contract
-from runtime.prediction import Prediction
+from runtime.contract import ClassInfo
 
 _PANEL_WIDTH = 640  # wider frames are shrunk by a whole number until they fit
 _STACK_ASPECT = 2.0  # panels wider than this stand below one another
@@ -19,19 +19,36 @@ _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 _TICKS_M = (0, 2, 5, 10, 20, 30, 40, 60, 80, 100, 150, 200, 300)
 
 
+class Answers(Protocol):
+    """What can be drawn, at the picture's size; None where there is no such head."""
+
+    @property
+    def semantic(self) -> NDArray[np.uint8] | None:
+        """Class ids (H, W)."""
+
+    @property
+    def depth(self) -> NDArray[np.float32] | None:
+        """Metres (H, W)."""
+
+    @property
+    def boundary(self) -> NDArray[np.float32] | None:
+        """Probability (H, W)."""
+
+
 class Overlay:
     """Draw strips of panels: image, classes, depth, boundary; heads that are missing are left out.
 
     The depth colours are metric and the same for every frame: they run with the square root of
-    the depth from 0 to the contract's max_depth_m, so that near things keep more of them. The
+    the depth from 0 to max_depth_m, so that near things keep more of them. The
     legend below the panels gives classes and metres.
     """
 
-    def __init__(self, contract: Contract) -> None:
-        self._contract = contract
+    def __init__(self, classes: Sequence[ClassInfo], max_depth_m: float) -> None:
+        self._classes = tuple(classes)
+        self._max_depth_m = max_depth_m
         self._legends: dict[int, NDArray[np.uint8]] = {}
 
-    def draw(self, rgb: NDArray[np.uint8], prediction: Prediction) -> NDArray[np.uint8]:
+    def draw(self, rgb: NDArray[np.uint8], prediction: Answers) -> NDArray[np.uint8]:
         """Draw one frame.
 
         rgb: uint8 (H, W, 3), red first.
@@ -60,13 +77,13 @@ class Overlay:
         return cv2.vconcat([strip, self._legend(strip.shape[1])])  # type: ignore[return-value]
 
     def _depth_index(self, depth: NDArray[np.float32]) -> NDArray[np.uint8]:
-        scale = 255 / self._contract.max_depth_m**0.5
+        scale = 255 / self._max_depth_m**0.5
         return cv2.convertScaleAbs(cv2.sqrt(depth), alpha=scale)  # type: ignore[return-value]
 
     @cached_property
     def _class_colors(self) -> NDArray[np.uint8]:
         colors = np.zeros((256, 1, 3), dtype=np.uint8)
-        for index, info in enumerate(self._contract.classes):
+        for index, info in enumerate(self._classes):
             colors[index, 0] = info.color[::-1]
         return colors
 
@@ -84,7 +101,7 @@ class Overlay:
         """Swatches with names, in as many lines as they need."""
         lines: list[NDArray[np.uint8]] = []
         x = width
-        for info in self._contract.classes:
+        for info in self._classes:
             needed = 26 + _text_width(info.name)
             if x + needed > width:
                 lines.append(np.zeros((_LEGEND_LINE, width, 3), dtype=np.uint8))
@@ -101,7 +118,7 @@ class Overlay:
         line[3:-3] = cv2.applyColorMap(ramp, self._depth_colors)
         free = 0
         for tick_m in _TICKS_M:
-            x = round((width - 1) * (tick_m / self._contract.max_depth_m) ** 0.5)
+            x = round((width - 1) * (tick_m / self._max_depth_m) ** 0.5)
             text = f"{tick_m} m"
             if x >= free and x + _text_width(text) + 4 < width:
                 cv2.line(line, (x, 3), (x, _LEGEND_LINE - 4), _BLACK)

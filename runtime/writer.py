@@ -53,7 +53,7 @@ class FrameWriter:
     ) -> None:
         self.folder = folder
         self._kinds = tuple(kinds)
-        self._overlay = Overlay(contract)
+        self._overlay = Overlay(contract.classes, contract.max_depth_m)
         try:
             _prepare(folder, overwrite=overwrite)
             for kind in self._kinds:

@@ -22,6 +22,10 @@ def train(
     init: Annotated[
         Path | None, typer.Option(help="Checkpoint whose weights to start from.")
     ] = None,
+    change: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Change a key of the recipe: 'schedule.steps = 500'."),
+    ] = None,
     device: Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")] = "cpu",
     stop_after: Annotated[
         int | None, typer.Option(min=1, help="End at this step; the run can be resumed.")
@@ -34,7 +38,7 @@ def train(
         from training.recipe import read_recipe
 
         path = run(
-            read_recipe(recipe),
+            read_recipe(recipe, change or ()),
             data=data,
             out=out,
             init=init,

@@ -1,7 +1,5 @@
 """The training loop: one flat function from a recipe to checkpoints."""
 
-import json
-import math
 import random
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -18,24 +16,28 @@ from torch.utils.data import DataLoader
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from models import SSDNet, create_model, load_checkpoint, save_checkpoint
-from runtime.errors import CheckpointError, InputError, SSDNetError
-from runtime.writer import write_whole
-from training.evaluation.scoring import score_sources
+from models import SSDNet, SSDNetOutput, load_checkpoint, save_checkpoint
+from runtime.errors import CheckpointError
+from training.datasets.sample import SampleSource
+from training.distributed import (
+    Processes,
+    join_processes,
+    share_gradients,
+    synchronise_batch_norm,
+)
+from training.evaluation.pictures import draw_pictures
+from training.evaluation.scoring import score_sources, torch_predict
 from training.losses import SSDNetLoss, class_weights
-from training.recipe import OptimizerRecipe, Recipe, ScheduleRecipe
+from training.network import adjust_logits, build_network
+from training.optimizer import build_optimizer, exponential_average, learning_rate
+from training.recipe import LoopRecipe, Recipe
+from training.run_folder import FINAL, LAST, TENSORBOARD, claim, require_finite
 from training.sources import count_pixels, open_mixture, open_source
 
-#: What AveragedModel hands to its update rule.
-Tensors = tuple[Tensor, ...] | list[Tensor]
+#: (rgb, sparse_depth) -> what the network says.
+Forward = Callable[[Tensor, Tensor], SSDNetOutput]
 
-LAST = "last.pt"
-FINAL = "model.pt"
-NON_FINITE = "non_finite.json"
-
-
-class NonFiniteLossError(SSDNetError):
-    """The loss became NaN or infinite; names the step and the file with the frames."""
+_AUTOCAST = {"none": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
 
 
 def train(
@@ -53,77 +55,102 @@ def train(
     weights, to ship) and tensorboard/. An ``out`` with a last.pt of the same recipe goes on where
     it stopped; of another recipe it is an InputError. ``init`` starts from another checkpoint's
     weights, as far as they fit. ``stop_after`` ends early at that step, resumable, and returns
-    last.pt.
+    last.pt. Started by torchrun each process takes its share of every batch, see
+    `training.distributed`; the first one writes.
     """
-    resolved = {"recipe": asdict(recipe), "init": _weights_name(init)}
+    with join_processes(device) as processes:
+        return _train(recipe, processes, data, out, init, stop_after)
+
+
+def _train(
+    recipe: Recipe,
+    processes: Processes,
+    data: Sequence[Path],
+    out: Path,
+    init: Path | None,
+    stop_after: int | None,
+) -> Path:
+    device = processes.device
+    resolved = {
+        "recipe": asdict(recipe),
+        "init": None if init is None else init.name,
+        "processes": processes.count,
+    }
     # OpenCV's thread pool does not survive the fork of the loader's workers: they would hang.
     cv2.setNumThreads(0)
     torch.manual_seed(recipe.data.seed)
     random.seed(recipe.data.seed)
     np.random.seed(recipe.data.seed)  # noqa: NPY002  (for libraries that draw from it)
 
-    sources = [open_source(item, data) for item in recipe.data.source]
-    validation = {item.path: open_source(item, data) for item in recipe.validation.source}
-    network = _build_network(recipe, init)
-    try:
-        network = network.to(device)
-    except (RuntimeError, AssertionError) as error:
-        raise InputError(f"device {device!r} cannot be had: {error}. Try --device cpu.") from error
-    if recipe.loop.channels_last:
-        network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    classes = recipe.model.classes
+    sources = [open_source(item, data, classes=classes) for item in recipe.data.source]
+    validation = {
+        item.name: open_source(item, data, classes=classes) for item in recipe.validation.source
+    }
+    network = build_network(recipe.model, init)
     weights = None
     if network.config.semantic_head:
         counts = count_pixels(recipe.data, sources, network.config.num_classes)
         weights = class_weights(torch.from_numpy(counts), recipe.loss.class_weighting)
-    _claim(out, resolved)  # only now: what cannot start leaves no folder behind
+    if processes.is_first:
+        claim(out, resolved)  # only now: what cannot start leaves no folder behind
+    processes.wait()
+    network = network.to(device)
+    if recipe.loop.channels_last:
+        network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    if recipe.loop.sync_batch_norm:
+        synchronise_batch_norm(network, processes)
     criterion = SSDNetLoss(recipe.loss, weights, max_depth_m=network.config.max_depth_m).to(device)
-    optimizer = _build_optimizer(recipe.optimizer, network, criterion)
+    optimizer = build_optimizer(recipe.optimizer, network, criterion)
+    scaler = torch.amp.GradScaler(device.type, enabled=recipe.loop.autocast == "fp16")
     # Buffers are averaged too: batch statistics must fit the averaged weights.
     average = AveragedModel(
         network, multi_avg_fn=exponential_average(recipe.loop.ema_decay), use_buffers=True
     )
     averaged: SSDNet = average.module  # type: ignore[assignment]
-    step = _resume(out / LAST, network, average, optimizer, criterion)
+    step = _resume(out / LAST, network, average, optimizer, scaler, criterion)
+    shared = share_gradients(network, processes, synced_buffers=recipe.loop.sync_batch_norm)
+    forward: Forward = torch.compile(shared) if recipe.loop.compile else shared
 
     steps, batch, parts = recipe.schedule.steps, recipe.data.batch_size, recipe.loop.accumulate
-    mixture = open_mixture(recipe.data, sources, length=steps * parts * batch)
+    per_step = parts * batch * processes.count
+    mixture = open_mixture(recipe.data, sources, length=steps * per_step)
     loader = DataLoader(
         mixture,
         batch_size=batch,
-        sampler=range(step * parts * batch, steps * parts * batch),
+        sampler=processes.shares(step * per_step, steps * per_step, batch),
         num_workers=recipe.data.workers,
         prefetch_factor=3 if recipe.data.workers else None,
-        pin_memory=device != "cpu",
+        pin_memory=device.type == "cuda",
     )
     training_info = {
-        "data": [item.path for item in recipe.data.source],
+        "data": [item.name for item in recipe.data.source],
         "terms": recipe.terms,
         **resolved,
     }
 
-    def save(path: Path, *, resumable: bool) -> None:
-        shipped = adjust_logits(averaged.state_dict(), weights, recipe.loop.logit_adjustment)
-        save_checkpoint(
-            path,
-            network,
-            training={**training_info, "step": step},
-            state_dict=network.state_dict() if resumable else shipped,
-            trainer=(
-                {
-                    "step": step,
-                    "optimizer": optimizer.state_dict(),
-                    "average": average.state_dict(),
-                    "criterion": criterion.state_dict(),
-                }
-                if resumable
-                else None
-            ),
-        )
+    def save_last() -> None:
+        if processes.is_first:
+            trainer = {
+                "step": step,
+                "optimizer": optimizer.state_dict(),
+                "average": average.state_dict(),
+                "criterion": criterion.state_dict(),
+                "scaler": scaler.state_dict(),
+            }
+            info = {**training_info, "step": step}
+            save_checkpoint(out / LAST, network, training=info, trainer=trainer)
 
     last_step = steps if stop_after is None else min(steps, stop_after)
     with (
-        SummaryWriter(str(out / "tensorboard"), purge_step=step) as board,
-        tqdm(total=steps, initial=step, desc="train", unit="step", disable=None) as progress,
+        _Board(out / TENSORBOARD if processes.is_first else None, step) as board,
+        tqdm(
+            total=steps,
+            initial=step,
+            desc="train",
+            unit="step",
+            disable=None if processes.is_first else True,
+        ) as progress,
     ):
         network.train()
         batches = iter(loader)
@@ -132,103 +159,117 @@ def train(
             for group in optimizer.param_groups:
                 group["lr"] = rate
             optimizer.zero_grad(set_to_none=True)
+            sums: dict[str, Tensor] = {}
             for _ in range(parts):
                 samples = next(batches)
-                terms = _compute_loss(network, criterion, samples, recipe, device)
-                _require_finite(terms, step, samples["name"], out / NON_FINITE)
-                (terms["total"] / parts).backward()  # type: ignore[no-untyped-call]
+                terms = _compute_loss(forward, criterion, samples, recipe.loop, device)
+                require_finite(terms, step, samples["name"], out, processes)
+                scaler.scale(terms["total"] / parts).backward()  # type: ignore[no-untyped-call]
+                for name, term in terms.items():
+                    sums[name] = sums.get(name, 0.0) + term.detach() / parts
             if recipe.loop.clip_norm:
+                scaler.unscale_(optimizer)
                 torch.nn.utils.clip_grad_norm_(network.parameters(), recipe.loop.clip_norm)
-            optimizer.step()
+            scaler.step(optimizer)
+            scaler.update()
             average.update_parameters(network)
             step += 1
             progress.update()
 
             if step % recipe.loop.log_every == 0:
-                for name, value in terms.items():
-                    board.add_scalar(f"loss/{name}", value.item(), step)
-                for name, log_variance in criterion.log_variances.items():
-                    board.add_scalar(f"log_variance/{name}", log_variance.item(), step)
-                board.add_scalar("learning_rate", rate, step)
-                progress.set_postfix(loss=f"{terms['total'].item():.3f}")
+                board.add_scalars(
+                    {
+                        **{f"loss/{name}": term.item() for name, term in sums.items()},
+                        **{
+                            f"log_variance/{name}": value.item()
+                            for name, value in criterion.log_variances.items()
+                        },
+                        "learning_rate": rate,
+                    },
+                    step,
+                )
+                progress.set_postfix(loss=f"{sums['total'].item():.3f}")
             if step % recipe.loop.checkpoint_every == 0:
-                save(out / LAST, resumable=True)
+                save_last()
             if validation and (step % recipe.validation.every == 0 or step == steps):
-                scores = score_sources(averaged, validation)
-                for name, score in scores.items():
-                    board.add_scalar(f"validation/{name}", score, step)
-                text = ", ".join(f"{name} {score:.4f}" for name, score in scores.items())
-                tqdm.write(f"step {step}: {text}", file=sys.stderr)
+                _validate(averaged, validation, recipe, processes, board, step)
                 network.train()
-    save(out / LAST, resumable=True)
-    if step < steps:  # stopped early: nothing to ship yet
-        return out / LAST
-    save(out / FINAL, resumable=False)
-    return out / FINAL
+    save_last()
+    if step == steps and processes.is_first:
+        share = recipe.loop.logit_adjustment
+        save_checkpoint(
+            out / FINAL,
+            network,
+            training={**training_info, "step": step},
+            state_dict=adjust_logits(averaged.state_dict(), weights, share),
+        )
+    processes.wait()  # whoever reads the file next finds it
+    return out / (FINAL if step == steps else LAST)  # stopped early: nothing to ship yet
 
 
-def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
-    """Rate of a step: linear warm-up from 0, then cosine down to its final share, or constant."""
-    if step < schedule.warmup_steps:
-        return peak * (step + 1) / schedule.warmup_steps
-    if schedule.shape == "constant":
-        return peak
-    progress = (step - schedule.warmup_steps) / max(1, schedule.steps - schedule.warmup_steps)
-    share = 0.5 * (1 + math.cos(math.pi * min(1.0, progress)))
-    return peak * (schedule.final_ratio + (1 - schedule.final_ratio) * share)
+class _Board:
+    """TensorBoard, or nothing in the processes that do not write."""
+
+    def __init__(self, folder: Path | None, step: int) -> None:
+        self._writer = None if folder is None else SummaryWriter(str(folder), purge_step=step)
+
+    def __enter__(self) -> "_Board":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def add_scalars(self, values: Mapping[str, float], step: int) -> None:
+        for name, value in values.items():
+            if self._writer is not None:
+                self._writer.add_scalar(name, value, step)
+
+    def add_picture(self, name: str, rgb: np.ndarray, step: int) -> None:
+        if self._writer is not None:
+            self._writer.add_image(name, rgb, step, dataformats="HWC")
 
 
-def exponential_average(
-    decay: float,
-) -> Callable[[Tensors, Tensors, Tensor | int], None]:
-    """Return AveragedModel's update rule: an exponential average that forgets its start.
-
-    The decay grows as (1 + n) / (10 + n) up to ``decay``: with the full decay from the first step
-    a short run would still carry a good part of its random start.
-    """
-
-    @torch.no_grad()
-    def update(average: Tensors, current: Tensors, count: Tensor | int) -> None:
-        share = 1.0 - min(decay, (1.0 + int(count)) / (10.0 + int(count)))
-        if average[0].is_floating_point():
-            torch._foreach_lerp_(average, current, share)
-        else:  # counters
-            torch._foreach_copy_(average, current)
-
-    return update
-
-
-def adjust_logits(
-    state_dict: Mapping[str, Tensor], weights: Tensor | None, share: float
-) -> dict[str, Tensor]:
-    """Return the weights of a network whose semantic bias is lowered by share * log(class weight).
-
-    A network trained with class weights w answers with the odds of w * p; taking the log of them
-    off the logits gives p back (Menon et al. 2021), a share of it lies between. Nothing changes
-    without class weights.
-    """
-    adjusted = dict(state_dict)
-    if weights is not None and share:
-        bias = adjusted["semantic_head.bias"]
-        adjusted["semantic_head.bias"] = bias - share * weights.to(bias).log()
-    return adjusted
+def _validate(
+    network: SSDNet,
+    sources: Mapping[str, SampleSource],
+    recipe: Recipe,
+    processes: Processes,
+    board: _Board,
+    step: int,
+) -> None:
+    """Score the network, each process its share of the frames; show figures and pictures."""
+    scores = score_sources(network, sources, processes)
+    board.add_scalars({f"validation/{name}": score for name, score in scores.items()}, step)
+    if not processes.is_first:
+        return
+    text = ", ".join(f"{name} {score:.4f}" for name, score in scores.items())
+    tqdm.write(f"step {step}: {text}", file=sys.stderr)
+    for name, source in sources.items():
+        pictures = draw_pictures(
+            torch_predict(network), source, network.config, count=recipe.validation.pictures
+        )
+        for frame, picture in pictures:
+            board.add_picture(f"{name}/{frame}", picture, step)
 
 
 def _compute_loss(
-    network: SSDNet,
+    forward: Forward,
     criterion: SSDNetLoss,
     samples: Mapping[str, Any],
-    recipe: Recipe,
-    device: str,
+    loop: LoopRecipe,
+    device: torch.device,
 ) -> dict[str, Tensor]:
     rgb = samples["rgb"].to(device, non_blocking=True).float()
     sparse_depth = samples["sparse_depth"].to(device, non_blocking=True)
-    if recipe.loop.channels_last:
+    if loop.channels_last:
         rgb = rgb.to(memory_format=torch.channels_last)
     with torch.autocast(
-        rgb.device.type, dtype=torch.bfloat16, enabled=recipe.loop.autocast == "bf16"
+        device.type,
+        dtype=_AUTOCAST[loop.autocast] if loop.autocast != "none" else None,
+        enabled=loop.autocast != "none",
     ):
-        output = network(rgb, sparse_depth)
+        output = forward(rgb, sparse_depth)
     terms: dict[str, Tensor] = criterion(
         output,
         samples["semantic"].to(device, non_blocking=True),
@@ -238,101 +279,12 @@ def _compute_loss(
     return terms
 
 
-def _require_finite(
-    terms: Mapping[str, Tensor], step: int, names: Sequence[str], path: Path
-) -> None:
-    """Stop on a loss that is NaN or infinite; its terms and frames are saved to ``path``."""
-    if torch.isfinite(terms["total"]):
-        return
-    # Text: JSON has no NaN.
-    values = {name: str(term.item()) for name, term in terms.items()}
-    document = {"step": step, "terms": values, "frames": list(names)}
-    write_whole(path, json.dumps(document, indent=2).encode())
-    raise NonFiniteLossError(
-        f"step {step}: the loss is {values['total']}; its terms and the {len(names)} frames of its "
-        f"batch are in {path}. Lower the learning rate or look at them; the same command goes on "
-        "from the last checkpoint."
-    )
-
-
-def _build_network(recipe: Recipe, init: Path | None) -> SSDNet:
-    try:
-        network = create_model(recipe.model.name, max_depth_m=recipe.model.max_depth_m)
-    except ValueError as error:
-        raise InputError(f"the recipe's model cannot be built: {error}.") from error
-    if init is not None:
-        _start_from(network, init)
-    return network
-
-
-def _start_from(network: SSDNet, init: Path) -> None:
-    """Take over the weights of a checkpoint; layers that it lacks, or has in another shape, stay.
-
-    So a network with other classes or another head starts from what is already known. What
-    starts anew is said on standard error. Raises CheckpointError if nothing fits.
-    """
-    known = load_checkpoint(init).model.state_dict()
-    wanted = network.state_dict()
-    taken = {
-        name: known[name]
-        for name, value in wanted.items()
-        if name in known and known[name].shape == value.shape
-    }
-    fresh = sorted({name.rsplit(".", 1)[0] for name in wanted.keys() - taken.keys()})
-    if not any(p.ndim > 1 and name in taken for name, p in network.named_parameters()):
-        raise CheckpointError(
-            f"{init}: none of its layers fits the recipe's '{network.config.name}'. "
-            "Start from a checkpoint of the same family."
-        )
-    network.load_state_dict({**wanted, **taken})
-    if fresh:
-        tqdm.write(f"{init}: {len(taken)} of {len(wanted)} tensors taken over", file=sys.stderr)
-        tqdm.write(f"starting anew: {', '.join(fresh)}", file=sys.stderr)
-
-
-def _build_optimizer(
-    recipe: OptimizerRecipe, network: SSDNet, criterion: SSDNetLoss
-) -> torch.optim.Optimizer:
-    # Biases, normalisation and what the loss learns are not decayed.
-    kernels = [p for p in network.parameters() if p.ndim > 1]
-    others = [p for p in network.parameters() if p.ndim <= 1]
-    others += criterion.parameters()
-    groups: list[dict[str, Any]] = [
-        {"params": kernels, "weight_decay": recipe.weight_decay},
-        {"params": others, "weight_decay": 0.0},
-    ]
-    if recipe.name == "sgd":
-        return torch.optim.SGD(groups, lr=recipe.learning_rate, momentum=recipe.momentum)
-    return torch.optim.AdamW(groups, lr=recipe.learning_rate)
-
-
-def _claim(out: Path, resolved: Mapping[str, Any]) -> None:
-    """Make ``out`` this training's folder, or say that it is another's."""
-    path = out / "recipe.json"
-    text = json.dumps(resolved, indent=2, default=str)
-    try:
-        if path.is_file():
-            if path.read_text(encoding="utf-8") != text:
-                raise InputError(
-                    f"{out}: holds a training with another recipe (see its recipe.json). "
-                    "Choose another --out, or the recipe it was started with."
-                )
-            for unfinished in out.glob(".*.pt.*"):  # a run was killed while it wrote
-                unfinished.unlink()
-            return
-        out.mkdir(parents=True, exist_ok=True)
-        write_whole(path, text.encode())
-    except OSError as error:
-        raise InputError(
-            f"{out}: cannot be written: {error.strerror}. Choose another --out."
-        ) from error
-
-
 def _resume(
     path: Path,
     network: SSDNet,
     average: AveragedModel,
     optimizer: torch.optim.Optimizer,
+    scaler: torch.amp.GradScaler,
     criterion: SSDNetLoss,
 ) -> int:
     """Load the loop's state if there is one; return the step to go on from."""
@@ -344,9 +296,6 @@ def _resume(
     network.load_state_dict(checkpoint.model.state_dict())
     average.load_state_dict(checkpoint.trainer["average"])
     optimizer.load_state_dict(checkpoint.trainer["optimizer"])
+    scaler.load_state_dict(checkpoint.trainer["scaler"])
     criterion.load_state_dict(checkpoint.trainer["criterion"])
     return int(checkpoint.trainer["step"])
-
-
-def _weights_name(init: Path | None) -> str | None:
-    return None if init is None else init.name

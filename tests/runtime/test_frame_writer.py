@@ -223,7 +223,7 @@ def test_the_overlay_shows_what_was_predicted(contract, answered):
     prediction = dataclasses.replace(
         prediction, semantic=semantic, depth=depth, boundary=boundary, frame_size=(height, width)
     )
-    strip = Overlay(contract).draw(rgb, prediction)
+    strip = Overlay(contract.classes, contract.max_depth_m).draw(rgb, prediction)
     image, classes, depths, boundaries = panels_of(strip, height)
     assert image[60, 60].tolist() == [20, 10, 250], "blue first"
     dark, red = np.array([128, 0, 0]), np.array([30, 30, 200])
@@ -240,7 +240,7 @@ def test_the_overlay_shows_what_was_predicted(contract, answered):
 
 def test_the_depth_colours_are_the_same_for_every_frame(contract, answered):
     rgb, prediction = answered
-    overlay = Overlay(contract)
+    overlay = Overlay(contract.classes, contract.max_depth_m)
 
     def color_at_10_m(rest_m):
         depth = np.full(prediction.depth.shape, rest_m, np.float32)
@@ -259,7 +259,8 @@ def test_the_overlay_of_any_size_is_of_a_handy_size(contract, answered, size):
         for name in ("semantic", "depth", "boundary")
     }
     prediction = dataclasses.replace(prediction, frame_size=size, **resized)
-    strip = Overlay(contract).draw(np.zeros((*size, 3), np.uint8), prediction)
+    overlay = Overlay(contract.classes, contract.max_depth_m)
+    strip = overlay.draw(np.zeros((*size, 3), np.uint8), prediction)
     assert strip.dtype == np.uint8
     assert strip.shape[1] <= 4 * 640
 
@@ -267,7 +268,7 @@ def test_the_overlay_of_any_size_is_of_a_handy_size(contract, answered, size):
 def test_the_overlay_leaves_out_missing_heads(contract, answered):
     rgb, prediction = answered
     only_depth = dataclasses.replace(prediction, semantic=None, boundary=None)
-    overlay = Overlay(contract)
+    overlay = Overlay(contract.classes, contract.max_depth_m)
     assert overlay.draw(rgb, only_depth).shape[1] == 2 * 80
     assert overlay.draw(rgb, prediction).shape[1] == 4 * 80
 
@@ -275,6 +276,6 @@ def test_the_overlay_leaves_out_missing_heads(contract, answered):
 def test_the_overlay_leaves_the_frame_alone(contract, answered):
     rgb, prediction = answered
     before = [a.copy() for a in (rgb, prediction.semantic, prediction.depth, prediction.boundary)]
-    Overlay(contract).draw(rgb, prediction)
+    Overlay(contract.classes, contract.max_depth_m).draw(rgb, prediction)
     after = [rgb, prediction.semantic, prediction.depth, prediction.boundary]
     assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from typer.testing import CliRunner
 
 from models import SSDNet, create_model, load_checkpoint, save_checkpoint
@@ -16,14 +17,10 @@ from models.config import CONFIGS
 from runtime.errors import CheckpointError, DatasetError, InputError
 from training import cli, loop
 from training.augment import AugmentConfig
-from training.loop import (
-    NonFiniteLossError,
-    adjust_logits,
-    exponential_average,
-    learning_rate,
-    train,
-)
+from training.loop import train
 from training.losses import LossConfig
+from training.network import adjust_logits
+from training.optimizer import exponential_average, learning_rate
 from training.recipe import (
     DataRecipe,
     LoopRecipe,
@@ -34,6 +31,7 @@ from training.recipe import (
     SourceRecipe,
     ValidationRecipe,
 )
+from training.run_folder import NonFiniteLossError
 
 TINY = replace(
     CONFIGS["ssdnet-lite"],
@@ -128,6 +126,87 @@ def test_learned_weights_of_the_loss_survive_an_interruption(data, tmp_path):
     assert whole["log_variances.semantic"] != 0
     assert whole["log_variances.depth"] == 0  # CamVid has no depth
     assert all(torch.equal(parts[name], value) for name, value in whole.items())
+
+
+def test_half_precision_scales_the_loss_and_resumes_its_scale(data, tmp_path):
+    run = recipe(autocast="fp16")
+    whole = weights(train(run, data=[data], out=tmp_path / "whole"))
+    train(run, data=[data], out=tmp_path / "parts", stop_after=3)
+    parts = weights(train(run, data=[data], out=tmp_path / "parts"))
+    assert all(torch.equal(parts[name], value) for name, value in whole.items())
+    scale = load_checkpoint(tmp_path / "parts" / "last.pt").trainer["scaler"]["scale"]
+    assert scale > 1
+    plain = weights(train(recipe(), data=[data], out=tmp_path / "plain"))
+    moved = [(whole[name] - plain[name]).abs().max() for name in whole if "conv.weight" in name]
+    assert 0 < max(moved) < 0.05  # other rounding, the same training
+
+
+def test_a_step_whose_gradients_overflow_is_left_out(data, tmp_path, monkeypatch):
+    """fp16 of a loss scaled far too high: the weights stay until the scale has come down."""
+    scaler = torch.amp.GradScaler
+    monkeypatch.setattr(
+        loop.torch.amp, "GradScaler", lambda *a, **k: scaler(*a, init_scale=2.0**40, **k)
+    )
+    run = recipe(steps=1, autocast="fp16")
+    train(run, data=[data], out=tmp_path / "run")
+    checkpoint = load_checkpoint(tmp_path / "run" / "last.pt")
+    assert checkpoint.trainer["scaler"]["scale"] == 2.0**39
+    assert not checkpoint.trainer["optimizer"]["state"]
+
+
+def test_compiled_network_trains_what_the_plain_one_does(data, tmp_path, monkeypatch):
+    """Through torch.compile's tracing; its code generator takes minutes on a CPU."""
+    compile_network, calls = torch.compile, []
+
+    def trace(network):
+        calls.append(network)
+        return compile_network(network, backend="eager")
+
+    monkeypatch.setattr(loop.torch, "compile", trace)
+    compiled = weights(train(recipe(steps=2, compile=True), data=[data], out=tmp_path / "compiled"))
+    plain = weights(train(recipe(steps=2), data=[data], out=tmp_path / "plain"))
+    assert len(calls) == 1
+    assert compiled.keys() == plain.keys()
+    for name, value in plain.items():
+        torch.testing.assert_close(compiled[name], value, rtol=1e-3, atol=1e-4, msg=name)
+
+
+def test_tensorboard_shows_terms_rates_scores_and_pictures(data, tmp_path):
+    run = recipe(steps=2, accumulate=2)
+    train(run, data=[data], out=tmp_path / "run")
+    events = EventAccumulator(str(tmp_path / "run" / "tensorboard"), {"images": 0, "scalars": 0})
+    events.Reload()
+    scalars = events.Tags()["scalars"]
+    assert {"loss/semantic", "loss/boundary", "loss/total", "learning_rate"} <= set(scalars)
+    assert "validation/camvid/miou" in scalars
+    pictures = events.Tags()["images"]
+    assert pictures == ["camvid/camvid/0", "camvid/camvid/2", "camvid/camvid/5"]
+    png = np.frombuffer(events.Images(pictures[0])[0].encoded_image_string, np.uint8)
+    picture = cv2.imdecode(png, cv2.IMREAD_COLOR)
+    image = cv2.imread(str(data / "camvid/val/0.png"))
+    # Image, classes, depth, boundary of the prediction; image and classes of the truth. Titles
+    # stand at the top.
+    assert picture.shape[1] == 6 * 80
+    assert (picture[40:64, :80] == image[40:64]).all()
+    assert (picture[40:64, 320:400] == image[40:64]).all()
+    assert not (picture[40:64, 400:] == image[40:64]).all()
+
+
+def test_logged_terms_are_the_mean_over_accumulated_batches(data, tmp_path, monkeypatch):
+    seen = []
+    original = loop._compute_loss
+
+    def keep(*arguments):
+        terms = original(*arguments)
+        seen.append(terms["total"].item())
+        return terms
+
+    monkeypatch.setattr(loop, "_compute_loss", keep)
+    train(recipe(steps=2, accumulate=3), data=[data], out=tmp_path / "run")
+    events = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
+    events.Reload()
+    logged = [event.value for event in events.Scalars("loss/total")]
+    assert logged == pytest.approx([np.mean(seen[:3]), np.mean(seen[3:])], rel=1e-5)
 
 
 def test_another_seed_ends_elsewhere(data, tmp_path):

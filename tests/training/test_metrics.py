@@ -5,7 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from training.evaluation.metrics import BoundaryScores, DepthScores, SemanticScores
+from training.evaluation.metrics import (
+    BoundaryScores,
+    DepthScores,
+    DisparityScores,
+    SemanticScores,
+)
 
 
 def test_semantic_metrics_by_hand():
@@ -209,3 +214,36 @@ def test_boundary_of_nothing():
     false_alarm = BoundaryScores()
     false_alarm.update(np.ones((4, 4)), flat)
     assert false_alarm.compute().f_score == 0.0
+
+
+def test_categories_join_their_classes():
+    names = ("road", "sidewalk", "car", "misc")
+    groups = {"flat": {"road", "sidewalk"}, "vehicle": {"car"}, "sky": {"sky"}}
+    scores = SemanticScores(4)
+    truth = np.array([[0, 0, 1, 1, 2, 2, 3, 255]])
+    answer = np.array([[1, 0, 0, 2, 2, 3, 2, 0]])
+    scores.update(answer, truth)
+    # Flat: 3 of 4 right, road for sidewalk is no mistake; nothing else is called flat. Car: one
+    # right, one called misc, one sidewalk called car; misc labelled does not count.
+    assert scores.compute_categories(names, groups) == {
+        "flat": pytest.approx(3 / 4),
+        "vehicle": pytest.approx(1 / 3),
+    }
+
+
+def test_disparity_errors_equal_the_hand_computed_ones():
+    depth = np.array([[10.0, 20.0, 0.0, 40.0]])
+    answer = np.array([[20.0, 20.0, 5.0, 0.0]])
+    scores = DisparityScores()
+    scores.update(answer[:, :2], depth[:, :2], 400.0)
+    other = DisparityScores()
+    other.update(answer[:, 2:], depth[:, 2:], 400.0)
+    scores.merge(other)
+    metrics = scores.compute()
+    # 400 / 10 - 400 / 20 = 20 px; 0; unknown; 0 m is taken as 0.1 m: 4000 - 10 px.
+    assert metrics.pixels == 3
+    assert metrics.mae_px == pytest.approx((20 + 0 + 3990) / 3)
+    assert metrics.rmse_px == pytest.approx(math.sqrt((20**2 + 3990**2) / 3))
+    assert math.isnan(DisparityScores().compute().mae_px)
+    with pytest.raises(ValueError, match="positive"):
+        scores.update(answer, depth, 0.0)

@@ -5,8 +5,9 @@ Each `...Scores` accumulates over frames with `update`, takes in another's count
 over frames. A number that nothing was measured for is NaN.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -70,6 +71,24 @@ class SemanticScores:
         """Add another's counts. Raises ValueError for another number of classes."""
         _require_equal("num_classes", self.num_classes, other.num_classes)
         self.confusion += other.confusion
+
+    def compute_categories(
+        self, class_names: Sequence[str], groups: Mapping[str, Set[str]]
+    ) -> dict[str, float]:
+        """Return the IoU of every category (Cityscapes' IoU_cat is their mean).
+
+        class_names: of the ids 0..C-1. groups: category -> names of its classes; a category
+        without any of these classes is left out. A pixel labelled as a class of no category does
+        not count; one only predicted so is wrong for the category it is labelled as.
+        """
+        groups = {name: group for name, group in groups.items() if group & set(class_names)}
+        member = np.array([[name in group for name in class_names] for group in groups.values()])
+        labelled = self.confusion[member.any(axis=0)].astype(np.int64)
+        rows = member[:, member.any(axis=0)]
+        hit = np.einsum("gi,ij,gj->g", rows, labelled, member, dtype=np.int64)
+        union = rows @ labelled.sum(axis=1) + member @ labelled.sum(axis=0) - hit
+        iou = _ratio(hit.astype(np.float64), union)
+        return dict(zip(groups, iou.tolist(), strict=True))
 
     def compute(self) -> SemanticMetrics:
         """Return the metrics of all frames so far."""
@@ -178,6 +197,54 @@ class BoundaryMetrics:
     f_score: float
 
 
+@dataclass(frozen=True)
+class DisparityMetrics:
+    """Errors of stereo disparity in pixels of the data set's images."""
+
+    pixels: int
+    mae_px: float
+    rmse_px: float
+
+
+class DisparityScores:
+    """MAE and RMSE of disparity, as the paper scores depth on Cityscapes: d = f * b / depth."""
+
+    def __init__(self) -> None:
+        self._sums = np.zeros(3)  # pixels, sum |e|, sum e^2
+
+    def update(
+        self,
+        prediction: NDArray[np.floating],
+        depth: NDArray[np.floating],
+        focal_baseline_px_m: float,
+    ) -> None:
+        """Count a frame: depth float (H, W) [m], 0 in `depth` = no truth; f * b in px m.
+
+        A prediction nearer than 0.1 m is taken as 0.1 m. Raises ValueError if the shapes differ
+        or the focal length times baseline is not positive.
+        """
+        _require_same_shape(prediction=prediction, depth=depth)
+        if not focal_baseline_px_m > 0:
+            raise ValueError(f"focal_baseline_px_m must be positive, not {focal_baseline_px_m}")
+        known = np.isfinite(depth) & (depth > 0)
+        answer = np.maximum(prediction[known].astype(np.float64), _NEAREST_M)
+        error = focal_baseline_px_m * np.abs(1 / answer - 1 / depth[known].astype(np.float64))
+        self._sums += error.size, error.sum(), np.square(error).sum()
+
+    def merge(self, other: "DisparityScores") -> None:
+        """Add another's sums."""
+        self._sums += other._sums
+
+    def compute(self) -> DisparityMetrics:
+        """Return the metrics of all frames so far."""
+        pixels, absolute, square = self._sums
+        return DisparityMetrics(
+            int(pixels),
+            float(_ratio(absolute, pixels)),
+            float(np.sqrt(_ratio(square, pixels))),
+        )
+
+
 class BoundaryScores:
     """Boundary precision, recall and F-score at a pixel tolerance.
 
@@ -244,7 +311,7 @@ class BoundaryScores:
         return cv2.dilate(mask.astype(np.uint8), disk) > 0
 
 
-def _ratio(numerator: NDArray[np.floating], denominator: NDArray[np.number]) -> NDArray[np.float64]:
+def _ratio(numerator: Any, denominator: Any) -> NDArray[np.float64]:
     """Divide; 0 / 0 is NaN without a warning."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.true_divide(numerator, denominator), dtype=np.float64)

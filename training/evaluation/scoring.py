@@ -10,10 +10,17 @@ import torch
 from numpy.typing import NDArray
 
 from models import SSDNet
+from models.classes import CATEGORIES
 from training.augment import keep_every_line, masked
 from training.datasets.kitti_lidar import withhold_occluded
 from training.datasets.sample import IGNORE, Sample, SampleSource, nothing_known
-from training.evaluation.metrics import BoundaryScores, DepthScores, SemanticScores
+from training.distributed import Processes
+from training.evaluation.metrics import (
+    BoundaryScores,
+    DepthScores,
+    DisparityScores,
+    SemanticScores,
+)
 from training.lidar import scan_lines
 
 #: The boundary's F-score is that of the best of these over the whole set.
@@ -65,11 +72,13 @@ def split_lidar(sample: Sample) -> LidarSplit:
     """Choose what of a frame's depth is fed and what is scored.
 
     A recorded scan: every second line is fed, the others (less those hidden behind nearer
-    returns) are scored. Dense depth: 64 simulated lines are fed, all of it is scored. No depth:
-    neither.
+    returns) are scored. An input recorded beside its target is fed as it is. Dense depth: 64
+    simulated lines are fed, all of it is scored. No depth: neither.
     """
     if not sample.depth.any():
         return LidarSplit(sample, nothing_known(sample.size), sample.depth)
+    if sample.recorded_input:
+        return LidarSplit(sample, sample.sparse_depth, sample.depth)
     if sample.scan_line is not None:
         seen = keep_every_line(sample, 2, 0)
         withheld = masked(sample.depth, seen == 0)
@@ -87,6 +96,14 @@ class Scores:
     semantic: SemanticScores
     depth: DepthScores
     boundary: BoundaryScores
+    disparity: DisparityScores
+
+    def merge(self, other: "Scores") -> None:
+        """Add another's counts."""
+        self.semantic.merge(other.semantic)
+        self.depth.merge(other.depth)
+        self.boundary.merge(other.boundary)
+        self.disparity.merge(other.disparity)
 
     def figures(self, class_names: Sequence[str] = ()) -> dict[str, float]:
         """Return what was scored as named numbers: shares 0..1, metres, 1/km."""
@@ -107,15 +124,21 @@ class Scores:
                 f"iou_{name}": value
                 for name, value in zip(class_names, semantic.class_iou, strict=bool(class_names))
             }
+            if class_names:
+                figures |= _category_figures(self.semantic, class_names)
         if depth.pixels:
             # The widest range of Table 1, 0-100 m: beyond it a network's range ends.
             widest = depth.ranges[-1]
-            figures |= {
-                "mae_m": widest.mae_m,
-                "rmse_m": widest.rmse_m,
-                "imae_per_km": depth.imae_per_km,
-                "irmse_per_km": depth.irmse_per_km,
-            }
+            figures |= {"mae_m": widest.mae_m, "rmse_m": widest.rmse_m}
+            for part in depth.ranges[:-1]:
+                figures |= {
+                    f"mae_m_0_{part.up_to_m:g}": part.mae_m,
+                    f"rmse_m_0_{part.up_to_m:g}": part.rmse_m,
+                }
+            figures |= {"imae_per_km": depth.imae_per_km, "irmse_per_km": depth.irmse_per_km}
+        disparity = self.disparity.compute()
+        if disparity.pixels:
+            figures |= {"mae_px": disparity.mae_px, "rmse_px": disparity.rmse_px}
         if not math.isnan(boundary.recall):
             figures |= {
                 "boundary_f": boundary.f_score,
@@ -126,9 +149,21 @@ class Scores:
         return figures
 
 
+def _category_figures(semantic: SemanticScores, class_names: Sequence[str]) -> dict[str, float]:
+    categories = semantic.compute_categories(class_names, CATEGORIES)
+    known = [value for value in categories.values() if not math.isnan(value)]
+    figures = {f"category_iou_{name}": value for name, value in categories.items()}
+    return {"category_miou": sum(known) / len(known), **figures} if known else {}
+
+
 def score(predict: Predict, frames: Iterable[LidarSplit], *, num_classes: int) -> Scores:
     """Score a predictor on frames of `split_lidar`; missing heads and targets are left out."""
-    scores = Scores(SemanticScores(num_classes), DepthScores(), BoundaryScores(BOUNDARY_THRESHOLDS))
+    scores = Scores(
+        SemanticScores(num_classes),
+        DepthScores(),
+        BoundaryScores(BOUNDARY_THRESHOLDS),
+        DisparityScores(),
+    )
     for frame in frames:
         sample = frame.sample
         answer = predict(sample.rgb, frame.fed)
@@ -137,18 +172,29 @@ def score(predict: Predict, frames: Iterable[LidarSplit], *, num_classes: int) -
             scores.semantic.update(answer.semantic, sample.semantic)
         if answer.depth is not None and frame.target.any():
             scores.depth.update(answer.depth, frame.target)
+            if sample.focal_baseline_px_m is not None:
+                scores.disparity.update(answer.depth, frame.target, sample.focal_baseline_px_m)
         if answer.boundary is not None and labelled:
             scores.boundary.update(answer.boundary, sample.semantic)
     return scores
 
 
-def score_sources(network: SSDNet, sources: Mapping[str, SampleSource]) -> dict[str, float]:
-    """Score a network on validation sets: mIoU where there are labels, MAE and RMSE where depth."""
+def score_sources(
+    network: SSDNet, sources: Mapping[str, SampleSource], processes: Processes
+) -> dict[str, float]:
+    """Score a network on validation sets: mIoU where there are labels, MAE and RMSE where depth.
+
+    Every process scores its share of the frames and gets the figures of all.
+    """
     predict = torch_predict(network)
     result: dict[str, float] = {}
     for name, source in sources.items():
-        frames = (split_lidar(source[index]) for index in range(len(source)))
-        figures = score(predict, frames, num_classes=network.config.num_classes).figures()
+        share = range(processes.rank, len(source), processes.count)
+        frames = (split_lidar(source[index]) for index in share)
+        parts = processes.gather(score(predict, frames, num_classes=network.config.num_classes))
+        for part in parts[1:]:
+            parts[0].merge(part)
+        figures = parts[0].figures()
         result |= {
             f"{name}/{key}": figures[key]
             for key in ("miou", "mae_m", "rmse_m", "boundary_f")

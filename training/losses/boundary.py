@@ -6,6 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from training.distributed import sum_over_processes
 from training.losses.masked import split_into_blocks
 from training.losses.semantic import IGNORE, labelled_mean
 
@@ -65,7 +66,10 @@ def balanced_cross_entropy(
     known = valid.to(logits.dtype)
     boundary = (target & valid).to(logits.dtype)
     over = (1, 2, 3) if beta_mode == "image" else (0, 1, 2, 3)
-    share = boundary.sum(dim=over, keepdim=True) / known.sum(dim=over, keepdim=True).clamp(min=1)
+    counts = torch.stack([boundary.sum(dim=over, keepdim=True), known.sum(dim=over, keepdim=True)])
+    if beta_mode == "batch":
+        counts = sum_over_processes(counts)
+    share = counts[0] / counts[1].clamp(min=1)
     weight = torch.where(boundary > 0, 1 - share, share * known)
     values = F.binary_cross_entropy_with_logits(logits, boundary, weight, reduction="none")
     return labelled_mean(values.squeeze(1), valid.squeeze(1), sample_weight)

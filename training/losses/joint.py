@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from training.distributed import sum_over_processes
+
 
 class NeighbourMaps(NamedTuple):
     """A quantity of every pixel with a neighbour: u against u - 1, and v against v - 1."""
@@ -73,7 +75,7 @@ def semantic_boundary_loss(disagreement: NeighbourMaps, boundary: Tensor) -> Ten
     doubt = torch.exp(-boundary.squeeze(1))
     across = disagreement.across * doubt[..., 1:]
     down = disagreement.down * doubt[..., 1:, :]
-    return (across.sum() + down.sum()) / doubt.numel()
+    return _mean(across, down, doubt.numel())
 
 
 def semantic_depth_loss(
@@ -90,4 +92,11 @@ def semantic_depth_loss(
     step_down = (scaled[..., 1:, :] - scaled[..., :-1, :]).abs()
     across = disagreement.across * torch.exp(-step_across)
     down = disagreement.down * torch.exp(-step_down)
-    return (across.sum() + down.sum()) / scaled.numel()
+    return _mean(across, down, scaled.numel())
+
+
+def _mean(across: Tensor, down: Tensor, pixels: int) -> Tensor:
+    """Both sums over the number of pixels, of all processes."""
+    sums = torch.stack([across.sum() + down.sum(), across.new_tensor(pixels)])
+    total, count = sum_over_processes(sums).unbind()
+    return total / count

@@ -3,18 +3,21 @@
 import torch.nn.functional as F
 from torch import Tensor
 
+from training.distributed import sum_over_processes
+
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
     """Mean over the masked pixels of each sample, then over the samples that have any: ().
 
     `values` float (N, 1, H, W), finite everywhere; `mask` bool of the same shape. A sample with
     dense ground truth and one with a few thousand LiDAR returns count the same. With nothing
-    known at all it is 0, with a gradient of 0.
+    known at all it is 0, with a gradient of 0. Samples of all processes count.
     """
     known = mask.to(values.dtype)
     counts = known.sum(dim=(1, 2, 3))
     means = (values * known).sum(dim=(1, 2, 3)) / counts.clamp(min=1)
-    return means.sum() / (counts > 0).sum().clamp(min=1)
+    samples = sum_over_processes((counts > 0).sum())
+    return sum_over_processes(means.sum()) / samples.clamp(min=1)
 
 
 def split_into_blocks(x: Tensor, grid: tuple[int, int]) -> tuple[Tensor, int]:

@@ -6,6 +6,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from training.distributed import sum_over_processes
+
 IGNORE = 255
 
 ClassWeighting = Literal["median", "sqrt_median", "paper", "none"]
@@ -53,12 +55,13 @@ def labelled_mean(values: Tensor, known: Tensor, sample_weight: Tensor | None = 
 
     `values` float (N, H, W), 0 where not `known`, bool (N, H, W). `sample_weight` float (N,)
     scales each sample's part without changing what is divided by, so a batch of labels worth 0.2
-    gives 0.2 of the loss. 0, with a gradient of 0, if nothing is known.
+    gives 0.2 of the loss. 0, with a gradient of 0, if nothing is known. Pixels of all processes
+    count.
     """
     sums = values.sum(dim=(1, 2))
     if sample_weight is not None:
         sums = sums * sample_weight
-    return sums.sum() / known.sum().clamp(min=1)
+    return sum_over_processes(sums.sum()) / sum_over_processes(known.sum()).clamp(min=1)
 
 
 def weighted_cross_entropy(
@@ -104,9 +107,10 @@ def soft_iou_loss(overlap: Tensor) -> Tensor:
     `overlap` (3, C), see `soft_overlap`. The measure that cross-entropy stands in for, made
     differentiable (Rahman and Wang 2016, "Optimizing intersection-over-union in deep neural
     networks"): thin and rare classes count like the others, without being found too often as
-    class weights make them. 0, with a gradient of 0, if nothing is labelled.
+    class weights make them. 0, with a gradient of 0, if nothing is labelled. Pixels of all
+    processes count.
     """
-    intersection, predicted, labelled = overlap
+    intersection, predicted, labelled = sum_over_processes(overlap)
     shown = labelled > 0
     iou = intersection / (predicted + labelled - intersection).clamp(min=1e-6)
     loss: Tensor = ((1 - iou) * shown).sum() / shown.sum().clamp(min=1)

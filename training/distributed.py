@@ -1,0 +1,160 @@
+"""Several processes that train one network: started by torchrun, each with its share of a batch.
+
+A sum over processes is differentiable, and every loss divides a sum over all processes by a count
+over all of them. So N processes with batches of B compute what one computes with a batch of N * B,
+batch normalisation included.
+"""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+from torch.distributed.nn.functional import all_reduce
+from torch.nn.parallel import DistributedDataParallel
+
+from runtime.errors import InputError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Processes:
+    """This process among those that train together, and where it computes."""
+
+    rank: int
+    count: int
+    device: torch.device
+
+    @property
+    def is_first(self) -> bool:
+        """Whether this is the process that writes files and shows progress."""
+        return self.rank == 0
+
+    def wait(self) -> None:
+        """Wait until every process has come here."""
+        if self.count > 1:
+            dist.barrier()
+
+    def gather(self, item: T) -> list[T]:
+        """Return what every process gives here, in their order; plain Python objects."""
+        if self.count == 1:
+            return [item]
+        items: list[Any] = [None] * self.count
+        dist.all_gather_object(items, item)
+        return items
+
+    def shares(self, first: int, last: int, batch_size: int) -> list[int]:
+        """Which of the samples first..last - 1 are this process's: a batch of each round.
+
+        Every round of ``count`` batches is a run of samples, so that it holds the same ones
+        whether one process takes it as one batch or several take their parts.
+        """
+        return [
+            index
+            for start in range(first + self.rank * batch_size, last, self.count * batch_size)
+            for index in range(start, start + batch_size)
+        ]
+
+
+@contextmanager
+def join_processes(device: str) -> Iterator[Processes]:
+    """Join the processes that torchrun started, or be the only one.
+
+    ``device`` is "cpu" (gloo), "cuda" (nccl; each process of a machine takes its own card), or
+    "cuda:N" for a single process. Raises InputError if the device cannot be had.
+    """
+    count = int(os.environ.get("WORLD_SIZE", "1"))
+    try:
+        place = torch.device(device)
+        if count > 1 and place.type == "cuda":
+            place = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
+        torch.zeros(1, device=place)
+    except (RuntimeError, AssertionError) as error:
+        raise InputError(f"device {device!r} cannot be had: {error}. Try --device cpu.") from error
+    if count == 1:
+        yield Processes(0, 1, place)
+        return
+    if place.type == "cuda":
+        torch.cuda.set_device(place)
+    dist.init_process_group("nccl" if place.type == "cuda" else "gloo")
+    try:
+        yield Processes(dist.get_rank(), count, place)
+    finally:
+        dist.destroy_process_group()
+
+
+def sum_over_processes(x: Tensor) -> Tensor:
+    """Sum a tensor over all processes, differentiably; itself where there is one process."""
+    if not (dist.is_available() and dist.is_initialized()):
+        return x
+    total: Tensor = all_reduce(x)  # type: ignore[no-untyped-call]
+    return total
+
+
+def share_gradients(network: nn.Module, processes: Processes, *, synced_buffers: bool) -> nn.Module:
+    """Wrap a network so that its gradients are averaged over the processes."""
+    if processes.count == 1:
+        return network
+    cuda = processes.device.type == "cuda"
+    return DistributedDataParallel(
+        network,
+        device_ids=[processes.device.index] if cuda else None,
+        broadcast_buffers=not synced_buffers,
+        # Heads whose losses have weight 0 get no gradient.
+        find_unused_parameters=True,
+    )
+
+
+def synchronise_batch_norm(network: nn.Module, processes: Processes) -> nn.Module:
+    """Normalise over the batches of all processes instead of each process's own."""
+    if processes.count == 1:
+        return network
+    if processes.device.type == "cuda":
+        shared: nn.Module = nn.SyncBatchNorm.convert_sync_batchnorm(network)  # type: ignore[no-untyped-call]
+        return shared
+    for name, child in network.named_children():
+        if isinstance(child, nn.BatchNorm2d):
+            setattr(network, name, _SharedBatchNorm.of(child))
+        else:
+            synchronise_batch_norm(child, processes)
+    return network
+
+
+class _SharedBatchNorm(nn.BatchNorm2d):
+    """What torch.nn.SyncBatchNorm is on GPUs, for processes on CPUs, which it refuses."""
+
+    @classmethod
+    def of(cls, norm: nn.BatchNorm2d) -> "_SharedBatchNorm":
+        """Take over a batch normalisation with its parameters and buffers."""
+        shared = cls(norm.num_features, eps=norm.eps, momentum=norm.momentum)
+        shared.load_state_dict(norm.state_dict())
+        return shared.train(norm.training)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, H, W) -> same, by the mean and variance over all processes."""
+        running_mean, running_var = self.running_mean, self.running_var
+        if not self.training or running_mean is None or running_var is None:
+            return super().forward(x)
+        values = x.float()
+        over = (0, 2, 3)
+        count = x.numel() // x.shape[1]
+        sums = torch.cat([values.sum(over), values.new_tensor([count])])
+        sums = sum_over_processes(sums)
+        total = sums[-1].detach()
+        mean = sums[:-1] / total
+        centred = values - mean[:, None, None]
+        variance = sum_over_processes(centred.square().sum(over)) / total
+        with torch.no_grad():
+            momentum = 0.1 if self.momentum is None else self.momentum
+            running_mean.lerp_(mean, momentum)
+            running_var.lerp_(variance * total / (total - 1).clamp(min=1), momentum)
+            if self.num_batches_tracked is not None:
+                self.num_batches_tracked += 1
+        scale = self.weight * torch.rsqrt(variance + self.eps)
+        normalised = centred * scale[:, None, None] + self.bias[:, None, None]
+        return normalised.to(x.dtype)

@@ -1,0 +1,42 @@
+"""Pictures of what a network says about frames of a data set, beside what is true."""
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from models import ModelConfig
+from runtime.overlay import Overlay
+from training.datasets.sample import IGNORE, SampleSource
+from training.evaluation.scoring import Answer, Predict, split_lidar
+
+
+def draw_pictures(
+    predict: Predict, source: SampleSource, config: ModelConfig, *, count: int
+) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Draw frames spread evenly over a set: name, and the prediction beside the truth.
+
+    Each picture is uint8 (H', W', 3), RGB: left what the network says, right the labels and the
+    depth as far as they are known (unknown classes are drawn black), as `runtime.overlay` draws
+    both.
+    """
+    overlay = Overlay(config.classes, config.max_depth_m)
+    for index in np.unique(np.linspace(0, len(source) - 1, count).round().astype(int)):
+        frame = split_lidar(source[int(index)])
+        sample = frame.sample
+        labelled = config.semantic_head and (sample.semantic != IGNORE).any()
+        truth = Answer(
+            sample.semantic if labelled else None,
+            frame.target if config.depth_head and frame.target.any() else None,
+            None,
+        )
+        drawn = [
+            overlay.draw(sample.rgb, answer) for answer in (predict(sample.rgb, frame.fed), truth)
+        ]
+        height = max(picture.shape[0] for picture in drawn)
+        padded = [
+            cv2.copyMakeBorder(picture, 0, height - picture.shape[0], 0, 0, cv2.BORDER_CONSTANT)
+            for picture in drawn
+        ]
+        yield sample.name, np.ascontiguousarray(cv2.hconcat(padded)[..., ::-1])

@@ -1,0 +1,75 @@
+"""The network of a recipe, with random or known weights."""
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+from torch import Tensor
+from tqdm import tqdm
+
+from models import CLASS_TABLES, SSDNet, create_model, load_checkpoint
+from models.config import CONFIGS
+from runtime.errors import CheckpointError, InputError
+from training.recipe import ModelRecipe
+
+
+def build_network(recipe: ModelRecipe, init: Path | None) -> SSDNet:
+    """Build a recipe's network; ``init`` is a checkpoint whose weights it starts from.
+
+    Raises InputError for what cannot be built, CheckpointError for what cannot be taken over.
+    """
+    known = CONFIGS.get(recipe.name)
+    with_classes = known is not None and known.semantic_head
+    try:
+        network = create_model(
+            recipe.name,
+            classes=CLASS_TABLES[recipe.classes] if with_classes else None,
+            max_depth_m=recipe.max_depth_m,
+            boundary_gating=recipe.boundary_gating,
+        )
+    except ValueError as error:
+        raise InputError(f"the recipe's model cannot be built: {error}.") from error
+    if init is not None:
+        _start_from(network, init)
+    return network
+
+
+def _start_from(network: SSDNet, init: Path) -> None:
+    """Take over the weights of a checkpoint; layers that it lacks, or has in another shape, stay.
+
+    So a network with other classes or another head starts from what is already known. What
+    starts anew is said on standard error. Raises CheckpointError if nothing fits.
+    """
+    known = load_checkpoint(init).model.state_dict()
+    wanted = network.state_dict()
+    taken = {
+        name: known[name]
+        for name, value in wanted.items()
+        if name in known and known[name].shape == value.shape
+    }
+    fresh = sorted({name.rsplit(".", 1)[0] for name in wanted.keys() - taken.keys()})
+    if not any(p.ndim > 1 and name in taken for name, p in network.named_parameters()):
+        raise CheckpointError(
+            f"{init}: none of its layers fits the recipe's '{network.config.name}'. "
+            "Start from a checkpoint of the same family."
+        )
+    network.load_state_dict({**wanted, **taken})
+    if fresh:
+        tqdm.write(f"{init}: {len(taken)} of {len(wanted)} tensors taken over", file=sys.stderr)
+        tqdm.write(f"starting anew: {', '.join(fresh)}", file=sys.stderr)
+
+
+def adjust_logits(
+    state_dict: Mapping[str, Tensor], weights: Tensor | None, share: float
+) -> dict[str, Tensor]:
+    """Return the weights of a network whose semantic bias is lowered by share * log(class weight).
+
+    A network trained with class weights w answers with the odds of w * p; taking the log of them
+    off the logits gives p back (Menon et al. 2021), a share of it lies between. Nothing changes
+    without class weights.
+    """
+    adjusted = dict(state_dict)
+    if weights is not None and share:
+        bias = adjusted["semantic_head.bias"]
+        adjusted["semantic_head.bias"] = bias - share * weights.to(bias).log()
+    return adjusted

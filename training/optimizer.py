@@ -1,0 +1,63 @@
+"""How weights move: the optimiser, its rate over the steps, and the average that ships."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from models import SSDNet
+from training.losses import SSDNetLoss
+from training.recipe import OptimizerRecipe, ScheduleRecipe
+
+#: What AveragedModel hands to its update rule.
+Tensors = tuple[Tensor, ...] | list[Tensor]
+
+
+def build_optimizer(
+    recipe: OptimizerRecipe, network: SSDNet, criterion: SSDNetLoss
+) -> torch.optim.Optimizer:
+    """Return AdamW or SGD over the network's parameters and what the loss learns."""
+    # Biases, normalisation and what the loss learns are not decayed.
+    kernels = [p for p in network.parameters() if p.ndim > 1]
+    others = [p for p in network.parameters() if p.ndim <= 1]
+    others += criterion.parameters()
+    groups: list[dict[str, Any]] = [
+        {"params": kernels, "weight_decay": recipe.weight_decay},
+        {"params": others, "weight_decay": 0.0},
+    ]
+    if recipe.name == "sgd":
+        return torch.optim.SGD(groups, lr=recipe.learning_rate, momentum=recipe.momentum)
+    return torch.optim.AdamW(groups, lr=recipe.learning_rate)
+
+
+def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
+    """Rate of a step: linear warm-up from 0, then cosine down to its final share, or constant."""
+    if step < schedule.warmup_steps:
+        return peak * (step + 1) / schedule.warmup_steps
+    if schedule.shape == "constant":
+        return peak
+    progress = (step - schedule.warmup_steps) / max(1, schedule.steps - schedule.warmup_steps)
+    share = 0.5 * (1 + math.cos(math.pi * min(1.0, progress)))
+    return peak * (schedule.final_ratio + (1 - schedule.final_ratio) * share)
+
+
+def exponential_average(
+    decay: float,
+) -> Callable[[Tensors, Tensors, Tensor | int], None]:
+    """Return AveragedModel's update rule: an exponential average that forgets its start.
+
+    The decay grows as (1 + n) / (10 + n) up to ``decay``: with the full decay from the first step
+    a short run would still carry a good part of its random start.
+    """
+
+    @torch.no_grad()
+    def update(average: Tensors, current: Tensors, count: Tensor | int) -> None:
+        share = 1.0 - min(decay, (1.0 + int(count)) / (10.0 + int(count)))
+        if average[0].is_floating_point():
+            torch._foreach_lerp_(average, current, share)
+        else:  # counters
+            torch._foreach_copy_(average, current)
+
+    return update
