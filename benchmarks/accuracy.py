@@ -26,7 +26,7 @@ from training.sources import open_source
 SETS = {
     "CamVid val": SourceRecipe("camvid", "camvid", split="val"),
     "KITTI frames 50-59": SourceRecipe("kitti_stream", "kitti_stream", first=50, last=59),
-    "rendered val": SourceRecipe("virtual_kitti", "rendered/val"),
+    "rendered val": SourceRecipe("rendered", "rendered/val"),
 }
 
 
@@ -44,7 +44,7 @@ def main() -> None:
             if not any((root / recipe.path).is_dir() for root in arguments.data):
                 print(f"## {title}: no folder {recipe.path}, left out\n")
                 continue
-            source = open_source(recipe, arguments.data)
+            source = open_source(recipe, arguments.data, classes="camvid")
             ways: dict[str, Predict] = {"ssdnet": engine_predict(predictor)}
             if recipe.kind != "camvid":
                 ways |= {"nearest filling": fill_predict(nearest_fill)}

@@ -1,0 +1,142 @@
+"""Train and score the rows of the paper's ablation, several seeds each, as a table and a plot.
+
+    python benchmarks/ablation.py --data DIR --runs RUNS [--seeds 0 1 2] [--rows ssdnet ...] \
+        [--set 'model.name = "ssdnet"'] [--markdown OUT.md] [--plot OUT.png]
+
+`DIR` holds the rendered scenes `train` and `test`. Rows are recipes of training/recipes/ablation.
+Runs that are finished are not repeated, so more seeds or rows can be added; one that was stopped
+goes on. Every row is scored on all of `test` with 5 % of the depth, drawn once for all rows.
+"""
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from statistics import mean, stdev
+
+import matplotlib as mpl
+import numpy as np
+import torch
+
+from models import load_checkpoint
+from training.evaluation.lidar_input import LidarInput
+from training.evaluation.scoring import score, torch_predict
+from training.loop import train
+from training.recipe import SourceRecipe, read_recipe
+from training.sources import open_source
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+ABLATION = ("ssdnet", "ssdnet-ind", "ssdnet-sem", "ssdnet-dep", "ssdnet-dep-d", "ssdnet-dep-rgb")
+READINGS = (
+    "joint-weights-1",
+    "hard-disagreement",
+    "ungated",
+    "uncertainty",
+    "paper-class-weights",
+)
+FIGURES = {
+    "miou": "mIoU [%]",
+    "fwiou": "fwIoU [%]",
+    "boundary_f": "boundary F [%]",
+    "mae_m_0_20": "MAE 0-20 m [cm]",
+    "mae_m_0_50": "0-50 m",
+    "mae_m": "0-100 m",
+    "rmse_m": "RMSE 0-100 m [cm]",
+}
+PLOTTED = ("miou", "boundary_f", "mae_m", "rmse_m")
+_INPUT = LidarInput("random", share=0.05)
+
+
+def main() -> None:
+    """Train what is missing, seed by seed, and print the table after each."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--runs", type=Path, required=True, help="folder for the run folders")
+    parser.add_argument("--rows", nargs="+", default=[*ABLATION, *READINGS])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
+    parser.add_argument("--set", action="append", default=[], help="'table.key = value' in TOML")
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--threads", type=int, default=2, help="of the processor")
+    parser.add_argument("--markdown", type=Path, help="write the table here, too")
+    parser.add_argument("--plot", type=Path, help="draw the rows here")
+    arguments = parser.parse_args()
+    torch.set_num_threads(arguments.threads)
+
+    results: dict[str, list[dict[str, float]]] = {row: [] for row in arguments.rows}
+    for seed in arguments.seeds:
+        for row in arguments.rows:
+            figures = run(row, seed, arguments)
+            results[row].append(figures)
+            print(row, seed, {key: round(value, 4) for key, value in figures.items()}, flush=True)
+    table = markdown(results)
+    print(f"\n{table}")
+    if arguments.markdown:
+        arguments.markdown.write_text(table, encoding="utf-8")
+    if arguments.plot:
+        draw(results, arguments.plot)
+
+
+def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
+    """Train one row with one seed, unless that is done, and return its figures."""
+    out = arguments.runs / f"{row}-{seed}"
+    scores = out / "scores.json"
+    if scores.is_file():
+        return json.loads(scores.read_text())
+    path = files("training.recipes") / "ablation" / f"{row}.toml"
+    recipe = read_recipe(Path(str(path)), [f"data.seed = {seed}", *arguments.set])
+    checkpoint = train(recipe, data=[arguments.data], out=out, device=arguments.device)
+    network = load_checkpoint(checkpoint).model.to(arguments.device)
+    source = open_source(SourceRecipe("rendered", "test"), [arguments.data], classes="camvid")
+    frames = (
+        _INPUT.split(source[index], np.random.default_rng([0, index]))
+        for index in range(len(source))
+    )
+    counted = score(
+        torch_predict(network),
+        (frame for frame in frames if frame is not None),
+        num_classes=network.config.num_classes,
+    )
+    figures = counted.figures([info.name for info in network.config.classes])
+    scores.write_text(json.dumps(figures, indent=2))
+    return figures
+
+
+def markdown(results: Mapping[str, Sequence[Mapping[str, float]]]) -> str:
+    """Mean and standard deviation of every row, as a table."""
+    lines = [
+        "| row | seeds | " + " | ".join(FIGURES.values()) + " |",
+        "|---" * (len(FIGURES) + 2) + "|",
+    ]
+    for row, runs in results.items():
+        cells = []
+        for key in FIGURES:
+            values = [figures[key] * 100 for figures in runs if key in figures]
+            spread = f" ± {stdev(values):.2f}" if len(values) > 1 else ""
+            cells.append(f"{mean(values):.2f}{spread}" if values else "")
+        lines.append(f"| {row} | {len(runs)} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def draw(results: Mapping[str, Sequence[Mapping[str, float]]], path: Path) -> None:
+    """Every run as a point and the mean as a bar, a panel a figure."""
+    figure, panels = plt.subplots(1, len(PLOTTED), figsize=(14, 0.42 * len(results) + 1.4))
+    rows = list(results)
+    for panel, key in zip(panels, PLOTTED, strict=True):
+        for index, row in enumerate(rows):
+            values = [run[key] * 100 for run in results[row] if key in run]
+            if values:
+                panel.plot(values, [index] * len(values), "o", color="tab:blue", alpha=0.6)
+                panel.plot([mean(values)] * 2, [index - 0.3, index + 0.3], color="black")
+        panel.set_title(FIGURES[key] if "[" in FIGURES[key] else f"MAE {FIGURES[key]} [cm]")
+        panel.set_yticks(range(len(rows)), rows if panel is panels[0] else [""] * len(rows))
+        panel.set_ylim(len(rows) - 0.5, -0.5)
+        panel.grid(axis="x", alpha=0.3)
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+
+
+if __name__ == "__main__":
+    main()

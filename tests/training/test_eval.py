@@ -1,0 +1,138 @@
+"""`ssdnet-eval`: the same inputs and figures for a checkpoint and the file exported from it."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from export.exporter import export_checkpoint
+from models import create_model, save_checkpoint
+from runtime.errors import InputError
+from training.evaluation.cli import app, parse_source
+from training.evaluation.model_file import ScoredModel
+from training.evaluation.report import Row, format_table
+from training.recipe import SourceRecipe
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two rendered-layout frames, a CamVid frame, a checkpoint and its export."""
+    root = tmp_path_factory.mktemp("eval")
+    rng = np.random.default_rng(0)
+    variant = root / "scenes" / "Scene01" / "clone"
+    for kind in ("rgb", "depth", "classSegmentation"):
+        (variant / "frames" / kind / "Camera_0").mkdir(parents=True)
+    (variant / "colors.txt").write_text("Category r g b\nRoad 100 60 100\nCar 0 9 9\n")
+    (variant / "intrinsic.txt").write_text("frame cam a b c d\n0 0 90 90 48 30\n1 0 90 90 48 30\n")
+    for index in range(2):
+        label = np.full((64, 96, 3), (100, 60, 100), np.uint8)
+        label[:, :40] = (9, 9, 0)
+        depth = rng.integers(400, 8000, (64, 96)).astype(np.uint16)
+        depth[:10] = 65535
+        image = rng.integers(0, 255, (64, 96, 3), dtype=np.uint8)
+        frames = variant / "frames"
+        cv2.imwrite(str(frames / "rgb" / "Camera_0" / f"rgb_{index:05d}.jpg"), image)
+        cv2.imwrite(str(frames / "depth" / "Camera_0" / f"depth_{index:05d}.png"), depth)
+        classes = frames / "classSegmentation" / "Camera_0" / f"classgt_{index:05d}.png"
+        cv2.imwrite(str(classes), label)
+    for name, pixels in (("val", image), ("valannot", np.full((64, 96), 3, np.uint8))):
+        (root / "camvid" / name).mkdir(parents=True)
+        cv2.imwrite(str(root / "camvid" / name / "a.png"), pixels)
+    save_checkpoint(root / "lite.pt", create_model("ssdnet-lite").eval())
+    export_checkpoint(root / "lite.pt", root / "lite.onnx", size=(64, 96))
+    return root
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, tmp_path):
+    out, plot = tmp_path / "rows.json", tmp_path / "plot.png"
+    result = run(
+        folder / "lite.pt",
+        folder / "lite.onnx",
+        *("--data", f"rendered:{folder}/scenes", "--data", f"camvid:{folder}/camvid,split=val"),
+        *("--lidar", "64,random:0.05,none", "--faults", "nan,dropout", "--baselines"),
+        *("--json", out, "--plot", plot),
+    )
+    assert result.exit_code == 0, result.output
+    rows = json.loads(out.read_text())
+    assert len(rows) == 4 * 2 * 3 * 3  # models and baselines, sets, LiDARs, faults
+    by_key = {(r["model"], r["data"], r["lidar"], r["fault"]): r for r in rows}
+    for (model, data, lidar, fault), row in by_key.items():
+        if model == "lite.pt":
+            twin = by_key["lite.onnx", data, lidar, fault]
+            assert row["engine"] == "torch on cpu"
+            assert twin["engine"] == "onnxruntime on cpu"
+            assert row["figures"].keys() == twin["figures"].keys()
+            for name, value in row["figures"].items():
+                if value is not None:
+                    assert twin["figures"][name] == pytest.approx(value, rel=1e-3, abs=2e-3), name
+    figures = by_key["lite.pt", "scenes", "64", "none"]["figures"]
+    wanted = {"miou", "fwiou", "category_miou", "iou_car", "mae_m", "mae_m_0_20", "rmse_m_0_50"}
+    assert wanted | {"imae_per_km", "boundary_f", "boundary_recall"} <= figures.keys()
+    nearest = [by_key["nearest filling", "scenes", lidar, "none"] for lidar in ("64", "none")]
+    assert nearest[0]["figures"]["mae_m"] < nearest[1]["figures"]["mae_m"]
+    assert "mae_m" not in by_key["lite.pt", "camvid", "64", "none"]["figures"]
+    assert [row["frames"] for row in rows if row["data"] == "camvid"] == [1] * 36
+    assert cv2.imread(str(plot)).shape[0] > 200
+    assert "| lite.onnx" in result.output
+
+
+def test_limit_takes_so_many_frames(folder, tmp_path):
+    out = tmp_path / "rows.json"
+    data = f"rendered:{folder}/scenes"
+    assert run(folder / "lite.pt", "--data", data, "--limit", 1, "--json", out).exit_code == 0
+    assert [row["frames"] for row in json.loads(out.read_text())] == [1]
+
+
+def test_errors_say_what_to_do(folder, tmp_path):
+    data = f"rendered:{folder}/scenes"
+    for arguments, text in (
+        ([folder / "lite.pt", "--data", "camvid"], "KIND:FOLDER"),
+        ([folder / "lite.pt", "--data", f"lyft:{folder}"], "choose one of"),
+        ([folder / "lite.pt", "--data", f"rendered:{folder}/nothing"], "no folder"),
+        ([folder / "lite.pt", "--data", f"{data},split=val"], "means nothing to a set"),
+        ([folder / "lite.pt", "--data", data, "--lidar", "5"], "divides 64"),
+        ([folder / "lite.pt", "--data", data, "--faults", "rain"], "known: nan"),
+        ([tmp_path / "x.tflite", "--data", data], "expected a checkpoint"),
+        ([tmp_path / "x.pt", "--data", data], "x.pt"),
+        ([folder / "lite.pt", "--data", data, "--plot", tmp_path / "no" / "x.png"], "cannot write"),
+    ):
+        result = run(*arguments)
+        assert result.exit_code == 1, arguments
+        assert result.output.splitlines()[-1].startswith("error: ") or text in result.output
+        assert text in result.output, (text, result.output)
+
+
+def test_data_sets_are_given_as_in_a_recipe():
+    assert parse_source("cityscapes:/a:b,split=val,size=[512,1024]") == SourceRecipe(
+        "cityscapes", "/a:b", split="val", size=(512, 1024)
+    )
+    assert parse_source("kitti_stream:x,first=50,last=59") == SourceRecipe(
+        "kitti_stream", "x", first=50, last=59
+    )
+    with pytest.raises(InputError, match=r"first = 'a'.*expected int"):
+        parse_source("kitti_stream:x,first=a")
+
+
+def test_classes_of_no_table_cannot_be_scored():
+    model = ScoredModel(
+        lambda rgb, depth: None, create_model("ssdnet", num_classes=3).config.classes, ""
+    )
+    with pytest.raises(InputError, match="none of the tables"):
+        _ = model.class_table
+
+
+def test_table_leaves_out_what_no_row_has():
+    rows = [Row("a", "torch on cpu", "x", "64", "none", 3, {"miou": 0.5, "mae_m": 1.25})]
+    header, line, row = format_table(rows).splitlines()
+    assert "mIoU %" in header
+    assert "boundary" not in header
+    assert set(line) == {"|", "-"}
+    assert [cell.strip() for cell in row.split("|")[1:-1]] == [
+        *("a", "torch on cpu", "x", "3", "64", "none", "50.000", "1.250")
+    ]

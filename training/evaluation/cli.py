@@ -1,0 +1,122 @@
+"""`ssdnet-eval`: the metrics of Table 1 for checkpoints and exported files, a row each."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from runtime.errors import InputError, SSDNetError
+
+if TYPE_CHECKING:
+    from training.evaluation.report import Row
+    from training.recipe import SourceRecipe
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+_FAULTS = ("nan", "shift", "dropout")
+
+
+@app.command()
+def evaluate(
+    models: Annotated[
+        list[Path], typer.Argument(help="Checkpoints (*.pt) and exported models (*.onnx).")
+    ],
+    data: Annotated[
+        list[str],
+        typer.Option(
+            help="KIND:FOLDER[,KEY=VALUE...], a data set as in a recipe, for example "
+            "cityscapes:/data/cityscapes,split=val,size=[512,1024]; may be repeated."
+        ),
+    ],
+    lidar: Annotated[
+        str,
+        typer.Option(help="Of own,64,32,16,8,4,2,1,random:SHARE,none; comma-separated."),
+    ] = "own",
+    faults: Annotated[
+        str, typer.Option(help="Also with the LiDAR damaged: nan,shift,dropout.")
+    ] = "",
+    baselines: Annotated[
+        bool, typer.Option(help="Also score nearest filling and IP-Basic, which need no model.")
+    ] = False,
+    device: Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")] = "cpu",
+    threads: Annotated[int, typer.Option(min=1, help="Threads of the processor.")] = 2,
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="Frames of each set, evenly spread.")
+    ] = None,
+    json: Annotated[Path | None, typer.Option(help="Write every figure here.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw accuracy against the LiDAR here (PNG).")
+    ] = None,
+) -> None:
+    """Score models on data sets; prints a table."""
+    try:
+        # Heavy imports here, so that --help answers at once.
+        from training.evaluation.evaluate import evaluate as run
+        from training.evaluation.lidar_input import LidarInput
+        from training.evaluation.report import draw_lidar_quality, format_table, write_json
+
+        rows: list[Row] = run(
+            models,
+            [parse_source(text) for text in data],
+            lidars=[LidarInput.parse(text.strip()) for text in lidar.split(",")],
+            faults=["none", *_parse_faults(faults)],
+            with_baselines=baselines,
+            device=device,
+            threads=threads,
+            limit=limit,
+        )
+        typer.echo(format_table(rows))
+        if json is not None:
+            write_json(rows, json)
+        if plot is not None:
+            draw_lidar_quality(rows, plot)
+    except ImportError as error:
+        typer.echo(f'error: {error}: evaluation needs pip install "ssdnet[cpu,train]"', err=True)
+        raise typer.Exit(1) from error
+    except SSDNetError as error:
+        typer.echo(f"error: {error}", err=True)
+        raise typer.Exit(1) from error
+
+
+def parse_source(text: str) -> "SourceRecipe":
+    """Read KIND:FOLDER[,KEY=VALUE...]; values in TOML, text without quotes too.
+
+    Raises InputError for another form, an unknown kind or key, or a value of the wrong type.
+    """
+    from training.recipe import SourceRecipe, build
+
+    # Commas inside brackets belong to a value.
+    head, *pairs = re.split(r",(?=\w+=)", text)
+    kind, colon, folder = head.partition(":")
+    if not colon:
+        raise InputError(f"--data {text!r}; expected KIND:FOLDER[,KEY=VALUE...].")
+    table: dict[str, Any] = {"kind": kind, "path": folder}
+    for pair in pairs:
+        key, _, value = pair.partition("=")
+        try:
+            table[key] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            table[key] = value
+    try:
+        return build(SourceRecipe, table)
+    except (InputError, ValueError) as error:
+        raise InputError(f"--data {text!r}: {error}") from error
+
+
+def _parse_faults(text: str) -> list[Any]:
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    unknown = [name for name in names if name not in _FAULTS]
+    if unknown:
+        raise InputError(f"--faults {unknown[0]!r}; known: {', '.join(_FAULTS)}.")
+    return names
+
+
+def main() -> None:
+    """Entry point of the installed command."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,122 @@
+"""Every model on every set with every LiDAR and fault."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from models import CLASS_TABLES
+from runtime.contract import ClassInfo
+from runtime.errors import InputError
+from training.datasets.sample import SampleSource
+from training.evaluation.baselines import ip_basic, nearest_fill
+from training.evaluation.lidar_input import Fault, LidarInput, add_fault
+from training.evaluation.model_file import ScoredModel, open_model
+from training.evaluation.report import Row
+from training.evaluation.scoring import Answer, LidarSplit, score
+from training.recipe import SourceRecipe
+from training.sources import open_source
+
+Fill = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+
+
+def evaluate(
+    models: Sequence[Path],
+    data: Sequence[SourceRecipe],
+    *,
+    lidars: Sequence[LidarInput],
+    faults: Sequence[Fault],
+    with_baselines: bool = False,
+    device: str = "cpu",
+    threads: int = 2,
+    limit: int | None = None,
+) -> list[Row]:
+    """Score models and, if asked for, baselines without one.
+
+    ``data`` are sets whose paths stand by themselves. What a LiDAR stands for on each kind of set
+    says `LidarInput.split`; a set that cannot give one has no row with it. Every model gets the
+    same inputs, whatever else is asked for. ``limit`` takes that many frames of a set, evenly
+    spread.
+
+    Raises DatasetError, InputError, CheckpointError, ContractError and ProviderError for what
+    cannot be opened, InputError if nothing could be scored.
+    """
+    rows: list[Row] = []
+    with ExitStack() as stack:
+        opened = {
+            path: stack.enter_context(open_model(path, device=device, threads=threads))
+            for path in models
+        }
+        for recipe in data:
+            for path, model in opened.items():
+                source = open_source(recipe, [Path()], classes=model.class_table)
+                rows += _score_all(path.name, model, recipe, source, lidars, faults, limit)
+            if with_baselines:
+                source = open_source(recipe, [Path()], classes="camvid")
+                for name, fill in (("nearest filling", nearest_fill), ("IP-Basic", ip_basic)):
+                    rows += _score_all(name, _baseline(fill), recipe, source, lidars, faults, limit)
+    if not rows:
+        raise InputError(
+            "nothing could be scored: none of the LiDARs asked for can be had from these sets. "
+            "Ask for --lidar own."
+        )
+    return rows
+
+
+def _score_all(
+    name: str,
+    model: ScoredModel,
+    recipe: SourceRecipe,
+    source: SampleSource,
+    lidars: Sequence[LidarInput],
+    faults: Sequence[Fault],
+    limit: int | None,
+) -> list[Row]:
+    count = len(source) if limit is None else min(limit, len(source))
+    indices = np.unique(np.linspace(0, len(source) - 1, count).round().astype(int))
+    rows = []
+    for lidar in lidars:
+        for fault in faults:
+            bar = tqdm(indices, desc=f"{name} {recipe.name} {lidar} {fault}", disable=None)
+            seen = _Counted(_frames(source, bar, lidar, fault))
+            scores = score(model.predict, seen, num_classes=len(model.classes))
+            if seen.count:
+                figures = scores.figures([info.name for info in model.classes])
+                data = Path(recipe.path).name or recipe.kind
+                rows.append(Row(name, model.engine, data, str(lidar), fault, seen.count, figures))
+    return rows
+
+
+def _frames(
+    source: SampleSource, indices: "tqdm[int]", lidar: LidarInput, fault: Fault
+) -> Iterator[LidarSplit]:
+    for index in indices:
+        # A frame's own stream of random numbers: the same for every model, whatever the limit.
+        rng = np.random.default_rng([0, int(index)])
+        frame = lidar.split(source[int(index)], rng)
+        if frame is not None:
+            yield frame._replace(fed=add_fault(frame.fed, fault, rng))
+
+
+class _Counted:
+    """Iterate and count."""
+
+    def __init__(self, frames: Iterator[LidarSplit]) -> None:
+        self._frames = frames
+        self.count = 0
+
+    def __iter__(self) -> Iterator[LidarSplit]:
+        for frame in self._frames:
+            self.count += 1
+            yield frame
+
+
+def _baseline(fill: Fill) -> ScoredModel:
+    def predict(rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32]) -> Answer:
+        return Answer(None, fill(sparse_depth), None)
+
+    classes: tuple[ClassInfo, ...] = CLASS_TABLES["camvid"]
+    return ScoredModel(predict, classes, "no network")

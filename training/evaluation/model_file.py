@@ -1,0 +1,79 @@
+"""A checkpoint or an exported file as something that can be scored."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from models import CLASS_TABLES, load_checkpoint
+from runtime.contract import ClassInfo
+from runtime.errors import InputError, SSDNetError
+from runtime.predictor import Predictor
+from training.evaluation.scoring import Answer, Predict, torch_predict
+
+
+@dataclass(frozen=True)
+class ScoredModel:
+    """A model file ready to predict, and what it says about itself."""
+
+    predict: Predict
+    classes: tuple[ClassInfo, ...]
+    #: How it runs: "torch on cpu", "onnxruntime on cpu".
+    engine: str
+
+    @property
+    def class_table(self) -> str:
+        """Name in `models.CLASS_TABLES` of its classes; any for a network without classes.
+
+        Raises InputError for classes that no table has.
+        """
+        if not self.classes:
+            return "camvid"
+        for name, table in CLASS_TABLES.items():
+            if table == self.classes:
+                return name
+        raise InputError(
+            f"the model's {len(self.classes)} classes are none of the tables "
+            f"{', '.join(CLASS_TABLES)}, so no data set's labels can be told in them."
+        )
+
+
+@contextmanager
+def open_model(path: Path, *, device: str = "cpu", threads: int = 2) -> Iterator[ScoredModel]:
+    """Open ``*.pt`` through PyTorch, ``*.onnx`` through the engine that ships.
+
+    Raises InputError for another kind of file, CheckpointError, ContractError and ProviderError for
+    what cannot be opened.
+    """
+    if path.suffix == ".pt":
+        torch.set_num_threads(threads)
+        network = load_checkpoint(path).model
+        try:
+            network = network.to(device)
+        except (RuntimeError, AssertionError) as error:
+            raise InputError(f"device {device!r} cannot be had: {error}.") from error
+        yield ScoredModel(torch_predict(network), network.config.classes, f"torch on {device}")
+    elif path.suffix == ".onnx":
+        provider = "cuda" if device.startswith("cuda") else "cpu"
+        with Predictor(path, provider=provider, threads=threads) as predictor:
+            yield ScoredModel(
+                engine_predict(predictor), predictor.contract.classes, f"onnxruntime on {provider}"
+            )
+    else:
+        raise InputError(f"{path}: expected a checkpoint (*.pt) or an exported model (*.onnx).")
+
+
+def engine_predict(predictor: Predictor) -> Predict:
+    """Return the engine as a predictor; an answer that it calls invalid is an error."""
+
+    def predict(rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32]) -> Answer:
+        prediction = predictor.predict(rgb, sparse_depth)
+        if not prediction.valid:
+            raise SSDNetError(f"the model's answer is invalid: {', '.join(prediction.degraded)}.")
+        return Answer(prediction.semantic, prediction.depth, prediction.boundary)
+
+    return predict

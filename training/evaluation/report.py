@@ -1,0 +1,117 @@
+"""Evaluation rows as a table for people, JSON for programs and a plot for the eye."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from runtime.errors import OutputError
+from runtime.writer import write_whole
+
+#: What the table shows, in this order, where a row has it: key, title, factor.
+_COLUMNS = (
+    ("miou", "mIoU %", 100.0),
+    ("category_miou", "mIoU cat %", 100.0),
+    ("accuracy", "Acc %", 100.0),
+    ("mean_accuracy", "mAcc %", 100.0),
+    ("fwiou", "fwIoU %", 100.0),
+    ("mae_m_0_20", "MAE 0-20 m [m]", 1.0),
+    ("mae_m_0_50", "0-50", 1.0),
+    ("mae_m", "0-100", 1.0),
+    ("rmse_m_0_20", "RMSE 0-20 m [m]", 1.0),
+    ("rmse_m_0_50", "0-50", 1.0),
+    ("rmse_m", "0-100", 1.0),
+    ("imae_per_km", "iMAE [1/km]", 1.0),
+    ("irmse_per_km", "iRMSE [1/km]", 1.0),
+    ("mae_px", "disparity MAE [px]", 1.0),
+    ("rmse_px", "RMSE [px]", 1.0),
+    ("boundary_precision", "boundary P %", 100.0),
+    ("boundary_recall", "R %", 100.0),
+    ("boundary_f", "F %", 100.0),
+)
+_PLOTTED = (("miou", "mIoU [%]", 100.0), ("mae_m", "MAE [m]", 1.0), ("rmse_m", "RMSE [m]", 1.0))
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one model scored on one set with one LiDAR and one fault; figures in SI and shares."""
+
+    model: str
+    engine: str
+    data: str
+    lidar: str
+    fault: str
+    frames: int
+    figures: dict[str, float]
+
+
+def format_table(rows: Sequence[Row]) -> str:
+    """Lay rows out as a Markdown table; columns that no row has are left out."""
+    columns = [column for column in _COLUMNS if any(column[0] in row.figures for row in rows)]
+    titles = ["model", "engine", "data", "frames", "LiDAR", "fault"]
+    cells = [[*titles, *(title for _, title, _ in columns)]]
+    for row in rows:
+        values = [
+            f"{row.figures[key] * factor:.3f}" if key in row.figures else ""
+            for key, _, factor in columns
+        ]
+        words = [row.model, row.engine, row.data, str(row.frames), row.lidar, row.fault]
+        cells.append([*words, *values])
+    widths = [max(len(line[index]) for line in cells) for index in range(len(cells[0]))]
+    lines = [
+        "| "
+        + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+        + " |"
+        for line in cells
+    ]
+    lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
+    return "\n".join(lines)
+
+
+def write_json(rows: Sequence[Row], path: Path) -> None:
+    """Write every figure of every row. Raises OutputError."""
+    # NaN is no JSON: a figure that nothing was measured for is null.
+    documents = []
+    for row in rows:
+        figures = {key: value if value == value else None for key, value in row.figures.items()}
+        documents.append({**asdict(row), "figures": figures})
+    write_whole(path, json.dumps(documents, indent=2, allow_nan=False).encode())
+
+
+def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:
+    """Draw accuracy against the LiDAR, a line a model, set and fault; PNG. Raises OutputError."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plotted = [item for item in _PLOTTED if any(item[0] in row.figures for row in rows)]
+    lidars = list(dict.fromkeys(row.lidar for row in rows))
+    lines = list(dict.fromkeys((row.model, row.engine, row.data, row.fault) for row in rows))
+    figure, panels = plt.subplots(
+        1, max(1, len(plotted)), figsize=(5 * max(1, len(plotted)), 4), squeeze=False
+    )
+    for panel, (key, title, factor) in zip(panels[0], plotted, strict=False):
+        for model, engine, data, fault in lines:
+            points = [
+                (lidars.index(row.lidar), row.figures[key] * factor)
+                for row in rows
+                if (row.model, row.engine, row.data, row.fault) == (model, engine, data, fault)
+                and key in row.figures
+            ]
+            label = f"{model} ({engine}), {data}" + (f", {fault}" if fault != "none" else "")
+            if points:
+                panel.plot(*zip(*points, strict=True), "o-", label=label)
+        panel.set_xticks(range(len(lidars)), lidars)
+        panel.set_xlabel("LiDAR: lines, random share, none")
+        panel.set_title(title)
+        panel.grid(alpha=0.3)
+        panel.set_ylim(bottom=0)
+    panels[0][0].legend(fontsize=7)
+    figure.tight_layout()
+    try:
+        figure.savefig(path, dpi=110)
+    except (OSError, ValueError) as error:
+        raise OutputError(f"cannot write {path} ({error}): choose another --plot") from error
+    finally:
+        plt.close(figure)
