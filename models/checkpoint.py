@@ -76,6 +76,13 @@ def save_checkpoint(
         ) from error
 
 
+def remove_unfinished(path: Path | str) -> None:
+    """Remove what was left of writing this checkpoint by a process that was killed meanwhile."""
+    path = Path(path)
+    for temporary in path.parent.glob(f".{path.name}.*"):
+        temporary.unlink()
+
+
 def load_checkpoint(path: Path | str) -> Checkpoint:
     """Read a checkpoint strictly, without running any code from it.
 

@@ -190,7 +190,7 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
     hidden behind nearer ones; dense depth stays the target as a whole. An input recorded beside
     its target stays as it is, or is thinned at random.
     """
-    if not sample.depth.any():
+    if not (sample.depth.any() or sample.recorded_input):
         return replace(sample, sparse_depth=nothing_known(sample.size))
     seen: NDArray[np.float32]
     missing = rng.random() < config.lidar_missing

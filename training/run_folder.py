@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from models import remove_unfinished
 from runtime.errors import InputError, SSDNetError
 from runtime.writer import write_whole
 from training.distributed import Processes
@@ -34,8 +35,8 @@ def claim(out: Path, resolved: Mapping[str, Any]) -> None:
                     f"{out}: holds a training with another recipe (see its recipe.json). "
                     "Choose another --out, or the recipe it was started with."
                 )
-            for unfinished in out.glob(".*.pt.*"):  # a run was killed while it wrote
-                unfinished.unlink()
+            for name in (LAST, FINAL):
+                remove_unfinished(out / name)
             return
         out.mkdir(parents=True, exist_ok=True)
         write_whole(path, text.encode())

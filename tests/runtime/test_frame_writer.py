@@ -3,8 +3,6 @@
 import dataclasses
 import errno
 import os
-import shutil
-import subprocess
 from pathlib import Path
 
 import cv2
@@ -174,19 +172,8 @@ def test_a_frame_that_fails_half_way_leaves_none_of_its_files(
     assert files_in(tmp_path) == before
 
 
-@pytest.fixture
-def tiny_disk(tmp_path):
-    """A real file system of 64 kB."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(disk)]
-    if shutil.which("mount") is None or subprocess.run(command, capture_output=True).returncode:
-        pytest.skip("mounting a small file system is not permitted here")
-    yield disk
-    subprocess.run(["umount", str(disk)], check=True)
-
-
-def test_a_disk_that_is_really_full(tiny_disk, contract, answered):
+def test_a_disk_that_is_really_full(mount_disk, contract, answered):
+    tiny_disk = mount_disk(64)
     writer = FrameWriter(tiny_disk / "out", contract, kinds=KINDS)
     finished: list[str] = []
 

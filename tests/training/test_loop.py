@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -322,6 +323,23 @@ def test_a_run_stopped_early_has_nothing_to_ship(data, tmp_path):
     assert path.is_file()
     assert not (tmp_path / "run" / "model.pt").exists()
     assert train(recipe(), data=[data], out=tmp_path / "run") == tmp_path / "run" / "model.pt"
+
+
+def test_a_full_disk_leaves_the_last_good_checkpoint(data, tmp_path, mount_disk):
+    whole = weights(train(recipe(), data=[data], out=tmp_path / "whole"))
+    disk = mount_disk(4096)
+    train(recipe(), data=[data], out=disk / "run", stop_after=2)
+    filler = disk / "filler"
+    filler.write_bytes(bytes(shutil.disk_usage(disk).free - 40_000))
+    with pytest.raises(CheckpointError, match=r"could not be written.*Free some space"):
+        train(recipe(), data=[data], out=disk / "run")
+    kept = load_checkpoint(disk / "run" / "last.pt")
+    assert kept.trainer["step"] == 2
+    left = {path.name for path in (disk / "run").iterdir()}
+    assert left == {"last.pt", "recipe.json", "tensorboard"}
+    filler.unlink()
+    ended = weights(train(recipe(), data=[data], out=disk / "run"))
+    assert all(torch.equal(ended[name], value) for name, value in whole.items())
 
 
 def test_missing_data_set_names_the_folders(tmp_path):
