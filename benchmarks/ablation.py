@@ -31,11 +31,15 @@ import matplotlib.pyplot as plt
 
 ABLATION = ("ssdnet", "ssdnet-ind", "ssdnet-sem", "ssdnet-dep", "ssdnet-dep-d", "ssdnet-dep-rgb")
 READINGS = (
+    "joint-weights-01",
     "joint-weights-1",
     "hard-disagreement",
     "ungated",
     "uncertainty",
     "paper-class-weights",
+    "depth-weight-10",
+    "depth-gain",
+    "depth-gain-dep",
 )
 FIGURES = {
     "miou": "mIoU [%]",

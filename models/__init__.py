@@ -45,11 +45,13 @@ def create_model(
     num_classes: int | None = None,
     max_depth_m: float | None = None,
     boundary_gating: bool = True,
+    sparse_depth_gain: float = 1.0,
 ) -> SSDNet:
     """Build a network by name, with random weights.
 
     ``classes`` (or ``num_classes`` for numbered ones) replaces CamVid's eleven; ``max_depth_m`` is
-    the depth range in metres; without ``boundary_gating`` the decoders ignore the boundary.
+    the depth range in metres; without ``boundary_gating`` the decoders ignore the boundary;
+    ``sparse_depth_gain`` multiplies the sparse depth at the input.
     Raises ValueError for an unknown name, for both kinds of classes at once, or for classes on a
     network without a semantic head.
     """
@@ -64,4 +66,6 @@ def create_model(
         config = replace(config, classes=tuple(classes))
     if max_depth_m is not None:
         config = replace(config, max_depth_m=max_depth_m)
-    return SSDNet(replace(config, boundary_gating=boundary_gating))
+    return SSDNet(
+        replace(config, boundary_gating=boundary_gating, sparse_depth_gain=sparse_depth_gain)
+    )

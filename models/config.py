@@ -48,6 +48,9 @@ class ModelConfig:
     boundary_channels: int = 16
     #: Gate the decoders by 1 - B (Eq. 1); without it B = 0 and a BaConv is a plain convolution.
     boundary_gating: bool = True
+    #: Factor on the normalised sparse depth at the input: at 5 % of the pixels it is a twentieth
+    #: of what the normalised colours are, and is learned from late.
+    sparse_depth_gain: float = 1.0
     #: Feed the mask of measured pixels beside the sparse depth.
     valid_mask_input: bool = False
     #: Fill the sparse depth by a masked average pyramid and let the depth head refine it.
@@ -80,6 +83,10 @@ class ModelConfig:
             raise ValueError("depth_prior needs the sparse depth and a depth head")
         if self.depth_prior and not self.valid_mask_input:
             raise ValueError("depth_prior needs valid_mask_input")
+        if self.depth_prior and self.sparse_depth_gain != 1:
+            raise ValueError("depth_prior takes the sparse depth as it is: sparse_depth_gain is 1")
+        if not self.sparse_depth_gain > 0:
+            raise ValueError(f"sparse_depth_gain must be positive, got {self.sparse_depth_gain}")
         if self.depth_prior and not self.stem_channels:
             raise ValueError("depth_prior works on the grid of a strided stem")
         if not self.max_depth_m > 0:

@@ -120,7 +120,7 @@ class SSDNet(nn.Module):
         if config.use_rgb:
             inputs.append((rgb - self.rgb_mean) / self.rgb_std)
         if config.use_sparse_depth:
-            inputs.append(depth)
+            inputs.append(depth * config.sparse_depth_gain)
             if config.valid_mask_input:
                 inputs.append(valid_mask.to(depth.dtype))
         x = torch.cat(inputs, dim=1)

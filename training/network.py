@@ -26,6 +26,7 @@ def build_network(recipe: ModelRecipe, init: Path | None) -> SSDNet:
             classes=CLASS_TABLES[recipe.classes] if with_classes else None,
             max_depth_m=recipe.max_depth_m,
             boundary_gating=recipe.boundary_gating,
+            sparse_depth_gain=recipe.sparse_depth_gain,
         )
     except ValueError as error:
         raise InputError(f"the recipe's model cannot be built: {error}.") from error

@@ -29,6 +29,8 @@ class ModelRecipe:
     classes: Literal["camvid", "cityscapes", "virtual_kitti"] = "camvid"
     #: False = the network's decoders are not gated by the boundary.
     boundary_gating: bool = True
+    #: Factor on the sparse depth at the network's input.
+    sparse_depth_gain: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -216,3 +216,30 @@ def test_create_model_names_what_it_knows():
     assert create_model("ssdnet-lite", num_classes=19).semantic_head.out_channels == 19
     with pytest.raises(ValueError, match="exactly when"):
         create_model("ssdnet-dep", num_classes=3)
+
+
+@pytest.mark.parametrize("name", ["ssdnet", "ssdnet-small", "ssdnet-lite"])
+@pytest.mark.parametrize("gating", [True, False])
+def test_only_gated_decoders_heed_the_boundary(name, gating):
+    model = SSDNet(small(name, boundary_gating=gating)).eval()
+    inputs = frame(64, 96)
+    free = model(*inputs)
+    for side in model.boundary_decoder.sides:
+        side[1].bias.data.add_(3.0)
+    bound = model(*inputs)
+    assert not torch.equal(free.boundary_logits, bound.boundary_logits)
+    assert torch.equal(free.semantic_logits, bound.semantic_logits) != gating
+    assert torch.equal(free.depths[0], bound.depths[0]) != gating
+
+
+def test_depth_gain_multiplies_the_sparse_depth_alone():
+    plain, strong = (SSDNet(small("ssdnet-small", sparse_depth_gain=g)).eval() for g in (1.0, 20.0))
+    strong.load_state_dict(plain.state_dict())
+    rgb, depth = frame(64, 96)
+    assert torch.equal(plain(rgb, depth * 0).depths[0], strong(rgb, depth * 0).depths[0])
+    answer = strong(rgb, depth).depths[0]
+    assert not torch.equal(plain(rgb, depth).depths[0], answer)
+    plain.stem[0][0].weight.data[:, 3] *= 20.0  # the depth is the fourth channel
+    torch.testing.assert_close(plain(rgb, depth).depths[0], answer)
+    with pytest.raises(ValueError, match="sparse_depth_gain is 1"):
+        small("ssdnet-lite", sparse_depth_gain=2.0)
