@@ -5,7 +5,7 @@
 
 `DIR` holds the rendered scenes `train` and `test`. Rows are recipes of training/recipes/ablation.
 Runs that are finished are not repeated, so more seeds or rows can be added; one that was stopped
-goes on. Every row is scored on all of `test` with 5 % of the depth, drawn once for all rows.
+goes on. For other settings give another `RUNS`. Every row is scored on all of `test` with 5 % of the depth, drawn once for all rows.
 """
 
 import argparse
@@ -20,6 +20,7 @@ import numpy as np
 import torch
 
 from models import load_checkpoint
+from runtime.writer import write_whole
 from training.evaluation.lidar_input import LidarInput
 from training.evaluation.scoring import score, torch_predict
 from training.loop import train
@@ -55,7 +56,7 @@ _INPUT = LidarInput("random", share=0.05)
 
 
 def main() -> None:
-    """Train what is missing, seed by seed, and print the table after each."""
+    """Train what is missing, seed by seed, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--runs", type=Path, required=True, help="folder for the run folders")
@@ -74,13 +75,14 @@ def main() -> None:
         for row in arguments.rows:
             figures = run(row, seed, arguments)
             results[row].append(figures)
-            print(row, seed, {key: round(value, 4) for key, value in figures.items()}, flush=True)
-    table = markdown(results)
-    print(f"\n{table}")
-    if arguments.markdown:
-        arguments.markdown.write_text(table, encoding="utf-8")
-    if arguments.plot:
-        draw(results, arguments.plot)
+            shown = {key: round(figures[key], 4) for key in FIGURES if key in figures}
+            print(row, seed, shown, flush=True)
+            # After each: whoever stops it has what there is.
+            if arguments.markdown:
+                arguments.markdown.write_text(markdown(results), encoding="utf-8")
+            if arguments.plot:
+                draw(results, arguments.plot)
+    print(f"\n{markdown(results)}")
 
 
 def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
@@ -104,7 +106,7 @@ def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
         num_classes=network.config.num_classes,
     )
     figures = counted.figures([info.name for info in network.config.classes])
-    scores.write_text(json.dumps(figures, indent=2))
+    write_whole(scores, json.dumps(figures, indent=2).encode())
     return figures
 
 

@@ -19,7 +19,9 @@ from tqdm import tqdm
 from runtime import Predictor
 from training.datasets.sample import SampleSource
 from training.evaluation.baselines import ip_basic, nearest_fill
-from training.evaluation.scoring import Answer, LidarSplit, Predict, Scores, score, split_lidar
+from training.evaluation.lidar_input import LidarSplit, split_lidar
+from training.evaluation.model_file import engine_predict
+from training.evaluation.scoring import Answer, Predict, Scores, score
 from training.recipe import SourceRecipe
 from training.sources import open_source
 
@@ -63,16 +65,6 @@ def frames(source: SampleSource, title: str) -> Iterator[LidarSplit]:
     """Yield every frame with the depth to feed and to score."""
     for index in tqdm(range(len(source)), desc=title, disable=None):
         yield split_lidar(source[index])
-
-
-def engine_predict(predictor: Predictor) -> Predict:
-    """Return the engine as a predictor."""
-
-    def predict(rgb: np.ndarray, sparse_depth: np.ndarray) -> Answer:
-        prediction = predictor.predict(rgb, sparse_depth)
-        return Answer(prediction.semantic, prediction.depth, prediction.boundary)
-
-    return predict
 
 
 def fill_predict(fill: Callable[[np.ndarray], np.ndarray]) -> Predict:

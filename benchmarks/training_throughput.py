@@ -3,8 +3,8 @@
     python benchmarks/training_throughput.py RECIPE.toml --data DIR [--set 'model.name = "ssdnet"']
         [--device cpu] [--seconds 40] [--workers 1 2] [--processes 1 2]
 
-The loader is run alone (after one batch a worker to warm up), the step alone (on batches that are
-already there), then the loop as it is, whose waiting for the next batch is timed. Each figure is
+The loader is run alone (after some batches to warm up), the step alone (forward, loss, backward and
+update on batches that are already there), then the loop as it is, whose waiting for the next batch is timed. Each figure is
 images over seconds of one stretch of `--seconds`; on a shared machine compare figures of one run.
 With two processes each computes on half of the threads.
 """
@@ -147,12 +147,14 @@ def run_processes(arguments: argparse.Namespace, count: int) -> dict[str, float]
             **os.environ,
             "OMP_NUM_THREADS": str(max(1, arguments.threads // count)),
         }
-        subprocess.run(
+        done = subprocess.run(
             [*command, __file__, *sys.argv[1:], "--child", str(result)],
-            check=True,
             env=environment,
-            stderr=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
         )
+        if done.returncode:
+            sys.exit(done.stderr[-3000:])
         return json.loads(result.read_text())
 
 

@@ -43,6 +43,28 @@ class AugmentConfig:
     #: Scan-line counts to choose from; a recorded scan keeps every 64/n-th line.
     lines: tuple[int, ...] = (64, 32, 16)
 
+    def __post_init__(self) -> None:
+        """Refuse what cannot be drawn, with a ValueError that names the key."""
+        require_range("augment.scale", self.scale)
+        for key in ("random_share", "recorded_share"):
+            require_range(f"augment.{key}", getattr(self, key), at_most=1.0)
+        for key in ("flip", "gray", "blur", "noise", "lidar_missing", "lidar_random"):
+            if not 0 <= getattr(self, key) <= 1:
+                raise ValueError(f"augment.{key} = {getattr(self, key)}; it must be 0..1")
+        for key in ("brightness", "contrast", "saturation", "hue_deg"):
+            if not 0 <= getattr(self, key) < np.inf:
+                raise ValueError(f"augment.{key} = {getattr(self, key)}; it must not be negative")
+        if not self.lines or any(count < 1 or 64 % count for count in self.lines):
+            raise ValueError(f"augment.lines = {list(self.lines)}; each must divide 64")
+
+
+def require_range(key: str, limits: tuple[float, float], *, at_most: float = np.inf) -> None:
+    """Raise a ValueError that names the key unless limits are positive and in order."""
+    low, high = limits
+    if not (0 < low <= high <= at_most and high < np.inf):
+        end = "" if at_most == np.inf else f" and at most {at_most:g}"
+        raise ValueError(f"{key} = {list(limits)}; expected low <= high, above 0{end}")
+
 
 def augment(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
     """Return a changed sample of size ``config.crop``, a pure function of its arguments."""

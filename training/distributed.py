@@ -14,7 +14,6 @@ from typing import Any, TypeVar
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
-from torch.distributed.nn.functional import all_reduce
 from torch.nn.parallel import DistributedDataParallel
 
 from runtime.errors import InputError
@@ -92,11 +91,27 @@ def sum_over_processes(x: Tensor) -> Tensor:
     """Sum a tensor over all processes, differentiably; itself where there is one process."""
     if not (dist.is_available() and dist.is_initialized()):
         return x
-    total: Tensor = all_reduce(x)  # type: ignore[no-untyped-call]
+    total: Tensor = _SumOverProcesses.apply(x)  # type: ignore[no-untyped-call]
     return total
 
 
-def share_gradients(network: nn.Module, processes: Processes, *, synced_buffers: bool) -> nn.Module:
+class _SumOverProcesses(torch.autograd.Function):
+    """Every process gets the sum, so the gradient of each is the sum of all of theirs."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        total = x.clone()
+        dist.all_reduce(total)
+        return total
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
+        total = gradients[0].clone()
+        dist.all_reduce(total)
+        return total
+
+
+def share_gradients(network: nn.Module, processes: Processes) -> nn.Module:
     """Wrap a network so that its gradients are averaged over the processes."""
     if processes.count == 1:
         return network
@@ -104,25 +119,27 @@ def share_gradients(network: nn.Module, processes: Processes, *, synced_buffers:
     return DistributedDataParallel(
         network,
         device_ids=[processes.device.index] if cuda else None,
-        broadcast_buffers=not synced_buffers,
+        broadcast_buffers=False,  # equal already: batch statistics are over all processes
         # Heads whose losses have weight 0 get no gradient.
         find_unused_parameters=True,
     )
 
 
-def synchronise_batch_norm(network: nn.Module, processes: Processes) -> nn.Module:
-    """Normalise over the batches of all processes instead of each process's own."""
+def synchronise_batch_norm(network: nn.Module, processes: Processes) -> None:
+    """Let a network normalise over the batches of all processes, not each process's own.
+
+    In place, for networks that are not themselves a batch normalisation.
+    """
     if processes.count == 1:
-        return network
+        return
     if processes.device.type == "cuda":
-        shared: nn.Module = nn.SyncBatchNorm.convert_sync_batchnorm(network)  # type: ignore[no-untyped-call]
-        return shared
+        nn.SyncBatchNorm.convert_sync_batchnorm(network)  # type: ignore[no-untyped-call]
+        return
     for name, child in network.named_children():
         if isinstance(child, nn.BatchNorm2d):
             setattr(network, name, _SharedBatchNorm.of(child))
         else:
             synchronise_batch_norm(child, processes)
-    return network
 
 
 class _SharedBatchNorm(nn.BatchNorm2d):
@@ -131,14 +148,16 @@ class _SharedBatchNorm(nn.BatchNorm2d):
     @classmethod
     def of(cls, norm: nn.BatchNorm2d) -> "_SharedBatchNorm":
         """Take over a batch normalisation with its parameters and buffers."""
+        if norm.momentum is None or not (norm.affine and norm.track_running_stats):
+            raise ValueError("expected a batch normalisation with momentum, scale and statistics")
         shared = cls(norm.num_features, eps=norm.eps, momentum=norm.momentum)
         shared.load_state_dict(norm.state_dict())
         return shared.train(norm.training)
 
     def forward(self, x: Tensor) -> Tensor:
         """(N, C, H, W) -> same, by the mean and variance over all processes."""
-        running_mean, running_var = self.running_mean, self.running_var
-        if not self.training or running_mean is None or running_var is None:
+        running_mean, running_var, momentum = self.running_mean, self.running_var, self.momentum
+        if not self.training or running_mean is None or running_var is None or momentum is None:
             return super().forward(x)
         values = x.float()
         over = (0, 2, 3)
@@ -150,7 +169,6 @@ class _SharedBatchNorm(nn.BatchNorm2d):
         centred = values - mean[:, None, None]
         variance = sum_over_processes(centred.square().sum(over)) / total
         with torch.no_grad():
-            momentum = 0.1 if self.momentum is None else self.momentum
             running_mean.lerp_(mean, momentum)
             running_var.lerp_(variance * total / (total - 1).clamp(min=1), momentum)
             if self.num_batches_tracked is not None:

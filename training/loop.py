@@ -2,7 +2,7 @@
 
 import random
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from models import SSDNet, SSDNetOutput, load_checkpoint, save_checkpoint
-from runtime.errors import CheckpointError
+from runtime.errors import CheckpointError, DatasetError, InputError
 from training.datasets.sample import SampleSource
 from training.distributed import (
     Processes,
@@ -31,7 +31,15 @@ from training.losses import SSDNetLoss, class_weights
 from training.network import adjust_logits, build_network
 from training.optimizer import build_optimizer, exponential_average, learning_rate
 from training.recipe import LoopRecipe, Recipe
-from training.run_folder import FINAL, LAST, TENSORBOARD, claim, require_finite
+from training.run_folder import (
+    FINAL,
+    LAST,
+    TENSORBOARD,
+    claim,
+    name_weights,
+    require_finite,
+    to_text,
+)
 from training.sources import count_pixels, open_mixture, open_source
 
 #: (rgb, sparse_depth) -> what the network says.
@@ -73,7 +81,7 @@ def _train(
     device = processes.device
     resolved = {
         "recipe": asdict(recipe),
-        "init": None if init is None else init.name,
+        "init": None if init is None else name_weights(init),
         "processes": processes.count,
     }
     # OpenCV's thread pool does not survive the fork of the loader's workers: they would hang.
@@ -89,17 +97,15 @@ def _train(
     }
     network = build_network(recipe.model, init)
     weights = None
-    if network.config.semantic_head:
-        counts = count_pixels(recipe.data, sources, network.config.num_classes)
-        weights = class_weights(torch.from_numpy(counts), recipe.loss.class_weighting)
+    if network.config.semantic_head and recipe.loss.weighs_classes:
+        weights = _weigh_classes(recipe, sources, network.config.num_classes)
     if processes.is_first:
         claim(out, resolved)  # only now: what cannot start leaves no folder behind
     processes.wait()
     network = network.to(device)
     if recipe.loop.channels_last:
         network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    if recipe.loop.sync_batch_norm:
-        synchronise_batch_norm(network, processes)
+    synchronise_batch_norm(network, processes)
     criterion = SSDNetLoss(recipe.loss, weights, max_depth_m=network.config.max_depth_m).to(device)
     optimizer = build_optimizer(recipe.optimizer, network, criterion)
     scaler = torch.amp.GradScaler(device.type, enabled=recipe.loop.autocast == "fp16")
@@ -108,8 +114,15 @@ def _train(
         network, multi_avg_fn=exponential_average(recipe.loop.ema_decay), use_buffers=True
     )
     averaged: SSDNet = average.module  # type: ignore[assignment]
-    step = _resume(out / LAST, network, average, optimizer, scaler, criterion)
-    shared = share_gradients(network, processes, synced_buffers=recipe.loop.sync_batch_norm)
+    step = _resume(out / LAST, resolved, network, average, optimizer, scaler, criterion)
+    if len(set(processes.gather(step))) > 1:
+        raise InputError(
+            f"{out}: the processes do not find the same checkpoint in it. Give an --out that all "
+            "machines share."
+        )
+    if step == recipe.schedule.steps and (out / FINAL).is_file():
+        return out / FINAL
+    shared = share_gradients(network, processes)
     forward: Forward = torch.compile(shared) if recipe.loop.compile else shared
 
     steps, batch, parts = recipe.schedule.steps, recipe.data.batch_size, recipe.loop.accumulate
@@ -160,16 +173,25 @@ def _train(
                 group["lr"] = rate
             optimizer.zero_grad(set_to_none=True)
             sums: dict[str, Tensor] = {}
+            names: list[str] = []
             for _ in range(parts):
-                samples = next(batches)
+                samples = _next_batch(batches)
+                names += samples["name"]
                 terms = _compute_loss(forward, criterion, samples, recipe.loop, device)
-                require_finite(terms, step, samples["name"], out, processes)
+                require_finite(terms, terms["total"], step, names, out, processes)
                 scaler.scale(terms["total"] / parts).backward()  # type: ignore[no-untyped-call]
                 for name, term in terms.items():
                     sums[name] = sums.get(name, 0.0) + term.detach() / parts
+            scaler.unscale_(optimizer)
+            norm = torch.nn.utils.get_total_norm(
+                [p.grad for p in network.parameters() if p.grad is not None]
+            )
+            if not scaler.is_enabled():  # it leaves out a step that overflows by itself
+                require_finite(sums, norm, step, names, out, processes)
             if recipe.loop.clip_norm:
-                scaler.unscale_(optimizer)
-                torch.nn.utils.clip_grad_norm_(network.parameters(), recipe.loop.clip_norm)
+                torch.nn.utils.clip_grads_with_norm_(
+                    network.parameters(), recipe.loop.clip_norm, norm
+                )
             scaler.step(optimizer)
             scaler.update()
             average.update_parameters(network)
@@ -189,11 +211,12 @@ def _train(
                     step,
                 )
                 progress.set_postfix(loss=f"{sums['total'].item():.3f}")
-            if step % recipe.loop.checkpoint_every == 0:
-                save_last()
+            # Before the checkpoint: a run killed meanwhile comes here again.
             if validation and (step % recipe.validation.every == 0 or step == steps):
                 _validate(averaged, validation, recipe, processes, board, step)
                 network.train()
+            if step % recipe.loop.checkpoint_every == 0:
+                save_last()
     save_last()
     if step == steps and processes.is_first:
         share = recipe.loop.logit_adjustment
@@ -211,7 +234,9 @@ class _Board:
     """TensorBoard, or nothing in the processes that do not write."""
 
     def __init__(self, folder: Path | None, step: int) -> None:
-        self._writer = None if folder is None else SummaryWriter(str(folder), purge_step=step)
+        # What an interrupted run wrote of later steps goes; that of `step` itself stays.
+        purge = step + 1 if step else None
+        self._writer = None if folder is None else SummaryWriter(str(folder), purge_step=purge)
 
     def __enter__(self) -> "_Board":
         return self
@@ -279,8 +304,29 @@ def _compute_loss(
     return terms
 
 
+def _weigh_classes(recipe: Recipe, sources: Sequence[SampleSource], num_classes: int) -> Tensor:
+    counts = count_pixels(recipe.data, sources, num_classes)
+    if not counts.any():
+        raise InputError(
+            f"no pixel of {', '.join(item.name for item in recipe.data.source)} is labelled, so "
+            "there are no class frequencies. Set loss.class_weighting = 'none', take a network "
+            "without semantic head, or add a labelled set."
+        )
+    return class_weights(torch.from_numpy(counts), recipe.loss.class_weighting)
+
+
+def _next_batch(batches: Iterator[dict[str, Any]]) -> dict[str, Any]:
+    """The loader's next batch; what a worker says of a damaged file, without its traceback."""
+    try:
+        return next(batches)
+    except DatasetError as error:
+        last = str(error).strip().splitlines()[-1]
+        raise DatasetError(last.removeprefix(f"{DatasetError.__module__}.DatasetError: ")) from None
+
+
 def _resume(
     path: Path,
+    resolved: Mapping[str, Any],
     network: SSDNet,
     average: AveragedModel,
     optimizer: torch.optim.Optimizer,
@@ -291,11 +337,18 @@ def _resume(
     if not path.is_file():
         return 0
     checkpoint = load_checkpoint(path)
-    if not checkpoint.trainer:
-        raise CheckpointError(f"{path}: holds no optimiser state, so it cannot be resumed.")
+    known = {key: checkpoint.training.get(key) for key in resolved}
+    if to_text(known) != to_text(resolved):
+        raise InputError(f"{path}: is of a training with another recipe. Choose another --out.")
     network.load_state_dict(checkpoint.model.state_dict())
-    average.load_state_dict(checkpoint.trainer["average"])
-    optimizer.load_state_dict(checkpoint.trainer["optimizer"])
-    scaler.load_state_dict(checkpoint.trainer["scaler"])
-    criterion.load_state_dict(checkpoint.trainer["criterion"])
-    return int(checkpoint.trainer["step"])
+    try:
+        average.load_state_dict(checkpoint.trainer["average"])
+        optimizer.load_state_dict(checkpoint.trainer["optimizer"])
+        scaler.load_state_dict(checkpoint.trainer["scaler"])
+        criterion.load_state_dict(checkpoint.trainer["criterion"])
+        return int(checkpoint.trainer["step"])
+    except (KeyError, ValueError) as error:
+        raise CheckpointError(
+            f"{path}: lacks part of the optimiser's state ({error}), so it cannot be resumed. "
+            "Start a new --out from it with --init."
+        ) from error

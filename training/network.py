@@ -4,6 +4,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+import torch
 from torch import Tensor
 from tqdm import tqdm
 
@@ -72,5 +73,6 @@ def adjust_logits(
     adjusted = dict(state_dict)
     if weights is not None and share:
         bias = adjusted["semantic_head.bias"]
-        adjusted["semantic_head.bias"] = bias - share * weights.to(bias).log()
+        logs = torch.where(weights > 0, weights, 1.0).log()  # a class without weight stays
+        adjusted["semantic_head.bias"] = bias - share * logs.to(bias)
     return adjusted

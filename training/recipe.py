@@ -1,5 +1,6 @@
 """Recipes: one TOML file says everything about a training; unknown keys are errors."""
 
+import math
 import tomllib
 import types
 from collections.abc import Mapping, Sequence
@@ -8,15 +9,16 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from runtime.errors import InputError
-from training.augment import AugmentConfig
+from training.augment import AugmentConfig, require_range
 from training.losses import LossConfig
 
 T = TypeVar("T")
 
 
-def _require(key: str, value: float, *, at_least: float) -> None:
-    if not value >= at_least:
-        raise ValueError(f"{key} = {value}; it must be at least {at_least}")
+def _require(key: str, value: float, *, at_least: float, at_most: float = math.inf) -> None:
+    if not (at_least <= value <= at_most and math.isfinite(value)):
+        limit = "" if at_most == math.inf else f" and at most {at_most}"
+        raise ValueError(f"{key} = {value}; it must be at least {at_least}{limit}")
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,10 @@ class SourceRecipe:
 
     def __post_init__(self) -> None:
         """Refuse what says nothing about this kind of set, with a ValueError that names the key."""
+        for length in self.size or ():
+            _require("data.source.size", length, at_least=32)
+        if self.scale is not None:
+            require_range("data.source.scale", self.scale)
         if not (self.path or self.kind == "rendered_on_the_fly"):
             raise ValueError(f"data.source of kind {self.kind!r} needs a path")
         for key, least in (("num_scenes", 1), ("frames_per_scene", 1), ("scene_seed", 0)):
@@ -125,7 +131,8 @@ class DataRecipe:
     #: Of each process.
     batch_size: int = 8
     workers: int = 1
-    #: Memory for decoded frames, all workers together [GiB]; 0 = each is decoded every time.
+    #: Memory for decoded frames, all workers of a process together [GiB]; 0 = each is decoded
+    #: every time.
     cache_gib: float = 0.0
     seed: int = 0
     #: Samples from which the class frequencies for the loss are counted.
@@ -135,13 +142,14 @@ class DataRecipe:
         """Refuse what cannot be drawn, with a ValueError that names the key."""
         _require("data.source", len(self.source), at_least=1)
         _require("data.batch_size", self.batch_size, at_least=1)
+        _require("data.seed", self.seed, at_least=0)
         _require("data.workers", self.workers, at_least=0)
         _require("data.cache_gib", self.cache_gib, at_least=0)
         _require("data.frequency_samples", self.frequency_samples, at_least=1)
         for size in self.augment.crop:
             _require("data.augment.crop", size, at_least=32)
         for item in self.source:
-            if not item.weight > 0:
+            if not 0 < item.weight < math.inf:
                 raise ValueError(f"data.source.weight = {item.weight}; it must be positive")
 
 
@@ -158,6 +166,7 @@ class OptimizerRecipe:
         """Refuse negative rates, with a ValueError that names the key."""
         _require("optimizer.learning_rate", self.learning_rate, at_least=0)
         _require("optimizer.weight_decay", self.weight_decay, at_least=0)
+        _require("optimizer.momentum", self.momentum, at_least=0, at_most=1)
 
 
 @dataclass(frozen=True)
@@ -173,6 +182,7 @@ class ScheduleRecipe:
         """Refuse negative lengths, with a ValueError that names the key."""
         _require("schedule.steps", self.steps, at_least=1)
         _require("schedule.warmup_steps", self.warmup_steps, at_least=0)
+        _require("schedule.final_ratio", self.final_ratio, at_least=0, at_most=1)
 
 
 @dataclass(frozen=True)
@@ -185,8 +195,6 @@ class LoopRecipe:
     channels_last: bool = True
     #: Let torch.compile make kernels of its own: minutes once, faster steps after.
     compile: bool = False
-    #: Several processes: normalise over the batches of all of them.
-    sync_batch_norm: bool = True
     #: Decay of the averaged weights that ship; 0 = no averaging.
     ema_decay: float = 0.999
     #: Largest norm of the gradient; 0 = no clipping.
@@ -205,7 +213,9 @@ class LoopRecipe:
         _require("loop.checkpoint_every", self.checkpoint_every, at_least=1)
         _require("loop.log_every", self.log_every, at_least=1)
         _require("loop.accumulate", self.accumulate, at_least=1)
-        _require("loop.ema_decay", self.ema_decay, at_least=0)
+        _require("loop.ema_decay", self.ema_decay, at_least=0, at_most=1)
+        _require("loop.clip_norm", self.clip_norm, at_least=0)
+        _require("loop.logit_adjustment", self.logit_adjustment, at_least=0, at_most=1)
 
 
 @dataclass(frozen=True)

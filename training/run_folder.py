@@ -1,5 +1,6 @@
 """The folder of a training: whose it is, and what lies in it."""
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -27,7 +28,7 @@ class NonFiniteLossError(SSDNetError):
 def claim(out: Path, resolved: Mapping[str, Any]) -> None:
     """Make ``out`` this training's folder, or say that it is another's."""
     path = out / RECIPE
-    text = json.dumps(resolved, indent=2, default=str)
+    text = to_text(resolved)
     try:
         if path.is_file():
             if path.read_text(encoding="utf-8") != text:
@@ -46,14 +47,34 @@ def claim(out: Path, resolved: Mapping[str, Any]) -> None:
         ) from error
 
 
-def require_finite(
-    terms: Mapping[str, Tensor], step: int, names: Sequence[str], out: Path, processes: Processes
-) -> None:
-    """Stop on a loss that is NaN or infinite, and save its terms and frames in ``out``.
+def to_text(resolved: Mapping[str, Any]) -> str:
+    """A resolved recipe as the text of recipe.json."""
+    return json.dumps(resolved, indent=2, default=str)
 
-    The loss is of all processes, so all of them stop. Raises NonFiniteLossError.
+
+def name_weights(path: Path) -> str:
+    """Name a checkpoint by its file and the start of its SHA-256."""
+    try:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}.") from error
+    return f"{path.name} (sha256 {digest[:12]})"
+
+
+def require_finite(
+    terms: Mapping[str, Tensor],
+    value: Tensor,
+    step: int,
+    names: Sequence[str],
+    out: Path,
+    processes: Processes,
+) -> None:
+    """Stop if ``value``, the loss or the gradient's norm, is NaN or infinite.
+
+    The terms and the frames of the batch are saved in ``out``. The value is of all processes, so
+    all of them stop. Raises NonFiniteLossError.
     """
-    if torch.isfinite(terms["total"]):
+    if torch.isfinite(value):
         return
     path = out / NON_FINITE
     # Text: JSON has no NaN.
@@ -63,7 +84,7 @@ def require_finite(
         document = {"step": step, "terms": values, "frames": frames}
         write_whole(path, json.dumps(document, indent=2).encode())
     raise NonFiniteLossError(
-        f"step {step}: the loss is {values['total']}; its terms and the {len(frames)} frames of "
-        f"its batch are in {path}. Lower the learning rate or look at them; the same command goes "
-        "on from the last checkpoint."
+        f"step {step}: the loss is {values['total']}, the loss or its gradient not finite; its "
+        f"terms and the {len(frames)} frames of its batch are in {path}. Look at them, or start a "
+        f"new --out with --init {out / LAST} and a lower learning rate."
     )

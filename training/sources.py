@@ -15,13 +15,13 @@ from training.datasets.cityscapes import Cityscapes
 from training.datasets.kitti_depth import KittiDepth
 from training.datasets.kitti_raw import KittiRaw
 from training.datasets.kitti_stream import KittiStream
-from training.datasets.mixture import Mixture, MixturePart
-from training.datasets.resized import ResizedSource
 from training.datasets.sample import SampleSource
 from training.datasets.virtual_kitti import VirtualKitti
 from training.datasets.virtual_kitti_1 import VirtualKitti1
 from training.datasets.virtual_kitti_split import Selection, Split, read_frame_list
+from training.mixture import Mixture, MixturePart
 from training.recipe import DataRecipe, SourceRecipe
+from training.resized import ResizedSource
 
 
 def open_source(recipe: SourceRecipe, roots: Sequence[Path], *, classes: str) -> SampleSource:

@@ -5,9 +5,9 @@ import pytest
 
 from training.augment import AugmentConfig
 from training.datasets.cache import CachedSource
-from training.datasets.resized import ResizedSource
 from training.datasets.sample import Sample
 from training.recipe import DataRecipe, SourceRecipe
+from training.resized import ResizedSource
 from training.sources import open_mixture
 
 #: rgb, depth (input and target are one array) and classes of 10 x 10 pixels.

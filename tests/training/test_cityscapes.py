@@ -2,29 +2,16 @@
 
 import json
 
-import cv2
 import numpy as np
 import pytest
 
+from layouts.cityscapes import CAMERA, HEIGHT, STEM, WIDTH, write_frame, write_stereo
+from layouts.pictures import cut_short, write
 from runtime.errors import DatasetError
 from training.datasets.cityscapes import Cityscapes, disparity_to_depth
 from training.recipe import SourceRecipe
 from training.sources import open_source
 
-HEIGHT, WIDTH = 6, 34
-STEM = "aachen/aachen_000000_000019"
-CAMERA = {
-    "extrinsic": {
-        "baseline": 0.209313,
-        "pitch": 0.038,
-        "roll": 0.0,
-        "x": 1.7,
-        "y": 0.1,
-        "yaw": -0.0195,
-        "z": 1.22,
-    },
-    "intrinsic": {"fx": 2262.52, "fy": 2265.3017905988554, "u0": 1096.98, "v0": 513.137},
-}
 #: Of the labelIds 0..33.
 IDS = {
     "cityscapes": [
@@ -38,33 +25,6 @@ IDS = {
         *(8, 8, 8, 255, 255, 8, 10, 10),
     ],
 }
-
-
-def write(path, image):
-    """Write a picture; colours are RGB."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    assert cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image)
-
-
-def cut_short(path):
-    path.write_bytes(path.read_bytes()[:-20])
-
-
-def write_frame(root, stem=STEM, split="train"):
-    """A column a label id; the disparity of row r is the stored value r."""
-    image = np.full((HEIGHT, WIDTH, 3), (200, 20, 40), np.uint8)
-    write(root / "leftImg8bit" / split / f"{stem}_leftImg8bit.png", image)
-    labels = np.broadcast_to(np.arange(WIDTH, dtype=np.uint8), (HEIGHT, WIDTH))
-    write(root / "gtFine" / split / f"{stem}_gtFine_labelIds.png", labels)
-
-
-def write_stereo(root, stem=STEM, split="train"):
-    disparity = np.zeros((HEIGHT, WIDTH), np.uint16)
-    disparity[:] = np.array([0, 1, 2, 257, 25601, 65535])[:, None]
-    write(root / "disparity" / split / f"{stem}_disparity.png", disparity)
-    camera = root / "camera" / split / f"{stem}_camera.json"
-    camera.parent.mkdir(parents=True, exist_ok=True)
-    camera.write_text(json.dumps(CAMERA))
 
 
 @pytest.fixture

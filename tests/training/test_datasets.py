@@ -7,6 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from layouts.camvid import write_frame
+from layouts.kitti_stream import write_stream
+from layouts.pictures import write
 from runtime.errors import DatasetError
 from training.datasets.camvid import CamVid
 from training.datasets.kitti_stream import KittiStream
@@ -20,20 +23,14 @@ def real_data():
     return Path(folder)
 
 
-def write(path, image):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    assert cv2.imwrite(str(path), image)
-
-
 @pytest.fixture
 def camvid(tmp_path):
     for name, value in (("b_2", 3), ("a_1", 11)):
         image = np.zeros((12, 16, 3), np.uint8)
-        image[..., 2] = 200  # red in OpenCV's BGR
-        write(tmp_path / "train" / f"{name}.png", image)
+        image[..., 0] = 200  # red
         label = np.full((12, 16), value, np.uint8)
         label[0] = 9
-        write(tmp_path / "trainannot" / f"{name}.png", label)
+        write_frame(tmp_path, image, label, name)
     return tmp_path
 
 
@@ -72,30 +69,9 @@ def test_camvid_cannot_be_told_in_other_classes(camvid, classes):
         CamVid(camvid, classes=classes)
 
 
-#: A camera of 10 px focal length, its centre at (8, 4), that looks along the LiDAR's x.
-CALIBRATION = """\
-S_rect_02: 16 8
-R_rect_00: 1 0 0 0 1 0 0 0 1
-P_rect_02: 10 0 8 0 0 10 4 0 0 0 1 0
-velo_to_cam_R: 0 -1 0 0 0 -1 1 0 0
-velo_to_cam_T: 0 0 0
-"""
-
-
 @pytest.fixture
 def stream(tmp_path):
-    """Three frames with a line at 10 m and one at 5 m; the first has labels."""
-    (tmp_path / "velodyne_fov").mkdir()
-    (tmp_path / "calib_2011_09_26.txt").write_text(CALIBRATION)
-    # In the middles of pixels (4, 1) and (12, 1), then (12, 6) and, nearer, (12, 1) again.
-    points = [(10, 3.5, 2.5, 0), (10, -4.5, 2.5, 0), (5, 1.75, -1.25, 0), (5, -2.25, 1.25, 0)]
-    for number in range(3):
-        write(tmp_path / "image_02" / f"{number:010d}.png", np.full((8, 16, 3), 90, np.uint8))
-        scan = tmp_path / "velodyne_fov" / f"{number:010d}.bin"
-        scan.write_bytes(np.array(points, "<f4").tobytes())
-    labels = np.broadcast_to(np.arange(16, dtype=np.uint8), (8, 16)).copy()
-    labels[0] = 255
-    write(tmp_path / "pseudo_semantic" / "0000000000.png", labels)
+    write_stream(tmp_path)
     return tmp_path
 
 

@@ -1,5 +1,6 @@
 """Two processes started by torchrun train the same network as one with the large batch."""
 
+import copy
 import subprocess
 import sys
 from pathlib import Path
@@ -8,10 +9,17 @@ import cv2
 import numpy as np
 import pytest
 import torch
+import torch.distributed as dist
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from torch import nn
 
 from models import load_checkpoint
-from training.distributed import Processes, join_processes
+from training.distributed import (
+    Processes,
+    join_processes,
+    share_gradients,
+    synchronise_batch_norm,
+)
 
 # Every term of the loss, on a set whose frames differ in how much of them is known.
 TRAIN = """
@@ -34,18 +42,18 @@ source = SourceRecipe("rendered", "scenes")
 recipe = Recipe(
     model=ModelRecipe("ssdnet-small"),
     data=DataRecipe((source,), AugmentConfig(crop=(40, 56)), batch_size=batch, workers=0),
-    schedule=ScheduleRecipe(steps=3),
+    schedule=ScheduleRecipe(steps=2),
     loss=LossConfig(semantic_iou_weight=0.5, side_boundary_weight=0.5, weighting="uncertainty"),
     optimizer=OptimizerRecipe(name="sgd", learning_rate=0.05),
-    loop=LoopRecipe(checkpoint_every=3, log_every=1, accumulate=parts, clip_norm=5.0),
-    validation=ValidationRecipe(every=3, source=(source,), pictures=1),
+    loop=LoopRecipe(checkpoint_every=3, log_every=1, accumulate=parts, clip_norm=1.0),
+    validation=ValidationRecipe(every=2, source=(source,), pictures=1),
 )
 share = loop.share_gradients
-def keep(network, processes, **options):
+def keep(network, processes):
     global kept
     kept = network
     torch.save(network.state_dict(), out / f"rank{processes.rank}.start")
-    return share(network, processes, **options)
+    return share(network, processes)
 loop.share_gradients = keep
 loop.train(recipe, data=[data], out=out)
 torch.save(kept.state_dict(), out / f"rank{os.environ.get('RANK', 0)}.weights")
@@ -96,6 +104,14 @@ def run(tmp_path: Path, data: Path, name: str, *, processes: int, batch: int, pa
     return out
 
 
+def scores_of(run: Path) -> dict[str, float]:
+    events = EventAccumulator(str(run / "tensorboard"))
+    events.Reload()
+    names = [name for name in events.Tags()["scalars"] if name.startswith("validation/")]
+    assert len(names) == 4
+    return {name: events.Scalars(name)[-1].value for name in names}
+
+
 def joined(state: dict[str, torch.Tensor], kind: str) -> torch.Tensor:
     return torch.cat([value.flatten().float() for name, value in state.items() if kind in name])
 
@@ -107,12 +123,20 @@ def test_two_processes_train_what_one_trains_with_the_large_batch(tmp_path, data
     expected, start = torch.load(one / "rank0.weights"), torch.load(one / "rank0.start")
     for name in expected:
         assert torch.equal(first[name], second[name]), name
-    # Rounding grows through three steps of a network; a loss averaged over the processes instead
-    # of over all pixels, or batch statistics of one process, differ by far more than 1 %.
-    for kind in (".running_", "weight"):
+    # Rounding turns single ReLUs over, and two steps make more of it: 0.01 to 1 % are measured. A
+    # loss averaged over the processes instead of over all pixels, or batch statistics of one
+    # process, differ by tens of percent.
+    for kind in (".running_", "weight", "bias"):
         moved = joined(expected, kind) - joined(start, kind)
-        assert moved.norm() > 0.1
-        assert (joined(first, kind) - joined(expected, kind)).norm() < 0.01 * moved.norm()
+        assert moved.norm() > 0.01
+        assert (joined(first, kind) - joined(expected, kind)).norm() < 0.05 * moved.norm()
+    variances = [
+        load_checkpoint(out / "last.pt").trainer["criterion"]["log_variances.depth"]
+        for out in (one, two)
+    ]
+    assert variances[0] != 0
+    assert variances[1] == pytest.approx(variances[0].item(), rel=0.05)
+    assert scores_of(two) == pytest.approx(scores_of(one), rel=0.05)
     shipped = [load_checkpoint(out / "model.pt").model.state_dict() for out in (one, two)]
     difference = joined(shipped[0], "") - joined(shipped[1], "")
     assert difference.norm() < 1e-3 * joined(shipped[0], "").norm()
@@ -140,7 +164,32 @@ def test_a_single_process_needs_no_launcher(monkeypatch):
         assert processes.gather("x") == ["x"]
         processes.wait()
         norm = nn.Sequential(nn.BatchNorm2d(2))
-        from training.distributed import share_gradients, synchronise_batch_norm
+        synchronise_batch_norm(norm, processes)
+        assert type(norm[0]) is nn.BatchNorm2d
+        assert share_gradients(norm, processes) is norm
 
-        assert type(synchronise_batch_norm(norm, processes)[0]) is nn.BatchNorm2d
-        assert share_gradients(norm, processes, synced_buffers=True) is norm
+
+def test_shared_batch_norm_is_batch_norm(tmp_path):
+    """In a group of one process; with more, what it sums comes from all of them."""
+    torch.manual_seed(0)
+    plain = nn.BatchNorm2d(3)
+    nn.init.uniform_(plain.weight, 0.5, 2)
+    nn.init.uniform_(plain.bias, -1, 1)
+    network = nn.Sequential(copy.deepcopy(plain))
+    dist.init_process_group("gloo", init_method=f"file://{tmp_path}/group", rank=0, world_size=1)
+    try:
+        synchronise_batch_norm(network, Processes(0, 2, torch.device("cpu")))
+        assert type(network[0]) is not nn.BatchNorm2d
+        x = (5 + 3 * torch.randn(4, 3, 6, 5)).requires_grad_()
+        twin = x.detach().clone().requires_grad_()
+        down = torch.randn(4, 3, 6, 5)
+        (network(x) * down).sum().backward()
+        (plain(twin) * down).sum().backward()
+    finally:
+        dist.destroy_process_group()
+    torch.testing.assert_close(x.grad, twin.grad, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(network[0].weight.grad, plain.weight.grad, rtol=1e-4, atol=1e-4)
+    assert network.state_dict().keys() == {f"0.{name}" for name in plain.state_dict()}
+    for name, value in plain.state_dict().items():
+        torch.testing.assert_close(network.state_dict()[f"0.{name}"], value)
+    torch.testing.assert_close(network.eval()(x), plain.eval()(x))

@@ -1,9 +1,9 @@
 """KITTI raw data on small files in its real layout, with returns placed by hand."""
 
-import cv2
 import numpy as np
 import pytest
 
+from layouts.pictures import write
 from runtime.errors import DatasetError
 from training.datasets.kitti_lidar import project_lines, read_raw_calibration
 from training.datasets.kitti_raw import KittiRaw
@@ -30,12 +30,6 @@ R: 0 -1 0 0 0 -1 1 0 0
 T: 0 0 -0.5
 delta_f: 0 0
 """
-
-
-def write(path, image):
-    """Write a picture; colours are RGB."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    assert cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image)
 
 
 def seen_at(u, v, depth):

@@ -193,6 +193,62 @@ def test_tensorboard_shows_terms_rates_scores_and_pictures(data, tmp_path):
     assert not (picture[40:64, 400:] == image[40:64]).all()
 
 
+def test_a_run_that_goes_on_keeps_its_curves(data, tmp_path):
+    run = recipe(steps=4)
+    run = replace(run, validation=replace(run.validation, every=2))
+    train(run, data=[data], out=tmp_path / "run", stop_after=2)
+    for _ in range(2):  # the second time there is nothing left to do
+        train(run, data=[data], out=tmp_path / "run")
+    events = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
+    events.Reload()
+    assert [event.step for event in events.Scalars("loss/total")] == [1, 2, 3, 4]
+    assert [event.step for event in events.Scalars("validation/camvid/miou")] == [2, 4]
+
+
+def test_a_checkpoint_of_another_recipe_is_not_gone_on_from(data, tmp_path):
+    train(recipe(steps=4), data=[data], out=tmp_path / "run", stop_after=2)
+    (tmp_path / "run" / "recipe.json").unlink()
+    with pytest.raises(InputError, match=r"last.pt: is of a training with another recipe"):
+        train(recipe(steps=6), data=[data], out=tmp_path / "run")
+
+
+def test_unlabelled_sets_train_without_class_weights_only(data, tmp_path):
+    for path in (data / "camvid" / "trainannot").iterdir():
+        cv2.imwrite(str(path), np.full((64, 80), 11, np.uint8))
+    with pytest.raises(InputError, match=r"no pixel of camvid is labelled.*class_weighting"):
+        train(recipe(), data=[data], out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+    plain = replace(recipe(steps=1), loss=LossConfig(class_weighting="none"))
+    assert train(plain, data=[data], out=tmp_path / "run").name == "model.pt"
+
+
+def test_a_damaged_frame_is_named_without_a_traceback(data, tmp_path):
+    (data / "camvid" / "train" / "3.png").write_bytes(b"nothing")
+    run = replace(recipe(), loss=LossConfig(class_weighting="none"))
+    run = replace(run, data=replace(run.data, workers=1))
+    with pytest.raises(DatasetError) as raised:
+        train(run, data=[data], out=tmp_path / "run")
+    assert len(str(raised.value).splitlines()) == 1
+    assert str(raised.value).startswith(str(data / "camvid" / "train" / "3.png"))
+
+
+def test_gradients_that_are_not_finite_stop_the_run(data, tmp_path, monkeypatch):
+    """The loss is a number still, its derivative is not."""
+    original = loop._compute_loss
+
+    def spoil(*arguments):
+        terms = original(*arguments)
+        zero = (terms["total"] * 0).abs()
+        return {**terms, "total": terms["total"] + zero.sqrt()}  # d sqrt(0) is infinite
+
+    monkeypatch.setattr(loop, "_compute_loss", spoil)
+    with pytest.raises(NonFiniteLossError, match="its gradient not finite"):
+        train(recipe(accumulate=2), data=[data], out=tmp_path / "run")
+    saved = json.loads((tmp_path / "run" / "non_finite.json").read_text())
+    assert len(saved["frames"]) == 8  # of both batches
+    assert not (tmp_path / "run" / "model.pt").exists()
+
+
 def test_logged_terms_are_the_mean_over_accumulated_batches(data, tmp_path, monkeypatch):
     seen = []
     original = loop._compute_loss

@@ -229,6 +229,7 @@ def test_categories_join_their_classes():
         "flat": pytest.approx(3 / 4),
         "vehicle": pytest.approx(1 / 3),
     }
+    assert scores.compute_categories(("a", "b", "c", "d"), groups) == {}
 
 
 def test_disparity_errors_equal_the_hand_computed_ones():

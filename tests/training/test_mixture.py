@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from training.augment import AugmentConfig
-from training.datasets.mixture import Mixture, MixturePart
 from training.datasets.sample import Sample
+from training.mixture import Mixture, MixturePart
 
 
 class Numbered:

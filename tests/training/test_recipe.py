@@ -267,3 +267,28 @@ def test_two_validation_sets_of_one_path_are_refused():
         ValidationRecipe(source=(source, source))
     with pytest.raises(ValueError, match=r"validation\.every"):
         ValidationRecipe(every=0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "data.seed = -1",
+        "optimizer.learning_rate = inf",
+        "optimizer.momentum = -1.0",
+        "schedule.final_ratio = 9.0",
+        "loop.clip_norm = -1.0",
+        "loop.ema_decay = 3.0",
+        "loop.logit_adjustment = -3.0",
+        "data.augment.flip = 7.0",
+        "data.augment.scale = [0.0, 1.0]",
+        "data.augment.scale = [2.0, 1.0]",
+        "data.augment.random_share = [2.0, 2.0]",
+        "data.augment.lines = [5]",
+        "data.augment.lines = []",
+        "data.augment.brightness = -0.1",
+    ],
+)
+def test_values_out_of_range_are_refused_by_name(base, change):
+    key = change.split(" = ")[0].split(".")[-1]
+    with pytest.raises(InputError, match=rf"{key} = "):
+        read_recipe(base / "base.toml", [change])

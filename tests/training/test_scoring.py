@@ -8,7 +8,8 @@ import pytest
 from models import SSDNet
 from models.config import CONFIGS
 from training.datasets.sample import Sample
-from training.evaluation.scoring import Answer, score, split_lidar, torch_predict
+from training.evaluation.lidar_input import split_lidar
+from training.evaluation.scoring import Answer, score, torch_predict
 
 K = np.array([[300.0, 0, 60], [0, 300.0, 20], [0, 0, 1]])
 

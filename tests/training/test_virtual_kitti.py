@@ -1,11 +1,19 @@
 """Both editions of Virtual KITTI on small files in their real layouts, and the paper's split."""
 
-from pathlib import Path
-
-import cv2
 import numpy as np
 import pytest
 
+from layouts.pictures import cut_short, write
+from layouts.virtual_kitti import (
+    COLORS,
+    HEIGHT,
+    RED,
+    WIDTH,
+    depth_picture,
+    label_picture,
+    write_first_edition,
+    write_second_edition,
+)
 from runtime.errors import DatasetError
 from training.datasets.virtual_kitti import VirtualKitti
 from training.datasets.virtual_kitti_1 import VirtualKitti1
@@ -13,98 +21,18 @@ from training.datasets.virtual_kitti_split import PAPER_VARIANTS, Selection, rea
 from training.recipe import SourceRecipe
 from training.sources import open_source
 
-#: colors.txt of the second edition: name and RGB.
-COLORS = {
-    "Terrain": (210, 0, 200),
-    "Sky": (90, 200, 255),
-    "Tree": (0, 199, 0),
-    "Vegetation": (90, 240, 0),
-    "Building": (140, 140, 140),
-    "Road": (100, 60, 100),
-    "GuardRail": (250, 100, 255),
-    "TrafficSign": (255, 255, 0),
-    "TrafficLight": (200, 200, 0),
-    "Pole": (255, 130, 0),
-    "Misc": (80, 80, 80),
-    "Truck": (160, 60, 60),
-    "Car": (255, 127, 80),
-    "Van": (0, 139, 139),
-    "Undefined": (0, 0, 0),
-}
-#: What those categories are in each class table, in the same order.
+#: What the categories of colors.txt are in each class table, in the same order.
 IDS = {
     "virtual_kitti": [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 255],
     "camvid": [5, 0, 5, 5, 1, 3, 7, 6, 6, 2, 255, 8, 8, 8, 255],
     "cityscapes": [9, 10, 8, 8, 2, 0, 255, 7, 6, 5, 255, 14, 13, 13, 255],
 }
-HEIGHT, WIDTH = 8, 15
-RED = (200, 20, 40)
-
 #: Frames of each scene, the same in all of its ten variants.
 LENGTHS = {1: 447, 2: 233, 6: 270, 18: 339, 20: 837}
 VARIANTS = (
     *("15-deg-left", "15-deg-right", "30-deg-left", "30-deg-right"),
     *("clone", "fog", "morning", "overcast", "rain", "sunset"),
 )
-
-
-def write(path, image):
-    """Write a picture; colours are RGB."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    assert cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image)
-
-
-def cut_short(path):
-    path.write_bytes(path.read_bytes()[:-20])
-
-
-def colour_rows(colors):
-    rows = [f"{name} {r} {g} {b}" for name, (r, g, b) in colors.items()]
-    return "\n".join(["Category r g b", *rows]) + "\n"
-
-
-def label_picture(colors):
-    """A column a category."""
-    return np.broadcast_to(np.array(list(colors), np.uint8), (HEIGHT, len(colors), 3))
-
-
-def depth_picture(number):
-    """Sky in the first row, the farthest depth in the second, 12.34 m and more below."""
-    depth = np.full((HEIGHT, WIDTH), 1234 + number, np.uint16)
-    depth[0], depth[1] = 65535, 65534
-    return depth
-
-
-def write_second_edition(root, scene="Scene01", variant="clone", *, frames=2, cameras=(0,)):
-    folder = root / scene / variant
-    intrinsics = ["frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]"]
-    for number in range(frames):
-        for camera in (0, 1):
-            intrinsics.append(f"{number} {camera} {725 + number} {726 + number} 620.5 18{camera}")
-        for camera in cameras:
-            for kind, name, image in (
-                ("rgb", f"rgb_{number:05d}.jpg", np.full((HEIGHT, WIDTH, 3), RED, np.uint8)),
-                ("depth", f"depth_{number:05d}.png", depth_picture(number)),
-                ("classSegmentation", f"classgt_{number:05d}.png", label_picture(COLORS.values())),
-            ):
-                write(folder / "frames" / kind / f"Camera_{camera}" / name, image)
-    (folder / "colors.txt").write_text(colour_rows(COLORS))
-    (folder / "intrinsic.txt").write_text("\n".join(intrinsics) + "\n")
-    return folder
-
-
-def write_first_edition(root, scene="0001", variant="clone", *, frames=2):
-    # Every car and van is an instance with a colour of its own; nothing is undefined.
-    colors = {name: rgb for name, rgb in COLORS.items() if name not in ("Car", "Van", "Undefined")}
-    colors |= {"Car:Car0": (7, 8, 9), "Car:Car1": (10, 11, 12), "Van:Van3": (13, 14, 15)}
-    labels = root / "vkitti_1.3.1_scenegt"
-    for number in range(frames):
-        file = Path(scene) / variant / f"{number:05d}.png"
-        write(root / "vkitti_1.3.1_rgb" / file, np.full((HEIGHT, WIDTH, 3), RED, np.uint8))
-        write(root / "vkitti_1.3.1_depthgt" / file, depth_picture(number))
-        write(labels / file, label_picture(colors.values()))
-    encoding = labels / f"{scene}_{variant}_scenegt_rgb_encoding.txt"
-    encoding.write_text(colour_rows(colors))
 
 
 @pytest.fixture
@@ -481,8 +409,11 @@ def test_recipes_choose_edition_split_and_list(tmp_path):
         "0002/fog/00001",
     ]
     assert names("virtual_kitti", "vkitti2", frames="mine.txt") == ["Scene02/30-deg-left/00001"]
-    small = SourceRecipe("rendered", "vkitti2", size=(4, 6))
-    assert open_source(small, [tmp_path / "nowhere", tmp_path], classes="camvid")[0].size == (4, 6)
+    small = SourceRecipe("rendered", "vkitti2", size=(32, 48))
+    assert open_source(small, [tmp_path / "nowhere", tmp_path], classes="camvid")[0].size == (
+        32,
+        48,
+    )
     with pytest.raises(DatasetError, match=rf"no folder 'vkitti3' \(rendered\) below {tmp_path}"):
         names("rendered", "vkitti3")
     with pytest.raises(DatasetError, match="no split 'trainval'; known: train, val, test, all"):

@@ -1,1 +1,1 @@
-"""Data sets that all give the same `Sample`, their augmentation and their mixture."""
+"""Data sets that all give the same `Sample`."""

@@ -1,7 +1,8 @@
 """Every model on every set with every LiDAR and fault."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +14,15 @@ from runtime.contract import ClassInfo
 from runtime.errors import InputError
 from training.datasets.sample import SampleSource
 from training.evaluation.baselines import ip_basic, nearest_fill
-from training.evaluation.lidar_input import Fault, LidarInput, add_fault
+from training.evaluation.lidar_input import Fault, LidarInput, LidarSplit, add_fault
 from training.evaluation.model_file import ScoredModel, open_model
 from training.evaluation.report import Row
-from training.evaluation.scoring import Answer, LidarSplit, score
+from training.evaluation.scoring import Answer, score
 from training.recipe import SourceRecipe
 from training.sources import open_source
 
 Fill = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+_BASELINES: Mapping[str, Fill] = {"nearest filling": nearest_fill, "IP-Basic": ip_basic}
 
 
 def evaluate(
@@ -50,14 +52,17 @@ def evaluate(
             path: stack.enter_context(open_model(path, device=device, threads=threads))
             for path in models
         }
-        for recipe in data:
-            for path, model in opened.items():
-                source = open_source(recipe, [Path()], classes=model.class_table)
-                rows += _score_all(path.name, model, recipe, source, lidars, faults, limit)
+        model_names = short_names(list(opened))
+        folders = short_names([Path(recipe.path) for recipe in data])
+        for recipe, folder in zip(data, folders, strict=True):
+            title = " ".join([folder, *_changed_keys(recipe)])
+
+            scored = dict(zip(model_names, opened.values(), strict=True))
             if with_baselines:
-                source = open_source(recipe, [Path()], classes="camvid")
-                for name, fill in (("nearest filling", nearest_fill), ("IP-Basic", ip_basic)):
-                    rows += _score_all(name, _baseline(fill), recipe, source, lidars, faults, limit)
+                scored |= {name: _baseline(fill) for name, fill in _BASELINES.items()}
+            for name, model in scored.items():
+                source = open_source(recipe, [Path()], classes=model.class_table)
+                rows += _score_all(name, model, title, source, lidars, faults, limit)
     if not rows:
         raise InputError(
             "nothing could be scored: none of the LiDARs asked for can be had from these sets. "
@@ -66,10 +71,29 @@ def evaluate(
     return rows
 
 
+def short_names(paths: Sequence[Path]) -> list[str]:
+    """Name each path by as few of its last parts as tell them all apart."""
+    longest = max((len(path.parts) for path in paths), default=1)
+    for parts in range(1, 1 + max(1, longest)):
+        names = [str(Path(*path.parts[-parts:])) for path in paths]
+        if len(set(names)) == len(set(paths)):
+            break
+    return names
+
+
+def _changed_keys(recipe: SourceRecipe) -> list[str]:
+    """What makes this set another than the same folder without options."""
+    return [
+        f"{item.name}={getattr(recipe, item.name)}"
+        for item in fields(recipe)
+        if item.name not in ("kind", "path") and getattr(recipe, item.name) != item.default
+    ]
+
+
 def _score_all(
     name: str,
     model: ScoredModel,
-    recipe: SourceRecipe,
+    title: str,
     source: SampleSource,
     lidars: Sequence[LidarInput],
     faults: Sequence[Fault],
@@ -80,13 +104,12 @@ def _score_all(
     rows = []
     for lidar in lidars:
         for fault in faults:
-            bar = tqdm(indices, desc=f"{name} {recipe.name} {lidar} {fault}", disable=None)
+            bar = tqdm(indices, desc=f"{name} {title} {lidar} {fault}", disable=None)
             seen = _Counted(_frames(source, bar, lidar, fault))
             scores = score(model.predict, seen, num_classes=len(model.classes))
             if seen.count:
                 figures = scores.figures([info.name for info in model.classes])
-                data = Path(recipe.path).name or recipe.kind
-                rows.append(Row(name, model.engine, data, str(lidar), fault, seen.count, figures))
+                rows.append(Row(name, model.engine, title, str(lidar), fault, seen.count, figures))
     return rows
 
 

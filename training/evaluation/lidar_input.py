@@ -1,7 +1,7 @@
 """Which LiDAR a network is fed for an evaluation, and what can be wrong with it."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -11,7 +11,6 @@ from runtime.errors import InputError
 from training.augment import keep_every_line, masked
 from training.datasets.kitti_lidar import withhold_occluded
 from training.datasets.sample import Sample, nothing_known
-from training.evaluation.scoring import LidarSplit
 from training.lidar import random_share, scan_lines
 
 Depth = NDArray[np.float32]
@@ -23,6 +22,14 @@ NAN_SHARE = 0.3
 SHIFT = (0.01, 0.004)
 #: Share of the width, in the middle, whose measurements the fault "dropout" takes away.
 DROPOUT_SHARE = 1 / 3
+
+
+class LidarSplit(NamedTuple):
+    """A frame with the depth to feed and the depth to score, float32 (H, W), metres, 0 = none."""
+
+    sample: Sample
+    fed: Depth
+    target: Depth
 
 
 @dataclass(frozen=True)
@@ -98,6 +105,17 @@ class LidarInput:
         if self.kind == "random":
             fed = random_share(fed, self.share, rng)
         return LidarSplit(sample, fed, target)
+
+
+def split_lidar(sample: Sample) -> LidarSplit:
+    """Choose what is fed and scored of a frame as the set itself has it, see `LidarInput.split`.
+
+    Raises ValueError for dense depth without intrinsics.
+    """
+    frame = LidarInput("own").split(sample, np.random.default_rng(0))
+    if frame is None:
+        raise ValueError(f"{sample.name} has dense depth but no intrinsics to draw scan lines with")
+    return frame
 
 
 def add_fault(fed: Depth, fault: Fault, rng: Generator) -> Depth:

@@ -82,6 +82,8 @@ class SemanticScores:
         not count; one only predicted so is wrong for the category it is labelled as.
         """
         groups = {name: group for name, group in groups.items() if group & set(class_names)}
+        if not groups:
+            return {}
         member = np.array([[name in group for name in class_names] for group in groups.values()])
         labelled = self.confusion[member.any(axis=0)].astype(np.int64)
         rows = member[:, member.any(axis=0)]

@@ -1,9 +1,10 @@
 """A checkpoint or an exported file as something that can be scored."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,15 +25,19 @@ class ScoredModel:
     classes: tuple[ClassInfo, ...]
     #: How it runs: "torch on cpu", "onnxruntime on cpu".
     engine: str
+    #: What the file says of its training, as the recipe put it.
+    training: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def class_table(self) -> str:
-        """Name in `models.CLASS_TABLES` of its classes; any for a network without classes.
+        """Name in `models.CLASS_TABLES` of the classes it was trained with.
 
-        Raises InputError for classes that no table has.
+        Without a semantic head they still drew the boundaries that it learned; CamVid's where the
+        file does not say. Raises InputError for classes that no table has.
         """
         if not self.classes:
-            return "camvid"
+            recipe = self.training.get("recipe", {})
+            return str(recipe.get("model", {}).get("classes", "camvid"))
         for name, table in CLASS_TABLES.items():
             if table == self.classes:
                 return name
@@ -51,17 +56,28 @@ def open_model(path: Path, *, device: str = "cpu", threads: int = 2) -> Iterator
     """
     if path.suffix == ".pt":
         torch.set_num_threads(threads)
-        network = load_checkpoint(path).model
+        checkpoint = load_checkpoint(path)
+        network = checkpoint.model
         try:
             network = network.to(device)
         except (RuntimeError, AssertionError) as error:
             raise InputError(f"device {device!r} cannot be had: {error}.") from error
-        yield ScoredModel(torch_predict(network), network.config.classes, f"torch on {device}")
+        yield ScoredModel(
+            torch_predict(network),
+            network.config.classes,
+            f"torch on {device}",
+            checkpoint.training,
+        )
     elif path.suffix == ".onnx":
         provider = "cuda" if device.startswith("cuda") else "cpu"
-        with Predictor(path, provider=provider, threads=threads) as predictor:
+        card = int(device.partition(":")[2] or 0)
+        with Predictor(path, provider=provider, device_id=card, threads=threads) as predictor:
+            contract = predictor.contract
             yield ScoredModel(
-                engine_predict(predictor), predictor.contract.classes, f"onnxruntime on {provider}"
+                engine_predict(predictor),
+                contract.classes,
+                f"onnxruntime on {provider}",
+                contract.training,
             )
     else:
         raise InputError(f"{path}: expected a checkpoint (*.pt) or an exported model (*.onnx).")

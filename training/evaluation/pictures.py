@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from models import ModelConfig
 from runtime.overlay import Overlay
 from training.datasets.sample import IGNORE, SampleSource
-from training.evaluation.scoring import Answer, Predict, split_lidar
+from training.evaluation.lidar_input import split_lidar
+from training.evaluation.scoring import Answer, Predict
 
 
 def draw_pictures(

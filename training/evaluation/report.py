@@ -92,7 +92,7 @@ def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:
         1, max(1, len(plotted)), figsize=(5 * max(1, len(plotted)), 4), squeeze=False
     )
     for panel, (key, title, factor) in zip(panels[0], plotted, strict=False):
-        for model, engine, data, fault in lines:
+        for index, (model, engine, data, fault) in enumerate(lines):
             points = [
                 (lidars.index(row.lidar), row.figures[key] * factor)
                 for row in rows
@@ -101,16 +101,23 @@ def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:
             ]
             label = f"{model} ({engine}), {data}" + (f", {fault}" if fault != "none" else "")
             if points:
-                panel.plot(*zip(*points, strict=True), "o-", label=label)
+                # One colour a line in all panels, whichever of them it is in.
+                panel.plot(*zip(*points, strict=True), "o-", label=label, color=f"C{index % 10}")
         panel.set_xticks(range(len(lidars)), lidars)
         panel.set_xlabel("LiDAR: lines, random share, none")
         panel.set_title(title)
         panel.grid(alpha=0.3)
         panel.set_ylim(bottom=0)
-    panels[0][0].legend(fontsize=7)
+    shown: dict[str, object] = {}
+    for panel in panels[0]:
+        handles, labels = panel.get_legend_handles_labels()
+        shown = {**dict(zip(labels, handles, strict=True)), **shown}
     figure.tight_layout()
+    figure.legend(
+        list(shown.values()), list(shown), fontsize=7, loc="upper left", bbox_to_anchor=(1, 1)
+    )
     try:
-        figure.savefig(path, dpi=110)
+        figure.savefig(path, dpi=110, bbox_inches="tight")
     except (OSError, ValueError) as error:
         raise OutputError(f"cannot write {path} ({error}): choose another --plot") from error
     finally:

@@ -11,17 +11,15 @@ from numpy.typing import NDArray
 
 from models import SSDNet
 from models.classes import CATEGORIES
-from training.augment import keep_every_line, masked
-from training.datasets.kitti_lidar import withhold_occluded
-from training.datasets.sample import IGNORE, Sample, SampleSource, nothing_known
+from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import Processes
+from training.evaluation.lidar_input import LidarSplit, split_lidar
 from training.evaluation.metrics import (
     BoundaryScores,
     DepthScores,
     DisparityScores,
     SemanticScores,
 )
-from training.lidar import scan_lines
 
 #: The boundary's F-score is that of the best of these over the whole set.
 BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
@@ -58,35 +56,6 @@ def torch_predict(network: SSDNet) -> Predict:
         return Answer(semantic, depth, torch.sigmoid(output.boundary_logits)[0, 0].cpu().numpy())
 
     return predict
-
-
-class LidarSplit(NamedTuple):
-    """A frame with the depth to feed and the depth to score, float32 (H, W), metres, 0 = none."""
-
-    sample: Sample
-    fed: NDArray[np.float32]
-    target: NDArray[np.float32]
-
-
-def split_lidar(sample: Sample) -> LidarSplit:
-    """Choose what of a frame's depth is fed and what is scored.
-
-    A recorded scan: every second line is fed, the others (less those hidden behind nearer
-    returns) are scored. An input recorded beside its target is fed as it is. Dense depth: 64
-    simulated lines are fed, all of it is scored. No depth: neither.
-    """
-    if not sample.depth.any():
-        return LidarSplit(sample, nothing_known(sample.size), sample.depth)
-    if sample.recorded_input:
-        return LidarSplit(sample, sample.sparse_depth, sample.depth)
-    if sample.scan_line is not None:
-        seen = keep_every_line(sample, 2, 0)
-        withheld = masked(sample.depth, seen == 0)
-        return LidarSplit(sample, seen, withhold_occluded(withheld, sample.depth))
-    if sample.intrinsics is None:
-        raise ValueError(f"{sample.name} has dense depth but no intrinsics to draw scan lines with")
-    fed = scan_lines(sample.depth, sample.intrinsics, 64, np.random.default_rng(0))
-    return LidarSplit(sample, fed, sample.depth)
 
 
 @dataclass(frozen=True)

@@ -58,6 +58,8 @@ class LossConfig:
     """
 
     #: One weight a term of Eq. 12: Eq. 4, 5, 6, 8, 11; and Eq. 6 on the boundary decoder's sides.
+    #: 1 is Eq. 12 as printed; in the soft form Eq. 8 and 11 then favour one class everywhere before
+    #: the semantics stand on their own feet, and 0.03 is what trains (docs/results.md).
     depth_weight: float = 1.0
     semantic_weight: float = 1.0
     boundary_weight: float = 1.0
@@ -89,6 +91,11 @@ class LossConfig:
     disagreement: Literal["soft", "hard"] = "soft"
     #: Eq. 11's unit of depth: 1 = normalised.
     joint_depth_scale: float = 1.0
+
+    @property
+    def weighs_classes(self) -> bool:
+        """Whether a term is there that class frequencies weigh."""
+        return bool(self.semantic_weight) and self.class_weighting != "none"
 
     def __post_init__(self) -> None:
         """Refuse what cannot be minimised, with a ValueError that names it."""
@@ -162,7 +169,8 @@ class SSDNetLoss(nn.Module):
         terms |= self._semantic_terms(output, semantic, semantic_weight)
         weighted = [self._weigh(name, term) for name, term in terms.items()]
         # Without any term the total is still a 0 that can be differentiated.
-        terms["total"] = sum(weighted, start=0.0 * output.boundary_logits[0, 0, 0, 0].float())
+        anchor = torch.nan_to_num(output.boundary_logits[0, 0, 0, 0].float(), posinf=0, neginf=0)
+        terms["total"] = sum(weighted, start=0.0 * anchor)
         return terms
 
     def _weight(self, name: str) -> float:

@@ -22,7 +22,7 @@ class MixturePart:
 
 
 class Mixture(Dataset[dict[str, Tensor | str]]):
-    """``length`` augmented samples; the i-th is a pure function of (seed, i).
+    """``length`` augmented samples; the i-th is a pure function of the parts, seed, length and i.
 
     So a run that resumes at sample i sees exactly what it would have seen, whatever the number of
     worker processes. Within a set frames come in shuffled passes, each frame once a pass.

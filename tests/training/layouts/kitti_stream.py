@@ -1,0 +1,36 @@
+"""A recorded KITTI stream: images, returns, a calibration and labels."""
+
+import numpy as np
+
+from layouts.pictures import write
+
+#: In the middles of pixels (4, 1) and (12, 1), a line at 10 m; then one at 5 m, in (12, 6) and,
+#: nearer, in (12, 1) again.
+POINTS = [(10, 3.5, 2.5, 0), (10, -4.5, 2.5, 0), (5, 1.75, -1.25, 0), (5, -2.25, 1.25, 0)]
+
+
+def calibration(magnify=1):
+    """A camera of 10 px focal length, its centre at (8, 4), that looks along the LiDAR's x."""
+    focal, u, v = 10 * magnify, 8 * magnify, 4 * magnify
+    return f"""\
+S_rect_02: {2 * u} {2 * v}
+R_rect_00: 1 0 0 0 1 0 0 0 1
+P_rect_02: {focal} 0 {u} 0 0 {focal} {v} 0 0 0 1 0
+velo_to_cam_R: 0 -1 0 0 0 -1 1 0 0
+velo_to_cam_T: 0 0 0
+"""
+
+
+def write_stream(root, *, frames=3, labelled=1, magnify=1):
+    """Frames with a line at 10 m and one at 5 m; the first ones have labels, a column each."""
+    (root / "velodyne_fov").mkdir(parents=True)
+    (root / "calib_2011_09_26.txt").write_text(calibration(magnify))
+    labels = np.broadcast_to(np.arange(16, dtype=np.uint8), (8, 16)).copy()
+    labels[0] = 255
+    for number in range(frames):
+        image = np.full((8, 16, 3), 90, np.uint8)
+        write(root / "image_02" / f"{number:010d}.png", image, magnify)
+        scan = root / "velodyne_fov" / f"{number:010d}.bin"
+        scan.write_bytes(np.array(POINTS, "<f4").tobytes())
+        if number < labelled:
+            write(root / "pseudo_semantic" / f"{number:010d}.png", labels, magnify)

@@ -1,0 +1,168 @@
+"""Every shipped recipe trains: one step of a shrunk network on small files of its data sets."""
+
+import math
+import re
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from layouts import camvid, cityscapes, kitti_depth, kitti_stream, virtual_kitti
+from models import CLASS_TABLES, load_checkpoint
+from models.config import CONFIGS
+from training import recipes
+from training.loop import train
+from training.losses.total import TERMS
+from training.network import build_network
+from training.recipe import read_recipe
+
+FOLDER = Path(recipes.__file__).parent
+
+#: What a set of each kind can be scored on.
+SCORES = {
+    "camvid": {"miou", "boundary_f"},
+    "cityscapes": {"miou", "boundary_f", "mae_m", "rmse_m"},
+    "kitti_depth": {"mae_m", "rmse_m"},
+    "kitti_stream": {"miou", "boundary_f", "mae_m", "rmse_m"},
+    "virtual_kitti_1": {"miou", "boundary_f", "mae_m", "rmse_m"},
+}
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """All data sets that recipes name, where they name them, in frames of some 40 x 70 pixels."""
+    root = tmp_path_factory.mktemp("data")
+    label = np.arange(12, dtype=np.uint8).repeat(6)[None].repeat(40, axis=0)
+    for split in ("train", "val"):
+        rgb = np.full((*label.shape, 3), (90, 120, 200), np.uint8)
+        camvid.write_frame(root / "camvid", rgb, label, split=split)
+        cityscapes.write_frame(root / "cityscapes", split=split, magnify=6)
+        cityscapes.write_stereo(root / "cityscapes", split=split, magnify=6)
+    kitti_depth.write_drive(root / "kitti_depth", images="raw", magnify=8)
+    kitti_depth.write_selection(root / "kitti_depth", magnify=8)
+    # The recipes validate on frames 50 to 59.
+    kitti_stream.write_stream(root / "kitti_stream", frames=52, labelled=52, magnify=5)
+    for path in ("train", "rendered/train"):
+        virtual_kitti.write_second_edition(root / path, magnify=5)
+    # The paper validates on the end of its last scene.
+    for scene, numbers in (("0002", (0, 1)), ("0020", (547,))):
+        virtual_kitti.write_first_edition(root / "vkitti", scene, numbers=numbers, magnify=5)
+    return root
+
+
+@pytest.fixture(autouse=True)
+def shrunk_networks(monkeypatch):
+    """Networks keep their stages, inputs and heads, with one block of few channels a stage."""
+    for name, config in CONFIGS.items():
+        shrunk = replace(
+            config,
+            stem_channels=(8,) * len(config.stem_channels),
+            encoder_channels=(8,) * len(config.encoder_channels),
+            encoder_blocks=(1,) * len(config.encoder_blocks),
+            decoder_channels=(8,) * len(config.decoder_channels),
+            boundary_channels=4,
+        )
+        monkeypatch.setitem(CONFIGS, name, shrunk)
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """Threads cost more than they bring to tensors this small."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def shrink(size):
+    """A small size that leaves the same remainder on the networks' coarsest grid, 32 pixels."""
+    return 32 + size[0] % 32, 64 + size[1] % 32
+
+
+def shrink_sources(sources):
+    """Small, and each drawn as often as the others, so that the one batch holds frames of all."""
+    return tuple(
+        replace(item, weight=1.0, size=None if item.size is None else shrink(item.size))
+        for item in sources
+    )
+
+
+def read_shrunk(path):
+    """A recipe for one step on small frames; all that it says about network and loss stays."""
+    changes = (
+        *("data.batch_size = 16", "data.workers = 0", "schedule.steps = 1"),
+        *("validation.every = 1", "loop.log_every = 1"),
+    )
+    recipe = read_recipe(path, changes)
+    crop = replace(recipe.data.augment, crop=shrink(recipe.data.augment.crop))
+    sources, validation = map(shrink_sources, (recipe.data.source, recipe.validation.source))
+    return replace(
+        recipe,
+        data=replace(recipe.data, augment=crop, source=sources),
+        validation=replace(recipe.validation, source=validation),
+    )
+
+
+def expected_terms(loss, config):
+    """Terms that a recipe gives a weight and that its network has the heads for."""
+    terms = {name for name in TERMS if getattr(loss, f"{name}_weight")}
+    if not config.semantic_head:
+        terms -= {"semantic", "semantic_iou", "semantic_boundary", "semantic_depth"}
+    if not config.depth_head:
+        terms -= {"depth", "semantic_depth"}
+    return terms
+
+
+def read_scalars(folder):
+    """What TensorBoard shows: {group: {name: value}}."""
+    events = EventAccumulator(str(folder))
+    events.Reload()
+    groups = {"loss": {}, "log_variance": {}, "validation": {}}
+    for tag in events.Tags()["scalars"]:
+        group, _, name = tag.partition("/")
+        groups.setdefault(group, {})[name] = events.Scalars(tag)[-1].value
+    return groups
+
+
+@pytest.mark.parametrize(
+    "path", sorted(FOLDER.rglob("*.toml")), ids=lambda path: str(path.relative_to(FOLDER))
+)
+def test_shipped_recipe_trains(path, data, tmp_path):
+    recipe = read_shrunk(path)
+    torch.manual_seed(recipe.data.seed)
+    start = build_network(recipe.model, None).state_dict()
+    checkpoint = load_checkpoint(train(recipe, data=[data], out=tmp_path / "run"))
+
+    config = checkpoint.model.config
+    assert config.name == recipe.model.name
+    assert config.classes == (CLASS_TABLES[recipe.model.classes] if config.semantic_head else ())
+    assert config.max_depth_m == recipe.model.max_depth_m
+    assert config.boundary_gating == recipe.model.boundary_gating
+    assert checkpoint.training["recipe"]["loss"] == asdict(recipe.loss)
+    assert checkpoint.training["terms"] == recipe.terms
+    assert recipe.terms
+
+    weights = checkpoint.model.state_dict()
+    assert all(value.isfinite().all() for value in weights.values())
+    still = {
+        name
+        for name, value in checkpoint.model.named_parameters()
+        if value.ndim > 1 and torch.equal(value, start[name])
+    }
+    # Heads of coarser scales that no loss looks at.
+    coarse = {name for name in start if re.fullmatch(r"depth_heads\.[1-9]\.weight", name)}
+    assert still == (coarse if recipe.loss.depth_scales == "finest" else set())
+
+    shown = read_scalars(tmp_path / "run" / "tensorboard")
+    terms = expected_terms(recipe.loss, config)
+    assert shown["loss"].keys() == terms | {"total"}
+    assert all(0 < value < math.inf for value in shown["loss"].values())
+    learned = terms if recipe.loss.weighting == "uncertainty" else set()
+    assert shown["log_variance"].keys() == learned
+    assert shown["validation"].keys() == {
+        f"{item.name}/{score}" for item in recipe.validation.source for score in SCORES[item.kind]
+    }
+    assert all(math.isfinite(value) for value in shown["validation"].values())
