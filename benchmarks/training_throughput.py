@@ -4,8 +4,9 @@
         [--device cpu] [--seconds 40] [--workers 1 2] [--processes 1 2]
 
 The loader is run alone (after some batches to warm up), the step alone (forward, loss, backward and
-update on batches that are already there), then the loop as it is, whose waiting for the next batch is timed. Each figure is
-images over seconds of one stretch of `--seconds`; on a shared machine compare figures of one run.
+update on batches that are already there), then the loop as it is, whose waiting for the next batch
+is timed. Each figure is images over seconds of one stretch of `--seconds`; on a shared machine
+compare figures of one run.
 With two processes each computes on half of the threads.
 """
 
