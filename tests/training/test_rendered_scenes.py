@@ -98,13 +98,13 @@ def test_recipe_says_scenes_frames_and_variants(opened):
         frames_per_scene=3,
         scene_seed=20,
         variants=("rain", "fog"),
-        size=(18, 4),
+        size=(36, 40),
     )
     source = open_source(recipe, [], classes="camvid")
     assert len(source) == 6
     # Variants come in the renderer's order, whatever the recipe's.
     assert [source[0].name, source[5].name] == ["Scene20/fog/00000", "Scene21/rain/00002"]
-    assert opened[0].size == (18, 4)
+    assert opened[0].size == (36, 40)
     unknown = SourceRecipe("rendered_on_the_fly", variants=("snow",))
     with pytest.raises(DatasetError, match="no variant 'snow'; known: clone, morning"):
         open_source(unknown, [], classes="camvid")
