@@ -336,6 +336,8 @@ def test_a_real_ctrl_c(tmp_path, stream, model_file):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # A shell starts what runs in its background deaf to Ctrl-C, and children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     deadline = time.monotonic() + 30
     while not (out / "overlay/f20.jpg").exists() and time.monotonic() < deadline:
