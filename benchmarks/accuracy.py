@@ -10,18 +10,17 @@ the frames' own size.
 
 import argparse
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 from tqdm import tqdm
 
 from runtime import Predictor
 from training.datasets.sample import SampleSource
-from training.evaluation.baselines import ip_basic, nearest_fill
+from training.evaluation.baselines import BASELINES
 from training.evaluation.lidar_input import LidarSplit, split_lidar
-from training.evaluation.model_file import engine_predict
-from training.evaluation.scoring import Answer, Predict, Scores, score
+from training.evaluation.model_file import engine_predict, fill_predict
+from training.evaluation.scoring import Predict, Scores, score
 from training.recipe import SourceRecipe
 from training.sources import open_source
 
@@ -49,8 +48,7 @@ def main() -> None:
             source = open_source(recipe, arguments.data, classes="camvid")
             ways: dict[str, Predict] = {"ssdnet": engine_predict(predictor)}
             if recipe.kind != "camvid":
-                ways |= {"nearest filling": fill_predict(nearest_fill)}
-                ways |= {"IP-Basic": fill_predict(ip_basic)}
+                ways |= {name: fill_predict(fill) for name, fill in BASELINES.items()}
             print(f"## {title}, {len(source)} frames")
             figures[title] = {}
             for name, way in ways.items():
@@ -65,11 +63,6 @@ def frames(source: SampleSource, title: str) -> Iterator[LidarSplit]:
     """Yield every frame with the depth to feed and to score."""
     for index in tqdm(range(len(source)), desc=title, disable=None):
         yield split_lidar(source[index])
-
-
-def fill_predict(fill: Callable[[np.ndarray], np.ndarray]) -> Predict:
-    """Return a depth-only baseline as a predictor."""
-    return lambda rgb, sparse_depth: Answer(None, fill(sparse_depth), None)
 
 
 def report(name: str, scores: Scores, classes: list[str]) -> dict[str, float]:

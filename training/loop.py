@@ -45,7 +45,8 @@ from training.sources import count_pixels, open_mixture, open_source
 #: (rgb, sparse_depth) -> what the network says.
 Forward = Callable[[Tensor, Tensor], SSDNetOutput]
 
-_AUTOCAST = {"none": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
+#: Types of arithmetic other than float32, as recipes call them.
+_AUTOCAST = {"bf16": torch.bfloat16, "fp16": torch.float16}
 
 
 def train(
@@ -291,8 +292,8 @@ def _compute_loss(
         rgb = rgb.to(memory_format=torch.channels_last)
     with torch.autocast(
         device.type,
-        dtype=_AUTOCAST[loop.autocast] if loop.autocast != "none" else None,
-        enabled=loop.autocast != "none",
+        dtype=_AUTOCAST.get(loop.autocast),
+        enabled=loop.autocast in _AUTOCAST,
     ):
         output = forward(rgb, sparse_depth)
     terms: dict[str, Tensor] = criterion(

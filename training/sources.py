@@ -78,9 +78,7 @@ def _open(recipe: SourceRecipe, roots: Sequence[Path], classes: str) -> SampleSo
                 semantic_weight=recipe.semantic_weight,
                 classes=classes,
             )
-        case "rendered":
-            return VirtualKitti(folder, selection=_selection(recipe, folder), classes=classes)
-        case "virtual_kitti":
+        case "rendered" | "virtual_kitti":
             return VirtualKitti(
                 folder,
                 selection=_selection(recipe, folder),

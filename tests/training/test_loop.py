@@ -1,7 +1,6 @@
 """The loop learns, resumes to the same weights, and stops when it must."""
 
 import json
-import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -20,8 +19,6 @@ from training import cli, loop
 from training.augment import AugmentConfig
 from training.loop import train
 from training.losses import LossConfig
-from training.network import adjust_logits
-from training.optimizer import exponential_average, learning_rate
 from training.recipe import (
     DataRecipe,
     LoopRecipe,
@@ -403,17 +400,6 @@ def test_missing_data_set_names_the_folders(tmp_path):
         train(recipe(), data=[tmp_path], out=tmp_path / "run")
 
 
-def test_learning_rate_by_hand():
-    schedule = ScheduleRecipe(steps=110, warmup_steps=10, final_ratio=0.1)
-    assert learning_rate(schedule, 1.0, 0) == pytest.approx(0.1)
-    assert learning_rate(schedule, 1.0, 9) == pytest.approx(1.0)
-    assert learning_rate(schedule, 1.0, 60) == pytest.approx(0.1 + 0.9 * 0.5)
-    assert learning_rate(schedule, 1.0, 110) == pytest.approx(0.1)
-    constant = ScheduleRecipe(steps=110, shape="constant")
-    assert {learning_rate(constant, 0.3, step) for step in range(110)} == {0.3}
-    assert math.isclose(learning_rate(schedule, 2.0, 35), 2 * (0.1 + 0.9 * 0.853553), rel_tol=1e-5)
-
-
 def test_command_reports_bad_recipes_and_data(data, tmp_path):
     runner = CliRunner()
     out = ["--data", str(data), "--out", str(tmp_path / "run")]
@@ -427,32 +413,6 @@ def test_command_reports_bad_recipes_and_data(data, tmp_path):
     assert result.exit_code == 1
     assert "no folder 'x'" in result.output
     assert runner.invoke(cli.app, [str(tmp_path / "r.toml")]).exit_code == 2
-
-
-def test_average_forgets_its_start():
-    """After n steps at a constant value nothing of a far-off start is left."""
-    update = exponential_average(0.999)
-    average, current = [torch.full((3,), 1000.0)], [torch.ones(3)]
-    for count in range(200):
-        update(average, current, count)
-    torch.testing.assert_close(average[0], current[0], rtol=0, atol=1e-3)
-    long_run = [torch.zeros(1)]
-    update(long_run, [torch.ones(1)], 10**6)
-    torch.testing.assert_close(long_run[0], torch.tensor([1e-3]))
-
-
-def test_logit_adjustment_gives_the_class_weights_back():
-    """Odds of w * p turn into p, so that an even chance of a doubled class is no longer a win."""
-    state = {"semantic_head.bias": torch.tensor([0.0, math.log(2.0)]), "other": torch.ones(2)}
-    weights = torch.tensor([1.0, 2.0])
-    whole = adjust_logits(state, weights, 1.0)
-    torch.testing.assert_close(whole["semantic_head.bias"], torch.zeros(2))
-    half = adjust_logits(state, weights, 0.5)
-    torch.testing.assert_close(half["semantic_head.bias"][1], torch.tensor(0.5 * math.log(2.0)))
-    assert torch.equal(
-        adjust_logits(state, None, 1.0)["semantic_head.bias"], state["semantic_head.bias"]
-    )
-    assert torch.equal(whole["other"], state["other"])
 
 
 def test_final_checkpoint_is_adjusted_and_the_resumable_one_is_not(data, tmp_path):

@@ -5,6 +5,8 @@ Both take and give metres, 0 = no measurement, so they can stand wherever a netw
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +14,8 @@ from cv2.typing import MatLike
 from scipy import ndimage
 
 FloatArray = npt.NDArray[np.float32]
+#: Sparse depth to dense depth, float32 (H, W) [m].
+Fill = Callable[[FloatArray], FloatArray]
 
 #: Nearer than this is no measurement (the value of Ku et al.).
 _MEASURED_M = 0.1
@@ -88,3 +92,7 @@ def _extend_to_top(inverted: MatLike) -> MatLike:
     top_value = inverted[top, np.arange(inverted.shape[1])]
     above = np.arange(inverted.shape[0])[:, None] < top
     return np.where(above, top_value, inverted)
+
+
+#: The baselines by the name that tables give them.
+BASELINES: Mapping[str, Fill] = {"nearest filling": nearest_fill, "IP-Basic": ip_basic}

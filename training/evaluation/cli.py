@@ -3,7 +3,7 @@
 import re
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from training.recipe import SourceRecipe
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-
-_FAULTS = ("nan", "shift", "dropout")
 
 
 @app.command()
@@ -106,10 +104,13 @@ def parse_source(text: str) -> "SourceRecipe":
 
 
 def _parse_faults(text: str) -> list[Any]:
+    from training.evaluation.lidar_input import Fault
+
+    known = [fault for fault in get_args(Fault) if fault != "none"]
     names = [name.strip() for name in text.split(",") if name.strip()]
-    unknown = [name for name in names if name not in _FAULTS]
+    unknown = [name for name in names if name not in known]
     if unknown:
-        raise InputError(f"--faults {unknown[0]!r}; known: {', '.join(_FAULTS)}.")
+        raise InputError(f"--faults {unknown[0]!r}; known: {', '.join(known)}.")
     return names
 
 

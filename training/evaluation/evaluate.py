@@ -1,28 +1,23 @@
 """Every model on every set with every LiDAR and fault."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from tqdm import tqdm
 
 from models import CLASS_TABLES
-from runtime.contract import ClassInfo
 from runtime.errors import InputError
 from training.datasets.sample import SampleSource
-from training.evaluation.baselines import ip_basic, nearest_fill
-from training.evaluation.lidar_input import Fault, LidarInput, LidarSplit, add_fault
-from training.evaluation.model_file import ScoredModel, open_model
+from training.evaluation.baselines import BASELINES
+from training.evaluation.lidar_input import Fault, LidarInput, add_fault
+from training.evaluation.model_file import ScoredModel, fill_predict, open_model
 from training.evaluation.report import Row
-from training.evaluation.scoring import Answer, score
+from training.evaluation.scoring import Scores
 from training.recipe import SourceRecipe
 from training.sources import open_source
-
-Fill = Callable[[NDArray[np.float32]], NDArray[np.float32]]
-_BASELINES: Mapping[str, Fill] = {"nearest filling": nearest_fill, "IP-Basic": ip_basic}
 
 
 def evaluate(
@@ -59,7 +54,10 @@ def evaluate(
 
             scored = dict(zip(model_names, opened.values(), strict=True))
             if with_baselines:
-                scored |= {name: _baseline(fill) for name, fill in _BASELINES.items()}
+                scored |= {
+                    name: ScoredModel(fill_predict(fill), CLASS_TABLES["camvid"], "no network")
+                    for name, fill in BASELINES.items()
+                }
             for name, model in scored.items():
                 source = open_source(recipe, [Path()], classes=model.class_table)
                 rows += _score_all(name, model, title, source, lidars, faults, limit)
@@ -101,45 +99,20 @@ def _score_all(
 ) -> list[Row]:
     count = len(source) if limit is None else min(limit, len(source))
     indices = np.unique(np.linspace(0, len(source) - 1, count).round().astype(int))
-    rows = []
-    for lidar in lidars:
-        for fault in faults:
-            bar = tqdm(indices, desc=f"{name} {title} {lidar} {fault}", disable=None)
-            seen = _Counted(_frames(source, bar, lidar, fault))
-            scores = score(model.predict, seen, num_classes=len(model.classes))
-            if seen.count:
-                figures = scores.figures([info.name for info in model.classes])
-                rows.append(Row(name, model.engine, title, str(lidar), fault, seen.count, figures))
-    return rows
-
-
-def _frames(
-    source: SampleSource, indices: "tqdm[int]", lidar: LidarInput, fault: Fault
-) -> Iterator[LidarSplit]:
-    for index in indices:
-        # A frame's own stream of random numbers: the same for every model, whatever the limit.
-        rng = np.random.default_rng([0, int(index)])
-        frame = lidar.split(source[int(index)], rng)
-        if frame is not None:
-            yield frame._replace(fed=add_fault(frame.fed, fault, rng))
-
-
-class _Counted:
-    """Iterate and count."""
-
-    def __init__(self, frames: Iterator[LidarSplit]) -> None:
-        self._frames = frames
-        self.count = 0
-
-    def __iter__(self) -> Iterator[LidarSplit]:
-        for frame in self._frames:
-            self.count += 1
-            yield frame
-
-
-def _baseline(fill: Fill) -> ScoredModel:
-    def predict(rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32]) -> Answer:
-        return Answer(None, fill(sparse_depth), None)
-
-    classes: tuple[ClassInfo, ...] = CLASS_TABLES["camvid"]
-    return ScoredModel(predict, classes, "no network")
+    inputs = [(lidar, fault) for lidar in lidars for fault in faults]
+    scores = {item: Scores(len(model.classes)) for item in inputs}
+    for index in tqdm(indices, desc=f"{name}, {title}", disable=None):
+        sample = source[int(index)]  # once: reading it may cost more than an answer
+        for lidar, fault in inputs:
+            # A frame's own stream of random numbers: the same for every model, whatever the limit.
+            rng = np.random.default_rng([0, int(index)])
+            frame = lidar.split(sample, rng)
+            if frame is not None:
+                fed = add_fault(frame.fed, fault, rng)
+                scores[lidar, fault].update(model.predict(sample.rgb, fed), frame)
+    class_names = [info.name for info in model.classes]
+    return [
+        Row(name, model.engine, title, str(lidar), fault, item.frames, item.figures(class_names))
+        for (lidar, fault), item in scores.items()
+        if item.frames
+    ]

@@ -14,6 +14,7 @@ from models import CLASS_TABLES, load_checkpoint
 from runtime.contract import ClassInfo
 from runtime.errors import InputError, SSDNetError
 from runtime.predictor import Predictor
+from training.evaluation.baselines import Fill
 from training.evaluation.scoring import Answer, Predict, torch_predict
 
 
@@ -81,6 +82,11 @@ def open_model(path: Path, *, device: str = "cpu", threads: int = 2) -> Iterator
             )
     else:
         raise InputError(f"{path}: expected a checkpoint (*.pt) or an exported model (*.onnx).")
+
+
+def fill_predict(fill: Fill) -> Predict:
+    """Return a baseline, which needs the sparse depth alone, as a predictor."""
+    return lambda rgb, sparse_depth: Answer(None, fill(sparse_depth), None)
 
 
 def engine_predict(predictor: Predictor) -> Predict:

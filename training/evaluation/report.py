@@ -1,6 +1,7 @@
 """Evaluation rows as a table for people, JSON for programs and a plot for the eye."""
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -73,7 +74,7 @@ def write_json(rows: Sequence[Row], path: Path) -> None:
     # NaN is no JSON: a figure that nothing was measured for is null.
     documents = []
     for row in rows:
-        figures = {key: value if value == value else None for key, value in row.figures.items()}
+        figures = {k: None if math.isnan(value) else value for k, value in row.figures.items()}
         documents.append({**asdict(row), "figures": figures})
     write_whole(path, json.dumps(documents, indent=2, allow_nan=False).encode())
 

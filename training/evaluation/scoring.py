@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -58,17 +57,33 @@ def torch_predict(network: SSDNet) -> Predict:
     return predict
 
 
-@dataclass(frozen=True)
 class Scores:
     """Counts of a whole set, a part each head; a part without any target stays empty."""
 
-    semantic: SemanticScores
-    depth: DepthScores
-    boundary: BoundaryScores
-    disparity: DisparityScores
+    def __init__(self, num_classes: int) -> None:
+        self.frames = 0
+        self.semantic = SemanticScores(num_classes)
+        self.depth = DepthScores()
+        self.boundary = BoundaryScores(BOUNDARY_THRESHOLDS)
+        self.disparity = DisparityScores()
+
+    def update(self, answer: Answer, frame: LidarSplit) -> None:
+        """Count a frame; missing heads and targets are left out."""
+        sample = frame.sample
+        self.frames += 1
+        labelled = bool((sample.semantic != IGNORE).any())
+        if answer.semantic is not None and labelled:
+            self.semantic.update(answer.semantic, sample.semantic)
+        if answer.depth is not None and frame.target.any():
+            self.depth.update(answer.depth, frame.target)
+            if sample.focal_baseline_px_m is not None:
+                self.disparity.update(answer.depth, frame.target, sample.focal_baseline_px_m)
+        if answer.boundary is not None and labelled:
+            self.boundary.update(answer.boundary, sample.semantic)
 
     def merge(self, other: "Scores") -> None:
         """Add another's counts."""
+        self.frames += other.frames
         self.semantic.merge(other.semantic)
         self.depth.merge(other.depth)
         self.boundary.merge(other.boundary)
@@ -126,25 +141,10 @@ def _category_figures(semantic: SemanticScores, class_names: Sequence[str]) -> d
 
 
 def score(predict: Predict, frames: Iterable[LidarSplit], *, num_classes: int) -> Scores:
-    """Score a predictor on frames of `split_lidar`; missing heads and targets are left out."""
-    scores = Scores(
-        SemanticScores(num_classes),
-        DepthScores(),
-        BoundaryScores(BOUNDARY_THRESHOLDS),
-        DisparityScores(),
-    )
+    """Score a predictor on frames; missing heads and targets are left out."""
+    scores = Scores(num_classes)
     for frame in frames:
-        sample = frame.sample
-        answer = predict(sample.rgb, frame.fed)
-        labelled = bool((sample.semantic != IGNORE).any())
-        if answer.semantic is not None and labelled:
-            scores.semantic.update(answer.semantic, sample.semantic)
-        if answer.depth is not None and frame.target.any():
-            scores.depth.update(answer.depth, frame.target)
-            if sample.focal_baseline_px_m is not None:
-                scores.disparity.update(answer.depth, frame.target, sample.focal_baseline_px_m)
-        if answer.boundary is not None and labelled:
-            scores.boundary.update(answer.boundary, sample.semantic)
+        scores.update(predict(frame.sample.rgb, frame.fed), frame)
     return scores
 
 
