@@ -32,6 +32,9 @@ _COLUMNS = (
 )
 _PLOTTED = (("miou", "mIoU [%]", 100.0), ("mae_m", "MAE [m]", 1.0), ("rmse_m", "RMSE [m]", 1.0))
 
+_MARKERS = "os^Dv*"
+_LINE_STYLES = ("-", "--", ":", "-.")
+
 
 @dataclass(frozen=True)
 class Row:
@@ -80,7 +83,11 @@ def write_json(rows: Sequence[Row], path: Path) -> None:
 
 
 def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:
-    """Draw accuracy against the LiDAR, a line a model, set and fault; PNG. Raises OutputError."""
+    """Draw accuracy against the LiDAR, a line a model, set and fault; PNG.
+
+    A model has its colour, a set its marker and a fault its dashes, the same in every panel.
+    Raises OutputError.
+    """
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -89,11 +96,14 @@ def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:
     plotted = [item for item in _PLOTTED if any(item[0] in row.figures for row in rows)]
     lidars = list(dict.fromkeys(row.lidar for row in rows))
     lines = list(dict.fromkeys((row.model, row.engine, row.data, row.fault) for row in rows))
+    models = list(dict.fromkeys((row.model, row.engine) for row in rows))
+    sets = list(dict.fromkeys(row.data for row in rows))
+    faults = list(dict.fromkeys(row.fault for row in rows))
     figure, panels = plt.subplots(
         1, max(1, len(plotted)), figsize=(5 * max(1, len(plotted)), 4), squeeze=False
     )
     for panel, (key, title, factor) in zip(panels[0], plotted, strict=False):
-        for index, (model, engine, data, fault) in enumerate(lines):
+        for model, engine, data, fault in lines:
             points = [
                 (lidars.index(row.lidar), row.figures[key] * factor)
                 for row in rows
@@ -102,8 +112,13 @@ def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:
             ]
             label = f"{model} ({engine}), {data}" + (f", {fault}" if fault != "none" else "")
             if points:
-                # One colour a line in all panels, whichever of them it is in.
-                panel.plot(*zip(*points, strict=True), "o-", label=label, color=f"C{index % 10}")
+                panel.plot(
+                    *zip(*points, strict=True),
+                    label=label,
+                    color=f"C{models.index((model, engine)) % 10}",
+                    marker=_MARKERS[sets.index(data) % len(_MARKERS)],
+                    linestyle=_LINE_STYLES[faults.index(fault) % len(_LINE_STYLES)],
+                )
         panel.set_xticks(range(len(lidars)), lidars)
         panel.set_xlabel("LiDAR: lines, random share, none")
         panel.set_title(title)
