@@ -7,6 +7,9 @@ speed drifts slows all of them alike: the ONNX Runtime session alone, `Predictor
 `ssdnet-run`'s stream (files in, every kind of picture out), the last one twice: once from JPEG
 pictures, as cameras record, and once from PNG, as data sets come: a PNG takes four times as long to
 decode. The depth maps are PNGs either way. Quote the ratios.
+
+"busy" is how many cores the process keeps busy on average: a stream that keeps all of them busy can
+only become faster by doing less.
 """
 
 import argparse
@@ -54,11 +57,11 @@ def main() -> None:
         f"Python {platform.python_version()}; medians of {arguments.rounds} interleaved turns\n"
     )
     print(
-        "| model | size | frames a turn | session ms | predict ms | ratio | "
-        "stream from JPEG ms a frame | throughput against predict | "
-        "from PNG ms a frame | throughput |"
+        "| model | size | frames a turn | session ms | predict ms | busy | ratio | "
+        "stream from JPEG ms a frame | busy | throughput against predict | "
+        "from PNG ms a frame | busy | throughput |"
     )
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    print("|" + "---|" * 13)
     dedicate_process()
     rows = []
     with tempfile.TemporaryDirectory(dir=arguments.scratch) as scratch:
@@ -77,9 +80,10 @@ def main() -> None:
                 rows.append({"model": name, "size": size, **row})
                 print(
                     f"| {name} | {size} | {row['frames']} | {row['session_ms']:.2f} | "
-                    f"{row['predict_ms']:.2f} | {row['predict_ratio']:.3f} | "
-                    f"{row['jpg_ms']:.2f} | {row['jpg_throughput']:.2f} | "
-                    f"{row['png_ms']:.2f} | {row['png_throughput']:.2f} |",
+                    f"{row['predict_ms']:.2f} | {row['predict_busy']:.2f} | "
+                    f"{row['predict_ratio']:.3f} | "
+                    f"{row['jpg_ms']:.2f} | {row['jpg_busy']:.2f} | {row['jpg_throughput']:.2f} | "
+                    f"{row['png_ms']:.2f} | {row['png_busy']:.2f} | {row['png_throughput']:.2f} |",
                     flush=True,
                 )
     if arguments.json:
@@ -103,14 +107,15 @@ def measure(
         feeds = [
             {"rgb": frame.rgb[None], "sparse_depth": frame.sparse_depth[None]} for frame in frames
         ]
-        one = _timed(lambda: predictor.predict(frames[0].rgb, frames[0].sparse_depth), warm=True)
+        predictor.predict(frames[0].rgb, frames[0].sparse_depth)
+        one, _ = _timed(lambda: predictor.predict(frames[0].rgb, frames[0].sparse_depth))
         count = max(4, min(40, round(seconds / one)))
         order = [index % len(frames) for index in range(count)]
 
-        def run_session() -> float:
+        def run_session() -> tuple[float, float]:
             return _timed(lambda: [session.run(predictor.heads, feeds[index]) for index in order])
 
-        def run_predict() -> float:
+        def run_predict() -> tuple[float, float]:
             return _timed(
                 lambda: [
                     predictor.predict(frames[index].rgb, frames[index].sparse_depth)
@@ -118,7 +123,7 @@ def measure(
                 ]
             )
 
-        def run_whole_stream(suffix: str) -> float:
+        def run_whole_stream(suffix: str) -> tuple[float, float]:
             # A name a frame and a fresh folder, and nothing removed in between: ext4 passes over
             # the inodes of files removed in the last seconds one by one, up to 0.6 ms a new file.
             pairs = [
@@ -139,26 +144,30 @@ def measure(
         )
         for way in ways:  # the first files and buffers take memory that was never touched before
             way()
-        times = np.array([[way() for way in ways] for _ in range(rounds)]) / count * 1e3
+        timed = np.array([[way() for way in ways] for _ in range(rounds)])  # (rounds, ways, 2)
+    times = timed[..., 0] / count * 1e3
     session_ms, predict_ms, jpg_ms, png_ms = (float(np.median(column)) for column in times.T)
+    busy = np.median(timed[..., 1] / timed[..., 0], axis=0)
     return {
         "frames": count,
         "session_ms": session_ms,
         "predict_ms": predict_ms,
+        "predict_busy": float(busy[1]),
         "predict_ratio": statistics.median(times[:, 1] / times[:, 0]),
         "jpg_ms": jpg_ms,
+        "jpg_busy": float(busy[2]),
         "jpg_throughput": statistics.median(times[:, 1] / times[:, 2]),
         "png_ms": png_ms,
+        "png_busy": float(busy[3]),
         "png_throughput": statistics.median(times[:, 1] / times[:, 3]),
     }
 
 
-def _timed(call: Callable[[], object], *, warm: bool = False) -> float:
-    if warm:
-        call()
-    started = time.perf_counter()
+def _timed(call: Callable[[], object]) -> tuple[float, float]:
+    """Wall and processor time of a call, the latter of all threads, in seconds."""
+    started, worked = time.perf_counter(), time.process_time()
     call()
-    return time.perf_counter() - started
+    return time.perf_counter() - started, time.process_time() - worked
 
 
 def _model(name: str, scratch: Path) -> Path | None:
