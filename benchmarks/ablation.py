@@ -5,13 +5,14 @@
 
 `DIR` holds the rendered scenes `train` and `test`. Rows are recipes of training/recipes/ablation.
 Runs that are finished are not repeated, so more seeds or rows can be added; one that was stopped
-goes on. For other settings give another `RUNS`. Every row is scored on all of `test` with 5 % of
-the depth, drawn once for all rows.
+goes on. Runs of other settings are refused: give another `RUNS`. Every row is scored on all of
+`test` with 5 % of the depth, drawn once for all rows.
 """
 
 import argparse
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 from statistics import mean, stdev
@@ -21,11 +22,13 @@ import numpy as np
 import torch
 
 from models import load_checkpoint
+from runtime.errors import InputError
 from runtime.writer import write_whole
 from training.evaluation.lidar_input import LidarInput
 from training.evaluation.scoring import score, torch_predict
 from training.loop import train
-from training.recipe import SourceRecipe, read_recipe
+from training.recipe import Recipe, SourceRecipe, read_recipe
+from training.run_folder import RECIPE, to_text
 from training.sources import open_source
 
 mpl.use("Agg")
@@ -89,11 +92,12 @@ def main() -> None:
 def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
     """Train one row with one seed, unless that is done, and return its figures."""
     out = arguments.runs / f"{row}-{seed}"
-    scores = out / "scores.json"
-    if scores.is_file():
-        return json.loads(scores.read_text())
     path = files("training.recipes") / "ablation" / f"{row}.toml"
     recipe = read_recipe(Path(str(path)), [f"data.seed = {seed}", *arguments.set])
+    scores = out / "scores.json"
+    if scores.is_file():
+        _require_same(recipe, out)
+        return json.loads(scores.read_text())
     checkpoint = train(recipe, data=[arguments.data], out=out, device=arguments.device)
     network = load_checkpoint(checkpoint).model.to(arguments.device)
     source = open_source(SourceRecipe("rendered", "test"), [arguments.data], classes="camvid")
@@ -109,6 +113,16 @@ def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
     figures = counted.figures([info.name for info in network.config.classes])
     write_whole(scores, json.dumps(figures, indent=2).encode())
     return figures
+
+
+def _require_same(recipe: Recipe, out: Path) -> None:
+    """Raise InputError if the finished run was of another recipe: a table mixes no settings."""
+    known = json.loads((out / RECIPE).read_text(encoding="utf-8"))["recipe"]
+    if known != json.loads(to_text(asdict(recipe))):
+        raise InputError(
+            f"{out}: was trained with another recipe or --set (see its {RECIPE}). Give the "
+            "settings it was trained with, or another --runs."
+        )
 
 
 def markdown(results: Mapping[str, Sequence[Mapping[str, float]]]) -> str:

@@ -13,6 +13,15 @@ from models.config import CONFIGS
 from runtime.errors import CheckpointError, InputError
 from training.recipe import ModelRecipe
 
+#: Layers whose weights are of one class each.
+_CLASS_LAYERS = ("semantic_head.",)
+#: Settings that change what weights of the same shape mean.
+_MEANINGS = {
+    "max_depth_m": "the depth range [m]",
+    "sparse_depth_gain": "the factor on the sparse depth",
+    "boundary_gating": "the gating by boundaries",
+}
+
 
 def build_network(recipe: ModelRecipe, init: Path | None) -> SSDNet:
     """Build a recipe's network; ``init`` is a checkpoint whose weights it starts from.
@@ -39,15 +48,23 @@ def build_network(recipe: ModelRecipe, init: Path | None) -> SSDNet:
 def _start_from(network: SSDNet, init: Path) -> None:
     """Take over the weights of a checkpoint; layers that it lacks, or has in another shape, stay.
 
-    So a network with other classes or another head starts from what is already known. What
-    starts anew is said on standard error. Raises CheckpointError if nothing fits.
+    So a network with other classes or another head starts from what is already known. Layers
+    that tell classes apart stay as well where the classes are others, even as many. What starts
+    anew, and what is taken over but means something else, is said on standard error. Raises
+    CheckpointError if nothing fits.
     """
-    known = load_checkpoint(init).model.state_dict()
+    source = load_checkpoint(init).model
+    known = source.state_dict()
     wanted = network.state_dict()
+    names, known_names = (
+        [info.name for info in model.config.classes or ()] for model in (network, source)
+    )
     taken = {
         name: known[name]
         for name, value in wanted.items()
-        if name in known and known[name].shape == value.shape
+        if name in known
+        and known[name].shape == value.shape
+        and (names == known_names or not name.startswith(_CLASS_LAYERS))
     }
     fresh = sorted({name.rsplit(".", 1)[0] for name in wanted.keys() - taken.keys()})
     if not any(p.ndim > 1 and name in taken for name, p in network.named_parameters()):
@@ -59,6 +76,13 @@ def _start_from(network: SSDNet, init: Path) -> None:
     if fresh:
         tqdm.write(f"{init}: {len(taken)} of {len(wanted)} tensors taken over", file=sys.stderr)
         tqdm.write(f"starting anew: {', '.join(fresh)}", file=sys.stderr)
+    for key, meaning in _MEANINGS.items():
+        before, now = getattr(source.config, key), getattr(network.config, key)
+        if before != now:
+            tqdm.write(
+                f"{init}: {meaning} was {before}, here it is {now}; its weights have to adapt",
+                file=sys.stderr,
+            )
 
 
 def adjust_logits(

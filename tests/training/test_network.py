@@ -1,10 +1,13 @@
-"""What training does to a network's weights before they ship."""
+"""What weights a training starts from, and what it does to them before they ship."""
 
 import math
 
+import pytest
 import torch
 
-from training.network import adjust_logits
+from models import CLASS_TABLES, create_model, save_checkpoint
+from training.network import adjust_logits, build_network
+from training.recipe import ModelRecipe
 
 
 def test_logit_adjustment_gives_the_class_weights_back():
@@ -19,3 +22,31 @@ def test_logit_adjustment_gives_the_class_weights_back():
         adjust_logits(state, None, 1.0)["semantic_head.bias"], state["semantic_head.bias"]
     )
     assert torch.equal(whole["other"], state["other"])
+
+
+def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
+    network = create_model("ssdnet-lite", classes=tuple(reversed(CLASS_TABLES["camvid"])))
+    other = tmp_path / "other.pt"
+    with torch.no_grad():
+        network.semantic_head.bias.fill_(77.0)
+    save_checkpoint(other, network)
+    built = build_network(ModelRecipe("ssdnet-lite"), other)
+    assert "starting anew: semantic_head\n" in capsys.readouterr().err
+    assert not (built.semantic_head.bias == 77.0).any()
+    assert torch.equal(built.state_dict()["depth_heads.0.weight"], network.depth_heads[0].weight)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"max_depth_m": 80.0}, "the depth range [m] was 100.0, here it is 80.0"),
+        ({"boundary_gating": False}, "the gating by boundaries was True, here it is False"),
+    ],
+)
+def test_init_says_when_weights_come_to_mean_something_else(tmp_path, capsys, changed, said):
+    other = tmp_path / "other.pt"
+    save_checkpoint(other, create_model("ssdnet-lite"))
+    build_network(ModelRecipe("ssdnet-lite"), other)
+    assert capsys.readouterr().err == ""
+    build_network(ModelRecipe("ssdnet-lite", **changed), other)
+    assert said in capsys.readouterr().err
