@@ -37,7 +37,8 @@ from training import loop
 from training.augment import AugmentConfig
 from training.losses import LossConfig
 from training.recipe import *
-data, out, batch, parts = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4])
+data, out = Path(sys.argv[1]), Path(sys.argv[2])
+batch, parts, stop_after = map(int, sys.argv[3:])
 source = SourceRecipe("rendered", "scenes")
 recipe = Recipe(
     model=ModelRecipe("ssdnet-small"),
@@ -55,7 +56,7 @@ def keep(network, processes):
     torch.save(network.state_dict(), out / f"rank{processes.rank}.start")
     return share(network, processes)
 loop.share_gradients = keep
-loop.train(recipe, data=[data], out=out)
+loop.train(recipe, data=[data], out=out, stop_after=stop_after or None)
 torch.save(kept.state_dict(), out / f"rank{os.environ.get('RANK', 0)}.weights")
 """
 
@@ -86,7 +87,16 @@ def data(tmp_path):
     return tmp_path / "data"
 
 
-def run(tmp_path: Path, data: Path, name: str, *, processes: int, batch: int, parts: int = 1):
+def run(
+    tmp_path: Path,
+    data: Path,
+    name: str,
+    *,
+    processes: int,
+    batch: int,
+    parts: int = 1,
+    stop_after: int = 0,
+) -> Path:
     script = tmp_path / "train.py"
     script.write_text(TRAIN)
     launcher = [
@@ -95,7 +105,7 @@ def run(tmp_path: Path, data: Path, name: str, *, processes: int, batch: int, pa
     command = [sys.executable, "-W", "ignore", *(launcher if processes > 1 else [])]
     out = tmp_path / name
     done = subprocess.run(
-        [*command, str(script), str(data), str(out), str(batch), str(parts)],
+        [*command, str(script), str(data), str(out), *map(str, (batch, parts, stop_after))],
         capture_output=True,
         text=True,
         timeout=300,
@@ -145,6 +155,23 @@ def test_two_processes_train_what_one_trains_with_the_large_batch(tmp_path, data
         *("recipe.json", "tensorboard"),
     ]
     assert len(list((two / "tensorboard").iterdir())) == 1  # one of them writes
+
+
+def test_two_processes_resume_to_the_same_weights(tmp_path, data):
+    whole = run(tmp_path, data, "whole", processes=2, batch=2)
+    stopped = run(tmp_path, data, "stopped", processes=2, batch=2, stop_after=1)
+    expected = torch.load(whole / "rank0.weights")
+    halfway = torch.load(stopped / "rank0.weights")
+    assert any(not torch.equal(halfway[name], expected[name]) for name in expected)
+    assert not (stopped / "model.pt").exists()
+    run(tmp_path, data, "stopped", processes=2, batch=2)
+    for rank in (0, 1):
+        resumed = torch.load(stopped / f"rank{rank}.weights")
+        for name in expected:
+            assert torch.equal(resumed[name], expected[name]), name
+    shipped = [load_checkpoint(out / "model.pt").model.state_dict() for out in (whole, stopped)]
+    assert all(torch.equal(shipped[0][name], shipped[1][name]) for name in shipped[0])
+    assert scores_of(stopped) == scores_of(whole)
 
 
 def test_shares_of_the_processes_make_up_one_process_s_batches():
