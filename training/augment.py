@@ -45,17 +45,17 @@ class AugmentConfig:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be drawn, with a ValueError that names the key."""
-        require_range("augment.scale", self.scale)
+        require_range("scale", self.scale)
         for key in ("random_share", "recorded_share"):
-            require_range(f"augment.{key}", getattr(self, key), at_most=1.0)
+            require_range(key, getattr(self, key), at_most=1.0)
         for key in ("flip", "gray", "blur", "noise", "lidar_missing", "lidar_random"):
             if not 0 <= getattr(self, key) <= 1:
-                raise ValueError(f"augment.{key} = {getattr(self, key)}; it must be 0..1")
+                raise ValueError(f"{key} = {getattr(self, key)}; it must be 0..1")
         for key in ("brightness", "contrast", "saturation", "hue_deg"):
             if not 0 <= getattr(self, key) < np.inf:
-                raise ValueError(f"augment.{key} = {getattr(self, key)}; it must not be negative")
+                raise ValueError(f"{key} = {getattr(self, key)}; it must not be negative")
         if not self.lines or any(count < 1 or 64 % count for count in self.lines):
-            raise ValueError(f"augment.lines = {list(self.lines)}; each must divide 64")
+            raise ValueError(f"lines = {list(self.lines)}; each must divide 64")
 
 
 def require_range(key: str, limits: tuple[float, float], *, at_most: float = np.inf) -> None:

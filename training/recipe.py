@@ -87,18 +87,18 @@ class SourceRecipe:
     def __post_init__(self) -> None:
         """Refuse what says nothing about this kind of set, with a ValueError that names the key."""
         for length in self.size or ():
-            _require("data.source.size", length, at_least=32)
+            _require("size", length, at_least=32)
         if self.scale is not None:
-            require_range("data.source.scale", self.scale)
+            require_range("scale", self.scale)
         if not (self.path or self.kind == "rendered_on_the_fly"):
-            raise ValueError(f"data.source of kind {self.kind!r} needs a path")
+            raise ValueError(f"path is missing; a set of kind {self.kind!r} needs one")
         for key, least in (("num_scenes", 1), ("frames_per_scene", 1), ("scene_seed", 0)):
-            _require(f"data.source.{key}", getattr(self, key), at_least=least)
+            _require(key, getattr(self, key), at_least=least)
         known = {"kind", "path", "weight", "size", "scale", *_KEYS[self.kind]}
         for item in fields(self):
             if item.name not in known and getattr(self, item.name) != item.default:
                 raise ValueError(
-                    f"data.source.{item.name} means nothing to a set of kind {self.kind!r}; it "
+                    f"{item.name} means nothing to a set of kind {self.kind!r}; it "
                     f"knows {', '.join(sorted(known))}"
                 )
 
@@ -140,17 +140,17 @@ class DataRecipe:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be drawn, with a ValueError that names the key."""
-        _require("data.source", len(self.source), at_least=1)
-        _require("data.batch_size", self.batch_size, at_least=1)
-        _require("data.seed", self.seed, at_least=0)
-        _require("data.workers", self.workers, at_least=0)
-        _require("data.cache_gib", self.cache_gib, at_least=0)
-        _require("data.frequency_samples", self.frequency_samples, at_least=1)
+        _require("source", len(self.source), at_least=1)
+        _require("batch_size", self.batch_size, at_least=1)
+        _require("seed", self.seed, at_least=0)
+        _require("workers", self.workers, at_least=0)
+        _require("cache_gib", self.cache_gib, at_least=0)
+        _require("frequency_samples", self.frequency_samples, at_least=1)
         for size in self.augment.crop:
-            _require("data.augment.crop", size, at_least=32)
+            _require("augment.crop", size, at_least=32)
         for item in self.source:
             if not 0 < item.weight < math.inf:
-                raise ValueError(f"data.source.weight = {item.weight}; it must be positive")
+                raise ValueError(f"source.weight = {item.weight}; it must be positive")
 
 
 @dataclass(frozen=True)
@@ -164,9 +164,9 @@ class OptimizerRecipe:
 
     def __post_init__(self) -> None:
         """Refuse negative rates, with a ValueError that names the key."""
-        _require("optimizer.learning_rate", self.learning_rate, at_least=0)
-        _require("optimizer.weight_decay", self.weight_decay, at_least=0)
-        _require("optimizer.momentum", self.momentum, at_least=0, at_most=1)
+        _require("learning_rate", self.learning_rate, at_least=0)
+        _require("weight_decay", self.weight_decay, at_least=0)
+        _require("momentum", self.momentum, at_least=0, at_most=1)
 
 
 @dataclass(frozen=True)
@@ -180,9 +180,9 @@ class ScheduleRecipe:
 
     def __post_init__(self) -> None:
         """Refuse negative lengths, with a ValueError that names the key."""
-        _require("schedule.steps", self.steps, at_least=1)
-        _require("schedule.warmup_steps", self.warmup_steps, at_least=0)
-        _require("schedule.final_ratio", self.final_ratio, at_least=0, at_most=1)
+        _require("steps", self.steps, at_least=1)
+        _require("warmup_steps", self.warmup_steps, at_least=0)
+        _require("final_ratio", self.final_ratio, at_least=0, at_most=1)
 
 
 @dataclass(frozen=True)
@@ -210,12 +210,12 @@ class LoopRecipe:
 
     def __post_init__(self) -> None:
         """Refuse intervals below one step, with a ValueError that names the key."""
-        _require("loop.checkpoint_every", self.checkpoint_every, at_least=1)
-        _require("loop.log_every", self.log_every, at_least=1)
-        _require("loop.accumulate", self.accumulate, at_least=1)
-        _require("loop.ema_decay", self.ema_decay, at_least=0, at_most=1)
-        _require("loop.clip_norm", self.clip_norm, at_least=0)
-        _require("loop.logit_adjustment", self.logit_adjustment, at_least=0, at_most=1)
+        _require("checkpoint_every", self.checkpoint_every, at_least=1)
+        _require("log_every", self.log_every, at_least=1)
+        _require("accumulate", self.accumulate, at_least=1)
+        _require("ema_decay", self.ema_decay, at_least=0, at_most=1)
+        _require("clip_norm", self.clip_norm, at_least=0)
+        _require("logit_adjustment", self.logit_adjustment, at_least=0, at_most=1)
 
 
 @dataclass(frozen=True)
@@ -229,13 +229,13 @@ class ValidationRecipe:
 
     def __post_init__(self) -> None:
         """Refuse sets whose scores would share a name, with a ValueError that names the key."""
-        _require("validation.every", self.every, at_least=1)
-        _require("validation.pictures", self.pictures, at_least=0)
+        _require("every", self.every, at_least=1)
+        _require("pictures", self.pictures, at_least=0)
         paths = [item.name for item in self.source]
         twice = sorted({path for path in paths if paths.count(path) > 1})
         if twice:
             raise ValueError(
-                f"validation.source has {twice[0]!r} twice; scores are named by the path"
+                f"source has {twice[0]!r} twice; scores are named by the path"
             )
 
 
@@ -273,7 +273,7 @@ def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:
             ) from error
     try:
         return build(Recipe, table)
-    except (InputError, ValueError) as error:
+    except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
@@ -325,9 +325,11 @@ def build(kind: type[T], table: Mapping[str, Any], where: str = "") -> T:
     ]
     if missing:
         raise InputError(f"missing key {where}{missing[0]}.")
-    return kind(
-        **{key: _convert(hints[key], value, f"{where}{key}") for key, value in table.items()}
-    )
+    values = {key: _convert(hints[key], value, f"{where}{key}") for key, value in table.items()}
+    try:
+        return kind(**values)
+    except ValueError as error:  # its text starts with the key
+        raise InputError(f"{where}{error}.") from error
 
 
 def _convert(hint: Any, value: Any, where: str) -> Any:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -195,6 +196,7 @@ def test_a_run_that_goes_on_keeps_its_curves(data, tmp_path):
     run = replace(run, validation=replace(run.validation, every=2))
     train(run, data=[data], out=tmp_path / "run", stop_after=2)
     for _ in range(2):  # the second time there is nothing left to do
+        time.sleep(1.1)  # TensorBoard orders its files by the second they were begun in
         train(run, data=[data], out=tmp_path / "run")
     events = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
     events.Reload()

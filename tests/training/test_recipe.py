@@ -206,7 +206,7 @@ def test_mistaken_bases_are_named(base, text, message):
 )
 def test_keys_that_mean_nothing_to_a_kind_are_refused(kind, keys):
     (key,) = keys
-    with pytest.raises(ValueError, match=rf"data\.source\.{key} means nothing to .*'{kind}'; it"):
+    with pytest.raises(ValueError, match=rf"{key} means nothing to .*'{kind}'; it"):
         SourceRecipe(kind, "folder", **keys)
 
 
@@ -239,7 +239,7 @@ def test_every_kind_takes_its_own_keys(kind, keys):
 def test_only_scenes_rendered_on_the_fly_need_no_path():
     assert SourceRecipe("rendered_on_the_fly").name == "rendered_on_the_fly"
     assert SourceRecipe("rendered", "rendered/val").name == "rendered/val"
-    with pytest.raises(ValueError, match="kind 'rendered' needs a path"):
+    with pytest.raises(ValueError, match="path is missing; a set of kind 'rendered'"):
         SourceRecipe("rendered")
 
 
@@ -248,13 +248,16 @@ def test_only_scenes_rendered_on_the_fly_need_no_path():
 )
 def test_scenes_on_the_fly_are_counted_from_one(keys):
     (key,) = keys
-    with pytest.raises(ValueError, match=rf"data\.source\.{key} = "):
+    with pytest.raises(ValueError, match=rf"{key} = "):
         SourceRecipe("rendered_on_the_fly", **keys)
 
 
 def test_mistaken_sources_are_named_with_their_file(tmp_path):
-    with pytest.raises(InputError, match=r"r\.toml: data\.source\.last means nothing"):
+    with pytest.raises(InputError, match=r"r\.toml: data\.source\[0\]\.last means nothing"):
         read(tmp_path, MINIMAL.replace("scale = [1, 2]", "last = 3"))
+    second = MINIMAL + '[[validation.source]]\nkind = "camvid"\npath = "camvid"\nlast = 3\n'
+    with pytest.raises(InputError, match=r"validation\.source\[0\]\.last means nothing"):
+        read(tmp_path, second)
     with pytest.raises(InputError, match=r"r\.toml: data\.cache_gib = -1"):
         read(tmp_path, MINIMAL.replace("batch_size = 4", "cache_gib = -1"))
     with pytest.raises(InputError, match=r"model\.classes = 'coco'; choose one of 'camvid'"):
@@ -265,7 +268,7 @@ def test_two_validation_sets_of_one_path_are_refused():
     source = SourceRecipe("camvid", "camvid", split="val")
     with pytest.raises(ValueError, match="'camvid' twice"):
         ValidationRecipe(source=(source, source))
-    with pytest.raises(ValueError, match=r"validation\.every"):
+    with pytest.raises(ValueError, match="every = "):
         ValidationRecipe(every=0)
 
 

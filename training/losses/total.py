@@ -104,9 +104,9 @@ class LossConfig:
         }
         for key, value in numbers.items():
             if not 0 <= value < float("inf"):
-                raise ValueError(f"loss.{key} = {value}; it must be 0 or a positive number")
+                raise ValueError(f"{key} = {value}; it must be 0 or a positive number")
         if not any(value for key, value in numbers.items() if key.endswith("_weight")):
-            raise ValueError("all weights of the loss are 0: nothing would be trained")
+            raise ValueError("semantic_weight and all other weights are 0; nothing would be trained")
 
 
 class SSDNetLoss(nn.Module):
