@@ -234,9 +234,7 @@ class ValidationRecipe:
         paths = [item.name for item in self.source]
         twice = sorted({path for path in paths if paths.count(path) > 1})
         if twice:
-            raise ValueError(
-                f"source has {twice[0]!r} twice; scores are named by the path"
-            )
+            raise ValueError(f"source has {twice[0]!r} twice; scores are named by the path")
 
 
 @dataclass(frozen=True)

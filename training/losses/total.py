@@ -106,7 +106,7 @@ class LossConfig:
             if not 0 <= value < float("inf"):
                 raise ValueError(f"{key} = {value}; it must be 0 or a positive number")
         if not any(value for key, value in numbers.items() if key.endswith("_weight")):
-            raise ValueError("semantic_weight and all other weights are 0; nothing would be trained")
+            raise ValueError("semantic_weight and all other weights are 0; nothing would learn")
 
 
 class SSDNetLoss(nn.Module):
