@@ -23,7 +23,7 @@ import torch
 
 from models import load_checkpoint
 from runtime.errors import InputError
-from runtime.writer import write_whole
+from runtime.whole_file import write_whole
 from training.evaluation.lidar_input import LidarInput
 from training.evaluation.scoring import score, torch_predict
 from training.loop import train

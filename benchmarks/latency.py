@@ -34,8 +34,9 @@ from runtime.cli import bundled_stream
 from runtime.frames import FrameFiles, list_frames, read_frame
 from runtime.process import dedicate_process
 from runtime.report import cpu_name
+from runtime.run_folder import KINDS
 from runtime.stream import run_stream
-from runtime.writer import KINDS, FrameWriter
+from runtime.writer import FrameWriter
 
 SIZES = ("125x414", "375x1242", "512x1024")
 

@@ -16,8 +16,9 @@ from runtime import Predictor
 from runtime.cli import bundled_stream
 from runtime.frames import list_frames, read_frame
 from runtime.process import dedicate_process
+from runtime.run_folder import KINDS
 from runtime.stream import run_stream
-from runtime.writer import KINDS, FrameWriter
+from runtime.writer import FrameWriter
 
 
 def main() -> None:

@@ -26,6 +26,8 @@ def main() -> None:
     parser.add_argument("--rgb", type=Path)
     parser.add_argument("--depth", type=Path)
     arguments = parser.parse_args()
+    if (arguments.rgb is None) != (arguments.depth is None):
+        parser.error("give both --rgb and --depth, or neither")
     folders = (arguments.rgb, arguments.depth) if arguments.rgb else bundled_stream()
     frames = [read_frame(files, depth_scale=256.0) for files in list_frames(*folders)]
 

@@ -63,7 +63,7 @@ def export_checkpoint(
     if min(size) < MINIMUM_SIZE:
         raise InputError(f"height and width must be at least {MINIMUM_SIZE}, got {size}")
     target = Path(onnx_path)
-    _check_target(target, overwrite=overwrite)
+    _check_target(target, Path(checkpoint_path), overwrite=overwrite)
     checkpoint = load_checkpoint(checkpoint_path)
     graph = DeployGraph(checkpoint.model, with_logits=with_logits)
     model = trace(graph, size=size, dynamic=dynamic, opset=opset)
@@ -86,9 +86,11 @@ def export_checkpoint(
     return ExportReport(target, size, dynamic, graph.heads, parity, len(frames), num_bytes)
 
 
-def _check_target(target: Path, *, overwrite: bool) -> None:
+def _check_target(target: Path, checkpoint: Path, *, overwrite: bool) -> None:
     if target.is_dir():
         raise OutputError(f"{target} is a folder: give the name of a file")
+    if target.exists() and checkpoint.exists() and target.samefile(checkpoint):
+        raise OutputError(f"{target} is the checkpoint itself: choose another name")
     if target.exists() and not overwrite:
         raise OutputError(f"{target} exists: choose another name, or ask to overwrite it")
     if not target.parent.is_dir():

@@ -36,8 +36,8 @@ def trace(
     # Two frames, because a 1 would be taken for a constant. Odd sides where they are free, because
     # one that happens to fit the stride would leave no trace of the padding.
     height, width = (size[0] | 1, size[1] | 1) if dynamic else size
-    example = torch.zeros(2, height, width, 3, dtype=torch.uint8), torch.zeros(2, height, width)
     try:
+        example = torch.zeros(2, height, width, 3, dtype=torch.uint8), torch.zeros(2, height, width)
         with _quiet(), torch.no_grad():
             program = torch.onnx.export(
                 graph.eval(),
@@ -50,7 +50,7 @@ def trace(
                 dynamic_shapes=(free, free),
                 verbose=False,
             )
-    except Exception as error:  # the exporter raises anything
+    except Exception as error:  # the exporter raises anything, as does a lack of memory
         raise ExportError(
             f"PyTorch's exporter failed on {graph.model.config.name!r} at {height} x {width}, "
             f"opset {opset}: {error}"

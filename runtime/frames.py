@@ -1,6 +1,7 @@
 """Pair the files of two folders to frames, and read them."""
 
 import re
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -84,10 +85,15 @@ def read_frame(files: FrameFiles, *, depth_scale: float) -> Frame:
 def read_rgb(path: Path) -> NDArray[np.uint8]:
     """Read a PNG or JPEG file as uint8 (H, W, 3), red first.
 
-    A picture of one channel comes back with three equal ones. Raises InputError if the file
-    cannot be read, is truncated or damaged, or has more than 8 bits a channel.
+    A picture of one channel comes back with three equal ones. The pixels stay where the sensor
+    has them, as in the depth map: an EXIF orientation is not followed.
+
+    Raises InputError if the file cannot be read, is truncated or damaged, or has more than 8 bits
+    a channel. A JPEG that is whole but damaged inside is decoded as far as it goes: its format has
+    no checksum, PNG's has.
     """
-    image = decode(path, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH)
+    flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    image = decode(path, flags)
     if image.dtype != np.uint8:
         raise InputError(
             f"{path} must be a picture of 8 bits a channel, got {image.dtype.itemsize * 8} bits: "
@@ -120,6 +126,8 @@ def decode(path: Path, flags: int) -> NDArray[Any]:
     Raises InputError if the file cannot be read, or is truncated or damaged.
     """
     try:
+        if not stat.S_ISREG(path.stat().st_mode):  # reading a pipe would wait for ever
+            raise InputError(f"cannot read {path}: it is not a regular file")
         content = np.fromfile(path, dtype=np.uint8)
     except OSError as error:
         raise InputError(f"cannot read {path} ({error.strerror})") from error

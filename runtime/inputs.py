@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.prediction import Cleaned
+from runtime.resizing import resize_bilinear
 
 MIN_SIDE = 32  # the coarsest scale of the network is 1/32
-_AREA_FACTOR = 2  # bilinear reads 2 x 2 pixels: it skips some when shrinking by more than this
 _CONSTANT_STEP = 16  # a look at every 16th pixel is enough to rule out a constant picture
 
 
@@ -20,8 +20,10 @@ def check_rgb(rgb: Any) -> NDArray[np.uint8]:
     rgb: uint8 (H, W, 3), red first, H and W at least MIN_SIDE.
     Raises InputError for anything else.
     """
-    if not isinstance(rgb, np.ndarray):
-        raise InputError(f"rgb must be a numpy array, got {type(rgb).__name__}")
+    if not isinstance(rgb, np.ndarray) or isinstance(rgb, np.ma.MaskedArray):
+        raise InputError(
+            f"rgb must be a plain numpy array, got {type(rgb).__name__}: a mask would be lost"
+        )
     if rgb.ndim != 3 or rgb.shape[2] != 3:
         hint = ""
         if rgb.ndim == 3 and rgb.shape[0] == 3:
@@ -44,6 +46,11 @@ def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[n
     size: (height, width) of the picture it belongs to.
     Raises InputError for another type, rank or size.
     """
+    if isinstance(sparse_depth, np.ma.MaskedArray):
+        raise InputError(
+            "sparse_depth must be a plain numpy array, got a masked one: 0 says that there is no "
+            "measurement, use sparse_depth.filled(0)"
+        )
     if not isinstance(sparse_depth, np.ndarray):
         raise InputError(f"sparse_depth must be a numpy array, got {type(sparse_depth).__name__}")
     if sparse_depth.dtype != np.float32:
@@ -96,15 +103,8 @@ def is_constant(rgb: NDArray[np.uint8]) -> bool:
 
 
 def resize_rgb(rgb: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Resize `rgb`, uint8 (H, W, 3), to `size` (height, width).
-
-    Bilinear; by area where it shrinks so far that bilinear would skip pixels.
-    """
-    height, width = size
-    far = max(rgb.shape[0] / height, rgb.shape[1] / width) > _AREA_FACTOR
-    interpolation = cv2.INTER_AREA if far else cv2.INTER_LINEAR
-    resized: NDArray[np.uint8] = cv2.resize(rgb, (width, height), interpolation=interpolation)  # type: ignore[assignment]
-    return resized
+    """Resize `rgb`, uint8 (H, W, 3), to `size` (height, width) by the contract's rule."""
+    return resize_bilinear(rgb, size)
 
 
 def resize_sparse_depth(

@@ -62,7 +62,10 @@ def nearest_rank(ordered: Sequence[float], permille: int) -> float:
 
 
 def missed_deadlines(latencies_ms: Iterable[float], *, deadline_ms: float) -> MissedDeadlines:
-    """Count the latencies [ms] above the deadline; exactly on it is in time."""
+    """Count the latencies [ms] above the deadline; exactly on it is in time.
+
+    Frames without a prediction have no latency: they neither count nor end a run of late ones.
+    """
     count = run = longest = 0
     for latency_ms in latencies_ms:
         run = run + 1 if latency_ms > deadline_ms else 0

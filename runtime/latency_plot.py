@@ -1,6 +1,6 @@
 """A picture of the latency of every frame over time."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 import cv2
 import numpy as np
@@ -14,16 +14,16 @@ _TICKS = 5
 
 
 def draw_latency(
-    latencies_ms: Sequence[float], *, deadline_ms: float | None = None
+    latencies_ms: Mapping[int, float], *, deadline_ms: float | None = None
 ) -> NDArray[np.uint8]:
     """Draw latencies [ms] against the number of the frame, the deadline as a red line.
 
-    latencies_ms: at least one. Frames later than the deadline are red points.
+    latencies_ms: number of the frame -> latency, at least one; later than the deadline = red.
     Returns uint8 (H, W, 3), blue first.
     """
     picture = np.full((_HEIGHT, _WIDTH, 3), 255, dtype=np.uint8)
-    top_ms = _round_up(max(*latencies_ms, deadline_ms or 0.0, 1e-3))
-    last = max(len(latencies_ms) - 1, 1)
+    top_ms = _round_up(max(*latencies_ms.values(), deadline_ms or 0.0, 1e-3))
+    last = max(*latencies_ms, 1)
 
     def x_of(frame: float) -> int:
         return round(_LEFT + frame / last * (_WIDTH - _LEFT - _RIGHT))
@@ -39,9 +39,9 @@ def draw_latency(
     _text(picture, "prediction [ms]", (8, 18))
     _text(picture, "frame", (_WIDTH // 2, _HEIGHT - 6))
 
-    points = [(x_of(frame), y_of(time_ms)) for frame, time_ms in enumerate(latencies_ms)]
+    points = [(x_of(frame), y_of(time_ms)) for frame, time_ms in latencies_ms.items()]
     cv2.polylines(picture, [np.array(points, dtype=np.int32)], False, _LINE, 1, cv2.LINE_AA)
-    for point, time_ms in zip(points, latencies_ms, strict=True):
+    for point, time_ms in zip(points, latencies_ms.values(), strict=True):
         late = deadline_ms is not None and time_ms > deadline_ms
         cv2.circle(picture, point, 3 if late else 2, _LATE if late else _LINE, cv2.FILLED)
     if deadline_ms is not None:

@@ -13,19 +13,14 @@ from runtime.prediction import (
     LOGITS_NOT_FINITE,
     SEMANTIC_UNKNOWN_CLASS,
 )
+from runtime.resizing import resize_bilinear
 
 _FLOAT_HEADS = {
     "depth": DEPTH_NOT_FINITE,
     "boundary": BOUNDARY_NOT_FINITE,
     "semantic_logits": LOGITS_NOT_FINITE,
 }
-# Half-pixel centres: plain INTER_NEAREST would shift the picture by up to half a pixel.
-_INTERPOLATION = {
-    "semantic": cv2.INTER_NEAREST_EXACT,
-    "depth": cv2.INTER_NEAREST_EXACT,
-    "boundary": cv2.INTER_LINEAR,
-    "semantic_logits": cv2.INTER_LINEAR,
-}
+_NEAREST = ("semantic", "depth")  # classes and depths are never mixed; the other heads are
 
 
 def faults(outputs: Mapping[str, NDArray[Any]], *, num_classes: int) -> tuple[str, ...]:
@@ -52,5 +47,8 @@ def resize_output(head: str, values: NDArray[Any], size: tuple[int, int]) -> NDA
     """Resize one head, (H, W) or (C, H, W), to `size` (height, width) by the contract's rule."""
     if values.ndim == 3:
         return np.stack([resize_output(head, plane, size) for plane in values])
+    if head not in _NEAREST:
+        return resize_bilinear(values, size)
     height, width = size
-    return cv2.resize(values, (width, height), interpolation=_INTERPOLATION[head])
+    # Plain INTER_NEAREST would shift the picture by up to half a pixel.
+    return cv2.resize(values, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)

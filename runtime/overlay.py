@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from runtime.contract import ClassInfo
 
-_PANEL_WIDTH = 640  # wider frames are shrunk by a whole number until they fit
+# Larger frames are shrunk by a whole number until they fit: a JPEG side has at most 65500 pixels.
+_PANEL_WIDTH, _PANEL_HEIGHT = 640, 4096
 _STACK_ASPECT = 2.0  # panels wider than this stand below one another
 _CLASS_OPACITY = 0.7
 _LEGEND_LINE = 22  # pixels
@@ -54,7 +55,8 @@ class Overlay:
         rgb: uint8 (H, W, 3), red first.
         Returns uint8, blue first, as OpenCV writes it.
         """
-        step = -(-rgb.shape[1] // _PANEL_WIDTH)
+        step = max(-(-rgb.shape[1] // _PANEL_WIDTH), -(-rgb.shape[0] // _PANEL_HEIGHT))
+        step = min(step, *rgb.shape[:2])  # at least a line of a very long frame is left
         image = cv2.cvtColor(_shrink(rgb, step), cv2.COLOR_RGB2BGR)
         panels = {"image": image}
         if prediction.semantic is not None:

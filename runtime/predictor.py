@@ -1,8 +1,10 @@
 """The engine: one model, one verb."""
 
 import hashlib
+import operator
 import os
 import time
+from collections.abc import Sequence
 from importlib import resources
 from os import PathLike
 from pathlib import Path
@@ -28,6 +30,7 @@ from runtime.session import node_counts, open_session
 from runtime.signature import read_signature
 
 BUNDLED_MODEL = "ssdnet-lite.onnx"
+_MOST_THREADS = 1024
 
 
 class Predictor:
@@ -68,9 +71,9 @@ class Predictor:
         warmup: int = 1,
     ) -> None:
         if threads is not None:
-            _require_count("threads", threads, at_least=1)
-        _require_count("warmup", warmup, at_least=0)
-        _require_count("device_id", device_id, at_least=0)
+            threads = _require_count("threads", threads, at_least=1, at_most=_MOST_THREADS)
+        warmup = _require_count("warmup", warmup, at_least=0)
+        device_id = _require_count("device_id", device_id, at_least=0)
         started = time.perf_counter()
         self.model, content = _read_model(model)
         self.digest = hashlib.sha256(content).hexdigest()
@@ -160,8 +163,17 @@ class Predictor:
     def warm_up(self, size: tuple[int, int], *, runs: int = 1) -> None:
         """Predict empty frames of `size` (height, width), so that memory and caches are ready.
 
-        The time of the very first is kept as `first_inference_ms`.
+        The time of the very first is kept as `first_inference_ms`. Raises InputError for a size
+        that cannot be, and what `predict` raises.
         """
+        runs = _require_count("runs", runs, at_least=0)
+        if not isinstance(size, Sequence) or len(size) != 2:
+            raise InputError(f"size must be (height, width), got {size!r}")
+        height, width = size
+        size = (
+            _require_count("height", height, at_least=inputs.MIN_SIDE),
+            _require_count("width", width, at_least=inputs.MIN_SIDE),
+        )
         rgb = np.zeros((*size, 3), dtype=np.uint8)
         sparse_depth = np.zeros(size, dtype=np.float32)
         for _ in range(runs):
@@ -207,9 +219,17 @@ class Predictor:
         return results
 
 
-def _require_count(name: str, value: Any, *, at_least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < at_least:
-        raise InputError(f"{name} must be a whole number of at least {at_least}, got {value!r}")
+def _require_count(name: str, value: Any, *, at_least: int, at_most: int = 2**31 - 1) -> int:
+    try:
+        count = operator.index(value)
+    except TypeError:
+        count = at_least - 1
+    if isinstance(value, bool) or not at_least <= count <= at_most:
+        limit = f" and at most {at_most}" if count > at_most else ""
+        raise InputError(
+            f"{name} must be a whole number of at least {at_least}{limit}, got {value!r}"
+        )
+    return count
 
 
 def _read_model(model: str | bytes | PathLike[str] | None) -> tuple[str, bytes]:

@@ -19,7 +19,8 @@ def dedicate_process() -> None:
     for a program that embeds a Predictor.
     """
     cv2.setNumThreads(1)  # its threads would compete with those of an operator
-    # What cannot be decoded becomes a flagged frame; OpenCV would print about it as well.
+    # What cannot be decoded becomes a flagged frame; OpenCV would print about it as well, as the
+    # libraries below it (libpng, libjpeg) still do.
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     if sys.platform == "linux":
         # glibc gives a picture's memory back when it is freed, and the kernel clears every page of

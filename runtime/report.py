@@ -20,8 +20,9 @@ from runtime.latency import (
 )
 from runtime.predictor import Predictor
 from runtime.stream import SKIPPED, FrameRecord, StreamResult
+from runtime.writer import DEPTH_PNG_MAX_M, DEPTH_PNG_SCALE
 
-REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.0"
+REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.1"
 
 # "predict" is Predictor.predict from end to end: what a deadline is held against.
 STAGES: dict[str, Callable[[FrameRecord], float | None]] = {
@@ -85,11 +86,13 @@ def build_report(
     version: str,
     inputs: dict[str, Any],
     output: str,
+    kinds: Sequence[str],
     deadline_ms: float | None,
 ) -> dict[str, Any]:
     """The whole run as one JSON document, see REPORT_VERSION.
 
     inputs: where the frames came from, as the user gave it.
+    kinds: what was written of each frame, of `runtime.run_folder.KINDS`.
     """
     records = result.records
     late = missed(records, deadline_ms)
@@ -104,6 +107,7 @@ def build_report(
             "precision": predictor.contract.precision,
             "input_size": predictor.input_size,
             "heads": predictor.heads,
+            "max_depth_m": predictor.contract.max_depth_m,
         },
         "provider": {
             "asked": predictor.provider,
@@ -119,6 +123,8 @@ def build_report(
         },
         "inputs": inputs,
         "output": output,
+        "saved": kinds,
+        "depth_png": {"units_per_metre": DEPTH_PNG_SCALE, "max_m": DEPTH_PNG_MAX_M},
         "frames": {
             "total": len(records),
             "by_status": dict(Counter(record.status for record in records)),
@@ -195,6 +201,12 @@ def describe_run(result: StreamResult, report: dict[str, Any]) -> str:
         lines.append(
             f"missed deadlines of {deadline['deadline_ms']:g} ms: {deadline['count']}, "
             f"longest run {deadline['longest_run']}"
+        )
+    reach_m, limit_m = report["model"]["max_depth_m"], report["depth_png"]["max_m"]
+    if "depth" in report["saved"] and reach_m > limit_m:
+        lines.append(
+            f"note: the model's depth reaches {reach_m:g} m, a depth PNG {limit_m:.2f} m: what is "
+            f"beyond says {limit_m:.2f} m"
         )
     return "\n".join(lines)
 

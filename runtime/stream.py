@@ -107,7 +107,10 @@ def run_stream(
         except KeyboardInterrupt:
             interrupted = True
         while writes:
-            finish_oldest()
+            try:
+                finish_oldest()
+            except KeyboardInterrupt:  # once more: what is left is two frames
+                interrupted = True
     finally:
         reader.shutdown(cancel_futures=True)
         writer.shutdown(cancel_futures=True)

@@ -1,6 +1,6 @@
-"""Write the answers of a run: files whole or not at all, in a folder known to be ours."""
+"""Write the answers of a run, a frame's files all or none."""
 
-import os
+import contextlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -13,14 +13,12 @@ from runtime.contract import Contract
 from runtime.errors import OutputError
 from runtime.overlay import Overlay
 from runtime.prediction import Prediction
+from runtime.run_folder import KINDS, SUFFIXES, RunFolder
+from runtime.whole_file import write_whole
 
-KINDS = ("semantic", "depth", "boundary", "overlay")
 DEPTH_PNG_SCALE = 256  # units a metre, as KITTI's
 UINT16_MAX = 65535
-FRAMES_FILE, REPORT_FILE, LATENCY_FILE = "frames.csv", "report.json", "latency.png"
-_MARKER = ".ssdnet-run"
-_MARKER_TEXT = b"Made by ssdnet-run, which may replace its own files here when told --overwrite.\n"
-_SUFFIX = {"semantic": ".png", "depth": ".png", "boundary": ".png", "overlay": ".jpg"}
+DEPTH_PNG_MAX_M = UINT16_MAX / DEPTH_PNG_SCALE
 # Writing shares the processor with inference: what a level or a filter more costs was measured.
 _PNG_RUNS = (
     cv2.IMWRITE_PNG_COMPRESSION,
@@ -40,28 +38,24 @@ _JPEG = (cv2.IMWRITE_JPEG_QUALITY, 85)
 
 
 class FrameWriter:
-    """Write each frame's answers into `folder`, one subfolder a kind.
+    """Write each frame's answers into a folder of `RunFolder`, one subfolder a kind.
 
-    folder: is made. One that exists must be empty, or, with `overwrite`, made by an earlier run,
-        whose own files are then removed and nothing else.
+    folder, overwrite: as `RunFolder` takes them
     kinds: which of KINDS to write; a head that the model lacks is left out
     Raises OutputError if the folder cannot be had.
     """
 
     def __init__(
-        self, folder: Path, contract: Contract, *, kinds: Iterable[str], overwrite: bool = False
+        self,
+        folder: Path,
+        contract: Contract,
+        *,
+        kinds: Iterable[str] = KINDS,
+        overwrite: bool = False,
     ) -> None:
-        self.folder = folder
-        self._kinds = tuple(kinds)
         self._overlay = Overlay(contract.classes, contract.max_depth_m)
-        try:
-            _prepare(folder, overwrite=overwrite)
-            for kind in self._kinds:
-                (folder / kind).mkdir(exist_ok=True)
-        except OSError as error:
-            raise OutputError(
-                f"cannot make the output folder {folder} ({error.strerror}): choose another --out"
-            ) from error
+        self._folder = RunFolder(folder, overwrite=overwrite)
+        self._subfolders = {kind: self._folder.subfolder(kind) for kind in kinds}
 
     def write(self, name: str, rgb: NDArray[np.uint8], prediction: Prediction) -> None:
         """Write what was asked for of one frame: all of it, or, on an error, none.
@@ -69,25 +63,34 @@ class FrameWriter:
         Raises OutputError.
         """
         written: list[Path] = []
+        self._folder.note(name)
         try:
-            for kind in self._kinds:
-                content = self._encode(kind, rgb, prediction)
+            for kind, folder in self._subfolders.items():
+                path = folder / (name + SUFFIXES[kind])
+                content = self._encode(kind, rgb, prediction, path)
                 if content is not None:
-                    path = self.folder / kind / (name + _SUFFIX[kind])
                     write_whole(path, content)
                     written.append(path)
         except BaseException:
             for path in written:
-                path.unlink(missing_ok=True)
+                with contextlib.suppress(OSError):  # the first error is the one to tell
+                    path.unlink(missing_ok=True)
             raise
 
     def _encode(
-        self, kind: str, rgb: NDArray[np.uint8], prediction: Prediction
+        self, kind: str, rgb: NDArray[np.uint8], prediction: Prediction, path: Path
     ) -> memoryview | None:
-        if kind == "overlay":
-            return encode(".jpg", self._overlay.draw(rgb, prediction), _JPEG)
-        values = getattr(prediction, kind)
-        return None if values is None else _ENCODERS[kind](values)
+        try:
+            if kind == "overlay":
+                return encode(".jpg", self._overlay.draw(rgb, prediction), _JPEG)
+            values = getattr(prediction, kind)
+            return None if values is None else _ENCODERS[kind](values)
+        except (cv2.error, ValueError) as error:
+            height, width = rgb.shape[:2]
+            raise OutputError(
+                f"cannot encode {path} of a frame of {height} x {width} ({error}): leave out "
+                f"{kind} with --save"
+            ) from error
 
 
 def encode_semantic(semantic: NDArray[np.uint8]) -> memoryview:
@@ -96,8 +99,8 @@ def encode_semantic(semantic: NDArray[np.uint8]) -> memoryview:
 
 
 def encode_depth(depth: NDArray[np.float32]) -> memoryview:
-    """PNG of 16 bits, metres x 256 rounded; beyond 255.99 m clipped."""
-    near = np.clip(depth, 0, UINT16_MAX / DEPTH_PNG_SCALE)
+    """PNG of 16 bits, metres x 256 rounded; what is beyond 255.99 m says 65535."""
+    near = np.clip(depth, 0, DEPTH_PNG_MAX_M)
     units = np.rint(near * DEPTH_PNG_SCALE).astype(np.uint16)
     return encode(".png", units, _PNG_STORED)
 
@@ -115,52 +118,8 @@ _ENCODERS: dict[str, Callable[[NDArray[Any]], memoryview]] = {
 
 
 def encode(suffix: str, image: Any, parameters: tuple[int, ...]) -> memoryview:
-    """Encode an image, blue first, in memory."""
-    _, content = cv2.imencode(suffix, image, parameters)
+    """Encode an image, blue first, in memory. Raises ValueError if the format cannot hold it."""
+    done, content = cv2.imencode(suffix, image, parameters)
+    if not done:
+        raise ValueError(f"{image.shape[0]} x {image.shape[1]} is too large for {suffix}")
     return content.ravel().data
-
-
-def write_whole(path: Path, content: bytes | memoryview) -> None:
-    """Write a file under a temporary name, then rename it: it is whole or not there.
-
-    Raises OutputError.
-    """
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
-    except BaseException as error:
-        temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise OutputError(
-                f"cannot write {path} ({error.strerror}): make room or choose another --out; "
-                "what was finished before is kept"
-            ) from error
-        raise
-
-
-def _prepare(folder: Path, *, overwrite: bool) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    ours = (folder / _MARKER).exists()
-    if any(folder.iterdir()):
-        if not overwrite:
-            raise OutputError(
-                f"the output folder {folder} is not empty: choose another --out, or replace an "
-                "earlier run with --overwrite"
-            )
-        if not ours:
-            raise OutputError(
-                f"the output folder {folder} holds files that ssdnet-run did not make: it "
-                "replaces nothing but its own runs, choose another --out"
-            )
-        _remove_run(folder)
-    write_whole(folder / _MARKER, _MARKER_TEXT)
-
-
-def _remove_run(folder: Path) -> None:
-    """Remove what an earlier run wrote; files of other names stay."""
-    for kind in KINDS:
-        for path in (folder / kind).glob("*" + _SUFFIX[kind]):
-            path.unlink()
-    for name in (FRAMES_FILE, REPORT_FILE, LATENCY_FILE):
-        (folder / name).unlink(missing_ok=True)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from models import remove_unfinished
 from runtime.errors import InputError, SSDNetError
-from runtime.writer import write_whole
+from runtime.whole_file import write_whole
 from training.distributed import Processes
 
 RECIPE = "recipe.json"

@@ -53,8 +53,9 @@ def _open(recipe: SourceRecipe, roots: Sequence[Path], classes: str) -> SampleSo
     folder = next((root / recipe.path for root in roots if (root / recipe.path).is_dir()), None)
     if folder is None:
         raise DatasetError(
-            f"no folder {recipe.path!r} ({recipe.kind}) below {', '.join(map(str, roots))}. "
-            "Name the folder that holds it with --data."
+            f"no folder {recipe.path!r} ({recipe.kind})"
+            + ("" if Path(recipe.path).is_absolute() else f" below {', '.join(map(str, roots))}")
+            + ". Name the folder that holds it with --data."
         )
     match recipe.kind:
         case "camvid":

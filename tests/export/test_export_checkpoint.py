@@ -179,6 +179,12 @@ def test_wrong_arguments_are_refused(lite_checkpoint, tmp_path):
         export_checkpoint(lite_checkpoint, tmp_path / "missing" / "m.onnx")
     with pytest.raises(OutputError, match="is a folder"):
         export_checkpoint(lite_checkpoint, tmp_path, overwrite=True)
+    before = lite_checkpoint.read_bytes()
+    (tmp_path / "link.onnx").symlink_to(lite_checkpoint)
+    for target in (lite_checkpoint, tmp_path / "link.onnx"):
+        with pytest.raises(OutputError, match="is the checkpoint itself"):
+            export_checkpoint(lite_checkpoint, target, overwrite=True)
+    assert lite_checkpoint.read_bytes() == before
     result = CliRunner().invoke(app, [str(lite_checkpoint), "m.onnx", "--height", "64"])
     assert result.exit_code == 2
 

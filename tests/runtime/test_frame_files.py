@@ -172,3 +172,29 @@ def test_a_frame_without_partner_cannot_be_read(tmp_path):
         read_frame(FrameFiles("x", path, None), depth_scale=256)
     with pytest.raises(InputError, match="a depth map, but no picture"):
         read_frame(FrameFiles("x", None, path), depth_scale=256)
+
+
+def test_an_exif_orientation_is_not_followed(tmp_path):
+    """The depth map is of the sensor's raster; a picture turned by itself would not fit it."""
+    rng = np.random.default_rng(0)
+    image = cv2.resize(rng.integers(0, 255, (4, 6, 3), np.uint8), (96, 64))
+    jpeg = cv2.imencode(".jpg", image)[1].tobytes()
+    upright = tmp_path / "upright.jpg"
+    upright.write_bytes(jpeg)
+    for orientation in (3, 6):
+        entry = b"\x01\x12\x00\x03\x00\x00\x00\x01" + bytes([0, orientation, 0, 0])
+        exif = b"Exif\x00\x00MM\x00*\x00\x00\x00\x08\x00\x01" + entry + bytes(4)
+        header = b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif
+        turned = tmp_path / f"{orientation}.jpg"
+        turned.write_bytes(jpeg[:2] + header + jpeg[2:])
+        assert cv2.imread(str(turned)).shape != image.shape or orientation == 3
+        np.testing.assert_array_equal(read_rgb(turned), read_rgb(upright))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_what_is_no_regular_file_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.png")
+    (tmp_path / "folder.png").mkdir()
+    for name in ("pipe.png", "folder.png"):
+        with pytest.raises(InputError, match="not a regular file"):
+            read_rgb(tmp_path / name)

@@ -11,14 +11,9 @@ import pytest
 
 from runtime import OutputError, Predictor
 from runtime.overlay import Overlay
-from runtime.writer import (
-    KINDS,
-    FrameWriter,
-    encode_boundary,
-    encode_depth,
-    encode_semantic,
-    write_whole,
-)
+from runtime.run_folder import KINDS
+from runtime.whole_file import write_whole
+from runtime.writer import FrameWriter, encode_boundary, encode_depth, encode_semantic
 
 
 @pytest.fixture
@@ -78,6 +73,14 @@ def test_only_what_was_asked_for_and_what_the_model_has(tmp_path, contract, answ
     assert files_in(tmp_path / "out") == {".ssdnet-run", "semantic/a.png"}
 
 
+def test_what_a_format_cannot_hold_is_an_output_error(tmp_path, contract, answered, monkeypatch):
+    monkeypatch.setattr(Overlay, "draw", lambda *_: np.zeros((8, 65600, 3), np.uint8))
+    writer = FrameWriter(tmp_path / "out", contract, kinds=KINDS)
+    with pytest.raises(OutputError, match=r"cannot encode .*a\.jpg.*leave out overlay"):
+        writer.write("a", *answered)
+    assert files_in(tmp_path / "out") == {".ssdnet-run"}
+
+
 # --- the folder --------------------------------------------------------------------------------
 
 
@@ -95,11 +98,46 @@ def test_a_used_folder_is_refused(tmp_path, contract, answered):
 
 def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, contract, answered):
     out = tmp_path / "out"
-    FrameWriter(out, contract, kinds=KINDS).write("old", *answered)
-    for name in ("frames.csv", "report.json", "latency.png", "mine.txt", "depth/mine.txt"):
+    names = ("old", "two\nlines", "g\udcff1")
+    writer = FrameWriter(out, contract, kinds=KINDS)
+    for name in names:
+        writer.write(name, *answered)
+    mine = {"mine.txt", "depth/mine.png", "overlay/holiday.jpg", "semantic/.mine.png.part"}
+    for name in ("frames.csv", "report.json", "latency.png", "depth/.old.png.part", *mine):
         (out / name).write_text("x")
+    (out / "boundary" / "old.png").unlink()
+    (out / "boundary" / "old.png").mkdir()  # a folder is not ours, whatever its name
     FrameWriter(out, contract, kinds=("depth",), overwrite=True).write("new", *answered)
-    assert files_in(out) == {".ssdnet-run", "depth/new.png", "mine.txt", "depth/mine.txt"}
+    assert files_in(out) == {".ssdnet-run", "depth/new.png", *mine}
+    assert (out / "boundary" / "old.png").is_dir()
+    FrameWriter(out, contract, kinds=(), overwrite=True)
+    assert files_in(out) == {".ssdnet-run", *mine}
+
+
+def test_overwrite_does_not_follow_links_out_of_the_folder(tmp_path, contract, answered):
+    out, pictures = tmp_path / "out", tmp_path / "pictures"
+    FrameWriter(out, contract, kinds=("semantic",)).write("a", *answered)
+    (out / "semantic").rename(pictures)
+    (out / "semantic").symlink_to(pictures)
+    FrameWriter(out, contract, kinds=("semantic",), overwrite=True)
+    assert files_in(pictures) == {"a.png"}
+
+
+def test_overwrite_says_what_it_could_not_remove(tmp_path, contract, answered, monkeypatch):
+    out = tmp_path / "out"
+    FrameWriter(out, contract, kinds=KINDS).write("a", *answered)
+    (out / "report.json").write_text("{}")
+    unlink = Path.unlink
+
+    def refuse(self, missing_ok=False):
+        if self.parent.name == "depth" and not self.name.startswith("."):
+            raise OSError(errno.EACCES, os.strerror(errno.EACCES))
+        unlink(self, missing_ok=missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(OutputError, match="cannot remove the earlier run"):
+        FrameWriter(out, contract, kinds=KINDS, overwrite=True)
+    assert not (out / "report.json").exists(), "a run with a report is whole"
 
 
 def test_overwrite_never_touches_a_folder_that_is_not_ours(tmp_path, contract):
@@ -141,6 +179,18 @@ def test_a_file_that_cannot_be_written_leaves_no_trace_and_the_old_one(tmp_path,
         write_whole(path, b"new content")
     assert path.read_bytes() == b"old"
     assert files_in(tmp_path) == {"a.bin"}
+
+
+def test_the_first_error_is_the_one_that_is_told(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="Not a directory"):  # so is the removal's
+        write_whole(tmp_path / "file" / "a.bin", b"content")
+
+
+def test_the_longest_name_a_file_can_have(tmp_path):
+    path = tmp_path / ("n" * 251 + ".png")
+    write_whole(path, b"content")
+    assert files_in(tmp_path) == {path.name}
 
 
 def test_an_interrupt_while_writing_leaves_no_trace(tmp_path, monkeypatch):
@@ -238,7 +288,10 @@ def test_the_depth_colours_are_the_same_for_every_frame(contract, answered):
     assert color_at_10_m(1) == color_at_10_m(70)
 
 
-@pytest.mark.parametrize("size", [(375, 1242), (512, 1024), (125, 414), (33, 35), (1080, 1920)])
+@pytest.mark.parametrize(
+    "size",
+    [(375, 1242), (512, 1024), (125, 414), (33, 35), (1080, 1920), (32, 20600), (65600, 32)],
+)
 def test_the_overlay_of_any_size_is_of_a_handy_size(contract, answered, size):
     _, prediction = answered
     resized = {
@@ -250,6 +303,7 @@ def test_the_overlay_of_any_size_is_of_a_handy_size(contract, answered, size):
     strip = overlay.draw(np.zeros((*size, 3), np.uint8), prediction)
     assert strip.dtype == np.uint8
     assert strip.shape[1] <= 4 * 640
+    assert strip.shape[0] <= 4 * 4096 + 200
 
 
 def test_the_overlay_leaves_out_missing_heads(contract, answered):

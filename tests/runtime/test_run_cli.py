@@ -1,6 +1,7 @@
 """ssdnet-run from the outside: files, tables, exit codes."""
 
 import csv
+import dataclasses
 import errno
 import json
 import os
@@ -50,6 +51,12 @@ def run(tmp_path, stream, model_file):
     return invoke
 
 
+def arguments(stream: tuple[Path, Path], model: Path, folder: Path) -> list[str]:
+    rgb, depth = stream
+    given = ["--rgb", rgb, "--depth", depth, "--model", model, "--out", folder / "out"]
+    return [str(a) for a in [*given, "--threads", 1]]
+
+
 def rows_of(out: Path) -> list[dict[str, str]]:
     with (out / "frames.csv").open() as file:
         return list(csv.DictReader(file))
@@ -93,7 +100,7 @@ def test_the_rows_and_the_report_agree(tmp_path, run):
     assert {(row["height"], row["width"]) for row in rows} == {("48", "64")}
     assert {row["missed_deadline"] for row in rows} == {"0"}
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert (report["format"], report["version"]) == ("ssdnet-run", "1.0")
+    assert (report["format"], report["version"]) == ("ssdnet-run", "1.1")
     assert report["frames"]["by_status"] == {"ok": N}
     assert report["provider"]["threads"] == 1
     assert report["provider"]["nodes"]["CPUExecutionProvider"] > 5
@@ -156,6 +163,26 @@ def test_a_missed_deadline_is_exit_code_4(tmp_path, run, stream):
     assert "missed deadlines of 1e-06 ms: 11, longest run 11" in result.stdout
     late = [row["missed_deadline"] for row in rows_of(tmp_path / "out")]
     assert late == ["1"] * 3 + [""] + ["1"] * 8
+
+
+def test_answers_that_cannot_be_used_are_exit_code_3(tmp_path, run, stream):
+    black = np.zeros((48, 64, 3), np.uint8)  # green / blue of the model by hand: 0 / 0
+    for path in stream[0].iterdir():
+        cv2.imwrite(str(path), black)
+    result = run()
+    assert result.exit_code == 3
+    assert "(12 invalid)" in result.stdout
+    assert "pictures:" not in result.stdout
+    assert not list((tmp_path / "out/overlay").iterdir())
+
+
+def test_depth_beyond_what_a_png_holds_is_said(tmp_path, stream, model_file, contract):
+    assert "note:" not in CliRunner().invoke(app, arguments(stream, model_file(), tmp_path)).stdout
+    far = model_file(contract=dataclasses.replace(contract, max_depth_m=400.0))
+    result = CliRunner().invoke(app, arguments(stream, far, tmp_path / "far"))
+    assert "depth reaches 400 m, a depth PNG 256.00 m" in result.stdout
+    report = json.loads((tmp_path / "far/out/report.json").read_text())
+    assert report["depth_png"] == {"units_per_metre": 256, "max_m": 65535 / 256}
 
 
 def test_without_warm_up_no_first_inference_is_claimed(tmp_path, run):
@@ -269,6 +296,52 @@ def test_an_existing_run_needs_overwrite(tmp_path, run):
     assert {p.stem for p in (tmp_path / "out/depth").iterdir()} == {"f0", "f1"}
 
 
+@pytest.mark.parametrize("kind", ["depth", "semantic"])
+def test_answers_are_never_written_where_frames_are_read(tmp_path, run, stream, kind):
+    assert run().exit_code == 0
+    before = files_in(tmp_path / "out")
+    result = run("--depth", tmp_path / "out" / kind, "--overwrite")
+    assert result.exit_code == 1
+    assert "choose another --out" in result.stderr
+    assert files_in(tmp_path / "out") == before
+
+
+def test_a_name_that_is_no_text(tmp_path, run, stream):
+    """File systems take any bytes."""
+    for folder in stream:
+        (folder / "f3.png").rename(folder / "f\udcff3.png")
+    (stream[1] / "f5.png").rename(stream[1] / "g\udcff5.png")
+    result = run()
+    assert result.exit_code == 3
+    assert r"g\udcff5: skipped" in result.stdout
+    table = (tmp_path / "out/frames.csv").read_bytes()
+    assert b",f\xff3,ok" in table
+    assert (tmp_path / "out/depth" / "f\udcff3.png").is_file()
+    assert len(json.loads((tmp_path / "out/report.json").read_text())["frames"]["not_ok"]) == 2
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize(("option", "code"), [("--overwrite", 0), ("--json", 1)])
+def test_a_run_outlives_what_it_prints_to(tmp_path, stream, model_file, option, code):
+    command = [sys.executable, "-m", "runtime.cli", *arguments(stream, model_file(), tmp_path)]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([*command, option], stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == code
+    assert "cannot print (No space left on device): see" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(rows_of(tmp_path / "out")) == N
+
+
+def test_a_reader_that_left_does_not_stop_the_run(tmp_path, stream, model_file):
+    command = [sys.executable, "-m", "runtime.cli", *arguments(stream, model_file(), tmp_path)]
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(rows_of(tmp_path / "out")) == N
+
+
 def test_an_output_folder_that_cannot_be_written(tmp_path, run):
     (tmp_path / "file").touch()
     result = run("--out", tmp_path / "file" / "out")
@@ -322,7 +395,12 @@ def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, monkeypatc
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals")
-def test_a_real_ctrl_c(tmp_path, stream, model_file):
+@pytest.mark.parametrize(
+    "signals",
+    [(signal.SIGINT,), (signal.SIGTERM,), (signal.SIGINT,) * 20],
+    ids=["Ctrl-C", "SIGTERM", "many"],
+)
+def test_a_real_ctrl_c(tmp_path, stream, model_file, signals):
     rgb, depth = stream
     for index in range(N, 6000):
         for folder in stream:
@@ -342,7 +420,9 @@ def test_a_real_ctrl_c(tmp_path, stream, model_file):
     deadline = time.monotonic() + 30
     while not (out / "overlay/f20.jpg").exists() and time.monotonic() < deadline:
         time.sleep(0.005)
-    process.send_signal(signal.SIGINT)
+    for number in signals:
+        process.send_signal(number)
+        time.sleep(0.002)
     stdout, stderr = process.communicate(timeout=30)
     assert process.returncode == 3, stderr
     assert "interrupted" in stdout
@@ -363,7 +443,9 @@ def test_a_real_ctrl_c(tmp_path, stream, model_file):
         ["--demo", "--limit", "0"],
         ["--demo", "--depth-scale", "0"],
         ["--demo", "--depth-scale", "nan"],
+        ["--demo", "--depth-scale", "1e-50"],
         ["--demo", "--deadline-ms", "-1"],
+        ["--demo", "--deadline-ms", "1.5e308"],
         ["--demo", "--provider", "gpu"],
         ["--demo", "--warmup", "-1"],
         ["--no-such-option"],

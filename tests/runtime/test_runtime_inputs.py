@@ -137,6 +137,27 @@ def test_a_picture_shrunk_far_keeps_what_bilinear_would_skip():
     assert small.mean() == pytest.approx(51, abs=1)
 
 
+@pytest.mark.parametrize("size", [(50, 70), (50, 400), (40, 70)])
+def test_a_side_that_shrinks_far_skips_nothing_while_the_other_grows(size):
+    for column in range(400):
+        rgb = np.zeros((40, 400, 3), np.uint8)
+        rgb[:, column] = 255
+        assert resize_rgb(rgb, size).any(), column
+        turned = resize_rgb(rgb.transpose(1, 0, 2), size[::-1])
+        assert turned.shape == (*size[::-1], 3)
+        assert turned.any(), column
+
+
+def test_a_masked_array_is_refused():
+    """Its mask would be lost, and what lies below it be taken for a measurement."""
+    masked = np.ma.masked_array(np.full((40, 50), 5, np.float32), mask=True)
+    with pytest.raises(InputError, match=r"masked.*filled\(0\)"):
+        check_sparse_depth(masked, size=(40, 50))
+    assert not check_sparse_depth(masked.filled(0), size=(40, 50)).any()
+    with pytest.raises(InputError, match="mask would be lost"):
+        check_rgb(np.ma.masked_array(np.zeros((40, 50, 3), np.uint8)))
+
+
 def test_a_picture_keeps_its_place():
     rgb = np.zeros((60, 60, 3), np.uint8)
     rgb[:30] = 200

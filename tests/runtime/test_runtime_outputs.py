@@ -41,6 +41,14 @@ def test_boundary_is_bilinear_between_pixel_centres():
     assert resize_output("boundary", boundary, (2, 4))[0].tolist() == expected
 
 
+def test_a_boundary_shrunk_far_skips_no_line():
+    boundary = np.zeros((40, 400), np.float32)
+    boundary[:, 203] = 1
+    assert resize_output("boundary", boundary, (40, 70)).max() > 0.1
+    logits = np.stack([boundary, -boundary])
+    assert resize_output("semantic_logits", logits, (60, 70))[1].min() < -0.1
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("head", ["depth", "boundary", "semantic_logits"])
 def test_one_value_that_is_not_finite_is_found_anywhere(head, bad):

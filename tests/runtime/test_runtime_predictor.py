@@ -256,7 +256,25 @@ def test_a_closed_predictor_says_so(model_file, make_frame):
     predictor.close()  # twice does no harm
 
 
-@pytest.mark.parametrize("arguments", [{"threads": 0}, {"threads": -1}, {"warmup": -1}])
+def test_counts_may_be_numpy_s(model_file):
+    predictor = Predictor(model_file(), threads=np.int64(1), warmup=np.uint8(0))
+    assert type(predictor.threads) is int
+    predictor.warm_up((np.int64(40), np.int32(50)), runs=np.int8(1))
+    assert predictor.first_inference_ms > 0
+
+
+@pytest.mark.parametrize(
+    ("size", "runs"), [((-1, 40), 1), (5, 1), ((40.0, 40.0), 1), ((40, 40, 3), 1), ((40, 40), -3)]
+)
+def test_warm_up_refuses_what_cannot_be(model_file, size, runs):
+    with pytest.raises(InputError, match=r"must be"):
+        Predictor(model_file()).warm_up(size, runs=runs)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [{"threads": 0}, {"threads": -1}, {"threads": 2**31}, {"warmup": -1}, {"threads": 1.0}],
+)
 def test_arguments_out_of_range_are_refused(model_file, arguments):
     with pytest.raises(InputError, match="at least"):
         Predictor(model_file(), **arguments)

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from runtime.errors import OutputError
-from runtime.writer import write_whole
+from runtime.whole_file import write_whole
 
 #: What the table shows, in this order, where a row has it: key, title, factor.
 _COLUMNS = (

@@ -14,7 +14,7 @@ import typer
 
 from runtime.errors import SSDNetError
 from runtime.frames import KITTI_DEPTH_SCALE
-from runtime.writer import write_whole
+from runtime.whole_file import write_whole
 from training.datasets.virtual_kitti import VirtualKitti
 from training.datasets.virtual_kitti_split import Selection
 from training.lidar import scan_lines
