@@ -212,8 +212,16 @@ def test_a_missingbundled_stream_is_an_error(tmp_path, model_file, monkeypatch):
 # --- bad input ---------------------------------------------------------------------------------
 
 
-def test_skipped_frames_are_counted_named_and_exit_code_3(tmp_path, run, stream):
+def test_skipped_frames_are_counted_named_and_exit_code_3(tmp_path, run, stream, monkeypatch):
     rgb, depth = stream
+    drawn: dict[int, float] = {}
+    draw = runtime.cli.draw_latency
+
+    def spy(latencies_ms, **options):
+        drawn.update(latencies_ms)
+        return draw(latencies_ms, **options)
+
+    monkeypatch.setattr(runtime.cli, "draw_latency", spy)
     (depth / "f1.png").unlink()
     (rgb / "f2.png").unlink()
     picture = rgb / "f4.png"
@@ -238,6 +246,7 @@ def test_skipped_frames_are_counted_named_and_exit_code_3(tmp_path, run, stream)
         assert rows[name]["predict_ms"] == ""
     written = {p.stem for p in (tmp_path / "out/overlay").iterdir()}
     assert written == rows.keys() - reasons.keys()
+    assert {f"f{index}" for index in drawn} == written
 
 
 def test_a_first_frame_that_is_damaged_does_not_matter_to_the_warm_up(run, stream):
@@ -340,6 +349,17 @@ def test_a_reader_that_left_does_not_stop_the_run(tmp_path, stream, model_file):
     os.close(writer)
     assert (done.returncode, done.stderr) == (0, "")
     assert len(rows_of(tmp_path / "out")) == N
+
+
+def test_a_reader_that_left_does_not_fail_the_exit():
+    """More than any buffer holds: the rest is flushed once more at the end."""
+    program = "from pathlib import Path; from runtime.cli import _say; _say('x' * 100_000, Path())"
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_an_output_folder_that_cannot_be_written(tmp_path, run):
