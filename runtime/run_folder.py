@@ -1,6 +1,8 @@
 """The folder of a run: known to be ours, and replaced without touching what others put there."""
 
 import json
+import os
+import weakref
 from pathlib import Path
 
 from runtime.errors import OutputError
@@ -48,6 +50,14 @@ class RunFolder:
         if used:
             self._remove_run()
         write_whole(self._marker, _MARKER_TEXT.encode())
+        try:
+            # Kept open: writing competes with inference for the processor.
+            self._names = os.open(self._marker, os.O_WRONLY | os.O_APPEND)
+        except OSError as error:
+            raise OutputError(
+                f"cannot write {self._marker} ({error.strerror}): choose another --out"
+            ) from error
+        weakref.finalize(self, os.close, self._names)
 
     def subfolder(self, kind: str) -> Path:
         """Make the folder of a kind of answer. Raises OutputError."""
@@ -63,8 +73,7 @@ class RunFolder:
     def note(self, name: str) -> None:
         """Remember, on disk, that files of the frame `name` are ours. Raises OutputError."""
         try:
-            with self._marker.open("a", encoding="ascii") as stream:
-                stream.write(json.dumps(name) + "\n")  # a name may hold a line's end
+            os.write(self._names, (json.dumps(name) + "\n").encode())  # names may hold a line's end
         except OSError as error:
             raise OutputError(
                 f"cannot write {self._marker} ({error.strerror}): make room or choose another "
