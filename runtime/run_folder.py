@@ -30,13 +30,8 @@ class RunFolder:
     def __init__(self, path: Path, *, overwrite: bool = False) -> None:
         self.path = path
         self._marker = path / _MARKER
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-            used = any(path.iterdir())
-        except OSError as error:
-            raise OutputError(
-                f"cannot make the output folder {path} ({error.strerror}): choose another --out"
-            ) from error
+        _make(path)
+        used = any(path.iterdir())
         if used and not overwrite:
             raise OutputError(
                 f"the output folder {path} is not empty: choose another --out, or replace an "
@@ -62,12 +57,7 @@ class RunFolder:
     def subfolder(self, kind: str) -> Path:
         """Make the folder of a kind of answer. Raises OutputError."""
         folder = self.path / kind
-        try:
-            folder.mkdir(exist_ok=True)
-        except OSError as error:
-            raise OutputError(
-                f"cannot make the output folder {folder} ({error.strerror}): choose another --out"
-            ) from error
+        _make(folder)
         return folder
 
     def note(self, name: str) -> None:
@@ -96,6 +86,17 @@ class RunFolder:
             raise OutputError(
                 f"cannot remove the earlier run in {self.path} ({error}): choose another --out"
             ) from error
+
+
+def _make(folder: Path) -> None:
+    """Make a folder that can be listed. Raises OutputError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        next(folder.iterdir(), None)
+    except OSError as error:
+        raise OutputError(
+            f"cannot make the output folder {folder} ({error.strerror}): choose another --out"
+        ) from error
 
 
 def _read_names(marker: Path) -> list[str]:

@@ -107,10 +107,7 @@ def run_stream(
         except KeyboardInterrupt:
             interrupted = True
         while writes:
-            try:
-                finish_oldest()
-            except KeyboardInterrupt:  # once more: what is left is two frames
-                interrupted = True
+            finish_oldest()
     finally:
         reader.shutdown(cancel_futures=True)
         writer.shutdown(cancel_futures=True)
