@@ -22,14 +22,14 @@ import numpy as np
 import torch
 
 from models import load_checkpoint
+from runtime.atomic_write import atomic_write
 from runtime.errors import InputError
-from runtime.whole_file import write_whole
 from training.evaluation.lidar_input import LidarInput
 from training.evaluation.scoring import score, torch_predict
+from training.loading.open_dataset import open_source
 from training.loop import train
 from training.recipe import Recipe, SourceRecipe, read_recipe
 from training.run_folder import RECIPE, to_text
-from training.sources import open_source
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -111,7 +111,7 @@ def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
         num_classes=network.config.num_classes,
     )
     figures = counted.figures([info.name for info in network.config.classes])
-    write_whole(scores, json.dumps(figures, indent=2).encode())
+    atomic_write(scores, json.dumps(figures, indent=2).encode())
     return figures
 
 

@@ -21,8 +21,8 @@ from training.evaluation.baselines import BASELINES
 from training.evaluation.lidar_input import LidarSplit, split_lidar
 from training.evaluation.model_file import engine_predict, fill_predict
 from training.evaluation.scoring import Predict, Scores, score
+from training.loading.open_dataset import open_source
 from training.recipe import SourceRecipe
-from training.sources import open_source
 
 SETS = {
     "CamVid val": SourceRecipe("camvid", "camvid", split="val"),

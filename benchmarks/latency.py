@@ -30,13 +30,13 @@ from numpy.typing import NDArray
 from export.exporter import export_checkpoint
 from models import create_model, save_checkpoint
 from runtime import Predictor
-from runtime.cli import bundled_stream
-from runtime.frames import FrameFiles, list_frames, read_frame
-from runtime.process import dedicate_process
-from runtime.report import cpu_name
-from runtime.run_folder import KINDS
-from runtime.stream import run_stream
-from runtime.writer import FrameWriter
+from runtime.stream.bundled import bundled_stream
+from runtime.stream.frames import FrameFiles, list_frames, read_frame
+from runtime.stream.pipeline import run_stream
+from runtime.stream.process import dedicate_process
+from runtime.stream.report import cpu_name
+from runtime.stream.run_folder import KINDS
+from runtime.stream.writer import FrameWriter
 
 SIZES = ("125x414", "375x1242", "512x1024")
 

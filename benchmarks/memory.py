@@ -13,12 +13,12 @@ from pathlib import Path
 import psutil
 
 from runtime import Predictor
-from runtime.cli import bundled_stream
-from runtime.frames import list_frames, read_frame
-from runtime.process import dedicate_process
-from runtime.run_folder import KINDS
-from runtime.stream import run_stream
-from runtime.writer import FrameWriter
+from runtime.stream.bundled import bundled_stream
+from runtime.stream.frames import list_frames, read_frame
+from runtime.stream.pipeline import run_stream
+from runtime.stream.process import dedicate_process
+from runtime.stream.run_folder import KINDS
+from runtime.stream.writer import FrameWriter
 
 
 def main() -> None:

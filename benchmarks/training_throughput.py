@@ -27,13 +27,13 @@ import cv2
 import torch
 from torch.utils.data import DataLoader
 
-from runtime.report import cpu_name
+from runtime.stream.report import cpu_name
 from training import loop
+from training.loading.open_dataset import open_mixture, open_source
 from training.losses import SSDNetLoss
 from training.network import build_network
 from training.optimizer import build_optimizer
 from training.recipe import Recipe, read_recipe
-from training.sources import open_mixture, open_source
 
 
 def main() -> None:

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from runtime import InputError, Predictor
-from runtime.cli import bundled_stream
-from runtime.frames import list_frames, read_frame
+from runtime.stream.bundled import bundled_stream
+from runtime.stream.frames import list_frames, read_frame
 
 PERIOD_S = 0.1
 DEADLINE_MS = 80.0

@@ -6,28 +6,48 @@ from runtime import Predictor
 predictor = Predictor()  # the bundled model on the CPU
 prediction = predictor.predict(rgb, sparse_depth)
 ```
+
+Names are loaded when they are first asked for (PEP 562): whoever takes only the contract or the
+errors, as the networks do, loads neither OpenCV nor ONNX Runtime.
 """
 
-from importlib.metadata import PackageNotFoundError, version
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-from runtime.contract import ClassInfo, Contract
-from runtime.errors import (
-    CheckpointError,
-    ContractError,
-    DatasetError,
-    InferenceError,
-    InputError,
-    OutputError,
-    ProviderError,
-    SSDNetError,
-)
-from runtime.prediction import Cleaned, Latency, Prediction
-from runtime.predictor import Predictor
+if TYPE_CHECKING:
+    from runtime.contract import ClassInfo, Contract
+    from runtime.errors import (
+        CheckpointError,
+        ContractError,
+        DatasetError,
+        InferenceError,
+        InputError,
+        OutputError,
+        ProviderError,
+        SSDNetError,
+    )
+    from runtime.prediction import Cleaned, Latency, Prediction
+    from runtime.predictor import Predictor
 
-try:
-    __version__ = version("ssdnet")
-except PackageNotFoundError:  # a checkout that was not installed
-    __version__ = "0+unknown"
+    __version__: str
+
+#: Public name -> the module that holds it.
+_MODULES = {
+    "CheckpointError": "runtime.errors",
+    "ClassInfo": "runtime.contract",
+    "Cleaned": "runtime.prediction",
+    "Contract": "runtime.contract",
+    "ContractError": "runtime.errors",
+    "DatasetError": "runtime.errors",
+    "InferenceError": "runtime.errors",
+    "InputError": "runtime.errors",
+    "Latency": "runtime.prediction",
+    "OutputError": "runtime.errors",
+    "Prediction": "runtime.prediction",
+    "Predictor": "runtime.predictor",
+    "ProviderError": "runtime.errors",
+    "SSDNetError": "runtime.errors",
+}
 
 __all__ = [
     "CheckpointError",
@@ -46,3 +66,27 @@ __all__ = [
     "SSDNetError",
     "__version__",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        value: Any = _installed_version()
+    elif name in _MODULES:
+        value = getattr(import_module(_MODULES[name]), name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value  # asked for once
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+def _installed_version() -> str:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("ssdnet")
+    except PackageNotFoundError:  # a checkout that was not installed
+        return "0+unknown"

@@ -11,7 +11,7 @@ METADATA_KEY = "ssdnet"
 SCHEMA_VERSION = "1.0"
 
 MAX_CLASSES = 255  # ids are uint8 and 255 means "ignore"
-#: The rules a file may name for each tensor; runtime.inputs and runtime.outputs carry them out.
+#: The rules a file may name for each tensor; `runtime.resize` carries them out.
 #: "bilinear" takes the mean of the area along a side that shrinks to less than half, so that no
 #: pixel is skipped. "nearest" never mixes two depths or classes; where sparse depth shrinks every
 #: measurement is kept, the nearest to the camera of several in one pixel.

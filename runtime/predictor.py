@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime import inputs, outputs
+from runtime import postprocess, preprocess
 from runtime.contract import METADATA_KEY, Contract
 from runtime.cores import available_cores
 from runtime.errors import ContractError, InferenceError, InputError
@@ -118,26 +118,26 @@ class Predictor:
         or the predictor was closed.
         """
         started = time.perf_counter()
-        rgb = inputs.check_rgb(rgb)
+        rgb = preprocess.check_rgb(rgb)
         frame_size = (rgb.shape[0], rgb.shape[1])
-        sparse_depth = inputs.check_sparse_depth(sparse_depth, size=frame_size)
-        sparse_depth, cleaned, returns = inputs.clean_sparse_depth(
+        sparse_depth = preprocess.check_sparse_depth(sparse_depth, size=frame_size)
+        sparse_depth, cleaned, returns = preprocess.clean_sparse_depth(
             sparse_depth, max_depth_m=self.contract.max_depth_m
         )
         degraded = _input_reasons(rgb, returns)
         size = self.input_size or frame_size
         if size != frame_size:
-            rgb = inputs.resize_rgb(rgb, size)
-            sparse_depth = inputs.resize_sparse_depth(sparse_depth, size)
+            rgb = preprocess.resize_rgb(rgb, size)
+            sparse_depth = preprocess.resize_sparse_depth(sparse_depth, size)
         preprocessed = time.perf_counter()
 
         results = self._run(rgb, sparse_depth)
         inferred = time.perf_counter()
 
-        faults = outputs.faults(results, num_classes=len(self.contract.classes))
+        faults = postprocess.faults(results, num_classes=len(self.contract.classes))
         if size != frame_size:
             results = {
-                head: outputs.resize_output(head, values, frame_size)
+                head: postprocess.resize_output(head, values, frame_size)
                 for head, values in results.items()
             }
         finished = time.perf_counter()
@@ -171,8 +171,8 @@ class Predictor:
             raise InputError(f"size must be (height, width), got {size!r}")
         height, width = size
         size = (
-            _require_count("height", height, at_least=inputs.MIN_SIDE),
-            _require_count("width", width, at_least=inputs.MIN_SIDE),
+            _require_count("height", height, at_least=preprocess.MIN_SIDE),
+            _require_count("width", width, at_least=preprocess.MIN_SIDE),
         )
         rgb = np.zeros((*size, 3), dtype=np.uint8)
         sparse_depth = np.zeros(size, dtype=np.float32)
@@ -277,7 +277,7 @@ def _input_reasons(rgb: NDArray[np.uint8], returns: int) -> tuple[str, ...]:
         reasons.append(NO_DEPTH)
     elif returns < SPARSE_DEPTH_LOW_SHARE * rgb.shape[0] * rgb.shape[1]:
         reasons.append(SPARSE_DEPTH_LOW)
-    if inputs.is_constant(rgb):
+    if preprocess.is_constant(rgb):
         reasons.append(IMAGE_CONSTANT)
     return tuple(reasons)
 

@@ -27,6 +27,7 @@ from training.distributed import (
 )
 from training.evaluation.pictures import draw_pictures
 from training.evaluation.scoring import score_sources, torch_predict
+from training.loading.open_dataset import count_pixels, open_mixture, open_source
 from training.losses import SSDNetLoss, class_weights
 from training.network import adjust_logits, build_network
 from training.optimizer import build_optimizer, exponential_average, learning_rate
@@ -40,7 +41,6 @@ from training.run_folder import (
     require_finite,
     to_text,
 )
-from training.sources import count_pixels, open_mixture, open_source
 
 #: (rgb, sparse_depth) -> what the network says.
 Forward = Callable[[Tensor, Tensor], SSDNetOutput]

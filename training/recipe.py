@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from runtime.errors import InputError
-from training.augment import AugmentConfig, require_range
+from training.loading.augment import AugmentConfig, require_range
 from training.losses import LossConfig
 
 T = TypeVar("T")

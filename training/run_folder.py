@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from models import remove_unfinished
+from runtime.atomic_write import atomic_write
 from runtime.errors import InputError, SSDNetError
-from runtime.whole_file import write_whole
 from training.distributed import Processes
 
 RECIPE = "recipe.json"
@@ -40,7 +40,7 @@ def claim(out: Path, resolved: Mapping[str, Any]) -> None:
                 remove_unfinished(out / name)
             return
         out.mkdir(parents=True, exist_ok=True)
-        write_whole(path, text.encode())
+        atomic_write(path, text.encode())
     except OSError as error:
         raise InputError(
             f"{out}: cannot be written: {error.strerror}. Choose another --out."
@@ -82,7 +82,7 @@ def require_finite(
     frames = [name for part in processes.gather(list(names)) for name in part]
     if processes.is_first:
         document = {"step": step, "terms": values, "frames": frames}
-        write_whole(path, json.dumps(document, indent=2).encode())
+        atomic_write(path, json.dumps(document, indent=2).encode())
     raise NonFiniteLossError(
         f"step {step}: the loss is {values['total']}, the loss or its gradient not finite; its "
         f"terms and the {len(frames)} frames of its batch are in {path}. Look at them, or start a "

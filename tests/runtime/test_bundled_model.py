@@ -7,8 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from runtime import Predictor
-from runtime.cli import app, bundled_stream
-from runtime.frames import list_frames, read_frame
+from runtime.stream.bundled import bundled_stream
+from runtime.stream.cli import app
+from runtime.stream.frames import list_frames, read_frame
 
 pytest.importorskip("onnxruntime")
 

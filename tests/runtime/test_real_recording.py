@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from runtime.cli import app
-from runtime.frames import list_frames, read_frame
+from runtime.stream.cli import app
+from runtime.stream.frames import list_frames, read_frame
 
 DATA = os.environ.get("SSDNET_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")

@@ -15,7 +15,7 @@ def loaded_after(statement: str) -> set[str]:
 
 
 def test_import_loads_neither_torch_nor_onnx_nor_onnxruntime():
-    loaded = loaded_after("import runtime, runtime.cli")
+    loaded = loaded_after("import runtime, runtime.stream.cli")
     assert {"runtime", "numpy", "cv2"} <= loaded
     heavy = {"torch", "onnx", "onnxruntime", "models", "training", "export", "scipy"}
     assert not loaded & heavy

@@ -34,7 +34,7 @@ CONFIGS["ssdnet-small"] = replace(
 )
 torch.set_num_threads(1)
 from training import loop
-from training.augment import AugmentConfig
+from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
 from training.recipe import *
 data, out = Path(sys.argv[1]), Path(sys.argv[2])

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from runtime.errors import DatasetError
-from runtime.frames import list_frames, read_frame
-from training.scenes.lidar_stream import write_lidar_stream
+from runtime.stream.frames import list_frames, read_frame
+from training.lidar_stream import write_lidar_stream
 
 
 @pytest.fixture

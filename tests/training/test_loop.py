@@ -17,7 +17,7 @@ from models import SSDNet, create_model, load_checkpoint, save_checkpoint
 from models.config import CONFIGS
 from runtime.errors import CheckpointError, DatasetError, InputError
 from training import cli, loop
-from training.augment import AugmentConfig
+from training.loading.augment import AugmentConfig
 from training.loop import train
 from training.losses import LossConfig
 from training.recipe import (

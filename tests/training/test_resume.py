@@ -31,7 +31,7 @@ def slow(handle):
     time.sleep(0.3)
     write(handle)
 os.fsync = slow
-from training.augment import AugmentConfig
+from training.loading.augment import AugmentConfig
 from training.loop import train
 from training.recipe import *
 recipe = Recipe(

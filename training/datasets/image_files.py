@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime import frames
 from runtime.errors import DatasetError, InputError
+from runtime.stream import frames
 
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:

@@ -9,10 +9,10 @@ import numpy as np
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import id_lookup
 from training.datasets.sample import Sample
-from training.scenes.camera import CameraName
 from training.scenes.classes import CLASS_TABLE
+from training.scenes.rendering.camera import CameraName
+from training.scenes.rendering.weather import VARIANTS, Variant
 from training.scenes.scene_job import LONGEST_S, Scene, SceneJob, open_scene
-from training.scenes.weather import VARIANTS, Variant
 
 
 class RenderedScenes:

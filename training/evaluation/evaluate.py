@@ -16,8 +16,8 @@ from training.evaluation.lidar_input import Fault, LidarInput, add_fault
 from training.evaluation.model_file import ScoredModel, fill_predict, open_model
 from training.evaluation.report import Row
 from training.evaluation.scoring import Scores
+from training.loading.open_dataset import open_source
 from training.recipe import SourceRecipe
-from training.sources import open_source
 
 
 def evaluate(

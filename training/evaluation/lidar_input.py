@@ -8,10 +8,10 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from training.augment import keep_every_line, masked
 from training.datasets.kitti_lidar import withhold_occluded
 from training.datasets.sample import Sample, nothing_known
 from training.lidar import random_share, scan_lines
+from training.loading.augment import keep_every_line, masked
 
 Depth = NDArray[np.float32]
 Fault = Literal["none", "nan", "shift", "dropout"]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models import ModelConfig
-from runtime.overlay import Overlay
+from runtime.stream.overlay import Overlay
 from training.datasets.sample import IGNORE, SampleSource
 from training.evaluation.lidar_input import split_lidar
 from training.evaluation.scoring import Answer, Predict
@@ -19,8 +19,8 @@ def draw_pictures(
     """Draw frames spread evenly over a set: name, and the prediction beside the truth.
 
     Each picture is uint8 (H', W', 3), RGB: left what the network says, right the labels and the
-    depth as far as they are known (unknown classes are drawn black), as `runtime.overlay` draws
-    both.
+    depth as far as they are known (unknown classes are drawn black), as
+    `runtime.stream.overlay` draws both.
     """
     overlay = Overlay(config.classes, config.max_depth_m)
     for index in np.unique(np.linspace(0, len(source) - 1, count).round().astype(int)):

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from runtime.atomic_write import atomic_write
 from runtime.errors import OutputError
-from runtime.whole_file import write_whole
 
 #: What the table shows, in this order, where a row has it: key, title, factor.
 _COLUMNS = (
@@ -79,7 +79,7 @@ def write_json(rows: Sequence[Row], path: Path) -> None:
     for row in rows:
         figures = {k: None if math.isnan(value) else value for k, value in row.figures.items()}
         documents.append({**asdict(row), "figures": figures})
-    write_whole(path, json.dumps(documents, indent=2, allow_nan=False).encode())
+    atomic_write(path, json.dumps(documents, indent=2, allow_nan=False).encode())
 
 
 def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:

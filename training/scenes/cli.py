@@ -36,10 +36,10 @@ def render(
     """Render streets: RGB, depth and classes of every frame."""
     try:
         from runtime.errors import SSDNetError
-        from training.scenes.camera import CameraName
+        from training.scenes.layout.street_plan import STREET_KINDS, StreetKind
+        from training.scenes.rendering.camera import CameraName
+        from training.scenes.rendering.weather import VARIANTS, Variant
         from training.scenes.scene_job import LONGEST_S, SceneJob
-        from training.scenes.street_plan import STREET_KINDS, StreetKind
-        from training.scenes.weather import VARIANTS, Variant
     except ImportError as error:
         typer.echo(f'error: {error}: rendering needs pip install "ssdnet[train]"', err=True)
         raise typer.Exit(1) from error

@@ -7,12 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from training.scenes.camera import CameraName, make_camera
-from training.scenes.render import RenderedFrame, render_frame
-from training.scenes.street import Street, build_street
-from training.scenes.street_plan import StreetKind
+from training.scenes.layout.street import Street, build_street
+from training.scenes.layout.street_plan import StreetKind
+from training.scenes.rendering.camera import CameraName, make_camera
+from training.scenes.rendering.render import RenderedFrame, render_frame
+from training.scenes.rendering.weather import VARIANTS, Variant, Weather, draw_weather
 from training.scenes.vkitti_writer import write_variant
-from training.scenes.weather import VARIANTS, Variant, Weather, draw_weather
 
 #: How long the ego car can drive before the street ends [s].
 LONGEST_S = 16.0

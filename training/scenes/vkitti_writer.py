@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from runtime.errors import DatasetError
 from training.scenes.arrays import Floats
 from training.scenes.classes import CLASS_TABLE, class_colors
-from training.scenes.render import RenderedFrame
+from training.scenes.rendering.render import RenderedFrame
 
 _JPEG_QUALITY = 92
 _SKY = 65535

@@ -1,0 +1,1 @@
+"""All that runs streams of frames around the one `runtime.Predictor`."""

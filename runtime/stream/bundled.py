@@ -1,0 +1,17 @@
+"""The short stream of rendered frames that is installed with the engine."""
+
+from importlib import resources
+from pathlib import Path
+
+from runtime.errors import InputError
+
+
+def bundled_stream() -> tuple[Path, Path]:
+    """The folders of its pictures and of its sparse depth maps. Raises InputError."""
+    stream = Path(str(resources.files("runtime"))) / "assets" / "stream"
+    if not stream.is_dir():
+        raise InputError(
+            f"the bundled stream {stream} is missing: install ssdnet again, or give --rgb and "
+            "--depth"
+        )
+    return stream / "rgb", stream / "depth"

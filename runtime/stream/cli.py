@@ -1,0 +1,281 @@
+"""`ssdnet-run`: a stream of frames in, pictures, tables and latencies out."""
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from runtime import __version__
+from runtime.atomic_write import atomic_write
+from runtime.errors import OutputError, SSDNetError
+from runtime.predictor import Predictor
+from runtime.stream.bundled import bundled_stream
+from runtime.stream.frames import KITTI_DEPTH_SCALE, FrameFiles, list_frames, read_frame
+from runtime.stream.latency_plot import draw_latency
+from runtime.stream.pipeline import OK, FrameRecord, StreamResult, run_stream
+from runtime.stream.process import dedicate_process
+from runtime.stream.report import (
+    build_report,
+    describe_predictor,
+    describe_run,
+    frames_csv,
+    missed,
+    to_json,
+)
+from runtime.stream.run_folder import FRAMES_FILE, KINDS, LATENCY_FILE, REPORT_FILE
+from runtime.stream.writer import DEPTH_PNG_SCALE, FrameWriter, encode
+
+ERROR, USAGE, SKIPPED, MISSED = 1, 2, 3, 4  # exit codes
+
+
+class Provider(StrEnum):
+    """The providers that can be asked for."""
+
+    cpu = "cpu"
+    cuda = "cuda"
+
+
+def main() -> None:
+    """Entry point of the command."""
+    try:
+        app()
+    finally:  # nothing is left to stop
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.command(
+    epilog="Exit codes: 0 done; 1 error; 2 usage; 3 finished, but frames were skipped or their "
+    "answers not usable, or Ctrl-C or SIGTERM came; 4 --deadline-ms was missed by any frame, even "
+    "if others were skipped; 130 Ctrl-C or SIGTERM came before the first frame."
+)
+def run(
+    rgb: Annotated[Path | None, typer.Option(help="Folder of the pictures (PNG or JPEG).")] = None,
+    depth: Annotated[
+        Path | None, typer.Option(help="Folder of the sparse depth maps (16-bit PNG).")
+    ] = None,
+    demo: Annotated[bool, typer.Option("--demo", help="Run the bundled stream.")] = False,
+    model: Annotated[
+        Path | None, typer.Option(help="ONNX file made by ssdnet-export. [default: bundled]")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("ssdnet-run"),
+    provider: Annotated[Provider, typer.Option(help="What runs the model.")] = Provider.cpu,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Threads of inference. [default: physical cores]")
+    ] = None,
+    depth_scale: Annotated[
+        float, typer.Option(help="Units of the depth PNG a metre: KITTI 256, Virtual KITTI 100.")
+    ] = KITTI_DEPTH_SCALE,
+    deadline_ms: Annotated[
+        float | None, typer.Option(help="Time a prediction may take, without reading and writing.")
+    ] = None,
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="Stop after so many complete frames.")
+    ] = None,
+    warmup: Annotated[
+        int, typer.Option(min=0, help="Predictions before the first frame, kept apart.")
+    ] = 3,
+    save: Annotated[
+        str,
+        typer.Option(
+            help=f"What to write: {', '.join(KINDS)}; or all, or none. Depth is a 16-bit PNG, "
+            f"metres x {DEPTH_PNG_SCALE}."
+        ),
+    ] = "all",
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace an earlier run in --out.")
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print report.json instead of the tables.")
+    ] = False,
+) -> None:
+    """Predict classes, depth and boundaries of every frame of a stream, with the latency of each.
+
+    Frames are pairs of files with the same stem, in natural order.
+    """
+    kinds = _kinds(save)
+    _require_range("--depth-scale", depth_scale, 1e-3, 1e6)
+    _require_range("--deadline-ms", deadline_ms, 1e-6, 1e9)
+    if demo != (rgb is None and depth is None) or (rgb is None) != (depth is None):
+        raise typer.BadParameter("give either --demo, or both --rgb and --depth")
+    dedicate_process()
+    with _stoppable() as let_finish:
+        try:
+            rgb_dir, depth_dir = (rgb, depth) if rgb and depth else bundled_stream()
+            _require_apart(out, rgb_dir, depth_dir)
+            frames = list_frames(rgb_dir, depth_dir, limit=limit)
+            with Predictor(model, provider=provider.value, threads=threads, warmup=0) as predictor:
+                writer = FrameWriter(out, predictor.contract, kinds=kinds, overwrite=overwrite)
+                frame_size = _warm_up(predictor, frames, depth_scale, runs=warmup)
+                if not as_json:
+                    _say(describe_predictor(predictor, frame_size), out)
+                result = _run(predictor, frames, writer, depth_scale, write=bool(kinds))
+                report = build_report(
+                    predictor,
+                    result,
+                    version=__version__,
+                    inputs={
+                        "rgb": str(rgb_dir),
+                        "depth": str(depth_dir),
+                        "depth_scale": depth_scale,
+                        "warmup": warmup,
+                    },
+                    output=str(out),
+                    kinds=kinds,
+                    deadline_ms=deadline_ms,
+                )
+            let_finish()
+            _write_summary(out, result, report, deadline_ms)
+        except SSDNetError as error:
+            typer.echo(f"error: {error}", err=True)
+            raise typer.Exit(ERROR) from error
+        if as_json:
+            printed = _say(to_json(report).rstrip("\n"), out)
+            raise typer.Exit(_exit_code(result, deadline_ms) if printed else ERROR)
+        lines = [describe_run(result, report), f"results: {out.resolve()}"]
+        if "overlay" in kinds and any(record.status == OK for record in result.records):
+            lines.append(f"pictures: {(out / 'overlay').resolve()}")
+        _say("\n".join(lines), out)
+        raise typer.Exit(_exit_code(result, deadline_ms))
+
+
+def _say(text: str, out: Path) -> bool:
+    """Print, or say why not: the results on disk matter more. Returns whether it was printed."""
+    text = text.encode(errors="backslashreplace").decode()  # file names need not be valid text
+    try:
+        typer.echo(text)
+        sys.stdout.flush()
+    except OSError as error:
+        # Whoever reads has left, or has no room: what is still buffered must not fail at exit.
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            with contextlib.suppress(OSError):
+                typer.echo(f"cannot print ({error.strerror}): see {out}", err=True)
+        return False
+    return True
+
+
+@contextlib.contextmanager
+def _stoppable() -> Iterator[Callable[[], None]]:
+    """Let the first Ctrl-C or SIGTERM raise KeyboardInterrupt, and those after it do nothing.
+
+    What is left after the first is two frames and the report. Whoever stops a service wants its
+    report, too. Yields what makes even the first be ignored.
+    """
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def ignore() -> None:
+        for number in before:
+            signal.signal(number, signal.SIG_IGN)
+
+    def stop(number: int, frame: object) -> None:
+        ignore()
+        raise KeyboardInterrupt
+
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:  # as a shell starts what runs in its background
+            signal.signal(number, stop)
+    try:
+        yield ignore
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler or signal.SIG_DFL)
+
+
+def _require_apart(out: Path, *inputs: Path) -> None:
+    """Raise OutputError if frames are read from where answers are written."""
+    answers = {(out / kind).resolve() for kind in KINDS}
+    for folder in inputs:
+        if folder.resolve() in answers:
+            raise OutputError(
+                f"{folder} is where --out {out} writes its own pictures: choose another --out"
+            )
+
+
+def _kinds(save: str) -> tuple[str, ...]:
+    if save in ("all", "none"):
+        return KINDS if save == "all" else ()
+    asked = [kind.strip() for kind in save.split(",")]
+    unknown = [kind for kind in asked if kind not in KINDS]
+    if unknown:
+        raise typer.BadParameter(f"--save knows {', '.join(KINDS)}, all and none, not {unknown}")
+    return tuple(kind for kind in KINDS if kind in asked)
+
+
+def _require_range(option: str, value: float | None, least: float, most: float) -> None:
+    if value is not None and not least <= value <= most:
+        raise typer.BadParameter(
+            f"{option} must be a number from {least:g} to {most:g}, got {value}"
+        )
+
+
+def _warm_up(
+    predictor: Predictor, frames: tuple[FrameFiles, ...], depth_scale: float, *, runs: int
+) -> tuple[int, int] | None:
+    """Warm up at the size of the first frame that can be predicted, and give back its size."""
+    for files in frames:
+        try:
+            frame = read_frame(files, depth_scale=depth_scale)
+            height, width = frame.rgb.shape[:2]
+            predictor.warm_up((height, width), runs=runs)
+        except SSDNetError:
+            continue  # the run itself will flag it
+        return height, width
+    return None
+
+
+def _run(
+    predictor: Predictor,
+    frames: tuple[FrameFiles, ...],
+    writer: FrameWriter,
+    depth_scale: float,
+    *,
+    write: bool,
+) -> StreamResult:
+    """Run the stream, under a progress bar where stderr is a terminal."""
+    save = writer.write if write else None
+    if not sys.stderr.isatty():
+        return run_stream(predictor, frames, depth_scale=depth_scale, write=save)
+    with typer.progressbar(length=len(frames), file=sys.stderr, label="frames") as bar:
+
+        def advance(record: FrameRecord) -> None:
+            bar.update(1)
+
+        return run_stream(predictor, frames, depth_scale=depth_scale, write=save, on_record=advance)
+
+
+def _write_summary(
+    out: Path, result: StreamResult, report: dict[str, Any], deadline_ms: float | None
+) -> None:
+    latencies_ms = {
+        record.index: record.latency.total_ms for record in result.records if record.latency
+    }
+    if latencies_ms:
+        picture = draw_latency(latencies_ms, deadline_ms=deadline_ms)
+        atomic_write(out / LATENCY_FILE, encode(".png", picture, ()))
+    table = frames_csv(result.records, deadline_ms=deadline_ms)
+    # As the file system has them: a name need not be valid text.
+    atomic_write(out / FRAMES_FILE, table.encode(errors="surrogateescape"))
+    atomic_write(out / REPORT_FILE, to_json(report).encode())  # last: a run with a report is whole
+
+
+def _exit_code(result: StreamResult, deadline_ms: float | None) -> int:
+    late = missed(result.records, deadline_ms)
+    if late is not None and late.count:
+        return MISSED  # the gate was asked for: it outranks skipped frames
+    if result.interrupted or any(record.status != OK for record in result.records):
+        return SKIPPED
+    return 0
+
+
+if __name__ == "__main__":
+    main()

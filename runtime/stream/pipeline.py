@@ -1,0 +1,169 @@
+"""Run a stream of frames: read the next and write the last while the present one is predicted."""
+
+import os
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import SSDNetError
+from runtime.prediction import Cleaned, Latency, Prediction
+from runtime.predictor import Predictor
+from runtime.stream.frames import Frame, FrameFiles, read_frame
+
+OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
+_READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side
+_NICENESS = 10
+
+WriteFrame = Callable[[str, NDArray[np.uint8], Prediction], None]
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """What became of one frame of a stream.
+
+    status: "ok"; "skipped": not predicted, `reason` says why; "invalid": the answer could not be
+        used and was not written, `reason` says why
+    """
+
+    index: int
+    name: str
+    status: str
+    reason: str = ""
+    frame_size: tuple[int, int] | None = None
+    read_ms: float | None = None
+    latency: Latency | None = None
+    write_ms: float | None = None
+    degraded: tuple[str, ...] = ()
+    cleaned: Cleaned = field(default_factory=Cleaned)
+    depth_returns: int = 0
+
+
+@dataclass(frozen=True)
+class StreamResult:
+    """The records in order, the time from first read to last write, whether Ctrl-C came."""
+
+    records: tuple[FrameRecord, ...]
+    wall_s: float
+    interrupted: bool
+
+
+def run_stream(
+    predictor: Predictor,
+    frames: Sequence[FrameFiles],
+    *,
+    depth_scale: float,
+    write: WriteFrame | None = None,
+    on_record: Callable[[FrameRecord], None] = lambda record: None,
+) -> StreamResult:
+    """Predict every frame, in order.
+
+    One thread reads ahead and one writes behind; both hold at most two frames, so memory does not
+    grow. A frame that cannot be read or predicted is recorded and skipped. On KeyboardInterrupt
+    what was predicted is written and the records so far come back.
+
+    write: is called with (name, rgb, prediction) in the writing thread; None = nothing is written
+    on_record: is called with each record when its frame is done
+
+    Raises what `write` raises (OutputError), after the frames before it were written.
+    """
+    records: list[FrameRecord] = []
+    reads: deque[tuple[int, FrameFiles, Future[tuple[Frame, float]]]] = deque()
+    writes: deque[tuple[FrameRecord, Future[float] | None]] = deque()
+    waiting = iter(enumerate(frames))
+    interrupted = False
+
+    def read_next() -> None:
+        for index, files in waiting:
+            reads.append((index, files, reader.submit(_timed_read, files, depth_scale)))
+            return
+
+    def finish_oldest() -> None:
+        record, written = writes[0]
+        record = record if written is None else replace(record, write_ms=written.result())
+        writes.popleft()  # only now: an interrupt while waiting must not lose it
+        records.append(record)
+        on_record(record)
+
+    reader = ThreadPoolExecutor(1, thread_name_prefix="read", initializer=_give_way)
+    writer = ThreadPoolExecutor(1, thread_name_prefix="write", initializer=_give_way)
+    started = time.perf_counter()
+    try:
+        try:
+            for _ in range(_READ_AHEAD):
+                read_next()
+            while reads:
+                index, files, reading = reads.popleft()
+                record, written = _predict(predictor, index, files, reading, writer, write)
+                read_next()
+                writes.append((record, written))
+                while len(writes) > _WRITE_BEHIND:
+                    finish_oldest()
+        except KeyboardInterrupt:
+            interrupted = True
+        while writes:
+            finish_oldest()
+    finally:
+        reader.shutdown(cancel_futures=True)
+        writer.shutdown(cancel_futures=True)
+    return StreamResult(tuple(records), time.perf_counter() - started, interrupted)
+
+
+def _predict(
+    predictor: Predictor,
+    index: int,
+    files: FrameFiles,
+    reading: "Future[tuple[Frame, float]]",
+    writer: ThreadPoolExecutor,
+    write: WriteFrame | None,
+) -> tuple[FrameRecord, "Future[float] | None"]:
+    """The record of one frame, and its answer on the way to the disk."""
+    try:
+        frame, read_ms = reading.result()
+        prediction = predictor.predict(frame.rgb, frame.sparse_depth)
+    except SSDNetError as error:
+        return FrameRecord(index, files.name, SKIPPED, reason=str(error)), None
+    record = FrameRecord(
+        index,
+        files.name,
+        OK if prediction.valid else INVALID,
+        reason="" if prediction.valid else ", ".join(prediction.degraded),
+        frame_size=prediction.frame_size,
+        read_ms=read_ms,
+        latency=prediction.latency,
+        degraded=prediction.degraded,
+        cleaned=prediction.cleaned,
+        depth_returns=prediction.depth_returns,
+    )
+    if write is None or not prediction.valid:
+        return record, None
+    return record, writer.submit(_timed_write, write, files.name, frame.rgb, prediction)
+
+
+def _give_way() -> None:
+    """Let the calling thread run where inference leaves the processor idle.
+
+    The threads of an operator wait for the slowest of them: each millisecond that one of them
+    loses to a decoder is lost to all.
+    """
+    if sys.platform == "linux":  # elsewhere nice() is of the whole process
+        os.nice(_NICENESS)
+
+
+def _timed_read(files: FrameFiles, depth_scale: float) -> tuple[Frame, float]:
+    started = time.perf_counter()
+    frame = read_frame(files, depth_scale=depth_scale)
+    return frame, (time.perf_counter() - started) * 1e3
+
+
+def _timed_write(
+    write: WriteFrame, name: str, rgb: NDArray[np.uint8], prediction: Prediction
+) -> float:
+    started = time.perf_counter()
+    write(name, rgb, prediction)
+    return (time.perf_counter() - started) * 1e3

@@ -1,0 +1,226 @@
+"""What a run of a stream comes to: a row a frame (frames.csv) and the whole (report.json)."""
+
+import csv
+import io
+import json
+import os
+import platform
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from runtime.predictor import Predictor
+from runtime.stream.latency import (
+    LatencyStatistics,
+    MissedDeadlines,
+    latency_statistics,
+    latency_table,
+    missed_deadlines,
+)
+from runtime.stream.pipeline import SKIPPED, FrameRecord, StreamResult
+from runtime.stream.writer import DEPTH_PNG_MAX_M, DEPTH_PNG_SCALE
+
+REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.1"
+
+# "predict" is Predictor.predict from end to end: what a deadline is held against.
+STAGES: dict[str, Callable[[FrameRecord], float | None]] = {
+    "read": lambda record: record.read_ms,
+    "preprocess": lambda record: record.latency.preprocess_ms if record.latency else None,
+    "inference": lambda record: record.latency.inference_ms if record.latency else None,
+    "postprocess": lambda record: record.latency.postprocess_ms if record.latency else None,
+    "predict": lambda record: record.latency.total_ms if record.latency else None,
+    "write": lambda record: record.write_ms,
+}
+
+
+def stage_statistics(records: Sequence[FrameRecord]) -> dict[str, LatencyStatistics | None]:
+    """Statistics of every stage over the frames that went through it."""
+    return {
+        stage: latency_statistics(
+            time_ms for time_ms in map(time_of, records) if time_ms is not None
+        )
+        for stage, time_of in STAGES.items()
+    }
+
+
+def missed(records: Sequence[FrameRecord], deadline_ms: float | None) -> MissedDeadlines | None:
+    """The predictions that took longer than the deadline; None without a deadline."""
+    if deadline_ms is None:
+        return None
+    return missed_deadlines(
+        (record.latency.total_ms for record in records if record.latency), deadline_ms=deadline_ms
+    )
+
+
+def frames_csv(records: Sequence[FrameRecord], *, deadline_ms: float | None) -> str:
+    """A row a frame; times in ms; cells that do not apply are empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["index", "name", "status", "reason", "height", "width"]
+        + [f"{stage}_ms" for stage in STAGES]
+        + ["missed_deadline", "degraded", "nan", "infinite", "negative", "too_far"]
+        + ["depth_returns"]
+    )
+    for record in records:
+        times = (time_of(record) for time_of in STAGES.values())
+        late: int | str = ""
+        if deadline_ms is not None and record.latency:
+            late = int(record.latency.total_ms > deadline_ms)
+        writer.writerow(
+            [record.index, record.name, record.status, record.reason]
+            + list(record.frame_size or ("", ""))
+            + ["" if time_ms is None else f"{time_ms:.3f}" for time_ms in times]
+            + [late, ";".join(record.degraded)]
+            + [*asdict(record.cleaned).values(), record.depth_returns]
+        )
+    return text.getvalue()
+
+
+def build_report(
+    predictor: Predictor,
+    result: StreamResult,
+    *,
+    version: str,
+    inputs: dict[str, Any],
+    output: str,
+    kinds: Sequence[str],
+    deadline_ms: float | None,
+) -> dict[str, Any]:
+    """The whole run as one JSON document, see REPORT_VERSION.
+
+    inputs: where the frames came from, as the user gave it.
+    kinds: what was written of each frame, of `runtime.stream.run_folder.KINDS`.
+    """
+    records = result.records
+    late = missed(records, deadline_ms)
+    return {
+        "format": REPORT_FORMAT,
+        "version": REPORT_VERSION,
+        "ssdnet": version,
+        "model": {
+            "name": predictor.contract.model_name,
+            "path": predictor.model,
+            "sha256": predictor.digest,
+            "precision": predictor.contract.precision,
+            "input_size": predictor.input_size,
+            "heads": predictor.heads,
+            "max_depth_m": predictor.contract.max_depth_m,
+        },
+        "provider": {
+            "asked": predictor.provider,
+            "running": predictor.providers,
+            "nodes": predictor.node_counts,
+            "threads": predictor.threads,
+        },
+        "machine": {
+            "cpu": cpu_name(),
+            "logical_cores": os.cpu_count(),
+            "system": platform.platform(),
+            "python": platform.python_version(),
+        },
+        "inputs": inputs,
+        "output": output,
+        "saved": kinds,
+        "depth_png": {"units_per_metre": DEPTH_PNG_SCALE, "max_m": DEPTH_PNG_MAX_M},
+        "frames": {
+            "total": len(records),
+            "by_status": dict(Counter(record.status for record in records)),
+            "degraded": dict(Counter(reason for record in records for reason in record.degraded)),
+            "not_ok": [
+                {"name": record.name, "status": record.status, "reason": record.reason}
+                for record in records
+                if record.reason
+            ],
+        },
+        "interrupted": result.interrupted,
+        "load_ms": predictor.load_ms,
+        "first_inference_ms": predictor.first_inference_ms,
+        "stages": {
+            stage: None if statistics is None else asdict(statistics)
+            for stage, statistics in stage_statistics(records).items()
+        },
+        "wall_s": result.wall_s,
+        "frames_per_second": frames_per_second(result),
+        "deadline": None if late is None else {"deadline_ms": deadline_ms, **asdict(late)},
+    }
+
+
+def frames_per_second(result: StreamResult) -> float | None:
+    """Frames predicted a second, end to end: reading and writing included."""
+    predicted = sum(record.status != SKIPPED for record in result.records)
+    return predicted / result.wall_s if predicted else None
+
+
+def to_json(report: dict[str, Any]) -> str:
+    """The report as text."""
+    return json.dumps(report, indent=2, allow_nan=False) + "\n"
+
+
+def describe_predictor(predictor: Predictor, frame_size: tuple[int, int] | None) -> str:
+    """One line: model and digest, what runs it, threads, sizes.
+
+    frame_size: (height, width) of the frames, or None if not known.
+    """
+    nodes = predictor.node_counts
+    running = ", ".join(
+        name if nodes is None else f"{name} {nodes.get(name, 0)} nodes"
+        for name in predictor.providers
+        if nodes is None or name in nodes or name == predictor.providers[0]
+    )
+    return (
+        f"{predictor.contract.model_name} sha256:{predictor.digest[:12]} | {running} | "
+        f"threads {predictor.threads} | frames {_size(frame_size)}, "
+        f"model input {_size(predictor.input_size)}"
+    )
+
+
+def describe_run(result: StreamResult, report: dict[str, Any]) -> str:
+    """The table of stages and what stands around it, for people."""
+    frames = report["frames"]
+    counts = ", ".join(f"{count} {status}" for status, count in frames["by_status"].items())
+    lines = [
+        f"frames: {frames['total']} ({counts})" + (", interrupted" if result.interrupted else "")
+    ]
+    lines += [
+        f"  {entry['name']}: {entry['status']}: {entry['reason']}" for entry in frames["not_ok"]
+    ]
+    lines += [f"  degraded: {reason}: {count}" for reason, count in frames["degraded"].items()]
+    lines += ["", latency_table(stage_statistics(result.records)), ""]
+    rate = report["frames_per_second"]
+    lines.append(f"frames a second, end to end: {'n/a' if rate is None else f'{rate:.1f}'}")
+    first_ms = report["first_inference_ms"]
+    lines.append(
+        f"load {report['load_ms']:.0f} ms, first inference "
+        + ("n/a" if first_ms is None else f"{first_ms:.1f} ms")
+        + " (not in the table)"
+    )
+    if deadline := report["deadline"]:
+        lines.append(
+            f"missed deadlines of {deadline['deadline_ms']:g} ms: {deadline['count']}, "
+            f"longest run {deadline['longest_run']}"
+        )
+    reach_m, limit_m = report["model"]["max_depth_m"], report["depth_png"]["max_m"]
+    if "depth" in report["saved"] and reach_m > limit_m:
+        lines.append(
+            f"note: the model's depth reaches {reach_m:g} m, a depth PNG {limit_m:.2f} m: what is "
+            f"beyond says {limit_m:.2f} m"
+        )
+    return "\n".join(lines)
+
+
+def _size(size: tuple[int, int] | None) -> str:
+    return "of any size" if size is None else f"{size[0]} x {size[1]}"
+
+
+def cpu_name() -> str:
+    """The processor's name as the system tells it."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

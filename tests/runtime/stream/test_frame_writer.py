@@ -1,0 +1,322 @@
+"""What is written is what was predicted, whole or not at all, and only in a folder of our own."""
+
+import dataclasses
+import errno
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from runtime import OutputError, Predictor
+from runtime.atomic_write import atomic_write
+from runtime.stream.overlay import Overlay
+from runtime.stream.run_folder import KINDS
+from runtime.stream.writer import FrameWriter, encode_boundary, encode_depth, encode_semantic
+
+
+@pytest.fixture
+def answered(model_file, make_frame):
+    """(rgb, prediction) of a frame."""
+    rgb, depth = make_frame(60, 80)
+    rgb[..., 1] = rgb[..., 2] // 2  # boundary = green / blue stays within 0..1
+    return rgb, Predictor(model_file()).predict(rgb, depth)
+
+
+def decode(content: bytes):
+    return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
+def files_in(folder: Path) -> set[str]:
+    return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+
+
+def test_depth_is_rounded_and_clipped_and_zero_stays_none():
+    depth = np.array([[0, 1, 80.001, 1.5 / 256, 2.4 / 256, 255.999, 300, 1e9]], np.float32)
+    image = decode(encode_depth(depth))
+    assert image.dtype == np.uint16
+    assert image.tolist() == [[0, 256, 20480, 2, 2, 65535, 65535, 65535]]
+
+
+def test_boundary_and_semantic():
+    boundary = np.array([[0, 0.5, 1, 0.2]], np.float32)
+    assert decode(encode_boundary(boundary)).tolist() == [[0, 128, 255, 51]]
+    semantic = np.random.default_rng(0).integers(0, 255, (37, 41), dtype=np.uint8)
+    assert np.array_equal(decode(encode_semantic(semantic)), semantic)
+
+
+def test_a_frame_is_written(tmp_path, contract, answered):
+    rgb, prediction = answered
+    out = tmp_path / "deep" / "out"
+    FrameWriter(out, contract, kinds=KINDS).write("0007", rgb, prediction)
+    assert files_in(out) == {
+        ".ssdnet-run",
+        "semantic/0007.png",
+        "depth/0007.png",
+        "boundary/0007.png",
+        "overlay/0007.jpg",
+    }
+    semantic = cv2.imread(str(out / "semantic/0007.png"), cv2.IMREAD_UNCHANGED)
+    assert np.array_equal(semantic, prediction.semantic)
+    depth = cv2.imread(str(out / "depth/0007.png"), cv2.IMREAD_UNCHANGED) / 256
+    assert abs(depth - prediction.depth).max() <= 0.5 / 256 + 1e-6
+    boundary = cv2.imread(str(out / "boundary/0007.png"), cv2.IMREAD_UNCHANGED) / 255
+    assert abs(boundary - prediction.boundary).max() <= 0.5 / 255 + 1e-6
+
+
+def test_only_what_was_asked_for_and_what_the_model_has(tmp_path, contract, answered):
+    rgb, prediction = answered
+    prediction = dataclasses.replace(prediction, boundary=None)
+    writer = FrameWriter(tmp_path / "out", contract, kinds=("semantic", "boundary"))
+    writer.write("a", rgb, prediction)
+    assert files_in(tmp_path / "out") == {".ssdnet-run", "semantic/a.png"}
+
+
+def test_what_a_format_cannot_hold_is_an_output_error(tmp_path, contract, answered, monkeypatch):
+    monkeypatch.setattr(Overlay, "draw", lambda *_: np.zeros((8, 65600, 3), np.uint8))
+    writer = FrameWriter(tmp_path / "out", contract, kinds=KINDS)
+    with pytest.raises(OutputError, match=r"cannot encode .*a\.jpg.*leave out overlay"):
+        writer.write("a", *answered)
+    assert files_in(tmp_path / "out") == {".ssdnet-run"}
+
+
+# --- the folder --------------------------------------------------------------------------------
+
+
+def test_an_empty_folder_may_be_used(tmp_path, contract):
+    FrameWriter(tmp_path, contract, kinds=())
+
+
+def test_a_used_folder_is_refused(tmp_path, contract, answered):
+    FrameWriter(tmp_path / "out", contract, kinds=KINDS).write("a", *answered)
+    before = files_in(tmp_path)
+    with pytest.raises(OutputError, match=r"not empty.*--overwrite"):
+        FrameWriter(tmp_path / "out", contract, kinds=KINDS)
+    assert files_in(tmp_path) == before
+
+
+def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, contract, answered):
+    out = tmp_path / "out"
+    names = ("old", "two\nlines", "g\udcff1")
+    writer = FrameWriter(out, contract, kinds=KINDS)
+    for name in names:
+        writer.write(name, *answered)
+    mine = {"mine.txt", "depth/mine.png", "overlay/holiday.jpg", "semantic/.mine.png.part"}
+    for name in ("frames.csv", "report.json", "latency.png", "depth/.old.png.part", *mine):
+        (out / name).write_text("x")
+    (out / "boundary" / "old.png").unlink()
+    (out / "boundary" / "old.png").mkdir()  # a folder is not ours, whatever its name
+    FrameWriter(out, contract, kinds=("depth",), overwrite=True).write("new", *answered)
+    assert files_in(out) == {".ssdnet-run", "depth/new.png", *mine}
+    assert (out / "boundary" / "old.png").is_dir()
+    FrameWriter(out, contract, kinds=(), overwrite=True)
+    assert files_in(out) == {".ssdnet-run", *mine}
+
+
+def test_overwrite_does_not_follow_links_out_of_the_folder(tmp_path, contract, answered):
+    out, pictures = tmp_path / "out", tmp_path / "pictures"
+    FrameWriter(out, contract, kinds=("semantic",)).write("a", *answered)
+    (out / "semantic").rename(pictures)
+    (out / "semantic").symlink_to(pictures)
+    FrameWriter(out, contract, kinds=("semantic",), overwrite=True)
+    assert files_in(pictures) == {"a.png"}
+
+
+def test_overwrite_says_what_it_could_not_remove(tmp_path, contract, answered, monkeypatch):
+    out = tmp_path / "out"
+    FrameWriter(out, contract, kinds=KINDS).write("a", *answered)
+    (out / "report.json").write_text("{}")
+    unlink = Path.unlink
+
+    def refuse(self, missing_ok=False):
+        if self.parent.name == "depth" and not self.name.startswith("."):
+            raise OSError(errno.EACCES, os.strerror(errno.EACCES))
+        unlink(self, missing_ok=missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(OutputError, match="cannot remove the earlier run"):
+        FrameWriter(out, contract, kinds=KINDS, overwrite=True)
+    assert not (out / "report.json").exists(), "a run with a report is whole"
+
+
+def test_overwrite_never_touches_a_folder_that_is_not_ours(tmp_path, contract):
+    (tmp_path / "depth").mkdir()
+    (tmp_path / "depth" / "0001.png").write_text("a data set")
+    with pytest.raises(OutputError, match="did not make"):
+        FrameWriter(tmp_path, contract, kinds=KINDS, overwrite=True)
+    assert files_in(tmp_path) == {"depth/0001.png"}
+
+
+def test_a_folder_that_cannot_be_made(tmp_path, contract):
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", tmp_path / "file" / "out", Path("/proc/none/out")):
+        with pytest.raises(OutputError, match="cannot make the output folder"):
+            FrameWriter(out, contract, kinds=KINDS)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_without_permission(tmp_path, contract):
+    tmp_path.chmod(0o500)
+    with pytest.raises(OutputError, match="Permission denied"):
+        FrameWriter(tmp_path / "out", contract, kinds=KINDS)
+
+
+# --- whole or not at all -----------------------------------------------------------------------
+
+
+def test_a_file_that_cannot_be_written_leaves_no_trace_and_the_old_one(tmp_path, monkeypatch):
+    path = tmp_path / "a.bin"
+    atomic_write(path, b"old")
+
+    def half(self, content):
+        with self.open("wb") as file:
+            file.write(content[: len(content) // 2])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", half)
+    with pytest.raises(OutputError, match="No space left on device"):
+        atomic_write(path, b"new content")
+    assert path.read_bytes() == b"old"
+    assert files_in(tmp_path) == {"a.bin"}
+
+
+def test_the_first_error_is_the_one_that_is_told(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="Not a directory"):  # so is the removal's
+        atomic_write(tmp_path / "file" / "a.bin", b"content")
+
+
+def test_the_longest_name_a_file_can_have(tmp_path):
+    path = tmp_path / ("n" * 251 + ".png")
+    atomic_write(path, b"content")
+    assert files_in(tmp_path) == {path.name}
+
+
+def test_an_interrupt_while_writing_leaves_no_trace(tmp_path, monkeypatch):
+    def interrupt(source, target):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        atomic_write(tmp_path / "a.bin", b"content")
+    assert files_in(tmp_path) == set()
+
+
+def test_a_frame_that_fails_half_way_leaves_none_of_its_files(
+    tmp_path, contract, answered, monkeypatch
+):
+    writer = FrameWriter(tmp_path / "out", contract, kinds=KINDS)
+    writer.write("good", *answered)
+    before = files_in(tmp_path)
+    whole = Path.write_bytes
+
+    def full(self, content):
+        if "overlay" in str(self):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return whole(self, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OutputError, match=r"No space left on device.*is kept"):
+        writer.write("bad", *answered)
+    assert files_in(tmp_path) == before
+
+
+def test_a_disk_that_is_really_full(mount_disk, contract, answered):
+    tiny_disk = mount_disk(64)
+    writer = FrameWriter(tiny_disk / "out", contract, kinds=KINDS)
+    finished: list[str] = []
+
+    def write_frames():
+        for index in range(100):
+            writer.write(str(index), *answered)
+            finished.append(str(index))
+
+    with pytest.raises(OutputError, match="No space left on device"):
+        write_frames()
+    assert 0 < len(finished) < 100
+    for kind in KINDS:
+        written = {path.stem for path in (tiny_disk / "out" / kind).iterdir()}
+        assert written == set(finished), "whole frames only, nothing temporary"
+
+
+# --- the overlay -------------------------------------------------------------------------------
+
+
+def panels_of(strip, height):
+    return [strip[i * height : (i + 1) * height] for i in range(4)]
+
+
+def test_the_overlay_shows_what_was_predicted(contract, answered):
+    _, prediction = answered
+    height, width = 100, 300
+    rgb = np.full((height, width, 3), (250, 10, 20), np.uint8)
+    semantic = np.ones((height, width), np.uint8)
+    semantic[:, :150] = 0
+    depth = np.full((height, width), 2, np.float32)
+    depth[:, 150:] = 80
+    boundary = np.zeros((height, width), np.float32)
+    boundary[:, 150:] = 1
+    prediction = dataclasses.replace(
+        prediction, semantic=semantic, depth=depth, boundary=boundary, frame_size=(height, width)
+    )
+    strip = Overlay(contract.classes, contract.max_depth_m).draw(rgb, prediction)
+    image, classes, depths, boundaries = panels_of(strip, height)
+    assert image[60, 60].tolist() == [20, 10, 250], "blue first"
+    dark, red = np.array([128, 0, 0]), np.array([30, 30, 200])
+    for column, color in ((60, dark), (240, red)):
+        expected = 0.7 * color + 0.3 * np.array([20, 10, 250])
+        assert abs(classes[60, column] - expected).max() <= 1
+    near, far = depths[60, 60].astype(int), depths[60, 240].astype(int)
+    assert near[2] > near[0], "near is reddish"
+    assert far[0] > far[2], "far is bluish"
+    assert boundaries[60, 60].tolist() == [0, 0, 0]
+    assert boundaries[60, 240].tolist() == [255, 255, 255]
+    assert strip.shape[0] > 4 * height, "the legend"
+
+
+def test_the_depth_colours_are_the_same_for_every_frame(contract, answered):
+    rgb, prediction = answered
+    overlay = Overlay(contract.classes, contract.max_depth_m)
+
+    def color_at_10_m(rest_m):
+        depth = np.full(prediction.depth.shape, rest_m, np.float32)
+        depth[40, 40] = 10
+        drawn = overlay.draw(rgb, dataclasses.replace(prediction, depth=depth))
+        return drawn[40, 2 * 80 + 40].tolist()
+
+    assert color_at_10_m(1) == color_at_10_m(70)
+
+
+@pytest.mark.parametrize(
+    "size",
+    [(375, 1242), (512, 1024), (125, 414), (33, 35), (1080, 1920), (32, 20600), (65600, 32)],
+)
+def test_the_overlay_of_any_size_is_of_a_handy_size(contract, answered, size):
+    _, prediction = answered
+    resized = {
+        name: cv2.resize(getattr(prediction, name), size[::-1])
+        for name in ("semantic", "depth", "boundary")
+    }
+    prediction = dataclasses.replace(prediction, frame_size=size, **resized)
+    overlay = Overlay(contract.classes, contract.max_depth_m)
+    strip = overlay.draw(np.zeros((*size, 3), np.uint8), prediction)
+    assert strip.dtype == np.uint8
+    assert strip.shape[1] <= 4 * 640
+    assert strip.shape[0] <= 4 * 4096 + 200
+
+
+def test_the_overlay_leaves_out_missing_heads(contract, answered):
+    rgb, prediction = answered
+    only_depth = dataclasses.replace(prediction, semantic=None, boundary=None)
+    overlay = Overlay(contract.classes, contract.max_depth_m)
+    assert overlay.draw(rgb, only_depth).shape[1] == 2 * 80
+    assert overlay.draw(rgb, prediction).shape[1] == 4 * 80
+
+
+def test_the_overlay_leaves_the_frame_alone(contract, answered):
+    rgb, prediction = answered
+    before = [a.copy() for a in (rgb, prediction.semantic, prediction.depth, prediction.boundary)]
+    Overlay(contract.classes, contract.max_depth_m).draw(rgb, prediction)
+    after = [rgb, prediction.semantic, prediction.depth, prediction.boundary]
+    assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))

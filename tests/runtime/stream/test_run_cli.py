@@ -1,0 +1,515 @@
+"""ssdnet-run from the outside: files, tables, exit codes."""
+
+import csv
+import dataclasses
+import errno
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import runtime.stream.bundled
+import runtime.stream.cli
+import runtime.stream.pipeline
+from runtime.stream.cli import app
+
+N = 12
+
+
+@pytest.fixture
+def stream(tmp_path, make_frame) -> tuple[Path, Path]:
+    """A stream of N frames of 48 x 64 in cam/ and lidar/."""
+    for folder in ("cam", "lidar"):
+        (tmp_path / folder).mkdir()
+    for index in range(N):
+        rgb, depth = make_frame(seed=index)
+        rgb[..., 1] = rgb[..., 2] // 2
+        assert cv2.imwrite(str(tmp_path / f"cam/f{index}.png"), rgb[..., ::-1])
+        image = np.rint(depth * 256).astype(np.uint16)
+        assert cv2.imwrite(str(tmp_path / f"lidar/f{index}.png"), image)
+    return tmp_path / "cam", tmp_path / "lidar"
+
+
+@pytest.fixture
+def run(tmp_path, stream, model_file):
+    """Run the command on the stream, into tmp_path/out, and give click's result."""
+    model = model_file()
+
+    def invoke(*arguments: object):
+        rgb, depth = stream
+        standard = ["--rgb", rgb, "--depth", depth, "--model", model, "--out", tmp_path / "out"]
+        return CliRunner().invoke(app, [str(a) for a in [*standard, "--threads", 1, *arguments]])
+
+    return invoke
+
+
+def arguments(stream: tuple[Path, Path], model: Path, folder: Path) -> list[str]:
+    rgb, depth = stream
+    given = ["--rgb", rgb, "--depth", depth, "--model", model, "--out", folder / "out"]
+    return [str(a) for a in [*given, "--threads", 1]]
+
+
+def rows_of(out: Path) -> list[dict[str, str]]:
+    with (out / "frames.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def files_in(folder: Path) -> set[str]:
+    return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+
+
+def test_a_run_from_end_to_end(tmp_path, run):
+    result = run("--deadline-ms", 60_000)
+    assert result.exit_code == 0, result.output
+    out = tmp_path / "out"
+    names = [f"f{index}" for index in range(N)]
+    for kind, suffix in (("semantic", "png"), ("depth", "png"), ("boundary", "png")):
+        assert {p.name for p in (out / kind).iterdir()} == {f"{n}.{suffix}" for n in names}
+    assert len(list((out / "overlay").glob("*.jpg"))) == N
+
+    first_line, *_, last_line = result.stdout.strip().splitlines()
+    assert re.match(
+        r"by-hand sha256:[0-9a-f]{12} \| CPUExecutionProvider [1-9]\d* nodes \| threads 1 \| "
+        r"frames 48 x 64, model input of any size$",
+        first_line,
+    )
+    assert last_line == f"pictures: {out / 'overlay'}"
+    for stage in ("read", "preprocess", "inference", "postprocess", "predict", "write"):
+        (line,) = re.findall(rf"^{stage} .*$", result.stdout, re.MULTILINE)
+        assert line.split()[1] == str(N)
+        assert line.split()[5:7] == ["n/a", "n/a"], "12 frames support no p99"
+    assert re.search(r"frames a second, end to end: \d", result.stdout)
+    assert re.search(r"load \d+ ms, first inference [\d.]+ ms", result.stdout)
+    assert "missed deadlines of 60000 ms: 0, longest run 0" in result.stdout
+    assert cv2.imread(str(out / "latency.png")) is not None
+
+
+def test_the_rows_and_the_report_agree(tmp_path, run):
+    run("--deadline-ms", 60_000, "--warmup", 2)
+    rows = rows_of(tmp_path / "out")
+    assert [row["name"] for row in rows] == [f"f{index}" for index in range(N)], "natural order"
+    assert {row["status"] for row in rows} == {"ok"}
+    assert {(row["height"], row["width"]) for row in rows} == {("48", "64")}
+    assert {row["missed_deadline"] for row in rows} == {"0"}
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert (report["format"], report["version"]) == ("ssdnet-run", "1.1")
+    assert report["frames"]["by_status"] == {"ok": N}
+    assert report["provider"]["threads"] == 1
+    assert report["provider"]["nodes"]["CPUExecutionProvider"] > 5
+    assert len(report["model"]["sha256"]) == 64
+    assert report["machine"]["cpu"]
+    assert report["deadline"] == {"deadline_ms": 60_000, "count": 0, "longest_run": 0}
+    assert report["load_ms"] > 0
+    assert report["first_inference_ms"] > 0
+    assert report["frames_per_second"] == pytest.approx(N / report["wall_s"])
+    for stage, statistics in report["stages"].items():
+        times = [float(row[f"{stage}_ms"]) for row in rows]
+        assert statistics["n"] == N
+        assert statistics["mean_ms"] == pytest.approx(np.mean(times), abs=1e-3)
+        assert statistics["max_ms"] == pytest.approx(max(times), abs=1e-3)
+        assert statistics["median_ms"] == pytest.approx(sorted(times)[N // 2 - 1], abs=1e-3)
+        assert statistics["p99_9_ms"] is None
+    predict = [float(row["predict_ms"]) for row in rows]
+    parts = [
+        sum(float(row[f"{stage}_ms"]) for stage in ("preprocess", "inference", "postprocess"))
+        for row in rows
+    ]
+    assert predict == pytest.approx(parts, abs=0.01)
+
+
+def test_json_is_the_report_and_nothing_else(tmp_path, run):
+    result = run("--json")
+    assert json.loads(result.stdout) == json.loads((tmp_path / "out/report.json").read_text())
+
+
+def test_the_depth_scale(tmp_path, run, stream):
+    run("--depth-scale", 100, "--save", "depth")
+    units = cv2.imread(str(stream[1] / "f0.png"), cv2.IMREAD_UNCHANGED) / 100
+    units[units > 80] = 0  # beyond the model's range: no measurement
+    depth = cv2.imread(str(tmp_path / "out/depth/f0.png"), cv2.IMREAD_UNCHANGED) / 256
+    np.testing.assert_allclose(depth, units + 1.5, atol=0.51 / 256)
+    assert int(rows_of(tmp_path / "out")[0]["too_far"]) > 0
+
+
+def test_the_limit(tmp_path, run):
+    assert run("--limit", 3).exit_code == 0
+    assert len(rows_of(tmp_path / "out")) == 3
+
+
+@pytest.mark.parametrize(
+    ("save", "folders"),
+    [("none", set()), ("depth,semantic", {"depth", "semantic"}), ("overlay", {"overlay"})],
+)
+def test_what_is_saved(tmp_path, run, save, folders):
+    result = run("--save", save)
+    assert result.exit_code == 0
+    assert {p.name for p in (tmp_path / "out").iterdir() if p.is_dir()} == folders
+    assert len(rows_of(tmp_path / "out")) == N
+    assert ("pictures:" in result.stdout) == ("overlay" in folders)
+
+
+def test_a_missed_deadline_is_exit_code_4(tmp_path, run, stream):
+    (stream[1] / "f3.png").unlink()
+    result = run("--deadline-ms", 1e-6)
+    assert result.exit_code == 4, "the gate outranks the skipped frame"
+    assert "missed deadlines of 1e-06 ms: 11, longest run 11" in result.stdout
+    late = [row["missed_deadline"] for row in rows_of(tmp_path / "out")]
+    assert late == ["1"] * 3 + [""] + ["1"] * 8
+
+
+def test_answers_that_cannot_be_used_are_exit_code_3(tmp_path, run, stream):
+    black = np.zeros((48, 64, 3), np.uint8)  # green / blue of the model by hand: 0 / 0
+    for path in stream[0].iterdir():
+        cv2.imwrite(str(path), black)
+    result = run()
+    assert result.exit_code == 3
+    assert "(12 invalid)" in result.stdout
+    assert "pictures:" not in result.stdout
+    assert not list((tmp_path / "out/overlay").iterdir())
+
+
+def test_depth_beyond_what_a_png_holds_is_said(tmp_path, stream, model_file, contract):
+    assert "note:" not in CliRunner().invoke(app, arguments(stream, model_file(), tmp_path)).stdout
+    far = model_file(contract=dataclasses.replace(contract, max_depth_m=400.0))
+    result = CliRunner().invoke(app, arguments(stream, far, tmp_path / "far"))
+    assert "depth reaches 400 m, a depth PNG 256.00 m" in result.stdout
+    report = json.loads((tmp_path / "far/out/report.json").read_text())
+    assert report["depth_png"] == {"units_per_metre": 256, "max_m": 65535 / 256}
+
+
+def test_without_warm_up_no_first_inference_is_claimed(tmp_path, run):
+    assert "first inference n/a" in run("--warmup", 0).stdout
+
+
+def test_the_demo_runs_the_bundled_stream(tmp_path, stream, model_file, monkeypatch):
+    bundled = tmp_path / "assets" / "stream"
+    bundled.mkdir(parents=True)
+    arguments = ["--demo", "--model", str(model_file()), "--out", str(tmp_path / "out")]
+    monkeypatch.setattr(runtime.stream.bundled.resources, "files", lambda package: tmp_path)
+    empty = CliRunner().invoke(app, arguments)
+    assert empty.exit_code == 1
+    stream[0].rename(bundled / "rgb")
+    stream[1].rename(bundled / "depth")
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    assert len(rows_of(tmp_path / "out")) == N
+
+
+def test_a_missing_bundled_stream_is_an_error(tmp_path, model_file, monkeypatch):
+    monkeypatch.setattr(runtime.stream.bundled.resources, "files", lambda package: tmp_path)
+    result = CliRunner().invoke(app, ["--demo", "--out", str(tmp_path / "out")])
+    assert result.exit_code == 1
+    assert "bundled stream" in result.stderr
+
+
+# --- bad input ---------------------------------------------------------------------------------
+
+
+def test_skipped_frames_are_counted_named_and_exit_code_3(tmp_path, run, stream, monkeypatch):
+    rgb, depth = stream
+    drawn: dict[int, float] = {}
+    draw = runtime.stream.cli.draw_latency
+
+    def spy(latencies_ms, **options):
+        drawn.update(latencies_ms)
+        return draw(latencies_ms, **options)
+
+    monkeypatch.setattr(runtime.stream.cli, "draw_latency", spy)
+    (depth / "f1.png").unlink()
+    (rgb / "f2.png").unlink()
+    picture = rgb / "f4.png"
+    picture.write_bytes(picture.read_bytes()[:700])
+    cv2.imwrite(str(depth / "f6.png"), np.zeros((48, 64), np.uint8))
+    cv2.imwrite(str(depth / "f8.png"), np.zeros((40, 64), np.uint16))
+    result = run()
+    assert result.exit_code == 3
+    assert "frames: 12 (7 ok, 5 skipped)" in result.stdout
+    rows = {row["name"]: row for row in rows_of(tmp_path / "out")}
+    reasons = {
+        "f1": "no depth map",
+        "f2": "no picture",
+        "f4": "truncated",
+        "f6": "8 bits",
+        "f8": "(40, 64)",
+    }
+    assert {name for name, row in rows.items() if row["status"] == "skipped"} == set(reasons)
+    for name, reason in reasons.items():
+        assert reason in rows[name]["reason"]
+        assert re.search(rf"  {name}: skipped: .*{re.escape(reason)}", result.stdout)
+        assert rows[name]["predict_ms"] == ""
+    written = {p.stem for p in (tmp_path / "out/overlay").iterdir()}
+    assert written == rows.keys() - reasons.keys()
+    assert {f"f{index}" for index in drawn} == written
+
+
+def test_a_first_frame_that_is_damaged_does_not_matter_to_the_warm_up(run, stream):
+    (stream[0] / "f0.png").write_bytes(b"")
+    result = run()
+    assert result.exit_code == 3
+    assert "11 ok" in result.stdout
+
+
+def test_empty_lidar_frames_are_counted(tmp_path, run, stream):
+    for index in (2, 5):
+        cv2.imwrite(str(stream[1] / f"f{index}.png"), np.zeros((48, 64), np.uint16))
+    result = run()
+    assert result.exit_code == 0
+    assert "degraded: no_depth: 2" in result.stdout
+    assert rows_of(tmp_path / "out")[5]["degraded"] == "no_depth"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (lambda rgb, depth: [p.unlink() for p in rgb.iterdir()], "has no .png"),
+        (lambda rgb, depth: [p.rename(p.with_stem(p.stem + "_d")) for p in depth.iterdir()],
+         "no name occurs in both"),
+        (lambda rgb, depth: depth.rename(depth.with_name("gone")), "cannot list the folder"),
+    ],
+    ids=["empty", "no matching names", "missing"],
+)  # fmt: skip
+def test_folders_that_make_no_stream_are_exit_code_1(tmp_path, run, stream, spoil, text):
+    spoil(*stream)
+    result = run()
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error: ")
+    assert text in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_bad_model_is_exit_code_1_and_leaves_an_earlier_run_alone(tmp_path, run):
+    assert run().exit_code == 0
+    before = files_in(tmp_path / "out")
+    (tmp_path / "bad.onnx").write_bytes(b"no model")
+    result = run("--model", tmp_path / "bad.onnx", "--overwrite")
+    assert result.exit_code == 1
+    assert "cannot be loaded" in result.stderr
+    assert files_in(tmp_path / "out") == before
+
+
+def test_an_existing_run_needs_overwrite(tmp_path, run):
+    assert run("--limit", 5).exit_code == 0
+    before = (tmp_path / "out/report.json").read_bytes()
+    result = run("--limit", 2)
+    assert result.exit_code == 1
+    assert "--overwrite" in result.stderr
+    assert (tmp_path / "out/report.json").read_bytes() == before
+    assert run("--limit", 2, "--overwrite").exit_code == 0
+    assert {p.stem for p in (tmp_path / "out/depth").iterdir()} == {"f0", "f1"}
+
+
+@pytest.mark.parametrize("kind", ["depth", "semantic"])
+def test_answers_are_never_written_where_frames_are_read(tmp_path, run, stream, kind):
+    assert run().exit_code == 0
+    before = files_in(tmp_path / "out")
+    result = run("--depth", tmp_path / "out" / kind, "--overwrite")
+    assert result.exit_code == 1
+    assert "choose another --out" in result.stderr
+    assert files_in(tmp_path / "out") == before
+
+
+def test_a_name_that_is_no_text(tmp_path, run, stream):
+    """File systems take any bytes."""
+    for folder in stream:
+        (folder / "f3.png").rename(folder / "f\udcff3.png")
+    (stream[1] / "f5.png").rename(stream[1] / "g\udcff5.png")
+    result = run()
+    assert result.exit_code == 3
+    assert r"g\udcff5: skipped" in result.stdout
+    table = (tmp_path / "out/frames.csv").read_bytes()
+    assert b",f\xff3,ok" in table
+    assert (tmp_path / "out/depth" / "f\udcff3.png").is_file()
+    assert len(json.loads((tmp_path / "out/report.json").read_text())["frames"]["not_ok"]) == 2
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize(("option", "code"), [("--overwrite", 0), ("--json", 1)])
+def test_a_run_outlives_what_it_prints_to(tmp_path, stream, model_file, option, code):
+    command = [
+        sys.executable,
+        "-m",
+        "runtime.stream.cli",
+        *arguments(stream, model_file(), tmp_path),
+    ]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([*command, option], stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == code
+    assert "cannot print (No space left on device): see" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(rows_of(tmp_path / "out")) == N
+
+
+def test_a_reader_that_left_does_not_stop_the_run(tmp_path, stream, model_file):
+    command = [
+        sys.executable,
+        "-m",
+        "runtime.stream.cli",
+        *arguments(stream, model_file(), tmp_path),
+    ]
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(rows_of(tmp_path / "out")) == N
+
+
+def test_a_reader_that_left_does_not_fail_the_exit():
+    """More than any buffer holds: the rest is flushed once more at the end."""
+    program = (
+        "from pathlib import Path; from runtime.stream.cli import _say; _say('x' * 100_000, Path())"
+    )
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_an_output_folder_that_cannot_be_written(tmp_path, run):
+    (tmp_path / "file").touch()
+    result = run("--out", tmp_path / "file" / "out")
+    assert result.exit_code == 1
+    assert "cannot make the output folder" in result.stderr
+
+
+@pytest.mark.parametrize("full_at", ["depth/.f5", "overlay/.f0", ".frames.csv", ".report.json"])
+def test_a_full_disk_is_exit_code_1_with_whole_files_only(tmp_path, run, monkeypatch, full_at):
+    whole = Path.write_bytes
+
+    def full(self, content):
+        if full_at in str(self):
+            whole(self, content[: len(content) // 2])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return whole(self, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    result = run()
+    assert result.exit_code == 1
+    assert "No space left on device" in result.stderr
+    left = files_in(tmp_path / "out")
+    assert not [name for name in left if ".part" in name]
+    assert "report.json" not in left
+    kinds = {
+        frozenset(Path(name).stem for name in left if name.startswith(kind))
+        for kind in ("semantic", "depth", "boundary", "overlay")
+    }
+    assert len(kinds) == 1, "every frame has all of its files or none"
+    monkeypatch.undo()
+    assert run("--overwrite").exit_code == 0
+
+
+def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, monkeypatch):
+    predict = runtime.stream.cli.Predictor.predict
+    count = iter(range(100))
+
+    def interrupted(self, *frame, **options):
+        if next(count) == 6:
+            raise KeyboardInterrupt
+        return predict(self, *frame, **options)
+
+    monkeypatch.setattr(runtime.stream.cli.Predictor, "predict", interrupted)
+    result = run("--warmup", 0)
+    assert result.exit_code == 3
+    assert "frames: 6 (6 ok), interrupted" in result.stdout
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert report["interrupted"]
+    assert len(rows_of(tmp_path / "out")) == 6
+    assert len(list((tmp_path / "out/overlay").iterdir())) == 6
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals")
+@pytest.mark.parametrize(
+    "signals",
+    [(signal.SIGINT,), (signal.SIGTERM,), (signal.SIGINT,) * 20],
+    ids=["Ctrl-C", "SIGTERM", "many"],
+)
+def test_a_real_ctrl_c(tmp_path, stream, model_file, signals):
+    rgb, depth = stream
+    for index in range(N, 6000):
+        for folder in stream:
+            os.link(folder / f"f{index % N}.png", folder / f"f{index}.png")
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [
+            *(
+                sys.executable,
+                "-m",
+                "runtime.stream.cli",
+                "--threads",
+                "1",
+                "--model",
+                model_file(),
+            ),
+            *("--rgb", rgb, "--depth", depth, "--out", out),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell starts what runs in its background deaf to Ctrl-C, and children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    deadline = time.monotonic() + 30
+    while not (out / "overlay/f20.jpg").exists() and time.monotonic() < deadline:
+        time.sleep(0.005)
+    for number in signals:
+        process.send_signal(number)
+        time.sleep(0.002)
+    stdout, stderr = process.communicate(timeout=30)
+    assert process.returncode == 3, stderr
+    assert "interrupted" in stdout
+    rows = rows_of(out)
+    assert 20 < len(rows) < 6000
+    assert {p.stem for p in (out / "overlay").iterdir()} == {row["name"] for row in rows}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["--rgb", "somewhere"],
+        ["--demo", "--rgb", "somewhere"],
+        ["--demo", "--save", "everything"],
+        ["--demo", "--save", "depth,all"],
+        ["--demo", "--threads", "0"],
+        ["--demo", "--limit", "0"],
+        ["--demo", "--depth-scale", "0"],
+        ["--demo", "--depth-scale", "nan"],
+        ["--demo", "--depth-scale", "1e-50"],
+        ["--demo", "--deadline-ms", "-1"],
+        ["--demo", "--deadline-ms", "1.5e308"],
+        ["--demo", "--provider", "gpu"],
+        ["--demo", "--warmup", "-1"],
+        ["--no-such-option"],
+    ],
+)
+def test_wrong_usage_is_exit_code_2(arguments, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2, result.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_help_needs_no_onnxruntime(monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    result = CliRunner().invoke(app, ["--help"])
+    assert result.exit_code == 0
+    for option in ("--rgb", "--depth", "--demo", "--depth-scale", "--deadline-ms", "--overwrite"):
+        assert option in result.stdout
+    assert "Exit codes" in result.stdout
+
+
+def test_without_onnxruntime_the_commands_are_printed(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    result = run()
+    assert result.exit_code == 1
+    assert 'pip install "ssdnet[cpu]"' in result.stderr

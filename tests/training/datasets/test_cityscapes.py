@@ -1,0 +1,196 @@
+"""Cityscapes on small files in its real layout."""
+
+import json
+
+import numpy as np
+import pytest
+
+from layouts.cityscapes import CAMERA, HEIGHT, STEM, WIDTH, write_frame, write_stereo
+from layouts.pictures import cut_short, write
+from runtime.errors import DatasetError
+from training.datasets.cityscapes import Cityscapes, disparity_to_depth
+from training.loading.open_dataset import open_source
+from training.recipe import SourceRecipe
+
+#: Of the labelIds 0..33.
+IDS = {
+    "cityscapes": [
+        *([255] * 7),
+        *(0, 1, 255, 255, 2, 3, 4, 255, 255, 255, 5, 255, 6, 7, 8, 9, 10, 11, 12),
+        *(13, 14, 15, 255, 255, 16, 17, 18),
+    ],
+    "camvid": [
+        *([255] * 7),
+        *(3, 4, 255, 255, 1, 1, 7, 255, 255, 255, 2, 255, 6, 6, 5, 5, 0, 9, 10),
+        *(8, 8, 8, 255, 255, 8, 10, 10),
+    ],
+}
+
+
+@pytest.fixture
+def cityscapes(tmp_path):
+    write_frame(tmp_path)
+    write_stereo(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("classes", list(IDS))
+def test_label_ids_in_every_class_table(cityscapes, classes):
+    sample = Cityscapes(cityscapes, classes=classes)[0]
+    assert sample.semantic.dtype == np.uint8
+    np.testing.assert_array_equal(sample.semantic, np.broadcast_to(IDS[classes], (HEIGHT, WIDTH)))
+    assert (sample.rgb == (200, 20, 40)).all()
+    assert sample.name == "cityscapes/train/aachen_000000_000019"
+
+
+def test_depth_is_focal_length_times_baseline_over_disparity(cityscapes):
+    sample = Cityscapes(cityscapes)[0]
+    focal_baseline = 2262.52 * 0.209313
+    # Stored 2, 257, 25601 and 65535 are disparities of 1/256, 1, 100 and 255.99 px.
+    expected = [0, 0, 256 * focal_baseline, focal_baseline, focal_baseline / 100]
+    assert sample.depth.dtype == np.float32
+    assert sample.depth[:5, 7] == pytest.approx(expected, rel=1e-6)
+    assert sample.depth[5, 7] == pytest.approx(focal_baseline * 256 / 65534, rel=1e-6)
+    assert (sample.depth == sample.depth[:, :1]).all()
+    np.testing.assert_array_equal(sample.sparse_depth, sample.depth)
+    assert sample.focal_baseline_px_m == pytest.approx(focal_baseline)
+    assert sample.intrinsics.tolist() == [
+        [2262.52, 0, 1096.98],
+        [0, 2265.3017905988554, 513.137],
+        [0, 0, 1],
+    ]
+
+
+def test_no_disparity_is_no_depth():
+    depth = disparity_to_depth(np.array([[0, 1, 513]], np.uint16), 10.0)
+    assert depth.tolist() == [[0.0, 0.0, 5.0]]
+
+
+def test_without_stereo_there_are_classes_alone(tmp_path):
+    write_frame(tmp_path)
+    sample = Cityscapes(tmp_path)[0]
+    assert not sample.depth.any()
+    assert not sample.sparse_depth.any()
+    assert sample.intrinsics is None
+    assert sample.focal_baseline_px_m is None
+    assert (sample.semantic[:, 7] == 0).all()
+
+
+def test_frames_are_those_of_the_split_in_order_of_cities(tmp_path):
+    for stem in ("bochum/bochum_000000_000313", "aachen/aachen_000001_000019", STEM):
+        write_frame(tmp_path, stem)
+    write_frame(tmp_path, "frankfurt/frankfurt_000000_000294", "val")
+    train = Cityscapes(tmp_path)
+    assert [train[index].name.split("/")[-1] for index in range(len(train))] == [
+        "aachen_000000_000019",
+        "aachen_000001_000019",
+        "bochum_000000_000313",
+    ]
+    recipe = SourceRecipe("cityscapes", tmp_path.name, split="val")
+    val = open_source(recipe, [tmp_path.parent], classes="camvid")
+    assert [len(val), val[0].name] == [1, "cityscapes/val/frankfurt_000000_000294"]
+    assert val[0].semantic[0, 26] == 8
+
+
+@pytest.mark.parametrize(
+    ("lost", "text"),
+    [
+        (f"gtFine/train/{STEM}_gtFine_labelIds.png", "missing"),
+        (f"disparity/train/{STEM}_disparity.png", "missing"),
+        (f"camera/train/{STEM}_camera.json", "missing"),
+        ("gtFine/train/aachen", "no such folder"),
+        ("disparity/train/aachen", "no such folder"),
+        ("camera/train/aachen", "no such folder"),
+        ("leftImg8bit/train", "no such folder"),
+    ],
+)
+def test_missing_parts_are_named(cityscapes, lost, text):
+    (cityscapes / lost).rename(cityscapes / "elsewhere")
+    with pytest.raises(DatasetError, match=f"{lost}: {text}"):
+        Cityscapes(cityscapes)
+
+
+def test_a_split_without_images_is_named(cityscapes):
+    (cityscapes / f"leftImg8bit/train/{STEM}_leftImg8bit.png").unlink()
+    with pytest.raises(DatasetError, match=r"leftImg8bit/train: no <city>/\*_leftImg8bit\.png"):
+        Cityscapes(cityscapes)
+
+
+def labels(value, size=(HEIGHT, WIDTH)):
+    return np.full(size, value, np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("kind", "suffix", "spoil", "text"),
+    [
+        ("gtFine", "gtFine_labelIds.png", lambda p: write(p, labels(34)), "label id 34, expected"),
+        ("gtFine", "gtFine_labelIds.png", lambda p: write(p, labels(255)), "label id 255"),
+        (
+            "gtFine",
+            "gtFine_labelIds.png",
+            lambda p: write(p, labels(7, (HEIGHT, 30))),
+            "size 6x30 differs from the image's 6x34",
+        ),
+        (
+            "gtFine",
+            "gtFine_labelIds.png",
+            lambda p: write(p, np.zeros((HEIGHT, WIDTH, 3), np.uint8)),
+            "expected one channel of uint8",
+        ),
+        ("gtFine", "gtFine_labelIds.png", cut_short, "is empty, truncated or damaged"),
+        (
+            "disparity",
+            "disparity.png",
+            lambda p: write(p, np.zeros((5, WIDTH), np.uint16)),
+            "size 5x34 differs",
+        ),
+        (
+            "disparity",
+            "disparity.png",
+            lambda p: write(p, labels(7)),
+            "expected one channel of uint16",
+        ),
+        ("disparity", "disparity.png", cut_short, "is empty, truncated or damaged"),
+        ("leftImg8bit", "leftImg8bit.png", cut_short, "is empty, truncated or damaged"),
+    ],
+)
+def test_damaged_files_are_named(cityscapes, kind, suffix, spoil, text):
+    path = cityscapes / kind / "train" / f"{STEM}_{suffix}"
+    spoil(path)
+    source = Cityscapes(cityscapes)
+    with pytest.raises(DatasetError, match=f"{path}.* {text}"):
+        source[0]
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        ("{", "JSONDecodeError"),
+        ("[]", "TypeError"),
+        (json.dumps({"intrinsic": CAMERA["intrinsic"]}), "KeyError: 'extrinsic'"),
+        (json.dumps(CAMERA | {"intrinsic": {"fx": 1, "fy": 1, "u0": 1}}), "KeyError: 'v0'"),
+        (json.dumps(CAMERA | {"extrinsic": {"baseline": "wide"}}), "ValueError"),
+        (json.dumps(CAMERA | {"extrinsic": {"baseline": None}}), "TypeError"),
+        (json.dumps(CAMERA | {"extrinsic": {"baseline": 0}}), "baseline 0.0, .* must be positive"),
+        (json.dumps(CAMERA | {"extrinsic": {"baseline": float("nan")}}), "must be positive"),
+        (
+            json.dumps(CAMERA | {"intrinsic": {"fx": -1, "fy": 1, "u0": 1, "v0": 1}}),
+            "must be positive",
+        ),
+    ],
+)
+def test_broken_camera_files_are_named(cityscapes, content, text):
+    (cityscapes / f"camera/train/{STEM}_camera.json").write_text(content)
+    with pytest.raises(DatasetError, match=f"{STEM}_camera.json: .*{text}"):
+        Cityscapes(cityscapes)[0]
+
+
+def test_a_camera_file_that_is_not_text_is_named(cityscapes):
+    (cityscapes / f"camera/train/{STEM}_camera.json").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(DatasetError, match=f"{STEM}_camera.json: expected JSON"):
+        Cityscapes(cityscapes)[0]
+
+
+def test_cityscapes_cannot_be_told_in_virtual_kittis_classes(cityscapes):
+    with pytest.raises(DatasetError, match=r"recipe's model\.classes to one of camvid, city"):
+        Cityscapes(cityscapes, classes="virtual_kitti")

@@ -1,0 +1,429 @@
+"""Both editions of Virtual KITTI on small files in their real layouts, and the paper's split."""
+
+import numpy as np
+import pytest
+
+from layouts.pictures import cut_short, write
+from layouts.virtual_kitti import (
+    COLORS,
+    HEIGHT,
+    RED,
+    WIDTH,
+    depth_picture,
+    label_picture,
+    write_first_edition,
+    write_second_edition,
+)
+from runtime.errors import DatasetError
+from training.datasets.virtual_kitti import VirtualKitti
+from training.datasets.virtual_kitti_1 import VirtualKitti1
+from training.datasets.virtual_kitti_split import PAPER_VARIANTS, Selection, read_frame_list
+from training.loading.open_dataset import open_source
+from training.recipe import SourceRecipe
+
+#: What the categories of colors.txt are in each class table, in the same order.
+IDS = {
+    "virtual_kitti": [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 255],
+    "camvid": [5, 0, 5, 5, 1, 3, 7, 6, 6, 2, 255, 8, 8, 8, 255],
+    "cityscapes": [9, 10, 8, 8, 2, 0, 255, 7, 6, 5, 255, 14, 13, 13, 255],
+}
+#: Frames of each scene, the same in all of its ten variants.
+LENGTHS = {1: 447, 2: 233, 6: 270, 18: 339, 20: 837}
+VARIANTS = (
+    *("15-deg-left", "15-deg-right", "30-deg-left", "30-deg-right"),
+    *("clone", "fog", "morning", "overcast", "rain", "sunset"),
+)
+
+
+@pytest.fixture
+def second(tmp_path):
+    write_second_edition(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def first(tmp_path):
+    write_first_edition(tmp_path)
+    return tmp_path
+
+
+def test_second_edition_is_metres_without_the_sky(second):
+    source = VirtualKitti(second)
+    sample = source[1]
+    assert len(source) == 2
+    assert sample.name == "Scene01/clone/00001"
+    assert sample.size == (HEIGHT, WIDTH)
+    assert np.abs(sample.rgb.astype(int) - RED).max() <= 4  # JPEG
+    assert sample.depth.dtype == np.float32
+    assert not sample.depth[0].any()
+    assert sample.depth[1] == pytest.approx(655.34)
+    assert sample.depth[2:] == pytest.approx(12.35)
+    np.testing.assert_array_equal(sample.sparse_depth, sample.depth)
+    assert not sample.recorded_input
+    assert sample.intrinsics.tolist() == [[726, 0, 620.5], [0, 727, 180], [0, 0, 1]]
+
+
+@pytest.mark.parametrize("classes", list(IDS))
+def test_second_edition_in_every_class_table(second, classes):
+    semantic = VirtualKitti(second, classes=classes)[0].semantic
+    assert semantic.dtype == np.uint8
+    np.testing.assert_array_equal(semantic, np.broadcast_to(IDS[classes], (HEIGHT, WIDTH)))
+
+
+def test_second_edition_takes_the_cameras_asked_for(tmp_path):
+    write_second_edition(tmp_path, cameras=(0, 1), frames=1)
+    left, right = (VirtualKitti(tmp_path, cameras=(0, 1))[index] for index in range(2))
+    assert (left.name, right.name) == ("Scene01/clone/00000", "Scene01/clone/00000/1")
+    assert (left.intrinsics[1, 2], right.intrinsics[1, 2]) == (180, 181)
+    with pytest.raises(DatasetError, match="rgb/Camera_2: no such folder"):
+        VirtualKitti(tmp_path, cameras=(2,))
+
+
+def test_scenes_still_being_rendered_are_left_alone(second):
+    (second / "Scene01" / ".fog.partial" / "frames" / "rgb" / "Camera_0").mkdir(parents=True)
+    (second / ".Scene02").mkdir()
+    assert len(VirtualKitti(second)) == 2
+
+
+def spoil_label(folder, image):
+    write(folder / "frames/classSegmentation/Camera_0/classgt_00000.png", image)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (lambda f: (f / "colors.txt").unlink(), r"colors\.txt: cannot be read"),
+        (
+            lambda f: (f / "colors.txt").write_text("Category r g b\n"),
+            r"colors\.txt: no rows under its header",
+        ),
+        (
+            lambda f: (f / "colors.txt").write_text("Category r g b\nMoon 1 2 3\n"),
+            r"colors\.txt: unknown category 'Moon'",
+        ),
+        (
+            lambda f: (f / "colors.txt").write_text("Category r g b\nRoad 1 2\n"),
+            r"colors\.txt: 'Road 1 2' is not 'Category r g b'",
+        ),
+        (
+            lambda f: (f / "colors.txt").write_text("Category r g b\nRoad 1 2 256\n"),
+            r"colors\.txt: 'Road 1 2 256' has a colour outside 0\.\.255",
+        ),
+        (lambda f: (f / "intrinsic.txt").unlink(), r"intrinsic\.txt: cannot be read"),
+        (
+            lambda f: (f / "intrinsic.txt").write_text("header\n0 0 1\n"),
+            r"intrinsic\.txt: '0 0 1' is not 'frame cameraID fx fy cx cy'",
+        ),
+        (
+            lambda f: (f / "frames/depth/Camera_0/depth_00001.png").unlink(),
+            r"depth/Camera_0/depth_00001\.png: missing \(1 of 2",
+        ),
+        (
+            lambda f: (f / "frames/classSegmentation/Camera_0/classgt_00000.png").unlink(),
+            r"classSegmentation/Camera_0/classgt_00000\.png: missing \(1 of 2",
+        ),
+        (
+            lambda f: (f / "frames/depth").rename(f / "frames/elsewhere"),
+            r"clone/frames/depth/Camera_0: no such folder",
+        ),
+        (
+            lambda f: (f / "frames/rgb").rename(f / "frames/elsewhere"),
+            r"clone/frames/rgb/Camera_0: no such folder",
+        ),
+    ],
+)
+def test_second_edition_with_missing_parts_is_not_opened(second, spoil, text):
+    spoil(second / "Scene01" / "clone")
+    with pytest.raises(DatasetError, match=text):
+        VirtualKitti(second)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (
+            lambda f: spoil_label(f, np.full((HEIGHT, WIDTH, 3), (9, 8, 7), np.uint8)),
+            r"classgt_00000\.png: colour \(9, 8, 7\) is not in colors\.txt",
+        ),
+        (
+            lambda f: spoil_label(f, np.full((HEIGHT, WIDTH, 3), 255, np.uint8)),
+            r"classgt_00000\.png: colour \(255, 255, 255\)",
+        ),
+        (
+            lambda f: spoil_label(f, label_picture(COLORS.values())[:-1]),
+            r"classgt_00000\.png: its size 7x15 differs from the image's 8x15",
+        ),
+        (
+            lambda f: write(
+                f / "frames/depth/Camera_0/depth_00000.png", depth_picture(0)[:, :-1].copy()
+            ),
+            r"depth_00000\.png: its size 8x14 differs from the image's 8x15",
+        ),
+        (
+            lambda f: write(
+                f / "frames/depth/Camera_0/depth_00000.png", np.zeros((HEIGHT, WIDTH), np.uint8)
+            ),
+            r"depth_00000\.png: expected one channel of uint16",
+        ),
+        (
+            lambda f: cut_short(f / "frames/depth/Camera_0/depth_00000.png"),
+            r"depth_00000\.png is empty, truncated or damaged",
+        ),
+        (
+            lambda f: cut_short(f / "frames/classSegmentation/Camera_0/classgt_00000.png"),
+            r"classgt_00000\.png is empty, truncated or damaged",
+        ),
+        (
+            lambda f: cut_short(f / "frames/rgb/Camera_0/rgb_00000.jpg"),
+            r"rgb_00000\.jpg is empty, truncated or damaged",
+        ),
+    ],
+)
+def test_second_edition_names_the_damaged_file(second, spoil, text):
+    spoil(second / "Scene01" / "clone")
+    source = VirtualKitti(second)
+    assert source[1].depth.any()
+    with pytest.raises(DatasetError, match=text):
+        source[0]
+
+
+def test_second_edition_needs_intrinsics_of_the_very_frame(second):
+    folder = second / "Scene01" / "clone"
+    (folder / "intrinsic.txt").write_text("header\n0 0 1 1 1 1\n1 1 1 1 1 1\n")
+    with pytest.raises(DatasetError, match=r"intrinsic\.txt: no row for frame 1 of camera 0"):
+        VirtualKitti(second)[1]
+
+
+def test_first_edition_is_metres_without_the_sky(first):
+    source = VirtualKitti1(first)
+    sample = source[1]
+    assert len(source) == 2
+    assert sample.name == "0001/clone/00001"
+    assert (sample.rgb == RED).all()
+    assert not sample.depth[0].any()
+    assert sample.depth[1] == pytest.approx(655.34)
+    assert sample.depth[2:] == pytest.approx(12.35)
+    np.testing.assert_array_equal(sample.sparse_depth, sample.depth)
+    assert sample.intrinsics.tolist() == [[725, 0, 620.5], [0, 725, 187], [0, 0, 1]]
+
+
+@pytest.mark.parametrize("classes", list(IDS))
+def test_first_edition_tells_instances_by_their_category(first, classes):
+    semantic = VirtualKitti1(first, classes=classes)[0].semantic
+    *stuff, car, van, _ = IDS[classes]
+    expected = [*stuff, car, car, van]
+    np.testing.assert_array_equal(semantic, np.broadcast_to(expected, (HEIGHT, WIDTH)))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (
+            lambda f: (f / "vkitti_1.3.1_rgb").rename(f / "elsewhere"),
+            r"vkitti_1\.3\.1_rgb: no such folder",
+        ),
+        (
+            lambda f: (f / "vkitti_1.3.1_depthgt").rename(f / "elsewhere"),
+            r"vkitti_1\.3\.1_depthgt: no such folder",
+        ),
+        (
+            lambda f: (f / "vkitti_1.3.1_scenegt").rename(f / "elsewhere"),
+            r"vkitti_1\.3\.1_scenegt: no such folder",
+        ),
+        (
+            lambda f: (f / "vkitti_1.3.1_depthgt/0001").rename(f / "elsewhere"),
+            r"vkitti_1\.3\.1_depthgt/0001/clone: no such folder",
+        ),
+        (
+            lambda f: (f / "vkitti_1.3.1_depthgt/0001/clone/00001.png").unlink(),
+            r"vkitti_1\.3\.1_depthgt/0001/clone/00001\.png: missing",
+        ),
+        (
+            lambda f: (f / "vkitti_1.3.1_scenegt/0001/clone/00000.png").unlink(),
+            r"vkitti_1\.3\.1_scenegt/0001/clone/00000\.png: missing",
+        ),
+        (
+            lambda f: (f / "vkitti_1.3.1_scenegt/0001_clone_scenegt_rgb_encoding.txt").unlink(),
+            r"0001_clone_scenegt_rgb_encoding\.txt: cannot be read",
+        ),
+        (
+            lambda f: (f / "vkitti_1.3.1_scenegt/0001_clone_scenegt_rgb_encoding.txt").write_text(
+                "Category(:id) r g b\nMoon:Moon0 1 2 3\n"
+            ),
+            r"0001_clone_scenegt_rgb_encoding\.txt: unknown category 'Moon'",
+        ),
+    ],
+)
+def test_first_edition_with_missing_parts_is_not_opened(first, spoil, text):
+    spoil(first)
+    with pytest.raises(DatasetError, match=text):
+        VirtualKitti1(first)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (
+            lambda f: write(
+                f / "vkitti_1.3.1_scenegt/0001/clone/00000.png",
+                np.full((HEIGHT, WIDTH, 3), (9, 8, 7), np.uint8),
+            ),
+            r"scenegt/0001/clone/00000\.png: colour \(9, 8, 7\) is not in 0001_clone_scenegt_rgb",
+        ),
+        (
+            lambda f: write(
+                f / "vkitti_1.3.1_depthgt/0001/clone/00000.png", depth_picture(0)[1:].copy()
+            ),
+            r"depthgt/0001/clone/00000\.png: its size 7x15 differs",
+        ),
+        (
+            lambda f: cut_short(f / "vkitti_1.3.1_rgb/0001/clone/00000.png"),
+            r"rgb/0001/clone/00000\.png is empty, truncated or damaged",
+        ),
+        (
+            lambda f: cut_short(f / "vkitti_1.3.1_depthgt/0001/clone/00000.png"),
+            r"depthgt/0001/clone/00000\.png is empty, truncated or damaged",
+        ),
+    ],
+)
+def test_first_edition_names_the_damaged_file(first, spoil, text):
+    spoil(first)
+    with pytest.raises(DatasetError, match=text):
+        VirtualKitti1(first)[0]
+
+
+@pytest.mark.parametrize("scene_name", ["Scene{:02d}", "{:04d}"])
+def test_the_papers_split_of_both_editions(scene_name):
+    frames = {}
+    for split in ("train", "val", "test"):
+        selection = Selection(split)
+        frames[split] = {
+            (scene, variant, number)
+            for scene, length in LENGTHS.items()
+            for variant in VARIANTS
+            if selection.takes_variant(scene_name.format(scene), variant)
+            for number in range(length)
+            if selection.takes(scene_name.format(scene), variant, f"{number:05d}")
+        }
+    assert {split: len(taken) for split, taken in frames.items()} == {
+        "train": 11112,
+        "val": 2320,
+        "test": 3576,
+    }
+    assert len(set.union(*frames.values())) == 11112 + 2320 + 3576  # none is in two of them
+    assert len(PAPER_VARIANTS) == 8
+    assert {variant for _, variant, _ in set.union(*frames.values())} == set(PAPER_VARIANTS)
+    assert {scene for scene, _, _ in frames["test"]} == {1}
+    assert {(scene, number) for scene, _, number in frames["val"]} == {
+        (20, number) for number in range(547, 837)
+    }
+
+
+def test_all_is_every_frame_of_every_variant():
+    selection = Selection()
+    assert all(selection.takes_variant("Scene01", variant) for variant in VARIANTS)
+    assert selection.takes("Scene20", "30-deg-left", "00836")
+
+
+def test_scenes_and_variants_by_name_replace_those_of_the_split():
+    selection = Selection("train", scenes=("Scene01",), variants=("30-deg-left",))
+    assert selection.takes_variant("Scene01", "30-deg-left")
+    assert selection.takes("Scene01", "30-deg-left", "00000")
+    assert not selection.takes_variant("Scene01", "clone")
+    assert not selection.takes_variant("Scene02", "30-deg-left")
+    # Other variants, but still the split's own scenes.
+    assert not Selection("train", variants=("30-deg-left",)).takes("Scene01", "30-deg-left", "0")
+
+
+@pytest.mark.parametrize(
+    ("reader", "writer", "scenes"),
+    [
+        (VirtualKitti, write_second_edition, ("Scene01", "Scene02")),
+        (VirtualKitti1, write_first_edition, ("0001", "0002")),
+    ],
+)
+def test_readers_take_what_is_selected(tmp_path, reader, writer, scenes):
+    for scene in scenes:
+        for variant in ("clone", "30-deg-left"):
+            writer(tmp_path, scene, variant)
+
+    def names(**words):
+        source = reader(tmp_path, selection=Selection(**words))
+        return [source[index].name for index in range(len(source))]
+
+    assert len(names()) == 8
+    assert names(split="test") == [f"{scenes[0]}/clone/0000{n}" for n in range(2)]
+    assert names(split="train") == [f"{scenes[1]}/clone/0000{n}" for n in range(2)]
+    assert len(names(scenes=(scenes[0],))) == 4
+    assert names(scenes=(scenes[0],), variants=("30-deg-left",)) == [
+        f"{scenes[0]}/30-deg-left/0000{n}" for n in range(2)
+    ]
+    listed = {f"{scenes[0]}/30-deg-left/00001", f"{scenes[1]}/clone/00000"}
+    assert set(names(split="val", frames=frozenset(listed))) == listed
+    with pytest.raises(DatasetError, match=r"no frames of the split 'val'"):
+        names(split="val")
+    with pytest.raises(DatasetError, match=r"variants \('rain',\)"):
+        names(variants=("rain",))
+    gone = f"{scenes[0]}/clone/00002"
+    with pytest.raises(DatasetError, match=rf"{gone} is listed, but missing \(1 such\)"):
+        names(frames=frozenset({*listed, gone}))
+
+
+def test_a_frame_outside_the_selection_needs_no_partners(second):
+    (second / "Scene01/clone/frames/depth/Camera_0/depth_00001.png").unlink()
+    listed = Selection(frames=frozenset({"Scene01/clone/00000"}))
+    assert len(VirtualKitti(second, selection=listed)) == 1
+
+
+def test_frame_list_is_a_row_a_frame(tmp_path):
+    path = tmp_path / "train.txt"
+    path.write_text("Scene01/clone/00000\n\nScene20/fog/00836\n")
+    assert read_frame_list(path) == {"Scene01/clone/00000", "Scene20/fog/00836"}
+    path.write_text("Scene01/clone\n")
+    with pytest.raises(DatasetError, match=r"train\.txt: 'Scene01/clone' is not 'scene/variant/"):
+        read_frame_list(path)
+    path.write_text("\n")
+    with pytest.raises(DatasetError, match=r"train\.txt: 'nothing' is not"):
+        read_frame_list(path)
+    with pytest.raises(DatasetError, match=r"none\.txt: the list of frames cannot be read"):
+        read_frame_list(tmp_path / "none.txt")
+
+
+def test_recipes_choose_edition_split_and_list(tmp_path):
+    write_second_edition(tmp_path / "vkitti2", "Scene01", "clone", cameras=(0, 1))
+    write_second_edition(tmp_path / "vkitti2", "Scene02", "30-deg-left")
+    write_first_edition(tmp_path / "vkitti1", "0002", "fog")
+    (tmp_path / "vkitti2" / "mine.txt").write_text("Scene02/30-deg-left/00001\n")
+
+    def names(kind, path, classes="camvid", **keys):
+        source = open_source(SourceRecipe(kind, path, **keys), [tmp_path], classes=classes)
+        return [source[index].name for index in range(len(source))]
+
+    test = ["Scene01/clone/00000", "Scene01/clone/00001"]
+    assert names("virtual_kitti", "vkitti2", split="test") == test
+    assert names("virtual_kitti", "vkitti2", split="test", cameras=(1,)) == [f"{n}/1" for n in test]
+    # Virtual KITTI's own split knows neither scenes nor variants of rendered ones: all are taken.
+    assert len(names("rendered", "vkitti2")) == 4
+    assert names("virtual_kitti_1", "vkitti1", classes="virtual_kitti") == [
+        "0002/fog/00000",
+        "0002/fog/00001",
+    ]
+    assert names("virtual_kitti", "vkitti2", frames="mine.txt") == ["Scene02/30-deg-left/00001"]
+    small = SourceRecipe("rendered", "vkitti2", size=(32, 48))
+    assert open_source(small, [tmp_path / "nowhere", tmp_path], classes="camvid")[0].size == (
+        32,
+        48,
+    )
+    with pytest.raises(DatasetError, match=rf"no folder 'vkitti3' \(rendered\) below {tmp_path}"):
+        names("rendered", "vkitti3")
+    with pytest.raises(DatasetError, match="no split 'trainval'; known: train, val, test, all"):
+        names("virtual_kitti", "vkitti2", split="trainval")
+    with pytest.raises(DatasetError, match=r"vkitti2/no\.txt: the list of frames cannot be read"):
+        names("rendered", "vkitti2", frames="no.txt")
+
+
+def test_missing_root_is_named(tmp_path):
+    with pytest.raises(DatasetError, match="nowhere: no such folder"):
+        VirtualKitti(tmp_path / "nowhere")
+    with pytest.raises(DatasetError, match=r"nowhere/vkitti_1\.3\.1_rgb: no such folder"):
+        VirtualKitti1(tmp_path / "nowhere")

@@ -1,0 +1,240 @@
+"""Joint augmentation keeps RGB, depth, labels and intrinsics telling the same story."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from training.datasets.sample import IGNORE, Sample
+from training.loading.augment import (
+    AugmentConfig,
+    augment,
+    change_colors,
+    cut,
+    draw_lidar,
+    flip,
+    keep_every_line,
+    move_returns,
+    resize,
+    scale_and_crop,
+)
+
+K = np.array([[50.0, 0, 31.5], [0, 50.0, 23.5], [0, 0, 1]])
+
+
+def plane(height=48, width=64):
+    """A tilted plane whose depth, class and colour can be told from one another anywhere."""
+    v, u = np.mgrid[:height, :width]
+    depth = (5 + 0.25 * u + 0.1 * v).astype(np.float32)
+    semantic = (u // 8 % 8).astype(np.uint8)
+    rgb = np.stack([semantic * 30, v * 4, depth * 8], axis=-1).astype(np.uint8)
+    return Sample(rgb, depth, depth, semantic, K.copy(), "plane")
+
+
+def recorded(height=48, width=64):
+    """The plane, measured on every third row only, each row a scan line."""
+    sample = plane(height, width)
+    rows = np.arange(height)[:, None] * np.ones(width, int)
+    measured = rows % 3 == 0
+    depth = np.where(measured, sample.depth, 0).astype(np.float32)
+    line = np.where(measured, rows // 3, -1).astype(np.int16)
+    return replace(sample, depth=depth, sparse_depth=depth, scan_line=line)
+
+
+def recorded_beside_its_target(height=48, width=64):
+    """The plane as semi-dense ground truth, and a LiDAR that measured 0.5 m more, elsewhere."""
+    sample = plane(height, width)
+    v, u = np.mgrid[:height, :width]
+    depth = np.where((u + v) % 2 == 0, sample.depth, 0).astype(np.float32)
+    seen = np.where((u % 4 == 1) & (v % 3 == 0), sample.depth + 0.5, 0).astype(np.float32)
+    return replace(sample, depth=depth, sparse_depth=seen, recorded_input=True)
+
+
+def test_flip_twice_is_the_same_and_once_moves_everything():
+    sample = plane()
+    once, twice = flip(sample), flip(flip(sample))
+    for name in ("rgb", "depth", "semantic", "intrinsics"):
+        np.testing.assert_array_equal(getattr(twice, name), getattr(sample, name))
+    assert once.semantic[3, 0] == sample.semantic[3, -1]
+    assert once.depth[3, 0] == sample.depth[3, -1]
+    assert (once.rgb[3, 0] == sample.rgb[3, -1]).all()
+    assert once.intrinsics[0, 2] == 63 - 31.5
+
+
+def test_points_in_space_survive_cut_and_resize():
+    """A pixel unprojects to the same 3-D point before and after."""
+    sample = plane()
+    small = resize(cut(sample, 8, 16, (32, 40)), (64, 80))
+    for v, u in ((10, 20), (30, 50), (63, 0)):
+        # The same surface spot in the original: u' = (u + 0.5) / 2 - 0.5, then the offset.
+        v0, u0 = (v + 0.5) / 2 - 0.5 + 8, (u + 0.5) / 2 - 0.5 + 16
+        direction = np.linalg.inv(small.intrinsics) @ (u, v, 1)
+        np.testing.assert_allclose(direction, np.linalg.inv(K) @ (u0, v0, 1), atol=1e-9)
+        assert small.depth[v, u] == pytest.approx(5 + 0.25 * u0 + 0.1 * v0, abs=0.2)
+        assert small.semantic[v, u] == round(u0 - 1e-9) // 8 % 8
+
+
+def test_window_beyond_the_image_is_unknown():
+    out = cut(plane(), -4, -6, (60, 80))
+    assert (out.semantic[:4] == IGNORE).all()
+    assert not out.depth[:, :6].any()
+    assert (out.rgb[0, 0] == (124, 116, 104)).all()
+    assert out.depth[4, 6] == plane().depth[0, 0]
+    assert out.intrinsics[0, 2] == K[0, 2] + 6
+
+
+def test_moved_returns_are_neither_doubled_nor_blended():
+    sample = recorded()
+    up, line = move_returns(sample.depth, (96, 128), sample.scan_line)
+    assert np.count_nonzero(up) == np.count_nonzero(sample.depth)
+    assert set(up[up > 0]) == set(sample.depth[sample.depth > 0])
+    assert ((line >= 0) == (up > 0)).all()
+
+
+def test_nearest_return_wins_when_two_meet():
+    depth = np.array([[9.0, 4.0], [0.0, 7.0]], np.float32)
+    line = np.array([[0, 1], [-1, 2]], np.int16)
+    moved, moved_line = move_returns(depth, (1, 1), line)
+    assert moved[0, 0] == 4.0
+    assert moved_line[0, 0] == 1
+
+
+def test_recorded_lines_are_split_into_input_and_target():
+    sample = recorded()
+    config = AugmentConfig(lidar_missing=0, lidar_random=0, lines=(32,))
+    out = draw_lidar(sample, config, np.random.default_rng(0))
+    assert out.sparse_depth.any()
+    assert out.depth.any()
+    assert not ((out.sparse_depth > 0) & (out.depth > 0)).any()
+    fed = set(sample.scan_line[out.sparse_depth > 0] % 2)
+    scored = set(sample.scan_line[out.depth > 0] % 2)
+    assert len(fed) == len(scored) == 1
+    assert fed != scored
+
+
+def test_missing_lidar_leaves_the_target():
+    config = AugmentConfig(lidar_missing=1)
+    for sample in (plane(), recorded(), recorded_beside_its_target()):
+        out = draw_lidar(sample, config, np.random.default_rng(0))
+        assert not out.sparse_depth.any()
+        assert out.depth.any()
+
+
+def test_random_share_of_dense_depth():
+    config = AugmentConfig(lidar_missing=0, lidar_random=1, random_share=(0.05, 0.05))
+    out = draw_lidar(plane(200, 300), config, np.random.default_rng(0))
+    assert np.mean(out.sparse_depth > 0) == pytest.approx(0.05, abs=0.005)
+    seen = out.sparse_depth > 0
+    np.testing.assert_array_equal(out.sparse_depth[seen], out.depth[seen])
+
+
+def test_input_and_target_recorded_apart_stay_apart_when_enlarged():
+    sample = recorded_beside_its_target()
+    large = resize(sample, (144, 192))
+    # Every return is at the middle of the three times three pixels it was, and nowhere else.
+    for name in ("sparse_depth", "depth"):
+        expected = np.zeros((144, 192), np.float32)
+        expected[1::3, 1::3] = getattr(sample, name)
+        np.testing.assert_array_equal(getattr(large, name), expected)
+    assert large.recorded_input
+    assert large.scan_line is None
+
+
+def test_nearest_return_of_each_map_stays_when_shrunk():
+    sample = recorded_beside_its_target(2, 4)
+    seen = np.array([[0, 9, 0, 0], [7, 8, 0, 0]], np.float32)
+    truth = np.array([[5, 0, 3, 0], [0, 6, 0, 4]], np.float32)
+    small = resize(replace(sample, sparse_depth=seen, depth=truth), (1, 2))
+    assert small.sparse_depth.tolist() == [[7, 0]]
+    assert small.depth.tolist() == [[5, 3]]
+
+
+def test_input_recorded_beside_its_target_is_kept_or_thinned():
+    sample = recorded_beside_its_target()
+    whole = draw_lidar(
+        sample, AugmentConfig(lidar_missing=0, lidar_random=0), np.random.default_rng(0)
+    )
+    np.testing.assert_array_equal(whole.sparse_depth, sample.sparse_depth)
+    thin = AugmentConfig(lidar_missing=0, lidar_random=1, recorded_share=(0.6, 0.6))
+    thinned = draw_lidar(sample, thin, np.random.default_rng(0))
+    kept = thinned.sparse_depth > 0
+    share = np.count_nonzero(kept) / np.count_nonzero(sample.sparse_depth)
+    assert share == pytest.approx(0.6, abs=0.08)
+    np.testing.assert_array_equal(thinned.sparse_depth[kept], sample.sparse_depth[kept])
+    for out in (whole, thinned):
+        np.testing.assert_array_equal(out.depth, sample.depth)
+
+
+def test_input_recorded_beside_its_target_needs_no_intrinsics():
+    sample = replace(recorded_beside_its_target(), intrinsics=None)
+    config = AugmentConfig(lidar_missing=0, lidar_random=0, recorded_share=(0.5, 0.5))
+    out = draw_lidar(sample, config, np.random.default_rng(0))
+    kept = out.sparse_depth > 0
+    assert 0 < np.count_nonzero(kept) < np.count_nonzero(sample.sparse_depth)
+    np.testing.assert_array_equal(out.sparse_depth[kept], sample.sparse_depth[kept])
+
+
+def test_cut_and_flip_move_input_and_target_recorded_apart():
+    sample = recorded_beside_its_target()
+    window = cut(sample, 3, 5, (20, 30))
+    np.testing.assert_array_equal(window.sparse_depth, sample.sparse_depth[3:23, 5:35])
+    np.testing.assert_array_equal(window.depth, sample.depth[3:23, 5:35])
+    mirrored = flip(window)
+    np.testing.assert_array_equal(mirrored.sparse_depth, window.sparse_depth[:, ::-1])
+    np.testing.assert_array_equal(mirrored.depth, window.depth[:, ::-1])
+    assert mirrored.recorded_input
+
+
+def test_size_that_is_there_already_changes_nothing():
+    sample = recorded_beside_its_target()
+    assert resize(sample, sample.size) is sample
+
+
+def test_keep_every_line_needs_lines():
+    with pytest.raises(ValueError, match="no scan lines"):
+        keep_every_line(plane(), 2, 0)
+
+
+def test_result_has_the_crop_size_and_is_reproducible():
+    config = AugmentConfig(crop=(40, 56))
+    for sample in (plane(), recorded(), recorded_beside_its_target()):
+        a, b = (augment(sample, config, np.random.default_rng(7)) for _ in range(2))
+        other = augment(sample, config, np.random.default_rng(8))
+        assert a.rgb.shape == (40, 56, 3)
+        assert a.depth.dtype == a.sparse_depth.dtype == np.float32
+        for name in ("rgb", "depth", "sparse_depth", "semantic"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+        assert not np.array_equal(a.rgb, other.rgb)
+
+
+def test_augmentation_does_not_touch_its_input():
+    sample = recorded()
+    before = {n: getattr(sample, n).copy() for n in ("rgb", "depth", "semantic", "scan_line")}
+    for seed in range(5):
+        augment(sample, AugmentConfig(crop=(40, 56)), np.random.default_rng(seed))
+    for name, array in before.items():
+        np.testing.assert_array_equal(getattr(sample, name), array)
+
+
+def test_scale_changes_magnification_within_its_range():
+    config = AugmentConfig(crop=(24, 32), scale=(2.0, 2.0))
+    out = scale_and_crop(plane(), config, np.random.default_rng(0))
+    assert out.intrinsics[0, 0] == pytest.approx(100)
+
+
+def test_colors_stay_when_nothing_is_to_change():
+    still = AugmentConfig(
+        brightness=0, contrast=0, saturation=0, hue_deg=0, gray=0, blur=0, noise=0
+    )
+    rgb = plane().rgb
+    out = change_colors(rgb, still, np.random.default_rng(0))
+    assert np.abs(out.astype(int) - rgb).max() <= 1
+
+
+def test_gray_takes_the_colour_away():
+    gray = AugmentConfig(brightness=0, contrast=0, hue_deg=0, gray=1, blur=0, noise=0)
+    out = change_colors(plane().rgb, gray, np.random.default_rng(0)).astype(int)
+    assert np.abs(out - out[..., :1]).max() <= 1
+    expected = cv2.cvtColor(plane().rgb, cv2.COLOR_RGB2GRAY)
+    assert np.abs(out[..., 0] - expected).max() <= 2

@@ -1,0 +1,65 @@
+"""The mixture is reproducible from any sample on and keeps its proportions."""
+
+import numpy as np
+import pytest
+import torch
+
+from training.datasets.sample import Sample
+from training.loading.augment import AugmentConfig
+from training.loading.mixture import Mixture, MixturePart
+
+
+class Numbered:
+    """Frames whose colour tells their number; no LiDAR."""
+
+    def __init__(self, length, offset):
+        self.length, self.offset = length, offset
+
+    def __len__(self):
+        return self.length
+
+    def __getitem__(self, index):
+        value = self.offset + index
+        rgb = np.full((40, 40, 3), value, np.uint8)
+        none = np.zeros((40, 40), np.float32)
+        return Sample(rgb, none, none, np.zeros((40, 40), np.uint8), None, str(value))
+
+
+def mixture(length=400, seed=0):
+    config = AugmentConfig(crop=(32, 32))
+    parts = [
+        MixturePart(Numbered(10, 0), 3.0, config),
+        MixturePart(Numbered(20, 100), 1.0, config),
+    ]
+    return Mixture(parts, length=length, seed=seed)
+
+
+def test_sample_is_a_function_of_seed_and_index():
+    a, b = mixture()[123], mixture()[123]
+    assert torch.equal(a["rgb"], b["rgb"])
+    assert a["name"] == b["name"]
+    assert [mixture(seed=1)[i]["name"] for i in range(20)] != [
+        mixture()[i]["name"] for i in range(20)
+    ]
+
+
+def test_proportions_and_passes():
+    names = [int(mixture()[i]["name"]) for i in range(400)]
+    first = [name for name in names if name < 100]
+    assert len(first) == pytest.approx(300, abs=30)
+    # Every pass shows each of the ten frames once.
+    for start in range(0, len(first) - 10, 10):
+        assert sorted(first[start : start + 10]) == list(range(10))
+
+
+def test_tensors_have_the_loops_form():
+    sample = mixture()[0]
+    assert sample["rgb"].dtype == torch.uint8
+    assert sample["rgb"].shape == (3, 32, 32)
+    assert sample["depth"].shape == sample["sparse_depth"].shape == (1, 32, 32)
+    assert sample["semantic"].dtype == torch.int64
+
+
+def test_weights_must_be_positive():
+    with pytest.raises(ValueError, match="positive"):
+        Mixture([MixturePart(Numbered(3, 0), 0.0, AugmentConfig())], length=3, seed=0)

@@ -1,0 +1,213 @@
+"""Rendered frames against hand-made scenes whose depth, classes and shadows can be computed."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("embreex", reason="the renderer needs the train extra")
+
+from training.scenes.classes import CLASS_TABLE, SceneClass, class_colors
+from training.scenes.layout.centreline import Centreline
+from training.scenes.layout.street import Street, build_street
+from training.scenes.layout.street_plan import STREET_KINDS
+from training.scenes.layout.traffic import Actor
+from training.scenes.rendering.camera import look_along, make_camera
+from training.scenes.rendering.raycast import RayCaster
+from training.scenes.rendering.render import camera_pose, render_frame
+from training.scenes.rendering.shading import contact_shading
+from training.scenes.rendering.weather import VARIANTS, draw_weather
+from training.scenes.scene_job import SceneJob, render_frames
+from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.things.mesh import Look, box, join, quad
+
+STRAIGHT = np.arange(-50.0, 400.0)
+LINE = Centreline(STRAIGHT, STRAIGHT, 0 * STRAIGHT, 0 * STRAIGHT, 0 * STRAIGHT)
+ROAD = Look(SurfaceKind.PLAIN, (0.2, 0.2, 0.2), SceneClass.ROAD)
+WALL = Look(SurfaceKind.PLAIN, (0.5, 0.5, 0.5), SceneClass.BUILDING)
+GROUND = quad([(-40, -200, 0), (300, -200, 0), (300, 200, 0), (-40, 200, 0)], ROAD)
+CAMERA = make_camera("kitti", (96, 318))
+#: sway 0 leaves the camera level at time 0.
+LEVEL = {"time": 0.0, "sway": 0.0}
+
+
+def hand_made_street(*meshes) -> Street:
+    return Street("town", LINE, join(meshes), (), (), ego_d=0.0, ego_speed=10.0)
+
+
+def rendered(street, variant="overcast", camera=CAMERA, **pose):
+    rng = np.random.default_rng(0)
+    weather = draw_weather(variant, 1)
+    return render_frame(street, camera, weather, rng=rng, **{**LEVEL, **pose})
+
+
+def test_depth_is_along_the_optical_axis_and_not_along_the_ray():
+    wall = quad([(20, 100, -9), (20, -100, -9), (20, -100, 60), (20, 100, 60)], WALL)
+    frame = rendered(hand_made_street(wall))
+    assert frame.depth.dtype == np.float32
+    assert np.allclose(frame.depth, 20.0, atol=1e-3)
+    assert (frame.label == SceneClass.BUILDING).all()
+
+
+def test_depth_of_flat_ground_follows_from_the_camera_height():
+    frame = rendered(hand_made_street(GROUND))
+    for row in (60, 75, 95):
+        expected = CAMERA.mount_height_m * CAMERA.fy / (row - CAMERA.cy)
+        assert frame.depth[row, 150] == pytest.approx(expected, rel=1e-4)
+    assert not frame.depth[:40].any()
+    assert (frame.label[:40] == SceneClass.SKY).all()
+    assert (frame.label[60:] == SceneClass.ROAD).all()
+
+
+def test_a_thing_ahead_appears_where_the_pinhole_puts_it():
+    post = box((0.2, 1.0, 2.0), (30.1, -3.0, 1.0), replace(WALL, label=SceneClass.POLE))
+    frame = rendered(hand_made_street(GROUND, post))
+    rows, columns = np.nonzero(frame.label == SceneClass.POLE)
+    # The front face is 30 m ahead, 2.5 to 3.5 m to the right, 0 to 2 m up.
+    assert columns.min() == pytest.approx(CAMERA.cx + CAMERA.fx * 2.5 / 30, abs=1)
+    assert columns.max() == pytest.approx(CAMERA.cx + CAMERA.fx * 3.5 / 30, abs=1)
+    assert rows.min() == pytest.approx(CAMERA.cy - CAMERA.fy * 0.35 / 30, abs=1)
+    assert rows.max() == pytest.approx(CAMERA.cy + CAMERA.fy * 1.65 / 30, abs=1)
+    assert np.allclose(frame.depth[rows, columns], 30.0, atol=0.21)
+
+
+def test_sun_throws_a_shadow_and_an_overcast_sky_does_not():
+    roof = quad([(11, 3, 3), (11, -3, 3), (25, -3, 3), (25, 3, 3)], WALL)
+    street = hand_made_street(GROUND, roof)
+    overhead = replace(draw_weather("clone", 1), sun_direction=(0.0, 0.0, 1.0), noise=0.0)
+    camera = replace(CAMERA, pitch_deg=0.0)
+    shade_row = round(CAMERA.cy + CAMERA.fy * 1.65 / 15)
+    spot, beside = (shade_row, round(CAMERA.cx)), (shade_row, 300)
+
+    def brightness(weather):
+        rng = np.random.default_rng(0)
+        frame = render_frame(street, camera, weather, rng=rng, **LEVEL)
+        return frame.rgb[spot].mean() / frame.rgb[beside].mean()
+
+    assert brightness(overhead) < 0.6
+    assert brightness(replace(overhead, sun=(0.0, 0.0, 0.0))) > 0.85
+
+
+def test_fog_washes_out_what_is_far():
+    near = box((1, 6, 6), (10, -5, 3), replace(WALL, color=(0.02, 0.02, 0.02)))
+    far = box((1, 60, 60), (150, 60, 30), replace(WALL, color=(0.02, 0.02, 0.02)))
+    street = hand_made_street(GROUND, near, far)
+    fog = draw_weather("fog", 1)
+
+    def contrast(weather):
+        frame = render_frame(street, CAMERA, weather, rng=np.random.default_rng(0), **LEVEL)
+        dark = frame.label == SceneClass.BUILDING
+        near_by, far_off = (frame.rgb[dark & (frame.depth < 20)], frame.rgb[frame.depth > 140])
+        return far_off.mean() / near_by.mean()
+
+    assert contrast(fog) > 2.0
+    assert contrast(replace(fog, haze=1e-6)) < 1.5
+
+
+def test_corners_are_darker_than_open_ground():
+    lid = quad([(-1, -1, 0.2), (-1, 1, 0.2), (1, 1, 0.2), (1, -1, 0.2)], WALL)
+    caster = RayCaster(join([GROUND, lid]).positions)
+    points = np.array([[0, 0, 0.01], [0.97, 0, 0.01], [50, 0, 0.01]], np.float32)
+    up = np.tile(np.array([[0, 0, 1]], np.float32), (3, 1))
+    free = contact_shading(caster, points, up, np.random.default_rng(0), rays=400)
+    assert free[0] < 0.1
+    assert 0.3 < free[1] < 0.7
+    assert free[2] == 1.0
+
+
+def test_poses_and_depth_of_a_stream_fit_together():
+    """Static points of one frame, moved by the poses, meet the depth of a later frame."""
+    street = replace(build_street(7, kind="town"), actors=())
+    camera = make_camera("kitti", (94, 310))
+    first, second = (rendered(street, camera=camera, time=t, sway=5.0) for t in (0.0, 0.4))
+    rows, columns = np.nonzero((first.depth > 4) & (first.depth < 40))
+    z = first.depth[rows, columns]
+    local = np.stack([(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z])
+    inverse = np.linalg.inv(first.world_to_camera)
+    world = inverse[:3, :3] @ local + inverse[:3, 3:]
+    moved = second.world_to_camera[:3, :3] @ world + second.world_to_camera[:3, 3:]
+    u = np.rint(moved[0] / moved[2] * camera.fx + camera.cx)
+    v = np.rint(moved[1] / moved[2] * camera.fy + camera.cy)
+    seen = (moved[2] > 1) & (u >= 0) & (u < 310) & (v >= 0) & (v < 94)
+    there = second.depth[v[seen].astype(int), u[seen].astype(int)]
+    assert seen.sum() > 5000
+    assert np.median(np.abs(there - moved[2][seen]) / moved[2][seen]) < 0.01
+    same = (
+        second.label[v[seen].astype(int), u[seen].astype(int)] == first.label[rows, columns][seen]
+    )
+    assert same.mean() > 0.85
+    assert first.world_to_camera[2, 3] - second.world_to_camera[2, 3] > 0.5
+
+
+def test_same_job_same_bytes_other_seed_other_street():
+    job = SceneJob(Path("unused"), 22, ("rain",), 1, 0.1, "camvid", (60, 80), kind="town")
+    once, again = (next(iter(render_frames(job, "rain"))) for _ in range(2))
+    for name in ("rgb", "depth", "label", "world_to_camera"):
+        assert getattr(once, name).tobytes() == getattr(again, name).tobytes()
+    other = next(iter(render_frames(replace(job, seed=23), "rain")))
+    assert not np.array_equal(once.depth, other.depth)
+
+
+def test_things_move_at_their_speed():
+    car = quad(
+        [(2, -1, 1), (-2, -1, 1), (-2, 1, 1), (2, 1, 1)], replace(WALL, label=SceneClass.CAR)
+    )
+    ahead = Actor(lambda _: car, s=10.0, d=-2.0, speed=6.0, turned=0.0)
+    crossing = Actor(lambda _: car, s=10.0, d=-2.0, speed=0.0, turned=np.pi / 2, across=1.5)
+    middle = [a.at(0.5, LINE).positions.mean(axis=(0, 1)) for a in (ahead, crossing)]
+    start = ahead.at(0.0, LINE).positions.mean(axis=(0, 1))
+    assert np.allclose(middle[0] - start, (3.0, 0, 0), atol=1e-5)
+    assert np.allclose(middle[1] - crossing.at(0.0, LINE).positions.mean(axis=(0, 1)), (0, 0.75, 0))
+    street = replace(hand_made_street(GROUND), actors=(ahead,), ego_speed=0.0)
+    depths = [
+        f.depth[f.label == SceneClass.CAR] for f in (rendered(street), rendered(street, time=1))
+    ]
+    assert depths[1].mean() - depths[0].mean() == pytest.approx(6.0, abs=1.0)
+
+
+def test_streets_hold_every_class():
+    found = set()
+    for kind in STREET_KINDS:
+        street = build_street(1, kind=kind)
+        found |= set(np.unique(street.standing.label).tolist())
+        for actor in street.actors:
+            found |= set(np.unique(actor.pose(0.3).label).tolist())
+    assert found | {SceneClass.SKY} == set(SceneClass)
+
+
+def test_traffic_keeps_to_its_side():
+    for left_hand, sign in ((False, -1.0), (True, 1.0)):
+        street = build_street(22, kind="highway", left_hand=left_hand)
+        assert np.sign(street.ego_d) == sign
+        lanes = [a for a in street.actors if not a.cycle and abs(a.turned) < 0.1 and a.speed > 0]
+        assert lanes
+        assert all(np.sign(a.d) == sign for a in lanes)
+
+
+def test_variants_differ_in_light_only():
+    street, camera = build_street(22, kind="town"), make_camera("camvid", (60, 80))
+    frames = [rendered(street, variant, camera=camera) for variant in VARIANTS]
+    assert all(np.array_equal(frame.depth, frames[0].depth) for frame in frames)
+    assert all(np.array_equal(frame.label, frames[0].label) for frame in frames)
+    pictures = {frame.rgb.tobytes() for frame in frames}
+    assert len(pictures) == len(VARIANTS)
+
+
+def test_camera_looks_along_the_street():
+    assert np.allclose(look_along(0.0, 0.0, 0.0)[:, 2], (1, 0, 0))
+    assert np.allclose(look_along(0.0, 0.0, 0.0)[:, 0], (0, -1, 0))
+    up = look_along(0.3, 0.1, 0.2)
+    assert np.allclose(up @ up.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(up) == pytest.approx(1.0)
+    _, position = camera_pose(hand_made_street(GROUND), CAMERA, 2.0, sway=0.0)
+    assert position[0] == pytest.approx(20.0)
+    assert position[2] == pytest.approx(CAMERA.mount_height_m)
+
+
+def test_every_class_has_a_colour_of_its_own():
+    assert len(CLASS_TABLE) == len(SceneClass)
+    assert len({color for _, color in CLASS_TABLE}) == len(CLASS_TABLE)
+    assert class_colors()[SceneClass.CAR].tolist() == [255, 127, 80]
+    names = [name.upper() for name, _ in CLASS_TABLE]
+    assert names == [cls.name.replace("_", "") for cls in SceneClass]

@@ -1,0 +1,112 @@
+"""The folder layout read back, and the command that writes it."""
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("embreex", reason="the renderer needs the train extra")
+
+from typer.testing import CliRunner
+
+from runtime.errors import DatasetError
+from training.datasets.virtual_kitti import VirtualKitti
+from training.scenes.cli import app
+from training.scenes.rendering.render import RenderedFrame
+from training.scenes.vkitti_writer import write_variant
+
+
+def frame(number: int) -> RenderedFrame:
+    rng = np.random.default_rng(number)
+    depth = np.full((40, 64), 12.344, np.float32)
+    depth[:10] = 0
+    depth[39] = 700.0
+    label = (np.arange(40)[:, None] * np.ones((1, 64)) % 18).astype(np.uint8)
+    rgb = np.full((40, 64, 3), (200, 90, 30), np.uint8) + rng.integers(0, 3, (40, 64, 3), np.uint8)
+    pose = np.eye(4)
+    pose[:3, 3] = (1.5, -2.25, number)
+    return RenderedFrame(rgb, depth, label, pose, np.array([[50.0, 0, 32], [0, 51, 20], [0, 0, 1]]))
+
+
+def test_what_is_written_is_what_the_reader_reads(tmp_path):
+    write_variant(tmp_path, "Scene01", "clone", [frame(0), frame(1)])
+    source = VirtualKitti(tmp_path)
+    assert len(source) == 2
+    sample = source[1]
+    assert not sample.depth[:10].any()
+    assert np.allclose(sample.depth[10:39], 12.34, atol=1e-4)
+    assert np.abs(sample.rgb.astype(int) - (200, 90, 30)).mean() < 4  # JPEG, red first
+    assert sample.intrinsics.tolist() == [[50, 0, 32], [0, 51, 20], [0, 0, 1]]
+    # Rows 0, 5, 12 and 17 hold Sky, Road, Car and Cyclist: CamVid's 0, 3, 8 and 10.
+    assert sample.semantic[[0, 5, 12, 17], 3].tolist() == [0, 3, 8, 10]
+
+
+def test_files_are_those_of_virtual_kitti(tmp_path):
+    folder = write_variant(tmp_path, "Scene01", "fog", [frame(3)])
+    depth = cv2.imread(str(folder / "frames/depth/Camera_0/depth_00000.png"), cv2.IMREAD_UNCHANGED)
+    assert depth.dtype == np.uint16
+    assert set(np.unique(depth)) == {1234, 65534, 65535}
+    assert (depth[:10] == 65535).all()
+    label = cv2.imread(str(folder / "frames/classSegmentation/Camera_0/classgt_00000.png"))
+    assert label[1, 0, ::-1].tolist() == [210, 0, 200]  # Terrain
+    pose = (folder / "extrinsic.txt").read_text().splitlines()
+    assert pose[0].startswith("frame cameraID r1,1 r1,2 r1,3 t1 r2,1")
+    values = [float(value) for value in pose[1].split()]
+    assert np.array_equal(np.reshape(values[2:], (4, 4)), frame(3).world_to_camera)
+    assert (folder / "colors.txt").read_text().splitlines()[0] == "Category r g b"
+    assert [p.name for p in folder.parent.iterdir()] == ["fog"]
+
+
+def test_an_existing_variant_is_kept_unless_overwriting_is_asked_for(tmp_path):
+    write_variant(tmp_path, "Scene01", "clone", [frame(0), frame(1)])
+    with pytest.raises(DatasetError, match="exists already"):
+        write_variant(tmp_path, "Scene01", "clone", [frame(0)])
+    assert len(VirtualKitti(tmp_path)) == 2
+    write_variant(tmp_path, "Scene01", "clone", [frame(0)], overwrite=True)
+    assert len(VirtualKitti(tmp_path)) == 1
+
+
+def test_nothing_is_left_of_a_variant_that_breaks_off(tmp_path):
+    def frames():
+        yield frame(0)
+        raise RuntimeError("ray caster failed")
+
+    with pytest.raises(RuntimeError, match="ray caster"):
+        write_variant(tmp_path, "Scene01", "clone", frames())
+    assert list((tmp_path / "Scene01").iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_made_is_a_dataset_error(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DatasetError, match="cannot be written"):
+        write_variant(tmp_path / "file", "Scene01", "clone", [frame(0)])
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def test_the_command_renders_scenes_in_turn_of_the_variants(tmp_path):
+    small = ("--size", "32x64", "--frames", 2, "--stride", 10, "--seed", 40, "--street", "town")
+    done = run(tmp_path, "--scenes", 2, "--variants", "fog,rain", *small)
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "Scene40" / "fog").is_dir()
+    assert (tmp_path / "Scene41" / "rain").is_dir()
+    assert len(VirtualKitti(tmp_path)) == 4
+    again = run(tmp_path, "--scenes", 1, "--variants", "fog", *small)
+    assert again.exit_code == 1
+    assert "exists already" in again.output
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ("--variants", "snow"),
+        ("--camera", "nuscenes"),
+        ("--size", "375"),
+        ("--street", "lane"),
+        ("--frames", 400),
+    ],
+)
+def test_wrong_usage_is_exit_code_2_and_writes_nothing(tmp_path, wrong):
+    assert run(tmp_path / "out", *wrong).exit_code == 2
+    assert not (tmp_path / "out").exists()

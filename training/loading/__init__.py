@@ -1,0 +1,1 @@
+"""From data sets to batches: opening, resizing, caching, augmenting and mixing them."""

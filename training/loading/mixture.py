@@ -1,0 +1,69 @@
+"""An endless, reproducible mixture of data sets with a weight each."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from training.datasets.sample import Sample, SampleSource
+from training.loading.augment import AugmentConfig, augment
+
+
+@dataclass(frozen=True)
+class MixturePart:
+    """A data set, how often it is drawn relative to the others, and how it is augmented."""
+
+    source: SampleSource
+    weight: float
+    augment: AugmentConfig
+
+
+class Mixture(Dataset[dict[str, Tensor | str]]):
+    """``length`` augmented samples; the i-th is a pure function of the parts, seed, length and i.
+
+    So a run that resumes at sample i sees exactly what it would have seen, whatever the number of
+    worker processes. Within a set frames come in shuffled passes, each frame once a pass.
+    """
+
+    def __init__(self, parts: Sequence[MixturePart], *, length: int, seed: int) -> None:
+        if not parts or any(part.weight <= 0 for part in parts):
+            raise ValueError("a mixture needs at least one data set, each with a positive weight")
+        self._parts = list(parts)
+        self._seed = seed
+        weights = np.array([part.weight for part in parts], dtype=np.float64)
+        rng = np.random.default_rng([seed, 0])
+        self._part = rng.choice(len(parts), size=length, p=weights / weights.sum())
+        self._frame = np.empty(length, dtype=np.int64)
+        for index, part in enumerate(parts):
+            drawn = np.nonzero(self._part == index)[0]
+            frames = len(part.source)
+            passes = -(-len(drawn) // frames)
+            order = [rng.permutation(frames) for _ in range(passes)]
+            self._frame[drawn] = np.concatenate(order)[: len(drawn)] if order else 0
+
+    def __len__(self) -> int:
+        return len(self._part)
+
+    def __getitem__(self, index: int) -> dict[str, Tensor | str]:
+        part = self._parts[self._part[index]]
+        rng = np.random.default_rng([self._seed, 1, index])
+        return as_tensors(augment(part.source[int(self._frame[index])], part.augment, rng))
+
+
+def as_tensors(sample: Sample) -> dict[str, Tensor | str]:
+    """Turn a sample into what the loop batches.
+
+    rgb uint8 (3, H, W); sparse_depth and depth float32 (1, H, W), metres; semantic int64 (H, W);
+    semantic_weight float32 (); name.
+    """
+    return {
+        "rgb": torch.from_numpy(np.ascontiguousarray(sample.rgb.transpose(2, 0, 1))),
+        "sparse_depth": torch.from_numpy(sample.sparse_depth[None]),
+        "depth": torch.from_numpy(sample.depth[None]),
+        "semantic": torch.from_numpy(sample.semantic.astype(np.int64)),
+        "semantic_weight": torch.tensor(sample.semantic_weight, dtype=torch.float32),
+        "name": sample.name,
+    }

@@ -1,0 +1,1 @@
+"""Where things stand: the street, its traffic, houses, furniture and markings."""

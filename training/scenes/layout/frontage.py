@@ -1,0 +1,246 @@
+"""What lines a street: buildings, gardens, trees and the horizon."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+
+from training.scenes.layout.centreline import Centreline
+from training.scenes.layout.placing import facing, place
+from training.scenes.layout.street_plan import END_M, KERB_M, START_M, Plan
+from training.scenes.things import buildings, furniture, plants
+from training.scenes.things.mesh import Mesh
+
+
+@dataclass(frozen=True)
+class TreeStock:
+    """The trees a street is planted with: detailed ones near its start, coarse ones far off."""
+
+    near: tuple[Mesh, ...]
+    far: tuple[Mesh, ...]
+
+    def draw(self, rng: Generator, s: float) -> Mesh:
+        """A tree for the place s along the street."""
+        trees = self.near if s < 75 else self.far
+        return trees[rng.integers(len(trees))]
+
+
+def _draw_stock(rng: Generator) -> TreeStock:
+    bare = (plants.make_bare_tree(rng), plants.make_bare_tree(rng)) if rng.random() < 0.35 else ()
+    near = (*(plants.make_tree(rng) for _ in range(4)), plants.make_conifer(rng), *bare)
+    far = (
+        *(plants.make_tree(rng, leaf_count=700) for _ in range(4)),
+        plants.make_conifer(rng, leaf_count=500),
+        *bare,
+    )
+    return TreeStock(near, far)
+
+
+def make_frontage(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
+    """Buildings, gardens and trees behind the pavement on both sides."""
+    parts: list[Mesh] = []
+    stock = _draw_stock(rng)
+    bushes = [plants.make_bush(rng) for _ in range(3)]
+    green = {"town": 0.1, "residential": 0.35, "avenue": 0.55, "highway": 0.85, "square": 0.45}
+    for sign in (-1.0, 1.0):
+        share = np.clip(green[plan.kind] + rng.normal(0, 0.15), 0, 1)
+        set_back = {
+            "town": 0.0,
+            "residential": float(rng.uniform(3, 7)),
+            "avenue": float(rng.uniform(2, 10)),
+            "highway": 14.0,
+            "square": float(rng.uniform(4, 15)),
+        }[plan.kind]
+        s = START_M + float(rng.uniform(0, 8))
+        while s < END_M:
+            length = float(
+                rng.uniform(6, 16) if plan.kind in ("town", "residential") else rng.uniform(12, 34)
+            )
+            blocked = [
+                c
+                for c in plan.crossings
+                if s < c + plan.crossing_half + 2.5 and s + length > c - plan.crossing_half - 2.5
+            ]
+            if blocked:
+                room = blocked[0] - plan.crossing_half - 2.5 - s
+                if room < 5:
+                    s = blocked[0] + plan.crossing_half + 2.5
+                    continue
+                length = room
+            if rng.random() < share:
+                parts += _grove(rng, plan, line, s, length, sign, stock, bushes)
+            else:
+                parts += _plot(rng, plan, line, s, length, sign, set_back, bushes)
+            s += length + (0.02 if plan.kind == "town" else float(rng.uniform(0.5, 5)))
+        for c in plan.crossings:
+            parts += _side_road(rng, plan, line, c, sign, stock)
+    if plan.verge or plan.kind in ("square", "avenue") or rng.random() < 0.25:
+        spacing = float(rng.uniform(8, 18))
+        d = plan.kerb + (plan.verge / 2 if plan.verge else 0.9)
+        for sign in (-1.0, 1.0):
+            for s in np.arange(START_M, 220, spacing) + rng.uniform(0, 6):
+                if plan.free(s, 3) and rng.random() < 0.75:
+                    tree = stock.draw(rng, s).scaled(float(rng.uniform(0.6, 0.9)))
+                    parts.append(place(line, tree, s, sign * d, KERB_M, float(rng.uniform(0, 6.3))))
+    return parts
+
+
+def _plot(
+    rng: Generator,
+    plan: Plan,
+    line: Centreline,
+    s: float,
+    length: float,
+    sign: float,
+    set_back: float,
+    bushes: list[Mesh],
+) -> list[Mesh]:
+    kind = plan.kind
+    if kind == "town":
+        shop = bool(rng.random() < 0.55)
+        mesh = (
+            buildings.make_office(rng, length)
+            if length > 11 and rng.random() < 0.3
+            else buildings.make_town_house(rng, length, shop=shop)
+        )
+    elif kind == "residential":
+        mesh = (
+            buildings.make_house(rng, length)
+            if rng.random() < 0.75
+            else buildings.make_town_house(rng, length, shop=False)
+        )
+    else:
+        draw = rng.random()
+        mesh = (
+            buildings.make_office(rng, length)
+            if draw < 0.5
+            else buildings.make_town_house(rng, length, shop=True)
+            if draw < 0.75
+            else buildings.make_shed(rng, length)
+        )
+    turned = facing(sign)
+    start = s if sign < 0 else s + length
+    d = sign * (plan.back + set_back + (0.0 if kind == "town" else rng.uniform(0, 1.5)))
+    parts = [place(line, mesh, start, d, KERB_M, turned)]
+    if kind in ("residential", "avenue") and set_back > 2.5:
+        parts += _garden_edge(rng, plan, line, s, length, sign)
+        for _ in range(rng.integers(0, 4)):
+            parts.append(
+                place(
+                    line,
+                    bushes[rng.integers(len(bushes))],
+                    s + rng.uniform(0, length),
+                    sign * (plan.back + rng.uniform(0.8, set_back)),
+                    KERB_M,
+                    0.0,
+                )
+            )
+    return parts
+
+
+def _garden_edge(
+    rng: Generator, plan: Plan, line: Centreline, s: float, length: float, sign: float
+) -> list[Mesh]:
+    run = max(1.0, length - float(rng.choice([0.0, 2.5])))
+    if run < 2:
+        return []
+    d = sign * (plan.back + 0.2)
+    draw = rng.random()
+    if draw < 0.3:
+        hedge = plants.make_hedge(run, float(rng.uniform(0.9, 1.9)), rng)
+        return [place(line, hedge, s + run / 2, d, KERB_M, 0.0)]
+    if draw < 0.55:
+        fence = furniture.make_board_fence(run, float(rng.uniform(0.9, 1.9)), rng)
+    elif draw < 0.75:
+        fence = furniture.make_wall(run, float(rng.uniform(0.5, 1.6)), rng)
+    elif draw < 0.9:
+        fence = furniture.make_railing(run, rng)
+    else:
+        return []
+    return [place(line, fence, s, d, KERB_M, 0.0)]
+
+
+def _grove(
+    rng: Generator,
+    plan: Plan,
+    line: Centreline,
+    s: float,
+    length: float,
+    sign: float,
+    stock: TreeStock,
+    bushes: list[Mesh],
+) -> list[Mesh]:
+    parts = []
+    for _ in range(int(length / 4) + 1):
+        tree = stock.draw(rng, s).scaled(float(rng.uniform(0.7, 1.25)))
+        d = sign * (plan.back + rng.uniform(2.5, 22))
+        parts.append(
+            place(line, tree, s + rng.uniform(0, length), d, 0.0, float(rng.uniform(0, 6.3)))
+        )
+    for _ in range(int(length / 4)):
+        bush = bushes[rng.integers(len(bushes))].scaled(float(rng.uniform(0.8, 1.8)))
+        parts.append(
+            place(
+                line,
+                bush,
+                s + rng.uniform(0, length),
+                sign * (plan.back + rng.uniform(1.2, 8)),
+                0.0,
+                float(rng.uniform(0, 6.3)),
+            )
+        )
+    if plan.kind == "highway":
+        rail = furniture.make_guard_rail(length)
+        up, turned, start = 0.0, 0.0 if sign > 0 else np.pi, s if sign > 0 else s + length
+        parts.append(place(line, rail, start, sign * (plan.kerb + 0.7), up, turned))
+    elif rng.random() < 0.4:
+        parts += _garden_edge(rng, plan, line, s, length, sign)
+    return parts
+
+
+def _side_road(
+    rng: Generator, plan: Plan, line: Centreline, c: float, sign: float, stock: TreeStock
+) -> list[Mesh]:
+    """Buildings or trees that close the view into a side road."""
+    parts = []
+    for edge in (-1.0, 1.0):
+        d = plan.back + 16.0
+        while d < 75:
+            length = float(rng.uniform(8, 14))
+            base = c + edge * (plan.crossing_half + 3.0)
+            if rng.random() < 0.65:
+                house = (
+                    buildings.make_house(rng, length)
+                    if plan.kind == "residential"
+                    else buildings.make_town_house(rng, length, shop=False)
+                )
+                # The front looks at the side road: its normal points to -edge along s.
+                start = d if edge > 0 else d + length
+                turned = np.pi / 2 if edge > 0 else -np.pi / 2
+                at = sign * (start if sign > 0 else 2 * d + length - start)
+                parts.append(place(line, house, base, at, KERB_M, turned))
+            else:
+                tree = stock.draw(rng, base)
+                parts.append(place(line, tree, base + edge * 2, sign * (d + 4), 0.0, 0.0))
+            d += length
+    return parts
+
+
+def make_backdrop(rng: Generator, line: Centreline) -> list[Mesh]:
+    """Distant blocks and rows of trees on the horizon."""
+    parts = []
+    stock = [plants.make_tree(rng, leaf_count=300) for _ in range(2)]
+    for _ in range(int(rng.integers(6, 26))):
+        angle, reach = rng.uniform(-0.9, 0.9), rng.uniform(170, 380)
+        at = np.array([reach * np.cos(angle), reach * np.sin(angle), -2.0])
+        s = np.interp(at[0], line.x, line.s)
+        if abs(at[1] - np.interp(s, line.s, line.y)) < 35:
+            continue
+        if rng.random() < 0.35:
+            block = buildings.make_office(rng, float(rng.uniform(15, 40)))
+            parts.append(block.moved(heading=float(rng.uniform(0, 6.3)), offset=at))
+        else:
+            for _ in range(5):
+                tree = stock[rng.integers(2)].scaled(float(rng.uniform(1, 1.8)))
+                parts.append(tree.moved(offset=at + rng.normal(0, 8, 3) * (1, 1, 0)))
+    return parts

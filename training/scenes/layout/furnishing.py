@@ -1,0 +1,118 @@
+"""What stands at the kerb: lamps, signs, lights, clutter and parked cars."""
+
+import numpy as np
+from numpy.random import Generator
+
+from training.scenes.classes import SceneClass
+from training.scenes.layout.centreline import Centreline
+from training.scenes.layout.placing import facing, place
+from training.scenes.layout.street_plan import KERB_M, START_M, Plan
+from training.scenes.things import furniture, people, vehicles
+from training.scenes.things.mesh import Mesh
+
+
+def make_furniture(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
+    """Lamps, signs, lights, bollards and the rest, near the kerbs."""
+    parts: list[Mesh] = []
+    up = KERB_M if plan.pavement else 0.0
+    near = plan.kerb + 0.5
+    lamp_gap, lamp_height = float(rng.uniform(18, 35)), float(rng.uniform(5.5, 9))
+    for k, s in enumerate(np.arange(-10, 260, lamp_gap) + rng.uniform(0, 9)):
+        sign = -1.0 if k % 2 else 1.0
+        if plan.free(s, 1):
+            lamp = furniture.make_lamp(rng, lamp_height)
+            parts.append(place(line, lamp, s, sign * near, up, facing(sign)))
+    for s in np.cumsum(rng.uniform(7, 26, 14)):
+        sign = -1.0 if rng.random() < 0.65 else 1.0
+        sign *= plan.side
+        if plan.free(s, 0.5):
+            toward = 0.0 if sign == -plan.side or rng.random() < 0.5 else np.pi
+            sign_mesh = furniture.make_sign(rng)
+            parts.append(
+                place(
+                    line, sign_mesh, s, sign * (near + 0.1), up, toward + float(rng.normal(0, 0.12))
+                )
+            )
+    for c in plan.crossings:
+        if rng.random() < 0.55:
+            phase = int(rng.integers(3))
+            for sign in (-1.0, 1.0):
+                gap = plan.crossing_half + 1.5
+                light = furniture.make_traffic_light(rng, phase)
+                parts.append(place(line, light, c - gap, sign * near, up, 0.0))
+                back = furniture.make_traffic_light(rng, phase)
+                parts.append(place(line, back, c + gap, sign * near, up, np.pi))
+        else:
+            parts.append(
+                place(
+                    line,
+                    furniture.make_sign(rng, int(rng.choice([4, 7, 1]))),
+                    c - plan.crossing_half - 2,
+                    -plan.side * near,
+                    up,
+                    0.0,
+                )
+            )
+    if plan.pavement:
+        for _ in range(rng.integers(3, 10)):
+            parts += _clutter(rng, plan, line, near, up)
+    if rng.random() < 0.3:
+        wooden = furniture.make_utility_pole(rng)
+        sign = float(rng.choice([-1, 1]))
+        parts += [
+            place(line, wooden, s, sign * (plan.back + 0.4), up, 0.0)
+            for s in np.arange(0, 240, 32.0) + rng.uniform(0, 20)
+            if plan.free(s, 2)
+        ]
+    return parts
+
+
+def _clutter(rng: Generator, plan: Plan, line: Centreline, near: float, up: float) -> list[Mesh]:
+    sign = float(rng.choice([-1, 1]))
+    s = float(rng.uniform(3, 110))
+    if not plan.free(s, 7):
+        return []
+    draw = rng.random()
+    if draw < 0.3:
+        bollard = furniture.make_bollard(rng)
+        return [
+            place(line, bollard, s + 1.5 * k, sign * near, up, 0.0)
+            for k in range(rng.integers(2, 8))
+            if plan.free(s + 1.5 * k, 1)
+        ]
+    if draw < 0.5:
+        bin_ = furniture.make_bin(rng)
+        return [place(line, bin_, s, sign * (near + 0.4), up, float(rng.uniform(0, 6)))]
+    if draw < 0.6:
+        return [place(line, furniture.make_bench(), s, sign * (plan.back - 0.5), up, facing(sign))]
+    if draw < 0.7:
+        return [place(line, furniture.make_shelter(rng), s, sign * (near + 1.2), up, facing(sign))]
+    if draw < 0.9:
+        run = float(rng.uniform(6, 18))
+        if not all(plan.free(x, 1) for x in np.arange(s, s + run, 1.0)):
+            return []
+        return [place(line, furniture.make_railing(run, rng), s, sign * (near - 0.15), up, 0.0)]
+    bike = people.make_bicycle(SceneClass.MISC, (0.1, 0.1, 0.12))
+    return [
+        place(line, bike, s + k, sign * (plan.back - 0.6), up, float(rng.normal(1.5, 0.2)))
+        for k in range(rng.integers(1, 4))
+    ]
+
+
+def park_cars(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
+    """Cars along the kerbs and, in some streets, on the pavement side or in bays."""
+    parts: list[Mesh] = []
+    if plan.parking < 2 and plan.kind != "residential":
+        return parts
+    for sign in (-1.0, 1.0):
+        density = float(rng.choice([0.15, 0.5, 0.8]))
+        s = START_M + float(rng.uniform(0, 6))
+        while s < 210:
+            if rng.random() < density and plan.free(s + 2.5, 6):
+                mesh = vehicles.make_van(rng) if rng.random() < 0.12 else vehicles.make_car(rng)
+                d = sign * (plan.kerb - 1.05 + float(rng.normal(0, 0.06)))
+                ahead = sign == -plan.side or rng.random() < 0.1
+                turned = (0.0 if ahead else np.pi) + float(rng.normal(0, 0.015))
+                parts.append(place(line, mesh, s + 2.5, d, 0.0, turned))
+            s += float(rng.uniform(5.6, 6.8))
+    return parts

@@ -1,0 +1,1 @@
+"""From a street to a picture: camera, rays, light, weather and sensor."""

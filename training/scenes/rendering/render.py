@@ -1,0 +1,162 @@
+"""One frame of a street: picture, depth and classes of the same rays."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from training.scenes.arrays import Floats
+from training.scenes.classes import SceneClass
+from training.scenes.layout.street import Street
+from training.scenes.rendering.camera import Camera, look_along
+from training.scenes.rendering.raycast import Hits, RayCaster
+from training.scenes.rendering.sensor import expose
+from training.scenes.rendering.shading import contact_shading, shade
+from training.scenes.rendering.weather import Weather
+from training.scenes.things.mesh import Mesh, join
+
+MAX_DEPTH_M = 655.0
+_SHADOW_MARGIN_M = 25.0
+_JITTER = ((-0.3, -0.3), (0.3, -0.1), (-0.1, 0.3))
+
+
+@dataclass(frozen=True)
+class RenderedFrame:
+    """rgb (H, W, 3) uint8; depth (H, W) float32 m along the optical axis, 0 = sky; label (H, W)
+    uint8 of `SceneClass`; world_to_camera (4, 4); intrinsics (3, 3)."""
+
+    rgb: NDArray[np.uint8]
+    depth: Floats
+    label: NDArray[np.uint8]
+    world_to_camera: Floats
+    intrinsics: Floats
+
+
+def camera_pose(
+    street: Street, camera: Camera, time: float, *, sway: float
+) -> tuple[Floats, Floats]:
+    """Rotation (camera to world) and position of the ego camera at a time in seconds.
+
+    sway: 0..1000, a phase that makes pitch, yaw and roll differ between scenes.
+    """
+    s = street.ego_speed * time
+    d = street.ego_d + 0.12 * np.sin(0.7 * time + sway)
+    position = street.line.at(s, d, camera.mount_height_m)
+    ahead = street.line.at(s + 1.0, d, camera.mount_height_m) - position
+    pitch = np.arctan2(ahead[2], 1.0) + np.deg2rad(
+        camera.pitch_deg + 0.25 * np.sin(5.1 * time + sway) + 0.5 * np.sin(sway * 1.7)
+    )
+    yaw = np.deg2rad(0.6 * np.sin(1.3 * time + 2 * sway) + 1.2 * np.sin(sway * 2.9))
+    roll = np.deg2rad(0.3 * np.sin(2.3 * time + 3 * sway) + 0.4 * np.sin(sway))
+    return look_along(float(street.line.heading_at(s)) + yaw, float(pitch), float(roll)), position
+
+
+def render_frame(
+    street: Street, camera: Camera, weather: Weather, *, time: float, sway: float, rng: Generator
+) -> RenderedFrame:
+    """Render the street at a time in seconds, as the ego car sees it."""
+    rotation, position = camera_pose(street, camera, time, sway=sway)
+    ego_s = street.ego_speed * time
+    present = [a for a in street.actors if -25 < a.s + a.speed * time - ego_s < 220]
+    # Rays start at the origin: float32 then keeps the digits where the picture needs them.
+    mesh = join(
+        [
+            _ahead(street.standing, position, rotation[:, 2]).moved(offset=-position),
+            *(a.at(time, street.line).moved(offset=-position) for a in present),
+        ]
+    )
+    caster = RayCaster(mesh.positions)
+    height, width = camera.size
+    rows, columns = np.mgrid[0:height, 0:width].astype(np.float64)
+    turn = rotation.T.astype(np.float32)
+    directions = (camera.rays(columns.ravel(), rows.ravel()) @ turn).astype(np.float32)
+    hits = _cast(caster, directions)
+    # Directions have z = 1 in the camera frame, so the hit parameter is the depth itself.
+    solid = hits.face >= 0
+    depth = np.where(solid, hits.distance, 0).astype(np.float32)
+    label = np.where(solid, mesh.label[hits.face], np.uint8(SceneClass.SKY)).astype(np.uint8)
+
+    openness = _openness(mesh, caster, hits, directions, camera.size, rng)
+    light = partial(
+        shade,
+        mesh,
+        caster,
+        pixel_angle=1.0 / camera.fx,
+        weather=weather,
+        stripes=street.stripes,
+        rng=rng,
+    )
+    origin = np.zeros(3, dtype=np.float32)
+    radiance = light(hits, origin, directions, openness=openness)
+    rough = np.flatnonzero(_edges(depth.reshape(camera.size), radiance.reshape(height, width, 3)))
+    total = radiance[rough].clip(0, 3)
+    for dx, dy in _JITTER:
+        rays = camera.rays(columns.ravel()[rough] + dx, rows.ravel()[rough] + dy) @ turn
+        rays = rays.astype(np.float32)
+        sample = light(_cast(caster, rays), origin, rays, openness=openness[rough])
+        total += sample.clip(0, 3)
+    radiance[rough] = total / (1 + len(_JITTER))
+
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3] = rotation.T
+    world_to_camera[:3, 3] = -rotation.T @ position
+    return RenderedFrame(
+        rgb=expose(radiance.reshape(height, width, 3), weather, rng),
+        depth=depth.reshape(camera.size),
+        label=label.reshape(camera.size),
+        world_to_camera=world_to_camera,
+        intrinsics=camera.intrinsics,
+    )
+
+
+def _ahead(mesh: Mesh, position: Floats, forward: Floats) -> Mesh:
+    """Drop what lies well behind the camera; a margin keeps its shadows."""
+    reach = (mesh.positions - position.astype(np.float32)) @ forward.astype(np.float32)
+    return mesh.where(reach.max(axis=1) > -_SHADOW_MARGIN_M)
+
+
+def _cast(caster: RayCaster, directions: Floats) -> Hits:
+    hits = caster.first_hit(np.zeros_like(directions), directions)
+    far = hits.distance > MAX_DEPTH_M
+    face = np.where(far, np.int32(-1), hits.face)
+    return Hits(np.where(face < 0, np.float32(MAX_DEPTH_M), hits.distance), face, hits.u, hits.v)
+
+
+def _openness(
+    mesh: Mesh,
+    caster: RayCaster,
+    hits: Hits,
+    directions: Floats,
+    size: tuple[int, int],
+    rng: Generator,
+) -> Floats:
+    """Contact shading on every second row and column, smoothed, at full size."""
+    height, width = size
+    pick = np.arange(height * width).reshape(size)[::2, ::2].ravel()
+    free = np.ones(len(pick), dtype=np.float32)
+    near = np.flatnonzero((hits.face[pick] >= 0) & (hits.distance[pick] < 60))
+    chosen = pick[near]
+    corners = mesh.positions[hits.face[chosen]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
+    view = directions[chosen]
+    normal *= np.where((normal * view).sum(1, keepdims=True) > 0, np.float32(-1), np.float32(1))
+    point = view * hits.distance[chosen, None] + normal * np.float32(0.01)
+    free[near] = contact_shading(caster, point, normal, rng)
+    coarse = free.reshape(-(-height // 2), -(-width // 2))
+    smooth = cv2.blur(coarse, (5, 5))
+    full = cv2.resize(smooth, (coarse.shape[1] * 2, coarse.shape[0] * 2))[:height, :width]
+    return (0.12 + 0.88 * full).ravel().astype(np.float32)
+
+
+def _edges(depth: Floats, radiance: Floats) -> NDArray[np.bool_]:
+    """Pixels (H * W,) next to a jump of depth or brightness: those that need more rays."""
+    inverse = 1.0 / np.where(depth > 0, depth, 1e3).astype(np.float32)
+    cross = np.ones((3, 3), np.uint8)
+    jump = (cv2.dilate(inverse, cross) - cv2.erode(inverse, cross)) > 0.06 * inverse + 2e-4
+    tone = np.log(radiance.mean(axis=2) + 0.02)
+    contrast = (cv2.dilate(tone, cross) - cv2.erode(tone, cross)) > 0.45
+    return np.asarray((jump | contrast).ravel())

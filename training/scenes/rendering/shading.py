@@ -1,0 +1,169 @@
+"""From ray hits to light: sun with shadows, sky light with contact shading, mirrors, haze."""
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from training.scenes.arrays import Floats
+from training.scenes.rendering.raycast import Hits, RayCaster
+from training.scenes.rendering.weather import Weather, sky_color
+from training.scenes.textures.noise import fractal_noise
+from training.scenes.textures.paint import Stripe
+from training.scenes.textures.surface import Points
+from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.textures.surfaces import texture_surfaces
+from training.scenes.things.mesh import Mesh
+
+_GROUND = (SurfaceKind.ASPHALT, SurfaceKind.PAVING)
+_LIFT = 2e-3
+
+
+def _interpolate(corners: Floats, hits: Hits, rows: NDArray[np.intp]) -> Floats:
+    picked = corners[hits.face[rows]]
+    u, v = hits.u[rows, None], hits.v[rows, None]
+    return np.asarray(picked[:, 0] * (1 - u - v) + picked[:, 1] * u + picked[:, 2] * v)
+
+
+def shade(
+    mesh: Mesh,
+    caster: RayCaster,
+    hits: Hits,
+    origin: Floats,
+    directions: Floats,
+    *,
+    pixel_angle: float,
+    openness: Floats,
+    weather: Weather,
+    stripes: tuple[Stripe, ...],
+    rng: Generator,
+) -> Floats:
+    """Linear RGB radiance (n, 3) of rays from origin (3,) along directions (n, 3).
+
+    hits: their first hits, at hits.distance times the direction. pixel_angle: radians a pixel
+    covers. openness: (n,) share of the sky that reaches the hit point past near surfaces.
+    """
+    length = np.linalg.norm(directions, axis=1)
+    view = directions / length[:, None]
+    radiance = np.empty_like(view)
+    rows = np.flatnonzero(hits.face >= 0)
+    free = np.flatnonzero(hits.face < 0)
+    radiance[free] = sky_color(weather, view[free])
+    if len(free) and weather.haze > 0.004:
+        veil = np.exp(-np.clip(view[free, 2:], 0, 1) * 0.06 / weather.haze)
+        radiance[free] = radiance[free] * (1 - veil) + np.asarray(weather.horizon) * veil
+    if not len(rows):
+        return np.asarray(radiance)
+    face, view = hits.face[rows], view[rows]
+    distance = hits.distance[rows] * length[rows]
+    point = origin + directions[rows] * hits.distance[rows, None]
+    normal = _interpolate(mesh.normals, hits, rows)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-9
+    flat = _face_normal(mesh.positions[face])
+    flat *= np.where((flat * view).sum(1, keepdims=True) > 0, np.float32(-1), np.float32(1))
+    kind = mesh.kind[face]
+    soft = kind == SurfaceKind.FOLIAGE
+    turn = ((normal * flat).sum(1) < 0) & ~soft
+    normal[turn] = -normal[turn]
+    slant = np.abs((flat * view).sum(1))
+    surface = texture_surfaces(
+        kind,
+        Points(
+            _interpolate(mesh.texture, hits, rows),
+            normal,
+            mesh.color[face],
+            mesh.params[face],
+            (distance * pixel_angle).astype(np.float32),
+            slant,
+        ),
+        stripes,
+    )
+    albedo, gloss = surface.albedo, surface.gloss
+    ground = np.isin(kind, _GROUND)
+    if weather.wet:
+        puddle = fractal_noise(point[:, 0], point[:, 1], wavelength=5.0, octaves=3)
+        albedo = albedo * np.where(ground, 1 - 0.45 * weather.wet, 0.9)[:, None]
+        film = np.clip(0.45 + puddle, 0.1, 1)
+        gloss = np.where(ground, 0.05 * weather.wet * film, gloss)
+
+    lift = point + flat * (_LIFT + 2e-5 * distance[:, None]).astype(np.float32)
+    reflect_sun = np.zeros(len(rows), dtype=np.float32)
+    light = np.zeros_like(albedo)
+    if weather.sun[0] > 0:
+        toward = np.asarray(weather.sun_direction, np.float32)
+        facing = normal @ toward
+        # Leaves let light through; other surfaces do not.
+        facing = np.where(soft, 0.25 + 0.75 * facing, facing)
+        facing = np.where(soft | (flat @ toward > 0), np.clip(facing, 0, 1), 0)
+        lit = np.flatnonzero(facing > 0)
+        blur = 0.0015 * rng.standard_normal((len(lit), 3)).astype(np.float32)
+        start = lift[lit] + toward * np.where(soft[lit], 0.25, 0.0)[:, None].astype(np.float32)
+        dark = caster.blocked(start, toward + blur)
+        facing[lit[dark]] = 0
+        sun = np.asarray(weather.sun, np.float32)
+        light += facing[:, None] * sun
+        mirror = view - 2 * (view * normal).sum(1, keepdims=True) * normal
+        reflect_sun = np.where(facing > 0, np.clip(mirror @ toward, 0, 1) ** 180, 0)
+    ambient = 0.5 + 0.5 * normal[:, 2:]
+    dome = 0.62 * np.asarray(weather.zenith, np.float32) + 0.38 * np.asarray(
+        weather.horizon, np.float32
+    )
+    bounce = 0.16 * (dome + 0.5 * np.asarray(weather.sun, np.float32) * weather.sun_direction[2])
+    light += openness[rows, None] * (ambient * dome + (1 - ambient) * bounce)
+    color = albedo * light + surface.glow
+
+    shiny = np.flatnonzero(gloss > 0.003)
+    if len(shiny):
+        n, d = normal[shiny], view[shiny]
+        cosine = np.clip(-(n * d).sum(1), 0, 1)
+        share = gloss[shiny] + (1 - gloss[shiny]) * np.minimum((1 - cosine) ** 5, 0.75) * np.clip(
+            gloss[shiny] / 0.05, 0, 1
+        )
+        mirror = d - 2 * (n * d).sum(1, keepdims=True) * n
+        seen = _surroundings(weather, mirror, caster, lift[shiny], ground[shiny])
+        seen += (2.5 * reflect_sun[shiny])[:, None] * np.asarray(weather.sun, np.float32)
+        color[shiny] = color[shiny] * (1 - share[:, None]) + seen * share[:, None]
+    kept = np.exp(-weather.haze * distance)[:, None]
+    veil = 0.9 * np.asarray(weather.horizon, np.float32)
+    radiance[rows] = color * kept + veil * (1 - kept)
+    return np.asarray(radiance)
+
+
+def _surroundings(
+    weather: Weather, mirror: Floats, caster: RayCaster, start: Floats, ground: NDArray[np.bool_]
+) -> Floats:
+    """What a mirror sees: sky, a dark line of houses where something is in the way, the street."""
+    sky = sky_color(weather, mirror, detail=False)
+    dim = 0.16 * np.asarray(weather.horizon, np.float32)
+    below = np.clip(0.5 - mirror[:, 2:] * 8, 0, 1)
+    seen = sky * (1 - below) + dim * below
+    # A ripple makes reflections in a wet road long and broken rather than sharp.
+    towards = mirror.copy()
+    towards[ground, 2] += 0.02
+    hidden = caster.blocked(start, towards, 120.0)
+    seen[hidden] = np.where(below[hidden] > 0.5, seen[hidden], seen[hidden] * 0.22 + dim * 0.4)
+    return seen
+
+
+def _face_normal(corners: Floats) -> Floats:
+    n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(n / (np.linalg.norm(n, axis=1, keepdims=True) + 1e-12))
+
+
+def contact_shading(
+    caster: RayCaster,
+    points: Floats,
+    normals: Floats,
+    rng: Generator,
+    *,
+    rays: int = 3,
+    reach: float = 2.5,
+) -> Floats:
+    """Share (n,) of short rays over the hemisphere that escape: dark under cars and in corners."""
+    free = np.zeros(len(points), dtype=np.float32)
+    for _ in range(rays):
+        ball = rng.standard_normal((len(points), 3), dtype=np.float32)
+        ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+        # A point on the unit sphere around the normal's tip is a cosine-weighted direction.
+        direction = normals + 0.98 * ball
+        free += ~caster.blocked(points, direction, reach)
+    return free / rays

@@ -1,0 +1,96 @@
+"""Light and weather: the sun, the sky and the air of each variant of a scene."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from training.scenes.arrays import Floats
+from training.scenes.textures.noise import fractal_noise
+
+Variant = Literal["clone", "morning", "sunset", "overcast", "fog", "rain"]
+VARIANTS: tuple[Variant, ...] = get_args(Variant)
+
+
+@dataclass(frozen=True)
+class Weather:
+    """Light of one variant; colours are linear RGB, directions unit vectors.
+
+    sun: light of the sun, zero when it is hidden. zenith, horizon: sky colours. cloud: share of
+    the sky that is covered. haze: extinction a metre. wet: 0 dry .. 1 soaked. exposure: f-stops.
+    """
+
+    sun_direction: tuple[float, float, float]
+    sun: tuple[float, float, float]
+    zenith: tuple[float, float, float]
+    horizon: tuple[float, float, float]
+    cloud: float
+    cloud_seed: float
+    haze: float
+    wet: float
+    exposure: float
+    noise: float
+
+
+def draw_weather(variant: Variant, seed: int) -> Weather:
+    """The light of a variant; the seed varies where the sun stands, clouds and exposure."""
+    rng = np.random.default_rng(np.random.SeedSequence([seed, 2, VARIANTS.index(variant)]))
+    azimuth = float(rng.uniform(0, 2 * np.pi))
+    low, high = {"clone": (30, 60), "morning": (12, 28), "sunset": (6, 15)}.get(variant, (40, 50))
+    height = np.deg2rad(rng.uniform(low, high))
+    sun = (
+        float(np.cos(height) * np.cos(azimuth)),
+        float(np.cos(height) * np.sin(azimuth)),
+        float(np.sin(height)),
+    )
+    light = {
+        # sun, zenith, horizon, cloud, haze
+        "clone": ((3.4, 3.15, 2.8), (0.22, 0.42, 0.85), (0.75, 0.9, 1.1), (0.1, 0.7), 0.0009),
+        "morning": ((2.7, 2.2, 1.6), (0.25, 0.4, 0.7), (0.95, 0.9, 0.85), (0.1, 0.6), 0.0012),
+        "sunset": ((2.2, 1.3, 0.6), (0.22, 0.28, 0.5), (1.1, 0.72, 0.45), (0.2, 0.7), 0.0012),
+        "overcast": ((0.0, 0.0, 0.0), (0.8, 0.84, 0.9), (0.95, 0.98, 1.02), (0.95, 1.0), 0.0010),
+        "fog": ((0.0, 0.0, 0.0), (0.8, 0.82, 0.84), (0.82, 0.84, 0.86), (1.0, 1.0), 0.018),
+        "rain": ((0.0, 0.0, 0.0), (0.45, 0.49, 0.55), (0.62, 0.65, 0.7), (0.95, 1.0), 0.006),
+    }[variant]
+    haze = light[4] * float(rng.uniform(0.6, 1.5))
+    return Weather(
+        sun_direction=sun,
+        sun=light[0],
+        zenith=light[1],
+        horizon=light[2],
+        cloud=float(rng.uniform(*light[3])),
+        cloud_seed=float(rng.uniform(0, 200)),
+        haze=haze,
+        wet=float(rng.uniform(0.6, 1.0)) if variant == "rain" else 0.0,
+        exposure=float(rng.normal(0.1, 0.4)),
+        noise=float(rng.uniform(0.004, 0.014)),
+    )
+
+
+def sky_color(weather: Weather, direction: Floats, *, detail: bool = True) -> Floats:
+    """Radiance (n, 3) of the sky along unit directions (n, 3); no clouds without `detail`."""
+    up = np.clip(direction[:, 2], 0, 1)
+    blend = np.power(1 - up, 4)[:, None]
+    color = (
+        np.asarray(weather.zenith, np.float32) * (1 - blend)
+        + np.asarray(weather.horizon, np.float32) * blend
+    )
+    towards_sun = np.clip(direction @ np.asarray(weather.sun_direction, np.float32), 0, 1)
+    shine = 0.25 * towards_sun**8 + (6.0 * towards_sun**900 if detail else 0)
+    color = color + shine[:, None] * np.asarray(weather.sun, np.float32)
+    if not detail:
+        return np.asarray(color)
+    # Clouds lie on a plane overhead, so they crowd together towards the horizon.
+    plane = direction[:, :2] / (up + 0.09)[:, None]
+    seed = np.float32(weather.cloud_seed)
+    density = fractal_noise(plane[:, 0] + seed, plane[:, 1], wavelength=1.9, octaves=5)
+    cover = np.clip((density + 1.15 * weather.cloud - 0.62) * 2.6, 0, 1)
+    lit = 0.72 + 0.28 * np.clip(0.5 - density, 0, 1)
+    grey = (
+        0.5 * np.asarray(weather.horizon, np.float32)
+        + 0.24 * np.asarray(weather.sun, np.float32)
+        + 0.45 * np.asarray(weather.zenith, np.float32).mean()
+    )
+    cloud = (lit + 0.1 * density)[:, None] * grey
+    cover = (cover * np.clip(up * 9, 0.15, 1) * 0.9)[:, None]
+    return np.asarray(color * (1 - cover) + cloud * cover)

@@ -1,0 +1,195 @@
+"""Textures of buildings: façades with windows, shop fronts, bricks, roofs, boards."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.scenes.arrays import Floats
+from training.scenes.textures.noise import fractal_noise, hash01
+from training.scenes.textures.paint import Stripe, band
+from training.scenes.textures.surface import Points, Surface, matt, mix
+
+
+def _bricks(
+    u: Floats,
+    v: Floats,
+    color: Floats,
+    footprint: Floats,
+    *,
+    tall: float = 0.075,
+    wide: float = 0.225,
+) -> Floats:
+    row = np.floor(v / tall)
+    shifted = u / wide + 0.5 * np.mod(row, 2)
+    column = np.floor(shifted)
+    fade = np.clip(1.3 - footprint / tall, 0, 1)
+    tone = 1 + 0.5 * (hash01(row.astype(np.int64), column.astype(np.int64), 5) - 0.5) * fade
+    mortar = 1 - band((v / tall - row - 0.5) * tall, tall * 0.43, footprint) * band(
+        (shifted - column - 0.5) * wide, wide * 0.47, footprint
+    )
+    tone += 0.12 * fractal_noise(u, v, wavelength=2.5, octaves=2)
+    return mix(color * tone[:, None], (0.38, 0.35, 0.31), mortar * fade * 0.7)
+
+
+def texture_brickwork(p: Points, _: Sequence[Stripe]) -> Surface:
+    u = p.texture[:, 0] + p.texture[:, 1]
+    return matt(_bricks(u, p.texture[:, 2], p.color, p.footprint))
+
+
+def texture_stone(p: Points, _: Sequence[Stripe]) -> Surface:
+    u, v = p.texture[:, 0] + p.texture[:, 2], p.texture[:, 1] - p.texture[:, 2]
+    grain = fractal_noise(u, v, wavelength=0.6, octaves=3, footprint=p.footprint)
+    gap = 1 - band((np.mod(u, 0.9) - 0.45), 0.44, p.footprint / np.maximum(p.slant, 0.05))
+    return matt(p.color * (1 + 0.2 * grain - 0.3 * gap * (p.footprint < 0.1))[:, None])
+
+
+def _wall(p: Points, u: Floats, v: Floats) -> Floats:
+    """Wall material of a façade without its openings."""
+    style = p.params[:, 4]
+    weather = fractal_noise(u * 1.8, v * 0.5, wavelength=1.8, octaves=3, footprint=p.footprint)
+    grain = fractal_noise(u, v, wavelength=0.15, octaves=2, footprint=p.footprint)
+    color = p.color * (1 + 0.16 * weather + 0.08 * grain)[:, None]
+    brick = np.flatnonzero(style == 1)
+    if len(brick):
+        color[brick] = _bricks(u[brick], v[brick], p.color[brick], p.footprint[brick])
+    shed = np.flatnonzero(style == 3)
+    if len(shed):
+        rib = np.sin(u[shed] * 2 * np.pi / 0.3) * np.clip(1.2 - p.footprint[shed] / 0.15, 0, 1)
+        color[shed] *= (1 + 0.2 * rib)[:, None]
+    foot = np.clip(1 - v / 0.5, 0, 1) * (v < 0.55)
+    return color * (1 - 0.35 * foot)[:, None]
+
+
+def texture_facade(p: Points, _: Sequence[Stripe]) -> Surface:
+    u, v = p.texture[:, 0], p.texture[:, 2]
+    wall_id = np.rint(p.texture[:, 1]).astype(np.int64)
+    gable = v > 90
+    v = np.where(gable, v - 100, v)
+    bay, floor, wide, tall, style, front, ground, seed = p.params.T
+    key = (seed * 65521).astype(np.int64)
+    foot = p.footprint / np.maximum(p.slant, 0.15)
+    albedo = _wall(p, u, v)
+    gloss = np.zeros(len(u), dtype=np.float32)
+    glow = np.zeros_like(albedo)
+
+    # Windows of the upper floors, one a bay and floor.
+    i, j = np.floor(u / bay), np.floor((v - ground) / floor)
+    i_key, j_key = i.astype(np.int64), j.astype(np.int64)
+    a = (u / bay - i - 0.5) * bay
+    b = ((v - ground) / floor - j - 0.47) * floor
+    half_w, half_h = wide * bay / 2, tall * floor / 2
+    upper = (v > ground) & ~gable & ((wall_id % 2 == 0) | (hash01(key, 77) < 0.4))
+    house_floor = (front != 1) & (v <= ground) & ~gable & (wall_id % 2 == 0)
+    exists = upper | house_floor
+    frame_color = np.where(hash01(key, 11)[:, None] < 0.7, np.float32(0.62), np.float32(0.07))
+    casing = band(a, half_w + 0.12, foot) * band(b - 0.02, half_h + 0.16, p.footprint)
+    trimmed = (hash01(key, 12) < 0.55) & (style < 2)
+    albedo = mix(albedo, (0.6, 0.58, 0.54), casing * (exists & trimmed) * 0.8)
+    sill = band(a, half_w + 0.1, foot) * band(b + half_h + 0.06, 0.06, p.footprint)
+    albedo = mix(albedo, (0.5, 0.48, 0.45), sill * (exists & (style < 2)) * 0.9)
+    hole = band(a, half_w, foot) * band(b, half_h, p.footprint) * exists
+    albedo = mix(albedo, frame_color, hole)
+    bars = np.where(hash01(key, 13) < 0.6, 0.04, 0.0)
+    pane = band(np.abs(a) - half_w / 2 - bars / 4, half_w / 2 - 0.045 - bars / 4, foot) * band(
+        b, half_h - 0.06, p.footprint
+    )
+    cross = (hash01(key, 14) < 0.5) & (style < 2)
+    pane *= 1 - cross * band(b - half_h * 0.25, 0.03, p.footprint)
+    pane *= exists
+    lot = hash01(key, i_key, j_key)
+    curtain = np.where(lot < 0.45, 0.25 + 0.35 * hash01(key, j_key, i_key, 2), 0.0)
+    shut = np.where(
+        hash01(key, i_key, j_key, 4) < 0.25,
+        band(b - half_h, half_h, p.footprint),
+        (np.abs(a) > half_w * 0.55).astype(np.float32),
+    )
+    dark = 0.012 + 0.05 * hash01(key, i_key, j_key, 3)
+    inside = np.maximum(dark, curtain * shut)
+    # The reveal throws a shadow on the head of the pane.
+    inside = inside * (1 - 0.6 * np.clip((b - half_h + 0.22) / 0.1, 0, 1))
+    albedo = mix(albedo, np.stack([inside, inside * 1.02, inside * 1.05], 1), pane)
+    gloss += pane * (0.06 + 0.08 * (style == 2))
+
+    shop = np.flatnonzero((front == 1) & (v <= ground) & ~gable & (wall_id == 0))
+    if len(shop):
+        albedo[shop], gloss[shop], glow[shop] = _shop_front(
+            u[shop], v[shop], albedo[shop], ground[shop], key[shop], foot[shop], p.footprint[shop]
+        )
+    door = np.flatnonzero(house_floor & (wall_id == 0) & (np.mod(i_key, 3) == 1) & (v < 2.5))
+    if len(door):
+        leaf = band(a[door], 0.52, foot[door]) * band(v[door] - 1.1, 1.1, p.footprint[door])
+        tone = hash01(key[door], 21)[:, None] * (0.3, 0.12, 0.1) + np.array((0.02, 0.05, 0.05))
+        albedo[door] = mix(albedo[door], tone, leaf)
+        gloss[door] *= 1 - leaf
+    return Surface(albedo.astype(np.float32), gloss, glow.astype(np.float32))
+
+
+def _shop_front(
+    u: Floats,
+    v: Floats,
+    wall: Floats,
+    ground: Floats,
+    key: NDArray[np.int64],
+    foot: Floats,
+    footprint: Floats,
+) -> tuple[Floats, Floats, Floats]:
+    unit = 5.5
+    shop = np.floor(u / unit)
+    shop_key = shop.astype(np.int64)
+    a = (u / unit - shop - 0.5) * unit
+    pick = [hash01(key, shop_key, k)[:, None] for k in range(31, 35)]
+    fascia_color = np.concatenate(pick[:3], 1) ** 2 * 0.6 + 0.02
+    fascia = band(a, unit / 2 - 0.15, foot) * band(v - (ground - 0.45), 0.36, footprint)
+    color = mix(wall, fascia_color, fascia)
+    # Lettering: blocks of random width, dark on light or light on dark.
+    letter = hash01(key, shop_key, np.floor(a / 0.24).astype(np.int64), 9) < 0.75
+    stroke = band(np.mod(a, 0.24) - 0.12, 0.085, foot) * band(v - (ground - 0.45), 0.17, footprint)
+    extent = np.abs(a) < 0.6 + 1.4 * pick[3][:, 0]
+    ink = np.where(fascia_color.mean(1, keepdims=True) > 0.2, np.float32(0.03), np.float32(0.65))
+    color = mix(color, ink, stroke * letter * extent * 0.9)
+    frame = band(a, unit / 2 - 0.2, foot) * band(
+        v - (ground - 0.9) / 2 - 0.1, (ground - 0.9) / 2 - 0.1, footprint
+    )
+    color = mix(color, fascia_color * 0.5, frame)
+    pane = np.floor(a / 1.7)
+    glass = band((a / 1.7 - pane - 0.5) * 1.7, 0.8, foot) * band(
+        v - (ground - 0.9) / 2 - 0.25, (ground - 0.9) / 2 - 0.35, footprint
+    )
+    goods = fractal_noise(u * 1.3, v * 1.3, wavelength=1.0, octaves=3, footprint=footprint)
+    wares = np.clip(0.05 + 0.12 * goods, 0.012, 0.3)[:, None] * (
+        0.7
+        + 0.9
+        * np.concatenate(
+            [hash01(np.floor(u / 0.8).astype(np.int64), k, key)[:, None] for k in (1, 2, 3)], 1
+        )
+    )
+    color = mix(color, wares, glass)
+    lit = (pick[3] < 0.4) * glass[:, None] * np.clip(0.5 + goods, 0, 1)[:, None]
+    return color, glass * 0.07, lit * np.array((0.16, 0.13, 0.08))
+
+
+def texture_roof(p: Points, _: Sequence[Stripe]) -> Surface:
+    u, v = p.texture[:, 0], p.texture[:, 1]
+    row = np.floor(v / 0.32)
+    column = np.floor(u / 0.25 + 0.5 * np.mod(row, 2))
+    fade = np.clip(1.2 - p.footprint / 0.25, 0, 1)
+    tone = 1 + 0.3 * (hash01(row.astype(np.int64), column.astype(np.int64)) - 0.5) * fade
+    tone -= 0.35 * fade * np.clip(1 - np.mod(v, 0.32) / 0.07, 0, 1)
+    tone += 0.2 * fractal_noise(u, v, wavelength=2.5, octaves=3, footprint=p.footprint)
+    return matt(p.color * tone[:, None], 0.01)
+
+
+def texture_planks(p: Points, _: Sequence[Stripe]) -> Surface:
+    """Boards, ribs or awning stripes: params are pitch, contrast, seed."""
+    u = p.texture[:, 0] + p.texture[:, 1]
+    pitch, contrast = p.params[:, 0], p.params[:, 1]
+    k = np.floor(u / pitch)
+    foot = p.footprint / np.maximum(p.slant, 0.1)
+    fade = np.clip(1.3 - foot / pitch, 0, 1)
+    tone = 1 + contrast * (hash01(k.astype(np.int64), 3) - 0.5) * fade
+    tone *= 1 - 0.4 * fade * (1 - band((u / pitch - k - 0.5) * pitch, 0.45 * pitch, foot))
+    tone += 0.1 * fractal_noise(
+        u * 3, p.texture[:, 2], wavelength=0.9, octaves=3, footprint=p.footprint
+    )
+    return matt(p.color * tone[:, None], 0.01)

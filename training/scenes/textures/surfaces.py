@@ -1,0 +1,102 @@
+"""Procedural textures: albedo, gloss and glow of every surface kind, anchored to the surface."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.scenes.textures.building_surfaces import (
+    texture_brickwork,
+    texture_facade,
+    texture_planks,
+    texture_roof,
+    texture_stone,
+)
+from training.scenes.textures.ground_surfaces import texture_asphalt, texture_grass, texture_paving
+from training.scenes.textures.noise import fractal_noise, value_noise
+from training.scenes.textures.paint import Stripe
+from training.scenes.textures.sign_surface import texture_sign
+from training.scenes.textures.surface import Points, Surface, matt
+from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.textures.vehicle_surfaces import (
+    texture_bus_side,
+    texture_car_body,
+    texture_car_glass,
+    texture_car_side_window,
+    texture_wheel,
+)
+
+
+def _foliage(p: Points, _: Sequence[Stripe]) -> Surface:
+    x, y, z = p.texture.T
+    leaf = fractal_noise(x + 0.6 * z, y - 0.7 * z, wavelength=0.5, octaves=3, footprint=p.footprint)
+    warm = value_noise(x * 0.8 + z, y * 0.8)
+    color = p.color * np.clip(1 + 0.6 * leaf, 0.3, 2.0)[:, None]
+    return matt(color * (1 + warm[:, None] * np.array((0.18, 0.06, -0.05), np.float32)), 0.004)
+
+
+def _bark(p: Points, _: Sequence[Stripe]) -> Surface:
+    x, y, z = p.texture.T
+    ridge = fractal_noise((x + y) * 6, z, wavelength=0.5, octaves=3, footprint=p.footprint)
+    return matt(p.color * (1 + 0.45 * ridge)[:, None])
+
+
+def _metal(p: Points, _: Sequence[Stripe]) -> Surface:
+    x, y, z = p.texture.T
+    dirt = fractal_noise(x + y, z, wavelength=0.7, octaves=2, footprint=p.footprint)
+    return matt(p.color * (1 + 0.15 * dirt)[:, None], 0.05)
+
+
+def _cloth(p: Points, _: Sequence[Stripe]) -> Surface:
+    x, y, z = p.texture.T
+    fold = fractal_noise(x + 2 * y, z * 0.7, wavelength=0.22, octaves=2, footprint=p.footprint)
+    return matt(p.color * (1 + 0.35 * fold)[:, None])
+
+
+def _paint_or_plain(p: Points, _: Sequence[Stripe]) -> Surface:
+    return matt(p.color.copy(), 0.01)
+
+
+def _glow(p: Points, _: Sequence[Stripe]) -> Surface:
+    return Surface(
+        p.color.copy(),
+        np.full(len(p.color), 0.04, np.float32),
+        (p.color * p.params[:, :1]).astype(np.float32),
+    )
+
+
+_SHADERS: dict[SurfaceKind, Callable[[Points, Sequence[Stripe]], Surface]] = {
+    SurfaceKind.PLAIN: _paint_or_plain,
+    SurfaceKind.ASPHALT: texture_asphalt,
+    SurfaceKind.PAVING: texture_paving,
+    SurfaceKind.GRASS: texture_grass,
+    SurfaceKind.FACADE: texture_facade,
+    SurfaceKind.ROOF: texture_roof,
+    SurfaceKind.FOLIAGE: _foliage,
+    SurfaceKind.BARK: _bark,
+    SurfaceKind.METAL: _metal,
+    SurfaceKind.CAR_BODY: texture_car_body,
+    SurfaceKind.CAR_SIDE_WINDOW: texture_car_side_window,
+    SurfaceKind.CAR_GLASS: texture_car_glass,
+    SurfaceKind.WHEEL: texture_wheel,
+    SurfaceKind.SIGN: texture_sign,
+    SurfaceKind.GLOW: _glow,
+    SurfaceKind.BRICKWORK: texture_brickwork,
+    SurfaceKind.PLANKS: texture_planks,
+    SurfaceKind.CLOTH: _cloth,
+    SurfaceKind.BUS_SIDE: texture_bus_side,
+    SurfaceKind.STONE: texture_stone,
+}
+
+
+def texture_surfaces(kind: NDArray[np.uint8], points: Points, stripes: Sequence[Stripe]) -> Surface:
+    """Surface of every point by its kind, (n,) uint8 of `SurfaceKind`."""
+    n = len(kind)
+    albedo = np.zeros((n, 3), dtype=np.float32)
+    gloss = np.zeros(n, dtype=np.float32)
+    glow = np.zeros((n, 3), dtype=np.float32)
+    for value in np.unique(kind):
+        rows = np.flatnonzero(kind == value)
+        part = _SHADERS[SurfaceKind(value)](points.take(rows), stripes)
+        albedo[rows], gloss[rows], glow[rows] = part.albedo, part.gloss, part.glow
+    return Surface(np.clip(albedo, 0.005, 0.95), gloss, glow)

@@ -1,0 +1,1 @@
+"""Shapes: meshes of houses, vehicles, people, plants, furniture and the ground."""

@@ -1,0 +1,312 @@
+"""Town houses, detached houses, office blocks and sheds with façades, roofs and shop fronts."""
+
+import numpy as np
+from numpy.random import Generator
+
+from training.scenes.classes import SceneClass
+from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.things.mesh import Look, Mesh, box, join, quad
+
+_PLASTER = (
+    (0.62, 0.58, 0.5),
+    (0.7, 0.69, 0.66),
+    (0.6, 0.5, 0.32),
+    (0.55, 0.42, 0.33),
+    (0.5, 0.52, 0.5),
+    (0.68, 0.6, 0.44),
+    (0.45, 0.42, 0.4),
+    (0.58, 0.36, 0.28),
+)
+_BRICK = (
+    (0.32, 0.16, 0.1),
+    (0.38, 0.27, 0.17),
+    (0.26, 0.13, 0.09),
+    (0.45, 0.36, 0.24),
+    (0.22, 0.17, 0.14),
+)
+_ROOF = ((0.24, 0.09, 0.05), (0.1, 0.1, 0.11), (0.16, 0.1, 0.07), (0.3, 0.13, 0.07))
+
+#: Façade styles the shader knows.
+PLASTER, BRICK, OFFICE, SHED = 0.0, 1.0, 2.0, 3.0
+
+
+def _walls(length: float, depth: float, height: float, look: Look) -> list[Mesh]:
+    """Four walls around (0..length, 0..-depth), texture x along the wall, z up."""
+    x0, x1, y0, y1 = 0.0, length, 0.0, -depth
+    runs = [((x0, y0), (x1, y0)), ((x1, y0), (x1, y1)), ((x1, y1), (x0, y1)), ((x0, y1), (x0, y0))]
+    walls = []
+    for k, ((ax, ay), (bx, by)) in enumerate(runs):
+        run = float(np.hypot(bx - ax, by - ay))
+        corners = [(bx, by, -3), (ax, ay, -3), (ax, ay, height), (bx, by, height)]
+        texture = np.array([(run, k, -3), (0, k, -3), (0, k, height), (run, k, height)])
+        bay = run / max(1, round(run / look.params[0]))
+        walls.append(
+            quad(
+                corners,
+                Look(look.kind, look.color, look.label, (bay, *look.params[1:])),
+                texture=texture,
+            )
+        )
+    return walls
+
+
+def _flat_roof(length: float, depth: float, height: float, look: Look) -> Mesh:
+    corners = [(0, 0, height), (length, 0, height), (length, -depth, height), (0, -depth, height)]
+    return quad(corners, look)
+
+
+def _gable_roof(
+    length: float,
+    depth: float,
+    height: float,
+    rise: float,
+    roof: Look,
+    wall: Look,
+    *,
+    across: bool,
+    eaves: float = 0.4,
+) -> list[Mesh]:
+    """A pitched roof; `across` turns the gable to the street."""
+    e = eaves
+    plain = Look(wall.kind, wall.color, wall.label, (100.0, *wall.params[1:]))
+    if not across:
+        ridge = [(-0.1, -depth / 2, height + rise), (length + 0.1, -depth / 2, height + rise)]
+        drop = rise * e / (depth / 2)
+        front = [(-0.1, e, height - drop), (length + 0.1, e, height - drop), ridge[1], ridge[0]]
+        back = [
+            (length + 0.1, -depth - e, height - drop),
+            (-0.1, -depth - e, height - drop),
+            ridge[0],
+            ridge[1],
+        ]
+        ends = [
+            [(x, 0, height), (x, -depth, height), (x, -depth / 2, height + rise)]
+            for x in (0.0, length)
+        ]
+    else:
+        ridge = [(length / 2, e, height + rise), (length / 2, -depth - e, height + rise)]
+        drop = rise * e / (length / 2)
+        front = [(-e, e, height - drop), ridge[0], ridge[1], (-e, -depth - e, height - drop)]
+        back = [
+            (length + e, -depth - e, height - drop),
+            ridge[1],
+            ridge[0],
+            (length + e, e, height - drop),
+        ]
+        ends = [
+            [(0, y, height), (length, y, height), (length / 2, y, height + rise)]
+            for y in (0.0, -depth)
+        ]
+    parts = []
+    for side in (front, back):
+        points = np.asarray(side)
+        # u along the ridge, v down the slope: rows of tiles follow the eaves.
+        along = points[1] - points[0] if not across else points[3] - points[0]
+        along = along / np.linalg.norm(along)
+        normal = np.cross(points[1] - points[0], points[2] - points[0])
+        down = np.cross(normal / np.linalg.norm(normal), along)
+        parts.append(
+            quad(
+                points, roof, texture=np.stack([points @ along, points @ down, np.zeros(4)], axis=1)
+            )
+        )
+    for end in ends:
+        points = np.asarray([*end, end[-1]])
+        run = points[:, 1] if not across else points[:, 0]
+        texture = np.stack([run, np.full(4, 1.0), points[:, 2] + 100.0], axis=1)
+        parts.append(quad(points, plain, texture=texture))
+    return parts
+
+
+def make_town_house(rng: Generator, length: float, *, shop: bool) -> Mesh:
+    """A house of a closed row: front wall on y = 0 facing +y, from x = 0 to length."""
+    brick = rng.random() < 0.45
+    palette = _BRICK if brick else _PLASTER
+    color = _tone(palette[rng.integers(len(palette))], rng)
+    floors = int(rng.integers(2, 6))
+    floor = float(rng.uniform(2.8, 3.4))
+    ground = float(rng.uniform(3.4, 4.2)) if shop else floor
+    height = ground + (floors - 1) * floor + 0.4
+    depth = float(rng.uniform(8, 14))
+    look = Look(
+        SurfaceKind.FACADE,
+        color,
+        SceneClass.BUILDING,
+        (
+            float(rng.uniform(1.9, 3.2)),
+            floor,
+            float(rng.uniform(0.36, 0.55)),
+            float(rng.uniform(0.48, 0.62)),
+            BRICK if brick else PLASTER,
+            1.0 if shop else 2.0,
+            ground,
+            float(rng.random()),
+        ),
+    )
+    parts = _walls(length, depth, height, look)
+    trim = Look(SurfaceKind.STONE, _tone((0.55, 0.53, 0.48), rng), SceneClass.BUILDING)
+    roof = Look(SurfaceKind.ROOF, _tone(_ROOF[rng.integers(len(_ROOF))], rng), SceneClass.BUILDING)
+    if rng.random() < 0.6:
+        rise = float(rng.uniform(2.0, 4.0))
+        across = length < 9 and rng.random() < 0.25
+        parts += _gable_roof(length, depth, height, rise, roof, look, across=across)
+        if not across:
+            stack = Look(SurfaceKind.BRICKWORK, (0.3, 0.15, 0.1), SceneClass.BUILDING)
+            parts.append(
+                box(
+                    (0.9, 0.6, 2.0),
+                    (length * rng.uniform(0.1, 0.9), -depth / 2 + 0.4, height + rise),
+                    stack,
+                )
+            )
+            if rng.random() < 0.5:
+                for x in np.arange(1.8, length - 1.2, 3.2):
+                    parts.append(_dormer(x, height, rise, depth, look))
+    else:
+        parts.append(_flat_roof(length, depth, height, roof))
+        parts.append(box((length + 0.1, 0.3, 0.7), (length / 2, -0.1, height + 0.3), trim))
+    if rng.random() < 0.7:
+        parts.append(box((length, 0.35, 0.22), (length / 2, 0.12, height - 0.1), trim))
+    if rng.random() < 0.4:
+        parts.append(box((length, 0.14, 0.15), (length / 2, 0.04, ground), trim))
+    if shop and rng.random() < 0.4:
+        parts.append(_awning(length, rng))
+    if not shop and rng.random() < 0.25:
+        iron = Look(SurfaceKind.PLAIN, (0.12, 0.12, 0.12), SceneClass.BUILDING)
+        for level in range(1, floors):
+            z = ground + (level - 1) * floor + 0.15
+            parts.append(box((2.2, 1.0, 0.14), (length / 2, 0.5, z), trim))
+            parts.append(box((2.2, 0.04, 0.9), (length / 2, 0.98, z + 0.5), iron))
+    return join(parts)
+
+
+def _tone(color: tuple[float, float, float], rng: Generator) -> tuple[float, float, float]:
+    r, g, b = np.clip(
+        np.asarray(color) * rng.uniform(0.75, 1.15) * rng.uniform(0.94, 1.06, 3), 0.02, 0.85
+    )
+    return float(r), float(g), float(b)
+
+
+def _dormer(x: float, height: float, rise: float, depth: float, wall: Look) -> Mesh:
+    setback = depth * 0.12
+    z = height + rise * setback / (depth / 2)
+    look = Look(
+        SurfaceKind.FACADE,
+        (0.5, 0.49, 0.46),
+        SceneClass.BUILDING,
+        (1.3, 1.4, 0.6, 0.65, PLASTER, 0.0, 0.0, wall.params[7]),
+    )
+    walls = join(_walls(1.3, 1.6, 1.3, look)).moved(offset=(x - 0.65, -setback, z))
+    lid = Look(SurfaceKind.PLAIN, (0.1, 0.1, 0.11), SceneClass.BUILDING)
+    return join([walls, box((1.6, 1.9, 0.12), (x, -setback - 0.7, z + 1.36), lid)])
+
+
+def _awning(length: float, rng: Generator) -> Mesh:
+    color = ((0.4, 0.05, 0.04), (0.05, 0.2, 0.1), (0.08, 0.12, 0.3), (0.55, 0.5, 0.4))
+    look = Look(
+        SurfaceKind.PLANKS,
+        color[rng.integers(4)],
+        SceneClass.BUILDING,
+        (0.5, 0.9, float(rng.random())),
+    )
+    a, b = 0.6, length - 0.6
+    top, low = 3.0, 2.5
+    return quad([(a, 0.02, top), (a, 1.3, low), (b, 1.3, low), (b, 0.02, top)], look)
+
+
+def make_office(rng: Generator, length: float) -> Mesh:
+    """A modern block with bands of windows and a flat roof."""
+    floors = int(rng.integers(3, 9))
+    floor = float(rng.uniform(3.1, 3.6))
+    height = floors * floor + 0.8
+    depth = float(rng.uniform(12, 18))
+    color = _tone(
+        ((0.5, 0.49, 0.46), (0.33, 0.34, 0.35), (0.6, 0.58, 0.52), (0.36, 0.22, 0.16))[
+            rng.integers(4)
+        ],
+        rng,
+    )
+    look = Look(
+        SurfaceKind.FACADE,
+        color,
+        SceneClass.BUILDING,
+        (
+            float(rng.uniform(1.2, 2.6)),
+            floor,
+            float(rng.uniform(0.7, 0.94)),
+            float(rng.uniform(0.45, 0.75)),
+            OFFICE,
+            1.0 if rng.random() < 0.5 else 0.0,
+            3.8,
+            float(rng.random()),
+        ),
+    )
+    roof = Look(SurfaceKind.PLAIN, (0.25, 0.25, 0.25), SceneClass.BUILDING)
+    parts = _walls(length, depth, height, look)
+    parts.append(_flat_roof(length, depth, height, roof))
+    parts.append(
+        box((length * 0.3, depth * 0.4, 2.2), (length / 2, -depth / 2, height + 1.1), roof)
+    )
+    return join(parts)
+
+
+def make_house(rng: Generator, length: float) -> Mesh:
+    """A detached house with a pitched roof."""
+    brick = rng.random() < 0.5
+    palette = _BRICK if brick else _PLASTER
+    color = _tone(palette[rng.integers(len(palette))], rng)
+    floors = int(rng.integers(1, 3))
+    height = 2.7 * floors + 0.4
+    depth = float(rng.uniform(7, 10))
+    look = Look(
+        SurfaceKind.FACADE,
+        color,
+        SceneClass.BUILDING,
+        (
+            float(rng.uniform(2.2, 3.4)),
+            2.7,
+            float(rng.uniform(0.38, 0.55)),
+            0.5,
+            BRICK if brick else PLASTER,
+            2.0,
+            2.7,
+            float(rng.random()),
+        ),
+    )
+    roof = Look(SurfaceKind.ROOF, _tone(_ROOF[rng.integers(len(_ROOF))], rng), SceneClass.BUILDING)
+    parts = _walls(length, depth, height, look)
+    parts += _gable_roof(
+        length,
+        depth,
+        height,
+        float(rng.uniform(2.2, 3.6)),
+        roof,
+        look,
+        across=bool(rng.random() < 0.35),
+        eaves=0.5,
+    )
+    stack = Look(SurfaceKind.BRICKWORK, (0.3, 0.15, 0.1), SceneClass.BUILDING)
+    parts.append(box((0.7, 0.5, 2.4), (length * 0.8, -depth / 2 - 0.6, height + 2.6), stack))
+    return join(parts)
+
+
+def make_shed(rng: Generator, length: float) -> Mesh:
+    """A warehouse or supermarket of ribbed sheet."""
+    height, depth = float(rng.uniform(5, 9)), float(rng.uniform(15, 25))
+    look = Look(
+        SurfaceKind.FACADE,
+        _tone((0.5, 0.52, 0.54), rng),
+        SceneClass.BUILDING,
+        (
+            6.0,
+            height * 0.8,
+            0.8,
+            0.12,
+            SHED,
+            1.0 if rng.random() < 0.5 else 0.0,
+            3.6,
+            float(rng.random()),
+        ),
+    )
+    roof = Look(SurfaceKind.PLAIN, (0.3, 0.3, 0.3), SceneClass.BUILDING)
+    return join([*_walls(length, depth, height, look), _flat_roof(length, depth, height, roof)])

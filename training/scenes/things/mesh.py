@@ -1,0 +1,209 @@
+"""Triangle soup with everything a ray hit needs for shading, and the few shapes made of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import Self
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+
+from training.scenes.arrays import Floats
+from training.scenes.classes import SceneClass
+from training.scenes.textures.surface_kinds import SurfaceKind
+
+NUM_PARAMS = 8
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a surface is: its kind, base colour (linear RGB 0..1), class and shader parameters."""
+
+    kind: SurfaceKind
+    color: tuple[float, float, float]
+    label: SceneClass
+    params: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles with their attributes.
+
+    positions, normals, texture: (n, 3, 3) float32, triangle x corner x axis; metres. Texture
+    coordinates are positions in the object's own frame, so patterns move with the object.
+    color: (n, 3) float32; kind, label: (n,) uint8; params: (n, 8) float32, read by the shader of
+    the surface kind.
+    """
+
+    positions: Floats
+    normals: Floats
+    texture: Floats
+    color: Floats
+    kind: NDArray[np.uint8]
+    label: NDArray[np.uint8]
+    params: Floats
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def moved(self, *, heading: float = 0.0, offset: ArrayLike = (0.0, 0.0, 0.0)) -> Self:
+        """Turn by `heading` (rad, about z) and shift by `offset` (m); texture stays."""
+        c, s = np.cos(heading), np.sin(heading)
+        turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]], dtype=np.float32)
+        return replace(
+            self,
+            positions=self.positions @ turn + np.asarray(offset, dtype=np.float32),
+            normals=self.normals @ turn,
+        )
+
+    def rotated(self, rotation: ArrayLike) -> Self:
+        """Rotate by a 3x3 matrix acting on column vectors."""
+        turn = np.asarray(rotation, dtype=np.float32).T
+        return replace(self, positions=self.positions @ turn, normals=self.normals @ turn)
+
+    def scaled(self, factor: float) -> Self:
+        """Scale the positions about the origin."""
+        return replace(self, positions=self.positions * np.float32(factor))
+
+    def where(self, mask: NDArray[np.bool_]) -> Self:
+        """Only the triangles of a mask (n,)."""
+        return replace(self, **{f.name: getattr(self, f.name)[mask] for f in fields(self)})
+
+
+def join(meshes: Sequence[Mesh]) -> Mesh:
+    """One mesh of several."""
+    return Mesh(
+        **{f.name: np.concatenate([getattr(m, f.name) for m in meshes]) for f in fields(Mesh)}
+    )
+
+
+def triangles(
+    positions: ArrayLike,
+    look: Look,
+    *,
+    normals: ArrayLike | None = None,
+    texture: ArrayLike | None = None,
+) -> Mesh:
+    """Mesh of (n, 3, 3) corner positions; flat normals and texture = positions unless given."""
+    corners = np.asarray(positions, dtype=np.float32).reshape(-1, 3, 3)
+    n = len(corners)
+    if normals is None:
+        flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        flat /= np.linalg.norm(flat, axis=1, keepdims=True) + 1e-12
+        normals = np.repeat(flat[:, None], 3, axis=1)
+    params = np.zeros((n, NUM_PARAMS), dtype=np.float32)
+    params[:, : len(look.params)] = look.params
+    return Mesh(
+        positions=corners,
+        normals=np.asarray(normals, dtype=np.float32).reshape(-1, 3, 3),
+        texture=corners.copy()
+        if texture is None
+        else np.asarray(texture, dtype=np.float32).reshape(-1, 3, 3),
+        color=np.tile(np.asarray(look.color, dtype=np.float32), (n, 1)),
+        kind=np.full(n, look.kind, dtype=np.uint8),
+        label=np.full(n, look.label, dtype=np.uint8),
+        params=params,
+    )
+
+
+def _grid_corners(values: Floats) -> Floats:
+    """(a, b, 3) lattice to (2(a-1)(b-1), 3, 3) triangle corners."""
+    p00, p10 = values[:-1, :-1], values[1:, :-1]
+    p01, p11 = values[:-1, 1:], values[1:, 1:]
+    pair = np.stack([np.stack([p00, p10, p11], axis=2), np.stack([p00, p11, p01], axis=2)], axis=2)
+    return pair.reshape(-1, 3, 3)
+
+
+def grid(
+    points: ArrayLike, look: Look, *, texture: ArrayLike | None = None, smooth: bool = False
+) -> Mesh:
+    """Quads over an (a, b, 3) lattice of points; `smooth` averages the normals over the lattice."""
+    lattice = np.asarray(points, dtype=np.float64)
+    normals = None
+    if smooth:
+        du = np.gradient(lattice, axis=0)
+        dv = np.gradient(lattice, axis=1)
+        n = np.cross(du, dv)
+        normals = _grid_corners(n / (np.linalg.norm(n, axis=2, keepdims=True) + 1e-12))
+    tex = None if texture is None else _grid_corners(np.asarray(texture, dtype=np.float64))
+    return triangles(_grid_corners(lattice), look, normals=normals, texture=tex)
+
+
+def quad(corners: ArrayLike, look: Look, *, texture: ArrayLike | None = None) -> Mesh:
+    """One quadrilateral from four corners in order, (4, 3)."""
+    pick = [0, 1, 2, 0, 2, 3]
+    tex = None if texture is None else np.asarray(texture)[pick]
+    return triangles(np.asarray(corners)[pick], look, texture=tex)
+
+
+def box(size: ArrayLike, centre: ArrayLike, look: Look) -> Mesh:
+    """Axis-aligned box, size and centre in metres."""
+    vertices, faces = _cube()
+    return triangles((vertices * np.asarray(size) + np.asarray(centre))[faces], look)
+
+
+@lru_cache(maxsize=1)
+def _cube() -> tuple[Floats, NDArray[np.int64]]:
+    cube = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
+    return np.asarray(cube.vertices), np.asarray(cube.faces)
+
+
+def tube(
+    start: ArrayLike,
+    end: ArrayLike,
+    radii: tuple[float, float],
+    look: Look,
+    *,
+    sides: int = 7,
+    rounded: bool = False,
+) -> Mesh:
+    """Tapered tube from start to end; `rounded` closes it with domes, else with flat lids."""
+    a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    axis = b - a
+    length = float(np.linalg.norm(axis)) or 1e-6
+    axis = axis / length
+    side = np.cross(axis, (0.0, 0.0, 1.0) if abs(axis[2]) < 0.9 else (1.0, 0.0, 0.0))
+    side /= np.linalg.norm(side)
+    other = np.cross(axis, side)
+    if rounded:
+        stations = [(-radii[0], 0.02), (-0.7 * radii[0], 0.7), (0.0, 1.0)]
+        rings = [(z, r * radii[0]) for z, r in stations]
+        rings += [
+            (length - z, r * radii[1])
+            for z, r in ((0.0, 1.0), (-0.7 * radii[1], 0.7), (-radii[1], 0.02))
+        ]
+    else:
+        rings = [(0.0, 1e-3), (0.0, radii[0]), (length, radii[1]), (length, 1e-3)]
+    angle = np.linspace(0, 2 * np.pi, sides + 1)
+    around = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other
+    lattice = np.stack([a + axis * z + around * r for z, r in rings])
+    if rounded:
+        outward = np.broadcast_to(around, lattice.shape)
+        bulge = np.array([-1.0, -0.7, 0.0, 0.0, 0.7, 1.0])[:, None, None] * axis
+        n = outward * (1.0 - np.abs(bulge).sum(2, keepdims=True) * 0.9) + bulge
+        n = n / np.linalg.norm(n, axis=2, keepdims=True)
+    else:
+        n = np.stack([around] * 4)
+        mesh = triangles(_grid_corners(lattice), look)
+        body = triangles(_grid_corners(lattice[1:3]), look, normals=_grid_corners(n[1:3]))
+        lids = sides * 2
+        ends = np.ones(len(mesh), dtype=bool)
+        ends[lids:-lids] = False
+        return join([mesh.where(ends), body])
+    return triangles(_grid_corners(lattice), look, normals=_grid_corners(n))
+
+
+def ellipsoid(centre: ArrayLike, radii: ArrayLike, look: Look, *, detail: int = 1) -> Mesh:
+    """Ellipsoid with smooth normals; detail is the number of icosphere subdivisions."""
+    vertices, faces = _sphere(detail)
+    r = np.asarray(radii, dtype=np.float64)
+    normals = vertices / r
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return triangles((vertices * r + np.asarray(centre))[faces], look, normals=normals[faces])
+
+
+@lru_cache(maxsize=4)
+def _sphere(detail: int) -> tuple[Floats, NDArray[np.int64]]:
+    sphere = trimesh.creation.icosphere(subdivisions=detail)
+    return np.asarray(sphere.vertices), np.asarray(sphere.faces)

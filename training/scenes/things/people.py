@@ -1,0 +1,208 @@
+"""Pedestrians and cyclists made of tapered limbs, posed by the phase of their step."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+
+import numpy as np
+from numpy.random import Generator
+
+from training.scenes.arrays import Floats
+from training.scenes.classes import SceneClass
+from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.things.mesh import Look, Mesh, box, ellipsoid, join, tube
+
+Color = tuple[float, float, float]
+
+_SKIN: tuple[Color, ...] = ((0.52, 0.33, 0.24), (0.4, 0.24, 0.16), (0.2, 0.11, 0.07))
+_HAIR: tuple[Color, ...] = (
+    (0.03, 0.02, 0.015),
+    (0.1, 0.06, 0.03),
+    (0.3, 0.22, 0.1),
+    (0.3, 0.3, 0.3),
+)
+_TOPS: tuple[Color, ...] = (
+    (0.02, 0.02, 0.025),
+    (0.05, 0.06, 0.12),
+    (0.3, 0.03, 0.03),
+    (0.5, 0.5, 0.48),
+    (0.08, 0.15, 0.06),
+    (0.25, 0.2, 0.12),
+    (0.12, 0.12, 0.13),
+    (0.1, 0.2, 0.4),
+    (0.5, 0.35, 0.05),
+)
+_BOTTOMS: tuple[Color, ...] = (
+    (0.02, 0.02, 0.03),
+    (0.04, 0.06, 0.14),
+    (0.12, 0.1, 0.07),
+    (0.08, 0.08, 0.09),
+)
+
+
+@dataclass(frozen=True)
+class Dress:
+    """Colours and build of one person."""
+
+    skin: Color
+    hair: Color
+    top: Color
+    bottom: Color
+    height: float
+    breadth: float
+    bag: bool
+    long_coat: bool
+    helmet: bool
+
+
+def draw_dress(rng: Generator, *, cyclist: bool = False) -> Dress:
+    """Choose how a person looks."""
+    tops = (*_TOPS, (0.5, 0.6, 0.02), (0.5, 0.6, 0.02)) if cyclist else _TOPS
+    return Dress(
+        skin=_SKIN[rng.integers(len(_SKIN))],
+        hair=_HAIR[rng.integers(len(_HAIR))],
+        top=tops[rng.integers(len(tops))],
+        bottom=_BOTTOMS[rng.integers(len(_BOTTOMS))],
+        height=float(rng.choice([1.25, *rng.uniform(1.55, 1.9, 6)])),
+        breadth=float(rng.uniform(0.9, 1.2)),
+        bag=bool(rng.random() < 0.35),
+        long_coat=bool(rng.random() < 0.3),
+        helmet=bool(cyclist and rng.random() < 0.6),
+    )
+
+
+def _cloth(color: Color, label: SceneClass) -> Look:
+    return Look(SurfaceKind.CLOTH, color, label)
+
+
+def make_walker(dress: Dress, phase: float, *, standing: bool = False) -> Mesh:
+    """A pedestrian at `phase` (0..1) of the step; x forward, feet on z = 0."""
+    label = SceneClass.PEDESTRIAN
+    skin, hair = _cloth(dress.skin, label), _cloth(dress.hair, label)
+    top, bottom = _cloth(dress.top, label), _cloth(dress.bottom, label)
+    shoe = _cloth((0.03, 0.03, 0.03), label)
+    swing = 0.08 if standing else 0.42 * float(np.sin(2 * np.pi * phase))
+    b = dress.breadth
+    parts = []
+    for sign in (-1.0, 1.0):
+        angle = swing * sign
+        hip = np.array([0.0, 0.09 * sign * b, 0.92])
+        knee = hip + 0.44 * np.array([np.sin(angle), 0, -np.cos(angle)])
+        bend = angle - max(0.0, -angle) * 0.9 - 0.05
+        ankle = knee + 0.42 * np.array([np.sin(bend), 0, -np.cos(bend)])
+        parts.append(tube(hip, knee, (0.095 * b, 0.065 * b), bottom, rounded=True))
+        parts.append(tube(knee, ankle, (0.064 * b, 0.05 * b), bottom, rounded=True))
+        parts.append(ellipsoid(ankle + np.array([0.07, 0, -0.03]), (0.14, 0.05, 0.055), shoe))
+        shoulder = np.array([0.0, 0.2 * sign * b, 1.43])
+        elbow = shoulder + 0.29 * np.array([-np.sin(angle), 0.12 * sign, -np.cos(angle)])
+        hand = elbow + 0.26 * np.array([np.sin(0.35 - angle), 0, -np.cos(0.35 - angle)])
+        parts.append(tube(shoulder, elbow, (0.062 * b, 0.05 * b), top, rounded=True))
+        parts.append(tube(elbow, hand, (0.048 * b, 0.04 * b), top, rounded=True))
+        parts.append(ellipsoid(hand, (0.05, 0.035, 0.06), skin))
+    parts.append(ellipsoid((0, 0, 1.22), (0.13 * b, 0.19 * b, 0.33), top))
+    parts.append(ellipsoid((0, 0, 1.38), (0.12 * b, 0.22 * b, 0.15), top))
+    parts.append(ellipsoid((0, 0, 0.95), (0.125 * b, 0.18 * b, 0.17), bottom))
+    if dress.long_coat:
+        parts.append(tube((0, 0, 1.2), (0, 0, 0.62), (0.16 * b, 0.23 * b), top, sides=10))
+    parts += _head((0.02, 0, 1.66), skin, hair)
+    if dress.bag:
+        parts.append(box((0.16, 0.28, 0.4), (-0.2, 0, 1.25), _cloth(dress.bottom, label)))
+    return join(parts).scaled(dress.height / 1.78)
+
+
+def _head(centre: tuple[float, float, float], skin: Look, hair: Look) -> list[Mesh]:
+    c = np.asarray(centre)
+    return [
+        tube(
+            c + np.array([-0.01, 0, -0.2]),
+            c + np.array([0, 0, -0.05]),
+            (0.055, 0.055),
+            skin,
+            rounded=True,
+        ),
+        ellipsoid(c, (0.1, 0.078, 0.125), skin, detail=2),
+        ellipsoid(c + np.array([-0.022, 0, 0.035]), (0.1, 0.088, 0.115), hair, detail=2),
+    ]
+
+
+def make_cyclist(dress: Dress, phase: float) -> Mesh:
+    """A person riding a bicycle at `phase` (0..1) of the pedals; wheels on z = 0."""
+    label = SceneClass.CYCLIST
+    skin, hair = _cloth(dress.skin, label), _cloth(dress.hair, label)
+    top, bottom = _cloth(dress.top, label), _cloth(dress.bottom, label)
+    shoe = _cloth((0.03, 0.03, 0.03), label)
+    parts = [make_bicycle(label, dress.top)]
+    seat, bars = np.array([-0.25, 0.0, 0.98]), np.array([0.42, 0.0, 1.05])
+    neck = np.array([0.16, 0.0, 1.5])
+    for k, sign in enumerate((-1.0, 1.0)):
+        turn = 2 * np.pi * (phase + 0.5 * k)
+        pedal = np.array([0.17 * np.cos(turn), 0.12 * sign, 0.32 + 0.17 * np.sin(turn)])
+        hip = seat + np.array([0.0, 0.1 * sign, 0.02])
+        ankle = pedal + np.array([0, 0, 0.08])
+        knee = _joint(hip, ankle, 0.45, 0.46)
+        parts.append(tube(hip, knee, (0.095, 0.065), bottom, rounded=True))
+        parts.append(
+            tube(knee, pedal + np.array([0, 0, 0.08]), (0.064, 0.048), bottom, rounded=True)
+        )
+        parts.append(ellipsoid(pedal + np.array([0.05, 0, 0.04]), (0.13, 0.05, 0.05), shoe))
+        shoulder = neck + np.array([-0.03, 0.19 * sign, -0.06])
+        hand = bars + np.array([0, 0.24 * sign, 0.02])
+        elbow = (shoulder + hand) / 2 + (-0.05, 0.06 * sign, -0.06)
+        parts.append(tube(shoulder, elbow, (0.06, 0.05), top, rounded=True))
+        parts.append(tube(elbow, hand, (0.048, 0.04), top, rounded=True))
+        parts.append(ellipsoid(hand, (0.05, 0.04, 0.04), skin))
+    parts.append(
+        tube(
+            seat + np.array([0, 0, 0.05]),
+            neck - (0.03, 0, 0.08),
+            (0.16, 0.185),
+            top,
+            sides=10,
+            rounded=True,
+        )
+    )
+    cap = _cloth((0.6, 0.6, 0.6), label) if dress.helmet else hair
+    parts += _head((0.24, 0, 1.68), skin, cap)
+    return join(parts)
+
+
+def _joint(a: Floats, b: Floats, upper: float, lower: float) -> Floats:
+    """Knee of a two-bone leg from a to b, bending forward in the x-z plane."""
+    line = b - a
+    reach = min(float(np.linalg.norm(line)), upper + lower - 1e-3)
+    along = (upper**2 - lower**2 + reach**2) / (2 * reach)
+    out = np.sqrt(max(upper**2 - along**2, 0.0))
+    unit = line / np.linalg.norm(line)
+    forward = np.array([-unit[2], 0.0, unit[0]])
+    forward *= np.sign(forward[0]) or 1.0
+    return np.asarray(a + unit * along + forward / np.linalg.norm(forward) * out)
+
+
+@lru_cache(maxsize=64)
+def make_bicycle(label: SceneClass, color: Color) -> Mesh:
+    """A bicycle; x forward, wheels on z = 0."""
+    rubber = Look(SurfaceKind.PLAIN, (0.02, 0.02, 0.02), label)
+    frame = Look(SurfaceKind.METAL, color, label)
+    chrome = Look(SurfaceKind.METAL, (0.4, 0.4, 0.4), label)
+    parts = []
+    for x in (-0.52, 0.55):
+        rim = [
+            (x + 0.34 * np.cos(t), 0.0, 0.345 + 0.34 * np.sin(t))
+            for t in np.linspace(0, 2 * np.pi, 15)
+        ]
+        parts += [tube(p, q, (0.022, 0.022), rubber, sides=5) for p, q in pairwise(rim)]
+        parts += [tube((x, 0, 0.345), p, (0.006, 0.006), chrome, sides=3) for p in rim[:-1:2]]
+    hub, head, crank, saddle = (-0.52, 0, 0.345), (0.4, 0, 0.85), (0, 0, 0.32), (-0.22, 0, 0.85)
+    for p, q in (
+        (hub, crank),
+        (hub, saddle),
+        (crank, saddle),
+        (crank, head),
+        (saddle, head),
+        (head, (0.55, 0, 0.345)),
+        (head, (0.38, 0, 1.02)),
+    ):
+        parts.append(tube(p, q, (0.02, 0.02), frame, sides=6))
+    parts.append(tube((0.38, -0.28, 1.03), (0.38, 0.28, 1.03), (0.015, 0.015), chrome, sides=5))
+    parts.append(box((0.25, 0.14, 0.06), (-0.25, 0, 0.93), rubber))
+    return join(parts)

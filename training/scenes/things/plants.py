@@ -1,0 +1,179 @@
+"""Trees, bushes, hedges: dark cores wrapped in clouds of small leaf cards."""
+
+import numpy as np
+from numpy.random import Generator
+
+from training.scenes.arrays import Floats
+from training.scenes.classes import SceneClass
+from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.things.mesh import Look, Mesh, ellipsoid, join, triangles, tube
+
+_LEAVES = (
+    (0.07, 0.12, 0.025),
+    (0.05, 0.1, 0.03),
+    (0.1, 0.14, 0.03),
+    (0.12, 0.13, 0.03),
+    (0.06, 0.085, 0.03),
+    (0.16, 0.12, 0.03),
+    (0.2, 0.1, 0.03),
+)
+
+
+def _leaf_cloud(blobs: Floats, look: Look, count: int, size: float, rng: Generator) -> Mesh:
+    """Leaf cards spread over blobs given as rows of (x, y, z, rx, ry, rz).
+
+    Normals point away from the blob's centre, which shades a crown as one soft volume; leaves
+    low and deep inside are darker.
+    """
+    weight = blobs[:, 3] * blobs[:, 5]
+    which = rng.choice(len(blobs), count, p=weight / weight.sum())
+    direction = rng.standard_normal((count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    depth = 1.12 - 0.36 * rng.random(count) ** 1.5
+    centre = blobs[which, :3] + direction * blobs[which, 3:] * depth[:, None]
+    corner = rng.standard_normal((count, 3, 3)) * size * rng.uniform(0.6, 1.2, (count, 1, 1))
+    middle = blobs[:, :3].mean(axis=0)
+    normal = direction + 0.7 * (centre - middle) / (np.abs(blobs[:, 3:]).max() + 1.0)
+    normal = normal + 0.35 * rng.standard_normal((count, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    mesh = triangles(centre[:, None] + corner, look, normals=np.repeat(normal[:, None], 3, axis=1))
+    low, high = centre[:, 2].min(), centre[:, 2].max()
+    shade = 0.45 + 0.55 * (centre[:, 2] - low) / max(high - low, 0.1)
+    shade = shade * rng.uniform(0.7, 1.3, count) * np.clip(2.4 * depth - 1.4, 0.4, 1.1)
+    mesh.color[:] = mesh.color * shade[:, None].astype(np.float32)
+    return mesh
+
+
+def _foliage(color: tuple[float, float, float], label: SceneClass, rng: Generator) -> Look:
+    tone = np.clip(np.asarray(color) * rng.uniform(0.75, 1.25) * rng.uniform(0.9, 1.1, 3), 0, 1)
+    return Look(SurfaceKind.FOLIAGE, (float(tone[0]), float(tone[1]), float(tone[2])), label)
+
+
+def make_tree(rng: Generator, *, leaf_count: int = 3600) -> Mesh:
+    """A broad-leaved tree, 5 to 13 m high, trunk at the origin; far ones need few, large leaves."""
+    look = _foliage(_LEAVES[rng.integers(len(_LEAVES))], SceneClass.TREE, rng)
+    height = float(rng.uniform(5, 13))
+    trunk_top = height * float(rng.uniform(0.25, 0.4))
+    spread = height * float(rng.uniform(0.2, 0.34))
+    count = int(rng.integers(6, 11))
+    level = rng.uniform(0, 1, count)
+    radius = spread * np.sqrt(np.clip(1 - (2 * level - 0.8) ** 2 * 0.7, 0.1, 1)) * 0.75
+    angle = rng.uniform(0, 2 * np.pi, count)
+    size = spread * rng.uniform(0.4, 0.65, count)
+    blobs = np.stack(
+        [
+            np.cos(angle) * radius * 0.75,
+            np.sin(angle) * radius * 0.75,
+            trunk_top + 0.25 * spread + level * (height - trunk_top - 0.5 * spread),
+            size,
+            size,
+            size * 0.8,
+        ],
+        axis=1,
+    )
+    leaves = _leaf_cloud(
+        blobs, look, leaf_count, (0.075 + 0.008 * height) * np.sqrt(3600 / leaf_count), rng
+    )
+    dark = Look(look.kind, tuple(0.4 * c for c in look.color), look.label)  # type: ignore[arg-type]
+    cores = [ellipsoid(b[:3], b[3:] * 0.74, dark) for b in blobs]
+    return join([leaves, *cores, *_trunk(blobs[:, :3], trunk_top, 0.012 * height + 0.06, rng)])
+
+
+def make_conifer(rng: Generator, *, leaf_count: int = 1800) -> Mesh:
+    """A conifer or poplar: a narrow column of foliage."""
+    look = _foliage((0.035, 0.065, 0.03), SceneClass.TREE, rng)
+    height = float(rng.uniform(5, 14))
+    level = np.linspace(0.1, 0.95, 8)
+    size = height * float(rng.uniform(0.1, 0.2)) * (1.05 - level)
+    blobs = np.stack(
+        [
+            rng.normal(0, 0.1, 8),
+            rng.normal(0, 0.1, 8),
+            level * height,
+            size,
+            size,
+            np.full(8, height * 0.09),
+        ],
+        axis=1,
+    )
+    leaves = _leaf_cloud(blobs, look, leaf_count, 0.17 * np.sqrt(1800 / leaf_count), rng)
+    dark = Look(look.kind, tuple(0.4 * c for c in look.color), look.label)  # type: ignore[arg-type]
+    cores = [ellipsoid(b[:3], b[3:] * 0.85, dark) for b in blobs]
+    bark = Look(SurfaceKind.BARK, (0.09, 0.065, 0.045), SceneClass.TREE)
+    return join([leaves, *cores, tube((0, 0, -0.3), (0, 0, height * 0.8), (0.18, 0.05), bark)])
+
+
+def make_bare_tree(rng: Generator) -> Mesh:
+    """A leafless tree of branching tubes."""
+    bark = Look(SurfaceKind.BARK, (0.07, 0.055, 0.045), SceneClass.TREE)
+    parts: list[Mesh] = []
+
+    def grow(
+        base: Floats,
+        heading: Floats,
+        length: float,
+        radius: float,
+        level: int,
+    ) -> None:
+        tip = base + heading * length
+        parts.append(tube(base, tip, (radius, radius * 0.65), bark, sides=6 if level < 2 else 3))
+        if level == 5:
+            return
+        for _ in range(3 if level < 4 else 4):
+            turn = heading + rng.standard_normal(3) * 0.5 + (0, 0, 0.12)
+            turn /= np.linalg.norm(turn)
+            grow(
+                tip - heading * length * rng.uniform(0, 0.35),
+                turn,
+                length * rng.uniform(0.6, 0.82),
+                radius * 0.56,
+                level + 1,
+            )
+
+    height = float(rng.uniform(7, 12))
+    grow(np.array([0, 0, -0.3]), np.array([0, 0, 1.0]), height * 0.28, 0.018 * height, 0)
+    return join(parts)
+
+
+def _trunk(crowns: Floats, top: float, radius: float, rng: Generator) -> list[Mesh]:
+    bark = Look(SurfaceKind.BARK, (0.1, 0.075, 0.055), SceneClass.TREE)
+    fork = np.array([rng.normal(0, 0.1), rng.normal(0, 0.1), top])
+    parts = [tube((0, 0, -0.3), fork, (radius * 1.25, radius * 0.8), bark, sides=9)]
+    parts += [
+        tube(fork - (0, 0, 0.2), c, (radius * 0.5, radius * 0.2), bark, sides=5) for c in crowns
+    ]
+    return parts
+
+
+def make_bush(rng: Generator) -> Mesh:
+    """A round bush about 1 m high."""
+    look = _foliage(_LEAVES[rng.integers(5)], SceneClass.VEGETATION, rng)
+    count = int(rng.integers(3, 6))
+    size = rng.uniform(0.4, 0.8, count)
+    blobs = np.stack(
+        [rng.normal(0, 0.5, count), rng.normal(0, 0.4, count), size * 0.7, size, size, size * 0.85],
+        axis=1,
+    )
+    dark = Look(look.kind, tuple(0.45 * c for c in look.color), look.label)  # type: ignore[arg-type]
+    cores = [ellipsoid(b[:3], b[3:] * 0.8, dark) for b in blobs]
+    return join([_leaf_cloud(blobs, look, 800, 0.085, rng), *cores])
+
+
+def make_hedge(length: float, height: float, rng: Generator) -> Mesh:
+    """A clipped hedge along x, centred on the origin."""
+    look = _foliage(_LEAVES[rng.integers(3)], SceneClass.VEGETATION, rng)
+    n = max(2, int(length / 0.6))
+    blobs = np.stack(
+        [
+            np.linspace(-length / 2, length / 2, n),
+            np.zeros(n),
+            np.full(n, height * 0.5),
+            np.full(n, 0.5),
+            np.full(n, 0.38),
+            np.full(n, height * 0.5),
+        ],
+        axis=1,
+    )
+    dark = Look(look.kind, tuple(0.5 * c for c in look.color), look.label)  # type: ignore[arg-type]
+    cores = [ellipsoid(b[:3], b[3:] * 0.96, dark) for b in blobs]
+    return join([_leaf_cloud(blobs, look, int(110 * length), 0.09, rng), *cores])

@@ -1,0 +1,379 @@
+"""Cars, vans, buses and trucks: lofted bodies with wheels, glass and mirrors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+
+from training.scenes.classes import SceneClass
+from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.things.mesh import Look, Mesh, box, grid, join, tube
+
+Color = tuple[float, float, float]
+
+_PAINTS: tuple[Color, ...] = (
+    (0.55, 0.56, 0.57),
+    (0.75, 0.75, 0.74),
+    (0.03, 0.03, 0.035),
+    (0.12, 0.13, 0.14),
+    (0.3, 0.31, 0.32),
+    (0.45, 0.03, 0.03),
+    (0.03, 0.07, 0.25),
+    (0.05, 0.1, 0.16),
+    (0.02, 0.12, 0.07),
+    (0.2, 0.02, 0.03),
+    (0.5, 0.47, 0.38),
+    (0.06, 0.2, 0.42),
+    (0.6, 0.35, 0.03),
+    (0.18, 0.19, 0.2),
+    (0.82, 0.82, 0.82),
+)
+
+
+@dataclass(frozen=True)
+class CarShape:
+    """Side profile of a car body, fractions of the length from tail (0) to nose (1), metres up."""
+
+    length: float
+    width: float
+    outline: tuple[tuple[float, float], ...]
+    belt: float
+    rear_glass: tuple[float, float]
+    windscreen: tuple[float, float]
+    pillars: tuple[float, ...]
+    wheels: tuple[float, float]
+    wheel_radius: float = 0.32
+
+
+_HATCHBACK = CarShape(
+    4.1,
+    1.74,
+    (
+        (0, 0.62),
+        (0.015, 0.92),
+        (0.03, 0.98),
+        (0.13, 1.40),
+        (0.22, 1.47),
+        (0.5, 1.47),
+        (0.6, 1.38),
+        (0.76, 0.99),
+        (0.93, 0.84),
+        (0.985, 0.7),
+        (1, 0.6),
+    ),
+    0.93,
+    (0.03, 0.13),
+    (0.6, 0.76),
+    (0.2, 0.44),
+    (0.185, 0.80),
+)
+_SEDAN = CarShape(
+    4.6,
+    1.8,
+    (
+        (0, 0.6),
+        (0.012, 0.9),
+        (0.03, 0.98),
+        (0.14, 1.03),
+        (0.27, 1.36),
+        (0.38, 1.43),
+        (0.52, 1.43),
+        (0.58, 1.37),
+        (0.72, 1.0),
+        (0.93, 0.83),
+        (0.985, 0.7),
+        (1, 0.58),
+    ),
+    0.93,
+    (0.14, 0.27),
+    (0.58, 0.72),
+    (0.24, 0.45),
+    (0.2, 0.81),
+)
+_ESTATE = CarShape(
+    4.7,
+    1.8,
+    (
+        (0, 0.6),
+        (0.012, 0.95),
+        (0.025, 1.0),
+        (0.09, 1.38),
+        (0.14, 1.47),
+        (0.5, 1.48),
+        (0.58, 1.4),
+        (0.72, 1.02),
+        (0.93, 0.85),
+        (0.985, 0.7),
+        (1, 0.58),
+    ),
+    0.95,
+    (0.025, 0.09),
+    (0.58, 0.72),
+    (0.22, 0.44),
+    (0.2, 0.81),
+)
+_SUV = CarShape(
+    4.5,
+    1.86,
+    (
+        (0, 0.7),
+        (0.012, 1.05),
+        (0.025, 1.1),
+        (0.09, 1.6),
+        (0.15, 1.7),
+        (0.52, 1.7),
+        (0.6, 1.6),
+        (0.72, 1.16),
+        (0.94, 1.05),
+        (0.985, 0.85),
+        (1, 0.7),
+    ),
+    1.08,
+    (0.025, 0.09),
+    (0.6, 0.72),
+    (0.22, 0.45),
+    (0.19, 0.81),
+    0.37,
+)
+_VAN = CarShape(
+    5.3,
+    2.0,
+    (
+        (0, 0.7),
+        (0.006, 1.2),
+        (0.01, 1.25),
+        (0.02, 2.2),
+        (0.05, 2.35),
+        (0.68, 2.35),
+        (0.74, 2.2),
+        (0.87, 1.25),
+        (0.96, 1.05),
+        (0.99, 0.85),
+        (1, 0.6),
+    ),
+    1.22,
+    (0.01, 0.02),
+    (0.74, 0.87),
+    (0.64,),
+    (0.17, 0.82),
+    0.36,
+)
+_CARS = (_HATCHBACK, _HATCHBACK, _SEDAN, _ESTATE, _SUV)
+
+
+def car_length(mesh: Mesh) -> float:
+    """Extent of a vehicle along its own x axis in metres."""
+    x = mesh.texture[..., 0]
+    return float(x.max() - x.min())
+
+
+def make_car(rng: Generator) -> Mesh:
+    """A passenger car in its own frame: x forward, y left, z up, wheels on z = 0."""
+    shape = _CARS[rng.integers(len(_CARS))]
+    paint = _vary(_PAINTS[rng.integers(len(_PAINTS))], rng)
+    return _bodied(shape, paint, SceneClass.CAR, rng, size=float(rng.uniform(0.95, 1.06)))
+
+
+def make_van(rng: Generator) -> Mesh:
+    """A delivery van or minibus."""
+    paint = _vary(((0.75, 0.75, 0.73), *_PAINTS)[rng.integers(5)], rng)
+    return _bodied(_VAN, paint, SceneClass.VAN, rng, size=float(rng.uniform(0.88, 1.05)))
+
+
+def _vary(color: Color, rng: Generator) -> Color:
+    r, g, b = np.clip(
+        np.asarray(color) * rng.uniform(0.75, 1.2) * rng.uniform(0.95, 1.05, 3), 0.015, 0.85
+    )
+    return float(r), float(g), float(b)
+
+
+def _bodied(
+    shape: CarShape, paint: Color, label: SceneClass, rng: Generator, *, size: float
+) -> Mesh:
+    length, half = shape.length, shape.width / 2
+    fx = np.array(sorted({*(f for f, _ in shape.outline), *np.linspace(0.05, 0.95, 13)}))
+    top = np.interp(fx, *np.array(shape.outline).T)
+    x = (fx - 0.5) * length
+    belt = np.minimum(shape.belt, top - 0.02)
+    cabin = top - belt
+    # Nose and tail are rounded in plan; the greenhouse leans inwards with its height.
+    plan = half * (1 - 0.16 * np.abs(2 * fx - 1) ** 5)
+    upper = plan * 0.97 - 0.26 * cabin
+    floor = np.full_like(x, 0.22 if label == SceneClass.CAR else 0.3)
+    section = [
+        (plan * 0.55, floor),
+        (plan * 0.93, floor + 0.02),
+        (plan, floor + 0.18),
+        (plan * 1.005, belt * 0.72),
+        (plan * 0.97, belt),
+        (upper, belt + cabin * 0.9),
+        (upper * 0.86, top),
+        (upper * 0.4, top + 0.02),
+        (upper * 0.0, top + 0.025),
+    ]
+    right = np.stack([np.stack([x, -y, z], 1) for y, z in section], 1)
+    left = right[:, -2::-1] * (1, -1, 1)
+    # The last column closes the loop under the floor: (stations, 18, 3).
+    lattice = np.concatenate([right, left, right[:, :1]], axis=1)
+    q = np.concatenate([np.zeros(4), [0.0, 1.0], np.full(5, 1.0), [1.0, 0.0], np.zeros(5)])
+    seed = float(rng.random())
+    wheel_x = [(f - 0.5) * length for f in shape.wheels]
+    body = Look(
+        SurfaceKind.CAR_BODY,
+        paint,
+        label,
+        (
+            wheel_x[0],
+            wheel_x[1],
+            shape.wheel_radius,
+            length,
+            shape.width,
+            shape.belt,
+            (shape.pillars[-1] - 0.5) * length,
+            seed,
+        ),
+    )
+    pillars = [(f - 0.5) * length for f in shape.pillars] + [99.0]
+    side = Look(SurfaceKind.CAR_SIDE_WINDOW, paint, label, (pillars[0], pillars[1], seed))
+    if label == SceneClass.VAN and seed < 0.75:
+        # Delivery vans have windows at the cab only.
+        side = Look(SurfaceKind.CAR_SIDE_WINDOW, paint, label, (pillars[0], 99.0, seed, pillars[0]))
+    glass = Look(SurfaceKind.CAR_GLASS, (0.02, 0.025, 0.03), label, (seed,))
+    parts: list[Mesh] = []
+    first, last = shape.rear_glass[0], shape.windscreen[1]
+    sections = lattice.shape[1]
+    window_texture = lattice.copy()
+    window_texture[:, :, 2] = q[None, :]
+    window_texture[:, :, 1] = cabin[:, None]
+    whole = grid(lattice, body, smooth=True)
+    sided = grid(lattice, side, texture=window_texture, smooth=True)
+    glazed = grid(lattice, glass, smooth=True)
+    station = np.repeat(np.arange(len(fx) - 1), (sections - 1))
+    strip = np.tile(np.arange(sections - 1), len(fx) - 1)
+    middle = (fx[station] + fx[station + 1]) / 2
+    in_cabin = (middle > first) & (middle < last)
+    in_screen = np.zeros_like(in_cabin)
+    for a, b in (shape.rear_glass, shape.windscreen):
+        in_screen |= (middle > a) & (middle < b)
+    is_side = in_cabin & np.isin(strip, (4, 11))
+    is_glass = in_screen & np.isin(strip, (6, 7, 8, 9))
+    if label == SceneClass.VAN and seed < 0.5:
+        is_glass &= middle > 0.5
+    pick = np.repeat(np.where(is_side, 1, np.where(is_glass, 2, 0)), 2)
+    parts += [mesh.where(pick == k) for k, mesh in enumerate((whole, sided, glazed))]
+    for end in (0, -1):
+        ring = lattice[end]
+        centre = np.broadcast_to(ring.mean(axis=0), ring.shape)
+        rows = [ring, centre] if end == 0 else [centre, ring]
+        parts.append(grid(np.stack(rows), body))
+    tyre = Look(SurfaceKind.WHEEL, (0.45, 0.45, 0.46), label, (shape.wheel_radius, seed))
+    for wx in wheel_x:
+        for sign in (-1, 1):
+            parts.append(_wheel(wx, sign * (half - 0.10), shape.wheel_radius, tyre))
+    mirror = Look(SurfaceKind.PLAIN, paint, label, (0.3,))
+    mirror_x = (shape.windscreen[1] - 0.5) * length - 0.35
+    for sign in (-1, 1):
+        parts.append(
+            box((0.12, 0.2, 0.14), (mirror_x, sign * (half + 0.06), shape.belt + 0.1), mirror)
+        )
+    return join(parts).scaled(size)
+
+
+def _wheel(x: float, y: float, radius: float, look: Look) -> Mesh:
+    wheel = tube((0, -0.11, 0), (0, 0.11, 0), (radius, radius), look, sides=20)
+    return wheel.moved(offset=(x, y, radius))
+
+
+def make_truck(rng: Generator) -> Mesh:
+    """A rigid lorry: cab, cargo box (plain, striped or tank), chassis and wheels."""
+    label = SceneClass.TRUCK
+    length = float(rng.uniform(6.5, 10.5))
+    cab_paint = _vary(_PAINTS[rng.integers(len(_PAINTS))], rng)
+    box_paint = _vary(
+        (
+            (0.7, 0.7, 0.68),
+            (0.5, 0.5, 0.52),
+            (0.4, 0.05, 0.04),
+            (0.06, 0.15, 0.35),
+            (0.6, 0.45, 0.1),
+        )[rng.integers(5)],
+        rng,
+    )
+    cab = CarShape(
+        2.3,
+        2.45,
+        (
+            (0, 0.9),
+            (0.01, 2.5),
+            (0.05, 2.75),
+            (0.7, 2.75),
+            (0.8, 2.65),
+            (0.95, 1.5),
+            (0.99, 1.2),
+            (1, 0.6),
+        ),
+        1.45,
+        (0.0, 0.0),
+        (0.8, 0.95),
+        (0.3,),
+        (0.45, 0.45),
+        0.48,
+    )
+    front = _bodied(cab, cab_paint, label, rng, size=1.0).moved(offset=(length / 2 - 1.15, 0, 0.05))
+    dark = Look(SurfaceKind.PLAIN, (0.03, 0.03, 0.03), label, (0.2,))
+    tyre = Look(SurfaceKind.WHEEL, (0.3, 0.3, 0.31), label, (0.48, 0.2))
+    cargo_length, height = length - 2.6, float(rng.uniform(2.2, 2.8))
+    middle = -length / 2 + cargo_length / 2
+    parts = [front, box((length - 0.6, 1.0, 0.3), (-0.2, 0, 0.75), dark)]
+    if rng.random() < 0.2:
+        tank = Look(SurfaceKind.METAL, (0.6, 0.6, 0.6), label)
+        parts.append(
+            tube(
+                (-length / 2, 0, 2.05),
+                (-length / 2 + cargo_length, 0, 2.05),
+                (1.15, 1.15),
+                tank,
+                sides=24,
+            )
+        )
+    else:
+        cargo = Look(SurfaceKind.PLANKS, box_paint, label, (1.2, 0.25, float(rng.random())))
+        parts.append(box((cargo_length, 2.45, height), (middle, 0, 1.0 + height / 2), cargo))
+    rear = -length / 2
+    for sign in (-1, 1):
+        red = Look(SurfaceKind.GLOW, (0.5, 0.02, 0.02), label, (0.4,))
+        parts.append(box((0.08, 0.3, 0.14), (rear - 0.03, sign * 1.0, 0.85), red))
+        parts.append(_wheel(rear + 1.6, sign * 1.08, 0.48, tyre))
+        parts.append(box((1.2, 0.05, 0.25), (rear + 0.6, sign * 1.2, 0.65), dark))
+    plate = Look(SurfaceKind.PLAIN, (0.6, 0.6, 0.55), label)
+    parts.append(box((0.06, 2.3, 0.16), (rear - 0.02, 0, 0.6), dark))
+    parts.append(box((0.04, 0.5, 0.12), (rear - 0.05, 0, 0.6), plate))
+    return join(parts)
+
+
+def make_bus(rng: Generator) -> Mesh:
+    """A city bus; its class is Truck, the nearest one of Virtual KITTI 2."""
+    label = SceneClass.TRUCK
+    length, width, height = 11.0, 2.5, float(rng.choice([2.9, 4.1]))
+    paint = _vary(
+        (
+            (0.5, 0.04, 0.03),
+            (0.7, 0.68, 0.6),
+            (0.05, 0.2, 0.45),
+            (0.1, 0.35, 0.12),
+            (0.65, 0.5, 0.05),
+        )[rng.integers(5)],
+        rng,
+    )
+    side = Look(SurfaceKind.BUS_SIDE, paint, label, (height, length, width, float(rng.random())))
+    parts = [box((length, width, height - 0.3), (0, 0, 0.3 + (height - 0.3) / 2), side)]
+    tyre = Look(SurfaceKind.WHEEL, (0.3, 0.3, 0.31), label, (0.48, 0.1))
+    for x in (-length / 2 + 2.8, length / 2 - 2.6):
+        for sign in (-1, 1):
+            parts.append(_wheel(x, sign * (width / 2 - 0.08), 0.48, tyre))
+    for sign in (-1, 1):
+        red = Look(SurfaceKind.GLOW, (0.5, 0.02, 0.02), label, (0.4,))
+        white = Look(SurfaceKind.GLOW, (0.7, 0.7, 0.65), label, (0.3,))
+        parts.append(box((0.06, 0.25, 0.25), (-length / 2 - 0.02, sign * 1.0, 0.9), red))
+        parts.append(box((0.06, 0.3, 0.2), (length / 2 + 0.02, sign * 0.95, 0.75), white))
+    return join(parts)
