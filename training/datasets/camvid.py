@@ -50,7 +50,6 @@ class CamVid:
             )
         return Sample(
             rgb=rgb,
-            sparse_depth=nothing_known(rgb.shape[:2]),
             depth=nothing_known(rgb.shape[:2]),
             semantic=self._lookup[label],
             intrinsics=None,

@@ -96,7 +96,6 @@ class Cityscapes:
             depth = disparity_to_depth(stored, focal_baseline)
         return Sample(
             rgb=rgb,
-            sparse_depth=depth,
             depth=depth,
             semantic=self._read_labels(
                 self._path("gtFine", city, stem + "_gtFine_labelIds.png"), size

@@ -61,12 +61,11 @@ class KittiDepth:
         size = (rgb.shape[0], rgb.shape[1])
         return Sample(
             rgb=rgb,
-            sparse_depth=_read_depth(frame.velodyne, size),
             depth=_read_depth(frame.groundtruth, size),
             semantic=np.full(size, IGNORE, dtype=np.uint8),
             intrinsics=_read_intrinsics(frame),
             name=frame.name,
-            recorded_input=True,
+            sparse_depth=_read_depth(frame.velodyne, size),
         )
 
 

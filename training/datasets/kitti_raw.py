@@ -91,7 +91,6 @@ class KittiRaw:
         depth, scan_line = project_lines(points, calibration, size)
         sample = Sample(
             rgb=rgb,
-            sparse_depth=depth,
             depth=depth,
             semantic=np.full(size, IGNORE, dtype=np.uint8),
             intrinsics=calibration.intrinsics,
@@ -102,4 +101,4 @@ class KittiRaw:
             return sample
         seen = withhold_occluded(depth, depth)
         lines = np.where(seen > 0, scan_line, np.int16(-1)).astype(np.int16)
-        return replace(sample, sparse_depth=seen, depth=seen, scan_line=lines)
+        return replace(sample, depth=seen, scan_line=lines)

@@ -69,7 +69,6 @@ class KittiStream:
             semantic = self._lookup[label]
         return Sample(
             rgb=rgb,
-            sparse_depth=depth,
             depth=depth,
             semantic=semantic,
             intrinsics=self._calibration.intrinsics,

@@ -67,7 +67,6 @@ class RenderedScenes:
         frame = scene.render(number)
         return Sample(
             rgb=frame.rgb,
-            sparse_depth=frame.depth,
             depth=frame.depth,
             semantic=self._lookup[frame.label],
             intrinsics=np.asarray(frame.intrinsics, dtype=np.float64),

@@ -15,8 +15,6 @@ class Sample:
 
     #: uint8 (H, W, 3), RGB.
     rgb: NDArray[np.uint8]
-    #: float32 (H, W), metres along the optical axis, the network's input; 0 = no measurement.
-    sparse_depth: NDArray[np.float32]
     #: float32 (H, W), metres, the depth target; 0 = unknown (sky too).
     depth: NDArray[np.float32]
     #: uint8 (H, W), class ids, the semantic target; 255 = unknown.
@@ -25,12 +23,13 @@ class Sample:
     intrinsics: NDArray[np.float64] | None
     #: Set and frame, for messages.
     name: str
+    #: float32 (H, W), metres along the optical axis, the network's input; 0 = no measurement. Of a
+    #: data set it is what was recorded beside ``depth``: it can be thinned, but no other LiDAR can
+    #: be drawn from the target. None where nothing was; the input is then drawn from ``depth``.
+    sparse_depth: NDArray[np.float32] | None = None
     #: int16 (H, W), the LiDAR scan line each pixel of ``depth`` was measured by, -1 = none;
     #: None where the depth is dense, or the input is a recording apart from it.
     scan_line: NDArray[np.int16] | None = None
-    #: Whether ``sparse_depth`` was recorded beside a target of its own: it can be thinned, but no
-    #: other LiDAR can be drawn from the target.
-    recorded_input: bool = False
     #: How much the semantic target counts in the loss: below 1 for labels made by a network.
     semantic_weight: float = 1.0
     #: Focal length times stereo baseline [px m], where depth was measured as disparity: d = this /

@@ -86,7 +86,6 @@ class VirtualKitti:
             )
         return Sample(
             rgb=rgb,
-            sparse_depth=depth,
             depth=depth,
             semantic=read_classes(
                 frames / "classSegmentation" / folder / f"classgt_{number}.png",

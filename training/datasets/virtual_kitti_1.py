@@ -62,7 +62,6 @@ class VirtualKitti1:
         depth = read_centimetres(self._root / _DEPTH / file, size)
         return Sample(
             rgb=rgb,
-            sparse_depth=depth,
             depth=depth,
             semantic=read_classes(self._root / _CLASSES / file, self._colors[scene, variant], size),
             intrinsics=_INTRINSICS,

@@ -88,7 +88,7 @@ class LidarInput:
                 return None
             step = 64 // self.lines if self.kind == "lines" else 2
             fed = keep_every_line(sample, step, 0)
-        elif sample.recorded_input:
+        elif sample.sparse_depth is not None:
             if self.kind == "lines":
                 return None
             fed, target = sample.sparse_depth, sample.depth

@@ -101,7 +101,7 @@ def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
     return replace(
         sample,
         rgb=take(sample.rgb, _FILL_RGB),
-        sparse_depth=take(sample.sparse_depth, 0),
+        sparse_depth=None if sample.sparse_depth is None else take(sample.sparse_depth, 0),
         depth=take(sample.depth, 0),
         semantic=take(sample.semantic, IGNORE),
         scan_line=None if sample.scan_line is None else take(sample.scan_line, -1),
@@ -134,15 +134,15 @@ def resize(sample: Sample, size: tuple[int, int]) -> Sample:
     scan_line = None
     if sample.scan_line is not None:
         depth, scan_line = move_returns(sample.depth, size, sample.scan_line)
-    elif sample.recorded_input:
+    elif sample.sparse_depth is not None:
         depth, _ = move_returns(sample.depth, size)
     else:
         nearest: NDArray[Any] = cv2.resize(
             sample.depth, shape, interpolation=cv2.INTER_NEAREST_EXACT
         )
         depth = nearest
-    sparse_depth = depth
-    if sample.recorded_input:
+    sparse_depth = None
+    if sample.sparse_depth is not None:
         sparse_depth, _ = move_returns(sample.sparse_depth, size)
     rgb: NDArray[Any] = cv2.resize(
         sample.rgb, shape, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
@@ -197,7 +197,7 @@ def flip(sample: Sample) -> Sample:
     return replace(
         sample,
         rgb=mirror(sample.rgb),
-        sparse_depth=mirror(sample.sparse_depth),
+        sparse_depth=None if sample.sparse_depth is None else mirror(sample.sparse_depth),
         depth=mirror(sample.depth),
         semantic=mirror(sample.semantic),
         scan_line=None if sample.scan_line is None else mirror(sample.scan_line),
@@ -212,7 +212,7 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
     hidden behind nearer ones; dense depth stays the target as a whole. An input recorded beside
     its target stays as it is, or is thinned at random.
     """
-    if not (sample.depth.any() or sample.recorded_input):
+    if sample.sparse_depth is None and not sample.depth.any():
         return replace(sample, sparse_depth=nothing_known(sample.size))
     seen: NDArray[np.float32]
     missing = rng.random() < config.lidar_missing
@@ -233,7 +233,7 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
         return replace(sample, sparse_depth=seen, depth=withhold_occluded(target, sample.depth))
     if missing:
         seen = nothing_known(sample.size)
-    elif sample.recorded_input:
+    elif sample.sparse_depth is not None:
         share = rng.uniform(*config.recorded_share) if pattern == "random" else 1.0
         seen = random_share(sample.sparse_depth, float(share), rng)
     elif pattern == "random" or sample.intrinsics is None:

@@ -57,8 +57,10 @@ def as_tensors(sample: Sample) -> dict[str, Tensor | str]:
     """Turn a sample into what the loop batches.
 
     rgb uint8 (3, H, W); sparse_depth and depth float32 (1, H, W), metres; semantic int64 (H, W);
-    semantic_weight float32 (); name.
+    semantic_weight float32 (); name. Raises ValueError for a sample without an input.
     """
+    if sample.sparse_depth is None:
+        raise ValueError(f"{sample.name} has no sparse_depth; draw one with augment.draw_lidar")
     return {
         "rgb": torch.from_numpy(np.ascontiguousarray(sample.rgb.transpose(2, 0, 1))),
         "sparse_depth": torch.from_numpy(sample.sparse_depth[None]),

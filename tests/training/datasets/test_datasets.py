@@ -42,7 +42,7 @@ def test_camvid_gives_rgb_and_ignores_unlabelled(camvid):
     assert (first.semantic[0] == 9).all()
     assert (second.semantic[1:] == 3).all()
     assert not first.depth.any()
-    assert not first.sparse_depth.any()
+    assert first.sparse_depth is None
 
 
 def test_camvid_errors_name_the_file(camvid):

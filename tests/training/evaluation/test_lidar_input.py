@@ -24,7 +24,6 @@ def dense():
     depth[:5] = 0
     return Sample(
         rgb=np.zeros((*SIZE, 3), np.uint8),
-        sparse_depth=depth,
         depth=depth,
         semantic=np.zeros(SIZE, np.uint8),
         intrinsics=K,
@@ -37,7 +36,7 @@ def scanned(dense):
     """A recorded scan: row r is line r, nothing hidden."""
     lines = np.repeat(np.arange(SIZE[0], dtype=np.int16)[:, None], SIZE[1], axis=1)
     depth = np.full(SIZE, 20.0, np.float32)
-    return replace(dense, depth=depth, sparse_depth=depth, scan_line=lines)
+    return replace(dense, depth=depth, scan_line=lines)
 
 
 @pytest.mark.parametrize("text", ["own", "none", "64", "32", "16", "4", "1", "random:0.05"])
@@ -82,7 +81,7 @@ def test_a_recorded_scan_keeps_its_odd_lines_for_scoring(scanned, rng):
 
 def test_a_recorded_input_is_fed_as_it_is_or_thinned(dense, rng):
     recorded = np.where(np.indices(SIZE).sum(axis=0) % 3 == 0, np.float32(7), np.float32(0))
-    sample = replace(dense, sparse_depth=recorded, recorded_input=True)
+    sample = replace(dense, sparse_depth=recorded)
     own = LidarInput.parse("own").split(sample, rng)
     assert (own.fed == recorded).all()
     assert own.target is sample.depth
@@ -95,9 +94,7 @@ def test_a_recorded_input_is_fed_as_it_is_or_thinned(dense, rng):
 
 
 def test_without_depth_nothing_is_fed_or_scored(dense, rng):
-    blind = replace(
-        dense, depth=np.zeros(SIZE, np.float32), sparse_depth=np.zeros(SIZE, np.float32)
-    )
+    blind = replace(dense, depth=np.zeros(SIZE, np.float32))
     frame = LidarInput.parse("64").split(blind, rng)
     assert not frame.fed.any()
     assert not frame.target.any()

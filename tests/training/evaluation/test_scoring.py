@@ -22,7 +22,7 @@ def sample(**changes):
     semantic[:, 60:] = 8
     semantic[:10] = 0
     rgb = np.zeros((60, 120, 3), np.uint8)
-    return replace(Sample(rgb, depth, depth, semantic, K, "wall"), **changes)
+    return replace(Sample(rgb, depth, semantic, K, "wall"), **changes)
 
 
 def recorded():
@@ -30,7 +30,7 @@ def recorded():
     measured = (rows % 2 == 0) & (rows >= 10)
     depth = np.where(measured, 10 + rows / 10, 0).astype(np.float32)
     line = np.where(measured, rows // 2, -1).astype(np.int16)
-    return sample(depth=depth, sparse_depth=depth, scan_line=line)
+    return sample(depth=depth, scan_line=line)
 
 
 def test_recorded_scan_feeds_every_second_line_and_scores_the_others():
@@ -50,7 +50,7 @@ def test_dense_depth_is_fed_along_scan_lines_and_scored_whole():
 
 def test_no_depth_feeds_and_scores_none():
     none = np.zeros((60, 120), np.float32)
-    split = split_lidar(sample(depth=none, sparse_depth=none))
+    split = split_lidar(sample(depth=none))
     assert not split.fed.any()
     assert not split.target.any()
 
@@ -81,7 +81,7 @@ def test_truth_scores_full_marks():
 def test_depth_beyond_100_m_is_not_scored():
     depth = sample().depth
     depth[20] = 300
-    frame = sample(depth=depth, sparse_depth=depth)
+    frame = sample(depth=depth)
     answer = np.where(depth > 100, np.float32(99), depth + 1).astype(np.float32)
     result = figures(lambda rgb, fed: Answer(None, answer, None), frame)
     assert result["mae_m"] == pytest.approx(1)

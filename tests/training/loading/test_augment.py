@@ -29,7 +29,7 @@ def plane(height=48, width=64):
     depth = (5 + 0.25 * u + 0.1 * v).astype(np.float32)
     semantic = (u // 8 % 8).astype(np.uint8)
     rgb = np.stack([semantic * 30, v * 4, depth * 8], axis=-1).astype(np.uint8)
-    return Sample(rgb, depth, depth, semantic, K.copy(), "plane")
+    return Sample(rgb, depth, semantic, K.copy(), "plane")
 
 
 def recorded(height=48, width=64):
@@ -39,7 +39,7 @@ def recorded(height=48, width=64):
     measured = rows % 3 == 0
     depth = np.where(measured, sample.depth, 0).astype(np.float32)
     line = np.where(measured, rows // 3, -1).astype(np.int16)
-    return replace(sample, depth=depth, sparse_depth=depth, scan_line=line)
+    return replace(sample, depth=depth, scan_line=line)
 
 
 def recorded_beside_its_target(height=48, width=64):
@@ -48,7 +48,7 @@ def recorded_beside_its_target(height=48, width=64):
     v, u = np.mgrid[:height, :width]
     depth = np.where((u + v) % 2 == 0, sample.depth, 0).astype(np.float32)
     seen = np.where((u % 4 == 1) & (v % 3 == 0), sample.depth + 0.5, 0).astype(np.float32)
-    return replace(sample, depth=depth, sparse_depth=seen, recorded_input=True)
+    return replace(sample, depth=depth, sparse_depth=seen)
 
 
 def test_flip_twice_is_the_same_and_once_moves_everything():
@@ -137,7 +137,6 @@ def test_input_and_target_recorded_apart_stay_apart_when_enlarged():
         expected = np.zeros((144, 192), np.float32)
         expected[1::3, 1::3] = getattr(sample, name)
         np.testing.assert_array_equal(getattr(large, name), expected)
-    assert large.recorded_input
     assert large.scan_line is None
 
 
@@ -183,7 +182,6 @@ def test_cut_and_flip_move_input_and_target_recorded_apart():
     mirrored = flip(window)
     np.testing.assert_array_equal(mirrored.sparse_depth, window.sparse_depth[:, ::-1])
     np.testing.assert_array_equal(mirrored.depth, window.depth[:, ::-1])
-    assert mirrored.recorded_input
 
 
 def test_size_that_is_there_already_changes_nothing():

@@ -10,7 +10,7 @@ from training.loading.open_dataset import open_mixture
 from training.loading.resized import ResizedSource
 from training.recipe import DataRecipe, SourceRecipe
 
-#: rgb, depth (input and target are one array) and classes of 10 x 10 pixels.
+#: rgb, depth and classes of 10 x 10 pixels.
 BYTES = 100 * (3 + 4 + 1)
 
 
@@ -29,7 +29,7 @@ class Counted:
         depth = np.full(size, 1.0 + index, np.float32)
         line = np.zeros(size, np.int16) if self.with_lines else None
         rgb, semantic = np.zeros((*size, 3), np.uint8), np.zeros(size, np.uint8)
-        return Sample(rgb, depth, depth, semantic, None, str(index), scan_line=line)
+        return Sample(rgb, depth, semantic, None, str(index), scan_line=line)
 
 
 def read(source, order):

@@ -6,7 +6,7 @@ import torch
 
 from training.datasets.sample import Sample
 from training.loading.augment import AugmentConfig
-from training.loading.mixture import Mixture, MixturePart
+from training.loading.mixture import Mixture, MixturePart, as_tensors
 
 
 class Numbered:
@@ -22,7 +22,7 @@ class Numbered:
         value = self.offset + index
         rgb = np.full((40, 40, 3), value, np.uint8)
         none = np.zeros((40, 40), np.float32)
-        return Sample(rgb, none, none, np.zeros((40, 40), np.uint8), None, str(value))
+        return Sample(rgb, none, np.zeros((40, 40), np.uint8), None, str(value))
 
 
 def mixture(length=400, seed=0):
@@ -63,3 +63,10 @@ def test_tensors_have_the_loops_form():
 def test_weights_must_be_positive():
     with pytest.raises(ValueError, match="positive"):
         Mixture([MixturePart(Numbered(3, 0), 0.0, AugmentConfig())], length=3, seed=0)
+
+
+def test_a_target_is_never_fed_where_no_input_was_drawn():
+    sample = Numbered(1, 0)[0]
+    assert sample.sparse_depth is None
+    with pytest.raises(ValueError, match="draw_lidar"):
+        as_tensors(sample)
