@@ -120,6 +120,7 @@ def _contract(
         },
         parity={},
         checkpoint_sha256=digest,
+        trained_height=checkpoint.trained_height,
     )
 
 

@@ -31,6 +31,12 @@ class Checkpoint:
     #: State of the training loop (optimiser, step, ...); empty in a checkpoint made to ship.
     trainer: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def trained_height(self) -> int | None:
+        """Rows of the pictures it was trained for, as its recipe said; None = not known."""
+        value = self.training.get("trained_height")
+        return value if isinstance(value, int) else None
+
 
 def save_checkpoint(
     path: Path | str,

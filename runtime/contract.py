@@ -40,7 +40,7 @@ class Contract:
     model_name: for example "ssdnet-lite"
     classes: in the order of the ids of `semantic`; empty without a semantic head
     max_depth_m: depths beyond it are no measurement [m]
-    native_size: (height, width) the model was trained for; a dynamic model accepts any size
+    native_size: (height, width) it was exported and verified at; a dynamic model accepts any size
     stride: the graph pads to a multiple of it, and crops back
     resize: how each tensor is resized where a picture has another size than a fixed model
     precision: "fp32", "fp16", "int8"
@@ -48,6 +48,7 @@ class Contract:
     versions: of what made the file (ssdnet, torch, onnx, opset)
     parity: head -> largest measured difference to PyTorch; {} = not measured
     checkpoint_sha256: digest of the checkpoint the file was made from
+    trained_height: rows of the pictures it was trained for; None = not known
     """
 
     schema_version: str
@@ -62,6 +63,7 @@ class Contract:
     versions: Mapping[str, str]
     parity: Mapping[str, Any]
     checkpoint_sha256: str
+    trained_height: int | None = None
 
     def to_json(self) -> str:
         """The document as it is stored under METADATA_KEY."""
@@ -104,6 +106,7 @@ class Contract:
             versions=_text_mapping(document, "versions"),
             parity=_mapping(document, "parity"),
             checkpoint_sha256=_text(document, "checkpoint_sha256"),
+            trained_height=_trained_height(document),
         )
 
 
@@ -168,6 +171,11 @@ def _size(document: Mapping[str, Any], key: str) -> tuple[int, int]:
     if not isinstance(value, list) or len(value) != 2:
         raise _wrong(key, "[height, width]", value)
     return _positive_integer(value[0], key), _positive_integer(value[1], key)
+
+
+def _trained_height(document: Mapping[str, Any]) -> int | None:
+    value = document.get("trained_height")  # files of schema 1.0 have none
+    return None if value is None else _positive_integer(value, "trained_height")
 
 
 def _classes(document: Mapping[str, Any]) -> tuple[ClassInfo, ...]:

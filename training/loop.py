@@ -140,6 +140,7 @@ def _train(
     training_info = {
         "data": [item.name for item in recipe.data.source],
         "terms": recipe.terms,
+        "trained_height": recipe.model.trained_height,
         **resolved,
     }
 

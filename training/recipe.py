@@ -33,6 +33,14 @@ class ModelRecipe:
     boundary_gating: bool = True
     #: Factor on the sparse depth at the network's input.
     sparse_depth_gain: float = 1.0
+    #: Rows of the pictures it is trained for. Goes into the exported file: a camera of many more
+    #: rows is brought down to it. None = not known: every frame runs at its own size.
+    trained_height: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a height that no picture has, with a ValueError that names the key."""
+        if self.trained_height is not None:
+            _require("trained_height", self.trained_height, at_least=32)
 
 
 @dataclass(frozen=True)

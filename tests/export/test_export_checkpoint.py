@@ -16,7 +16,7 @@ from export.cli import app
 from export.exporter import export_checkpoint
 from export.parity import measure_parity
 from export.probe_frames import probe_frames
-from models import CAMVID_CLASSES, save_checkpoint
+from models import CAMVID_CLASSES, load_checkpoint, save_checkpoint
 from runtime import CheckpointError, InputError, OutputError, Predictor
 
 SIZE = (64, 96)
@@ -46,6 +46,18 @@ def test_contract_says_where_the_file_comes_from(exported, lite_checkpoint):
     assert set(contract.parity) == {"semantic", "depth", "boundary"}
     assert contract.parity["semantic"]["agreement"] > 0.9995
     assert 0 < contract.parity["depth"]["max_abs_m"] < 0.005
+
+
+def test_the_trained_height_goes_from_the_checkpoint_into_the_file(lite_checkpoint, tmp_path):
+    checkpoint = load_checkpoint(lite_checkpoint)
+    trained = tmp_path / "trained.pt"
+    save_checkpoint(trained, checkpoint.model, training={"trained_height": 375})
+    for path, height in ((trained, 375), (lite_checkpoint, None)):
+        model = path.with_suffix(".onnx")
+        export_checkpoint(path, model, size=SIZE)
+        with Predictor(model, warmup=0) as predictor:
+            assert predictor.contract.trained_height == height
+        model.unlink()
 
 
 def test_only_the_one_file_is_left(exported):

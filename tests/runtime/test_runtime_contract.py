@@ -29,7 +29,15 @@ def test_another_major_version_is_refused_and_named(contract, version):
         Contract.from_json(document(contract, schema_version=version))
 
 
-@pytest.mark.parametrize("key", list(Contract.__dataclass_fields__))
+def test_a_file_of_schema_1_0_does_not_say_what_it_was_trained_for(contract):
+    content = json.loads(contract.to_json())
+    del content["trained_height"]
+    assert Contract.from_json(json.dumps(content)).trained_height is None
+    assert Contract.from_json(document(contract, trained_height=None)).trained_height is None
+    assert Contract.from_json(document(contract, trained_height=400)).trained_height == 400
+
+
+@pytest.mark.parametrize("key", [*Contract.__dataclass_fields__.keys() - {"trained_height"}])
 def test_a_missing_key_is_named(contract, key):
     content = json.loads(contract.to_json())
     del content[key]
@@ -54,6 +62,10 @@ def test_a_missing_key_is_named(contract, key):
         ("max_depth_m", float("inf")),
         ("max_depth_m", float("nan")),
         ("native_size", [48]),
+        ("trained_height", 0),
+        ("trained_height", 375.0),
+        ("trained_height", True),
+        ("trained_height", [375, 1242]),
         ("native_size", [48, 64.5]),
         ("stride", 0),
         ("resize", {"rgb": "bilinear"}),

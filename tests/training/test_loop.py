@@ -326,10 +326,12 @@ def test_accumulated_batches_make_the_step_of_their_mean_gradient(data, tmp_path
 
 
 def test_final_checkpoint_carries_data_and_terms(data, tmp_path):
-    run = replace(recipe(steps=1), terms="for tests")
+    run = recipe(steps=1)
+    run = replace(run, terms="for tests", model=replace(run.model, trained_height=375))
     checkpoint = load_checkpoint(train(run, data=[data], out=tmp_path / "run"))
     assert checkpoint.training["terms"] == "for tests"
     assert checkpoint.training["data"] == ["camvid"]
+    assert checkpoint.trained_height == 375
     assert not checkpoint.trainer
 
 
