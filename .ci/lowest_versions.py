@@ -1,0 +1,21 @@
+"""Print pip constraints that hold the engine's needs at the lowest versions pyproject.toml allows.
+
+What they need in turn stays as in constraints.txt. Run it in the root of the checkout.
+"""
+
+import tomllib
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+project = tomllib.loads(Path("pyproject.toml").read_text())["project"]
+needs = [*project["dependencies"], *project["optional-dependencies"]["cpu"]]
+lowest = {}
+for need in map(Requirement, needs):
+    (bound,) = [spec.version for spec in need.specifier if spec.operator == ">="]
+    lowest[need.name] = bound
+known = dict(
+    line.split("==") for line in Path("constraints.txt").read_text().splitlines() if "==" in line
+)
+for name, version in {**known, **lowest}.items():
+    print(f"{name}=={version}")
