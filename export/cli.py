@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from runtime.contract import MIN_SIDE
+
 ERROR = 1  # exit code
 
 
@@ -20,8 +22,10 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions
 def export(
     checkpoint: Annotated[Path, typer.Argument(help="Checkpoint written by ssdnet-train.")],
     model: Annotated[Path, typer.Argument(help="ONNX file to write.")],
-    height: Annotated[int | None, typer.Option(min=32, help="Rows. [default: 512]")] = None,
-    width: Annotated[int | None, typer.Option(min=32, help="Columns. [default: 1024]")] = None,
+    height: Annotated[int | None, typer.Option(min=MIN_SIDE, help="Rows. [default: 512]")] = None,
+    width: Annotated[
+        int | None, typer.Option(min=MIN_SIDE, help="Columns. [default: 1024]")
+    ] = None,
     dynamic: Annotated[
         bool, typer.Option("--dynamic", help="Accept any size, not only that one.")
     ] = False,

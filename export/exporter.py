@@ -17,9 +17,8 @@ from export.parity import HeadParity, measure_parity
 from export.probe_frames import ProbeFrame, probe_frames
 from export.trace import DEFAULT_OPSET, trace
 from models import Checkpoint, load_checkpoint
-from models.ssdnet import MINIMUM_SIZE
 from runtime import Contract, InputError, OutputError, __version__
-from runtime.contract import METADATA_KEY, RESIZE_RULES, SCHEMA_VERSION
+from runtime.contract import METADATA_KEY, MIN_SIDE, RESIZE_RULES, SCHEMA_VERSION, check_size
 
 #: (height, width) if none is asked for: Cityscapes at half size, as in the paper.
 DEFAULT_SIZE = (512, 1024)
@@ -60,8 +59,10 @@ def export_checkpoint(
     is left on disk then; an older file of that name stays.
     """
     size = size or DEFAULT_SIZE
-    if min(size) < MINIMUM_SIZE:
-        raise InputError(f"height and width must be at least {MINIMUM_SIZE}, got {size}")
+    try:
+        check_size(size)
+    except ValueError as error:
+        raise InputError(str(error)) from error
     target = Path(onnx_path)
     _check_target(target, Path(checkpoint_path), overwrite=overwrite)
     checkpoint = load_checkpoint(checkpoint_path)
@@ -133,9 +134,8 @@ def _frames(size: tuple[int, int], *, dynamic: bool, max_depth_m: float) -> list
     """What to verify on: the model's own size and, if it takes any, two more, one of them odd."""
     sizes = [size]
     if dynamic:
-        smallest = MINIMUM_SIZE
-        sizes.append((max(size[0] // 2 | 1, smallest), max(size[1] // 2 | 1, smallest)))
-        sizes.append((smallest + 1, smallest + 31))
+        sizes.append((max(size[0] // 2 | 1, MIN_SIDE), max(size[1] // 2 | 1, MIN_SIDE)))
+        sizes.append((MIN_SIDE + 1, MIN_SIDE + 31))
     return [frame for each in sizes for frame in probe_frames(each, max_depth_m=max_depth_m)]
 
 

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
 from models.classes import CAMVID_CLASSES
-from runtime.contract import ClassInfo
+from runtime.contract import ClassInfo, check_classes, check_max_depth, check_name, check_stride
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,10 @@ class ModelConfig:
             raise ValueError("a network needs rgb, sparse depth or both as input")
         if self.semantic_head != bool(self.classes):
             raise ValueError("classes must be given exactly when there is a semantic head")
-        if len(self.classes) > 255:
-            raise ValueError(f"at most 255 classes fit a uint8 map, got {len(self.classes)}")
+        check_name(self.name, "name")
+        check_classes(self.classes)
+        check_max_depth(self.max_depth_m)
+        check_stride(self.stride)
         if len(self.encoder_channels) != len(self.encoder_blocks):
             raise ValueError("encoder_channels and encoder_blocks must have the same length")
         if len(self.decoder_channels) != self.num_skips:
@@ -89,8 +91,6 @@ class ModelConfig:
             raise ValueError(f"sparse_depth_gain must be positive, got {self.sparse_depth_gain}")
         if self.depth_prior and not self.stem_channels:
             raise ValueError("depth_prior works on the grid of a strided stem")
-        if not self.max_depth_m > 0:
-            raise ValueError(f"max_depth_m must be positive, got {self.max_depth_m}")
 
     @property
     def num_classes(self) -> int:

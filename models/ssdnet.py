@@ -15,8 +15,7 @@ from models.config import ModelConfig
 from models.depth_prior import DepthPrior, pull_push_fill
 from models.encoder import build_encoder
 from models.task_decoder import TaskDecoder, UpBlock
-
-MINIMUM_SIZE = 32
+from runtime.contract import MIN_SIDE
 
 
 class SSDNetOutput(NamedTuple):
@@ -83,7 +82,7 @@ class SSDNet(nn.Module):
         """Predict at full size.
 
         rgb: float (N, 3, H, W), RGB in 0..255. sparse_depth: float (N, 1, H, W), metres; 0,
-        negative, NaN, Inf or beyond ``config.max_depth_m`` = no measurement. H, W >= 32, odd
+        negative, NaN, Inf or beyond ``config.max_depth_m`` = no measurement. H, W >= MIN_SIDE, odd
         sizes too. Raises ValueError on other shapes.
         """
         height, width = _check_shapes(rgb, sparse_depth)
@@ -185,8 +184,8 @@ def _check_shapes(rgb: Tensor, sparse_depth: Tensor) -> tuple[int, int]:
             f"sparse_depth must be {(batch, 1, height, width)} to match rgb, "
             f"got {tuple(sparse_depth.shape)}"
         )
-    if height < MINIMUM_SIZE or width < MINIMUM_SIZE:
-        raise ValueError(f"height and width must be at least {MINIMUM_SIZE}, got {height}x{width}")
+    if height < MIN_SIDE or width < MIN_SIDE:
+        raise ValueError(f"height and width must be at least {MIN_SIDE}, got {height}x{width}")
     return height, width
 
 

@@ -1,7 +1,7 @@
 """The versioned JSON document inside every ONNX file: what the tensors alone do not say."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -10,7 +10,16 @@ from runtime.errors import ContractError
 METADATA_KEY = "ssdnet"
 SCHEMA_VERSION = "1.0"
 
+# What is sane, for a model file and for a network's configuration alike.
+MIN_SIDE = 32  # rows, columns: networks of the family halve a picture up to five times
+MAX_SIDE = 16_384
+MAX_PIXELS = 64_000_000  # of a picture: the largest cameras of the field have 12 million
+MAX_STRIDE = 1024
 MAX_CLASSES = 255  # ids are uint8 and 255 means "ignore"
+MAX_NAME_LENGTH = 64
+MIN_DEPTH_RANGE_M = 1.0  # bounds of max_depth_m
+MAX_DEPTH_RANGE_M = 10_000.0
+
 #: The rules a file may name for each tensor; `runtime.resize` carries them out.
 #: "bilinear" takes the mean of the area along a side that shrinks to less than half, so that no
 #: pixel is skipped. "nearest" never mixes two depths or classes; where sparse depth shrinks every
@@ -93,21 +102,95 @@ class Contract:
                 f"{SCHEMA_VERSION.split('.')[0]}.x: update ssdnet, or export the model again "
                 "with this version"
             )
-        return cls(
-            schema_version=version,
-            model_name=_text(document, "model_name"),
-            classes=_classes(document),
-            max_depth_m=_positive_number(document, "max_depth_m"),
-            native_size=_size(document, "native_size"),
-            stride=_positive_integer(_value(document, "stride"), "stride"),
-            resize=_resize(document),
-            precision=_text(document, "precision"),
-            training=_mapping(document, "training"),
-            versions=_text_mapping(document, "versions"),
-            parity=_mapping(document, "parity"),
-            checkpoint_sha256=_text(document, "checkpoint_sha256"),
-            trained_height=_trained_height(document),
+        try:
+            return cls(
+                schema_version=version,
+                model_name=check_name(_value(document, "model_name"), "model_name"),
+                classes=check_classes(_classes(document)),
+                max_depth_m=check_max_depth(_value(document, "max_depth_m")),
+                native_size=check_size(_value(document, "native_size"), "native_size"),
+                stride=check_stride(_value(document, "stride")),
+                resize=_resize(document),
+                precision=_text(document, "precision"),
+                training=_mapping(document, "training"),
+                versions=_text_mapping(document, "versions"),
+                parity=_mapping(document, "parity"),
+                checkpoint_sha256=_text(document, "checkpoint_sha256"),
+                trained_height=_trained_height(document),
+            )
+        except ValueError as error:
+            raise ContractError(
+                f"the model's metadata is damaged: {error}: export the model again with "
+                "ssdnet-export"
+            ) from error
+
+
+def check_side(side: object, name: str) -> int:
+    """Give back a picture's height or width; ValueError naming it if it is out of range."""
+    if not isinstance(side, int) or isinstance(side, bool) or not MIN_SIDE <= side <= MAX_SIDE:
+        raise ValueError(f"{name} must be {MIN_SIDE} to {MAX_SIDE} pixels, got {side!r:.80}")
+    return side
+
+
+def check_size(size: object, name: str = "size") -> tuple[int, int]:
+    """Give back a picture's (height, width); ValueError naming it if it is out of range."""
+    if not isinstance(size, Sequence) or isinstance(size, str) or len(size) != 2:
+        raise ValueError(f"{name} must be (height, width), got {size!r:.80}")
+    for side, text in zip(size, ("height", "width"), strict=True):
+        check_side(side, f"{name}: {text}")
+    if size[0] * size[1] > MAX_PIXELS:
+        raise ValueError(f"{name} must have at most {MAX_PIXELS} pixels, got {size!r:.80}")
+    return size[0], size[1]
+
+
+def check_stride(stride: object) -> int:
+    """Give back a network's stride in pixels; ValueError if it is out of range."""
+    if not isinstance(stride, int) or isinstance(stride, bool) or not 1 <= stride <= MAX_STRIDE:
+        raise ValueError(f"stride must be an integer 1 to {MAX_STRIDE}, got {stride!r:.80}")
+    return stride
+
+
+def check_max_depth(max_depth_m: object) -> float:
+    """Give back a depth range in metres; ValueError if it is out of range."""
+    if (
+        not isinstance(max_depth_m, int | float)
+        or isinstance(max_depth_m, bool)
+        or not MIN_DEPTH_RANGE_M <= max_depth_m <= MAX_DEPTH_RANGE_M  # False for NaN
+    ):
+        raise ValueError(
+            f"max_depth_m must be {MIN_DEPTH_RANGE_M:g} to {MAX_DEPTH_RANGE_M:g} metres, "
+            f"got {max_depth_m!r:.80}"
         )
+    return float(max_depth_m)
+
+
+def check_name(text: object, name: str) -> str:
+    """Give back the name of a model or a class; ValueError unless it is short and printable."""
+    if not isinstance(text, str) or not text.isprintable() or not 1 <= len(text) <= MAX_NAME_LENGTH:
+        raise ValueError(
+            f"{name} must be printable text of 1 to {MAX_NAME_LENGTH} characters, got {text!r:.80}"
+        )
+    return text
+
+
+def check_classes(classes: Sequence[ClassInfo]) -> tuple[ClassInfo, ...]:
+    """Give back a class table; ValueError for too many, for a bad name or colour, or for one name
+    twice.
+    """
+    if len(classes) > MAX_CLASSES:
+        raise ValueError(f"classes must be at most {MAX_CLASSES}, got {len(classes)}")
+    for index, info in enumerate(classes):
+        check_name(info.name, f"classes[{index}].name")
+        if len(info.color) != 3 or not all(
+            _is_integer(part) and 0 <= part <= 255 for part in info.color
+        ):
+            raise ValueError(
+                f"classes[{index}].color must be three integers 0..255, got {info.color!r:.80}"
+            )
+    names = [info.name for info in classes]
+    if len(set(names)) < len(names):
+        raise ValueError(f"classes must have different names, got {names!r:.80}")
+    return tuple(classes)
 
 
 def _wrong(name: str, expected: str, found: object) -> ContractError:
@@ -151,41 +234,16 @@ def _is_integer(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-def _positive_integer(value: object, name: str) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-        raise _wrong(name, "a positive integer", value)
-    return value
-
-
-def _positive_number(document: Mapping[str, Any], key: str) -> float:
-    value = _value(document, key)
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        raise _wrong(key, "a positive number", value)
-    if not 0 < value < float("inf"):
-        raise _wrong(key, "a positive number", value)
-    return float(value)
-
-
-def _size(document: Mapping[str, Any], key: str) -> tuple[int, int]:
-    value = _value(document, key)
-    if not isinstance(value, list) or len(value) != 2:
-        raise _wrong(key, "[height, width]", value)
-    return _positive_integer(value[0], key), _positive_integer(value[1], key)
-
-
 def _trained_height(document: Mapping[str, Any]) -> int | None:
     value = document.get("trained_height")  # files of schema 1.0 have none
-    return None if value is None else _positive_integer(value, "trained_height")
+    return None if value is None else check_side(value, "trained_height")
 
 
-def _classes(document: Mapping[str, Any]) -> tuple[ClassInfo, ...]:
+def _classes(document: Mapping[str, Any]) -> list[ClassInfo]:
     value = _value(document, "classes")
-    if not isinstance(value, list) or len(value) > MAX_CLASSES:
-        raise _wrong("classes", f"a list of at most {MAX_CLASSES}", value)
-    classes = tuple(_class(entry, f"classes[{index}]") for index, entry in enumerate(value))
-    if len({info.name for info in classes}) < len(classes):
-        raise _wrong("classes", "a list of different names", [info.name for info in classes])
-    return classes
+    if not isinstance(value, list):
+        raise _wrong("classes", "a list", value)
+    return [_class(entry, f"classes[{index}]") for index, entry in enumerate(value)]
 
 
 def _class(entry: object, name: str) -> ClassInfo:
@@ -194,9 +252,7 @@ def _class(entry: object, name: str) -> ClassInfo:
     color = _value(entry, "color")
     if not isinstance(color, list) or len(color) != 3:
         raise _wrong(f"{name}.color", "[red, green, blue]", color)
-    if not all(_is_integer(part) and 0 <= part <= 255 for part in color):
-        raise _wrong(f"{name}.color", "three integers 0..255", color)
-    return ClassInfo(name=_text(entry, "name"), color=(color[0], color[1], color[2]))
+    return ClassInfo(name=_value(entry, "name"), color=(color[0], color[1], color[2]))
 
 
 def _resize(document: Mapping[str, Any]) -> dict[str, str]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import postprocess, preprocess
-from runtime.contract import METADATA_KEY, Contract
+from runtime.contract import METADATA_KEY, MIN_SIDE, Contract
 from runtime.cores import available_cores
 from runtime.errors import ContractError, InferenceError, InputError
 from runtime.prediction import (
@@ -171,8 +171,8 @@ class Predictor:
             raise InputError(f"size must be (height, width), got {size!r}")
         height, width = size
         size = (
-            _require_count("height", height, at_least=preprocess.MIN_SIDE),
-            _require_count("width", width, at_least=preprocess.MIN_SIDE),
+            _require_count("height", height, at_least=MIN_SIDE),
+            _require_count("width", width, at_least=MIN_SIDE),
         )
         rgb = np.zeros((*size, 3), dtype=np.uint8)
         sparse_depth = np.zeros(size, dtype=np.float32)

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.contract import MIN_SIDE
 from runtime.errors import InputError
 from runtime.prediction import Cleaned
 from runtime.resize import resize_bilinear
 
-MIN_SIDE = 32  # the coarsest scale of the network is 1/32
 _CONSTANT_STEP = 16  # a look at every 16th pixel is enough to rule out a constant picture
 
 

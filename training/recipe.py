@@ -8,6 +8,7 @@ from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from runtime.contract import MIN_SIDE
 from runtime.errors import InputError
 from training.loading.augment import AugmentConfig, require_range
 from training.losses import LossConfig
@@ -40,7 +41,7 @@ class ModelRecipe:
     def __post_init__(self) -> None:
         """Refuse a height that no picture has, with a ValueError that names the key."""
         if self.trained_height is not None:
-            _require("trained_height", self.trained_height, at_least=32)
+            _require("trained_height", self.trained_height, at_least=MIN_SIDE)
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class SourceRecipe:
     def __post_init__(self) -> None:
         """Refuse what says nothing about this kind of set, with a ValueError that names the key."""
         for length in self.size or ():
-            _require("size", length, at_least=32)
+            _require("size", length, at_least=MIN_SIDE)
         if self.scale is not None:
             require_range("scale", self.scale)
         if not (self.path or self.kind == "rendered_on_the_fly"):
@@ -155,7 +156,7 @@ class DataRecipe:
         _require("cache_gib", self.cache_gib, at_least=0)
         _require("frequency_samples", self.frequency_samples, at_least=1)
         for size in self.augment.crop:
-            _require("augment.crop", size, at_least=32)
+            _require("augment.crop", size, at_least=MIN_SIDE)
         for item in self.source:
             if not 0 < item.weight < math.inf:
                 raise ValueError(f"source.weight = {item.weight}; it must be positive")

@@ -185,8 +185,9 @@ def test_foreign_checkpoint_is_an_error_with_text(tmp_path, content, text):
 
 
 def test_wrong_arguments_are_refused(lite_checkpoint, tmp_path):
-    with pytest.raises(InputError, match="at least 32"):
-        export_checkpoint(lite_checkpoint, tmp_path / "m.onnx", size=(16, 64))
+    for size in ((16, 64), (64, 16_385), (16_384, 16_384)):
+        with pytest.raises(InputError, match="size"):
+            export_checkpoint(lite_checkpoint, tmp_path / "m.onnx", size=size)
     with pytest.raises(OutputError, match="is no folder"):
         export_checkpoint(lite_checkpoint, tmp_path / "missing" / "m.onnx")
     with pytest.raises(OutputError, match="is a folder"):

@@ -9,6 +9,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from models import SSDNet, create_model, list_models
 from models.blocks import upsample
 from models.config import CONFIGS, ModelConfig
+from runtime.contract import ClassInfo
 
 # Params and MACs at 125 x 414 of the family, which the paper prints to two digits.
 PAPER = {
@@ -200,7 +201,10 @@ def test_upsampling_by_factor_equals_by_size():
         ({"semantic_refine_channels": 8}, "two stem layers"),
         ({"decoder_channels": (8, 8)}, "5 skips"),
         ({"encoder_blocks": (1, 1)}, "same length"),
-        ({"max_depth_m": 0.0}, "positive"),
+        ({"max_depth_m": 0.0}, "max_depth_m must be 1 to 10000"),
+        ({"max_depth_m": 1e39}, "max_depth_m must be 1 to 10000"),
+        ({"name": "a\nb"}, "name must be printable"),
+        ({"classes": (ClassInfo("\ud800", (0, 0, 0)),)}, r"classes\[0\].name"),
         ({"depth_prior": True}, "valid_mask_input"),
         ({"depth_prior": True, "valid_mask_input": True}, "strided stem"),
     ],

@@ -433,7 +433,11 @@ def test_final_checkpoint_is_adjusted_and_the_resumable_one_is_not(data, tmp_pat
     ("changes", "device", "text"),
     [
         ({"model": ModelRecipe("foo")}, "cpu", "unknown model 'foo'"),
-        ({"model": ModelRecipe("ssdnet-lite", max_depth_m=-1.0)}, "cpu", "must be positive"),
+        (
+            {"model": ModelRecipe("ssdnet-lite", max_depth_m=-1.0)},
+            "cpu",
+            "max_depth_m must be 1 to",
+        ),
         ({}, "nowhere", "device 'nowhere' cannot be had"),
     ],
 )

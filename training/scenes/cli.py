@@ -6,6 +6,8 @@ from typing import Annotated, TypeVar
 
 import typer
 
+from runtime.contract import MIN_SIDE
+
 app = typer.Typer(add_completion=False)
 
 T = TypeVar("T")
@@ -89,9 +91,9 @@ def _split(text: str, known: "dict[str, T]", option: str) -> "tuple[T, ...]":
 
 def _parse_size(text: str) -> tuple[int, int]:
     height, _, width = text.partition("x")
-    if not (height.isdigit() and width.isdigit() and int(height) >= 32 and int(width) >= 32):
+    if not (height.isdigit() and width.isdigit() and min(int(height), int(width)) >= MIN_SIDE):
         raise typer.BadParameter(
-            f"{text!r} is not HEIGHTxWIDTH of 32 pixels or more", param_hint="--size"
+            f"{text!r} is not HEIGHTxWIDTH of {MIN_SIDE} pixels or more", param_hint="--size"
         )
     return int(height), int(width)
 
