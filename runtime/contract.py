@@ -21,9 +21,11 @@ MIN_DEPTH_RANGE_M = 1.0  # bounds of max_depth_m
 MAX_DEPTH_RANGE_M = 10_000.0
 
 #: The rules a file may name for each tensor; `runtime.resize` carries them out.
-#: "bilinear" takes the mean of the area along a side that shrinks to less than half, so that no
-#: pixel is skipped. "nearest" never mixes two depths or classes; where sparse depth shrinks every
-#: measurement is kept, the nearest to the camera of several in one pixel.
+#: "bilinear" takes the mean of the area along each side that shrinks, so that no pixel is skipped,
+#: and is bilinear along one that grows. "nearest" never mixes two depths or classes: `semantic` and
+#: `depth` take the pixel with the nearest centre, and each return of `sparse_depth` is moved to its
+#: one pixel, whether the map shrinks or grows; of several in one pixel the nearest to the camera
+#: stays.
 RESIZE_RULES: Mapping[str, tuple[str, ...]] = {
     "rgb": ("bilinear",),
     "sparse_depth": ("nearest",),

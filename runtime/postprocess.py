@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +12,7 @@ from runtime.prediction import (
     LOGITS_NOT_FINITE,
     SEMANTIC_UNKNOWN_CLASS,
 )
-from runtime.resize import resize_bilinear
+from runtime.resize import resize_image, resize_nearest
 
 _FLOAT_HEADS = {
     "depth": DEPTH_NOT_FINITE,
@@ -47,8 +46,4 @@ def resize_output(head: str, values: NDArray[Any], size: tuple[int, int]) -> NDA
     """Resize one head, (H, W) or (C, H, W), to `size` (height, width) by the contract's rule."""
     if values.ndim == 3:
         return np.stack([resize_output(head, plane, size) for plane in values])
-    if head not in _NEAREST:
-        return resize_bilinear(values, size)
-    height, width = size
-    # Plain INTER_NEAREST would shift the picture by up to half a pixel.
-    return cv2.resize(values, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
+    return resize_nearest(values, size) if head in _NEAREST else resize_image(values, size)

@@ -26,6 +26,7 @@ from runtime.prediction import (
     Latency,
     Prediction,
 )
+from runtime.resize import move_returns, resize_image
 from runtime.session import node_counts, open_session
 from runtime.signature import read_signature
 
@@ -127,8 +128,8 @@ class Predictor:
         degraded = _input_reasons(rgb, returns)
         size = self.input_size or frame_size
         if size != frame_size:
-            rgb = preprocess.resize_rgb(rgb, size)
-            sparse_depth = preprocess.resize_sparse_depth(sparse_depth, size)
+            rgb = resize_image(rgb, size)
+            sparse_depth = move_returns(sparse_depth, size)
         preprocessed = time.perf_counter()
 
         results = self._run(rgb, sparse_depth)

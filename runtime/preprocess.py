@@ -1,4 +1,4 @@
-"""Check, clean and resize what goes into the network."""
+"""Check and clean what goes into the network."""
 
 from typing import Any
 
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from runtime.contract import MIN_SIDE
 from runtime.errors import InputError
 from runtime.prediction import Cleaned
-from runtime.resize import resize_bilinear
 
 _CONSTANT_STEP = 16  # a look at every 16th pixel is enough to rule out a constant picture
 
@@ -100,34 +99,3 @@ def is_constant(rgb: NDArray[np.uint8]) -> bool:
     if (rgb[::_CONSTANT_STEP, ::_CONSTANT_STEP] != first).any():
         return False
     return bool((rgb == first).all())
-
-
-def resize_rgb(rgb: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Resize `rgb`, uint8 (H, W, 3), to `size` (height, width) by the contract's rule."""
-    return resize_bilinear(rgb, size)
-
-
-def resize_sparse_depth(
-    sparse_depth: NDArray[np.float32], size: tuple[int, int]
-) -> NDArray[np.float32]:
-    """Resize clean `sparse_depth`, float32 (H, W) [m], to `size` (height, width), never mixing.
-
-    Growing: each pixel takes the measurement nearest to its centre. Shrinking: each measurement
-    goes to the pixel that covers it, so that none is skipped; of several in one pixel the nearest
-    to the camera stays, as in a projected LiDAR scan.
-    """
-    height, width = size
-    old_height, old_width = sparse_depth.shape
-    if height >= old_height and width >= old_width:
-        grown: NDArray[np.float32] = cv2.resize(  # type: ignore[assignment]
-            sparse_depth, (width, height), interpolation=cv2.INTER_NEAREST_EXACT
-        )
-        return grown
-    rows, columns = np.nonzero(sparse_depth)
-    # The pixel covering the old centre (i + 1/2): floor((i + 1/2) * new / old), in integers.
-    new_rows = (2 * rows + 1) * height // (2 * old_height)
-    new_columns = (2 * columns + 1) * width // (2 * old_width)
-    shrunk = np.full(height * width, np.inf, dtype=np.float32)
-    np.minimum.at(shrunk, new_rows * width + new_columns, sparse_depth[rows, columns])
-    shrunk[np.isinf(shrunk)] = 0
-    return shrunk.reshape(size)

@@ -9,8 +9,6 @@ from runtime.preprocess import (
     check_sparse_depth,
     clean_sparse_depth,
     is_constant,
-    resize_rgb,
-    resize_sparse_depth,
 )
 
 
@@ -97,57 +95,6 @@ def test_constant_pictures():
     assert not is_constant(rgb)
 
 
-def test_growing_depth_takes_the_nearest_centre():
-    depth = np.arange(1, 13, dtype=np.float32).reshape(3, 4)
-    grown = resize_sparse_depth(depth, (7, 9))
-    for row in range(7):
-        for column in range(9):
-            source = depth[int((row + 0.5) * 3 / 7), int((column + 0.5) * 4 / 9)]
-            assert grown[row, column] == source
-
-
-@pytest.mark.parametrize("size", [(125, 414), (188, 621), (100, 1242), (60, 60), (400, 900)])
-def test_shrinking_depth_neither_loses_nor_shifts_nor_mixes(size):
-    random = np.random.default_rng(1)
-    depth = np.where(random.random((375, 1242)) < 0.04, random.uniform(1, 80, (375, 1242)), 0)
-    depth = depth.astype(np.float32)
-    expected: dict[tuple[int, int], float] = {}
-    for row, column in np.argwhere(depth):
-        cell = (
-            int((row + 0.5) * size[0] / 375),
-            int((column + 0.5) * size[1] / 1242),
-        )
-        value = float(depth[row, column])
-        expected[cell] = min(value, expected.get(cell, value))
-    shrunk = resize_sparse_depth(depth, size)
-    assert shrunk.shape == size
-    assert shrunk.dtype == np.float32
-    found = {(int(r), int(c)): float(shrunk[r, c]) for r, c in np.argwhere(shrunk)}
-    assert found == expected
-
-
-def test_an_empty_depth_map_stays_empty():
-    assert not resize_sparse_depth(np.zeros((100, 100), np.float32), (40, 40)).any()
-
-
-def test_a_picture_shrunk_far_keeps_what_bilinear_would_skip():
-    rgb = np.zeros((160, 160, 3), np.uint8)
-    rgb[:, ::5] = 255  # a fine grid: a fifth of the light
-    small = resize_rgb(rgb, (32, 32))
-    assert small.mean() == pytest.approx(51, abs=1)
-
-
-@pytest.mark.parametrize("size", [(50, 70), (50, 400), (40, 70)])
-def test_a_side_that_shrinks_far_skips_nothing_while_the_other_grows(size):
-    for column in range(400):
-        rgb = np.zeros((40, 400, 3), np.uint8)
-        rgb[:, column] = 255
-        assert resize_rgb(rgb, size).any(), column
-        turned = resize_rgb(rgb.transpose(1, 0, 2), size[::-1])
-        assert turned.shape == (*size[::-1], 3)
-        assert turned.any(), column
-
-
 def test_a_masked_array_is_refused():
     """Its mask would be lost, and what lies below it be taken for a measurement."""
     masked = np.ma.masked_array(np.full((40, 50), 5, np.float32), mask=True)
@@ -156,18 +103,3 @@ def test_a_masked_array_is_refused():
     assert not check_sparse_depth(masked.filled(0), size=(40, 50)).any()
     with pytest.raises(InputError, match="mask would be lost"):
         check_rgb(np.ma.masked_array(np.zeros((40, 50, 3), np.uint8)))
-
-
-def test_a_picture_keeps_its_place():
-    rgb = np.zeros((60, 60, 3), np.uint8)
-    rgb[:30] = 200
-    resized = resize_rgb(rgb, (90, 40))
-    assert (resized[:44] == 200).all()
-    assert (resized[46:] == 0).all()
-
-
-def test_returns_survive_when_one_side_grows_and_the_other_shrinks():
-    sparse_depth = np.zeros((100, 1000), dtype=np.float32)
-    sparse_depth[50, ::7] = 10.0  # 143 returns, each in a column of its own of 300
-    resized = resize_sparse_depth(sparse_depth, (400, 300))
-    assert np.count_nonzero(resized.any(axis=0)) == 143

@@ -112,12 +112,12 @@ def test_a_small_frame_comes_back_at_its_own_size_and_place(model_file):
     rgb[:20, :, 0] = 255
     depth = np.zeros((40, 50), np.float32)
     depth[5, 7], depth[39, 49] = 10, 20
-    prediction = Predictor(model_file(size=(80, 100))).predict(rgb, depth)
+    prediction = Predictor(model_file(size=(120, 150))).predict(rgb, depth)
     assert_right_after_whole_factor(prediction, rgb, depth)
 
 
 def assert_right_after_whole_factor(prediction, rgb, depth):
-    """Doubled and halved again, nearest gives every pixel back as it was."""
+    """Tripled and back again, nearest gives every pixel back as it was."""
     assert prediction.frame_size == depth.shape == prediction.boundary.shape
     assert np.array_equal(prediction.semantic, (rgb[..., 0] >= 128).astype(np.uint8))
     assert np.array_equal(prediction.depth, depth + np.float32(DEPTH_OFFSET_M))

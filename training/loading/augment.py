@@ -8,6 +8,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from runtime.resize import move_returns, move_scan_lines, resize_image, resize_nearest
 from training.datasets.kitti_lidar import withhold_occluded
 from training.datasets.sample import IGNORE, Sample, nothing_known
 from training.lidar import random_share, scan_lines
@@ -110,15 +111,13 @@ def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
 
 
 def resize(sample: Sample, size: tuple[int, int]) -> Sample:
-    """Resize to (height, width): RGB bilinear (by area when it shrinks), labels nearest.
+    """Resize to (height, width) by the engine's rule, see `runtime.resize`.
 
-    Dense depth is taken by nearest, too; recorded depth is moved return by return, so that no
-    return is doubled and, where two meet, the nearer stays.
+    Dense depth and labels are taken by nearest; recorded depth is moved return by return, so that
+    no return is doubled and, where two meet, the nearer stays.
     """
     if size == sample.size:
         return sample
-    shape = size[1], size[0]  # OpenCV's (width, height)
-    shrinks = size[0] < sample.size[0]
     fx, fy = size[1] / sample.size[1], size[0] / sample.size[0]
 
     intrinsics = sample.intrinsics
@@ -133,55 +132,22 @@ def resize(sample: Sample, size: tuple[int, int]) -> Sample:
         )
     scan_line = None
     if sample.scan_line is not None:
-        depth, scan_line = move_returns(sample.depth, size, sample.scan_line)
+        depth, scan_line = move_scan_lines(sample.depth, sample.scan_line, size)
     elif sample.sparse_depth is not None:
-        depth, _ = move_returns(sample.depth, size)
+        depth = move_returns(sample.depth, size)
     else:
-        nearest: NDArray[Any] = cv2.resize(
-            sample.depth, shape, interpolation=cv2.INTER_NEAREST_EXACT
-        )
-        depth = nearest
-    sparse_depth = None
-    if sample.sparse_depth is not None:
-        sparse_depth, _ = move_returns(sample.sparse_depth, size)
-    rgb: NDArray[Any] = cv2.resize(
-        sample.rgb, shape, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    )
-    semantic: NDArray[Any] = cv2.resize(
-        sample.semantic, shape, interpolation=cv2.INTER_NEAREST_EXACT
-    )
+        depth = resize_nearest(sample.depth, size)
     return replace(
         sample,
-        rgb=rgb,
-        sparse_depth=sparse_depth,
+        rgb=resize_image(sample.rgb, size),
+        sparse_depth=(
+            None if sample.sparse_depth is None else move_returns(sample.sparse_depth, size)
+        ),
         depth=depth,
-        semantic=semantic,
+        semantic=resize_nearest(sample.semantic, size),
         scan_line=scan_line,
         intrinsics=intrinsics,
     )
-
-
-def move_returns(
-    depth: NDArray[np.float32],
-    size: tuple[int, int],
-    scan_line: NDArray[np.int16] | None = None,
-) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
-    """Move each measured pixel to its place in a map of (height, width); the nearest wins.
-
-    Returns the map and the scan line of its pixels, -1 where there is none or it is not known.
-    """
-    v, u = np.nonzero(depth)
-    values = depth[v, u]
-    lines = np.full(len(v), -1, np.int16) if scan_line is None else scan_line[v, u]
-    order = np.argsort(-values, kind="stable")  # nearest written last
-    v, u = v[order], u[order]
-    row = ((v + 0.5) * size[0] / depth.shape[0]).astype(np.intp)
-    column = ((u + 0.5) * size[1] / depth.shape[1]).astype(np.intp)
-    moved = nothing_known(size)
-    moved_line = np.full(size, -1, dtype=np.int16)
-    moved[row, column] = values[order]
-    moved_line[row, column] = lines[order]
-    return moved, moved_line
 
 
 def flip(sample: Sample) -> Sample:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from runtime.resize import move_returns, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample
 from training.loading.augment import (
     AugmentConfig,
@@ -15,7 +16,6 @@ from training.loading.augment import (
     draw_lidar,
     flip,
     keep_every_line,
-    move_returns,
     resize,
     scale_and_crop,
 )
@@ -82,22 +82,6 @@ def test_window_beyond_the_image_is_unknown():
     assert (out.rgb[0, 0] == (124, 116, 104)).all()
     assert out.depth[4, 6] == plane().depth[0, 0]
     assert out.intrinsics[0, 2] == K[0, 2] + 6
-
-
-def test_moved_returns_are_neither_doubled_nor_blended():
-    sample = recorded()
-    up, line = move_returns(sample.depth, (96, 128), sample.scan_line)
-    assert np.count_nonzero(up) == np.count_nonzero(sample.depth)
-    assert set(up[up > 0]) == set(sample.depth[sample.depth > 0])
-    assert ((line >= 0) == (up > 0)).all()
-
-
-def test_nearest_return_wins_when_two_meet():
-    depth = np.array([[9.0, 4.0], [0.0, 7.0]], np.float32)
-    line = np.array([[0, 1], [-1, 2]], np.int16)
-    moved, moved_line = move_returns(depth, (1, 1), line)
-    assert moved[0, 0] == 4.0
-    assert moved_line[0, 0] == 1
 
 
 def test_recorded_lines_are_split_into_input_and_target():
@@ -182,6 +166,30 @@ def test_cut_and_flip_move_input_and_target_recorded_apart():
     mirrored = flip(window)
     np.testing.assert_array_equal(mirrored.sparse_depth, window.sparse_depth[:, ::-1])
     np.testing.assert_array_equal(mirrored.depth, window.depth[:, ::-1])
+
+
+@pytest.mark.parametrize("size", [(20, 31), (96, 40), (30, 100), (96, 128)], ids=str)
+def test_training_resizes_as_the_engine_does(size):
+    """Pictures by area where they shrink, returns one by one with their scan lines."""
+    noise = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    measured = replace(recorded(), rgb=noise)
+    out = resize(measured, size)
+    np.testing.assert_array_equal(out.rgb, resize_image(noise, size))
+    np.testing.assert_array_equal(out.depth, move_returns(measured.depth, size))
+    np.testing.assert_array_equal(out.scan_line >= 0, out.depth > 0)
+    dense = resize(plane(), size)
+    np.testing.assert_array_equal(dense.depth, resize_nearest(plane().depth, size))
+    np.testing.assert_array_equal(dense.semantic, resize_nearest(plane().semantic, size))
+
+
+def test_a_crop_of_a_shrunk_picture_skips_no_pixel():
+    """A fine grid keeps its mean brightness when a training shrinks it; bilinear loses lines."""
+    sample = plane(96, 128)
+    grid = np.zeros_like(sample.rgb)
+    grid[:, ::4] = 240
+    config = AugmentConfig(crop=(24, 32), scale=(0.25, 0.25))
+    out = scale_and_crop(replace(sample, rgb=grid), config, np.random.default_rng(0))
+    assert np.abs(out.rgb.astype(int) - 60).max() <= 1
 
 
 def test_size_that_is_there_already_changes_nothing():
