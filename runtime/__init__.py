@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     )
     from runtime.prediction import Cleaned, Latency, Prediction
     from runtime.predictor import Predictor
+    from runtime.projection import OcclusionFilter, project_points
 
     __version__: str
 
@@ -42,11 +43,13 @@ _MODULES = {
     "InferenceError": "runtime.errors",
     "InputError": "runtime.errors",
     "Latency": "runtime.prediction",
+    "OcclusionFilter": "runtime.projection",
     "OutputError": "runtime.errors",
     "Prediction": "runtime.prediction",
     "Predictor": "runtime.predictor",
     "ProviderError": "runtime.errors",
     "SSDNetError": "runtime.errors",
+    "project_points": "runtime.projection",
 }
 
 __all__ = [
@@ -59,12 +62,14 @@ __all__ = [
     "InferenceError",
     "InputError",
     "Latency",
+    "OcclusionFilter",
     "OutputError",
     "Prediction",
     "Predictor",
     "ProviderError",
     "SSDNetError",
     "__version__",
+    "project_points",
 ]
 
 

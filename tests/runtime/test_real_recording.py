@@ -4,10 +4,12 @@ import csv
 import os
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from runtime import project_points
 from runtime.stream.cli import app
 from runtime.stream.frames import list_frames, read_frame
 
@@ -61,3 +63,39 @@ def test_the_command_runs_the_stream(kitti, tmp_path, model_file):
         rows = list(csv.DictReader(file))
     assert [row["name"] for row in rows] == [f"{index:010d}" for index in range(4)]
     assert all(15_000 < int(row["depth_returns"]) < 18_000 for row in rows)
+
+
+def test_scans_fall_where_the_stereo_truth_has_their_disparity():
+    """The truth of 92 streets: with rint, the centres of pixels, scans fit it better than beside.
+
+    Measured over all frames: 0.04 px median error; half a pixel beside, as floor puts them, 0.09,
+    and a quarter fewer returns meet truth at all.
+    """
+    folder = Path(DATA) / "kitti_streets"
+    matrices = {
+        key: np.array(values.split(), dtype=float)
+        for key, _, values in (
+            line.partition(":") for line in (folder / "calib.txt").read_text().splitlines()
+        )
+    }
+    projection = matrices["P2"].reshape(3, 4)
+    rectify, to_camera = np.eye(4), np.eye(4)
+    rectify[:3, :3] = matrices["R0_rect"].reshape(3, 3)
+    to_camera[:3] = matrices["Tr_velo_to_cam"].reshape(3, 4)
+    intrinsics, beside = projection[:, :3], np.eye(4)
+    beside[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
+    extrinsics = beside @ rectify @ to_camera
+    half_a_pixel = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+
+    errors = {"rint": [], "floor": []}
+    for path in sorted((folder / "disp_occ_0").glob("*.png"))[::4]:
+        truth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) / 256
+        points = np.fromfile(folder / "velodyne_fov" / f"{path.stem}.bin", np.float32)
+        for name, matrix in (("rint", intrinsics), ("floor", intrinsics - half_a_pixel)):
+            depth = project_points(points.reshape(-1, 4), matrix, extrinsics, truth.shape)
+            both = (depth > 0) & (truth > 0)
+            errors[name].append(np.abs(matrices["fb_disp"] / depth[both] - truth[both]))
+    rint, floor = (np.concatenate(errors[name]) for name in ("rint", "floor"))
+    assert np.median(rint) < 0.05
+    assert np.median(rint) < 0.7 * np.median(floor)
+    assert len(rint) > 1.2 * len(floor)

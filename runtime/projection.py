@@ -1,0 +1,164 @@
+"""From LiDAR returns to the sparse depth map of a camera.
+
+Integers are pixel centres: the pixel in row v and column u reaches from v - 0.5 to v + 0.5 and from
+u - 0.5 to u + 0.5, as in the intrinsics of KITTI and OpenCV. So a return at (u, v) falls into pixel
+(rint(u), rint(v)).
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import InputError
+
+_INDEX_BITS = 32
+
+
+@dataclass(frozen=True)
+class OcclusionFilter:
+    """Takes away returns that the camera cannot see because something nearer is in front of them.
+
+    A LiDAR above or beside the camera looks past near objects, so far returns show through them in
+    the projection. A return at depth d is taken away if one nearer than
+    ``d * (1 - relative_gap) - gap_m`` lies in the ``window`` (height, width, both odd) [px] around
+    it. Background seen right beside an object's edge goes too; surfaces at a grazing angle stay.
+    The default window is for 64 lines in pictures of 1242 x 375: it has to bridge the gap between
+    two lines.
+    """
+
+    window: tuple[int, int] = (15, 9)
+    relative_gap: float = 0.1
+    gap_m: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse what filters nothing sensibly. Raises InputError."""
+        if not all(isinstance(side, int) and side > 0 and side % 2 for side in self.window):
+            raise InputError(f"window must be two odd numbers of pixels, got {self.window}")
+        if not (0 <= self.relative_gap < 1 and 0 <= self.gap_m < np.inf):
+            raise InputError(
+                "relative_gap must lie in 0..1 and gap_m must not be negative, got "
+                f"{self.relative_gap} and {self.gap_m}"
+            )
+
+    def apply(
+        self, target: NDArray[np.float32], returns: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Return ``target`` without what is hidden: float32 (H, W) [m], a new array.
+
+        target, returns: float32 (H, W) [m], 0 = none. ``returns`` are all those of the frame,
+        whatever part of them ``target`` holds.
+        """
+        measured = np.where(returns > 0, returns, np.float32(np.inf))
+        nearest = cv2.erode(measured, np.ones(self.window, dtype=np.uint8))
+        visible = nearest >= target * np.float32(1 - self.relative_gap) - np.float32(self.gap_m)
+        return np.where(visible, target, np.float32(0))
+
+
+class ProjectedPoints(NamedTuple):
+    """``sparse_depth`` float32 (H, W) [m], 0 = no return; ``rows`` int32 (H, W), where in the
+    points the return of a pixel stands, -1 = none."""
+
+    sparse_depth: NDArray[np.float32]
+    rows: NDArray[np.int32]
+
+
+def project_points(
+    points: NDArray[np.float32],
+    intrinsics: NDArray[np.floating[Any]],
+    extrinsics: NDArray[np.floating[Any]],
+    size: tuple[int, int],
+    *,
+    occlusion: OcclusionFilter | None = None,
+) -> NDArray[np.float32]:
+    """Project LiDAR returns into a camera: float32 (H, W) [m] along its optical axis, 0 = none.
+
+    points: float32 (N, 3) or wider, x, y, z [m] first, in the LiDAR's frame. intrinsics: float
+    (3, 3) [px] of the rectified camera. extrinsics: float (4, 4), from the LiDAR's frame to the
+    camera's (x right, y down, z ahead) [m]. size: (height, width) [px].
+
+    Of several returns in one pixel the nearest stays. Returns behind the camera, outside the
+    picture or with a coordinate that is not finite are left out. The arithmetic is float32: a
+    return within about 1e-3 px of the border of two pixels may fall into either. Raises InputError
+    for points, matrices or a size of another type or shape, and for matrices that are not finite
+    or whose last row is not 0, 0, 1.
+    """
+    return project_with_rows(points, intrinsics, extrinsics, size, occlusion=occlusion).sparse_depth
+
+
+def project_with_rows(
+    points: NDArray[np.float32],
+    intrinsics: NDArray[np.floating[Any]],
+    extrinsics: NDArray[np.floating[Any]],
+    size: tuple[int, int],
+    *,
+    occlusion: OcclusionFilter | None = None,
+) -> ProjectedPoints:
+    """Project as `project_points` and say which point each pixel holds; of equals, the first."""
+    _check_points(points)
+    _check_matrix("intrinsics", intrinsics, 3)
+    _check_matrix("extrinsics", extrinsics, 4)
+    height, width = _check_size(size)
+    matrix = (intrinsics.astype(np.float64) @ extrinsics[:3].astype(np.float64)).astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        u_z, v_z, z = matrix[:, :3] @ points[:, :3].T + matrix[:, 3:]
+        # Compared before dividing, which leaves a fraction to divide. Together these hold for
+        # z > 0 alone, and never for NaN.
+        near = (u_z > -z) & (u_z < width * z) & (v_z > -z) & (v_z < height * z)
+        row = np.flatnonzero(near)
+        z = z[row]
+        u, v = np.rint(u_z[row] / z), np.rint(v_z[row] / z)
+    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    z, row = z[inside], row[inside]
+    pixel = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
+
+    # Positive floats sort like their bits. Written far to near, so that the nearest stays.
+    key = (z.view(np.int32).astype(np.int64) << _INDEX_BITS) | np.arange(len(z))
+    key.sort()
+    order = key[::-1] & ((1 << _INDEX_BITS) - 1)
+    pixel = pixel[order]
+    sparse_depth = np.zeros((height, width), dtype=np.float32)
+    sparse_depth.reshape(-1)[pixel] = z[order]
+    rows = np.full((height, width), -1, dtype=np.int32)
+    rows.reshape(-1)[pixel] = row[order]
+    if occlusion is not None:
+        sparse_depth = occlusion.apply(sparse_depth, sparse_depth)
+        rows[sparse_depth == 0] = -1
+    return ProjectedPoints(sparse_depth, rows)
+
+
+def _check_points(points: Any) -> None:
+    if not isinstance(points, np.ndarray) or points.dtype != np.float32:
+        came = points.dtype if isinstance(points, np.ndarray) else type(points).__name__
+        raise InputError(
+            f"points must be a float32 array [m], got {came}: use points.astype(np.float32)"
+        )
+    if points.ndim != 2 or points.shape[1] < 3:
+        raise InputError(f"points must have the shape (N, 3) or (N, 4), got {points.shape}")
+
+
+def _check_matrix(name: str, matrix: Any, side: int) -> None:
+    if not isinstance(matrix, np.ndarray) or matrix.dtype.kind != "f":
+        came = matrix.dtype if isinstance(matrix, np.ndarray) else type(matrix).__name__
+        raise InputError(f"{name} must be an array of floats, got {came}")
+    if matrix.shape != (side, side):
+        raise InputError(f"{name} must have the shape ({side}, {side}), got {matrix.shape}")
+    if not np.isfinite(matrix).all():
+        raise InputError(f"{name} must be finite: check the calibration")
+    if not np.array_equal(matrix[-1], np.eye(side)[-1]):
+        raise InputError(
+            f"the last row of {name} must be {'0, ' * (side - 1)}1, got "
+            f"{', '.join(f'{value:g}' for value in matrix[-1])}: is the matrix transposed?"
+        )
+
+
+def _check_size(size: Any) -> tuple[int, int]:
+    if (
+        not isinstance(size, tuple)
+        or len(size) != 2
+        or not all(isinstance(side, int | np.integer) and side > 0 for side in size)
+    ):
+        raise InputError(f"size must be (height, width) in pixels, got {size!r}")
+    return int(size[0]), int(size[1])

@@ -1,0 +1,172 @@
+"""Points fall into the pixels where a plain loop in float64 puts them."""
+
+import numpy as np
+import pytest
+
+from runtime import InputError, OcclusionFilter, project_points
+from runtime.projection import project_with_rows
+
+SIZE = (24, 60)
+K = np.array([[30.0, 0, 29.5], [0, 30.0, 11.5], [0, 0, 1]])
+#: Of a LiDAR (x ahead, y left, z up) 0.3 m behind and 0.1 m above the camera.
+LIDAR_TO_CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])
+
+
+def in_image(points):
+    """(u, v, depth) of each point by the definition, float64 (N, 3)."""
+    camera = points[:, :3].astype(np.float64) @ LIDAR_TO_CAMERA[:3, :3].T + LIDAR_TO_CAMERA[:3, 3]
+    pixels = camera @ K.T
+    return np.column_stack([pixels[:, 0] / pixels[:, 2], pixels[:, 1] / pixels[:, 2], camera[:, 2]])
+
+
+def loop(points):
+    """Depth and row of each pixel, point by point."""
+    depth, rows = np.zeros(SIZE), np.full(SIZE, -1)
+    for row, (u, v, z) in enumerate(in_image(points)):
+        pixel = round(v), round(u)
+        inside = 0 <= pixel[0] < SIZE[0] and 0 <= pixel[1] < SIZE[1]
+        if z > 0 and inside and (depth[pixel] == 0 or z < depth[pixel]):
+            depth[pixel], rows[pixel] = z, row
+    return depth, rows
+
+
+def scan(count, seed):
+    """Points on all sides, with reflectance; none within 1e-3 px of the border of two pixels."""
+    rng = np.random.default_rng(seed)
+    points = (rng.normal(size=(count, 4)) * [20, 20, 5, 1]).astype(np.float32)
+    uv = in_image(points)[:, :2]
+    return points[(np.abs(uv - np.floor(uv) - 0.5) > 1e-3).all(axis=1)]
+
+
+def visible(points):
+    """Whether each point falls into the picture, even behind a nearer one."""
+    u, v, z = np.rint(in_image(points)).T
+    return (z > 0) & (u >= 0) & (u < SIZE[1]) & (v >= 0) & (v < SIZE[0])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_is_what_a_plain_loop_does(seed):
+    points = scan(4000, seed)
+    depth, rows = loop(points)
+    projected = project_with_rows(points, K, LIDAR_TO_CAMERA, SIZE)
+    assert projected.sparse_depth.dtype == np.float32
+    assert np.count_nonzero(depth) > 300
+    assert np.count_nonzero(depth) < 0.8 * np.count_nonzero(visible(points))
+    np.testing.assert_array_equal(projected.rows, rows)
+    np.testing.assert_allclose(projected.sparse_depth, depth, rtol=1e-5)
+
+
+def at(u, v, depth):
+    """A point in the LiDAR's frame that falls at (u, v) in this depth."""
+    camera = depth * np.linalg.inv(K) @ (u, v, 1)
+    return (np.linalg.inv(LIDAR_TO_CAMERA) @ (*camera, 1))[:3]
+
+
+def project(*points, **options):
+    return project_points(np.array(points, np.float32), K, LIDAR_TO_CAMERA, SIZE, **options)
+
+
+@pytest.mark.parametrize(
+    ("u", "v", "pixel"),
+    [(7.49, 5.49, (5, 7)), (6.51, 4.51, (5, 7)), (-0.49, -0.49, (0, 0)), (59.49, 23.49, (23, 59))],
+)
+def test_integers_are_pixel_centres(u, v, pixel):
+    depth = project(at(u, v, 10.0))
+    assert np.argwhere(depth).tolist() == [list(pixel)]
+    assert depth[pixel] == pytest.approx(10.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(("u", "v"), [(-0.51, 3), (59.51, 3), (3, -0.51), (3, 23.51)])
+def test_what_falls_beside_the_picture_is_left_out(u, v):
+    assert not project(at(u, v, 10.0)).any()
+
+
+def test_nearest_return_of_a_pixel_stays_in_any_order():
+    for depths in ([9, 4, 7], [4, 7, 9], [9, 7, 4]):
+        assert project(*(at(5, 5, depth) for depth in depths))[5, 5] == pytest.approx(4, rel=1e-6)
+
+
+def test_of_equal_returns_the_first_is_named():
+    points = np.array([at(5, 5, 8.0)] * 3, np.float32)
+    assert project_with_rows(points, K, LIDAR_TO_CAMERA, SIZE).rows[5, 5] == 0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 3e38])
+@pytest.mark.parametrize("place", range(3))
+def test_points_that_are_not_finite_are_left_out(bad, place):
+    points = np.array([at(5, 5, 8.0), at(9, 9, 8.0)], np.float32)
+    points[0, place] = bad
+    with np.errstate(all="raise"):
+        depth = project_points(points, K, LIDAR_TO_CAMERA, SIZE)
+    assert np.argwhere(depth).tolist() == [[9, 9]]
+
+
+def test_reflectance_is_not_looked_at():
+    points = np.array([[*at(5, 5, 8.0), np.nan]], np.float32)
+    assert project_points(points, K, LIDAR_TO_CAMERA, SIZE)[5, 5] > 0
+
+
+def test_what_is_behind_the_camera_is_left_out():
+    assert not project(at(5, 5, -8.0), at(5, 5, 0.0)).any()
+
+
+def test_no_points_give_an_empty_map():
+    depth = project_points(np.zeros((0, 3), np.float32), K, LIDAR_TO_CAMERA, SIZE)
+    assert depth.shape == SIZE
+    assert not depth.any()
+
+
+def test_occlusion_filter_takes_away_what_shows_through_a_near_object():
+    wall = [at(u, v, 30.0) for u in range(10, 50, 2) for v in range(4, 20, 3)]
+    car = [at(u, v, 8.0) for u in range(20, 30, 2) for v in range(5, 20, 3)]
+    filtered = project(*wall, *car, occlusion=OcclusionFilter(window=(5, 3)))
+    plain = project(*wall, *car)
+    assert (plain[4:20, 20:30] > 20).any()
+    assert not (filtered[4:20, 20:30] > 20).any()
+    near = (plain > 0) & (plain < 10)
+    np.testing.assert_array_equal(filtered[near], plain[near])
+    assert (filtered[:, 40:] == plain[:, 40:]).all()
+    points = np.array([*wall, *car], np.float32)
+    rows = project_with_rows(
+        points, K, LIDAR_TO_CAMERA, SIZE, occlusion=OcclusionFilter(window=(5, 3))
+    ).rows
+    assert ((rows >= 0) == (filtered > 0)).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"points": np.zeros((5, 3))}, "points must be a float32 array .* got float64"),
+        ({"points": [[1, 2, 3]]}, "points must be a float32 array .* got list"),
+        ({"points": np.zeros((5, 2), np.float32)}, r"points must have the shape .* \(5, 2\)"),
+        ({"points": np.zeros(3, np.float32)}, "points must have the shape"),
+        ({"intrinsics": K.astype(int)}, "intrinsics must be an array of floats, got int64"),
+        ({"intrinsics": K[:2]}, r"intrinsics must have the shape \(3, 3\), got \(2, 3\)"),
+        ({"intrinsics": K * np.nan}, "intrinsics must be finite"),
+        ({"intrinsics": K.T}, "last row of intrinsics .* transposed"),
+        ({"extrinsics": LIDAR_TO_CAMERA[:3]}, r"extrinsics must have the shape \(4, 4\)"),
+        ({"extrinsics": LIDAR_TO_CAMERA.T}, "last row of extrinsics must be 0, 0, 0, 1"),
+        ({"extrinsics": np.full((4, 4), np.inf)}, "extrinsics must be finite"),
+        ({"size": (0, 5)}, "size must be"),
+        ({"size": (4.0, 5.0)}, "size must be"),
+        ({"size": 5}, "size must be"),
+    ],
+)
+def test_other_inputs_are_named(changes, text):
+    arguments = {
+        "points": scan(5, 0),
+        "intrinsics": K,
+        "extrinsics": LIDAR_TO_CAMERA,
+        "size": SIZE,
+        **changes,
+    }
+    with pytest.raises(InputError, match=text):
+        project_points(**arguments)
+
+
+@pytest.mark.parametrize(
+    "options", [{"window": (4, 3)}, {"window": (0, 3)}, {"relative_gap": 1.0}, {"gap_m": -1.0}]
+)
+def test_filters_that_make_no_sense_are_refused(options):
+    with pytest.raises(InputError):
+        OcclusionFilter(**options)
