@@ -18,7 +18,8 @@ from export.probe_frames import ProbeFrame, probe_frames
 from export.trace import DEFAULT_OPSET, trace
 from models import Checkpoint, load_checkpoint
 from runtime import Contract, InputError, OutputError, __version__
-from runtime.contract import METADATA_KEY, MIN_SIDE, RESIZE_RULES, SCHEMA_VERSION, check_size
+from runtime.contract import MIN_SIDE, RESIZE_RULES, SCHEMA_VERSION, check_size
+from runtime.model_file import with_contract
 
 #: (height, width) if none is asked for: Cityscapes at half size, as in the paper.
 DEFAULT_SIZE = (512, 1024)
@@ -149,17 +150,16 @@ def _temporary_beside(target: Path) -> Path:
 
 
 def _write(model: onnx.ModelProto, contract: Contract, path: Path) -> None:
-    """Write the model with its metadata, which other steps on a model would drop."""
+    """Write the model and its metadata, which stands last and describes what is before it."""
+    del model.metadata_props[:]
     try:
-        document = contract.to_json()
-    except (TypeError, ValueError) as error:
+        content = with_contract(model.SerializeToString(), contract)
+    except (TypeError, ValueError, RecursionError) as error:
         raise ExportError(
             f"what the checkpoint says about its training is not plain JSON: {error}"
         ) from error
-    del model.metadata_props[:]
-    model.metadata_props.add(key=METADATA_KEY, value=document)
     with path.open("wb") as stream:
-        stream.write(model.SerializeToString())
+        stream.write(content)
         stream.flush()
         os.fsync(stream.fileno())
 

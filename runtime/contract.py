@@ -1,6 +1,8 @@
 """The versioned JSON document inside every ONNX file: what the tensors alone do not say."""
 
+import hashlib
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -8,7 +10,7 @@ from typing import Any
 from runtime.errors import ContractError
 
 METADATA_KEY = "ssdnet"
-SCHEMA_VERSION = "1.0"
+SCHEMA_VERSION = "1.1"
 
 # What is sane, for a model file and for a network's configuration alike.
 MIN_SIDE = 32  # rows, columns: networks of the family halve a picture up to five times
@@ -35,12 +37,24 @@ RESIZE_RULES: Mapping[str, tuple[str, ...]] = {
 }
 
 
+_DIGEST_KEY = "document_sha256"
+_MINOR_VERSION = re.compile("[0-9]{1,4}")
+
+
 @dataclass(frozen=True)
 class ClassInfo:
     """A semantic class: its name and its colour in pictures (red, green, blue, each 0..255)."""
 
     name: str
     color: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Content:
+    """What stands in a model file before its metadata: how many bytes, and their SHA-256."""
+
+    bytes: int
+    sha256: str
 
 
 @dataclass(frozen=True)
@@ -60,6 +74,7 @@ class Contract:
     parity: head -> largest measured difference to PyTorch; {} = not measured
     checkpoint_sha256: digest of the checkpoint the file was made from
     trained_height: rows of the pictures it was trained for; None = not known
+    content: the bytes of the file before this document; None in a file of schema 1.0
     """
 
     schema_version: str
@@ -75,10 +90,19 @@ class Contract:
     parity: Mapping[str, Any]
     checkpoint_sha256: str
     trained_height: int | None = None
+    content: Content | None = None
 
     def to_json(self) -> str:
-        """The document as it is stored under METADATA_KEY."""
-        return json.dumps(asdict(self), allow_nan=False)
+        """The document as it is stored under METADATA_KEY.
+
+        With `content` its last key is "document_sha256": the SHA-256 of the UTF-8 bytes before
+        the comma that stands before that key.
+        """
+        document = asdict(self)
+        if self.content is None:
+            del document["content"]
+            return json.dumps(document, allow_nan=False)
+        return _with_digest(json.dumps(document, allow_nan=False).removesuffix("}"))
 
     @classmethod
     def from_json(cls, text: str) -> "Contract":
@@ -86,7 +110,7 @@ class Contract:
 
         Unknown keys are ignored: a later minor version may add some.
         Raises ContractError naming the missing key, the wrong type or value, or the unknown
-        major version.
+        major version, and for a document of schema 1.1 that was changed after it was written.
         """
         try:
             document = json.loads(text)
@@ -105,7 +129,7 @@ class Contract:
                 "with this version"
             )
         try:
-            return cls(
+            contract = cls(
                 schema_version=version,
                 model_name=check_name(_value(document, "model_name"), "model_name"),
                 classes=check_classes(_classes(document)),
@@ -119,12 +143,16 @@ class Contract:
                 parity=_mapping(document, "parity"),
                 checkpoint_sha256=_text(document, "checkpoint_sha256"),
                 trained_height=_trained_height(document),
+                content=_content(document, text),
             )
-        except ValueError as error:
+            # Infinite numbers and halves of characters, wherever else they stand.
+            json.dumps(document, allow_nan=False, ensure_ascii=False).encode()
+        except (ValueError, RecursionError) as error:
             raise ContractError(
                 f"the model's metadata is damaged: {error}: export the model again with "
                 "ssdnet-export"
             ) from error
+        return contract
 
 
 def check_side(side: object, name: str) -> int:
@@ -239,6 +267,33 @@ def _is_integer(value: object) -> bool:
 def _trained_height(document: Mapping[str, Any]) -> int | None:
     value = document.get("trained_height")  # files of schema 1.0 have none
     return None if value is None else check_side(value, "trained_height")
+
+
+def _content(document: Mapping[str, Any], text: str) -> Content | None:
+    """Read `content`; by the version or the keys of schema 1.1 it and the digest are required."""
+    minor = document["schema_version"].partition(".")[2]
+    if not _MINOR_VERSION.fullmatch(minor):
+        raise _wrong("schema_version", "major.minor", document["schema_version"])
+    if int(minor) == 0 and not {"content", _DIGEST_KEY} & document.keys():
+        return None
+    value, digest = _mapping(document, "content"), _text(document, _DIGEST_KEY)
+    before = text.rpartition(f', "{_DIGEST_KEY}"')[0]
+    if text != _with_digest(before):
+        raise ContractError(
+            f"the model's metadata was changed after it was written ({_DIGEST_KEY} is "
+            f"{digest!r:.80}): get the model again, or export it again with ssdnet-export"
+        )
+    size, sha256 = _value(value, "bytes"), _value(value, "sha256")
+    if not _is_integer(size):
+        raise _wrong("content.bytes", "an integer", size)
+    if not isinstance(sha256, str):
+        raise _wrong("content.sha256", "text", sha256)
+    return Content(bytes=size, sha256=sha256)
+
+
+def _with_digest(before: str) -> str:
+    digest = hashlib.sha256(before.encode()).hexdigest()
+    return f'{before}, "{_DIGEST_KEY}": "{digest}"}}'
 
 
 def _classes(document: Mapping[str, Any]) -> list[ClassInfo]:

@@ -1,6 +1,5 @@
 """The engine: one model, one verb."""
 
-import hashlib
 import operator
 import os
 import time
@@ -15,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import postprocess, preprocess
-from runtime.contract import METADATA_KEY, MIN_SIDE, Contract
+from runtime.contract import MIN_SIDE, Contract
 from runtime.cores import available_cores
 from runtime.errors import ContractError, InferenceError, InputError
+from runtime.model_file import load_model_file
 from runtime.prediction import (
     IMAGE_CONSTANT,
     NO_DEPTH,
@@ -38,6 +38,7 @@ class Predictor:
     """Run a model of the contract: one picture and one sparse depth map in, three answers out.
 
     model: an ONNX file made by ssdnet-export; None = the bundled model
+    sha256: digest that the file must have, 64 hexadecimal digits; None = any
     provider: "cpu" or "cuda"; what is asked for is what runs
     device_id: which GPU
     threads: threads within an operator; None = the physical cores this process may use
@@ -66,6 +67,7 @@ class Predictor:
         self,
         model: str | bytes | PathLike[str] | None = None,
         *,
+        sha256: str | None = None,
         provider: str = "cpu",
         device_id: int = 0,
         threads: int | None = None,
@@ -76,21 +78,16 @@ class Predictor:
         warmup = _require_count("warmup", warmup, at_least=0)
         device_id = _require_count("device_id", device_id, at_least=0)
         started = time.perf_counter()
-        self.model, content = _read_model(model)
-        self.digest = hashlib.sha256(content).hexdigest()
+        path = _model_path(model)
+        file = load_model_file(path, sha256=sha256)
+        self.model, self.digest, self.contract = str(path), file.sha256, file.contract
         self.provider = provider
         self.threads = threads or available_cores()
         session = open_session(
-            content, provider=provider, device_id=device_id, threads=self.threads
+            file.content, provider=provider, device_id=device_id, threads=self.threads
         )
-        self.contract = _read_contract(session)
-        signature = read_signature(session)
+        signature = read_signature(session, num_classes=len(self.contract.classes))
         self.input_size, self.heads = signature.size, signature.heads
-        if "semantic" in self.heads and not self.contract.classes:
-            raise ContractError(
-                "the model has the output 'semantic', but its metadata names no classes: "
-                "export it again with ssdnet-export"
-            )
         self.providers = tuple(session.get_providers())
         self.node_counts = node_counts(session)
         self._session: Any = session
@@ -233,7 +230,7 @@ def _require_count(name: str, value: Any, *, at_least: int, at_most: int = 2**31
     return count
 
 
-def _read_model(model: str | bytes | PathLike[str] | None) -> tuple[str, bytes]:
+def _model_path(model: str | bytes | PathLike[str] | None) -> Path:
     if model is None:
         bundled = resources.files("runtime") / "assets" / BUNDLED_MODEL
         if not bundled.is_file():
@@ -241,35 +238,14 @@ def _read_model(model: str | bytes | PathLike[str] | None) -> tuple[str, bytes]:
                 f"the bundled model {bundled} is missing: install ssdnet again, or name a model "
                 "made by ssdnet-export"
             )
-        return str(bundled), bundled.read_bytes()
+        return Path(str(bundled))
     try:
-        path = Path(os.fsdecode(model))
+        return Path(os.fsdecode(model))
     except TypeError as error:
         raise InputError(
             f"model must be a path, got {type(model).__name__}: name an ONNX file, or none for "
             "the bundled model"
         ) from error
-    try:
-        content = path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
-        reason = getattr(error, "strerror", None) or error
-        raise ContractError(
-            f"cannot read the model {str(path)[:200]!r} ({reason}): name an ONNX file made by "
-            "ssdnet-export, or none for the bundled model"
-        ) from error
-    if not content:
-        raise ContractError(f"the model {path} is an empty file: get it again")
-    return str(path), content
-
-
-def _read_contract(session: Any) -> Contract:
-    metadata = session.get_modelmeta().custom_metadata_map
-    if METADATA_KEY not in metadata:
-        raise ContractError(
-            f"not a model for this engine: the ONNX file has no metadata {METADATA_KEY!r} "
-            f"(it has {sorted(metadata)}): export one with ssdnet-export"
-        )
-    return Contract.from_json(metadata[METADATA_KEY])
 
 
 def _input_reasons(rgb: NDArray[np.uint8], returns: int) -> tuple[str, ...]:

@@ -23,8 +23,6 @@ _GPU_NEEDS = (
 # A convolution on another provider means that the work was not done where it was asked for.
 _HEAVY_OPERATORS = frozenset({"Conv", "FusedConv", "QLinearConv", "ConvInteger", "NhwcConv"})
 
-_ONNX_START = b"\x08"  # the key of ir_version, the first field that is written
-
 
 def import_onnxruntime() -> Any:
     """The onnxruntime module; ProviderError with the two commands if it is not installed."""
@@ -57,7 +55,7 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
         )
     except Exception as error:
         if provider == "cpu":
-            raise _unloadable(model, error) from error
+            raise _unloadable(error) from error
         # The file's fault or the provider's? The CPU, which is always there, knows.
         open_session(model, provider="cpu", device_id=0, threads=threads)
         raise ProviderError(
@@ -155,7 +153,7 @@ def _assigned_nodes(session: Any) -> list[tuple[str, str]] | None:
     ]
 
 
-def _unloadable(model: bytes, error: Exception) -> ContractError:
+def _unloadable(error: Exception) -> ContractError:
     """Say what is wrong with a file that ONNX Runtime refuses."""
     text = str(error)
     if "external data" in text.lower():
@@ -165,8 +163,6 @@ def _unloadable(model: bytes, error: Exception) -> ContractError:
         )
     if "IR version" in text or "opset" in text.lower():
         fault = "it is of a newer version than this ONNX Runtime; update onnxruntime"
-    elif not model.startswith(_ONNX_START):
-        fault = "the file is not ONNX; give one that ssdnet-export wrote"
     elif "protobuf" in text.lower():
         fault = "the file is truncated or damaged; get it again"
     else:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+from runtime.contract import check_size
 from runtime.errors import ContractError
 
 _INPUTS = {"rgb": ("tensor(uint8)", 4), "sparse_depth": ("tensor(float)", 3)}
@@ -26,12 +27,20 @@ class Signature:
     heads: tuple[str, ...]
 
 
-def read_signature(session: Any) -> Signature:
+def read_signature(session: Any, *, num_classes: int) -> Signature:
     """Read the signature of an ONNX Runtime session.
 
+    num_classes: how many classes the model's metadata names.
     Outputs that the contract does not know are left alone.
     Raises ContractError where a tensor of the contract is missing or of another type or shape.
     """
+    try:
+        return _read(session, num_classes)
+    except UnicodeDecodeError as error:
+        raise _foreign("names in UTF-8", f"others ({error})") from error
+
+
+def _read(session: Any, num_classes: int) -> Signature:
     inputs = {tensor.name: tensor for tensor in session.get_inputs()}
     outputs = {tensor.name: tensor for tensor in session.get_outputs()}
     if inputs.keys() != _INPUTS.keys():
@@ -43,6 +52,14 @@ def read_signature(session: Any) -> Signature:
         _check_tensor(inputs[name], dtype, rank)
     for name in heads:
         _check_tensor(outputs[name], *_OUTPUTS[name])
+    if "semantic" in heads and not num_classes:
+        raise _foreign("the names of the classes of 'semantic' in the metadata", "none")
+    if "semantic_logits" in heads:
+        channels = outputs["semantic_logits"].shape[1]
+        if isinstance(channels, int) and channels != num_classes:
+            raise _foreign(
+                f"semantic_logits of the {num_classes} classes in the metadata", f"{channels}"
+            )
     if inputs["rgb"].shape[3] != 3:
         raise _foreign("rgb of shape (N, H, W, 3)", f"{inputs['rgb'].shape}")
     sizes = {
@@ -54,8 +71,12 @@ def read_signature(session: Any) -> Signature:
     height, width = sizes.pop()
     if (height is None) != (width is None):
         raise _foreign("height and width both fixed or both free", f"{inputs['rgb'].shape}")
-    size = None if height is None or width is None else (height, width)
-    return Signature(size=size, heads=heads)
+    if height is None or width is None:
+        return Signature(size=None, heads=heads)
+    try:
+        return Signature(size=check_size((height, width)), heads=heads)
+    except ValueError as error:
+        raise _foreign("inputs of a size that pictures have", str(error)) from error
 
 
 def _check_tensor(tensor: Any, dtype: str, rank: int) -> None:

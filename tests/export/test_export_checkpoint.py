@@ -17,7 +17,7 @@ from export.exporter import export_checkpoint
 from export.parity import measure_parity
 from export.probe_frames import probe_frames
 from models import CAMVID_CLASSES, load_checkpoint, save_checkpoint
-from runtime import CheckpointError, InputError, OutputError, Predictor
+from runtime import CheckpointError, ContractError, InputError, OutputError, Predictor
 
 SIZE = (64, 96)
 
@@ -58,6 +58,29 @@ def test_the_trained_height_goes_from_the_checkpoint_into_the_file(lite_checkpoi
         with Predictor(model, warmup=0) as predictor:
             assert predictor.contract.trained_height == height
         model.unlink()
+
+
+def test_a_damaged_file_is_refused(exported, tmp_path):
+    """Nothing but ContractError, and always: it was exported whole, so every byte counts."""
+    whole = exported.path.read_bytes()
+    assert Predictor(exported.path, warmup=0).contract.schema_version == "1.1"
+    random = np.random.default_rng(0)
+    damages = []
+    for _ in range(60):
+        damaged = bytearray(whole)
+        damaged[random.integers(len(whole))] ^= int(random.integers(1, 256))
+        damages.append(damaged)
+    for _ in range(20):
+        damaged = bytearray(whole)
+        start = int(random.integers(len(whole) - 4096))
+        damaged[start : start + 4096] = bytes(4096)
+        damages.append(damaged)
+    damages.append(bytearray(whole + whole[-700:]))
+    path = tmp_path / "damaged.onnx"
+    for damaged in damages:
+        path.write_bytes(damaged)
+        with pytest.raises(ContractError, match=r"damaged|changed after"):
+            Predictor(path, warmup=0)
 
 
 def test_only_the_one_file_is_left(exported):

@@ -10,6 +10,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from runtime.contract import METADATA_KEY, SCHEMA_VERSION, ClassInfo, Contract
+from runtime.model_file import with_contract
 
 MAX_DEPTH_M = 80.0
 DEPTH_OFFSET_M = 1.5
@@ -39,8 +40,6 @@ CONTRACT = Contract(
 def make_model(
     *,
     size: tuple[int, int] | None = None,
-    contract: Contract | None = CONTRACT,
-    metadata: str | None = None,
     heads: tuple[str, ...] = ("semantic", "depth", "boundary"),
     rgb_type: int = TensorProto.UINT8,
     opset: int = 20,
@@ -100,11 +99,7 @@ def make_model(
         [helper.make_tensor_value_info(head, *outputs[head]) for head in heads],
         [numpy_helper.from_array(np.asarray(v), name) for name, v in initializers.items()],
     )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=10)
-    text = metadata if contract is None else contract.to_json()
-    if text is not None:
-        helper.set_model_props(model, {METADATA_KEY: text})
-    return model
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=10)
 
 
 ModelFile = Callable[..., Path]
@@ -112,11 +107,29 @@ ModelFile = Callable[..., Path]
 
 @pytest.fixture
 def model_file(tmp_path: Path) -> ModelFile:
-    """Write a model made by `make_model` (same arguments) and give back its path."""
+    """Write a model made by `make_model` (same arguments) and give back its path.
 
-    def write(name: str = "model.onnx", **options: object) -> Path:
+    edit: changes the model's graph before it is written
+    contract: what is written as its metadata; None = `metadata` as it is, or nothing
+    """
+
+    def write(
+        name: str = "model.onnx",
+        *,
+        contract: Contract | None = CONTRACT,
+        metadata: str | None = None,
+        edit: Callable[[onnx.GraphProto], object] = lambda graph: None,
+        **options: object,
+    ) -> Path:
+        model = make_model(**options)
+        edit(model.graph)
         path = tmp_path / name
-        path.write_bytes(make_model(**options).SerializeToString())
+        if contract is not None:
+            path.write_bytes(with_contract(model.SerializeToString(), contract))
+            return path
+        if metadata is not None:
+            helper.set_model_props(model, {METADATA_KEY: metadata})
+        path.write_bytes(model.SerializeToString())
         return path
 
     return write

@@ -1,14 +1,29 @@
 """The document inside the model file: what is written comes back, what is wrong is named."""
 
+import dataclasses
+import hashlib
 import json
 
 import pytest
 
 from runtime import ClassInfo, Contract, ContractError
+from runtime.contract import Content
+
+
+@pytest.fixture
+def contract(contract: Contract) -> Contract:
+    return dataclasses.replace(contract, content=Content(bytes=7, sha256="1" * 64))
+
+
+def sealed(document: dict) -> str:
+    """The text of a document, with its digest as its last key."""
+    body = json.dumps({key: value for key, value in document.items() if key != "document_sha256"})
+    body = body.removesuffix("}")
+    return f'{body}, "document_sha256": "{hashlib.sha256(body.encode()).hexdigest()}"}}'
 
 
 def document(contract: Contract, **changes: object) -> str:
-    return json.dumps(json.loads(contract.to_json()) | changes)
+    return sealed(json.loads(contract.to_json()) | changes)
 
 
 def test_what_is_written_comes_back(contract):
@@ -31,18 +46,42 @@ def test_another_major_version_is_refused_and_named(contract, version):
 
 def test_a_file_of_schema_1_0_does_not_say_what_it_was_trained_for(contract):
     content = json.loads(contract.to_json())
-    del content["trained_height"]
-    assert Contract.from_json(json.dumps(content)).trained_height is None
+    del content["trained_height"], content["content"], content["document_sha256"]
+    content["schema_version"] = "1.0"
+    old = Contract.from_json(json.dumps(content))
+    assert old.trained_height is None
+    assert old.content is None
+    assert Contract.from_json(old.to_json()) == old
     assert Contract.from_json(document(contract, trained_height=None)).trained_height is None
     assert Contract.from_json(document(contract, trained_height=400)).trained_height == 400
 
 
-@pytest.mark.parametrize("key", [*Contract.__dataclass_fields__.keys() - {"trained_height"}])
+@pytest.mark.parametrize(
+    "key", [key for key in Contract.__dataclass_fields__ if key != "trained_height"]
+)
 def test_a_missing_key_is_named(contract, key):
     content = json.loads(contract.to_json())
     del content[key]
     with pytest.raises(ContractError, match=f"lacks the key '{key}'"):
-        Contract.from_json(json.dumps(content))
+        Contract.from_json(sealed(content))
+
+
+def test_the_document_holds_its_own_digest(contract):
+    text = contract.to_json()
+    assert text == sealed(json.loads(text))
+    assert list(json.loads(text))[-2:] == ["content", "document_sha256"]
+    for fault in (
+        text.replace("by-hand", "by-hind"),
+        text.replace('"1.1"', '"1.0"'),
+        text.replace('"content"', '"contend"'),
+        text.replace('"document_sha256"', '"document_sha257"'),
+        text.replace(", ", ","),
+        text + " ",
+        text[:-3] + "0" + text[-2:] if text[-3] != "0" else text[:-3] + "1" + text[-2:],
+        json.dumps(json.loads(text) | {"schema_version": "1.0", "content": None}),
+    ):
+        with pytest.raises(ContractError):
+            Contract.from_json(fault)
 
 
 @pytest.mark.parametrize(
@@ -86,10 +125,22 @@ def test_a_missing_key_is_named(contract, key):
         ("training", []),
         ("versions", {"torch": 2}),
         ("parity", "none"),
+        ("training", {"terms": "\ud800"}),
+        ("parity", {"depth": {"max_abs_m": float("inf")}}),
+        ("schema_version", "1."),
+        ("schema_version", "1.\u0661"),
+        ("schema_version", "1.99999"),
+        ("content", None),
+        ("content", {"bytes": 7.0, "sha256": "1" * 64}),
+        ("content", {"bytes": True, "sha256": "1" * 64}),
+        ("content", {"bytes": 7, "sha256": 1}),
     ],
 )
 def test_a_wrong_value_is_named(contract, key, value):
-    with pytest.raises(ContractError, match=rf"damaged: {key}|lacks the key 'sparse_depth'"):
+    with pytest.raises(
+        ContractError,
+        match=rf"damaged: ({key}|.*surrogates|Out of range)|lacks the key 'sparse_depth'",
+    ):
         Contract.from_json(document(contract, **{key: value}))
 
 

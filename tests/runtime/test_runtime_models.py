@@ -1,7 +1,9 @@
 """Model files that are missing, damaged, foreign or too new: each a ContractError that says so."""
 
 import dataclasses
+import hashlib
 import json
+import os
 
 import numpy as np
 import onnx
@@ -9,7 +11,8 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 import runtime.predictor
-from runtime import ContractError, Predictor
+from runtime import ContractError, InputError, Predictor
+from runtime.model_file import with_contract
 
 
 def test_a_missing_file(tmp_path):
@@ -20,6 +23,40 @@ def test_a_missing_file(tmp_path):
 def test_a_folder(tmp_path):
     with pytest.raises(ContractError, match="cannot read the model"):
         Predictor(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_device_and_a_pipe(tmp_path):
+    os.mkfifo(tmp_path / "pipe.onnx")
+    for path in ("/dev/zero", tmp_path / "pipe.onnx"):
+        with pytest.raises(ContractError, match="not a regular file"):
+            Predictor(path)
+
+
+def test_a_file_larger_than_onnx_can_hold(tmp_path):
+    path = tmp_path / "sparse.onnx"
+    with path.open("wb") as stream:
+        stream.truncate(100 * 2**30)
+    with pytest.raises(ContractError, match="107374182400 bytes, more than"):
+        Predictor(path)
+
+
+def test_a_pinned_file(model_file):
+    path = model_file()
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert Predictor(path, sha256=digest.upper(), warmup=0).digest == digest
+    other = "0" * 64
+    with pytest.raises(ContractError, match=f"{digest}.* {other}"):
+        Predictor(path, sha256=other)
+    path.write_bytes(path.read_bytes()[:-1])  # what came instead is named, whatever it is
+    with pytest.raises(ContractError, match=f"SHA-256 .* {digest}"):
+        Predictor(path, sha256=digest)
+
+
+@pytest.mark.parametrize("digest", ["", "abc", "g" * 64, "0" * 63, "0" * 64 + "\n", 0, b"0" * 64])
+def test_a_pin_that_is_no_digest(model_file, digest):
+    with pytest.raises(InputError, match="64 hexadecimal digits"):
+        Predictor(model_file(), sha256=digest)
 
 
 def test_a_missing_bundled_model(monkeypatch):
@@ -48,7 +85,7 @@ def test_a_truncated_file_at_every_length(model_file):
 def test_a_file_of_another_kind(tmp_path, content):
     path = tmp_path / "other.onnx"
     path.write_bytes(content)
-    with pytest.raises(ContractError, match=r"cannot be loaded .* not ONNX"):
+    with pytest.raises(ContractError, match=r"cannot be loaded: .* not ONNX"):
         Predictor(path)
 
 
@@ -87,15 +124,23 @@ def test_a_model_of_the_wrong_input_type(model_file):
 
 def test_a_semantic_head_without_classes(model_file, contract):
     path = model_file(contract=dataclasses.replace(contract, classes=()))
-    with pytest.raises(ContractError, match="names no classes"):
+    with pytest.raises(ContractError, match="names of the classes"):
         Predictor(path)
 
 
-def edited(path, edit):
-    model = onnx.load(path)
-    edit(model.graph)
-    onnx.save(model, path)
-    return path
+def test_logits_of_another_number_of_classes(model_file, contract):
+    three = (*contract.classes, dataclasses.replace(contract.classes[0], name="third"))
+    path = model_file(
+        contract=dataclasses.replace(contract, classes=three), heads=("semantic_logits",)
+    )
+    with pytest.raises(ContractError, match="of the 3 classes in the metadata, found 2"):
+        Predictor(path)
+
+
+@pytest.mark.parametrize("size", [(48, 20_000), (16, 64), (16_384, 16_384)])
+def test_a_fixed_size_that_no_picture_has(model_file, size):
+    with pytest.raises(ContractError, match="a size that pictures have"):
+        Predictor(model_file(size=size))
 
 
 def test_inputs_of_other_names(model_file):
@@ -104,7 +149,7 @@ def test_inputs_of_other_names(model_file):
         graph.node[0].input[0] = "image"
 
     with pytest.raises(ContractError, match=r"expected inputs .*found .*image"):
-        Predictor(edited(model_file(), rename))
+        Predictor(model_file(edit=rename))
 
 
 def test_outputs_of_other_names_only(model_file):
@@ -112,7 +157,7 @@ def test_outputs_of_other_names_only(model_file):
         graph.output[0].name = "red"
 
     with pytest.raises(ContractError, match="at least one output"):
-        Predictor(edited(model_file(heads=("depth",)), rename))
+        Predictor(model_file(edit=rename, heads=("depth",)))
 
 
 def test_channels_first(model_file):
@@ -121,16 +166,17 @@ def test_channels_first(model_file):
         shape.dim[1].dim_value, shape.dim[3].dim_value = 3, 64
 
     with pytest.raises(ContractError, match=r"rgb of shape \(N, H, W, 3\)"):
-        Predictor(edited(model_file(size=(48, 64)), reshape))
+        Predictor(model_file(edit=reshape, size=(48, 64)))
 
 
-def test_a_batch_of_more_than_one(model_file):
+@pytest.mark.parametrize("frames", [0, 4])
+def test_a_batch_of_none_or_several(model_file, frames):
     def batch(graph):
         for tensor in [*graph.input, *graph.output]:
-            tensor.type.tensor_type.shape.dim[0].dim_value = 4
+            tensor.type.tensor_type.shape.dim[0].dim_value = frames
 
-    with pytest.raises(ContractError, match=r"one frame at a time.*batch of 4"):
-        Predictor(edited(model_file(), batch))
+    with pytest.raises(ContractError, match=f"one frame at a time.*batch of {frames}"):
+        Predictor(model_file(edit=batch))
 
 
 def test_inputs_of_two_sizes(model_file):
@@ -138,7 +184,7 @@ def test_inputs_of_two_sizes(model_file):
         graph.input[1].type.tensor_type.shape.dim[2].dim_value = 128
 
     with pytest.raises(ContractError, match="one size"):
-        Predictor(edited(model_file(size=(48, 64), heads=("semantic",)), widen))
+        Predictor(model_file(edit=widen, size=(48, 64), heads=("semantic",)))
 
 
 def test_a_half_fixed_size(model_file):
@@ -147,27 +193,28 @@ def test_a_half_fixed_size(model_file):
             tensor.type.tensor_type.shape.dim[2].dim_param = "W"
 
     with pytest.raises(ContractError, match="both fixed or both free"):
-        Predictor(edited(model_file(size=(48, 64)), free_width))
+        Predictor(model_file(edit=free_width, size=(48, 64)))
 
 
 def test_an_unknown_further_output_does_no_harm(model_file, make_frame):
     def confidence(graph):
         graph.output.append(helper.make_tensor_value_info("half", TensorProto.FLOAT, []))
 
-    path = edited(model_file(), confidence)
+    path = model_file(edit=confidence)
     assert Predictor(path).predict(*make_frame()).valid
 
 
 @pytest.mark.parametrize("smallest", [0, 1024])
 def test_weights_outside_the_file_are_refused_even_if_they_are_there(
-    model_file, tmp_path, monkeypatch, smallest
+    model_file, tmp_path, monkeypatch, contract, smallest
 ):
-    path = model_file()
+    path = model_file(contract=None)
     model = onnx.load(path)
     model.graph.initializer.append(numpy_helper.from_array(np.ones(1000, np.float32), "weights"))
     model.graph.node.append(helper.make_node("ReduceSum", ["weights"], ["sum"]))
     weights = "weights.bin"
     onnx.save(model, path, save_as_external_data=True, location=weights, size_threshold=smallest)
+    path.write_bytes(with_contract(path.read_bytes(), contract))
     assert (tmp_path / weights).exists()
     monkeypatch.chdir(tmp_path)  # where ONNX Runtime would look for them
     with pytest.raises(ContractError, match=r"outside its own file.*one file"):

@@ -1,0 +1,223 @@
+"""The bytes of a model file: read within bounds, written and checked with the metadata at the end.
+
+A file of schema 1.1 holds, in this order and nothing else:
+
+| bytes | |
+|---|---|
+| content | a serialised ONNX model (protobuf `ModelProto`) without the metadata below |
+| `72` LENGTH | the key and length of one more `metadata_props` entry (field 14 of `ModelProto`) |
+| `0A 06` "ssdnet" | the entry's key |
+| `12` LENGTH JSON | the entry's value: the document of `runtime.contract.Contract` |
+
+LENGTH is a protobuf varint. The document holds the length and SHA-256 of the content, and its own
+SHA-256, so that no byte of the file can change unnoticed. That finds damage, not forgery: whoever
+can write the file can also write its digests. `sha256=` of `load_model_file` pins a whole file.
+"""
+
+import dataclasses
+import hashlib
+import os
+import re
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from runtime.contract import METADATA_KEY, Content, Contract
+from runtime.errors import ContractError, InputError
+
+MAX_MODEL_BYTES = 2**31 - 1  # what protobuf can hold
+MAX_DOCUMENT_BYTES = 2**22
+
+_METADATA_PROPS = 14  # field numbers of ModelProto and of its entries
+_KEY, _VALUE = 1, 2
+_VARINT, _FIXED_64, _BYTES, _FIXED_32 = 0, 1, 2, 5  # wire types
+_ONNX_START = b"\x08"  # the key of ir_version, the first field that is written
+_SHA256 = re.compile("[0-9a-fA-F]{64}", re.ASCII)
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """A model file in memory: its bytes, their SHA-256 (hexadecimal) and its metadata."""
+
+    content: bytes
+    sha256: str
+    contract: Contract
+
+
+def load_model_file(path: Path, *, sha256: str | None = None) -> ModelFile:
+    """Read a model file and check that it is whole.
+
+    sha256: digest that the file must have, 64 hexadecimal digits; None = any.
+    Raises ContractError for a file that is missing, not a regular one, larger than
+    MAX_MODEL_BYTES, not the one that was asked for, not ONNX, damaged or without metadata, and
+    InputError for a digest that is none.
+    """
+    if sha256 is not None and not (isinstance(sha256, str) and _SHA256.fullmatch(sha256)):
+        raise InputError(
+            f"sha256 must be the 64 hexadecimal digits of a file's SHA-256, got {sha256!r:.80}"
+        )
+    content = _read(path)
+    digest = hashlib.sha256(content).hexdigest()
+    if sha256 is not None and digest != sha256.lower():
+        raise ContractError(
+            f"the model {path} has the SHA-256 {digest}, asked for was {sha256.lower()}: get the "
+            "right file, or ask for this one"
+        )
+    return ModelFile(content, digest, read_contract(content))
+
+
+def read_contract(model: bytes) -> Contract:
+    """Read what a model says of itself, and check by it that its bytes are what was exported.
+
+    Raises ContractError. A file of schema 1.0 has no digests, so any damage that leaves its
+    metadata readable goes unnoticed.
+    """
+    entries = list(_metadata(model))
+    ours = [(start, value) for start, key, value in entries if key == METADATA_KEY.encode()]
+    if not ours:
+        keys = sorted(key.decode(errors="replace") for _, key, _ in entries)
+        raise ContractError(
+            f"not a model for this engine: the ONNX file has no metadata {METADATA_KEY!r} "
+            f"(it has {keys!r:.200}): export one with ssdnet-export"
+        )
+    if len(ours) > 1:
+        raise _damaged(f"it holds the metadata {METADATA_KEY!r} {len(ours)} times")
+    start, value = ours[0]
+    if len(value) > MAX_DOCUMENT_BYTES:
+        raise _damaged(f"its metadata has {len(value)} bytes, more than {MAX_DOCUMENT_BYTES}")
+    try:
+        text = value.decode()
+    except UnicodeDecodeError as error:
+        raise _damaged(f"its metadata is not UTF-8 ({error})") from error
+    contract = Contract.from_json(text)
+    if contract.content is not None:
+        _check_content(model, start, text, contract.content)
+    return contract
+
+
+def with_contract(content: bytes, contract: Contract) -> bytes:
+    """Give the bytes of a model file: `content`, an ONNX model, then `contract` as its metadata.
+
+    The contract's own `content` is filled in. Raises ValueError or TypeError where what it holds
+    is not plain JSON.
+    """
+    described = Content(bytes=len(content), sha256=hashlib.sha256(content).hexdigest())
+    text = dataclasses.replace(contract, content=described).to_json()
+    return content + _entry(text)
+
+
+def _check_content(model: bytes, start: int, text: str, content: Content) -> None:
+    """Raise ContractError unless the model is its content, then this one entry, then nothing."""
+    if model[start:] != _entry(text):
+        raise _damaged("its metadata is not the last thing in it, or is written another way")
+    if start != content.bytes:
+        raise _damaged(f"{start} bytes stand before its metadata, which speaks of {content.bytes}")
+    digest = hashlib.sha256(memoryview(model)[:start]).hexdigest()
+    if digest != content.sha256:
+        raise _damaged(f"its content has the SHA-256 {digest}, its metadata says {content.sha256}")
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with open(path, "rb", opener=_open_at_once) as stream:
+            status = os.fstat(stream.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                raise ContractError(f"the model {path} is not a regular file: name an ONNX file")
+            if status.st_size > MAX_MODEL_BYTES:
+                raise ContractError(
+                    f"the model {path} has {status.st_size} bytes, more than the "
+                    f"{MAX_MODEL_BYTES} that an ONNX file can have: name another"
+                )
+            content = stream.read(status.st_size)
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        reason = getattr(error, "strerror", None) or error
+        raise ContractError(
+            f"cannot read the model {str(path)[:200]!r} ({reason}): name an ONNX file made by "
+            "ssdnet-export, or none for the bundled model"
+        ) from error
+    if not content:
+        raise ContractError(f"the model {path} is an empty file: get it again")
+    return content
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a FIFO would wait for a writer
+
+
+def _metadata(model: bytes) -> Iterator[tuple[int, bytes, bytes]]:
+    """Yield where each `metadata_props` entry of a model starts, its key and its value."""
+    if not model.startswith(_ONNX_START):
+        raise ContractError(
+            "the model cannot be loaded: the file is not ONNX; give one that ssdnet-export wrote"
+        )
+    try:
+        for start, number, entry in _fields(memoryview(model)):
+            if number == _METADATA_PROPS and entry is not None:
+                parts = {field: part for _, field, part in _fields(entry) if part is not None}
+                yield start, bytes(parts.get(_KEY, b"")), bytes(parts.get(_VALUE, b""))
+    except (IndexError, ValueError) as error:
+        raise _damaged("its fields do not fit its length") from error
+
+
+def _fields(message: memoryview) -> Iterator[tuple[int, int, memoryview | None]]:
+    """Yield (start, number, bytes) of each field of a protobuf message; None for a number.
+
+    Raises ValueError or IndexError where the message does not end with a field.
+    """
+    at = 0
+    while at < len(message):
+        start = at
+        key, at = _varint(message, at)
+        number, wire_type = key >> 3, key & 7
+        payload = None
+        if wire_type == _VARINT:
+            _, at = _varint(message, at)
+        elif wire_type == _BYTES:
+            length, at = _varint(message, at)
+            payload = message[at : at + length]
+            at += length
+        elif wire_type in (_FIXED_32, _FIXED_64):
+            at += 4 if wire_type == _FIXED_32 else 8
+        else:
+            raise ValueError(f"wire type {wire_type}")
+        if at > len(message):
+            raise ValueError("a field is longer than its message")
+        yield start, number, payload
+
+
+def _varint(message: memoryview, at: int) -> tuple[int, int]:
+    """Read an integer of 7 bits a byte, low ones first; give it and where the next field starts."""
+    value = 0
+    for shift in range(0, 70, 7):
+        byte = message[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+    raise ValueError("an integer of more than 64 bits")
+
+
+def _entry(text: str) -> bytes:
+    """The metadata entry that holds `text`, as protobuf writes it."""
+    entry = _field(_KEY, METADATA_KEY.encode()) + _field(_VALUE, text.encode())
+    return _field(_METADATA_PROPS, entry)
+
+
+def _field(number: int, payload: bytes) -> bytes:
+    return bytes([number << 3 | _BYTES]) + _written_varint(len(payload)) + payload
+
+
+def _written_varint(value: int) -> bytes:
+    written = bytearray()
+    while value >= 0x80:
+        written.append(value & 0x7F | 0x80)
+        value >>= 7
+    written.append(value)
+    return bytes(written)
+
+
+def _damaged(fault: str) -> ContractError:
+    return ContractError(
+        f"the model file is truncated or damaged; get it again, or export it again ({fault})"
+    )

@@ -1,0 +1,133 @@
+"""The bytes of a model file: what is written, and that no byte of it changes unnoticed."""
+
+import hashlib
+import json
+
+import numpy as np
+import onnx
+import pytest
+from onnx import helper
+
+from runtime import ContractError, Predictor
+from runtime.contract import METADATA_KEY
+from runtime.model_file import load_model_file, read_contract, with_contract
+
+
+def test_the_layout_as_the_onnx_library_reads_it(model_file):
+    whole = model_file().read_bytes()
+    model = onnx.load_from_string(whole)
+    (entry,) = model.metadata_props
+    assert entry.key == METADATA_KEY
+    content = json.loads(entry.value)["content"]
+    assert content["sha256"] == hashlib.sha256(whole[: content["bytes"]]).hexdigest()
+    tail = whole[content["bytes"] :]
+    assert tail.endswith(entry.value.encode())
+    del model.metadata_props[:]
+    assert model == onnx.load_from_string(whole[: content["bytes"]])
+    alone = onnx.ModelProto(metadata_props=[entry])
+    assert tail == alone.SerializeToString()
+
+
+def test_the_contract_is_the_one_that_onnx_runtime_hands_out(model_file):
+    path = model_file()
+    with Predictor(path, warmup=0) as predictor:
+        metadata = predictor._session.get_modelmeta().custom_metadata_map
+        assert predictor.contract.to_json() == metadata[METADATA_KEY]
+
+
+def test_every_byte_counts(model_file):
+    path = model_file()
+    whole = path.read_bytes()
+    random = np.random.default_rng(0)
+    for place in range(len(whole)):
+        damaged = bytearray(whole)
+        damaged[place] ^= int(random.integers(1, 256))
+        with pytest.raises(ContractError):
+            read_contract(bytes(damaged))
+    for place in range(0, len(whole), 40):
+        damaged = bytearray(whole)
+        damaged[place : place + 64] = bytes(len(damaged[place : place + 64]))
+        with pytest.raises(ContractError):
+            read_contract(bytes(damaged))
+
+
+def test_bytes_that_come_or_go(model_file):
+    whole = model_file().read_bytes()
+    for place in (0, 1, 500, len(whole) - 1, len(whole)):
+        for change in (
+            whole[:place] + b"\0" + whole[place:],
+            whole[:place] + b"\x08" + whole[place:],
+            whole[: place - 1] + whole[place:] if place else whole[1:],
+        ):
+            with pytest.raises(ContractError):
+                read_contract(change)
+
+
+def test_what_is_appended_is_refused(model_file, contract):
+    whole = model_file().read_bytes()
+    old = json.loads(contract.to_json()) | {"schema_version": "1.0", "max_depth_m": 20.0}
+    for extra in (
+        onnx.ModelProto(metadata_props=[{"key": METADATA_KEY, "value": json.dumps(old)}]),
+        onnx.ModelProto(metadata_props=[{"key": "author", "value": "somebody"}]),
+        onnx.ModelProto(graph=onnx.GraphProto(name="other")),
+        onnx.ModelProto(doc_string="a note"),
+    ):
+        with pytest.raises(ContractError, match="truncated or damaged"):
+            read_contract(whole + extra.SerializeToString())
+
+
+def test_two_contracts_are_refused_in_an_old_file_too(model_file, contract):
+    old = json.dumps(json.loads(contract.to_json()) | {"schema_version": "1.0"})
+    entry = onnx.ModelProto(metadata_props=[{"key": METADATA_KEY, "value": old}])
+    whole = model_file(contract=None, metadata=old).read_bytes()
+    assert read_contract(whole).content is None
+    with pytest.raises(ContractError, match="2 times"):
+        read_contract(whole + entry.SerializeToString())
+
+
+def test_a_file_of_schema_1_0_still_loads(model_file, contract, make_frame):
+    old = json.loads(contract.to_json()) | {"schema_version": "1.0"}
+    del old["trained_height"]
+    path = model_file(contract=None, metadata=json.dumps(old))
+    with Predictor(path) as predictor:
+        assert predictor.contract.content is None
+        assert predictor.predict(*make_frame()).valid
+
+
+def test_metadata_of_others_may_stand_before_ours(model_file, contract):
+    model = onnx.load(model_file(contract=None))
+    helper.set_model_props(model, {"author": "somebody"})
+    assert read_contract(with_contract(model.SerializeToString(), contract)).content is not None
+
+
+@pytest.mark.parametrize("value", [b"\xff\xfe", b"{\xc3}", b"\0"])
+def test_metadata_that_is_no_text(model_file, value):
+    key = METADATA_KEY.encode()
+    entry = bytes([0x0A, len(key)]) + key + bytes([0x12, len(value)]) + value
+    whole = model_file(contract=None).read_bytes() + bytes([0x72, len(entry)]) + entry
+    with pytest.raises(ContractError, match=r"not UTF-8|not JSON"):
+        read_contract(whole)
+
+
+def test_metadata_of_many_megabytes_is_not_parsed(model_file):
+    path = model_file(contract=None, metadata=" " * 2**22 + "{}")
+    with pytest.raises(ContractError, match="metadata has 4194306 bytes"):
+        load_model_file(path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\x08",  # a field without its value
+        b"\x08\xff",  # a number that does not end
+        b"\x08" + b"\xff" * 12,  # a number of more than 64 bits
+        b"\x08\x01\x73",  # the start of a group
+        b"\x08\x01\x72\x05",  # an entry longer than the file
+        b"\x08\x01\x0d\x00",  # half a 32-bit number
+        b"\x08\x01\x72\x02\x0a\x05",  # a key longer than its entry
+        b"\x08\x01\x72" + b"\xff" * 8 + b"\x7f",  # an entry of 2^63 bytes
+    ],
+)
+def test_what_is_no_protobuf(content):
+    with pytest.raises(ContractError, match="damaged"):
+        read_contract(content)
