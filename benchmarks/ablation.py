@@ -22,7 +22,7 @@ import numpy as np
 import torch
 
 from models import load_checkpoint
-from runtime.atomic_write import atomic_write
+from runtime.atomic_write import atomic_file, atomic_write
 from runtime.errors import InputError
 from training.evaluation.lidar_input import LidarInput
 from training.evaluation.scoring import score, torch_predict
@@ -83,7 +83,7 @@ def main() -> None:
             print(row, seed, shown, flush=True)
             # After each: whoever stops it has what there is.
             if arguments.markdown:
-                arguments.markdown.write_text(markdown(results), encoding="utf-8")
+                atomic_write(arguments.markdown, markdown(results).encode())
             if arguments.plot:
                 draw(results, arguments.plot)
     print(f"\n{markdown(results)}")
@@ -156,7 +156,8 @@ def draw(results: Mapping[str, Sequence[Mapping[str, float]]], path: Path) -> No
         panel.set_ylim(len(rows) - 0.5, -0.5)
         panel.grid(axis="x", alpha=0.3)
     figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    with atomic_file(path) as file:
+        figure.savefig(file, format="png", dpi=110)
 
 
 if __name__ == "__main__":

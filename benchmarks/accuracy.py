@@ -16,6 +16,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from runtime import Predictor
+from runtime.atomic_write import atomic_write
 from training.datasets.sample import SampleSource
 from training.evaluation.baselines import BASELINES
 from training.evaluation.lidar_input import LidarSplit, split_lidar
@@ -56,7 +57,7 @@ def main() -> None:
                 figures[title][name] = report(name, scores, classes)
             print()
     if arguments.json:
-        arguments.json.write_text(json.dumps(figures, indent=2))
+        atomic_write(arguments.json, json.dumps(figures, indent=2).encode())
 
 
 def frames(source: SampleSource, title: str) -> Iterator[LidarSplit]:

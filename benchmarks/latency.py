@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from export.exporter import export_checkpoint
 from models import create_model, save_checkpoint
 from runtime import Predictor
+from runtime.atomic_write import atomic_write
 from runtime.stream.bundled import bundled_stream
 from runtime.stream.frames import FrameFiles, list_frames, read_frame
 from runtime.stream.pipeline import run_stream
@@ -88,7 +89,7 @@ def main() -> None:
                     flush=True,
                 )
     if arguments.json:
-        arguments.json.write_text(json.dumps(rows, indent=2))
+        atomic_write(arguments.json, json.dumps(rows, indent=2).encode())
 
 
 def measure(

@@ -1,12 +1,10 @@
 """Checkpoint in, one verified ONNX file out."""
 
 import hashlib
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import onnx
 import torch
@@ -18,6 +16,7 @@ from export.probe_frames import ProbeFrame, probe_frames
 from export.trace import DEFAULT_OPSET, trace
 from models import Checkpoint, load_checkpoint
 from runtime import Contract, InputError, OutputError, __version__
+from runtime.atomic_write import atomic_file
 from runtime.contract import MIN_SIDE, RESIZE_RULES, SCHEMA_VERSION, check_size
 from runtime.model_file import with_contract
 
@@ -71,20 +70,12 @@ def export_checkpoint(
     model = trace(graph, size=size, dynamic=dynamic, opset=opset)
     contract = _contract(checkpoint, _digest(checkpoint_path), size=size, opset=opset)
     frames = _frames(size, dynamic=dynamic, max_depth_m=contract.max_depth_m)
-    temporary = _temporary_beside(target)
-    try:
-        _write(model, contract, temporary)
-        parity = measure_parity(checkpoint.model, temporary, frames)
+    with atomic_file(target, overwrite=overwrite, durable=True) as file:
+        _write(model, contract, file)
+        parity = measure_parity(checkpoint.model, Path(file.name), frames)
         _require_parity(parity)
         figures = {head: dict(measured.figures) for head, measured in parity.items()}
-        _write(model, replace(contract, parity=figures), temporary)
-        num_bytes = temporary.stat().st_size
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, target)
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be written: {error}. Choose another place.") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+        num_bytes = _write(model, replace(contract, parity=figures), file)
     return ExportReport(target, size, dynamic, graph.heads, parity, len(frames), num_bytes)
 
 
@@ -140,17 +131,11 @@ def _frames(size: tuple[int, int], *, dynamic: bool, max_depth_m: float) -> list
     return [frame for each in sizes for frame in probe_frames(each, max_depth_m=max_depth_m)]
 
 
-def _temporary_beside(target: Path) -> Path:
-    try:
-        handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be written: {error}. Choose another place.") from error
-    os.close(handle)
-    return Path(name)
+def _write(model: onnx.ModelProto, contract: Contract, file: BinaryIO) -> int:
+    """Write the model and its metadata, which stands last and describes what is before it.
 
-
-def _write(model: onnx.ModelProto, contract: Contract, path: Path) -> None:
-    """Write the model and its metadata, which stands last and describes what is before it."""
+    Returns the number of bytes.
+    """
     del model.metadata_props[:]
     try:
         content = with_contract(model.SerializeToString(), contract)
@@ -158,10 +143,11 @@ def _write(model: onnx.ModelProto, contract: Contract, path: Path) -> None:
         raise ExportError(
             f"what the checkpoint says about its training is not plain JSON: {error}"
         ) from error
-    with path.open("wb") as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
+    file.seek(0)
+    file.truncate()
+    num_bytes = file.write(content)
+    file.flush()
+    return num_bytes
 
 
 def _require_parity(parity: Mapping[str, HeadParity]) -> None:

@@ -7,12 +7,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from models.checkpoint import (
-    Checkpoint,
-    load_checkpoint,
-    remove_unfinished,
-    save_checkpoint,
-)
+from models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from models.classes import CAMVID_CLASSES, CLASS_TABLES, numbered_classes
 from models.config import CONFIGS, ModelConfig
 from models.ssdnet import SSDNet, SSDNetOutput
@@ -28,7 +23,6 @@ __all__ = [
     "create_model",
     "list_models",
     "load_checkpoint",
-    "remove_unfinished",
     "save_checkpoint",
 ]
 

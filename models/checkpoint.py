@@ -1,8 +1,6 @@
 """Checkpoints: weights that carry their own configuration."""
 
-import os
 import pickle
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,7 +11,8 @@ import torch
 
 from models.config import ModelConfig
 from models.ssdnet import SSDNet
-from runtime.errors import CheckpointError
+from runtime.atomic_write import atomic_file
+from runtime.errors import CheckpointError, OutputError
 
 FORMAT = "ssdnet-checkpoint"
 VERSION = 1
@@ -62,31 +61,15 @@ def save_checkpoint(
         "training": dict(training or {}),
         "trainer": dict(trainer or {}),
     }
-    temporary: Path | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        temporary = Path(name)
-        with os.fdopen(handle, "wb") as stream:
-            torch.save(document, stream)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except (OSError, RuntimeError) as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+        with atomic_file(path, durable=True) as file:
+            torch.save(document, file)
+    except (OSError, OutputError, RuntimeError) as error:
         raise CheckpointError(
             f"{path}: the checkpoint could not be written: {error}. "
             "Free some space or choose another folder."
         ) from error
-
-
-def remove_unfinished(path: Path | str) -> None:
-    """Remove what was left of writing this checkpoint by a process that was killed meanwhile."""
-    path = Path(path)
-    for temporary in path.parent.glob(f".{path.name}.*"):
-        temporary.unlink()
 
 
 def load_checkpoint(path: Path | str) -> Checkpoint:

@@ -22,4 +22,4 @@ def mount_disk(tmp_path):
 
     yield mount
     for disk in mounted:
-        subprocess.run(["umount", str(disk)], check=True)
+        subprocess.run(["umount", "--lazy", str(disk)], check=True)  # a file may be open yet

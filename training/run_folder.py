@@ -9,7 +9,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from models import remove_unfinished
 from runtime.atomic_write import atomic_write
 from runtime.errors import InputError, SSDNetError
 from training.distributed import Processes
@@ -36,8 +35,6 @@ def claim(out: Path, resolved: Mapping[str, Any]) -> None:
                     f"{out}: holds a training with another recipe (see its recipe.json). "
                     "Choose another --out, or the recipe it was started with."
                 )
-            for name in (LAST, FINAL):
-                remove_unfinished(out / name)
             return
         out.mkdir(parents=True, exist_ok=True)
         atomic_write(path, text.encode())

@@ -5,7 +5,7 @@ import os
 import weakref
 from pathlib import Path
 
-from runtime.atomic_write import atomic_write, remove_unfinished
+from runtime.atomic_write import atomic_write, remove_leftover
 from runtime.errors import OutputError
 
 #: Kind of answer -> ending of its files, one subfolder a kind.
@@ -115,4 +115,4 @@ def _remove(path: Path) -> None:
     """Remove a file and what a killed run left of it; a folder of that name is not ours."""
     if path.is_file() or path.is_symlink():
         path.unlink()
-    remove_unfinished(path)
+    remove_leftover(path)

@@ -1,9 +1,7 @@
 """Checkpoint to file: what is left on disk, and what is not."""
 
 import copy
-import errno
 import hashlib
-import os
 
 import numpy as np
 import onnx
@@ -165,18 +163,13 @@ def test_a_file_that_differs_is_not_left_on_disk(lite_checkpoint, tmp_path, monk
     assert list(tmp_path.iterdir()) == [old]
 
 
-def test_a_full_disk_leaves_the_old_file_and_nothing_else(lite_checkpoint, tmp_path, monkeypatch):
-    target = tmp_path / "m.onnx"
+def test_a_full_disk_leaves_the_old_file_and_nothing_else(lite_checkpoint, mount_disk):
+    target = mount_disk(64) / "m.onnx"
     target.write_bytes(b"the old one")
-
-    def full(_handle):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(exporter.os, "fsync", full)
-    with pytest.raises(OutputError, match=r"m\.onnx: cannot be written: .*No space left"):
+    with pytest.raises(OutputError, match=r"cannot write .*m\.onnx .*No space left"):
         export_checkpoint(lite_checkpoint, target, size=SIZE, overwrite=True)
     assert target.read_bytes() == b"the old one"
-    assert list(tmp_path.iterdir()) == [target]
+    assert list(target.parent.iterdir()) == [target]
 
 
 def test_existing_file_is_replaced_only_on_demand(lite_checkpoint, tmp_path):

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from runtime.atomic_write import atomic_write
-from runtime.errors import OutputError
+from runtime.atomic_write import atomic_file, atomic_write
 
 #: What the table shows, in this order, where a row has it: key, title, factor.
 _COLUMNS = (
@@ -133,8 +132,7 @@ def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:
         list(shown.values()), list(shown), fontsize=7, loc="upper left", bbox_to_anchor=(1, 1)
     )
     try:
-        figure.savefig(path, dpi=110, bbox_inches="tight")
-    except (OSError, ValueError) as error:
-        raise OutputError(f"cannot write {path} ({error}): choose another --plot") from error
+        with atomic_file(path) as file:
+            figure.savefig(file, format="png", dpi=110, bbox_inches="tight")
     finally:
         plt.close(figure)

@@ -1,7 +1,5 @@
 """Rendered frames on disk in the folder layout of Virtual KITTI 2 (Cabon et al. 2020)."""
 
-import os
-import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -9,7 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import DatasetError
+from runtime.atomic_write import atomic_folder
+from runtime.errors import OutputError
 from training.scenes.arrays import Floats
 from training.scenes.classes import CLASS_TABLE, class_colors
 from training.scenes.rendering.render import RenderedFrame
@@ -33,17 +32,15 @@ def write_variant(
 
     root/scene/variant gets frames/{rgb,depth,classSegmentation}/Camera_0, colors.txt,
     intrinsic.txt and extrinsic.txt. Depth is uint16 centimetres, 65535 the sky; extrinsics map
-    world to camera. Raises DatasetError if the folder exists and `overwrite` is not given, or if
+    world to camera. Raises OutputError if the folder exists and `overwrite` is not given, or if
     it cannot be written.
     """
     target = root / scene / variant
     if target.exists() and not overwrite:
-        raise DatasetError(
+        raise OutputError(
             f"{target} exists already. Choose another folder or seed, or allow overwriting."
         )
-    partial = target.parent / f".{variant}.{os.getpid()}.partial"
-    try:
-        shutil.rmtree(partial, ignore_errors=True)
+    with atomic_folder(target, overwrite=overwrite) as partial:
         folders = {
             kind: partial / "frames" / kind / "Camera_0"
             for kind in ("rgb", "depth", "classSegmentation")
@@ -67,13 +64,6 @@ def write_variant(
         colors += [f"{category} {r} {g} {b}" for category, (r, g, b) in CLASS_TABLE]
         for file, lines in (("colors", colors), ("intrinsic", intrinsic), ("extrinsic", extrinsic)):
             (partial / f"{file}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-        if target.exists():
-            shutil.rmtree(target)
-        partial.replace(target)
-    except OSError as error:
-        raise DatasetError(f"{target} cannot be written: {error}.") from error
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
     return target
 
 

@@ -8,7 +8,7 @@ pytest.importorskip("embreex", reason="the renderer needs the train extra")
 
 from typer.testing import CliRunner
 
-from runtime.errors import DatasetError
+from runtime.errors import OutputError
 from training.datasets.virtual_kitti import VirtualKitti
 from training.scenes.cli import app
 from training.scenes.rendering.render import RenderedFrame
@@ -58,7 +58,7 @@ def test_files_are_those_of_virtual_kitti(tmp_path):
 
 def test_an_existing_variant_is_kept_unless_overwriting_is_asked_for(tmp_path):
     write_variant(tmp_path, "Scene01", "clone", [frame(0), frame(1)])
-    with pytest.raises(DatasetError, match="exists already"):
+    with pytest.raises(OutputError, match="exists already"):
         write_variant(tmp_path, "Scene01", "clone", [frame(0)])
     assert len(VirtualKitti(tmp_path)) == 2
     write_variant(tmp_path, "Scene01", "clone", [frame(0)], overwrite=True)
@@ -75,9 +75,9 @@ def test_nothing_is_left_of_a_variant_that_breaks_off(tmp_path):
     assert list((tmp_path / "Scene01").iterdir()) == []
 
 
-def test_a_folder_that_cannot_be_made_is_a_dataset_error(tmp_path):
+def test_a_folder_that_cannot_be_made_is_an_output_error(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(DatasetError, match="cannot be written"):
+    with pytest.raises(OutputError, match="cannot write"):
         write_variant(tmp_path / "file", "Scene01", "clone", [frame(0)])
 
 
