@@ -21,15 +21,15 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from export.deploy import DeployGraph
 from export.trace import trace
-from models import ModelConfig, SSDNet
-from models.config import CONFIGS
+from models import SSDNet, SSDNetConfig
+from models.registry import NETWORKS
 
-LITE = CONFIGS["ssdnet-lite"]
+LITE = NETWORKS["ssdnet-lite"].config
 #: Networks that start at full size take seconds a frame above this many pixels.
 FULL_SIZE_LIMIT = 125 * 414
 
 
-def candidates() -> dict[str, ModelConfig]:
+def candidates() -> dict[str, SSDNetConfig]:
     """Return what is compared, by name; the first is what the others are measured against."""
     bottoms = {
         f"bottom {width}": replace(LITE, encoder_channels=(32, 64, 128, width))
@@ -61,7 +61,7 @@ def candidates() -> dict[str, ModelConfig]:
         "thin first, deep last": replace(
             LITE, encoder_channels=(32, 64, 128, 256), encoder_blocks=(1, 1, 2, 4)
         ),
-        "ssdnet": CONFIGS["ssdnet"],
+        "ssdnet": NETWORKS["ssdnet"].config,
     }
 
 
@@ -76,7 +76,7 @@ class Timed:
     latencies_ms: list[float]
 
 
-def count_gmacs(config: ModelConfig, size: tuple[int, int]) -> float:
+def count_gmacs(config: SSDNetConfig, size: tuple[int, int]) -> float:
     """Count multiply-accumulates of one frame in 1e9, without computing anything."""
     with torch.device("meta"):
         model = SSDNet(config).eval()
@@ -97,7 +97,7 @@ def open_session(path: Path, threads: int) -> Any:
     return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
 
 
-def prepare(name: str, config: ModelConfig, size: tuple[int, int], threads: int) -> Timed:
+def prepare(name: str, config: SSDNetConfig, size: tuple[int, int], threads: int) -> Timed:
     """Export a candidate with random weights to a file that is gone again, and open it."""
     torch.manual_seed(0)
     model = SSDNet(config).eval()

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor, nn
 
-from models import SSDNet
+from models import Network
 from models.blocks import upsample
 
 
@@ -13,7 +13,7 @@ class DeployGraph(nn.Module):
     ``with_logits`` adds the class scores to the outputs, if the network has any.
     """
 
-    def __init__(self, model: SSDNet, *, with_logits: bool = False) -> None:
+    def __init__(self, model: Network, *, with_logits: bool = False) -> None:
         super().__init__()
         self.model = model
         self.with_logits = with_logits
@@ -21,14 +21,10 @@ class DeployGraph(nn.Module):
     @property
     def heads(self) -> tuple[str, ...]:
         """Names of the outputs, in the order in which `forward` gives them."""
-        config = self.model.config
-        present = {
-            "semantic": config.semantic_head,
-            "depth": config.depth_head,
-            "boundary": True,
-            "semantic_logits": config.semantic_head and self.with_logits,
-        }
-        return tuple(head for head, there in present.items() if there)
+        heads: tuple[str, ...] = self.model.config.heads
+        if self.with_logits and "semantic" in heads:
+            heads = (*heads, "semantic_logits")
+        return heads
 
     def forward(self, rgb: Tensor, sparse_depth: Tensor) -> tuple[Tensor, ...]:
         """Predict one answer a head, at the size of the inputs.
@@ -50,16 +46,19 @@ class DeployGraph(nn.Module):
             answers["semantic"] = _best_class(logits)[:, :height, :width]
             answers["semantic_logits"] = logits[:, :, :height, :width]
 
-        maps = [coarse.boundary_logits]
+        maps = {}
+        if coarse.boundary_logits is not None:
+            maps["boundary"] = coarse.boundary_logits
         if coarse.depths is not None:
-            maps.append(coarse.depths[0] * config.max_depth_m)
-        # One tensor for both: ONNX Runtime splits the work of a Resize by channels, so two of one
-        # channel each take four times as long.
-        full = upsample(torch.cat(maps, dim=1), factor=config.output_stride)
-        full = full[:, :, :height, :width]
-        answers["boundary"] = torch.sigmoid(full[:, 0])
-        if coarse.depths is not None:
-            answers["depth"] = full[:, 1]
+            maps["depth"] = coarse.depths[0] * config.max_depth_m
+        if maps:
+            # One tensor for both: ONNX Runtime splits the work of a Resize by channels, so two of
+            # one channel each take four times as long.
+            full = upsample(torch.cat(list(maps.values()), dim=1), factor=config.output_stride)
+            full = full[:, :, :height, :width]
+            answers |= {head: full[:, index] for index, head in enumerate(maps)}
+        if "boundary" in answers:
+            answers["boundary"] = torch.sigmoid(answers["boundary"])
         return tuple(answers[head] for head in self.heads)
 
 

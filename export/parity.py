@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from export.errors import ExportError
 from export.probe_frames import ProbeFrame
-from models import SSDNet
+from models import Network
 from runtime import Predictor
 from runtime.session import open_session
 
@@ -36,7 +36,7 @@ class HeadParity:
 
 
 def measure_parity(
-    model: SSDNet, onnx_path: Path | str, frames: Sequence[ProbeFrame]
+    model: Network, onnx_path: Path | str, frames: Sequence[ProbeFrame]
 ) -> dict[str, HeadParity]:
     """Compare every head of the file, run by `runtime.Predictor`, with the network in PyTorch.
 
@@ -65,12 +65,14 @@ def measure_parity(
     }
 
 
-def reference(model: SSDNet, frame: ProbeFrame) -> dict[str, NDArray[Any]]:
+def reference(model: Network, frame: ProbeFrame) -> dict[str, NDArray[Any]]:
     """Answer a frame with the network itself, by its training forward at full size."""
     rgb = torch.from_numpy(frame.rgb).permute(2, 0, 1)[None].float()
     with torch.inference_mode():
         output = model(rgb, torch.from_numpy(frame.sparse_depth)[None, None])
-    answers = {"boundary": torch.sigmoid(output.boundary_logits)[0, 0]}
+    answers = {}
+    if output.boundary_logits is not None:
+        answers["boundary"] = torch.sigmoid(output.boundary_logits)[0, 0]
     if output.semantic_logits is not None:
         answers["semantic_logits"] = output.semantic_logits[0]
         answers["semantic"] = output.semantic_logits[0].argmax(dim=0).to(torch.uint8)

@@ -9,8 +9,8 @@ from typing import Any
 
 import torch
 
-from models.config import ModelConfig
-from models.ssdnet import SSDNet
+from models.network import Network
+from models.registry import NETWORKS
 from runtime.atomic_write import atomic_file
 from runtime.errors import CheckpointError, OutputError
 
@@ -24,7 +24,7 @@ class Checkpoint:
     """A network with what its file says about it."""
 
     #: The network, on the CPU, in evaluation mode.
-    model: SSDNet
+    model: Network
     #: What it was trained on and under which terms, as the recipe put it; plain values.
     training: Mapping[str, Any]
     #: State of the training loop (optimiser, step, ...); empty in a checkpoint made to ship.
@@ -39,7 +39,7 @@ class Checkpoint:
 
 def save_checkpoint(
     path: Path | str,
-    model: SSDNet,
+    model: Network,
     *,
     training: Mapping[str, Any] | None = None,
     trainer: Mapping[str, Any] | None = None,
@@ -47,8 +47,9 @@ def save_checkpoint(
 ) -> None:
     """Write a checkpoint whole or not at all.
 
-    It holds the configuration (classes, depth range and normalisation with it) and the weights:
-    the model's, or ``state_dict`` (averaged weights, say). ``training`` and ``trainer`` hold plain
+    It holds the name of the network's class, its configuration (classes, depth range and
+    normalisation with it) and the weights: the model's, or ``state_dict`` (averaged weights, say).
+    ``training`` and ``trainer`` hold plain
     values and tensors. An existing file is replaced. Raises CheckpointError when it cannot be
     written; a file that stood there before is then untouched.
     """
@@ -56,6 +57,7 @@ def save_checkpoint(
     document = {
         "format": FORMAT,
         "version": VERSION,
+        "network": type(model).__name__,
         "config": model.config.to_dict(),
         "weights": dict(state_dict if state_dict is not None else model.state_dict()),
         "training": dict(training or {}),
@@ -100,9 +102,17 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     missing = [key for key in ("config", "weights", "training", "trainer") if key not in document]
     if missing:
         raise CheckpointError(f"{path}: the checkpoint lacks {', '.join(missing)}. Train anew.")
+    # Files of before there were other networks do not name theirs.
+    kind = document.get("network", "SSDNet")
+    kinds = {entry.network.__name__: entry for entry in NETWORKS.values()}
+    if kind not in kinds:
+        raise CheckpointError(
+            f"{path}: holds the network {kind!r:.80}, but this installation knows "
+            f"{', '.join(kinds)}. Install a release that matches the file."
+        )
     try:
-        config = ModelConfig.from_dict(document["config"])
-        model = SSDNet(config)
+        config = type(kinds[kind].config).from_dict(document["config"])
+        model = kinds[kind].network(config)
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
         raise CheckpointError(
             f"{path}: its configuration cannot be built here: {_first_line(error)}. "

@@ -4,7 +4,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from models.blocks import ConvBNReLU, GlobalContext, ResidualBlock
-from models.config import ModelConfig
+from models.ssdnet_config import SSDNetConfig
 
 
 class PlainEncoder(nn.Module):
@@ -14,7 +14,7 @@ class PlainEncoder(nn.Module):
     reproduce the paper's multiply-accumulates.
     """
 
-    def __init__(self, config: ModelConfig, in_channels: int) -> None:
+    def __init__(self, config: SSDNetConfig, in_channels: int) -> None:
         super().__init__()
         stages = []
         for channels, blocks in zip(config.encoder_channels, config.encoder_blocks, strict=True):
@@ -39,7 +39,7 @@ class PlainEncoder(nn.Module):
 class ResidualEncoder(nn.Module):
     """Residual stages, strided between them; the last is the bottom, the others are skips."""
 
-    def __init__(self, config: ModelConfig, in_channels: int) -> None:
+    def __init__(self, config: SSDNetConfig, in_channels: int) -> None:
         super().__init__()
         stages = []
         for index, (channels, blocks) in enumerate(
@@ -65,7 +65,7 @@ class ResidualEncoder(nn.Module):
         return features[:-1], self.context(features[-1])
 
 
-def build_encoder(config: ModelConfig, in_channels: int) -> PlainEncoder | ResidualEncoder:
+def build_encoder(config: SSDNetConfig, in_channels: int) -> PlainEncoder | ResidualEncoder:
     """Return the encoder that ``config.encoder_block`` names."""
     return (PlainEncoder if config.encoder_block == "plain" else ResidualEncoder)(
         config, in_channels

@@ -5,7 +5,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from models.blocks import BaConv, ConvBNReLU, upsample
-from models.config import ModelConfig
+from models.ssdnet_config import SSDNetConfig
 
 
 class UpBlock(nn.Module):
@@ -46,7 +46,7 @@ class TaskDecoder(nn.Module):
     """UpBlocks from the bottom to the finest skip."""
 
     def __init__(
-        self, config: ModelConfig, skip_channels: tuple[int, ...], bottom_channels: int
+        self, config: SSDNetConfig, skip_channels: tuple[int, ...], bottom_channels: int
     ) -> None:
         super().__init__()
         blocks = []

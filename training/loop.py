@@ -16,7 +16,7 @@ from torch.utils.data import DataLoader
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from models import SSDNet, SSDNetOutput, load_checkpoint, save_checkpoint
+from models import Network, SSDNetOutput, load_checkpoint, save_checkpoint
 from runtime.errors import CheckpointError, DatasetError, InputError
 from training.datasets.sample import SampleSource
 from training.distributed import (
@@ -98,7 +98,7 @@ def _train(
     }
     network = build_network(recipe.model, init)
     weights = None
-    if network.config.semantic_head and recipe.loss.weighs_classes:
+    if "semantic" in network.config.heads and recipe.loss.weighs_classes:
         weights = _weigh_classes(recipe, sources, network.config.num_classes)
     if processes.is_first:
         claim(out, resolved)  # only now: what cannot start leaves no folder behind
@@ -114,7 +114,7 @@ def _train(
     average = AveragedModel(
         network, multi_avg_fn=exponential_average(recipe.loop.ema_decay), use_buffers=True
     )
-    averaged: SSDNet = average.module  # type: ignore[assignment]
+    averaged: Network = average.module  # type: ignore[assignment]
     step = _resume(out / LAST, resolved, network, average, optimizer, scaler, criterion)
     if len(set(processes.gather(step))) > 1:
         raise InputError(
@@ -258,7 +258,7 @@ class _Board:
 
 
 def _validate(
-    network: SSDNet,
+    network: Network,
     sources: Mapping[str, SampleSource],
     recipe: Recipe,
     processes: Processes,
@@ -329,7 +329,7 @@ def _next_batch(batches: Iterator[dict[str, Any]]) -> dict[str, Any]:
 def _resume(
     path: Path,
     resolved: Mapping[str, Any],
-    network: SSDNet,
+    network: Network,
     average: AveragedModel,
     optimizer: torch.optim.Optimizer,
     scaler: torch.amp.GradScaler,

@@ -3,13 +3,14 @@
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from models import CLASS_TABLES, SSDNet, create_model, load_checkpoint
-from models.config import CONFIGS
+from models import CLASS_TABLES, Network, create_model, load_checkpoint
+from models.registry import NETWORKS
 from runtime.errors import CheckpointError, InputError
 from training.recipe import ModelRecipe
 
@@ -23,20 +24,25 @@ _MEANINGS = {
 }
 
 
-def build_network(recipe: ModelRecipe, init: Path | None) -> SSDNet:
+def build_network(recipe: ModelRecipe, init: Path | None) -> Network:
     """Build a recipe's network; ``init`` is a checkpoint whose weights it starts from.
 
     Raises InputError for what cannot be built, CheckpointError for what cannot be taken over.
     """
-    known = CONFIGS.get(recipe.name)
-    with_classes = known is not None and known.semantic_head
+    known = NETWORKS.get(recipe.name)
+    with_classes = known is not None and "semantic" in known.config.heads
+    # Only what the recipe changes: not every network has these.
+    changes: dict[str, Any] = {}
+    if not recipe.boundary_gating:
+        changes["boundary_gating"] = False
+    if recipe.sparse_depth_gain != 1:
+        changes["sparse_depth_gain"] = recipe.sparse_depth_gain
     try:
         network = create_model(
             recipe.name,
             classes=CLASS_TABLES[recipe.classes] if with_classes else None,
             max_depth_m=recipe.max_depth_m,
-            boundary_gating=recipe.boundary_gating,
-            sparse_depth_gain=recipe.sparse_depth_gain,
+            **changes,
         )
     except ValueError as error:
         raise InputError(f"the recipe's model cannot be built: {error}.") from error
@@ -45,7 +51,7 @@ def build_network(recipe: ModelRecipe, init: Path | None) -> SSDNet:
     return network
 
 
-def _start_from(network: SSDNet, init: Path) -> None:
+def _start_from(network: Network, init: Path) -> None:
     """Take over the weights of a checkpoint; layers that it lacks, or has in another shape, stay.
 
     So a network with other classes or another head starts from what is already known. Layers
@@ -54,7 +60,7 @@ def _start_from(network: SSDNet, init: Path) -> None:
     CheckpointError if nothing fits.
     """
     source = load_checkpoint(init).model
-    known = source.state_dict()
+    known = source.state_dict() if type(source) is type(network) else {}
     wanted = network.state_dict()
     names, known_names = (
         [info.name for info in model.config.classes or ()] for model in (network, source)
@@ -77,7 +83,7 @@ def _start_from(network: SSDNet, init: Path) -> None:
         tqdm.write(f"{init}: {len(taken)} of {len(wanted)} tensors taken over", file=sys.stderr)
         tqdm.write(f"starting anew: {', '.join(fresh)}", file=sys.stderr)
     for key, meaning in _MEANINGS.items():
-        before, now = getattr(source.config, key), getattr(network.config, key)
+        before, now = getattr(source.config, key, None), getattr(network.config, key, None)
         if before != now:
             tqdm.write(
                 f"{init}: {meaning} was {before}, here it is {now}; its weights have to adapt",

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from models import SSDNet
+from models import Network
 from training.losses import SSDNetLoss
 from training.recipe import OptimizerRecipe, ScheduleRecipe
 
@@ -16,7 +16,7 @@ Tensors = tuple[Tensor, ...] | list[Tensor]
 
 
 def build_optimizer(
-    recipe: OptimizerRecipe, network: SSDNet, criterion: SSDNetLoss
+    recipe: OptimizerRecipe, network: Network, criterion: SSDNetLoss
 ) -> torch.optim.Optimizer:
     """Return AdamW or SGD over the network's parameters and what the loss learns."""
     # Biases, normalisation and what the loss learns are not decayed.

@@ -6,15 +6,15 @@ import pytest
 import torch
 
 from export.probe_frames import probe_frames
-from models import ModelConfig, SSDNet, save_checkpoint
-from models.config import CONFIGS
+from models import SSDNet, SSDNetConfig, save_checkpoint
+from models.registry import NETWORKS
 
 SIZE = (64, 96)
 
 
-def small_config(name: str) -> ModelConfig:
+def small_config(name: str) -> SSDNetConfig:
     """The named variant with few channels and one block a stage."""
-    config = CONFIGS[name]
+    config = NETWORKS[name].config
     if name == "ssdnet-lite":
         return replace(
             config,

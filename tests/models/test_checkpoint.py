@@ -8,11 +8,11 @@ import torch
 
 from models import SSDNet, load_checkpoint, save_checkpoint
 from models.classes import CAMVID_CLASSES, numbered_classes
-from models.config import CONFIGS
+from models.registry import NETWORKS
 from runtime.errors import CheckpointError
 
 SMALL = replace(
-    CONFIGS["ssdnet-lite"],
+    NETWORKS["ssdnet-lite"].config,
     encoder_channels=(8, 8, 8, 8),
     encoder_blocks=(1, 1, 1, 1),
     decoder_channels=(8, 8, 8),

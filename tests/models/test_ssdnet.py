@@ -6,9 +6,10 @@ import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from models import SSDNet, create_model, list_models
+from models import SSDNet, SSDNetConfig, create_model
 from models.blocks import upsample
-from models.config import CONFIGS, ModelConfig
+from models.registry import NETWORKS
+from models.ssdnet_config import FAMILY
 from runtime.contract import ClassInfo
 
 # Params and MACs at 125 x 414 of the family, which the paper prints to two digits.
@@ -37,7 +38,7 @@ def macs(model, height, width):
 
 def small(name, **changes):
     """The same structure with few channels, so that tests are quick."""
-    config = CONFIGS[name]
+    config = NETWORKS[name].config
     return replace(
         config,
         encoder_channels=tuple(width // 8 for width in config.encoder_channels),
@@ -62,7 +63,7 @@ def test_lite_stays_within_ten_gmacs_at_512x1024():
     assert model.config.depth_head
 
 
-@pytest.mark.parametrize("name", list_models())
+@pytest.mark.parametrize("name", [config.name for config in FAMILY])
 @pytest.mark.parametrize("size", [(32, 32), (33, 47), (125, 414), (64, 97)])
 def test_any_size_of_32_and_more_works(name, size):
     config = small(name)
@@ -211,7 +212,7 @@ def test_upsampling_by_factor_equals_by_size():
 )
 def test_impossible_configurations_say_why(changes, text):
     with pytest.raises(ValueError, match=text):
-        ModelConfig(**changes)
+        SSDNetConfig(**changes)
 
 
 def test_create_model_names_what_it_knows():

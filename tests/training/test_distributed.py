@@ -27,11 +27,12 @@ import os, sys
 from dataclasses import replace
 from pathlib import Path
 import torch
-from models.config import CONFIGS
-CONFIGS["ssdnet-small"] = replace(
-    CONFIGS["ssdnet-small"], stem_channels=(8,), encoder_channels=(8, 8, 8, 8),
+from models import SSDNet
+from models.registry import NETWORKS, Entry
+NETWORKS["ssdnet-small"] = Entry(SSDNet, replace(
+    NETWORKS["ssdnet-small"].config, stem_channels=(8,), encoder_channels=(8, 8, 8, 8),
     encoder_blocks=(1, 1, 1, 1), decoder_channels=(8, 8, 8, 8), boundary_channels=4,
-)
+))
 torch.set_num_threads(1)
 from training import loop
 from training.loading.augment import AugmentConfig

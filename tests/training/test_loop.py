@@ -14,7 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from typer.testing import CliRunner
 
 from models import SSDNet, create_model, load_checkpoint, save_checkpoint
-from models.config import CONFIGS
+from models.registry import NETWORKS, Entry
 from runtime.errors import CheckpointError, DatasetError, InputError
 from training import cli, loop
 from training.loading.augment import AugmentConfig
@@ -33,7 +33,7 @@ from training.recipe import (
 from training.run_folder import NonFiniteLossError
 
 TINY = replace(
-    CONFIGS["ssdnet-lite"],
+    NETWORKS["ssdnet-lite"].config,
     stem_channels=(16, 16),
     encoder_channels=(16, 16, 16, 16),
     encoder_blocks=(1, 1, 1, 1),
@@ -48,7 +48,7 @@ INDEPENDENT = LossConfig(semantic_boundary_weight=0.0, semantic_depth_weight=0.0
 
 @pytest.fixture(autouse=True)
 def tiny_model(monkeypatch):
-    monkeypatch.setitem(CONFIGS, "ssdnet-lite", TINY)
+    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNet, TINY))
 
 
 @pytest.fixture
@@ -349,7 +349,7 @@ def test_init_takes_over_what_fits_and_says_what_starts_anew(data, tmp_path, mon
     first = train(recipe(steps=1), data=[data], out=tmp_path / "a")
     assert "starting anew" not in capsys.readouterr().err
     wider = replace(TINY, semantic_refine_channels=TINY.semantic_refine_channels + 4)
-    monkeypatch.setitem(CONFIGS, "ssdnet-lite", wider)
+    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNet, wider))
     frozen = replace(recipe(steps=1), optimizer=replace(recipe().optimizer, learning_rate=0.0))
     second = train(frozen, data=[data], out=tmp_path / "b", init=first)
     said = capsys.readouterr().err
@@ -361,7 +361,7 @@ def test_init_takes_over_what_fits_and_says_what_starts_anew(data, tmp_path, mon
 
 def test_init_of_which_nothing_fits_is_refused(data, tmp_path):
     plain = replace(
-        CONFIGS["ssdnet"],
+        NETWORKS["ssdnet"].config,
         encoder_channels=(8,) * 5,
         encoder_blocks=(1,) * 5,
         decoder_channels=(8,) * 5,

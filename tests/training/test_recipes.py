@@ -11,8 +11,9 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from layouts import camvid, cityscapes, kitti_depth, kitti_stream, virtual_kitti
-from models import CLASS_TABLES, load_checkpoint
-from models.config import CONFIGS
+from models import CLASS_TABLES, SSDNet, load_checkpoint
+from models.registry import NETWORKS, Entry
+from models.ssdnet_config import FAMILY
 from training import recipes
 from training.loop import train
 from training.losses.total import TERMS
@@ -56,7 +57,7 @@ def data(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def shrunk_networks(monkeypatch):
     """Networks keep their stages, inputs and heads, with one block of few channels a stage."""
-    for name, config in CONFIGS.items():
+    for config in FAMILY:
         shrunk = replace(
             config,
             stem_channels=(8,) * len(config.stem_channels),
@@ -65,7 +66,7 @@ def shrunk_networks(monkeypatch):
             decoder_channels=(8,) * len(config.decoder_channels),
             boundary_channels=4,
         )
-        monkeypatch.setitem(CONFIGS, name, shrunk)
+        monkeypatch.setitem(NETWORKS, config.name, Entry(SSDNet, shrunk))
 
 
 @pytest.fixture(autouse=True)

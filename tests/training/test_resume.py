@@ -19,11 +19,12 @@ import os, sys, time
 from dataclasses import replace
 from pathlib import Path
 import torch
-from models.config import CONFIGS
-CONFIGS["ssdnet-lite"] = replace(
-    CONFIGS["ssdnet-lite"], stem_channels=(8, 8), encoder_channels=(8, 8, 8, 8),
+from models import SSDNet
+from models.registry import NETWORKS, Entry
+NETWORKS["ssdnet-lite"] = Entry(SSDNet, replace(
+    NETWORKS["ssdnet-lite"].config, stem_channels=(8, 8), encoder_channels=(8, 8, 8, 8),
     encoder_blocks=(1, 1, 1, 1), decoder_channels=(8, 8, 8), boundary_channels=4,
-)
+))
 torch.set_num_threads(1)
 write = os.fsync
 def slow(handle):

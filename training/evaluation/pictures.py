@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from models import ModelConfig
+from models import NetworkConfig
 from runtime.stream.overlay import Overlay
 from training.datasets.sample import IGNORE, SampleSource
 from training.evaluation.lidar_input import split_lidar
@@ -14,7 +14,7 @@ from training.evaluation.scoring import Answer, Predict
 
 
 def draw_pictures(
-    predict: Predict, source: SampleSource, config: ModelConfig, *, count: int
+    predict: Predict, source: SampleSource, config: NetworkConfig, *, count: int
 ) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """Draw frames spread evenly over a set: name, and the prediction beside the truth.
 
@@ -26,10 +26,10 @@ def draw_pictures(
     for index in np.unique(np.linspace(0, len(source) - 1, count).round().astype(int)):
         frame = split_lidar(source[int(index)])
         sample = frame.sample
-        labelled = config.semantic_head and (sample.semantic != IGNORE).any()
+        labelled = "semantic" in config.heads and (sample.semantic != IGNORE).any()
         truth = Answer(
             sample.semantic if labelled else None,
-            frame.target if config.depth_head and frame.target.any() else None,
+            frame.target if "depth" in config.heads and frame.target.any() else None,
             None,
         )
         drawn = [

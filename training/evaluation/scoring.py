@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from models import SSDNet
+from models import Network
 from models.classes import CATEGORIES
 from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import Processes
@@ -36,7 +36,7 @@ class Answer(NamedTuple):
 Predict = Callable[[NDArray[np.uint8], NDArray[np.float32]], Answer]
 
 
-def torch_predict(network: SSDNet) -> Predict:
+def torch_predict(network: Network) -> Predict:
     """Return the PyTorch network as a predictor; it is put into evaluation mode."""
     network.eval()
 
@@ -47,12 +47,14 @@ def torch_predict(network: SSDNet) -> Predict:
             torch.from_numpy(rgb).to(device).permute(2, 0, 1)[None].float(),
             torch.from_numpy(sparse_depth).to(device)[None, None],
         )
-        semantic = depth = None
+        semantic = depth = boundary = None
         if output.semantic_logits is not None:
             semantic = output.semantic_logits[0].argmax(0).to(torch.uint8).cpu().numpy()
         if output.depths is not None:
             depth = (output.depths[0][0, 0].float() * network.config.max_depth_m).cpu().numpy()
-        return Answer(semantic, depth, torch.sigmoid(output.boundary_logits)[0, 0].cpu().numpy())
+        if output.boundary_logits is not None:
+            boundary = torch.sigmoid(output.boundary_logits)[0, 0].cpu().numpy()
+        return Answer(semantic, depth, boundary)
 
     return predict
 
@@ -149,7 +151,7 @@ def score(predict: Predict, frames: Iterable[LidarSplit], *, num_classes: int) -
 
 
 def score_sources(
-    network: SSDNet, sources: Mapping[str, SampleSource], processes: Processes
+    network: Network, sources: Mapping[str, SampleSource], processes: Processes
 ) -> dict[str, float]:
     """Score a network on validation sets: mIoU where there are labels, MAE and RMSE where depth.
 

@@ -153,14 +153,14 @@ class SSDNetLoss(nn.Module):
         or beyond `max_depth_m` = none. `semantic_weight` float (N,): how much each sample's labels
         count in Eq. 5 and 6, below 1 for labels made by a network. Samples may lack either target
         altogether. Names: depth, semantic, boundary, semantic_boundary, semantic_depth,
-        side_boundary; those of absent heads or of weight 0 are left out. Computed in float32
+        side_boundary; those of weight 0, and those that need a head that the network lacks, are
+        left out. Computed in float32
         whatever the network was computed in. Raises ValueError on targets of another size.
         """
-        if output.boundary_logits.shape[-2:] != semantic.shape[-2:] or (
-            semantic.shape[-2:] != depth.shape[-2:]
-        ):
+        answer = _any_answer(output)
+        if answer.shape[-2:] != semantic.shape[-2:] or semantic.shape[-2:] != depth.shape[-2:]:
             raise ValueError(
-                f"the network's answer is {tuple(output.boundary_logits.shape[-2:])}, semantic "
+                f"the network's answer is {tuple(answer.shape[-2:])}, semantic "
                 f"{tuple(semantic.shape[-2:])} and depth {tuple(depth.shape[-2:])}; expected one "
                 "size (height, width)"
             )
@@ -169,7 +169,7 @@ class SSDNetLoss(nn.Module):
         terms |= self._semantic_terms(output, semantic, semantic_weight)
         weighted = [self._weigh(name, term) for name, term in terms.items()]
         # Without any term the total is still a 0 that can be differentiated.
-        anchor = torch.nan_to_num(output.boundary_logits[0, 0, 0, 0].float(), posinf=0, neginf=0)
+        anchor = torch.nan_to_num(answer[0, 0, 0, 0].float(), posinf=0, neginf=0)
         terms["total"] = sum(weighted, start=0.0 * anchor)
         return terms
 
@@ -192,7 +192,8 @@ class SSDNetLoss(nn.Module):
     ) -> dict[str, Tensor]:
         config = self.config
         sides = output.side_boundary_logits if config.side_boundary_weight else ()
-        if not (config.boundary_weight or sides):
+        fused = output.boundary_logits if config.boundary_weight else None
+        if fused is None and not sides:
             return {}
         target, valid = boundary_target(semantic)
 
@@ -204,7 +205,7 @@ class SSDNetLoss(nn.Module):
                 sample_weight=semantic_weight,
             )
 
-        terms = {"boundary": loss(output.boundary_logits)} if config.boundary_weight else {}
+        terms = {} if fused is None else {"boundary": loss(fused)}
         if sides:
             terms["side_boundary"] = torch.stack([loss(side) for side in sides]).mean()
         return terms
@@ -232,7 +233,8 @@ class SSDNetLoss(nn.Module):
         if logits is None:
             return {}
         with_depth = bool(config.semantic_depth_weight) and output.depths is not None
-        joint = bool(config.semantic_boundary_weight) or with_depth
+        boundary_logits = output.boundary_logits if config.semantic_boundary_weight else None
+        joint = boundary_logits is not None or with_depth
         if not (config.semantic_weight or config.semantic_iou_weight or joint):
             return {}
         weights = self.class_weights
@@ -253,14 +255,23 @@ class SSDNetLoss(nn.Module):
         if config.semantic_weight:
             known = semantic != IGNORE
             terms["semantic"] = labelled_mean(cross_entropy, known, semantic_weight)
-        if disagreement is not None and config.semantic_boundary_weight:
-            boundary = torch.sigmoid(output.boundary_logits.float())
+        if disagreement is not None and boundary_logits is not None:
+            boundary = torch.sigmoid(boundary_logits.float())
             terms["semantic_boundary"] = semantic_boundary_loss(disagreement, boundary)
         if disagreement is not None and with_depth and output.depths is not None:
             terms["semantic_depth"] = semantic_depth_loss(
                 disagreement, output.depths[0].float(), depth_scale=config.joint_depth_scale
             )
         return terms
+
+
+def _any_answer(output: SSDNetOutput) -> Tensor:
+    """Return an answer of the image's size, (N, any, H, W), of whatever head there is."""
+    depth = None if output.depths is None else output.depths[0]
+    for answer in (output.boundary_logits, output.semantic_logits, depth):
+        if answer is not None:
+            return answer
+    raise ValueError("the network has no head")
 
 
 def _class_maps(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models import SSDNet
-from models.config import CONFIGS
+from models.registry import NETWORKS
 from training.datasets.sample import Sample
 from training.evaluation.lidar_input import split_lidar
 from training.evaluation.scoring import Answer, score, torch_predict
@@ -104,7 +104,7 @@ def test_unlabelled_frames_do_not_count():
 
 def test_network_answers_at_the_frames_size_in_metres():
     small = replace(
-        CONFIGS["ssdnet-lite"],
+        NETWORKS["ssdnet-lite"].config,
         encoder_channels=(8, 8, 8, 8),
         decoder_channels=(8, 8, 8),
         stem_channels=(8, 8),

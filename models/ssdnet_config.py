@@ -1,15 +1,13 @@
-"""The one frozen configuration from which every network of the family is built."""
+"""The configuration of the SSDNet family, and its named members."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from models.classes import CAMVID_CLASSES
-from runtime.contract import ClassInfo, check_classes, check_max_depth, check_name, check_stride
+from models.network import Head, NetworkConfig
 
 
 @dataclass(frozen=True)
-class ModelConfig:
+class SSDNetConfig(NetworkConfig):
     """Everything that fixes a network: heads, inputs, widths, depth range and normalisation.
 
     The defaults are the paper's full network (SSDNet, Sensors 2020) with the channel list that
@@ -17,13 +15,6 @@ class ModelConfig:
     """
 
     name: str = "ssdnet"
-    #: Semantic classes in the order of their ids; empty without a semantic decoder.
-    classes: tuple[ClassInfo, ...] = CAMVID_CLASSES
-    #: Depth that the normalised output 1.0 stands for; a measurement beyond it counts as none.
-    max_depth_m: float = 100.0
-    #: Mean and standard deviation of RGB in 0..255, part of the network (ImageNet's figures).
-    rgb_mean: tuple[float, float, float] = (123.675, 116.28, 103.53)
-    rgb_std: tuple[float, float, float] = (58.395, 57.12, 57.375)
 
     semantic_head: bool = True
     depth_head: bool = True
@@ -64,12 +55,7 @@ class ModelConfig:
             raise ValueError("a network needs a semantic head, a depth head or both")
         if not (self.use_rgb or self.use_sparse_depth):
             raise ValueError("a network needs rgb, sparse depth or both as input")
-        if self.semantic_head != bool(self.classes):
-            raise ValueError("classes must be given exactly when there is a semantic head")
-        check_name(self.name, "name")
-        check_classes(self.classes)
-        check_max_depth(self.max_depth_m)
-        check_stride(self.stride)
+        super().__post_init__()
         if len(self.encoder_channels) != len(self.encoder_blocks):
             raise ValueError("encoder_channels and encoder_blocks must have the same length")
         if len(self.decoder_channels) != self.num_skips:
@@ -93,9 +79,14 @@ class ModelConfig:
             raise ValueError("depth_prior works on the grid of a strided stem")
 
     @property
-    def num_classes(self) -> int:
-        """Number of semantic classes."""
-        return len(self.classes)
+    def heads(self) -> tuple[Head, ...]:
+        """The answers that the network gives; a boundary always."""
+        present: dict[Head, bool] = {
+            "semantic": self.semantic_head,
+            "depth": self.depth_head,
+            "boundary": True,
+        }
+        return tuple(head for head, there in present.items() if there)
 
     @property
     def num_skips(self) -> int:
@@ -118,33 +109,12 @@ class ModelConfig:
         """Ratio of the image to the coarsest grid."""
         return int(self.output_stride * 2**self.num_skips)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the configuration as plain Python values."""
-        return asdict(self)
 
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> "ModelConfig":
-        """Build a configuration from `to_dict`'s form; unknown keys are a ValueError."""
-        known = {field.name for field in fields(cls)}
-        unknown = sorted(set(values) - known)
-        if unknown:
-            raise ValueError(f"unknown model configuration keys: {', '.join(unknown)}")
-        plain: dict[str, Any] = {
-            key: tuple(value) if isinstance(value, list | tuple) else value
-            for key, value in values.items()
-        }
-        if "classes" in plain:
-            plain["classes"] = tuple(
-                ClassInfo(item["name"], tuple(item["color"])) for item in plain["classes"]
-            )
-        return cls(**plain)
-
-
-SSDNET = ModelConfig()
+SSDNET = SSDNetConfig()
 
 #: The same structure at a fortieth of the parameters, for experiments on a CPU: a strided stem
 #: instead of the first stage at full size, and narrower.
-SSDNET_SMALL = ModelConfig(
+SSDNET_SMALL = SSDNetConfig(
     name="ssdnet-small",
     stem_channels=(16,),
     encoder_channels=(32, 48, 64, 96),
@@ -152,7 +122,7 @@ SSDNET_SMALL = ModelConfig(
     decoder_channels=(64, 48, 32, 16),
 )
 
-SSDNET_LITE = ModelConfig(
+SSDNET_LITE = SSDNetConfig(
     name="ssdnet-lite",
     stem_channels=(32, 32),
     encoder_channels=(32, 64, 128, 256),
@@ -170,10 +140,10 @@ SSDNET_LITE = ModelConfig(
 _DEPTH_ALONE: dict[str, Any] = {"semantic_head": False, "classes": ()}
 
 
-def _with_ablations(config: ModelConfig) -> tuple[ModelConfig, ...]:
+def _with_ablations(config: SSDNetConfig) -> tuple[SSDNetConfig, ...]:
     """The network and the rows of the paper's ablation; SSDNet_ind differs in its losses only."""
 
-    def variant(suffix: str, **changes: Any) -> ModelConfig:
+    def variant(suffix: str, **changes: Any) -> SSDNetConfig:
         return replace(config, name=f"{config.name}-{suffix}", **changes)
 
     return (
@@ -186,11 +156,8 @@ def _with_ablations(config: ModelConfig) -> tuple[ModelConfig, ...]:
 
 
 #: Named members of the family.
-CONFIGS: dict[str, ModelConfig] = {
-    config.name: config
-    for config in (
-        *_with_ablations(SSDNET),
-        *_with_ablations(SSDNET_SMALL),
-        SSDNET_LITE,
-    )
-}
+FAMILY: tuple[SSDNetConfig, ...] = (
+    *_with_ablations(SSDNET),
+    *_with_ablations(SSDNET_SMALL),
+    SSDNET_LITE,
+)

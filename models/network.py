@@ -1,0 +1,215 @@
+"""What every network shares: its configuration, its input, its answer at full size."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal, NamedTuple, Self, get_args, get_origin, get_type_hints
+
+import torch
+from torch import Tensor, nn
+
+from models.blocks import upsample
+from models.classes import CAMVID_CLASSES
+from runtime.contract import (
+    MIN_SIDE,
+    ClassInfo,
+    check_classes,
+    check_max_depth,
+    check_name,
+    check_stride,
+)
+
+Head = Literal["semantic", "depth", "boundary"]
+
+
+class SSDNetOutput(NamedTuple):
+    """What a network answers. A head that the network lacks is None."""
+
+    #: (N, C, H, W) before the soft-max.
+    semantic_logits: Tensor | None = None
+    #: Normalised depth 0..1, times `max_depth_m` gives metres: (N, 1, h_i, w_i), finest first.
+    #: The finest has the image's size.
+    depths: tuple[Tensor, ...] | None = None
+    #: (N, 1, H, W), the logit of P_b.
+    boundary_logits: Tensor | None = None
+    #: Logits of B_i, (N, 1, h_i, w_i), finest first; () without side outputs.
+    side_boundary_logits: tuple[Tensor, ...] = ()
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """What the configuration of every network says; a network's own adds its fields.
+
+    Raises ValueError, which says what is wrong, for what cannot be built.
+    """
+
+    name: str
+    #: Semantic classes in the order of their ids; empty without a semantic head.
+    classes: tuple[ClassInfo, ...] = CAMVID_CLASSES
+    #: Depth that the normalised output 1.0 stands for; a measurement beyond it counts as none.
+    max_depth_m: float = 100.0
+    #: Mean and standard deviation of RGB in 0..255, part of the network (ImageNet's figures).
+    rgb_mean: tuple[float, float, float] = (123.675, 116.28, 103.53)
+    rgb_std: tuple[float, float, float] = (58.395, 57.12, 57.375)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be built, with a ValueError that says why."""
+        if ("semantic" in self.heads) != bool(self.classes):
+            raise ValueError("classes must be given exactly when there is a semantic head")
+        check_name(self.name, "name")
+        check_classes(self.classes)
+        check_max_depth(self.max_depth_m)
+        check_stride(self.stride)
+
+    @property
+    def heads(self) -> tuple[Head, ...]:
+        """The answers that the network gives, in the order of `Head`."""
+        raise NotImplementedError
+
+    @property
+    def stride(self) -> int:
+        """Ratio of the image to the coarsest grid."""
+        raise NotImplementedError
+
+    @property
+    def output_stride(self) -> int:
+        """Ratio of the image to the finest grid of depth and boundaries."""
+        return 1
+
+    @property
+    def semantic_stride(self) -> int:
+        """Ratio of the image to the grid of the semantic logits."""
+        return 1
+
+    @property
+    def num_classes(self) -> int:
+        """Number of semantic classes."""
+        return len(self.classes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the configuration as plain Python values."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Build a configuration from `to_dict`'s form.
+
+        Raises ValueError for unknown keys, values of the wrong type and what cannot be built.
+        """
+        known = {field.name for field in fields(cls)}
+        unknown = sorted(str(key) for key in set(values) - known)
+        if unknown:
+            raise ValueError(f"unknown model configuration keys: {', '.join(unknown)}")
+        hints = get_type_hints(cls)
+        return cls(**{key: _checked(value, hints[key], key) for key, value in values.items()})
+
+
+class Network(nn.Module):
+    """Base of every network.
+
+    A network gives `predict_coarse`. If it has classes, `semantic_head` is its last convolution,
+    with a bias, which gives their scores: training starts it anew where the classes are others.
+    """
+
+    rgb_mean: Tensor
+    rgb_std: Tensor
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.register_buffer("rgb_mean", torch.tensor(config.rgb_mean).view(1, 3, 1, 1))
+        self.register_buffer("rgb_std", torch.tensor(config.rgb_std).view(1, 3, 1, 1))
+
+    def forward(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+        """Predict at full size.
+
+        rgb: float (N, 3, H, W), RGB in 0..255. sparse_depth: float (N, 1, H, W), metres; 0,
+        negative, NaN, Inf or beyond ``config.max_depth_m`` = no measurement. H, W >= MIN_SIDE, odd
+        sizes too. Raises ValueError on other shapes.
+        """
+        height, width = _check_shapes(rgb, sparse_depth)
+        coarse = self.predict_coarse(rgb, sparse_depth)
+
+        def full_size(x: Tensor, stride: int) -> Tensor:
+            return upsample(x, factor=stride)[:, :, :height, :width]
+
+        logits, depths, boundary = coarse.semantic_logits, coarse.depths, coarse.boundary_logits
+        stride = self.config.output_stride
+        return SSDNetOutput(
+            semantic_logits=(
+                None if logits is None else full_size(logits, self.config.semantic_stride)
+            ),
+            depths=None if depths is None else (full_size(depths[0], stride), *depths[1:]),
+            boundary_logits=None if boundary is None else full_size(boundary, stride),
+            side_boundary_logits=coarse.side_boundary_logits,
+        )
+
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+        """Predict on the heads' own grids.
+
+        These are 1 / ``config.semantic_stride`` of the image for the semantics and 1 /
+        ``config.output_stride`` for the finest depth and the boundary. Inputs as `forward`. A
+        network that pads the image at the bottom and right to a multiple of its stride gives grids
+        that cover the padding too.
+        """
+        raise NotImplementedError
+
+    def normalise_rgb(self, rgb: Tensor) -> Tensor:
+        """RGB in 0..255 less its mean over its standard deviation: (N, 3, H, W) -> same."""
+        return (rgb - self.rgb_mean) / self.rgb_std
+
+    def normalise_depth(self, sparse_depth: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the depth as a share 0..1 of the range, 0 = none, and the bool mask of measured.
+
+        All (N, 1, H, W). `sparse_depth` is in metres, see `forward`.
+        """
+        limit = self.config.max_depth_m
+        valid_mask = (sparse_depth > 0) & (sparse_depth <= limit)  # False for NaN
+        return torch.where(valid_mask, sparse_depth, 0.0) / limit, valid_mask
+
+
+def initialise(module: nn.Module) -> None:
+    """Xavier weights and zero biases, as the paper's experiments; for ``module.apply``."""
+    if isinstance(module, nn.Conv2d):
+        nn.init.xavier_uniform_(module.weight)
+        if module.bias is not None:
+            nn.init.zeros_(module.bias)
+
+
+def _check_shapes(rgb: Tensor, sparse_depth: Tensor) -> tuple[int, int]:
+    """Return (height, width), or raise a ValueError that says what was expected."""
+    if rgb.ndim != 4 or rgb.shape[1] != 3:
+        raise ValueError(f"rgb must be (N, 3, H, W), got {tuple(rgb.shape)}")
+    batch, _, height, width = rgb.shape
+    if sparse_depth.shape != (batch, 1, height, width):
+        raise ValueError(
+            f"sparse_depth must be {(batch, 1, height, width)} to match rgb, "
+            f"got {tuple(sparse_depth.shape)}"
+        )
+    if height < MIN_SIDE or width < MIN_SIDE:
+        raise ValueError(f"height and width must be at least {MIN_SIDE}, got {height}x{width}")
+    return height, width
+
+
+def _checked(value: Any, hint: Any, key: str) -> Any:
+    """Return a plain value as a configuration's field holds it, or raise a ValueError."""
+    kind, arguments = get_origin(hint) or hint, get_args(hint)
+    if kind is Literal and isinstance(value, str) and value in arguments:
+        return value
+    if kind is tuple and isinstance(value, list | tuple):
+        wanted = arguments[:1] * len(value) if arguments[-1] is Ellipsis else arguments
+        if len(wanted) == len(value):
+            return tuple(
+                _checked(item, each, f"{key}[{index}]")
+                for index, (item, each) in enumerate(zip(value, wanted, strict=True))
+            )
+    if kind is ClassInfo and isinstance(value, Mapping) and value.keys() == {"name", "color"}:
+        hints = get_type_hints(ClassInfo)
+        return ClassInfo(
+            _checked(value["name"], hints["name"], f"{key}.name"),
+            _checked(value["color"], hints["color"], f"{key}.color"),
+        )
+    if kind is float and type(value) is int:
+        return value
+    if kind in (bool, int, float, str) and type(value) is kind:
+        return value
+    raise ValueError(f"{key} has the wrong type: {value!r:.80}")

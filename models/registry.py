@@ -1,0 +1,63 @@
+"""Every network by name."""
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import Any, NamedTuple
+
+from models.classes import numbered_classes
+from models.network import Network, NetworkConfig
+from models.ssdnet import SSDNet
+from models.ssdnet_config import FAMILY
+from runtime.contract import ClassInfo
+
+
+class Entry(NamedTuple):
+    """A network's class, and the configuration from which it is built by default."""
+
+    #: Takes the configuration alone.
+    network: type[Network]
+    config: NetworkConfig
+
+
+#: Name -> network; a new one is a line here.
+NETWORKS: dict[str, Entry] = {
+    **{config.name: Entry(SSDNet, config) for config in FAMILY},
+}
+
+
+def list_models() -> list[str]:
+    """Return the names that `create_model` knows."""
+    return list(NETWORKS)
+
+
+def create_model(
+    name: str,
+    *,
+    classes: Sequence[ClassInfo] | None = None,
+    num_classes: int | None = None,
+    max_depth_m: float | None = None,
+    **changes: Any,
+) -> Network:
+    """Build a network by name, with random weights.
+
+    ``classes`` (or ``num_classes`` for numbered ones) replaces CamVid's eleven; ``max_depth_m`` is
+    the depth range in metres; ``changes`` are other fields of the network's configuration, for
+    example ``boundary_gating=False`` of `SSDNetConfig`.
+    Raises ValueError for an unknown name, for both kinds of classes at once, for classes on a
+    network without a semantic head, and for a field that the network does not have.
+    """
+    if name not in NETWORKS:
+        raise ValueError(f"unknown model {name!r}; known: {', '.join(NETWORKS)}")
+    network, config = NETWORKS[name]
+    if classes is not None and num_classes is not None:
+        raise ValueError("give classes or num_classes, not both")
+    if num_classes is not None:
+        classes = numbered_classes(num_classes)
+    if classes is not None:
+        changes["classes"] = tuple(classes)
+    if max_depth_m is not None:
+        changes["max_depth_m"] = max_depth_m
+    unknown = sorted(set(changes) - {field.name for field in fields(config)})
+    if unknown:
+        raise ValueError(f"{', '.join(unknown)} means nothing to the network {name!r}")
+    return network(replace(config, **changes))
