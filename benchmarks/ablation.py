@@ -24,11 +24,12 @@ import torch
 from models import load_checkpoint
 from runtime.atomic_write import atomic_file, atomic_write
 from runtime.errors import InputError
+from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.lidar_input import LidarInput
 from training.evaluation.scoring import score, torch_predict
-from training.loading.open_dataset import open_source
+from training.loading.open_dataset import open_dataset
 from training.loop import train
-from training.recipe import Recipe, SourceRecipe, read_recipe
+from training.recipe import Recipe, read_recipe
 from training.run_folder import RECIPE, to_text
 
 mpl.use("Agg")
@@ -100,7 +101,7 @@ def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
         return json.loads(scores.read_text())
     checkpoint = train(recipe, data=[arguments.data], out=out, device=arguments.device)
     network = load_checkpoint(checkpoint).model.to(arguments.device)
-    source = open_source(SourceRecipe("rendered", "test"), [arguments.data], classes="camvid")
+    source = open_dataset(RenderedRecipe(path="test"), [arguments.data], classes="camvid")
     frames = (
         _INPUT.split(source[index], np.random.default_rng([0, index]))
         for index in range(len(source))

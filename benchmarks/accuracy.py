@@ -17,18 +17,20 @@ from tqdm import tqdm
 
 from runtime import Predictor
 from runtime.atomic_write import atomic_write
+from training.datasets.camvid import CamVidRecipe
+from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.sample import SampleSource
+from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.baselines import BASELINES
 from training.evaluation.lidar_input import LidarSplit, split_lidar
 from training.evaluation.model_file import engine_predict, fill_predict
 from training.evaluation.scoring import Predict, Scores, score
-from training.loading.open_dataset import open_source
-from training.recipe import SourceRecipe
+from training.loading.open_dataset import open_dataset
 
 SETS = {
-    "CamVid val": SourceRecipe("camvid", "camvid", split="val"),
-    "KITTI frames 50-59": SourceRecipe("kitti_stream", "kitti_stream", first=50, last=59),
-    "rendered val": SourceRecipe("rendered", "rendered/val"),
+    "CamVid val": CamVidRecipe(path="camvid", split="val"),
+    "KITTI frames 50-59": KittiStreamRecipe(path="kitti_stream", first=50, last=59),
+    "rendered val": RenderedRecipe(path="rendered/val"),
 }
 
 
@@ -46,7 +48,7 @@ def main() -> None:
             if not any((root / recipe.path).is_dir() for root in arguments.data):
                 print(f"## {title}: no folder {recipe.path}, left out\n")
                 continue
-            source = open_source(recipe, arguments.data, classes="camvid")
+            source = open_dataset(recipe, arguments.data, classes="camvid")
             ways: dict[str, Predict] = {"ssdnet": engine_predict(predictor)}
             if recipe.kind != "camvid":
                 ways |= {name: fill_predict(fill) for name, fill in BASELINES.items()}

@@ -29,7 +29,7 @@ from torch.utils.data import DataLoader
 
 from runtime.stream.report import cpu_name
 from training import loop
-from training.loading.open_dataset import open_mixture, open_source
+from training.loading.open_dataset import open_dataset, open_mixture
 from training.losses import SSDNetLoss
 from training.network import build_network
 from training.optimizer import build_optimizer
@@ -81,7 +81,7 @@ def main() -> None:
 def make_batches(recipe: Recipe, arguments: argparse.Namespace, workers: int) -> Iterator[dict]:
     """Batches as the loop draws them."""
     sources = [
-        open_source(item, arguments.data, classes=recipe.model.classes)
+        open_dataset(item, arguments.data, classes=recipe.model.class_table)
         for item in recipe.data.source
     ]
     data = replace(recipe.data, workers=workers)

@@ -27,7 +27,7 @@ from training.distributed import (
 )
 from training.evaluation.pictures import draw_pictures
 from training.evaluation.scoring import score_sources, torch_predict
-from training.loading.open_dataset import count_pixels, open_mixture, open_source
+from training.loading.open_dataset import count_pixels, open_dataset, open_mixture
 from training.losses import SSDNetLoss, class_weights
 from training.network import adjust_logits, build_network
 from training.optimizer import build_optimizer, exponential_average, learning_rate
@@ -91,10 +91,10 @@ def _train(
     random.seed(recipe.data.seed)
     np.random.seed(recipe.data.seed)  # noqa: NPY002  (for libraries that draw from it)
 
-    classes = recipe.model.classes
-    sources = [open_source(item, data, classes=classes) for item in recipe.data.source]
+    classes = recipe.model.class_table
+    sources = [open_dataset(item, data, classes=classes) for item in recipe.data.source]
     validation = {
-        item.name: open_source(item, data, classes=classes) for item in recipe.validation.source
+        item.name: open_dataset(item, data, classes=classes) for item in recipe.validation.source
     }
     network = build_network(recipe.model, init)
     weights = None

@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from models import CLASS_TABLES, Network, create_model, load_checkpoint
+from models import Network, create_model, load_checkpoint
 from models.registry import NETWORKS
 from runtime.errors import CheckpointError, InputError
+from training.datasets.class_mapping import list_classes
 from training.recipe import ModelRecipe
 
 #: Layers whose weights are of one class each.
@@ -40,7 +41,7 @@ def build_network(recipe: ModelRecipe, init: Path | None) -> Network:
     try:
         network = create_model(
             recipe.name,
-            classes=CLASS_TABLES[recipe.classes] if with_classes else None,
+            classes=list_classes(recipe.class_table) if with_classes else None,
             max_depth_m=recipe.max_depth_m,
             **changes,
         )

@@ -1,200 +1,156 @@
 """Recipes: one TOML file says everything about a training; unknown keys are errors."""
 
-import math
+import json
 import tomllib
-import types
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from dataclasses import field, fields
 from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
 
-from runtime.contract import MIN_SIDE
+from pydantic import Discriminator, Field, Tag, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from runtime.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
 from runtime.errors import InputError
-from training.loading.augment import AugmentConfig, require_range
+from training.datasets.class_mapping import ClassTable
+from training.datasets.source import SourceRecipe, source_kinds
+from training.limits import (
+    MAX_BATCH_PIXELS,
+    MAX_SAMPLES,
+    STRICT,
+    BatchSize,
+    Count,
+    DepthRange,
+    NotNegative,
+    Positive,
+    Seed,
+    Share,
+    Side,
+    Steps,
+    Workers,
+    require_window,
+)
+from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
 
 T = TypeVar("T")
 
+if TYPE_CHECKING:
+    AnySource = SourceRecipe
+else:
+    #: A data set of any kind, told apart by its key ``kind``.
+    AnySource = Annotated[
+        Union[tuple(source_kinds().values())],  # noqa: UP007
+        Field(discriminator="kind"),
+    ]
 
-def _require(key: str, value: float, *, at_least: float, at_most: float = math.inf) -> None:
-    if not (at_least <= value <= at_most and math.isfinite(value)):
-        limit = "" if at_most == math.inf else f" and at most {at_most}"
-        raise ValueError(f"{key} = {value}; it must be at least {at_least}{limit}")
+
+#: How the two forms of ``model.classes`` are told apart.
+_NAMED, _OWN = "(named)", "(own)"
+_Channel = Annotated[int, Field(ge=0, le=255)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
+class ClassRecipe:
+    """A class of a table of one's own: its name, and its red, green and blue in pictures."""
+
+    name: Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH)]
+    color: tuple[_Channel, _Channel, _Channel]
+
+
+#: What pydantic puts into the place of a mistake to say which member of a union it tried.
+_TAGS: Mapping[str, type] = {**source_kinds(), _NAMED: str, _OWN: ClassRecipe}
+
+
+@dataclass(frozen=True, config=STRICT)
 class ModelRecipe:
     """Which network, by its name in `models.list_models()`."""
 
     name: str
-    max_depth_m: float = 100.0
-    #: The class table, a name in `models.CLASS_TABLES`, that every set's labels are told in.
-    classes: Literal["camvid", "cityscapes", "virtual_kitti"] = "camvid"
+    max_depth_m: DepthRange = 100.0
+    #: The table of the class ids: a name in `models.CLASS_TABLES`, or one's own.
+    classes: Annotated[
+        Annotated[Literal["camvid", "cityscapes", "virtual_kitti"], Tag(_NAMED)]
+        | Annotated[
+            tuple[ClassRecipe, ...], Field(min_length=1, max_length=MAX_CLASSES), Tag(_OWN)
+        ],
+        Discriminator(lambda value: _OWN if isinstance(value, list | tuple) else _NAMED),
+    ] = "camvid"
     #: False = the network's decoders are not gated by the boundary.
     boundary_gating: bool = True
     #: Factor on the sparse depth at the network's input.
-    sparse_depth_gain: float = 1.0
+    sparse_depth_gain: Positive = 1.0
     #: Rows of the pictures it is trained for. Goes into the exported file: a camera of many more
     #: rows is brought down to it. None = not known: every frame runs at its own size.
-    trained_height: int | None = None
+    trained_height: Side | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a height that no picture has, with a ValueError that names the key."""
-        if self.trained_height is not None:
-            _require("trained_height", self.trained_height, at_least=MIN_SIDE)
-
-
-@dataclass(frozen=True)
-class SourceRecipe:
-    """One data set of the mixture, or one of the validation sets.
-
-    A key that the kind does not know must keep its default.
-    """
-
-    kind: Literal[
-        "camvid",
-        "cityscapes",
-        "kitti_depth",
-        "kitti_raw",
-        "kitti_stream",
-        "rendered",
-        "rendered_on_the_fly",
-        "virtual_kitti",
-        "virtual_kitti_1",
-    ]
-    #: Folder, relative to one of the ``--data`` folders; none for scenes rendered on the fly.
-    path: str = ""
-    #: How often it is drawn, relative to the others.
-    weight: float = 1.0
-    #: The set's own split: train, val, test, selection (KITTI depth), all (Virtual KITTI).
-    split: str = "train"
-    #: First and last frame of a stream, inclusive.
-    first: int = 0
-    last: int | None = None
-    #: Scenes and variants of Virtual KITTI or rendered scenes; the split's by default.
-    scenes: tuple[str, ...] | None = None
-    variants: tuple[str, ...] | None = None
-    #: File below ``path`` that lists the frames, rows of "scene/variant/number".
-    frames: str | None = None
-    #: Drives of KITTI raw data; all by default.
-    drives: tuple[str, ...] | None = None
-    #: Cameras: 0 and 1 of Virtual KITTI 2, 2 and 3 of KITTI; the left one by default.
-    cameras: tuple[int, ...] | None = None
-    #: KITTI raw: leave out the returns that the camera cannot see behind nearer ones.
-    withhold_hidden: bool = False
-    #: Rendered on the fly: how many scenes, frames a scene, and the first scene's seed.
-    num_scenes: int = 100
-    frames_per_scene: int = 4
-    scene_seed: int = 0
-    #: (height, width) that every frame is brought to first; its own size by default.
-    size: tuple[int, int] | None = None
-    #: How much the set's labels count, for labels made by a network.
-    semantic_weight: float = 1.0
-    #: Range of the random magnification; the common one by default.
-    scale: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse what says nothing about this kind of set, with a ValueError that names the key."""
-        for length in self.size or ():
-            _require("size", length, at_least=MIN_SIDE)
-        if self.scale is not None:
-            require_range("scale", self.scale)
-        if not (self.path or self.kind == "rendered_on_the_fly"):
-            raise ValueError(f"path is missing; a set of kind {self.kind!r} needs one")
-        for key, least in (("num_scenes", 1), ("frames_per_scene", 1), ("scene_seed", 0)):
-            _require(key, getattr(self, key), at_least=least)
-        known = {"kind", "path", "weight", "size", "scale", *_KEYS[self.kind]}
-        for item in fields(self):
-            if item.name not in known and getattr(self, item.name) != item.default:
-                raise ValueError(
-                    f"{item.name} means nothing to a set of kind {self.kind!r}; it "
-                    f"knows {', '.join(sorted(known))}"
-                )
+        """Refuse two classes of one name, with a ValueError that names the key."""
+        names = [] if isinstance(self.classes, str) else [info.name for info in self.classes]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"classes has {twice[0]!r} twice")
 
     @property
-    def name(self) -> str:
-        """What scores of the set are called."""
-        return self.path or self.kind
+    def class_table(self) -> ClassTable:
+        """What `classes` says, as networks and data sets take it."""
+        if isinstance(self.classes, str):
+            return self.classes
+        return tuple(ClassInfo(info.name, info.color) for info in self.classes)
 
 
-#: What each kind of set can be told, beside what all of them can.
-_KEYS: Mapping[str, frozenset[str]] = {
-    "camvid": frozenset({"split"}),
-    "cityscapes": frozenset({"split"}),
-    "kitti_depth": frozenset({"split", "cameras"}),
-    "kitti_raw": frozenset({"drives", "cameras", "withhold_hidden"}),
-    "kitti_stream": frozenset({"first", "last", "semantic_weight"}),
-    "rendered": frozenset({"scenes", "variants", "frames"}),
-    "rendered_on_the_fly": frozenset({"variants", "num_scenes", "frames_per_scene", "scene_seed"}),
-    "virtual_kitti": frozenset({"split", "scenes", "variants", "frames", "cameras"}),
-    "virtual_kitti_1": frozenset({"split", "scenes", "variants", "frames"}),
-}
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class DataRecipe:
     """What is drawn, how it is changed and how it is batched."""
 
-    source: tuple[SourceRecipe, ...]
+    source: Annotated[tuple[AnySource, ...], Field(min_length=1, max_length=100)]
     augment: AugmentConfig = field(default_factory=AugmentConfig)
     #: Of each process.
-    batch_size: int = 8
-    workers: int = 1
+    batch_size: BatchSize = 8
+    workers: Workers = 1
     #: Memory for decoded frames, all workers of a process together [GiB]; 0 = each is decoded
     #: every time.
-    cache_gib: float = 0.0
-    seed: int = 0
+    cache_gib: NotNegative = 0.0
+    seed: Seed = 0
     #: Samples from which the class frequencies for the loss are counted.
-    frequency_samples: int = 400
+    frequency_samples: Count = 400
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be drawn, with a ValueError that names the key."""
-        _require("source", len(self.source), at_least=1)
-        _require("batch_size", self.batch_size, at_least=1)
-        _require("seed", self.seed, at_least=0)
-        _require("workers", self.workers, at_least=0)
-        _require("cache_gib", self.cache_gib, at_least=0)
-        _require("frequency_samples", self.frequency_samples, at_least=1)
-        for size in self.augment.crop:
-            _require("augment.crop", size, at_least=MIN_SIDE)
-        for item in self.source:
-            if not 0 < item.weight < math.inf:
-                raise ValueError(f"source.weight = {item.weight}; it must be positive")
+        """Refuse what no memory holds, with a ValueError that names the key."""
+        crop = self.augment.crop
+        if min(crop) < MIN_SIDE:
+            raise ValueError(f"augment.crop = {list(crop)}; both must be at least {MIN_SIDE}")
+        if self.batch_size * crop[0] * crop[1] > MAX_BATCH_PIXELS:
+            raise ValueError(
+                f"batch_size = {self.batch_size}: with crops of {crop[0]}x{crop[1]} a batch has "
+                f"more than {MAX_BATCH_PIXELS} pixels"
+            )
+        for index, item in enumerate(self.source):
+            if item.scale is not None:
+                require_window(f"source[{index}].scale", crop, item.scale)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class OptimizerRecipe:
     """AdamW, or the paper's SGD (momentum 0 is the paper's)."""
 
     name: Literal["adamw", "sgd"] = "adamw"
-    learning_rate: float = 2e-3
-    weight_decay: float = 1e-2
-    momentum: float = 0.9
-
-    def __post_init__(self) -> None:
-        """Refuse negative rates, with a ValueError that names the key."""
-        _require("learning_rate", self.learning_rate, at_least=0)
-        _require("weight_decay", self.weight_decay, at_least=0)
-        _require("momentum", self.momentum, at_least=0, at_most=1)
+    learning_rate: NotNegative = 2e-3
+    weight_decay: NotNegative = 1e-2
+    momentum: Share = 0.9
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class ScheduleRecipe:
     """Linear warm-up, then cosine to ``final_ratio`` of the rate, or constant."""
 
-    steps: int
-    warmup_steps: int = 0
+    steps: Steps
+    warmup_steps: Annotated[int, Field(ge=0, le=10**8)] = 0
     shape: Literal["cosine", "constant"] = "cosine"
-    final_ratio: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse negative lengths, with a ValueError that names the key."""
-        _require("steps", self.steps, at_least=1)
-        _require("warmup_steps", self.warmup_steps, at_least=0)
-        _require("final_ratio", self.final_ratio, at_least=0, at_most=1)
+    final_ratio: Share = 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class LoopRecipe:
     """How steps are computed and what is kept."""
 
@@ -205,48 +161,37 @@ class LoopRecipe:
     #: Let torch.compile make kernels of its own: minutes once, faster steps after.
     compile: bool = False
     #: Decay of the averaged weights that ship; 0 = no averaging.
-    ema_decay: float = 0.999
+    ema_decay: Share = 0.999
     #: Largest norm of the gradient; 0 = no clipping.
-    clip_norm: float = 0.0
+    clip_norm: NotNegative = 0.0
     #: Share of the log class weights that model.pt's semantic bias gives back (Menon et al. 2021):
     #: weighted training finds rare classes too often. 0 = none, 1 = all.
-    logit_adjustment: float = 0.0
+    logit_adjustment: Share = 0.0
     #: Batches, of each process, whose gradients are averaged for one step; batch normalisation
     #: sees each of them alone.
-    accumulate: int = 1
-    checkpoint_every: int = 500
-    log_every: int = 20
-
-    def __post_init__(self) -> None:
-        """Refuse intervals below one step, with a ValueError that names the key."""
-        _require("checkpoint_every", self.checkpoint_every, at_least=1)
-        _require("log_every", self.log_every, at_least=1)
-        _require("accumulate", self.accumulate, at_least=1)
-        _require("ema_decay", self.ema_decay, at_least=0, at_most=1)
-        _require("clip_norm", self.clip_norm, at_least=0)
-        _require("logit_adjustment", self.logit_adjustment, at_least=0, at_most=1)
+    accumulate: BatchSize = 1
+    checkpoint_every: Steps = 500
+    log_every: Steps = 20
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class ValidationRecipe:
     """Sets that the averaged weights are scored on while training."""
 
-    every: int = 1000
-    source: tuple[SourceRecipe, ...] = ()
+    every: Steps = 1000
+    source: Annotated[tuple[AnySource, ...], Field(max_length=100)] = ()
     #: Frames of each set, evenly spread, that TensorBoard shows as pictures.
-    pictures: int = 3
+    pictures: Annotated[int, Field(ge=0, le=1000)] = 3
 
     def __post_init__(self) -> None:
         """Refuse sets whose scores would share a name, with a ValueError that names the key."""
-        _require("every", self.every, at_least=1)
-        _require("pictures", self.pictures, at_least=0)
         paths = [item.name for item in self.source]
         twice = sorted({path for path in paths if paths.count(path) > 1})
         if twice:
             raise ValueError(f"source has {twice[0]!r} twice; scores are named by the path")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class Recipe:
     """A whole training, as its TOML file says it."""
 
@@ -258,7 +203,16 @@ class Recipe:
     loop: LoopRecipe = field(default_factory=LoopRecipe)
     validation: ValidationRecipe = field(default_factory=ValidationRecipe)
     #: Data and terms that a model card and an exported file must name.
-    terms: str = ""
+    terms: Annotated[str, Field(max_length=10_000)] = ""
+
+    def __post_init__(self) -> None:
+        """Refuse a training without end, with a ValueError that names the key."""
+        samples = self.schedule.steps * self.data.batch_size * self.loop.accumulate
+        if samples > MAX_SAMPLES:
+            raise ValueError(
+                f"schedule.steps = {self.schedule.steps}: with data.batch_size and "
+                f"loop.accumulate these are {samples} samples; at most {MAX_SAMPLES} are drawn"
+            )
 
 
 def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:
@@ -316,61 +270,60 @@ def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
     return merged
 
 
-def build(kind: type[T], table: Mapping[str, Any], where: str = "") -> T:
-    """Build a dataclass from a table, strictly; ``where`` is its place in the file."""
-    hints = get_type_hints(kind)
-    known = {item.name: item for item in fields(kind)}  # type: ignore[arg-type]
-    unknown = sorted(set(table) - set(known))
-    if unknown:
-        raise InputError(
-            f"unknown key {where}{unknown[0]}; known here: {', '.join(known)}. Correct its name."
-        )
-    missing = [
-        name
-        for name, item in known.items()
-        if name not in table and item.default is MISSING and item.default_factory is MISSING
-    ]
-    if missing:
-        raise InputError(f"missing key {where}{missing[0]}.")
-    values = {key: _convert(hints[key], value, f"{where}{key}") for key, value in table.items()}
+def build(kind: type[T], table: object) -> T:
+    """Build ``kind`` from a table of TOML, strictly. Raises InputError that names the place."""
     try:
-        return kind(**values)
-    except ValueError as error:  # its text starts with the key
-        raise InputError(f"{where}{error}.") from error
+        # By way of JSON, where a list may be a tuple and yet "3" is no 3.
+        return TypeAdapter(kind).validate_json(json.dumps(table))
+    except TypeError as error:  # dates and times
+        raise InputError(f"{error}; expected text, numbers, true or false.") from error
+    except ValidationError as error:
+        mistakes = error.errors(include_url=False)
+        unknown = [item for item in mistakes if item["type"] == "unexpected_keyword_argument"]
+        raise InputError(_describe((unknown or mistakes)[0], kind)) from error
 
 
-def _convert(hint: Any, value: Any, where: str) -> Any:
-    origin, arguments = get_origin(hint), get_args(hint)
-    if is_dataclass(hint) and isinstance(value, Mapping):
-        return build(hint, value, f"{where}.")  # type: ignore[arg-type]
-    if origin in (Union, types.UnionType):
-        inner = [argument for argument in arguments if argument is not type(None)]
-        return None if value is None else _convert(inner[0], value, where)
-    if origin is Literal:
-        if value in arguments:
-            return value
-        raise InputError(f"{where} = {value!r}; choose one of {', '.join(map(repr, arguments))}.")
-    if origin is tuple and isinstance(value, Sequence) and not isinstance(value, str):
-        if arguments[-1] is Ellipsis:
-            kinds = [arguments[0]] * len(value)
-        elif len(arguments) == len(value):
-            kinds = list(arguments)
-        else:
-            raise InputError(f"{where} needs {len(arguments)} values, got {len(value)}.")
-        return tuple(
-            _convert(kind, item, f"{where}[{index}]")
-            for index, (kind, item) in enumerate(zip(kinds, value, strict=True))
-        )
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if (
-        isinstance(hint, type)
-        and isinstance(value, hint)
-        and (hint is bool) == (isinstance(value, bool))
-    ):
-        return value
-    raise InputError(f"{where} = {value!r} has the wrong type; expected {_name(hint)}.")
+def _describe(mistake: Mapping[str, Any], kind: Any) -> str:
+    """What pydantic says of a value, in the words of a recipe."""
+    place = mistake["loc"]
+    key = _join(place)
+    value, context = mistake["input"], mistake.get("ctx", {})
+    match mistake["type"]:
+        case "unexpected_keyword_argument":
+            known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
+            return f"unknown key {key}; known here: {known}. Correct its name."
+        case "missing" if isinstance(place[-1], int):
+            return f"{_join(place[:-1])} = {value!r} has too few values."
+        case "missing":
+            return f"missing key {key}."
+        case "union_tag_not_found":
+            return f"missing key {key + '.' * bool(key)}kind."
+        case "union_tag_invalid":
+            tag, known = context["tag"], context["expected_tags"]
+            return f"{key + '.' * bool(key)}kind = {tag!r}; choose one of {known}."
+        case "literal_error":
+            return f"{key} = {value!r}; choose one of {context['expected']}."
+        case "value_error" if isinstance(value, dict):  # of a table; its text starts with the key
+            return f"{key + '.' * bool(key)}{context['error']}."
+        case "value_error":
+            return f"{key} = {value!r}: {context['error']}."
+        case _:
+            return f"{key} = {value!r}: {mistake['msg'].lower()}."
 
 
-def _name(hint: Any) -> str:
-    return hint.__name__ if isinstance(hint, type) and not get_args(hint) else str(hint)
+def _table_at(kind: Any, place: Sequence[str | int]) -> Any:
+    """The dataclass of the table at a place below ``kind``."""
+    for part in place:
+        if part in _TAGS:
+            kind = _TAGS[str(part)]
+        elif isinstance(part, str):
+            kind = next(item.type for item in fields(kind) if item.name == part)
+    return kind
+
+
+def _join(place: Sequence[str | int]) -> str:
+    """A place as a recipe's reader calls it: data.source[0].split; tags of unions are none."""
+    inner = [part for part in place[:-1] if part not in _TAGS]
+    parts = [*inner, *(part for part in place[-1:] if part not in (_NAMED, _OWN))]
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts)
+    return text.removeprefix(".")

@@ -35,12 +35,13 @@ NETWORKS["ssdnet-small"] = Entry(SSDNet, replace(
 ))
 torch.set_num_threads(1)
 from training import loop
+from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
 from training.recipe import *
 data, out = Path(sys.argv[1]), Path(sys.argv[2])
 batch, parts, stop_after = map(int, sys.argv[3:])
-source = SourceRecipe("rendered", "scenes")
+source = RenderedRecipe(path="scenes")
 recipe = Recipe(
     model=ModelRecipe("ssdnet-small"),
     data=DataRecipe((source,), AugmentConfig(crop=(40, 56)), batch_size=batch, workers=0),

@@ -32,13 +32,14 @@ def slow(handle):
     time.sleep(0.3)
     write(handle)
 os.fsync = slow
+from training.datasets.camvid import CamVidRecipe
 from training.loading.augment import AugmentConfig
 from training.loop import train
 from training.recipe import *
 recipe = Recipe(
     model=ModelRecipe("ssdnet-lite"),
     data=DataRecipe(
-        (SourceRecipe("camvid", "camvid"),), AugmentConfig(crop=(32, 32)), batch_size=2,
+        (CamVidRecipe(path="camvid"),), AugmentConfig(crop=(32, 32)), batch_size=2,
         workers=1, frequency_samples=4,
     ),
     schedule=ScheduleRecipe(steps=12),

@@ -1,29 +1,51 @@
 """CamVid in the split and the eleven classes of the SegNet papers (Brostow et al. 2009)."""
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from pydantic.dataclasses import dataclass
 
 from models import CLASS_TABLES
 from runtime.errors import DatasetError
-from training.datasets.class_mapping import id_lookup
+from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
 from training.datasets.sample import Sample, nothing_known
+from training.datasets.source import SourceRecipe
+from training.limits import STRICT
 
 #: Labels by the files' ids; 11 is unlabelled.
 _LABELS: tuple[str | None, ...] = (*(info.name for info in CLASS_TABLES["camvid"]), None)
 
 
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class CamVidRecipe(SourceRecipe):
+    """What a recipe says about CamVid."""
+
+    kind: Literal["camvid"] = "camvid"
+    #: train, val or test.
+    split: str = "train"
+
+    def open(self, folder: Path, classes: ClassTable) -> "CamVid":
+        """See `SourceRecipe.open`."""
+        return CamVid(folder, split=self.split, classes=classes)
+
+
 class CamVid:
     """Frames of ``root/<split>`` with labels of ``root/<split>annot`` (uint8 PNG, 11 = none).
 
-    No depth and no calibration. ``classes`` is the class table that labels are told in. Raises
-    DatasetError for a missing folder, an image without a label file, and unreadable or wrongly
+    No depth and no calibration. ``classes`` is the table of the class ids. Raises DatasetError
+    for a missing folder, an image without a label file, and unreadable or wrongly
     sized files.
     """
 
     def __init__(
-        self, root: Path | str, *, split: str = "train", decimate: int = 1, classes: str = "camvid"
+        self,
+        root: Path | str,
+        *,
+        split: str = "train",
+        decimate: int = 1,
+        classes: ClassTable = "camvid",
     ) -> None:
         self._lookup = id_lookup("camvid", classes, _LABELS)
         folder = require_folder(Path(root) / split, "CamVid's images")

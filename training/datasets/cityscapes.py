@@ -2,16 +2,20 @@
 
 import json
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic.dataclasses import dataclass
 
 from models import CLASS_TABLES
 from runtime.errors import DatasetError
-from training.datasets.class_mapping import id_lookup
+from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
 from training.datasets.sample import Sample, nothing_known
+from training.datasets.source import SourceRecipe
 from training.datasets.virtual_kitti import require_partners
+from training.limits import STRICT
 
 #: The labelIds 0..33 in order: those of evaluation by name, None = ignored.
 _LABELS: tuple[str | None, ...] = (
@@ -46,18 +50,31 @@ TRAIN_LABELS: tuple[str | None, ...] = tuple(info.name for info in CLASS_TABLES[
 _IMAGE = "_leftImg8bit.png"
 
 
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class CityscapesRecipe(SourceRecipe):
+    """What a recipe says about Cityscapes."""
+
+    kind: Literal["cityscapes"] = "cityscapes"
+    #: train, val or test.
+    split: str = "train"
+
+    def open(self, folder: Path, classes: ClassTable) -> "Cityscapes":
+        """See `SourceRecipe.open`."""
+        return Cityscapes(folder, split=self.split, classes=classes)
+
+
 class Cityscapes:
     """Frames of ``root/leftImg8bit/<split>/<city>/<frame>_leftImg8bit.png``.
 
     Labels from ``gtFine`` (``_gtFine_labelIds.png``). Where the folders ``disparity`` and
     ``camera`` are there, depth is baseline * fx / d with the disparity d = (p - 1) / 256 px of a
-    16-bit pixel p > 0, float32 metres; without them it is unknown. ``classes`` is the class table
-    that labels are told in. Raises DatasetError for missing folders or partners, unknown ids,
-    wrong sizes and incomplete camera files.
+    16-bit pixel p > 0, float32 metres; without them it is unknown. ``classes`` is the table of the
+    class ids. Raises DatasetError for missing folders or partners, unknown ids, wrong sizes and
+    incomplete camera files.
     """
 
     def __init__(
-        self, root: Path | str, *, split: str = "train", classes: str = "cityscapes"
+        self, root: Path | str, *, split: str = "train", classes: ClassTable = "cityscapes"
     ) -> None:
         self._root, self._split = Path(root), split
         images = require_folder(

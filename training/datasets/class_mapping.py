@@ -1,8 +1,8 @@
 """What the labels of one data set are called in the class table of another.
 
-A network has one class table; every data set of a mixture is told in it. A pair of data set and
-table that is not here cannot be told without mixing up classes (CamVid's car holds trucks and
-buses, so it has no place among Cityscapes' classes).
+A network has one class table, and the labels of every data set of a mixture become its ids. A pair
+of data set and table that is not here would mix up classes (CamVid's car holds trucks and buses, so
+it has no place among Cityscapes' classes).
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,8 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models import CLASS_TABLES
+from runtime.contract import ClassInfo
 from runtime.errors import DatasetError
 from training.datasets.sample import IGNORE
+
+#: A name in `models.CLASS_TABLES`, or a table of its own.
+ClassTable = str | tuple[ClassInfo, ...]
 
 #: Virtual KITTI's categories, and those that rendered scenes add, by the names in their files.
 _VIRTUAL_KITTI_NAMES: Mapping[str, str] = {
@@ -87,7 +91,7 @@ _MAPPINGS: Mapping[tuple[str, str], _Names] = {
         "Misc": None,
         "Undefined": None,
     },
-    # Cityscapes labels a rider apart from the bicycle: the two cannot be told apart here.
+    # Cityscapes labels a rider apart from the bicycle; here the two are one.
     ("virtual_kitti", "cityscapes"): {
         "Sky": "sky",
         "Building": "building",
@@ -112,16 +116,22 @@ _MAPPINGS: Mapping[tuple[str, str], _Names] = {
 }
 
 
-def class_ids(labels: str, table: str) -> dict[str, int]:
+def list_classes(table: ClassTable) -> tuple[ClassInfo, ...]:
+    """Return the classes of a table in the order of their ids."""
+    return CLASS_TABLES[table] if isinstance(table, str) else table
+
+
+def class_ids(labels: str, table: ClassTable) -> dict[str, int]:
     """Id in a class table of every label of a data set; 255 = ignored.
 
-    ``labels`` is "camvid", "cityscapes" or "virtual_kitti" (rendered scenes too), ``table`` a name
-    in `models.CLASS_TABLES`. Raises DatasetError for a pair that cannot be told.
+    ``labels`` is "camvid", "cityscapes" or "virtual_kitti" (rendered scenes too). Raises
+    DatasetError for a table that the labels are not mapped to; a table of one's own is none.
     """
-    if (labels, table) not in _MAPPINGS:
+    if not isinstance(table, str) or (labels, table) not in _MAPPINGS:
         known = sorted(t for s, t in _MAPPINGS if s == labels)
+        name = repr(table) if isinstance(table, str) else "a table of its own"
         raise DatasetError(
-            f"labels of {labels} cannot be told in the classes of {table!r}; set the recipe's "
+            f"the labels of {labels} are not mapped to the classes of {name}; set the recipe's "
             f"model.classes to one of {', '.join(known)}, or leave the set out."
         )
     ids = {info.name: index for index, info in enumerate(CLASS_TABLES[table])}
@@ -129,7 +139,7 @@ def class_ids(labels: str, table: str) -> dict[str, int]:
     return {label: IGNORE if name is None else ids[name] for label, name in mapping.items()}
 
 
-def id_lookup(labels: str, table: str, order: Sequence[str | None]) -> NDArray[np.uint8]:
+def id_lookup(labels: str, table: ClassTable, order: Sequence[str | None]) -> NDArray[np.uint8]:
     """Table of 256 entries from a file's ids to ours; ``order`` names the file's ids from 0."""
     ids = class_ids(labels, table)
     lookup = np.full(256, IGNORE, dtype=np.uint8)

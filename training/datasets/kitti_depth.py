@@ -3,17 +3,37 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass as checked_dataclass
 
 from runtime.errors import DatasetError
+from training.datasets.class_mapping import ClassTable
 from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
 from training.datasets.kitti_lidar import CalibrationFile
 from training.datasets.sample import IGNORE, Sample
+from training.datasets.source import SourceRecipe
 from training.datasets.virtual_kitti import require_partners
+from training.limits import STRICT
 
 _METRES = 1 / 256
+
+
+@checked_dataclass(frozen=True, kw_only=True, config=STRICT)
+class KittiDepthRecipe(SourceRecipe):
+    """What a recipe says about KITTI's depth completion benchmark."""
+
+    kind: Literal["kitti_depth"] = "kitti_depth"
+    split: Literal["train", "val", "selection"] = "train"
+    #: 2 = left, 3 = right.
+    cameras: Annotated[tuple[Literal[2, 3], ...], Field(min_length=1, max_length=2)] = (2,)
+
+    def open(self, folder: Path, classes: ClassTable) -> "KittiDepth":
+        """See `SourceRecipe.open`; there are no classes."""
+        return KittiDepth(folder, split=self.split, cameras=self.cameras)
 
 
 @dataclass(frozen=True)

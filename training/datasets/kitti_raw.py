@@ -3,10 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
+from training.datasets.class_mapping import ClassTable
 from training.datasets.image_files import read_rgb, require_folder
 from training.datasets.kitti_lidar import (
     Calibration,
@@ -16,12 +20,36 @@ from training.datasets.kitti_lidar import (
     withhold_occluded,
 )
 from training.datasets.sample import IGNORE, Sample
+from training.datasets.source import Names, SourceRecipe
 from training.datasets.virtual_kitti import require_partners
+from training.limits import STRICT
 
 #: Images that were published without their scans.
 _WITHOUT_SCAN: Mapping[str, frozenset[str]] = {
     "2011_09_26_drive_0009_sync": frozenset(f"{number:010d}" for number in range(177, 181))
 }
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class KittiRawRecipe(SourceRecipe):
+    """What a recipe says about KITTI raw data."""
+
+    kind: Literal["kitti_raw"] = "kitti_raw"
+    #: All by default.
+    drives: Names | None = None
+    #: 2 = left, 3 = right.
+    cameras: Annotated[tuple[Literal[2, 3], ...], Field(min_length=1, max_length=2)] = (2,)
+    #: Leave out the returns that the camera cannot see behind nearer ones.
+    withhold_hidden: bool = False
+
+    def open(self, folder: Path, classes: ClassTable) -> "KittiRaw":
+        """See `SourceRecipe.open`; there are no classes."""
+        return KittiRaw(
+            folder,
+            drives=self.drives,
+            cameras=self.cameras,
+            withhold_hidden=self.withhold_hidden,
+        )
 
 
 class KittiRaw:

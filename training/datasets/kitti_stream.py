@@ -1,16 +1,41 @@
 """A recorded KITTI stream: left colour camera, LiDAR returns with their scan lines."""
 
-from functools import lru_cache
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
 from training.datasets.cityscapes import TRAIN_LABELS
-from training.datasets.class_mapping import id_lookup
+from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
 from training.datasets.kitti_lidar import project_lines, read_calibration, read_points
 from training.datasets.sample import IGNORE, Sample
+from training.datasets.source import SourceRecipe
+from training.limits import STRICT, Index, Share
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class KittiStreamRecipe(SourceRecipe):
+    """What a recipe says about a recorded KITTI stream."""
+
+    kind: Literal["kitti_stream"] = "kitti_stream"
+    #: First and last frame, inclusive.
+    first: Index = 0
+    last: Index | None = None
+    #: How much the labels count: they were made by a network.
+    semantic_weight: Share = 1.0
+
+    def open(self, folder: Path, classes: ClassTable) -> "KittiStream":
+        """See `SourceRecipe.open`."""
+        return KittiStream(
+            folder,
+            first=self.first,
+            last=self.last,
+            semantic_weight=self.semantic_weight,
+            classes=classes,
+        )
 
 
 class KittiStream:
@@ -29,7 +54,7 @@ class KittiStream:
         first: int = 0,
         last: int | None = None,
         semantic_weight: float = 1.0,
-        classes: str = "camvid",
+        classes: ClassTable = "camvid",
     ) -> None:
         self._lookup = id_lookup("cityscapes", classes, TRAIN_LABELS)
         self._root = Path(root)
@@ -46,16 +71,12 @@ class KittiStream:
                 f"{images}: {len(stems)} PNG frames, none of them in {first}..{last}."
             )
         self._semantic_weight = semantic_weight
-        # Decoding and telling lines apart costs more than a training step can wait for.
-        self._load = lru_cache(maxsize=None)(self._read)
 
     def __len__(self) -> int:
         return len(self._stems)
 
     def __getitem__(self, index: int) -> Sample:
-        return self._load(self._stems[index])
-
-    def _read(self, stem: str) -> Sample:
+        stem = self._stems[index]
         image_path = self._root / "image_02" / f"{stem}.png"
         rgb = read_rgb(image_path)
         size = (rgb.shape[0], rgb.shape[1])

@@ -1,18 +1,54 @@
 """Rendered scenes on the fly: nothing is written, a frame is rendered when it is asked for."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
-from training.datasets.class_mapping import id_lookup
+from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.sample import Sample
+from training.datasets.source import SourceRecipe
+from training.limits import STRICT, Count, Seed
 from training.scenes.classes import CLASS_TABLE
 from training.scenes.rendering.camera import CameraName
 from training.scenes.rendering.weather import VARIANTS, Variant
-from training.scenes.scene_job import LONGEST_S, Scene, SceneJob, open_scene
+
+if TYPE_CHECKING:
+    from training.scenes.scene_job import Scene
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class RenderedOnTheFlyRecipe(SourceRecipe):
+    """What a recipe says about scenes that are rendered while training."""
+
+    kind: Literal["rendered_on_the_fly"] = "rendered_on_the_fly"
+    #: Nothing lies there; a name for the scores.
+    path: str = ""
+    #: All by default.
+    variants: Annotated[tuple[Variant, ...], Field(min_length=1)] = VARIANTS
+    num_scenes: Count = 100
+    frames_per_scene: Count = 4
+    #: Of the first scene.
+    scene_seed: Seed = 0
+
+    on_disk: ClassVar[bool] = False
+
+    def open(self, folder: Path, classes: ClassTable) -> RenderedScenes:
+        """See `SourceRecipe.open`; no folder is read."""
+        return RenderedScenes(
+            scenes=self.num_scenes,
+            frames=self.frames_per_scene,
+            seed=self.scene_seed,
+            size=self.size or (375, 1242),
+            variants=[item for item in VARIANTS if item in self.variants],
+            classes=classes,
+        )
 
 
 class RenderedScenes:
@@ -21,8 +57,8 @@ class RenderedScenes:
     The scenes have the seeds ``seed`` ... ``seed + scenes - 1`` and take turns through
     ``variants``; ``size`` is (height, width). A frame costs about a second of processor time and
     more, so a mixture of them wants many workers, or a cache. Equal arguments give equal frames.
-    ``classes`` is the class table that labels are told in. Raises DatasetError for more frames than
-    a street has room for.
+    ``classes`` is the table of the class ids. Raises DatasetError for more frames than a street has
+    room for.
     """
 
     def __init__(
@@ -35,8 +71,11 @@ class RenderedScenes:
         camera: CameraName = "kitti",
         step_s: float = 1.0,
         variants: Sequence[Variant] = VARIANTS,
-        classes: str = "camvid",
+        classes: ClassTable = "camvid",
     ) -> None:
+        # Only here: it needs the ray caster.
+        from training.scenes.scene_job import LONGEST_S, SceneJob
+
         if (frames - 1) * step_s > LONGEST_S:
             raise DatasetError(
                 f"{frames} frames every {step_s:g} s: a street lasts {LONGEST_S:.0f} s. Ask for "
@@ -56,14 +95,18 @@ class RenderedScenes:
         ]
         self._frames = frames
         self._lookup = id_lookup("virtual_kitti", classes, [name for name, _ in CLASS_TABLE])
-        self._open = lru_cache(maxsize=1)(self._open_scene)
+        self._opened: tuple[int, Scene] | None = None
 
     def __len__(self) -> int:
         return len(self._jobs) * self._frames
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a worker process needs: it opens its own scenes."""
+        return {**vars(self), "_opened": None}
+
     def __getitem__(self, index: int) -> Sample:
         scene_index, number = divmod(index, self._frames)
-        scene = self._open(scene_index)
+        scene = self._open_scene(scene_index)
         frame = scene.render(number)
         return Sample(
             rgb=frame.rgb,
@@ -74,5 +117,10 @@ class RenderedScenes:
         )
 
     def _open_scene(self, index: int) -> Scene:
-        job = self._jobs[index]
-        return open_scene(job, job.variants[0])
+        """The scene, kept until another is asked for: a street is built once for its frames."""
+        from training.scenes.scene_job import open_scene
+
+        if self._opened is None or self._opened[0] != index:
+            job = self._jobs[index]
+            self._opened = index, open_scene(job, job.variants[0])
+        return self._opened[1]

@@ -2,31 +2,81 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
+from training.datasets.class_mapping import ClassTable
 from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
 from training.datasets.sample import Sample
+from training.datasets.source import Names, SourceRecipe
 from training.datasets.virtual_kitti_labels import (
     ColorTable,
     read_classes,
     read_colors,
     read_rows,
 )
-from training.datasets.virtual_kitti_split import Selection, require_every_frame
+from training.datasets.virtual_kitti_split import (
+    Selection,
+    Split,
+    read_frame_list,
+    require_every_frame,
+)
+from training.limits import STRICT
 
 #: Depth PNGs hold centimetres; 65535 is sky.
 _CENTIMETRES = 0.01
 _NO_DEPTH = 65535
 
 
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class VirtualKittiRecipe(SourceRecipe):
+    """What a recipe says about Virtual KITTI 2."""
+
+    kind: Literal["virtual_kitti"] = "virtual_kitti"
+    split: Split = "train"
+    #: Instead of the split's own.
+    scenes: Names | None = None
+    variants: Names | None = None
+    #: File below ``path`` that lists the frames, rows of "scene/variant/number".
+    frames: str | None = None
+    #: 0 = left, 1 = right.
+    cameras: Annotated[tuple[Literal[0, 1], ...], Field(min_length=1, max_length=2)] = (0,)
+
+    def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
+        """See `SourceRecipe.open`."""
+        frames = None if self.frames is None else read_frame_list(folder / self.frames)
+        selection = Selection(self.split, self.scenes, self.variants, frames)
+        return VirtualKitti(folder, selection=selection, cameras=self.cameras, classes=classes)
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class RenderedRecipe(SourceRecipe):
+    """What a recipe says about scenes that `ssdnet-render` wrote; the folder is the split."""
+
+    kind: Literal["rendered"] = "rendered"
+    #: All by default.
+    scenes: Names | None = None
+    variants: Names | None = None
+    #: File below ``path`` that lists the frames, rows of "scene/variant/number".
+    frames: str | None = None
+
+    def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
+        """See `SourceRecipe.open`."""
+        frames = None if self.frames is None else read_frame_list(folder / self.frames)
+        selection = Selection("all", self.scenes, self.variants, frames)
+        return VirtualKitti(folder, selection=selection, classes=classes)
+
+
 class VirtualKitti:
     """Frames of ``root/<scene>/<variant>/frames/{rgb,depth,classSegmentation}/Camera_<n>``.
 
-    ``selection`` says which frames, ``cameras`` which of 0 and 1, ``classes`` the class table that
-    labels are told in. Depth is metres, 0 for the sky. Raises DatasetError for missing folders,
+    ``selection`` says which frames, ``cameras`` which of 0 and 1, ``classes`` the table of the
+    class ids. Depth is metres, 0 for the sky. Raises DatasetError for missing folders,
     files without their partners, unknown colours and wrong sizes.
     """
 
@@ -36,7 +86,7 @@ class VirtualKitti:
         *,
         selection: Selection | None = None,
         cameras: Sequence[int] = (0,),
-        classes: str = "camvid",
+        classes: ClassTable = "camvid",
     ) -> None:
         root = require_folder(Path(root), "scenes in the Virtual KITTI 2 layout")
         selection = selection or Selection()

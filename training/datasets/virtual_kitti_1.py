@@ -1,18 +1,47 @@
 """Virtual KITTI 1.3.1 (Gaidon et al. 2016), the edition of the paper's experiments."""
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
+from pydantic.dataclasses import dataclass
 
+from training.datasets.class_mapping import ClassTable
 from training.datasets.image_files import read_rgb, require_folder
 from training.datasets.sample import Sample
+from training.datasets.source import Names, SourceRecipe
 from training.datasets.virtual_kitti import read_centimetres, require_partners
 from training.datasets.virtual_kitti_labels import ColorTable, read_classes, read_colors
-from training.datasets.virtual_kitti_split import Selection, require_every_frame
+from training.datasets.virtual_kitti_split import (
+    Selection,
+    Split,
+    read_frame_list,
+    require_every_frame,
+)
+from training.limits import STRICT
 
 _RGB, _DEPTH, _CLASSES = "vkitti_1.3.1_rgb", "vkitti_1.3.1_depthgt", "vkitti_1.3.1_scenegt"
 #: Of every frame, from the set's description.
 _INTRINSICS = np.array([[725.0, 0.0, 620.5], [0.0, 725.0, 187.0], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class VirtualKitti1Recipe(SourceRecipe):
+    """What a recipe says about Virtual KITTI 1.3.1."""
+
+    kind: Literal["virtual_kitti_1"] = "virtual_kitti_1"
+    split: Split = "train"
+    #: Instead of the split's own.
+    scenes: Names | None = None
+    variants: Names | None = None
+    #: File below ``path`` that lists the frames, rows of "scene/variant/number".
+    frames: str | None = None
+
+    def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti1":
+        """See `SourceRecipe.open`."""
+        frames = None if self.frames is None else read_frame_list(folder / self.frames)
+        selection = Selection(self.split, self.scenes, self.variants, frames)
+        return VirtualKitti1(folder, selection=selection, classes=classes)
 
 
 class VirtualKitti1:
@@ -25,7 +54,11 @@ class VirtualKitti1:
     """
 
     def __init__(
-        self, root: Path | str, *, selection: Selection | None = None, classes: str = "camvid"
+        self,
+        root: Path | str,
+        *,
+        selection: Selection | None = None,
+        classes: ClassTable = "camvid",
     ) -> None:
         self._root = Path(root)
         selection = selection or Selection()

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import DatasetError
-from training.datasets.class_mapping import class_ids
+from training.datasets.class_mapping import ClassTable, class_ids
 from training.datasets.image_files import read_rgb, require_size
 
 
@@ -33,7 +33,7 @@ def read_rows(path: Path) -> list[list[str]]:
     return rows
 
 
-def read_colors(path: Path, classes: str) -> ColorTable:
+def read_colors(path: Path, classes: ClassTable) -> ColorTable:
     """Read the colours of a file and their ids in the class table ``classes``.
 
     Rows are 'Category r g b', as in Virtual KITTI 2, or 'Category:instance r g b', as in 1.3.1.

@@ -10,8 +10,8 @@ import typer
 from runtime.errors import InputError, SSDNetError
 
 if TYPE_CHECKING:
+    from training.datasets.source import SourceRecipe
     from training.evaluation.report import Row
-    from training.recipe import SourceRecipe
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -83,7 +83,7 @@ def parse_source(text: str) -> "SourceRecipe":
 
     Raises InputError for another form, an unknown kind or key, or a value of the wrong type.
     """
-    from training.recipe import SourceRecipe, build
+    from training.recipe import AnySource, build
 
     # Commas inside brackets belong to a value.
     head, *pairs = re.split(r",(?=\w+=)", text)
@@ -98,8 +98,8 @@ def parse_source(text: str) -> "SourceRecipe":
         except tomllib.TOMLDecodeError:
             table[key] = value
     try:
-        return build(SourceRecipe, table)
-    except (InputError, ValueError) as error:
+        return build(AnySource, table)
+    except InputError as error:
         raise InputError(f"--data {text!r}: {error}") from error
 
 

@@ -11,13 +11,13 @@ from tqdm import tqdm
 from models import CLASS_TABLES
 from runtime.errors import InputError
 from training.datasets.sample import SampleSource
+from training.datasets.source import SourceRecipe
 from training.evaluation.baselines import BASELINES
 from training.evaluation.lidar_input import Fault, LidarInput, add_fault
 from training.evaluation.model_file import ScoredModel, fill_predict, open_model
 from training.evaluation.report import Row
 from training.evaluation.scoring import Scores
-from training.loading.open_dataset import open_source
-from training.recipe import SourceRecipe
+from training.loading.open_dataset import open_dataset
 
 
 def evaluate(
@@ -59,7 +59,7 @@ def evaluate(
                     for name, fill in BASELINES.items()
                 }
             for name, model in scored.items():
-                source = open_source(recipe, [Path()], classes=model.class_table)
+                source = open_dataset(recipe, [Path()], classes=model.class_table)
                 rows += _score_all(name, model, title, source, lidars, faults, limit)
     if not rows:
         raise InputError(

@@ -14,6 +14,7 @@ from models import CLASS_TABLES, load_checkpoint
 from runtime.contract import ClassInfo
 from runtime.errors import InputError, SSDNetError
 from runtime.predictor import Predictor
+from training.datasets.class_mapping import ClassTable
 from training.evaluation.baselines import Fill
 from training.evaluation.scoring import Answer, Predict, torch_predict
 
@@ -30,22 +31,22 @@ class ScoredModel:
     training: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def class_table(self) -> str:
-        """Name in `models.CLASS_TABLES` of the classes it was trained with.
+    def class_table(self) -> ClassTable:
+        """The classes it was trained with: a name in `models.CLASS_TABLES`, or its own table.
 
         Without a semantic head they still drew the boundaries that it learned; CamVid's where the
-        file does not say. Raises InputError for classes that no table has.
+        file does not say.
         """
         if not self.classes:
             recipe = self.training.get("recipe", {})
-            return str(recipe.get("model", {}).get("classes", "camvid"))
+            trained = recipe.get("model", {}).get("classes", "camvid")
+            if isinstance(trained, str):
+                return trained
+            return tuple(ClassInfo(info["name"], tuple(info["color"])) for info in trained)
         for name, table in CLASS_TABLES.items():
             if table == self.classes:
                 return name
-        raise InputError(
-            f"the model's {len(self.classes)} classes are none of the tables "
-            f"{', '.join(CLASS_TABLES)}, so no data set's labels can be told in them."
-        )
+        return self.classes
 
 
 @contextmanager

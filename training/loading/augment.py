@@ -1,70 +1,66 @@
 """Joint augmentation: one random change of RGB, depth, labels and intrinsics together."""
 
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
 from runtime.resize import move_returns, move_scan_lines, resize_image, resize_nearest
 from training.datasets.kitti_lidar import withhold_occluded
 from training.datasets.sample import IGNORE, Sample, nothing_known
 from training.lidar import random_share, scan_lines
+from training.limits import (
+    STRICT,
+    CropSide,
+    Degrees,
+    FactorRange,
+    Share,
+    ShareRange,
+    Strength,
+    require_window,
+)
 
 #: RGB that fills what lies beyond the image: the networks' mean colour.
 _FILL_RGB = (124, 116, 104)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class AugmentConfig:
     """How far samples are changed. Probabilities are 0..1."""
 
     #: (height, width) of the result.
-    crop: tuple[int, int] = (320, 480)
+    crop: tuple[CropSide, CropSide] = (320, 480)
     #: Range of the random magnification of the image.
-    scale: tuple[float, float] = (0.7, 1.8)
-    flip: float = 0.5
+    scale: FactorRange = (0.7, 1.8)
+    flip: Share = 0.5
     #: Largest relative change of brightness, contrast and saturation; largest hue shift [degrees].
-    brightness: float = 0.3
-    contrast: float = 0.3
-    saturation: float = 0.3
-    hue_deg: float = 8.0
-    gray: float = 0.02
-    blur: float = 0.1
-    noise: float = 0.1
+    brightness: Strength = 0.3
+    contrast: Strength = 0.3
+    saturation: Strength = 0.3
+    hue_deg: Degrees = 8.0
+    gray: Share = 0.02
+    blur: Share = 0.1
+    noise: Share = 0.1
     #: How often the LiDAR is missing as a whole.
-    lidar_missing: float = 0.1
+    lidar_missing: Share = 0.1
     #: How often the input is a random share of the measurements instead of scan lines.
-    lidar_random: float = 0.3
+    lidar_random: Share = 0.3
     #: Range of that share, of the pixels for dense depth, of the returns for recorded depth.
-    random_share: tuple[float, float] = (0.01, 0.08)
-    recorded_share: tuple[float, float] = (0.3, 0.8)
+    random_share: ShareRange = (0.01, 0.08)
+    recorded_share: ShareRange = (0.3, 0.8)
     #: Scan-line counts to choose from; a recorded scan keeps every 64/n-th line.
-    lines: tuple[int, ...] = (64, 32, 16)
+    lines: Annotated[
+        tuple[Literal[1, 2, 4, 8, 16, 32, 64], ...], Field(min_length=1, max_length=100)
+    ] = (64, 32, 16)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be drawn, with a ValueError that names the key."""
-        require_range("scale", self.scale)
-        for key in ("random_share", "recorded_share"):
-            require_range(key, getattr(self, key), at_most=1.0)
-        for key in ("flip", "gray", "blur", "noise", "lidar_missing", "lidar_random"):
-            if not 0 <= getattr(self, key) <= 1:
-                raise ValueError(f"{key} = {getattr(self, key)}; it must be 0..1")
-        for key in ("brightness", "contrast", "saturation", "hue_deg"):
-            if not 0 <= getattr(self, key) < np.inf:
-                raise ValueError(f"{key} = {getattr(self, key)}; it must not be negative")
-        if not self.lines or any(count < 1 or 64 % count for count in self.lines):
-            raise ValueError(f"lines = {list(self.lines)}; each must divide 64")
-
-
-def require_range(key: str, limits: tuple[float, float], *, at_most: float = np.inf) -> None:
-    """Raise a ValueError that names the key unless limits are positive and in order."""
-    low, high = limits
-    if not (0 < low <= high <= at_most and high < np.inf):
-        end = "" if at_most == np.inf else f" and at most {at_most:g}"
-        raise ValueError(f"{key} = {list(limits)}; expected low <= high, above 0{end}")
+        """Refuse a vast window, with a ValueError that names the key."""
+        require_window("scale", self.crop, self.scale)
 
 
 def augment(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:

@@ -1,14 +1,15 @@
 """The whole loss, Eq. 12."""
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
 import torch
 import torch.nn.functional as F
+from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
 from models import SSDNetOutput
+from training.limits import STRICT
 from training.losses.boundary import (
     BetaMode,
     balanced_cross_entropy,
@@ -49,7 +50,7 @@ TERMS = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
 class LossConfig:
     """Every choice of the loss. The defaults are our reading of the paper.
 

@@ -8,9 +8,8 @@ import pytest
 from layouts.cityscapes import CAMERA, HEIGHT, STEM, WIDTH, write_frame, write_stereo
 from layouts.pictures import cut_short, write
 from runtime.errors import DatasetError
-from training.datasets.cityscapes import Cityscapes, disparity_to_depth
-from training.loading.open_dataset import open_source
-from training.recipe import SourceRecipe
+from training.datasets.cityscapes import Cityscapes, CityscapesRecipe, disparity_to_depth
+from training.loading.open_dataset import open_dataset
 
 #: Of the labelIds 0..33.
 IDS = {
@@ -86,8 +85,8 @@ def test_frames_are_those_of_the_split_in_order_of_cities(tmp_path):
         "aachen_000001_000019",
         "bochum_000000_000313",
     ]
-    recipe = SourceRecipe("cityscapes", tmp_path.name, split="val")
-    val = open_source(recipe, [tmp_path.parent], classes="camvid")
+    recipe = CityscapesRecipe(path=tmp_path.name, split="val")
+    val = open_dataset(recipe, [tmp_path.parent], classes="camvid")
     assert [len(val), val[0].name] == [1, "cityscapes/val/frankfurt_000000_000294"]
     assert val[0].semantic[0, 26] == 8
 

@@ -64,8 +64,8 @@ def test_camvid_errors_name_the_file(camvid):
 
 
 @pytest.mark.parametrize("classes", ["cityscapes", "virtual_kitti"])
-def test_camvid_cannot_be_told_in_other_classes(camvid, classes):
-    with pytest.raises(DatasetError, match=f"labels of camvid cannot be told .*{classes}"):
+def test_camvid_is_mapped_to_no_other_classes(camvid, classes):
+    with pytest.raises(DatasetError, match=f"labels of camvid are not mapped .*{classes}"):
         CamVid(camvid, classes=classes)
 
 

@@ -6,9 +6,8 @@ import pytest
 from layouts.kitti_depth import DATE, DRIVE, NUMBERS, SIZE, rgb, write_drive, write_selection
 from layouts.pictures import cut_short, write
 from runtime.errors import DatasetError
-from training.datasets.kitti_depth import KittiDepth
-from training.loading.open_dataset import open_source
-from training.recipe import SourceRecipe
+from training.datasets.kitti_depth import KittiDepth, KittiDepthRecipe
+from training.loading.open_dataset import open_dataset
 
 
 def assert_depth_is_of_both_maps(sample):
@@ -47,8 +46,8 @@ def test_intrinsics_are_those_of_the_raw_data_where_it_is_there(tmp_path):
 def test_splits_are_folders(tmp_path):
     write_drive(tmp_path, "train")
     write_drive(tmp_path, "val", f"{DATE}_drive_0002_sync")
-    recipe = SourceRecipe("kitti_depth", tmp_path.name, split="val", cameras=(3,))
-    source = open_source(recipe, [tmp_path.parent], classes="virtual_kitti")
+    recipe = KittiDepthRecipe(path=tmp_path.name, split="val", cameras=(3,))
+    source = open_dataset(recipe, [tmp_path.parent], classes="virtual_kitti")
     assert [len(source), source[0].name] == [2, f"{DATE}_drive_0002_sync/3/{NUMBERS[0]}"]
     with pytest.raises(DatasetError, match="no split 'test'; known: train, val, selection"):
         KittiDepth(tmp_path, split="test")

@@ -6,9 +6,8 @@ import pytest
 from layouts.pictures import write
 from runtime.errors import DatasetError
 from training.datasets.kitti_lidar import project_lines, read_raw_calibration
-from training.datasets.kitti_raw import KittiRaw
-from training.loading.open_dataset import open_source
-from training.recipe import SourceRecipe
+from training.datasets.kitti_raw import KittiRaw, KittiRawRecipe
+from training.loading.open_dataset import open_dataset
 
 DATE = "2011_09_26"
 DRIVE = f"{DATE}_drive_0001_sync"
@@ -160,8 +159,8 @@ def test_returns_hidden_behind_nearer_ones_can_be_withheld(tmp_path):
     }
     write_frame(tmp_path, hidden + [seen_at(*pixel, depth) for pixel, depth in visible.items()])
     assert np.count_nonzero(KittiRaw(tmp_path)[0].depth) == 8
-    recipe = SourceRecipe("kitti_raw", tmp_path.name, withhold_hidden=True)
-    sample = open_source(recipe, [tmp_path.parent], classes="camvid")[0]
+    recipe = KittiRawRecipe(path=tmp_path.name, withhold_hidden=True)
+    sample = open_dataset(recipe, [tmp_path.parent], classes="camvid")[0]
     assert measured(sample.depth, 0) == pytest.approx(visible)
     assert sample.sparse_depth is None
     assert ((sample.scan_line >= 0) == (sample.depth > 0)).all()
@@ -180,8 +179,8 @@ def test_drives_are_all_or_those_named(tmp_path):
     assert [KittiRaw(tmp_path, drives=[other])[0].name] == [f"{other}/2/0000000000"]
     with pytest.raises(DatasetError, match=f"no drive {DATE}_drive_0009_sync; found 2 drives"):
         KittiRaw(tmp_path, drives=[other, f"{DATE}_drive_0009_sync"])
-    recipe = SourceRecipe("kitti_raw", tmp_path.name, drives=(other,), cameras=(3,))
-    opened = open_source(recipe, [tmp_path.parent], classes="cityscapes")
+    recipe = KittiRawRecipe(path=tmp_path.name, drives=(other,), cameras=(3,))
+    opened = open_dataset(recipe, [tmp_path.parent], classes="cityscapes")
     assert [len(opened), opened[0].name] == [2, f"{other}/3/0000000000"]
 
 

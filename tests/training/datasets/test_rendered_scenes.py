@@ -9,11 +9,10 @@ import pytest
 pytest.importorskip("embreex", reason="the renderer needs the train extra")
 
 from runtime.errors import DatasetError
-from training.datasets import rendered_scenes
-from training.datasets.rendered_scenes import RenderedScenes
+from training.datasets.rendered_scenes import RenderedOnTheFlyRecipe, RenderedScenes
 from training.datasets.virtual_kitti import VirtualKitti
-from training.loading.open_dataset import open_source
-from training.recipe import SourceRecipe
+from training.loading.open_dataset import open_dataset
+from training.scenes import scene_job
 from training.scenes.classes import CLASS_TABLE
 from training.scenes.rendering.render import RenderedFrame
 from training.scenes.scene_job import SceneJob, render_frames
@@ -62,7 +61,7 @@ def opened(monkeypatch):
         jobs.append(job)
         return FakeScene(job, variant)
 
-    monkeypatch.setattr(rendered_scenes, "open_scene", open_scene)
+    monkeypatch.setattr(scene_job, "open_scene", open_scene)
     return jobs
 
 
@@ -79,7 +78,7 @@ def test_scenes_take_turns_through_the_variants(opened):
     assert {job.size for job in opened} == {SIZE}
 
 
-def test_classes_are_told_in_the_table_asked_for(opened):
+def test_class_ids_are_those_of_the_table_asked_for(opened):
     expected = {  # of Sky, Terrain, ..., Cyclist
         "camvid": [0, 5, 5, 5, 1, 3, 7, 6, 6, 2, 255, 8, 8, 8, 4, 7, 9, 10],
         "cityscapes": [10, 9, 8, 8, 2, 0, 255, 7, 6, 5, 255, 14, 13, 13, 1, 4, 11, 255],
@@ -92,22 +91,20 @@ def test_classes_are_told_in_the_table_asked_for(opened):
 
 
 def test_recipe_says_scenes_frames_and_variants(opened):
-    recipe = SourceRecipe(
-        "rendered_on_the_fly",
+    recipe = RenderedOnTheFlyRecipe(
         num_scenes=2,
         frames_per_scene=3,
         scene_seed=20,
         variants=("rain", "fog"),
         size=(36, 40),
     )
-    source = open_source(recipe, [], classes="camvid")
+    source = open_dataset(recipe, [], classes="camvid")
     assert len(source) == 6
     # Variants come in the renderer's order, whatever the recipe's.
     assert [source[0].name, source[5].name] == ["Scene20/fog/00000", "Scene21/rain/00002"]
     assert opened[0].size == (36, 40)
-    unknown = SourceRecipe("rendered_on_the_fly", variants=("snow",))
-    with pytest.raises(DatasetError, match="no variant 'snow'; known: clone, morning"):
-        open_source(unknown, [], classes="camvid")
+    with pytest.raises(ValueError, match="should be 'clone', 'morning'"):
+        RenderedOnTheFlyRecipe(variants=("snow",))
 
 
 def test_more_frames_than_the_street_has_room_for():

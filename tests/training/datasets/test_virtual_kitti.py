@@ -14,12 +14,12 @@ from layouts.virtual_kitti import (
     write_first_edition,
     write_second_edition,
 )
-from runtime.errors import DatasetError
-from training.datasets.virtual_kitti import VirtualKitti
+from runtime.errors import DatasetError, InputError
+from training.datasets.virtual_kitti import RenderedRecipe, VirtualKitti
 from training.datasets.virtual_kitti_1 import VirtualKitti1
 from training.datasets.virtual_kitti_split import PAPER_VARIANTS, Selection, read_frame_list
-from training.loading.open_dataset import open_source
-from training.recipe import SourceRecipe
+from training.loading.open_dataset import open_dataset
+from training.recipe import AnySource, build
 
 #: What the categories of colors.txt are in each class table, in the same order.
 IDS = {
@@ -395,12 +395,14 @@ def test_recipes_choose_edition_split_and_list(tmp_path):
     (tmp_path / "vkitti2" / "mine.txt").write_text("Scene02/30-deg-left/00001\n")
 
     def names(kind, path, classes="camvid", **keys):
-        source = open_source(SourceRecipe(kind, path, **keys), [tmp_path], classes=classes)
+        source = open_dataset(
+            build(AnySource, {"kind": kind, "path": path, **keys}), [tmp_path], classes=classes
+        )
         return [source[index].name for index in range(len(source))]
 
     test = ["Scene01/clone/00000", "Scene01/clone/00001"]
     assert names("virtual_kitti", "vkitti2", split="test") == test
-    assert names("virtual_kitti", "vkitti2", split="test", cameras=(1,)) == [f"{n}/1" for n in test]
+    assert names("virtual_kitti", "vkitti2", split="test", cameras=[1]) == [f"{n}/1" for n in test]
     # Virtual KITTI's own split knows neither scenes nor variants of rendered ones: all are taken.
     assert len(names("rendered", "vkitti2")) == 4
     assert names("virtual_kitti_1", "vkitti1", classes="virtual_kitti") == [
@@ -408,14 +410,16 @@ def test_recipes_choose_edition_split_and_list(tmp_path):
         "0002/fog/00001",
     ]
     assert names("virtual_kitti", "vkitti2", frames="mine.txt") == ["Scene02/30-deg-left/00001"]
-    small = SourceRecipe("rendered", "vkitti2", size=(32, 48))
-    assert open_source(small, [tmp_path / "nowhere", tmp_path], classes="camvid")[0].size == (
+    small = RenderedRecipe(path="vkitti2", size=(32, 48))
+    assert open_dataset(small, [tmp_path / "nowhere", tmp_path], classes="camvid")[0].size == (
         32,
         48,
     )
     with pytest.raises(DatasetError, match=rf"no folder 'vkitti3' \(rendered\) below {tmp_path}"):
         names("rendered", "vkitti3")
-    with pytest.raises(DatasetError, match="no split 'trainval'; known: train, val, test, all"):
+    with pytest.raises(
+        InputError, match="split = 'trainval'; choose one of 'train', 'val', 'test' or"
+    ):
         names("virtual_kitti", "vkitti2", split="trainval")
     with pytest.raises(DatasetError, match=r"vkitti2/no\.txt: the list of frames cannot be read"):
         names("rendered", "vkitti2", frames="no.txt")

@@ -11,11 +11,12 @@ from typer.testing import CliRunner
 from export.exporter import export_checkpoint
 from models import create_model, save_checkpoint
 from runtime.errors import InputError
+from training.datasets.cityscapes import CityscapesRecipe
+from training.datasets.kitti_stream import KittiStreamRecipe
 from training.evaluation.cli import app, parse_source
 from training.evaluation.evaluate import short_names
 from training.evaluation.model_file import ScoredModel
 from training.evaluation.report import Row, format_table
-from training.recipe import SourceRecipe
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +98,10 @@ def test_errors_say_what_to_do(folder, tmp_path):
         ([folder / "lite.pt", "--data", "camvid"], "KIND:FOLDER"),
         ([folder / "lite.pt", "--data", f"lyft:{folder}"], "choose one of"),
         ([folder / "lite.pt", "--data", f"rendered:{folder}/nothing"], "no folder"),
-        ([folder / "lite.pt", "--data", f"{data},split=val"], "means nothing to a set"),
+        (
+            [folder / "lite.pt", "--data", f"{data},split=val"],
+            "unknown key split; known here: kind, path, weight",
+        ),
         ([folder / "lite.pt", "--data", data, "--lidar", "5"], "divides 64"),
         ([folder / "lite.pt", "--data", data, "--faults", "rain"], "known: nan"),
         ([tmp_path / "x.tflite", "--data", data], "expected a checkpoint"),
@@ -111,13 +115,13 @@ def test_errors_say_what_to_do(folder, tmp_path):
 
 
 def test_data_sets_are_given_as_in_a_recipe():
-    assert parse_source("cityscapes:/a:b,split=val,size=[512,1024]") == SourceRecipe(
-        "cityscapes", "/a:b", split="val", size=(512, 1024)
+    assert parse_source("cityscapes:/a:b,split=val,size=[512,1024]") == CityscapesRecipe(
+        path="/a:b", split="val", size=(512, 1024)
     )
-    assert parse_source("kitti_stream:x,first=50,last=59") == SourceRecipe(
-        "kitti_stream", "x", first=50, last=59
+    assert parse_source("kitti_stream:x,first=50,last=59") == KittiStreamRecipe(
+        path="x", first=50, last=59
     )
-    with pytest.raises(InputError, match=r"first = 'a'.*expected int"):
+    with pytest.raises(InputError, match=r"kitti_stream:x.*: first = 'a': .*valid integer"):
         parse_source("kitti_stream:x,first=a")
 
 
@@ -133,12 +137,12 @@ def test_a_network_without_classes_is_scored_in_the_table_it_was_trained_with():
     assert ScoredModel(lambda rgb, depth: None, (), "").class_table == "camvid"
 
 
-def test_classes_of_no_table_cannot_be_scored():
-    model = ScoredModel(
-        lambda rgb, depth: None, create_model("ssdnet", num_classes=3).config.classes, ""
-    )
-    with pytest.raises(InputError, match="none of the tables"):
-        _ = model.class_table
+def test_classes_of_no_table_are_a_table_of_their_own():
+    own = create_model("ssdnet", num_classes=3).config.classes
+    assert ScoredModel(lambda rgb, depth: None, own, "").class_table == own
+    table = [{"name": info.name, "color": list(info.color)} for info in own]
+    trained = {"recipe": {"model": {"classes": table}}}
+    assert ScoredModel(lambda rgb, depth: None, (), "", trained).class_table == own
 
 
 def test_table_leaves_out_what_no_row_has():

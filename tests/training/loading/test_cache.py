@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from training.datasets.camvid import CamVidRecipe
 from training.datasets.sample import Sample
 from training.loading.augment import AugmentConfig
 from training.loading.cache import CachedSource
 from training.loading.open_dataset import open_mixture
 from training.loading.resized import ResizedSource
-from training.recipe import DataRecipe, SourceRecipe
+from training.recipe import DataRecipe
 
 #: rgb, depth and classes of 10 x 10 pixels.
 BYTES = 100 * (3 + 4 + 1)
@@ -73,7 +74,7 @@ def test_mixture_shares_the_recipes_memory_among_workers_and_sets():
     def decoded(cache_bytes, *, workers, sets):
         sources = [Counted(2) for _ in range(sets)]
         recipe = DataRecipe(
-            tuple(SourceRecipe("camvid", str(index)) for index in range(sets)),
+            tuple(CamVidRecipe(path=str(index)) for index in range(sets)),
             augment=AugmentConfig(crop=(32, 32)),
             workers=workers,
             cache_gib=cache_bytes / 2**30,

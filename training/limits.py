@@ -1,0 +1,62 @@
+"""What the values of a recipe may be, in one place.
+
+The limits lie far beyond what is of use: a value outside is a slip of the pen, refused before it
+takes the memory or the days that it asks for.
+"""
+
+from typing import Annotated
+
+from pydantic import AfterValidator, ConfigDict, Field
+
+from runtime.contract import MAX_DEPTH_RANGE_M, MAX_SIDE, MIN_DEPTH_RANGE_M, MIN_SIDE
+
+#: For every table of a recipe: "3" is not 3, true is not 1, no unknown keys, no NaN or infinity.
+STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+
+#: Of a batch: 5 GiB of what the loader hands over.
+MAX_BATCH_PIXELS = 2**28
+#: Of the window that a frame's part is magnified from: 1.6 GiB.
+MAX_WINDOW_PIXELS = 2**27
+#: Of a training; their order is drawn at its start, 16 bytes each.
+MAX_SAMPLES = 10**8
+
+Index = Annotated[int, Field(ge=0, le=10**9)]
+Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
+Steps = Annotated[int, Field(ge=1, le=10**8)]
+Count = Annotated[int, Field(ge=1, le=10**6)]
+Workers = Annotated[int, Field(ge=0, le=1024)]
+BatchSize = Annotated[int, Field(ge=1, le=65536)]
+DepthRange = Annotated[float, Field(ge=MIN_DEPTH_RANGE_M, le=MAX_DEPTH_RANGE_M)]
+#: Pixels of a frame's height or width, as networks take it.
+Side = Annotated[int, Field(ge=MIN_SIDE, le=MAX_SIDE)]
+CropSide = Annotated[int, Field(ge=1, le=MAX_SIDE)]
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(gt=0, le=1e9)]
+#: Of a relative change of colours.
+Strength = Annotated[float, Field(ge=0, le=10)]
+Degrees = Annotated[float, Field(ge=0, le=180)]
+NotNegative = Annotated[float, Field(ge=0, le=1e9)]
+
+
+def _require_order(limits: tuple[float, float]) -> tuple[float, float]:
+    if limits[0] > limits[1]:
+        raise ValueError("expected low <= high")
+    return limits
+
+
+_PositiveShare = Annotated[float, Field(gt=0, le=1)]
+_Factor = Annotated[float, Field(ge=0.01, le=100)]
+#: (low, high) of what is drawn at random.
+ShareRange = Annotated[tuple[_PositiveShare, _PositiveShare], AfterValidator(_require_order)]
+FactorRange = Annotated[tuple[_Factor, _Factor], AfterValidator(_require_order)]
+
+
+def require_window(key: str, crop: tuple[int, int], scale: tuple[float, float]) -> None:
+    """Raise a ValueError that names the key if a crop magnified so little needs a vast window."""
+    pixels = crop[0] * crop[1] / scale[0] ** 2
+    if pixels > MAX_WINDOW_PIXELS:
+        raise ValueError(
+            f"{key} = {list(scale)}: a crop of {crop[0]}x{crop[1]} would be cut from a window of "
+            f"{pixels:.0f} pixels; at most {MAX_WINDOW_PIXELS} are taken"
+        )
