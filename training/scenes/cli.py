@@ -24,8 +24,15 @@ def render(
     every_variant: Annotated[
         bool, typer.Option(help="Each scene in each variant, not one after the other.")
     ] = False,
-    size: Annotated[str, typer.Option(help="HEIGHTxWIDTH in pixels.")] = "375x1242",
-    camera: Annotated[str, typer.Option(help="Field of view: kitti or camvid.")] = "kitti",
+    size: Annotated[
+        str, typer.Option(help="HEIGHTxWIDTH in pixels; not of varied cameras.")
+    ] = "375x1242",
+    camera: Annotated[
+        str,
+        typer.Option(
+            help="Field of view: kitti, camvid, or varied (another, of its own size, a scene)."
+        ),
+    ] = "kitti",
     street: Annotated[
         str, typer.Option(help="town, residential, avenue, highway, square; empty: drawn.")
     ] = "",
@@ -46,7 +53,7 @@ def render(
         typer.echo(f'error: {error}: rendering needs pip install "ssdnet[train]"', err=True)
         raise typer.Exit(1) from error
 
-    cameras: dict[str, CameraName] = {"kitti": "kitti", "camvid": "camvid"}
+    cameras: dict[str, CameraName] = {"kitti": "kitti", "camvid": "camvid", "varied": "varied"}
     kinds: dict[str, StreetKind] = {kind: kind for kind in STREET_KINDS}
     known: dict[str, Variant] = {variant: variant for variant in VARIANTS}
     wanted = _split(variants, known, "--variants")

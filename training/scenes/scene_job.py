@@ -10,6 +10,7 @@ import numpy as np
 from training.scenes.layout.street import Street, build_street
 from training.scenes.layout.street_plan import StreetKind
 from training.scenes.rendering.camera import CameraName, make_camera
+from training.scenes.rendering.lidar_scan import draw_mount
 from training.scenes.rendering.render import RenderedFrame, render_frame
 from training.scenes.rendering.weather import VARIANTS, Variant, Weather, draw_weather
 from training.scenes.vkitti_writer import write_variant
@@ -54,13 +55,16 @@ class Scene:
     def render(self, number: int) -> RenderedFrame:
         """Frame ``number``; equal jobs give equal arrays."""
         key = [self.job.seed, 3, VARIANTS.index(self.variant), number]
+        camera = make_camera(self.job.camera, self.job.size, self.job.seed)
+        mount_rng = np.random.default_rng(np.random.SeedSequence([self.job.seed, 6]))
         return render_frame(
             self.street,
-            make_camera(self.job.camera, self.job.size),
+            camera,
             self.weather,
             time=number * self.job.step_s,
             sway=self.sway,
             rng=np.random.default_rng(np.random.SeedSequence(key)),
+            mount=draw_mount(camera, mount_rng),
         )
 
 

@@ -11,6 +11,7 @@ from runtime.atomic_write import atomic_folder
 from runtime.errors import OutputError
 from training.scenes.arrays import Floats
 from training.scenes.classes import CLASS_TABLE, class_colors
+from training.scenes.rendering.lidar_scan import LidarScan
 from training.scenes.rendering.render import RenderedFrame
 
 _JPEG_QUALITY = 92
@@ -32,8 +33,13 @@ def write_variant(
 
     root/scene/variant gets frames/{rgb,depth,classSegmentation}/Camera_0, colors.txt,
     intrinsic.txt and extrinsic.txt. Depth is uint16 centimetres, 65535 the sky; extrinsics map
-    world to camera. Raises OutputError if the folder exists and `overwrite` is not given, or if
-    it cannot be written.
+    world to camera. Where a LiDAR was rendered too, and beyond that layout,
+    frames/lidar/Camera_0/lidar_<number>.bin holds its returns as KITTI has them (float32 x, y, z
+    [m], reflectance, ring after ring), and calib.txt the matrix Tr_velo_to_cam (3 x 4) that maps
+    them to the camera.
+
+    Raises OutputError if the folder exists and `overwrite` is not given, or if it cannot be
+    written.
     """
     target = root / scene / variant
     if target.exists() and not overwrite:
@@ -56,6 +62,8 @@ def write_variant(
             _write_image(
                 folders["classSegmentation"] / f"classgt_{name}.png", class_colors()[frame.label]
             )
+            if frame.scan is not None:
+                _write_scan(partial, name, frame.scan)
             k = frame.intrinsics
             intrinsic.append(f"{number} 0 {k[0, 0]:.6g} {k[1, 1]:.6g} {k[0, 2]:.6g} {k[1, 2]:.6g}")
             pose = " ".join(f"{value:.9g}" for value in frame.world_to_camera.ravel())
@@ -65,6 +73,14 @@ def write_variant(
         for file, lines in (("colors", colors), ("intrinsic", intrinsic), ("extrinsic", extrinsic)):
             (partial / f"{file}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return target
+
+
+def _write_scan(variant: Path, name: str, scan: LidarScan) -> None:
+    folder = variant / "frames" / "lidar" / "Camera_0"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"lidar_{name}.bin").write_bytes(scan.points.astype("<f4").tobytes())
+    matrix = " ".join(f"{value:.9g}" for value in scan.to_camera[:3].ravel())
+    (variant / "calib.txt").write_text(f"Tr_velo_to_cam: {matrix}\n", encoding="utf-8")
 
 
 def _centimetres(depth: Floats) -> NDArray[np.uint16]:

@@ -7,7 +7,10 @@ import numpy as np
 
 from training.scenes.arrays import Floats
 
-CameraName = Literal["kitti", "camvid"]
+CameraName = Literal["kitti", "camvid", "varied"]
+
+#: Sizes (height, width) of varied cameras.
+_SIZES = ((375, 1242), (375, 1242), (480, 960), (400, 720), (360, 480))
 
 
 @dataclass(frozen=True)
@@ -36,8 +39,14 @@ class Camera:
         return np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32)
 
 
-def make_camera(name: CameraName, size: tuple[int, int]) -> Camera:
-    """A camera with the field of view of KITTI's or CamVid's, at any (height, width)."""
+def make_camera(name: CameraName, size: tuple[int, int], seed: int = 0) -> Camera:
+    """A camera with the field of view of KITTI's or CamVid's, at any (height, width).
+
+    "varied" is another camera for every seed: view 45 to 105 degrees wide, 1.2 to 2.2 m above the
+    road, tilted by up to 4 degrees, its size not the one asked for, but one of `_SIZES`.
+    """
+    if name == "varied":
+        return _draw_camera(np.random.default_rng(np.random.SeedSequence([seed, 5])))
     height, width = size
     if name == "kitti":
         # KITTI 2011_09_26, camera 2: 1242 x 375 pixels, focal length 721.54.
@@ -48,6 +57,15 @@ def make_camera(name: CameraName, size: tuple[int, int]) -> Camera:
     # CamVid publishes no calibration; half a view of 26 degrees fits its pictures.
     focal = 500.0 * width / 480.0
     return Camera(size, focal, focal, width / 2, height * 0.5, 1.35, -0.5)
+
+
+def _draw_camera(rng: np.random.Generator) -> Camera:
+    height, width = _SIZES[rng.integers(len(_SIZES))]
+    view = np.deg2rad(rng.uniform(45.0, 105.0 if width > 2 * height else 85.0))
+    focal = width / 2 / np.tan(view / 2)
+    cx, cy = width * rng.uniform(0.48, 0.52), height * rng.uniform(0.44, 0.56)
+    above_road_m, pitch_deg = rng.uniform(1.2, 2.2), rng.uniform(-4.0, 2.0)
+    return Camera((height, width), focal, focal, cx, cy, above_road_m, pitch_deg)
 
 
 def look_along(heading: float, pitch: float, roll: float) -> Floats:

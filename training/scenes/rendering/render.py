@@ -12,6 +12,7 @@ from training.scenes.arrays import Floats
 from training.scenes.classes import SceneClass
 from training.scenes.layout.street import Street
 from training.scenes.rendering.camera import Camera, look_along
+from training.scenes.rendering.lidar_scan import LidarMount, LidarScan, scan_street
 from training.scenes.rendering.raycast import Hits, RayCaster
 from training.scenes.rendering.sensor import expose
 from training.scenes.rendering.shading import contact_shading, shade
@@ -26,13 +27,15 @@ _JITTER = ((-0.3, -0.3), (0.3, -0.1), (-0.1, 0.3))
 @dataclass(frozen=True)
 class RenderedFrame:
     """rgb (H, W, 3) uint8; depth (H, W) float32 m along the optical axis, 0 = sky; label (H, W)
-    uint8 of `SceneClass`; world_to_camera (4, 4); intrinsics (3, 3)."""
+    uint8 of `SceneClass`; world_to_camera (4, 4); intrinsics (3, 3). scan: what the LiDAR
+    returned; None without one."""
 
     rgb: NDArray[np.uint8]
     depth: Floats
     label: NDArray[np.uint8]
     world_to_camera: Floats
     intrinsics: Floats
+    scan: LidarScan | None = None
 
 
 def camera_pose(
@@ -55,9 +58,20 @@ def camera_pose(
 
 
 def render_frame(
-    street: Street, camera: Camera, weather: Weather, *, time: float, sway: float, rng: Generator
+    street: Street,
+    camera: Camera,
+    weather: Weather,
+    *,
+    time: float,
+    sway: float,
+    rng: Generator,
+    mount: LidarMount | None = None,
 ) -> RenderedFrame:
-    """Render the street at a time in seconds, as the ego car sees it."""
+    """Render the street at a time in seconds, as the ego car's camera sees it.
+
+    mount: of its LiDAR; None = it has none. The picture is the same either way.
+    """
+    lidar_rng = rng.spawn(1)[0]
     rotation, position = camera_pose(street, camera, time, sway=sway)
     ego_s = street.ego_speed * time
     present = [a for a in street.actors if -25 < a.s + a.speed * time - ego_s < 220]
@@ -109,6 +123,11 @@ def render_frame(
         label=label.reshape(camera.size),
         world_to_camera=world_to_camera,
         intrinsics=camera.intrinsics,
+        scan=None
+        if mount is None
+        else scan_street(
+            mesh, caster, camera, rotation, mount, stripes=street.stripes, rng=lidar_rng
+        ),
     )
 
 

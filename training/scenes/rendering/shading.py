@@ -18,10 +18,37 @@ _GROUND = (SurfaceKind.ASPHALT, SurfaceKind.PAVING)
 _LIFT = 2e-3
 
 
-def _interpolate(corners: Floats, hits: Hits, rows: NDArray[np.intp]) -> Floats:
-    picked = corners[hits.face[rows]]
-    u, v = hits.u[rows, None], hits.v[rows, None]
+def _interpolate(corners: Floats, hits: Hits) -> Floats:
+    picked = corners[hits.face]
+    u, v = hits.u[:, None], hits.v[:, None]
     return np.asarray(picked[:, 0] * (1 - u - v) + picked[:, 1] * u + picked[:, 2] * v)
+
+
+def points_of_hits(mesh: Mesh, hits: Hits, view: Floats, footprint: Floats) -> Points:
+    """Where rays along unit vectors ``view`` (n, 3) met the mesh; every one must have met it.
+
+    footprint: (n,) m that a ray covers there.
+    """
+    normal = _interpolate(mesh.normals, hits)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-9
+    flat = _facing(mesh, hits.face, view)
+    turn = ((normal * flat).sum(1) < 0) & (mesh.kind[hits.face] != SurfaceKind.FOLIAGE)
+    normal[turn] = -normal[turn]
+    return Points(
+        _interpolate(mesh.texture, hits),
+        normal,
+        mesh.color[hits.face],
+        mesh.params[hits.face],
+        footprint,
+        np.abs((flat * view).sum(1)),
+    )
+
+
+def _facing(mesh: Mesh, face: NDArray[np.int32], view: Floats) -> Floats:
+    """Normals (n, 3) of faces, turned towards whoever looks along ``view``."""
+    flat = _face_normal(mesh.positions[face])
+    toward = (flat * view).sum(1, keepdims=True)
+    return np.asarray(flat * np.where(toward > 0, np.float32(-1), np.float32(1)))
 
 
 def shade(
@@ -56,27 +83,12 @@ def shade(
     face, view = hits.face[rows], view[rows]
     distance = hits.distance[rows] * length[rows]
     point = origin + directions[rows] * hits.distance[rows, None]
-    normal = _interpolate(mesh.normals, hits, rows)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-9
-    flat = _face_normal(mesh.positions[face])
-    flat *= np.where((flat * view).sum(1, keepdims=True) > 0, np.float32(-1), np.float32(1))
+    found = Hits(hits.distance[rows], face, hits.u[rows], hits.v[rows])
+    points = points_of_hits(mesh, found, view, (distance * pixel_angle).astype(np.float32))
+    normal, flat = points.normal, _facing(mesh, face, view)
     kind = mesh.kind[face]
     soft = kind == SurfaceKind.FOLIAGE
-    turn = ((normal * flat).sum(1) < 0) & ~soft
-    normal[turn] = -normal[turn]
-    slant = np.abs((flat * view).sum(1))
-    surface = texture_surfaces(
-        kind,
-        Points(
-            _interpolate(mesh.texture, hits, rows),
-            normal,
-            mesh.color[face],
-            mesh.params[face],
-            (distance * pixel_angle).astype(np.float32),
-            slant,
-        ),
-        stripes,
-    )
+    surface = texture_surfaces(kind, points, stripes)
     albedo, gloss = surface.albedo, surface.gloss
     ground = np.isin(kind, _GROUND)
     if weather.wet:

@@ -1,0 +1,169 @@
+"""What a spinning LiDAR beside the camera returns: own viewpoint, glass, dark and far surfaces."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from training.lidar import HDL64_ELEVATIONS_DEG
+from training.scenes.arrays import Floats
+from training.scenes.rendering.camera import Camera
+from training.scenes.rendering.raycast import Hits, RayCaster
+from training.scenes.rendering.shading import points_of_hits
+from training.scenes.textures.paint import Stripe
+from training.scenes.textures.surface_kinds import SurfaceKind
+from training.scenes.textures.surfaces import texture_surfaces
+from training.scenes.things.mesh import Mesh
+
+#: LiDAR axes (x forward, y left, z up) in those of a camera (x right, y down, z forward).
+_LIDAR_TO_CAMERA = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+_AZIMUTH_STEP_DEG = 0.17  # an HDL-64E at 10 Hz
+_RANGE_NOISE_M = 0.02
+_LONGEST_RANGE_M = 120.0
+_MOST_SURFACES = 4  # both panes of a car, and what stands behind it
+#: Kind -> gloss from which its surface is a pane of glass (see the textures of these kinds).
+_PANES = {
+    SurfaceKind.CAR_GLASS: 0.0,
+    SurfaceKind.CAR_SIDE_WINDOW: 0.07,
+    SurfaceKind.BUS_SIDE: 0.065,
+    SurfaceKind.FACADE: 0.03,
+}
+#: Of the pulses that meet a vehicle's pane: so many go on behind it, so many are lost.
+_PANE_PASSES, _PANE_LOSES = 0.6, 0.3
+#: Of the pulses that meet a window of a house so many are lost; most others return from the room.
+_WINDOW_LOSES, _WINDOW_ROOM, _ROOM_M = 0.5, 0.4, 3.0
+
+
+@dataclass(frozen=True)
+class LidarMount:
+    """Where the LiDAR sits: ``to_camera`` float64 (4, 4) maps its frame [m] to the camera's."""
+
+    to_camera: NDArray[np.float64]
+    elevations_deg: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LidarScan:
+    """One turn of the LiDAR. points: float32 (N, 4), x, y, z [m] in its own frame, reflectance
+    0..1; in KITTI's order, ring after ring from the top, each counter-clockwise from straight
+    ahead. to_camera: float64 (4, 4), from that frame to the camera's."""
+
+    points: NDArray[np.float32]
+    to_camera: NDArray[np.float64]
+
+
+def draw_mount(camera: Camera, rng: Generator) -> LidarMount:
+    """An HDL-64E on the roof, near where KITTI has it: behind and above the camera, level."""
+    tilt = np.deg2rad(rng.normal(0.0, 0.4, 3) - [camera.pitch_deg, 0.0, 0.0])
+    to_camera = np.eye(4)
+    to_camera[:3, :3] = _rotation(*tilt) @ _LIDAR_TO_CAMERA
+    to_camera[:3, 3] = [rng.normal(0.0, 0.08), -rng.uniform(0.03, 0.4), -rng.uniform(0.0, 0.6)]
+    to_camera[1, 3] -= max(0.0, 1.6 - camera.mount_height_m)  # the LiDAR stays on the roof
+    return LidarMount(to_camera, HDL64_ELEVATIONS_DEG + rng.normal(0.0, 0.03, 64))
+
+
+def scan_street(
+    mesh: Mesh,
+    caster: RayCaster,
+    camera: Camera,
+    rotation: Floats,
+    mount: LidarMount,
+    *,
+    stripes: tuple[Stripe, ...],
+    rng: Generator,
+) -> LidarScan:
+    """Returns of one turn that fall into the picture.
+
+    mesh: around the camera at the origin, in world axes, as is `caster`'s.
+    rotation: (3, 3), camera to world. A pulse goes through a vehicle's pane, or is lost at it, more
+    often than it comes back; dark, slanted and far surfaces lose pulses, too.
+    """
+    step = np.deg2rad(_AZIMUTH_STEP_DEG)
+    wide = np.arctan2(camera.size[1] * 0.75, camera.fx)
+    half = np.arange(0.0, wide, step)
+    azimuth = np.concatenate([half, half[1:][::-1] * -1.0])
+    ring = np.repeat(np.arange(64), len(azimuth))
+    turn = np.tile(azimuth, 64) + step * rng.random(64)[ring]
+    rise = np.deg2rad(mount.elevations_deg)[ring]
+    local = np.stack(
+        [np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)], axis=1
+    )
+    to_world = (rotation @ mount.to_camera[:3, :3]).T
+    directions = (local @ to_world).astype(np.float32)
+    start = (rotation @ mount.to_camera[:3, 3]).astype(np.float32)
+    distance, reflectance = _ranges(mesh, caster, start, directions, stripes, rng)
+    kept = np.isfinite(distance)
+    points = local[kept] * (distance[kept] + rng.normal(0, _RANGE_NOISE_M, kept.sum()))[:, None]
+    seen = _in_picture(points, camera, mount)
+    found = np.column_stack([points[seen], reflectance[kept][seen]]).astype(np.float32)
+    return LidarScan(found, mount.to_camera)
+
+
+def _ranges(
+    mesh: Mesh,
+    caster: RayCaster,
+    start: Floats,
+    directions: Floats,
+    stripes: tuple[Stripe, ...],
+    rng: Generator,
+) -> tuple[Floats, Floats]:
+    """Range [m] (n,), NaN where nothing comes back, and reflectance 0..1 of each pulse."""
+    count = len(directions)
+    distance = np.full(count, np.nan, dtype=np.float32)
+    reflectance = np.zeros(count, dtype=np.float32)
+    under_way = np.arange(count)
+    travelled = np.zeros(count, dtype=np.float32)
+    for _ in range(_MOST_SURFACES):
+        origins = start + directions[under_way] * travelled[under_way, None]
+        hits = caster.first_hit(origins, directions[under_way])
+        met = (hits.face >= 0) & (hits.distance + travelled[under_way] < _LONGEST_RANGE_M)
+        under_way = under_way[met]
+        if not len(under_way):
+            break
+        hits = Hits(hits.distance[met], hits.face[met], hits.u[met], hits.v[met])
+        travelled[under_way] += hits.distance
+        length = travelled[under_way]
+        points = points_of_hits(mesh, hits, directions[under_way], length * np.float32(2e-3))
+        kind = mesh.kind[hits.face]
+        surface = texture_surfaces(kind, points, stripes)
+        pane = np.zeros(len(kind), dtype=bool)
+        for glassy, gloss in _PANES.items():
+            pane |= (kind == glassy) & (surface.gloss > gloss)
+        window = pane & (kind == SurfaceKind.FACADE)
+        lot = rng.random(len(kind))
+        passes = pane & ~window & (lot < _PANE_PASSES)
+        lost = pane & ~window & ~passes & (lot < _PANE_PASSES + _PANE_LOSES)
+        lost |= window & (lot < _WINDOW_LOSES)
+        deeper = window & ~lost & (lot < _WINDOW_LOSES + _WINDOW_ROOM)
+        length = length + np.where(deeper, _ROOM_M * rng.random(len(kind)), 0.0)
+
+        bright = surface.albedo.mean(axis=1).clip(0.02, 1.0)
+        # A 10 % reflective surface is seen to about 50 m, a bright one to 120 m (data sheet).
+        reach = _LONGEST_RANGE_M * (bright / 0.8) ** 0.4 * points.slant.clip(0.02, 1.0) ** 0.15
+        fades = 0.03 + 0.9 * np.clip(length / reach, 0, 1) ** 4
+        lost |= ~passes & (rng.random(len(kind)) < fades)
+        back = under_way[~passes & ~lost]
+        distance[back] = length[~passes & ~lost]
+        reflectance[back] = bright[~passes & ~lost]
+        under_way = under_way[passes]
+        travelled[under_way] += np.float32(0.01)  # behind the pane
+    return distance, reflectance
+
+
+def _in_picture(points: Floats, camera: Camera, mount: LidarMount) -> NDArray[np.bool_]:
+    seen = points @ mount.to_camera[:3, :3].T + mount.to_camera[:3, 3]
+    depth = np.where(seen[:, 2] > 0.1, seen[:, 2], np.nan)
+    column = np.rint(camera.cx + camera.fx * seen[:, 0] / depth)
+    row = np.rint(camera.cy + camera.fy * seen[:, 1] / depth)
+    height, width = camera.size
+    return np.asarray((column >= 0) & (column < width) & (row >= 0) & (row < height))
+
+
+def _rotation(pitch: float, yaw: float, roll: float) -> NDArray[np.float64]:
+    """Rotation about the camera's x, y and z axes [rad]."""
+    (cx, sx), (cy, sy), (cz, sz) = ((np.cos(a), np.sin(a)) for a in (pitch, yaw, roll))
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return np.asarray(about_z @ about_y @ about_x)
