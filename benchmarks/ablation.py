@@ -18,15 +18,14 @@ from pathlib import Path
 from statistics import mean, stdev
 
 import matplotlib as mpl
-import numpy as np
 import torch
 
 from models import load_checkpoint
 from runtime.atomic_write import atomic_file, atomic_write
 from runtime.errors import InputError
 from training.datasets.virtual_kitti import RenderedRecipe
-from training.evaluation.lidar_input import LidarInput
-from training.evaluation.scoring import score, torch_predict
+from training.evaluation.scoring import score, split_frames, torch_predict
+from training.lidar.split import LidarInput
 from training.loading.open_dataset import open_dataset
 from training.loop import train
 from training.recipe import Recipe, read_recipe
@@ -102,13 +101,9 @@ def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
     checkpoint = train(recipe, data=[arguments.data], out=out, device=arguments.device)
     network = load_checkpoint(checkpoint).model.to(arguments.device)
     source = open_dataset(RenderedRecipe(path="test"), [arguments.data], classes="camvid")
-    frames = (
-        _INPUT.split(source[index], np.random.default_rng([0, index]))
-        for index in range(len(source))
-    )
     counted = score(
         torch_predict(network),
-        (frame for frame in frames if frame is not None),
+        split_frames(source, range(len(source)), _INPUT),
         num_classes=network.config.num_classes,
     )
     figures = counted.figures([info.name for info in network.config.classes])

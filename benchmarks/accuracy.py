@@ -22,9 +22,9 @@ from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.sample import SampleSource
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.baselines import BASELINES
-from training.evaluation.lidar_input import LidarSplit, split_lidar
 from training.evaluation.model_file import engine_predict, fill_predict
-from training.evaluation.scoring import Predict, Scores, score
+from training.evaluation.scoring import Predict, Scores, score, split_frames
+from training.lidar.split import LidarInput, LidarSplit
 from training.loading.open_dataset import open_dataset
 
 SETS = {
@@ -64,8 +64,8 @@ def main() -> None:
 
 def frames(source: SampleSource, title: str) -> Iterator[LidarSplit]:
     """Yield every frame with the depth to feed and to score."""
-    for index in tqdm(range(len(source)), desc=title, disable=None):
-        yield split_lidar(source[index])
+    indices = tqdm(range(len(source)), desc=title, disable=None)
+    yield from split_frames(source, indices, LidarInput("own"))
 
 
 def report(name: str, scores: Scores, classes: list[str]) -> dict[str, float]:

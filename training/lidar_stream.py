@@ -17,7 +17,7 @@ from runtime.errors import SSDNetError
 from runtime.stream.frames import KITTI_DEPTH_SCALE
 from training.datasets.virtual_kitti import VirtualKitti
 from training.datasets.virtual_kitti_split import Selection
-from training.lidar import scan_lines
+from training.lidar.simulate import scan_lines
 
 
 def write_lidar_stream(variant: Path, out: Path, *, lines: int = 64, seed: int = 0) -> int:
@@ -50,7 +50,7 @@ def write_lidar_stream(variant: Path, out: Path, *, lines: int = 64, seed: int =
 def main(
     variant: Path,
     out: Path,
-    lines: Annotated[int, typer.Option(help="64, 32 or 16")] = 64,
+    lines: Annotated[int, typer.Option(help="a divisor of 64")] = 64,
     seed: int = 0,
 ) -> None:
     """Scan a rendered scene with a LiDAR and lay its frames out for ssdnet-run."""

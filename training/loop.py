@@ -27,6 +27,7 @@ from training.distributed import (
 )
 from training.evaluation.pictures import draw_pictures
 from training.evaluation.scoring import score_sources, torch_predict
+from training.lidar.split import LidarInput
 from training.loading.open_dataset import count_pixels, open_dataset, open_mixture
 from training.losses import SSDNetLoss, class_weights
 from training.network import adjust_logits, build_network
@@ -266,7 +267,8 @@ def _validate(
     step: int,
 ) -> None:
     """Score the network, each process its share of the frames; show figures and pictures."""
-    scores = score_sources(network, sources, processes)
+    lidar = LidarInput()
+    scores = score_sources(network, sources, processes, lidar=lidar)
     board.add_scalars({f"validation/{name}": score for name, score in scores.items()}, step)
     if not processes.is_first:
         return
@@ -274,7 +276,11 @@ def _validate(
     tqdm.write(f"step {step}: {text}", file=sys.stderr)
     for name, source in sources.items():
         pictures = draw_pictures(
-            torch_predict(network), source, network.config, count=recipe.validation.pictures
+            torch_predict(network),
+            source,
+            network.config,
+            lidar=lidar,
+            count=recipe.validation.pictures,
         )
         for frame, picture in pictures:
             board.add_picture(f"{name}/{frame}", picture, step)

@@ -170,3 +170,13 @@ def test_other_inputs_are_named(changes, text):
 def test_filters_that_make_no_sense_are_refused(options):
     with pytest.raises(InputError):
         OcclusionFilter(**options)
+
+
+def test_slopes_stay_and_the_window_is_how_far_a_near_return_hides():
+    returns = np.zeros((21, 21), dtype=np.float32)
+    returns[10, 8], returns[10, 11] = 5.0, 40.0  # 40 m shows through beside 5 m
+    returns[2, 2], returns[4, 2] = 10.0, 11.0  # a slope
+    visible = OcclusionFilter(window=(15, 9)).apply(returns, returns)
+    assert visible[10, 11] == 0
+    assert (visible[10, 8], visible[2, 2], visible[4, 2]) == (5.0, 10.0, 11.0)
+    assert OcclusionFilter(window=(15, 5)).apply(returns, returns)[10, 11] == 40.0

@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable
 from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
-from training.datasets.kitti_lidar import CalibrationFile
+from training.datasets.kitti_calibration import CalibrationFile
 from training.datasets.sample import IGNORE, Sample
 from training.datasets.source import SourceRecipe
 from training.datasets.virtual_kitti import require_partners

@@ -10,18 +10,14 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
+from runtime.projection import OcclusionFilter
 from training.datasets.class_mapping import ClassTable
 from training.datasets.image_files import read_rgb, require_folder
-from training.datasets.kitti_lidar import (
-    Calibration,
-    project_lines,
-    read_points,
-    read_raw_calibration,
-    withhold_occluded,
-)
+from training.datasets.kitti_calibration import Calibration, read_points, read_raw_calibration
 from training.datasets.sample import IGNORE, Sample
 from training.datasets.source import Names, SourceRecipe
 from training.datasets.virtual_kitti import require_partners
+from training.lidar.scan import project_lines
 from training.limits import STRICT
 
 #: Images that were published without their scans.
@@ -116,7 +112,9 @@ class KittiRaw:
                 "rectified (synced) images of this date."
             )
         points = read_points(drive / "velodyne_points" / "data" / f"{number}.bin")
-        depth, scan_line = project_lines(points, calibration, size)
+        depth, scan_line = project_lines(
+            points, calibration.intrinsics, calibration.extrinsics, size
+        )
         sample = Sample(
             rgb=rgb,
             depth=depth,
@@ -127,6 +125,6 @@ class KittiRaw:
         )
         if not self._withhold_hidden:
             return sample
-        seen = withhold_occluded(depth, depth)
+        seen = OcclusionFilter().apply(depth, depth)
         lines = np.where(seen > 0, scan_line, np.int16(-1)).astype(np.int16)
         return replace(sample, depth=seen, scan_line=lines)

@@ -10,9 +10,10 @@ from runtime.errors import DatasetError
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
-from training.datasets.kitti_lidar import project_lines, read_calibration, read_points
+from training.datasets.kitti_calibration import read_calibration, read_points
 from training.datasets.sample import IGNORE, Sample
 from training.datasets.source import SourceRecipe
+from training.lidar.scan import project_lines
 from training.limits import STRICT, Index, Share
 
 
@@ -81,7 +82,8 @@ class KittiStream:
         rgb = read_rgb(image_path)
         size = (rgb.shape[0], rgb.shape[1])
         points = read_points(self._root / "velodyne_fov" / f"{stem}.bin")
-        depth, scan_line = project_lines(points, self._calibration, size)
+        camera = self._calibration
+        depth, scan_line = project_lines(points, camera.intrinsics, camera.extrinsics, size)
         semantic = np.full(size, IGNORE, dtype=np.uint8)
         label_path = self._root / "pseudo_semantic" / f"{stem}.png"
         if label_path.is_file():

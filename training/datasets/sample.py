@@ -27,8 +27,8 @@ class Sample:
     #: data set it is what was recorded beside ``depth``: it can be thinned, but no other LiDAR can
     #: be drawn from the target. None where nothing was; the input is then drawn from ``depth``.
     sparse_depth: NDArray[np.float32] | None = None
-    #: int16 (H, W), the LiDAR scan line each pixel of ``depth`` was measured by, -1 = none;
-    #: None where the depth is dense, or the input is a recording apart from it.
+    #: int16 (H, W), the LiDAR scan line that measured each pixel, -1 = none: of ``sparse_depth``,
+    #: or, where that is None, of ``depth``. None where no lines are known.
     scan_line: NDArray[np.int16] | None = None
     #: How much the semantic target counts in the loss: below 1 for labels made by a network.
     semantic_weight: float = 1.0

@@ -52,9 +52,18 @@ def evaluate(
     try:
         # Heavy imports here, so that --help answers at once.
         from training.evaluation.evaluate import evaluate as run
-        from training.evaluation.lidar_input import LidarInput
-        from training.evaluation.report import draw_lidar_quality, format_table, write_json
+        from training.evaluation.report import (
+            draw_lidar_quality,
+            format_table,
+            require_writable,
+            write_json,
+        )
+        from training.lidar.split import LidarInput
 
+        if json is not None:
+            require_writable(json, "--json")
+        if plot is not None:
+            require_writable(plot, "--plot", suffix=".png")
         rows: list[Row] = run(
             models,
             [parse_source(text) for text in data],
@@ -104,7 +113,7 @@ def parse_source(text: str) -> "SourceRecipe":
 
 
 def _parse_faults(text: str) -> list[Any]:
-    from training.evaluation.lidar_input import Fault
+    from training.lidar.faults import Fault
 
     known = [fault for fault in get_args(Fault) if fault != "none"]
     names = [name.strip() for name in text.split(",") if name.strip()]

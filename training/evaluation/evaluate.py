@@ -13,10 +13,11 @@ from runtime.errors import InputError
 from training.datasets.sample import SampleSource
 from training.datasets.source import SourceRecipe
 from training.evaluation.baselines import BASELINES
-from training.evaluation.lidar_input import Fault, LidarInput, add_fault
 from training.evaluation.model_file import ScoredModel, fill_predict, open_model
 from training.evaluation.report import Row
-from training.evaluation.scoring import Scores
+from training.evaluation.scoring import Answer, Scores
+from training.lidar.faults import Fault, add_fault
+from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
 
 
@@ -34,9 +35,10 @@ def evaluate(
     """Score models and, if asked for, baselines without one.
 
     ``data`` are sets whose paths stand by themselves. What a LiDAR stands for on each kind of set
-    says `LidarInput.split`; a set that cannot give one has no row with it. Every model gets the
-    same inputs, whatever else is asked for. ``limit`` takes that many frames of a set, evenly
-    spread.
+    says `training.lidar.split`; a set that cannot give one has no row with it. Where nothing was
+    fed in any frame of a set there is one row, with the LiDAR "none" and no fault, whatever was
+    asked for. Every model gets the same inputs, whatever else is asked for. ``limit`` takes that
+    many frames of a set, evenly spread.
 
     Raises DatasetError, InputError, CheckpointError, ContractError and ProviderError for what
     cannot be opened, InputError if nothing could be scored.
@@ -63,8 +65,8 @@ def evaluate(
                 rows += _score_all(name, model, title, source, lidars, faults, limit)
     if not rows:
         raise InputError(
-            "nothing could be scored: none of the LiDARs asked for can be had from these sets. "
-            "Ask for --lidar own."
+            "nothing could be scored: these sets give none of the LiDARs asked for. Ask for "
+            "--lidar own."
         )
     return rows
 
@@ -101,18 +103,29 @@ def _score_all(
     indices = np.unique(np.linspace(0, len(source) - 1, count).round().astype(int))
     inputs = [(lidar, fault) for lidar in lidars for fault in faults]
     scores = {item: Scores(len(model.classes)) for item in inputs}
+    was_fed = dict.fromkeys(inputs, False)
     for index in tqdm(indices, desc=f"{name}, {title}", disable=None):
         sample = source[int(index)]  # once: reading it may cost more than an answer
+        camera_alone: Answer | None = None  # the same for all inputs that feed nothing
         for lidar, fault in inputs:
-            # A frame's own stream of random numbers: the same for every model, whatever the limit.
-            rng = np.random.default_rng([0, int(index)])
-            frame = lidar.split(sample, rng)
-            if frame is not None:
-                fed = add_fault(frame.fed, fault, rng)
-                scores[lidar, fault].update(model.predict(sample.rgb, fed), frame)
+            rng = frame_generator(int(index))  # the same for every model, whatever the limit
+            frame = split_lidar(sample, lidar, rng)
+            if frame is None:
+                continue
+            if frame.fed.any():
+                was_fed[lidar, fault] = True
+                answer = model.predict(sample.rgb, add_fault(frame.fed, fault, rng))
+            else:
+                if camera_alone is None:
+                    camera_alone = model.predict(sample.rgb, frame.fed)
+                answer = camera_alone
+            scores[lidar, fault].update(answer, frame)
     class_names = [info.name for info in model.classes]
-    return [
-        Row(name, model.engine, title, str(lidar), fault, item.frames, item.figures(class_names))
-        for (lidar, fault), item in scores.items()
-        if item.frames
-    ]
+    rows = {}
+    for (lidar, fault), item in scores.items():
+        if item.frames:
+            names = (str(lidar), fault) if was_fed[lidar, fault] else ("none", "none")
+            if names not in rows:
+                figures = item.figures(class_names)
+                rows[names] = Row(name, model.engine, title, *names, item.frames, figures)
+    return list(rows.values())

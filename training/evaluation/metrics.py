@@ -18,6 +18,8 @@ from torchmetrics.functional.classification import multiclass_confusion_matrix
 from training.losses.boundary import boundary_target
 from training.losses.semantic import IGNORE
 
+#: The widest range of Table 1: what truly lies beyond it counts in no figure of depth [m].
+FARTHEST_M = 100.0
 #: Predictions nearer than this are taken as this where depth is inverted [m].
 _NEAREST_M = 0.1
 
@@ -120,7 +122,7 @@ class DepthRangeMetrics:
 
 @dataclass(frozen=True)
 class DepthMetrics:
-    """Errors of depth over all measured pixels, and over Table 1's ranges."""
+    """Errors of depth over the pixels up to `FARTHEST_M`, and over Table 1's nearer ranges."""
 
     pixels: int
     mae_m: float
@@ -132,11 +134,14 @@ class DepthMetrics:
 
 
 class DepthScores:
-    """MAE and RMSE over all pixels and within ranges of true depth, iMAE and iRMSE in 1/km."""
+    """MAE, RMSE, iMAE and iRMSE over the same pixels, and MAE and RMSE within nearer ranges.
 
-    def __init__(self, up_to_m: Sequence[float] = (20.0, 50.0, 100.0)) -> None:
+    What truly lies beyond `FARTHEST_M` is not scored.
+    """
+
+    def __init__(self, up_to_m: Sequence[float] = (20.0, 50.0)) -> None:
         self.up_to_m = tuple(up_to_m)
-        # Rows: each range, then all pixels. Columns: pixels, sum |e|, sum e^2.
+        # Rows: each range, then all scored pixels. Columns: pixels, sum |e|, sum e^2.
         self._sums = np.zeros((len(self.up_to_m) + 1, 3))
         self._inverse_sums = np.zeros(2)
 
@@ -148,7 +153,7 @@ class DepthScores:
         prediction is not finite where there is truth.
         """
         _require_same_shape(prediction=prediction, depth=depth)
-        known = np.isfinite(depth) & (depth > 0)
+        known = _scored(depth)
         truth = depth[known].astype(np.float64)
         answer = prediction[known].astype(np.float64)
         if not np.isfinite(answer).all():
@@ -209,7 +214,10 @@ class DisparityMetrics:
 
 
 class DisparityScores:
-    """MAE and RMSE of disparity, as the paper scores depth on Cityscapes: d = f * b / depth."""
+    """MAE and RMSE of disparity, as the paper scores depth on Cityscapes: d = f * b / depth.
+
+    Over the same pixels as `DepthScores`.
+    """
 
     def __init__(self) -> None:
         self._sums = np.zeros(3)  # pixels, sum |e|, sum e^2
@@ -228,7 +236,7 @@ class DisparityScores:
         _require_same_shape(prediction=prediction, depth=depth)
         if not focal_baseline_px_m > 0:
             raise ValueError(f"focal_baseline_px_m must be positive, not {focal_baseline_px_m}")
-        known = np.isfinite(depth) & (depth > 0)
+        known = _scored(depth)
         answer = np.maximum(prediction[known].astype(np.float64), _NEAREST_M)
         error = focal_baseline_px_m * np.abs(1 / answer - 1 / depth[known].astype(np.float64))
         self._sums += error.size, error.sum(), np.square(error).sum()
@@ -311,6 +319,11 @@ class BoundaryScores:
         reach = np.arange(-self.tolerance_px, self.tolerance_px + 1)
         disk = (reach[:, None] ** 2 + reach[None, :] ** 2 <= self.tolerance_px**2).astype(np.uint8)
         return cv2.dilate(mask.astype(np.uint8), disk) > 0
+
+
+def _scored(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Where depth is known and counts."""
+    return np.asarray((depth > 0) & (depth <= FARTHEST_M))
 
 
 def _ratio(numerator: Any, denominator: Any) -> NDArray[np.float64]:

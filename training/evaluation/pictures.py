@@ -9,22 +9,27 @@ from numpy.typing import NDArray
 from models import NetworkConfig
 from runtime.stream.overlay import Overlay
 from training.datasets.sample import IGNORE, SampleSource
-from training.evaluation.lidar_input import split_lidar
-from training.evaluation.scoring import Answer, Predict
+from training.evaluation.scoring import Answer, Predict, split_frames
+from training.lidar.split import LidarInput
 
 
 def draw_pictures(
-    predict: Predict, source: SampleSource, config: NetworkConfig, *, count: int
+    predict: Predict,
+    source: SampleSource,
+    config: NetworkConfig,
+    *,
+    lidar: LidarInput,
+    count: int,
 ) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """Draw frames spread evenly over a set: name, and the prediction beside the truth.
 
     Each picture is uint8 (H', W', 3), RGB: left what the network says, right the labels and the
     depth as far as they are known (unknown classes are drawn black), as
-    `runtime.stream.overlay` draws both.
+    `runtime.stream.overlay` draws both. Raises InputError for a LiDAR that the set cannot give.
     """
     overlay = Overlay(config.classes, config.max_depth_m)
-    for index in np.unique(np.linspace(0, len(source) - 1, count).round().astype(int)):
-        frame = split_lidar(source[int(index)])
+    indices = np.unique(np.linspace(0, len(source) - 1, count).round().astype(int))
+    for frame in split_frames(source, indices.tolist(), lidar):
         sample = frame.sample
         labelled = "semantic" in config.heads and (sample.semantic != IGNORE).any()
         truth = Answer(

@@ -2,11 +2,13 @@
 
 import json
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from runtime.atomic_write import atomic_file, atomic_write
+from runtime.errors import OutputError
 
 #: What the table shows, in this order, where a row has it: key, title, factor.
 _COLUMNS = (
@@ -69,6 +71,18 @@ def format_table(rows: Sequence[Row]) -> str:
     ]
     lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
     return "\n".join(lines)
+
+
+def require_writable(path: Path, option: str, *, suffix: str = "") -> None:
+    """Raise an OutputError for a path that nothing can be written to, before any work is done."""
+    if not path.name.endswith(suffix):
+        raise OutputError(f"{path}: {option} writes a {suffix} file; give it that ending")
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder: choose a file for {option}")
+    if not path.parent.is_dir():
+        raise OutputError(f"{path}: there is no folder {path.parent}; make it, for {option}")
+    if not os.access(path.parent, os.W_OK):
+        raise OutputError(f"{path}: the folder may not be written to; choose another {option}")
 
 
 def write_json(rows: Sequence[Row], path: Path) -> None:

@@ -1,7 +1,7 @@
 """Scores of a network on whole frames, the same for PyTorch and for an exported file."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 
 from models import Network
 from models.classes import CATEGORIES
+from runtime.errors import InputError
 from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import Processes
-from training.evaluation.lidar_input import LidarSplit, split_lidar
 from training.evaluation.metrics import (
     BoundaryScores,
     DepthScores,
     DisparityScores,
     SemanticScores,
 )
+from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
 
 #: The boundary's F-score is that of the best of these over the whole set.
 BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
@@ -113,10 +114,8 @@ class Scores:
             if class_names:
                 figures |= _category_figures(self.semantic, class_names)
         if depth.pixels:
-            # The widest range of Table 1, 0-100 m: beyond it a network's range ends.
-            widest = depth.ranges[-1]
-            figures |= {"mae_m": widest.mae_m, "rmse_m": widest.rmse_m}
-            for part in depth.ranges[:-1]:
+            figures |= {"mae_m": depth.mae_m, "rmse_m": depth.rmse_m}
+            for part in depth.ranges:
                 figures |= {
                     f"mae_m_0_{part.up_to_m:g}": part.mae_m,
                     f"rmse_m_0_{part.up_to_m:g}": part.rmse_m,
@@ -150,18 +149,43 @@ def score(predict: Predict, frames: Iterable[LidarSplit], *, num_classes: int) -
     return scores
 
 
+def split_frames(
+    source: SampleSource, indices: Iterable[int], lidar: LidarInput
+) -> Iterator[LidarSplit]:
+    """Split frames of a set, each with its own random numbers, see `split_lidar`.
+
+    Raises InputError for a LiDAR that the set cannot give.
+    """
+    for index in indices:
+        sample = source[index]
+        frame = split_lidar(sample, lidar, frame_generator(index))
+        if frame is None:
+            raise InputError(
+                f"{sample.name} cannot be validated with the LiDAR {str(lidar)!r}: 64 lines of a "
+                "recorded scan leave nothing to score, an input recorded without its scan lines "
+                "has none to choose from, and simulated lines need intrinsics. Set the recipe's "
+                "validation.lidar to another, for example 'random:0.05'."
+            )
+        yield frame
+
+
 def score_sources(
-    network: Network, sources: Mapping[str, SampleSource], processes: Processes
+    network: Network,
+    sources: Mapping[str, SampleSource],
+    processes: Processes,
+    *,
+    lidar: LidarInput,
 ) -> dict[str, float]:
     """Score a network on validation sets: mIoU where there are labels, MAE and RMSE where depth.
 
-    Every process scores its share of the frames and gets the figures of all.
+    Every process scores its share of the frames and gets the figures of all. Raises InputError for
+    a LiDAR that a set cannot give.
     """
     predict = torch_predict(network)
     result: dict[str, float] = {}
     for name, source in sources.items():
         share = range(processes.rank, len(source), processes.count)
-        frames = (split_lidar(source[index]) for index in share)
+        frames = split_frames(source, share, lidar)
         parts = processes.gather(score(predict, frames, num_classes=network.config.num_classes))
         for part in parts[1:]:
             parts[0].merge(part)

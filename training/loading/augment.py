@@ -11,9 +11,9 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.resize import move_returns, move_scan_lines, resize_image, resize_nearest
-from training.datasets.kitti_lidar import withhold_occluded
-from training.datasets.sample import IGNORE, Sample, nothing_known
-from training.lidar import random_share, scan_lines
+from training.datasets.sample import IGNORE, Sample
+from training.lidar.simulate import SENSOR_LINES
+from training.lidar.split import LidarInput, split_lidar
 from training.limits import (
     STRICT,
     CropSide,
@@ -126,19 +126,21 @@ def resize(sample: Sample, size: tuple[int, int]) -> Sample:
                 [0, 0, 1],
             ]
         )
-    scan_line = None
-    if sample.scan_line is not None:
-        depth, scan_line = move_scan_lines(sample.depth, sample.scan_line, size)
-    elif sample.sparse_depth is not None:
+    sparse_depth, scan_line = sample.sparse_depth, sample.scan_line
+    if sparse_depth is not None:
         depth = move_returns(sample.depth, size)
+        if scan_line is None:
+            sparse_depth = move_returns(sparse_depth, size)
+        else:
+            sparse_depth, scan_line = move_scan_lines(sparse_depth, scan_line, size)
+    elif scan_line is not None:
+        depth, scan_line = move_scan_lines(sample.depth, scan_line, size)
     else:
         depth = resize_nearest(sample.depth, size)
     return replace(
         sample,
         rgb=resize_image(sample.rgb, size),
-        sparse_depth=(
-            None if sample.sparse_depth is None else move_returns(sample.sparse_depth, size)
-        ),
+        sparse_depth=sparse_depth,
         depth=depth,
         semantic=resize_nearest(sample.semantic, size),
         scan_line=scan_line,
@@ -168,54 +170,32 @@ def flip(sample: Sample) -> Sample:
 
 
 def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
-    """Choose what the LiDAR saw: nothing, a random share of the measurements, or scan lines.
+    """Choose what the LiDAR saw and what is left as the target, see `training.lidar.split`."""
+    lidar = _choose_lidar(sample, config, rng)
+    first_line = int(rng.integers(SENSOR_LINES))
+    split = split_lidar(sample, lidar, rng, same_target=False, first_line=first_line)
+    if split is None:
+        raise ValueError(f"{sample.name} cannot be split for the LiDAR {lidar}")
+    return replace(sample, sparse_depth=split.fed, depth=split.target)
 
-    A recorded scan is split: what is withheld from the input is the target, less the returns
-    hidden behind nearer ones; dense depth stays the target as a whole. An input recorded beside
-    its target stays as it is, or is thinned at random.
-    """
-    if sample.sparse_depth is None and not sample.depth.any():
-        return replace(sample, sparse_depth=nothing_known(sample.size))
-    seen: NDArray[np.float32]
+
+def _choose_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> LidarInput:
+    """Nothing, a random share of the measurements, scan lines, or what was recorded."""
     missing = rng.random() < config.lidar_missing
-    pattern: Literal["random", "lines"] = (
-        "random" if rng.random() < config.lidar_random or sample.intrinsics is None else "lines"
-    )
+    random = rng.random() < config.lidar_random
     lines = int(rng.choice(config.lines))
-    if sample.scan_line is not None:
-        if missing:
-            seen = nothing_known(sample.size)
-        elif pattern == "random":
-            kept = rng.random(sample.size) < rng.uniform(*config.recorded_share)
-            seen = masked(sample.depth, kept)
-        else:
-            # All lines of the sensor would leave no target: at least every second is withheld.
-            seen = keep_every_line(sample, max(2, 64 // lines), int(rng.integers(64)))
-        target = masked(sample.depth, seen == 0)
-        return replace(sample, sparse_depth=seen, depth=withhold_occluded(target, sample.depth))
+    is_recorded = sample.sparse_depth is not None or sample.scan_line is not None
     if missing:
-        seen = nothing_known(sample.size)
-    elif sample.sparse_depth is not None:
-        share = rng.uniform(*config.recorded_share) if pattern == "random" else 1.0
-        seen = random_share(sample.sparse_depth, float(share), rng)
-    elif pattern == "random" or sample.intrinsics is None:
-        seen = random_share(sample.depth, float(rng.uniform(*config.random_share)), rng)
-    else:
-        seen = scan_lines(sample.depth, sample.intrinsics, lines, rng)
-    return replace(sample, sparse_depth=seen)
-
-
-def keep_every_line(sample: Sample, step: int, offset: int) -> NDArray[np.float32]:
-    """Return the measurements of every ``step``-th scan line, counted from ``offset``."""
-    if sample.scan_line is None:
-        raise ValueError(f"{sample.name} has no scan lines; use training.lidar.scan_lines")
-    kept = (sample.scan_line >= 0) & ((sample.scan_line + offset) % step == 0)
-    return masked(sample.depth, kept)
-
-
-def masked(depth: NDArray[np.float32], kept: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Return the depth where ``kept``, 0 elsewhere."""
-    return np.where(kept, depth, np.float32(0)).astype(np.float32, copy=False)
+        return LidarInput("none")
+    if random or not (is_recorded or sample.intrinsics is not None):
+        share = rng.uniform(*(config.recorded_share if is_recorded else config.random_share))
+        return LidarInput("random", share=float(share))
+    if is_recorded and sample.scan_line is None:
+        return LidarInput("own")
+    if sample.sparse_depth is None and sample.scan_line is not None:
+        # All lines of the sensor would leave no target: at least every second is withheld.
+        lines = min(lines, SENSOR_LINES // 2)
+    return LidarInput("lines", lines=lines)
 
 
 def change_colors(

@@ -5,8 +5,9 @@ import pytest
 
 from layouts.pictures import write
 from runtime.errors import DatasetError
-from training.datasets.kitti_lidar import project_lines, read_raw_calibration
+from training.datasets.kitti_calibration import read_raw_calibration
 from training.datasets.kitti_raw import KittiRaw, KittiRawRecipe
+from training.lidar.scan import project_lines
 from training.loading.open_dataset import open_dataset
 
 DATE = "2011_09_26"
@@ -33,7 +34,7 @@ delta_f: 0 0
 
 def seen_at(u, v, depth):
     """The return that falls into the middle of pixel (u, v) of camera 2 at a depth."""
-    return depth + 0.5, (24 - u - 0.5) * depth / 10, (12 - v - 0.5) * depth / 10, 0.3
+    return depth + 0.5, (24 - u) * depth / 10, (12 - v) * depth / 10, 0.3
 
 
 def write_scan(path, points):
@@ -132,8 +133,9 @@ def test_calibration_chains_rectification_and_offset(tmp_path):
     (tmp_path / "calib_velo_to_cam.txt").write_text(VELO_TO_CAM.replace("0 0 -0.5", "1 2 -0.5"))
     calibration = read_raw_calibration(tmp_path, 3)
     # (x, y, z) = (4.5, 0, 0) is (1, 2, 4) before and (2, -1, 4) after rectification.
-    u, v, depth = calibration.velo_to_image @ (4.5, 0, 0, 1)
-    assert (u, v, depth) == pytest.approx((2 * 10 + 4 * 24 - 20, -1 * 10 + 4 * 12, 4))
+    x, y, z, one = calibration.extrinsics @ (4.5, 0, 0, 1)
+    assert (x, y, z, one) == pytest.approx((2 - 20 / 10, -1, 4, 1))
+    assert calibration.intrinsics.tolist() == [[10, 0, 24], [0, 10, 12], [0, 0, 1]]
     assert calibration.size == (24, 48)
 
 
@@ -141,7 +143,9 @@ def test_projected_lines_agree_with_the_lines_of_the_returns(tmp_path):
     write_frame(tmp_path, UPPER)
     calibration = read_raw_calibration(tmp_path / DATE, 2)
     points = np.array(UPPER + LOWER + UPPER, np.float32)
-    depth, line = project_lines(points, calibration, (HEIGHT, WIDTH))
+    depth, line = project_lines(
+        points, calibration.intrinsics, calibration.extrinsics, (HEIGHT, WIDTH)
+    )
     assert line.dtype == np.int16
     assert ((line >= 0) == (depth > 0)).all()
     assert set(measured(line, -1).values()) == {0, 1}  # the third repeats the first, no nearer

@@ -8,17 +8,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from runtime.errors import DatasetError
-from training.datasets.kitti_lidar import (
-    Calibration,
-    project,
-    read_calibration,
-    read_points,
-    scan_line_of,
-    withhold_occluded,
-)
+from training.datasets.kitti_stream import KittiStream
 from training.evaluation.baselines import ip_basic, nearest_fill
 from training.evaluation.metrics import DepthScores
+from training.lidar.split import LidarInput, frame_generator, split_lidar
 
 
 @pytest.fixture(scope="module")
@@ -152,113 +145,14 @@ def test_ip_basic_keeps_a_plane():
     assert np.abs(filled - depth)[10:-10].max() < 2.5
 
 
-# Scan lines and projection
-
-
-def test_scan_lines_by_hand():
-    def points(*azimuths_deg):
-        angle = np.radians(azimuths_deg)
-        return np.stack([np.cos(angle), np.sin(angle), 0 * angle, 0 * angle], axis=1)
-
-    # Straight ahead to the left, round, and back from the right; jitter is no new line.
-    azimuths = [1, 20, 19.5, 40, -38, -2, 0.5, 30, -10, 5, 39, 2, -30, -20]
-    lines = scan_line_of(points(*azimuths).astype(np.float32))
-    assert lines.tolist() == [0, 0, 0, 0, 0, 0, 1, 1, 1, 2, 2, 3, 3, 3]
-    assert scan_line_of(np.zeros((0, 4), dtype=np.float32)).tolist() == []
-
-
-def test_projection_by_hand():
-    # LiDAR x forward, y left, z up; focal length 10, centre (4, 3).
-    axes = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0]], dtype=np.float64)
-    intrinsics = np.array([[10, 0, 4], [0, 10, 3], [0, 0, 1]], dtype=np.float64)
-    calibration = Calibration(intrinsics @ axes, intrinsics, (6, 8))
-    points = np.array(
-        [
-            [5, 0, 0, 0],  # the centre, 5 m
-            [20, 0, 0, 0],  # behind it: the nearer one wins
-            [10, -2.9, 1, 0],  # u = 6.9, v = 2: falls into pixel 6
-            [-5, 0, 0, 0],  # behind the camera
-            [1, 5, 0, 0],  # outside
-            [np.nan, 0, 0, 0],
-        ],
-        dtype=np.float32,
-    )
-    expected = np.zeros((6, 8), dtype=np.float32)
-    expected[3, 4], expected[2, 6] = 5, 10
-    np.testing.assert_array_equal(project(points, calibration, (6, 8)), expected)
-
-
-def test_occluded_returns_are_withheld():
-    returns = np.zeros((21, 21), dtype=np.float32)
-    returns[10, 8], returns[10, 11] = 5.0, 40.0  # 40 m shows through beside 5 m
-    returns[2, 2], returns[4, 2] = 10.0, 11.0  # a slope
-    visible = withhold_occluded(returns, returns, window=(15, 9))
-    assert visible[10, 11] == 0
-    assert (visible[10, 8], visible[2, 2], visible[4, 2]) == (5.0, 10.0, 11.0)
-    assert withhold_occluded(returns, returns, window=(15, 5))[10, 11] == 40.0
-
-
-def test_damaged_calibration_and_scan_are_named(tmp_path):
-    calibration = tmp_path / "calib.txt"
-    calibration.write_text("P_rect_02: 1 2 3\n")
-    with pytest.raises(DatasetError, match="'P_rect_02' has 3 numbers, expected 12"):
-        read_calibration(calibration)
-    calibration.write_text("S_rect_02: 8 6\n")
-    with pytest.raises(DatasetError, match="no line 'P_rect_02:'"):
-        read_calibration(calibration)
-    with pytest.raises(DatasetError, match="cannot read the calibration"):
-        read_calibration(tmp_path / "missing.txt")
-    scan = tmp_path / "scan.bin"
-    scan.write_bytes(b"0" * 30)
-    with pytest.raises(DatasetError, match="30 bytes, expected a multiple of 16"):
-        read_points(scan)
-
-
-def test_projection_equals_the_recorded_depth_maps(stream):
-    calibration = read_calibration(stream / "calib_2011_09_26.txt")
-    for frame in (0, 17, 34, 59):
-        points = read_points(stream / f"velodyne_fov/{frame:010d}.bin")
-        recorded = cv2.imread(
-            str(stream / f"sparse_depth_02/{frame:010d}.png"), cv2.IMREAD_UNCHANGED
-        )
-        ours = np.rint(project(points, calibration, calibration.size) * 256)
-        np.testing.assert_array_equal(ours, recorded)
-
-
-def test_every_frame_has_the_same_scan_lines(stream):
-    # 48 of the 64 lines fall into the image.
-    calibration = read_calibration(stream / "calib_2011_09_26.txt")
-    for frame in (0, 17, 34, 59):
-        points = read_points(stream / f"velodyne_fov/{frame:010d}.bin")
-        lines = scan_line_of(points)
-        assert lines.max() == 47
-        # Straight ahead each line lies some pixels under the one before it, but for where the
-        # sensor's two blocks overlap and where a line's middle changes from one object to another.
-        middle = []
-        for line in range(48):
-            depth = project(points[lines == line], calibration, calibration.size)
-            rows = np.nonzero(depth[:, 500:740])[0]
-            if rows.size:
-                middle.append(np.median(rows))
-        steps = np.diff(middle)
-        assert len(middle) >= 46
-        assert 4 <= np.median(steps) <= 6
-        assert np.mean((steps > 0) & (steps < 16)) > 0.8
-
-
 def test_baselines_on_withheld_scan_lines(stream):
     """Frames 50-59, every second line fed: near the 0.5 m / 2.4 m these methods come to there."""
-    calibration = read_calibration(stream / "calib_2011_09_26.txt")
     scores = {nearest_fill: DepthScores(), ip_basic: DepthScores()}
-    for frame in range(50, 60, 3):
-        points = read_points(stream / f"velodyne_fov/{frame:010d}.bin")
-        fed = scan_line_of(points) % 2 == 0
-        seen = project(points[fed], calibration, calibration.size)
-        withheld = project(points[~fed], calibration, calibration.size)
-        withheld[seen > 0] = 0
-        target = withhold_occluded(withheld, project(points, calibration, calibration.size))
+    source = KittiStream(stream, first=50, last=59)
+    for index in range(0, 10, 3):
+        frame = split_lidar(source[index], LidarInput("own"), frame_generator(index))
         for complete, score in scores.items():
-            score.update(complete(seen), target)
+            score.update(complete(frame.fed), frame.target)
     nearest, morphology = (score.compute() for score in scores.values())
     assert 0.40 < morphology.mae_m < nearest.mae_m < 0.60
     assert 1.9 < morphology.rmse_m < nearest.rmse_m < 3.0

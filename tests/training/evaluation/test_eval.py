@@ -63,7 +63,8 @@ def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, tmp_
     )
     assert result.exit_code == 0, result.output
     rows = json.loads(out.read_text())
-    assert len(rows) == 4 * 2 * 3 * 3  # models and baselines, sets, LiDARs, faults
+    # Models and baselines: two LiDARs with three faults and none of each; CamVid feeds nothing.
+    assert len(rows) == 4 * ((2 * 3 + 1) + 1)
     by_key = {(r["model"], r["data"], r["lidar"], r["fault"]): r for r in rows}
     for (model, data, lidar, fault), row in by_key.items():
         if model == "lite.pt":
@@ -79,8 +80,12 @@ def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, tmp_
     assert wanted | {"imae_per_km", "boundary_f", "boundary_recall"} <= figures.keys()
     nearest = [by_key["nearest filling", "scenes", lidar, "none"] for lidar in ("64", "none")]
     assert nearest[0]["figures"]["mae_m"] < nearest[1]["figures"]["mae_m"]
-    assert "mae_m" not in by_key["lite.pt", "camvid split=val", "64", "none"]["figures"]
-    assert [row["frames"] for row in rows if row["data"] == "camvid split=val"] == [1] * 36
+    camvid = [row for row in rows if row["data"] == "camvid split=val"]
+    assert [(row["lidar"], row["fault"], row["frames"]) for row in camvid] == [
+        ("none", "none", 1)
+    ] * 4
+    assert "mae_m" not in camvid[0]["figures"]
+    assert "miou" in camvid[0]["figures"]
     assert cv2.imread(str(plot)).shape[0] > 200
     assert "| lite.onnx" in result.output
 
@@ -106,12 +111,50 @@ def test_errors_say_what_to_do(folder, tmp_path):
         ([folder / "lite.pt", "--data", data, "--faults", "rain"], "known: nan"),
         ([tmp_path / "x.tflite", "--data", data], "expected a checkpoint"),
         ([tmp_path / "x.pt", "--data", data], "x.pt"),
-        ([folder / "lite.pt", "--data", data, "--plot", tmp_path / "no" / "x.png"], "cannot write"),
     ):
         result = run(*arguments)
         assert result.exit_code == 1, arguments
         assert result.output.splitlines()[-1].startswith("error: ")
         assert text in result.output, (text, result.output)
+
+
+def test_one_row_where_no_lidar_could_be_fed(folder, tmp_path):
+    """Whatever was asked for: CamVid has no depth."""
+    out, data = tmp_path / "rows.json", f"camvid:{folder}/camvid,split=val"
+    for lidar in ("own", "64,16,random:0.05", "none"):
+        result = run(
+            *(folder / "lite.pt", "--data", data, "--lidar", lidar, "--faults", "nan,shift"),
+            *("--json", out),
+        )
+        assert result.exit_code == 0, result.output
+        (row,) = json.loads(out.read_text())
+        assert (row["lidar"], row["fault"]) == ("none", "none")
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "text"),
+    [
+        ("--json", "no/x.json", "no folder"),
+        ("--plot", "no/x.png", "no folder"),
+        ("--json", "taken", "is a folder"),
+        ("--plot", "taken.png", "is a folder"),
+        ("--plot", "x.pdf", "writes a .png file"),
+    ],
+)
+def test_a_bad_path_is_refused_before_any_work(folder, tmp_path, monkeypatch, option, name, text):
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken.png").mkdir()
+
+    def work(*args, **kwargs):
+        raise AssertionError("models were scored first")
+
+    monkeypatch.setattr("training.evaluation.evaluate.evaluate", work)
+    data = f"camvid:{folder}/camvid,split=val"
+    result = run(folder / "lite.pt", "--data", data, option, tmp_path / name)
+    assert result.exit_code == 1
+    assert result.output.startswith(f"error: {tmp_path / name}")
+    assert text in result.output
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["taken", "taken.png"]
 
 
 def test_data_sets_are_given_as_in_a_recipe():

@@ -75,16 +75,17 @@ def test_ids_that_are_no_class_are_refused():
 def test_depth_metrics_by_hand():
     scores = DepthScores()
     scores.update(
-        np.array([[12.0, 19.0, 44.0, 90.0, 5.0, 5.0]], dtype=np.float32),
-        np.array([[10.0, 20.0, 40.0, 80.0, 0.0, np.nan]], dtype=np.float32),
+        np.array([[12.0, 19.0, 44.0, 90.0, 5.0, 5.0, 5.0, 5.0]], dtype=np.float32),
+        np.array([[10.0, 20.0, 40.0, 80.0, 0.0, np.nan, 100.5, np.inf]], dtype=np.float32),
     )
     metrics = scores.compute()  # errors 2, 1, 4, 10
-    assert [(r.up_to_m, r.pixels) for r in metrics.ranges] == [(20.0, 2), (50.0, 3), (100.0, 4)]
-    assert [r.mae_m for r in metrics.ranges] == pytest.approx([1.5, 7 / 3, 17 / 4])
+    assert [(r.up_to_m, r.pixels) for r in metrics.ranges] == [(20.0, 2), (50.0, 3)]
+    assert [r.mae_m for r in metrics.ranges] == pytest.approx([1.5, 7 / 3])
     assert [r.rmse_m for r in metrics.ranges] == pytest.approx(
-        [math.sqrt(5 / 2), math.sqrt(21 / 3), math.sqrt(121 / 4)]
+        [math.sqrt(5 / 2), math.sqrt(21 / 3)]
     )
     assert (metrics.pixels, metrics.mae_m) == (4, pytest.approx(17 / 4))
+    assert metrics.rmse_m == pytest.approx(math.sqrt(121 / 4))
     inverse = [1000 / 10 - 1000 / 12, 1000 / 19 - 1000 / 20, 1000 / 40 - 1000 / 44, 12.5 - 100 / 9]
     assert metrics.imae_per_km == pytest.approx(sum(inverse) / 4)
     assert metrics.irmse_per_km == pytest.approx(math.sqrt(sum(x * x for x in inverse) / 4))
@@ -233,15 +234,15 @@ def test_categories_join_their_classes():
 
 
 def test_disparity_errors_equal_the_hand_computed_ones():
-    depth = np.array([[10.0, 20.0, 0.0, 40.0]])
-    answer = np.array([[20.0, 20.0, 5.0, 0.0]])
+    depth = np.array([[10.0, 20.0, 0.0, 40.0, 100.5]])
+    answer = np.array([[20.0, 20.0, 5.0, 0.0, 5.0]])
     scores = DisparityScores()
     scores.update(answer[:, :2], depth[:, :2], 400.0)
     other = DisparityScores()
     other.update(answer[:, 2:], depth[:, 2:], 400.0)
     scores.merge(other)
     metrics = scores.compute()
-    # 400 / 10 - 400 / 20 = 20 px; 0; unknown; 0 m is taken as 0.1 m: 4000 - 10 px.
+    # 400 / 10 - 400 / 20 = 20 px; 0; unknown; 0 m is taken as 0.1 m: 4000 - 10 px; too far.
     assert metrics.pixels == 3
     assert metrics.mae_px == pytest.approx((20 + 0 + 3990) / 3)
     assert metrics.rmse_px == pytest.approx(math.sqrt((20**2 + 3990**2) / 3))

@@ -7,9 +7,10 @@ import pytest
 
 from models import SSDNet
 from models.registry import NETWORKS
+from runtime.errors import InputError
 from training.datasets.sample import Sample
-from training.evaluation.lidar_input import split_lidar
-from training.evaluation.scoring import Answer, score, torch_predict
+from training.evaluation.scoring import Answer, score, split_frames, torch_predict
+from training.lidar.split import LidarInput
 
 K = np.array([[300.0, 0, 60], [0, 300.0, 20], [0, 0, 1]])
 
@@ -31,6 +32,11 @@ def recorded():
     depth = np.where(measured, 10 + rows / 10, 0).astype(np.float32)
     line = np.where(measured, rows // 2, -1).astype(np.int16)
     return sample(depth=depth, scan_line=line)
+
+
+def split_lidar(sample, lidar="own", index=0):
+    """The frame as validation splits it, at some place in its set."""
+    return next(split_frames({index: sample}, [index], LidarInput.parse(lidar)))
 
 
 def test_recorded_scan_feeds_every_second_line_and_scores_the_others():
@@ -55,9 +61,18 @@ def test_no_depth_feeds_and_scores_none():
     assert not split.target.any()
 
 
-def test_dense_depth_without_intrinsics_is_refused():
-    with pytest.raises(ValueError, match="no intrinsics"):
+def test_every_frame_is_scanned_anew():
+    first, again, other = (split_lidar(sample(), index=index).fed for index in (3, 3, 4))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first > 0, other > 0)
+
+
+def test_a_lidar_that_the_set_cannot_give_is_refused():
+    with pytest.raises(InputError, match=r"wall cannot be validated.*validation\.lidar"):
         split_lidar(sample(intrinsics=None))
+    with pytest.raises(InputError, match="64 lines of a recorded scan"):
+        split_lidar(recorded(), "64")
+    assert split_lidar(sample(intrinsics=None), "random:0.1").fed.any()
 
 
 def figures(predict, frame=None):
@@ -78,13 +93,37 @@ def test_truth_scores_full_marks():
     assert result["iou_c8"] == 1
 
 
-def test_depth_beyond_100_m_is_not_scored():
-    depth = sample().depth
+def test_depth_beyond_100_m_counts_in_no_figure():
+    near, depth = sample(focal_baseline_px_m=400.0), sample().depth
     depth[20] = 300
-    frame = sample(depth=depth)
+    far = replace(near, depth=depth)
     answer = np.where(depth > 100, np.float32(99), depth + 1).astype(np.float32)
-    result = figures(lambda rgb, fed: Answer(None, answer, None), frame)
+    expected = figures(lambda rgb, fed: Answer(None, near.depth + 1, None), near)
+    result = figures(lambda rgb, fed: Answer(None, answer, None), far)
     assert result["mae_m"] == pytest.approx(1)
+    assert {"imae_per_km", "irmse_per_km", "rmse_m", "mae_px", "rmse_px"} <= result.keys()
+    for name, value in result.items():
+        assert value == pytest.approx(expected[name], rel=1e-6), name
+
+
+def test_each_depth_error_has_its_own_name():
+    """Half of the wall 2.5 m too far, the rest right: every figure is another number."""
+    frame = sample(focal_baseline_px_m=400.0)
+    answer = frame.depth.copy()
+    answer[10:, :60] = 12.5
+    result = figures(lambda rgb, fed: Answer(None, answer, None), frame)
+    assert {name: round(value, 3) for name, value in result.items()} == {
+        "mae_m": 1.25,
+        "rmse_m": 1.768,  # sqrt(2.5^2 / 2)
+        "mae_m_0_20": 1.25,
+        "rmse_m_0_20": 1.768,
+        "mae_m_0_50": 1.25,
+        "rmse_m_0_50": 1.768,
+        "imae_per_km": 10.0,  # 1000 / 10 - 1000 / 12.5 = 20, in half of the pixels
+        "irmse_per_km": 14.142,
+        "mae_px": 4.0,  # 400 / 10 - 400 / 12.5 = 8
+        "rmse_px": 5.657,
+    }
 
 
 def test_one_class_everywhere_scores_its_share():

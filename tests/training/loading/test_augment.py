@@ -15,7 +15,6 @@ from training.loading.augment import (
     cut,
     draw_lidar,
     flip,
-    keep_every_line,
     resize,
     scale_and_crop,
 )
@@ -151,11 +150,48 @@ def test_input_recorded_beside_its_target_is_kept_or_thinned():
 
 def test_input_recorded_beside_its_target_needs_no_intrinsics():
     sample = replace(recorded_beside_its_target(), intrinsics=None)
-    config = AugmentConfig(lidar_missing=0, lidar_random=0, recorded_share=(0.5, 0.5))
+    config = AugmentConfig(lidar_missing=0, lidar_random=0)
     out = draw_lidar(sample, config, np.random.default_rng(0))
-    kept = out.sparse_depth > 0
-    assert 0 < np.count_nonzero(kept) < np.count_nonzero(sample.sparse_depth)
-    np.testing.assert_array_equal(out.sparse_depth[kept], sample.sparse_depth[kept])
+    np.testing.assert_array_equal(out.sparse_depth, sample.sparse_depth)
+
+
+def test_dense_depth_without_intrinsics_is_fed_at_random():
+    sample = replace(plane(200, 300), intrinsics=None)
+    config = AugmentConfig(lidar_missing=0, lidar_random=0, random_share=(0.05, 0.05))
+    out = draw_lidar(sample, config, np.random.default_rng(0))
+    assert np.mean(out.sparse_depth > 0) == pytest.approx(0.05, abs=0.005)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_all_lines_of_a_recorded_scan_are_never_fed(seed):
+    """A sensor of 64 lines is asked for, but its scan is the only target there is."""
+    sample = recorded()
+    config = AugmentConfig(lidar_missing=0, lidar_random=0, lines=(64,))
+    out = draw_lidar(sample, config, np.random.default_rng(seed))
+    assert np.count_nonzero(out.sparse_depth) == np.count_nonzero(sample.depth) / 2
+    # The others, less what hides behind nearer ones.
+    assert np.count_nonzero(out.depth) > 0.4 * np.count_nonzero(sample.depth)
+
+
+def test_lines_of_a_recorded_input_are_chosen_and_survive_every_change():
+    """The plane's truth, and a scan of it whose lines are known, 0.5 m too far."""
+    scan = recorded()
+    seen = np.where(scan.depth > 0, scan.depth + 0.5, 0).astype(np.float32)
+    sample = replace(plane(), sparse_depth=seen, scan_line=scan.scan_line)
+    moved = flip(resize(cut(sample, 2, 0, (40, 64)), (80, 128)))
+    assert ((moved.scan_line >= 0) == (moved.sparse_depth > 0)).all()
+    config = AugmentConfig(lidar_missing=0, lidar_random=0, lines=(64, 16))
+    kept = set()
+    for seed in range(8):
+        out = draw_lidar(moved, config, np.random.default_rng(seed))
+        lines = set(moved.scan_line[out.sparse_depth > 0])
+        every = set(moved.scan_line[moved.sparse_depth > 0])
+        residues = {line % 4 for line in lines}
+        assert lines == {line for line in every if line % 4 in residues}
+        assert len(residues) in (1, 4)
+        kept.add(len(residues))
+        np.testing.assert_array_equal(out.depth, moved.depth)
+    assert kept == {1, 4}
 
 
 def test_cut_and_flip_move_input_and_target_recorded_apart():
@@ -195,11 +231,6 @@ def test_a_crop_of_a_shrunk_picture_skips_no_pixel():
 def test_size_that_is_there_already_changes_nothing():
     sample = recorded_beside_its_target()
     assert resize(sample, sample.size) is sample
-
-
-def test_keep_every_line_needs_lines():
-    with pytest.raises(ValueError, match="no scan lines"):
-        keep_every_line(plane(), 2, 0)
 
 
 def test_result_has_the_crop_size_and_is_reproducible():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from training.lidar import beam_elevations, random_share, scan_line_index, scan_lines
+from training.lidar.simulate import beam_elevations, random_share, scan_line_index, scan_lines
 
 KITTI = np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]])
 EXACT = {"range_noise_m": 0.0, "drop_share": 0.0, "far_drop_share": 0.0, "pitch_jitter_deg": 0.0}
@@ -28,6 +28,11 @@ def test_beams_span_the_field_of_the_hdl64():
     assert degrees[-1] == pytest.approx(-24.33)
     assert (np.diff(degrees) < 0).all()
     assert np.allclose(beam_elevations(16), beam_elevations(64)[::4])
+    for lines in (1, 2, 4, 8, 16, 32):
+        assert len(beam_elevations(lines)) == lines
+        assert set(beam_elevations(lines)) < set(beam_elevations(2 * lines))
+    assert np.rad2deg(beam_elevations(1)) == pytest.approx([-2 / 3])
+    assert np.rad2deg(beam_elevations(4)) == pytest.approx([-2 / 3, -6, -12.83, -20.83])
     with pytest.raises(ValueError, match="divide"):
         beam_elevations(48)
 

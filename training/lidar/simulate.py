@@ -1,4 +1,7 @@
-"""Sparse depth from dense depth: a random share of the pixels, or the scan lines of a LiDAR."""
+"""Sparse depth from dense depth: a random share of the pixels, or the scan lines of a LiDAR.
+
+Integers are pixel centres, as in `runtime.projection`.
+"""
 
 import numpy as np
 from numpy.random import Generator
@@ -12,6 +15,10 @@ HDL64_ELEVATIONS_DEG: NDArray[np.float64] = np.concatenate(
     [2.0 - np.arange(32) / 3.0, -8.83 - np.arange(32) / 2.0]
 )
 
+SENSOR_LINES = len(HDL64_ELEVATIONS_DEG)
+#: The one that stays when a single line is asked for.
+_HORIZON_LINE = 8
+
 
 def random_share(depth: Depth, share: float, rng: Generator) -> Depth:
     """Keep a random share of the measured pixels (the paper trains with 0.05).
@@ -22,17 +29,27 @@ def random_share(depth: Depth, share: float, rng: Generator) -> Depth:
     if not 0.0 <= share <= 1.0:
         raise ValueError(f"share must lie in 0..1, not {share}")
     kept = rng.random(depth.shape) < share
-    return np.where(kept, depth, np.float32(0)).astype(np.float32)
+    return np.where(kept, depth, np.float32(0))
 
 
 def beam_elevations(lines: int) -> NDArray[np.float64]:
-    """Elevation of every beam in rad, highest first; 32 and 16 lines are a thinned HDL-64E.
+    """Elevation of every beam in rad, highest first; fewer than 64 lines are a thinned HDL-64E.
 
     Raises ValueError unless lines divides 64.
     """
-    if lines < 1 or 64 % lines:
-        raise ValueError(f"lines must divide 64, not {lines}")
-    return np.deg2rad(HDL64_ELEVATIONS_DEG[:: 64 // lines])
+    return np.deg2rad(HDL64_ELEVATIONS_DEG[is_kept(np.arange(SENSOR_LINES), lines)])
+
+
+def is_kept(scan_line: NDArray[np.integer], lines: int) -> NDArray[np.bool_]:
+    """Whether a sensor of so many lines has each of these of the 64, bool of the same shape.
+
+    They are evenly spread over the field of view, those of fewer lines are among those of more, and
+    a single line looks ahead, 0.7 degrees below the horizon. Raises ValueError unless lines
+    divides 64.
+    """
+    if lines < 1 or SENSOR_LINES % lines:
+        raise ValueError(f"lines must divide {SENSOR_LINES}, not {lines}")
+    return np.asarray((scan_line - _HORIZON_LINE) % (SENSOR_LINES // lines) == 0)
 
 
 def scan_line_index(
@@ -49,8 +66,8 @@ def scan_line_index(
     The LiDAR sits in the camera, so a beam keeps its elevation angle and its trace in the picture
     is a slightly bent line: v = cy - fy tan(elevation) / cos(azimuth).
 
-    size: (height, width). intrinsics: (3, 3). lines: 64, 32 or 16. azimuth_step_deg: angle between
-    two firings (0.17 is an HDL-64E at 10 Hz). pitch_deg: tilt of the LiDAR, up is positive.
+    size: (height, width). intrinsics: (3, 3). lines: a divisor of 64. azimuth_step_deg: angle
+    between two firings (0.17 is an HDL-64E at 10 Hz). pitch_deg: tilt of the LiDAR, up is positive.
     phase: 0..1 of a step, where the first firing lies. Returns (H, W) int16.
     """
     height, width = size
@@ -84,7 +101,7 @@ def scan_lines(
     pitch_jitter_deg: float = 0.4,
     azimuth_step_deg: float = 0.17,
 ) -> Depth:
-    """What a LiDAR of 64, 32 or 16 lines would return of dense depth.
+    """What a LiDAR of so many lines, a divisor of 64, would return of dense depth.
 
     depth: (H, W) float32 metres along the optical axis, 0 = no surface (sky: no return).
     intrinsics: (3, 3). max_range_m: longest range, along the ray. range_noise_m: standard

@@ -1,0 +1,101 @@
+"""Scan lines by hand and on the recorded stream."""
+
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from runtime import project_points
+from training.datasets.kitti_calibration import read_calibration, read_points
+from training.lidar.scan import project_lines, scan_line_of
+
+
+@pytest.fixture(scope="module")
+def stream():
+    root = os.environ.get("SSDNET_DATA")
+    if not root or not (Path(root) / "kitti_stream").is_dir():
+        pytest.skip("SSDNET_DATA does not point to the recorded stream")
+    return Path(root) / "kitti_stream"
+
+
+def test_scan_lines_by_hand():
+    def points(*azimuths_deg):
+        angle = np.radians(azimuths_deg)
+        return np.stack([np.cos(angle), np.sin(angle), 0 * angle, 0 * angle], axis=1)
+
+    # Straight ahead to the left, round, and back from the right; jitter is no new line.
+    azimuths = [1, 20, 19.5, 40, -38, -2, 0.5, 30, -10, 5, 39, 2, -30, -20]
+    lines = scan_line_of(points(*azimuths).astype(np.float32))
+    assert lines.tolist() == [0, 0, 0, 0, 0, 0, 1, 1, 1, 2, 2, 3, 3, 3]
+    assert lines.dtype == np.int16
+    assert scan_line_of(np.zeros((0, 4), dtype=np.float32)).tolist() == []
+
+
+def test_each_pixel_names_the_line_of_the_return_that_it_holds():
+    """Three lines of a LiDAR in the camera; the lines overlap in two pixels."""
+    intrinsics = np.array([[10.0, 0, 4], [0, 10, 3], [0, 0, 1]])
+    extrinsics = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+    def at(u, v, depth):
+        return (depth, (4 - u) * depth / 10, (3 - v) * depth / 10)
+
+    lines = [
+        [at(3, 2, 9.0), at(1, 2, 9.0), at(7, 2, 9.0), at(6, 2, 5.0)],
+        [at(3, 2, 7.0), at(6, 2, 6.0)],
+        [at(3, 4, 8.0), at(6, 4, 8.0)],
+    ]
+    points = np.array([point for line in lines for point in line], np.float32)
+    depth, line = project_lines(points, intrinsics, extrinsics, (6, 8))
+    assert line.dtype == np.int16
+    assert {(u, v): (depth[v, u], line[v, u]) for v, u in np.argwhere(line >= 0)} == {
+        (3, 2): (7.0, 1),
+        (1, 2): (9.0, 0),
+        (7, 2): (9.0, 0),
+        (6, 2): (5.0, 0),
+        (3, 4): (8.0, 2),
+        (6, 4): (8.0, 2),
+    }
+    assert ((line >= 0) == (depth > 0)).all()
+
+
+def test_projection_equals_the_recorded_depth_maps(stream):
+    """The maps were made with floor, as if centres lay half a pixel beside."""
+    camera = read_calibration(stream / "calib_2011_09_26.txt")
+    half_a_pixel = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    for frame in (0, 17, 34, 59):
+        points = read_points(stream / f"velodyne_fov/{frame:010d}.bin")
+        recorded = cv2.imread(
+            str(stream / f"sparse_depth_02/{frame:010d}.png"), cv2.IMREAD_UNCHANGED
+        )
+        depth = project_points(
+            points, camera.intrinsics - half_a_pixel, camera.extrinsics, camera.size
+        )
+        # Float32 rounds a unit of the file, or a return on the border of two pixels, otherwise.
+        other = np.abs(depth * 256 - recorded) > 0.51
+        assert np.count_nonzero(other) < 10
+        assert np.count_nonzero(recorded) > 15000
+
+
+def test_every_frame_has_the_same_scan_lines(stream):
+    # 48 of the 64 lines fall into the image.
+    camera = read_calibration(stream / "calib_2011_09_26.txt")
+    for frame in (0, 17, 34, 59):
+        points = read_points(stream / f"velodyne_fov/{frame:010d}.bin")
+        lines = scan_line_of(points)
+        assert lines.max() == 47
+        # Straight ahead each line lies some pixels under the one before it, but for where the
+        # sensor's two blocks overlap and where a line's middle changes from one object to another.
+        middle = []
+        for line in range(48):
+            depth = project_points(
+                points[lines == line], camera.intrinsics, camera.extrinsics, camera.size
+            )
+            rows = np.nonzero(depth[:, 500:740])[0]
+            if rows.size:
+                middle.append(np.median(rows))
+        steps = np.diff(middle)
+        assert len(middle) >= 46
+        assert 4 <= np.median(steps) <= 6
+        assert np.mean((steps > 0) & (steps < 16)) > 0.8

@@ -1,0 +1,179 @@
+"""What is fed and what is the target, for every LiDAR and every kind of depth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from runtime.errors import InputError
+from training.datasets.sample import Sample
+from training.lidar.split import LidarInput, frame_generator, split_lidar
+
+SIZE = (48, 160)
+K = np.array([[80.0, 0, 80], [0, 80.0, 20], [0, 0, 1]])
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(3)
+
+
+@pytest.fixture
+def dense():
+    depth = np.full(SIZE, 20.0, np.float32)
+    depth[:5] = 0
+    return Sample(
+        rgb=np.zeros((*SIZE, 3), np.uint8),
+        depth=depth,
+        semantic=np.zeros(SIZE, np.uint8),
+        intrinsics=K,
+        name="dense",
+    )
+
+
+@pytest.fixture
+def scanned(dense):
+    """A recorded scan: row r is line r, nothing hidden."""
+    lines = np.repeat(np.arange(SIZE[0], dtype=np.int16)[:, None], SIZE[1], axis=1)
+    depth = np.full(SIZE, 20.0, np.float32)
+    return replace(dense, depth=depth, scan_line=lines)
+
+
+@pytest.mark.parametrize("text", ["own", "none", "64", "32", "16", "4", "1", "random:0.05"])
+def test_texts_are_read_and_said_again(text):
+    assert str(LidarInput.parse(text)) == text
+
+
+@pytest.mark.parametrize(
+    "text", ["", "63", "0", "-4", "128", "random", "random:0", "random:2", "x"]
+)
+def test_other_texts_say_what_is_expected(text):
+    with pytest.raises(InputError, match="divides 64"):
+        LidarInput.parse(text)
+
+
+def test_dense_depth_is_scored_as_a_whole_whatever_is_fed(dense, rng):
+    returns = {}
+    for text in ("none", "4", "16", "64", "own", "random:0.05"):
+        frame = split_lidar(dense, LidarInput.parse(text), rng)
+        assert frame.target is dense.depth
+        assert not frame.fed[:5].any()  # nothing measures the sky
+        returns[text] = np.count_nonzero(frame.fed)
+    assert returns["none"] == 0
+    assert returns["none"] < returns["4"] < returns["16"] < returns["64"]
+    assert returns["random:0.05"] == pytest.approx(0.05 * 43 * 160, rel=0.25)
+
+
+def test_a_recorded_scan_keeps_its_odd_lines_for_scoring(scanned, rng):
+    even = np.arange(SIZE[0]) % 2 == 0
+    for text, kept in (
+        *(("own", slice(0, None, 2)), ("32", slice(0, None, 2)), ("16", slice(0, None, 4))),
+        *(("8", slice(0, None, 8)), ("4", [8, 24, 40]), ("2", [8, 40]), ("1", [8])),
+    ):
+        frame = split_lidar(scanned, LidarInput.parse(text), rng)
+        rows = np.zeros(SIZE[0], bool)
+        rows[kept] = True
+        assert (frame.fed[rows] == 20).all(), text
+        assert not frame.fed[~rows].any(), text
+        assert (frame.target[~even] == 20).all()
+        assert not frame.target[even].any()
+    thinned = split_lidar(scanned, LidarInput.parse("random:0.5"), rng)
+    assert not thinned.fed[~even].any()
+    assert np.count_nonzero(thinned.fed) == pytest.approx(0.5 * 24 * 160, rel=0.1)
+    assert split_lidar(scanned, LidarInput.parse("64"), rng) is None
+
+
+def test_a_recorded_input_is_fed_as_it_is_or_thinned(dense, rng):
+    recorded = np.where(np.indices(SIZE).sum(axis=0) % 3 == 0, np.float32(7), np.float32(0))
+    sample = replace(dense, sparse_depth=recorded)
+    own = split_lidar(sample, LidarInput.parse("own"), rng)
+    assert (own.fed == recorded).all()
+    assert own.target is sample.depth
+    thinned = split_lidar(sample, LidarInput.parse("random:0.5"), rng)
+    kept = thinned.fed > 0
+    assert (recorded[kept] == 7).all()
+    assert kept.sum() == pytest.approx(0.5 * (recorded > 0).sum(), rel=0.1)
+    assert not split_lidar(sample, LidarInput.parse("none"), rng).fed.any()
+    assert split_lidar(sample, LidarInput.parse("16"), rng) is None
+
+
+def test_without_depth_nothing_is_fed_or_scored(dense, rng):
+    blind = replace(dense, depth=np.zeros(SIZE, np.float32))
+    frame = split_lidar(blind, LidarInput.parse("64"), rng)
+    assert not frame.fed.any()
+    assert not frame.target.any()
+
+
+def test_lines_of_a_recorded_input_can_be_chosen_where_they_are_known(dense, scanned, rng):
+    """The target beside it stays whole, all 64 lines too may be fed."""
+    seen = scanned.depth + 1
+    sample = replace(dense, sparse_depth=seen, scan_line=scanned.scan_line)
+    for text, step in (("own", 1), ("64", 1), ("32", 2), ("16", 4)):
+        frame = split_lidar(sample, LidarInput.parse(text), rng)
+        rows = np.arange(SIZE[0]) % step == 0
+        assert (frame.fed[rows] == 21).all(), text
+        assert not frame.fed[~rows].any(), text
+        assert frame.target is sample.depth
+    shifted = split_lidar(sample, LidarInput.parse("16"), rng, first_line=1)
+    assert np.nonzero(shifted.fed[:, 0])[0].tolist() == list(range(3, SIZE[0], 4))
+
+
+@pytest.mark.parametrize("text", ["none", "own", "32", "16", "1", "random:0.3", "64"])
+@pytest.mark.parametrize("first_line", [0, 1, 37])
+def test_nothing_that_is_fed_of_a_recorded_scan_is_a_target(scanned, rng, text, first_line):
+    """And something is left as target: all lines of a scan are never fed, in training neither."""
+    for same_target in (True, False):
+        frame = split_lidar(
+            scanned,
+            LidarInput.parse(text),
+            rng,
+            same_target=same_target,
+            first_line=first_line,
+        )
+        if text == "64":
+            assert frame is None
+            continue
+        assert not ((frame.fed > 0) & (frame.target > 0)).any()
+        assert np.count_nonzero(frame.target) >= 0.5 * scanned.depth.size
+        if not same_target:
+            np.testing.assert_array_equal(frame.fed + frame.target, scanned.depth)
+
+
+def test_training_sees_every_line_of_a_scan(scanned, rng):
+    fed = [
+        split_lidar(scanned, LidarInput.parse("16"), rng, same_target=False, first_line=first).fed[
+            :, 0
+        ]
+        for first in range(4)
+    ]
+    assert (np.count_nonzero(fed, axis=0) == 1).all()
+
+
+def test_returns_hidden_behind_nearer_ones_are_no_target(scanned, rng):
+    depth = scanned.depth.copy()
+    depth[20, 80] = 5.0
+    frame = split_lidar(replace(scanned, depth=depth), LidarInput.parse("own"), rng)
+    assert not frame.target[19, 76:85].any()
+    assert not frame.target[27, 76:85].any()
+    assert frame.target[29, 80] == frame.target[19, 85] == 20
+
+
+def test_a_single_line_looks_ahead(dense, rng):
+    """Not into the sky: a wall ahead is measured within a degree or so of the horizon."""
+    frame = split_lidar(dense, LidarInput.parse("1"), rng)
+    rows = np.nonzero(frame.fed.any(axis=1))[0]
+    assert len(rows)
+    assert (np.abs(np.degrees(np.arctan((rows - K[1, 2]) / K[1, 1]))) < 3).all()
+
+
+def test_simulated_lines_need_intrinsics_and_a_random_share_none(dense, rng):
+    blind = replace(dense, intrinsics=None)
+    assert split_lidar(blind, LidarInput.parse("own"), rng) is None
+    assert split_lidar(blind, LidarInput.parse("16"), rng) is None
+    assert split_lidar(blind, LidarInput.parse("random:0.1"), rng).fed.any()
+
+
+def test_a_frames_random_numbers_are_its_own():
+    first, again, other = (frame_generator(index).random(4) for index in (7, 7, 8))
+    assert (first == again).all()
+    assert (first != other).all()

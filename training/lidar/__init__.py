@@ -1,0 +1,1 @@
+"""LiDAR for training and evaluation: simulated, recorded, and split into input and target."""
