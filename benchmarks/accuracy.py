@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the figures here, too")
     arguments = parser.parse_args()
     figures = {}
-    with Predictor(arguments.model) as predictor:
+    with Predictor(arguments.model, size="frame") as predictor:
         classes = [info.name for info in predictor.contract.classes]
         for title, recipe in SETS.items():
             if not any((root / recipe.path).is_dir() for root in arguments.data):

@@ -102,7 +102,7 @@ def measure(
     seconds: float,
 ) -> dict[str, float]:
     """Time one model at one size; every figure is a median over rounds."""
-    with Predictor(model, threads=threads) as predictor:
+    with Predictor(model, size="frame", threads=threads) as predictor:
         files = {suffix: _frames(scratch, size, suffix) for suffix in (".jpg", ".png")}
         frames = [read_frame(pair, depth_scale=256.0) for pair in files[".png"]]
         session = predictor._session  # the very same session, so that only the engine differs

@@ -33,7 +33,10 @@ def main() -> None:
     def resident_mb() -> float:
         return process.memory_info().rss / 1e6
 
-    with tempfile.TemporaryDirectory() as scratch, Predictor(threads=arguments.threads) as engine:
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        Predictor(size="frame", threads=arguments.threads) as engine,
+    ):
         files = list_frames(*bundled_stream())
         frames = [read_frame(pair, depth_scale=256.0) for pair in files]
         writer = FrameWriter(Path(scratch) / "out", engine.contract, kinds=KINDS)

@@ -72,7 +72,7 @@ def export_checkpoint(
     frames = _frames(size, dynamic=dynamic, max_depth_m=contract.max_depth_m)
     with atomic_file(target, overwrite=overwrite, durable=True) as file:
         _write(model, contract, file)
-        parity = measure_parity(checkpoint.model, Path(file.name), frames)
+        parity = measure_parity(checkpoint.model, Path(file.name), frames, dynamic=dynamic)
         _require_parity(parity)
         figures = {head: dict(measured.figures) for head, measured in parity.items()}
         num_bytes = _write(model, replace(contract, parity=figures), file)

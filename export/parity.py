@@ -36,17 +36,17 @@ class HeadParity:
 
 
 def measure_parity(
-    model: Network, onnx_path: Path | str, frames: Sequence[ProbeFrame]
+    model: Network, onnx_path: Path | str, frames: Sequence[ProbeFrame], *, dynamic: bool = False
 ) -> dict[str, HeadParity]:
     """Compare every head of the file, run by `runtime.Predictor`, with the network in PyTorch.
 
-    The frames have the size of the file or, if it takes any, any size. As the predictor cleans a
-    depth map before the graph sees it, each frame also goes to the bare graph, which must answer
-    the same. Raises the engine's errors if the file cannot be run,
-    and ExportError if an answer has another shape.
+    The frames have the size of the file or, if it is ``dynamic``, any size, and run at it. As the
+    predictor cleans a depth map before the graph sees it, each frame also goes to the bare graph,
+    which must answer the same. Raises the engine's errors if the file cannot be run, and
+    ExportError if an answer has another shape.
     """
     measured: dict[str, list[dict[str, float]]] = {}
-    with Predictor(onnx_path, warmup=0) as predictor:
+    with Predictor(onnx_path, size="frame" if dynamic else None, warmup=0) as predictor:
         session = open_session(
             Path(onnx_path).read_bytes(), provider="cpu", device_id=0, threads=predictor.threads
         )

@@ -1,6 +1,7 @@
-"""Check what comes out of the network and bring it to the frame's size."""
+"""From what comes out of the network to the answers for a frame: check, resize."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from runtime.prediction import (
     LOGITS_NOT_FINITE,
     SEMANTIC_UNKNOWN_CLASS,
 )
+from runtime.preprocess import NetworkInput
 from runtime.resize import resize_image, resize_nearest
 
 _FLOAT_HEADS = {
@@ -20,6 +22,30 @@ _FLOAT_HEADS = {
     "semantic_logits": LOGITS_NOT_FINITE,
 }
 _NEAREST = ("semantic", "depth")  # classes and depths are never mixed; the other heads are
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What a frame's prediction says.
+
+    heads: head -> array at the frame's size
+    faults: reasons why they cannot be used; () if they can
+    """
+
+    heads: Mapping[str, NDArray[Any]]
+    faults: tuple[str, ...]
+
+
+def postprocess(
+    outputs: Mapping[str, NDArray[Any]], frame: NetworkInput, *, num_classes: int
+) -> Answers:
+    """Check the outputs of one frame, head -> array, and bring them to the frame's size."""
+    found = faults(outputs, num_classes=num_classes)
+    if frame.network_size != frame.frame_size:
+        outputs = {
+            head: resize_output(head, values, frame.frame_size) for head, values in outputs.items()
+        }
+    return Answers(outputs, found)
 
 
 def faults(outputs: Mapping[str, NDArray[Any]], *, num_classes: int) -> tuple[str, ...]:

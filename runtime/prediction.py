@@ -8,16 +8,13 @@ from numpy.typing import NDArray
 
 # Reasons in Prediction.degraded. The answer is usable, with less behind it than usual:
 NO_DEPTH = "no_depth"  # not one usable return: the answer comes from the camera alone
-SPARSE_DEPTH_LOW = "sparse_depth_low"  # fewer returns than SPARSE_DEPTH_LOW_SHARE of the pixels
+SPARSE_DEPTH_LOW = "sparse_depth_low"  # returns in less than a hundredth of the picture
 IMAGE_CONSTANT = "image_constant"  # every pixel alike: a covered or dead camera
 # The answer is not usable (valid is False):
 DEPTH_NOT_FINITE = "depth_not_finite"
 BOUNDARY_NOT_FINITE = "boundary_not_finite"
 LOGITS_NOT_FINITE = "semantic_logits_not_finite"
 SEMANTIC_UNKNOWN_CLASS = "semantic_unknown_class"
-
-# A 16-line LiDAR fills about 1 % of a driving picture; a tenth of that is a fault.
-SPARSE_DEPTH_LOW_SHARE = 0.001
 
 
 @dataclass(frozen=True)
@@ -54,6 +51,8 @@ class Prediction:
     boundary: float32 (H, W), probability 0..1; None without that head
     semantic_logits: float32 (C, H, W); None unless the model was exported with logits
     frame_size: (height, width)
+    network_size: (height, width) at which the network ran; the answers were resized if it is
+        another than the frame's
     latency: where the time went
     valid: False when an output holds NaN, Inf or an unknown class; `degraded` says which
     degraded: reasons why the answer is worth less than usual; () in the normal case
@@ -66,6 +65,7 @@ class Prediction:
     depth: NDArray[np.float32] | None
     boundary: NDArray[np.float32] | None
     frame_size: tuple[int, int]
+    network_size: tuple[int, int]
     latency: Latency
     valid: bool = True
     degraded: tuple[str, ...] = ()

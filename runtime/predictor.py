@@ -13,20 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime import postprocess, preprocess
-from runtime.contract import MIN_SIDE, Contract
+from runtime.contract import Contract, check_size
 from runtime.cores import available_cores
 from runtime.errors import ContractError, InferenceError, InputError
 from runtime.model_file import load_model_file
-from runtime.prediction import (
-    IMAGE_CONSTANT,
-    NO_DEPTH,
-    SPARSE_DEPTH_LOW,
-    SPARSE_DEPTH_LOW_SHARE,
-    Latency,
-    Prediction,
-)
-from runtime.resize import move_returns, resize_image
+from runtime.network_size import NetworkSize, check_network_size, network_size
+from runtime.postprocess import postprocess
+from runtime.prediction import Latency, Prediction
+from runtime.preprocess import preprocess
 from runtime.session import node_counts, open_session
 from runtime.signature import read_signature
 
@@ -41,6 +35,10 @@ class Predictor:
     sha256: digest that the file must have, 64 hexadecimal digits; None = any
     provider: "cpu" or "cuda"; what is asked for is what runs
     device_id: which GPU
+    size: at which size a model of free size runs; answers come at the frame's size all the same.
+        None = at the height it was trained for, keeping the aspect, where the frame is larger by
+        more than a quarter, else at the frame's own; "frame" = at the frame's own; a number of
+        rows, keeping the aspect; or (height, width)
     threads: threads within an operator; None = the physical cores this process may use
     warmup: predictions made at once, at the model's own size, so that the first frame is not slow
 
@@ -48,7 +46,8 @@ class Predictor:
     usable.
 
     Raises ContractError for a missing, damaged, foreign or too new model, ProviderError if the
-    provider cannot run it, InputError for arguments out of range.
+    provider cannot run it, InputError for arguments out of range and for any `size` but None where
+    the model is of fixed size.
     """
 
     contract: Contract
@@ -59,6 +58,7 @@ class Predictor:
     node_counts: dict[str, int] | None  # execution provider -> nodes; None if not known
     threads: int
     input_size: tuple[int, int] | None  # (height, width) of a fixed model; None = any
+    size: NetworkSize  # as asked for
     heads: tuple[str, ...]  # for example ("semantic", "depth", "boundary")
     load_ms: float  # reading and optimising the model
     first_inference_ms: float | None  # the first of the warm-up; None without
@@ -70,6 +70,7 @@ class Predictor:
         sha256: str | None = None,
         provider: str = "cpu",
         device_id: int = 0,
+        size: NetworkSize = None,
         threads: int | None = None,
         warmup: int = 1,
     ) -> None:
@@ -88,6 +89,7 @@ class Predictor:
         )
         signature = read_signature(session, num_classes=len(self.contract.classes))
         self.input_size, self.heads = signature.size, signature.heads
+        self.size = check_network_size(size, fixed=signature.size is not None)
         self.providers = tuple(session.get_providers())
         self.node_counts = node_counts(session)
         self._session: Any = session
@@ -109,69 +111,67 @@ class Predictor:
             Inf, anything negative or beyond `contract.max_depth_m` (counted in the answer)
         stamp: handed through to the answer
 
-        A model of fixed size gets the frame resized to it (`rgb` bilinear, `sparse_depth` by
-        nearest), and its answers are resized back.
+        Where the network runs at another size (`network_size`), the frame is resized to it and the
+        answers back by the contract's rule.
 
         Raises InputError for arrays of another type or shape, InferenceError if the session fails
         or the predictor was closed.
         """
         started = time.perf_counter()
-        rgb = preprocess.check_rgb(rgb)
-        frame_size = (rgb.shape[0], rgb.shape[1])
-        sparse_depth = preprocess.check_sparse_depth(sparse_depth, size=frame_size)
-        sparse_depth, cleaned, returns = preprocess.clean_sparse_depth(
-            sparse_depth, max_depth_m=self.contract.max_depth_m
+        frame = preprocess(
+            rgb,
+            sparse_depth,
+            max_depth_m=self.contract.max_depth_m,
+            size_for=self.network_size,
         )
-        degraded = _input_reasons(rgb, returns)
-        size = self.input_size or frame_size
-        if size != frame_size:
-            rgb = resize_image(rgb, size)
-            sparse_depth = move_returns(sparse_depth, size)
         preprocessed = time.perf_counter()
-
-        results = self._run(rgb, sparse_depth)
+        outputs = self._run(frame.rgb, frame.sparse_depth)
         inferred = time.perf_counter()
-
-        faults = postprocess.faults(results, num_classes=len(self.contract.classes))
-        if size != frame_size:
-            results = {
-                head: postprocess.resize_output(head, values, frame_size)
-                for head, values in results.items()
-            }
+        answers = postprocess(outputs, frame, num_classes=len(self.contract.classes))
         finished = time.perf_counter()
         return Prediction(
-            semantic=results.get("semantic"),
-            depth=results.get("depth"),
-            boundary=results.get("boundary"),
-            semantic_logits=results.get("semantic_logits"),
-            frame_size=frame_size,
+            semantic=answers.heads.get("semantic"),
+            depth=answers.heads.get("depth"),
+            boundary=answers.heads.get("boundary"),
+            semantic_logits=answers.heads.get("semantic_logits"),
+            frame_size=frame.frame_size,
+            network_size=frame.network_size,
             latency=Latency(
                 preprocess_ms=(preprocessed - started) * 1e3,
                 inference_ms=(inferred - preprocessed) * 1e3,
                 postprocess_ms=(finished - inferred) * 1e3,
                 total_ms=(finished - started) * 1e3,
             ),
-            valid=not faults,
-            degraded=degraded + faults,
-            cleaned=cleaned,
-            depth_returns=returns,
+            valid=not answers.faults,
+            degraded=frame.degraded + answers.faults,
+            cleaned=frame.cleaned,
+            depth_returns=frame.depth_returns,
             stamp=stamp,
+        )
+
+    def network_size(self, frame_size: tuple[int, int]) -> tuple[int, int]:
+        """Return the (height, width) at which the network runs for a frame of such a size.
+
+        Raises InputError if the frame's aspect makes the rows that were asked for too wide.
+        """
+        return self.input_size or network_size(
+            self.size, frame_size, trained_height=self.contract.trained_height
         )
 
     def warm_up(self, size: tuple[int, int], *, runs: int = 1) -> None:
         """Predict empty frames of `size` (height, width), so that memory and caches are ready.
 
-        The time of the very first is kept as `first_inference_ms`. Raises InputError for a size
-        that cannot be, and what `predict` raises.
+        size: of the frames to come; the network runs at `network_size` of it. The time of the very
+            first prediction is kept as `first_inference_ms`.
+        Raises InputError for a size that cannot be, and what `predict` raises.
         """
         runs = _require_count("runs", runs, at_least=0)
-        if not isinstance(size, Sequence) or len(size) != 2:
-            raise InputError(f"size must be (height, width), got {size!r}")
-        height, width = size
-        size = (
-            _require_count("height", height, at_least=MIN_SIDE),
-            _require_count("width", width, at_least=MIN_SIDE),
-        )
+        if not isinstance(size, Sequence):
+            raise InputError(f"size must be (height, width), got {size!r:.80}")
+        try:
+            size = check_size([operator.index(side) for side in size])
+        except (TypeError, ValueError) as error:
+            raise InputError(f"size must be (height, width), got {size!r:.80}: {error}") from error
         rgb = np.zeros((*size, 3), dtype=np.uint8)
         sparse_depth = np.zeros(size, dtype=np.float32)
         for _ in range(runs):
@@ -246,17 +246,6 @@ def _model_path(model: str | bytes | PathLike[str] | None) -> Path:
             f"model must be a path, got {type(model).__name__}: name an ONNX file, or none for "
             "the bundled model"
         ) from error
-
-
-def _input_reasons(rgb: NDArray[np.uint8], returns: int) -> tuple[str, ...]:
-    reasons = []
-    if returns == 0:
-        reasons.append(NO_DEPTH)
-    elif returns < SPARSE_DEPTH_LOW_SHARE * rgb.shape[0] * rgb.shape[1]:
-        reasons.append(SPARSE_DEPTH_LOW)
-    if preprocess.is_constant(rgb):
-        reasons.append(IMAGE_CONSTANT)
-    return tuple(reasons)
 
 
 def _ms_since(started: float) -> float:

@@ -13,7 +13,8 @@ import typer
 
 from runtime import __version__
 from runtime.atomic_write import atomic_write
-from runtime.errors import OutputError, SSDNetError
+from runtime.errors import InputError, OutputError, SSDNetError
+from runtime.network_size import NetworkSize, parse_network_size
 from runtime.predictor import Predictor
 from runtime.stream.bundled import bundled_stream
 from runtime.stream.frames import KITTI_DEPTH_SCALE, FrameFiles, list_frames, read_frame
@@ -68,6 +69,14 @@ def run(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("ssdnet-run"),
     provider: Annotated[Provider, typer.Option(help="What runs the model.")] = Provider.cpu,
+    size: Annotated[
+        str,
+        typer.Option(
+            help="Size at which the model runs: auto (about the height it was trained for, where "
+            "the frame is much larger), frame (the frame's own), ROWS, or HEIGHTxWIDTH. Answers "
+            "come at the frame's size."
+        ),
+    ] = "auto",
     threads: Annotated[
         int | None, typer.Option(min=1, help="Threads of inference. [default: physical cores]")
     ] = None,
@@ -102,6 +111,7 @@ def run(
     Frames are pairs of files with the same stem, in natural order.
     """
     kinds = _kinds(save)
+    network_size = _network_size(size)
     _require_range("--depth-scale", depth_scale, 1e-3, 1e6)
     _require_range("--deadline-ms", deadline_ms, 1e-6, 1e9)
     if demo != (rgb is None and depth is None) or (rgb is None) != (depth is None):
@@ -112,7 +122,9 @@ def run(
             rgb_dir, depth_dir = (rgb, depth) if rgb and depth else bundled_stream()
             _require_apart(out, rgb_dir, depth_dir)
             frames = list_frames(rgb_dir, depth_dir, limit=limit)
-            with Predictor(model, provider=provider.value, threads=threads, warmup=0) as predictor:
+            with Predictor(
+                model, provider=provider.value, size=network_size, threads=threads, warmup=0
+            ) as predictor:
                 writer = FrameWriter(out, predictor.contract, kinds=kinds, overwrite=overwrite)
                 frame_size = _warm_up(predictor, frames, depth_scale, runs=warmup)
                 if not as_json:
@@ -209,6 +221,13 @@ def _kinds(save: str) -> tuple[str, ...]:
     if unknown:
         raise typer.BadParameter(f"--save knows {', '.join(KINDS)}, all and none, not {unknown}")
     return tuple(kind for kind in KINDS if kind in asked)
+
+
+def _network_size(text: str) -> NetworkSize:
+    try:
+        return parse_network_size(text)
+    except InputError as error:
+        raise typer.BadParameter(str(error)) from error
 
 
 def _require_range(option: str, value: float | None, least: float, most: float) -> None:

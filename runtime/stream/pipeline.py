@@ -36,6 +36,7 @@ class FrameRecord:
     status: str
     reason: str = ""
     frame_size: tuple[int, int] | None = None
+    network_size: tuple[int, int] | None = None
     read_ms: float | None = None
     latency: Latency | None = None
     write_ms: float | None = None
@@ -134,6 +135,7 @@ def _predict(
         OK if prediction.valid else INVALID,
         reason="" if prediction.valid else ", ".join(prediction.degraded),
         frame_size=prediction.frame_size,
+        network_size=prediction.network_size,
         read_ms=read_ms,
         latency=prediction.latency,
         degraded=prediction.degraded,

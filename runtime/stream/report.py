@@ -22,7 +22,7 @@ from runtime.stream.latency import (
 from runtime.stream.pipeline import SKIPPED, FrameRecord, StreamResult
 from runtime.stream.writer import DEPTH_PNG_MAX_M, DEPTH_PNG_SCALE
 
-REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.1"
+REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.2"
 
 # "predict" is Predictor.predict from end to end: what a deadline is held against.
 STAGES: dict[str, Callable[[FrameRecord], float | None]] = {
@@ -62,7 +62,7 @@ def frames_csv(records: Sequence[FrameRecord], *, deadline_ms: float | None) -> 
         ["index", "name", "status", "reason", "height", "width"]
         + [f"{stage}_ms" for stage in STAGES]
         + ["missed_deadline", "degraded", "nan", "infinite", "negative", "too_far"]
-        + ["depth_returns"]
+        + ["depth_returns", "network_height", "network_width"]
     )
     for record in records:
         times = (time_of(record) for time_of in STAGES.values())
@@ -75,6 +75,7 @@ def frames_csv(records: Sequence[FrameRecord], *, deadline_ms: float | None) -> 
             + ["" if time_ms is None else f"{time_ms:.3f}" for time_ms in times]
             + [late, ";".join(record.degraded)]
             + [*asdict(record.cleaned).values(), record.depth_returns]
+            + list(record.network_size or ("", ""))
         )
     return text.getvalue()
 
@@ -106,6 +107,8 @@ def build_report(
             "sha256": predictor.digest,
             "precision": predictor.contract.precision,
             "input_size": predictor.input_size,
+            "size_asked": predictor.size,
+            "trained_height": predictor.contract.trained_height,
             "heads": predictor.heads,
             "max_depth_m": predictor.contract.max_depth_m,
         },
@@ -129,6 +132,9 @@ def build_report(
             "total": len(records),
             "by_status": dict(Counter(record.status for record in records)),
             "degraded": dict(Counter(reason for record in records for reason in record.degraded)),
+            "by_network_size": dict(
+                Counter(_size(record.network_size) for record in records if record.network_size)
+            ),
             "not_ok": [
                 {"name": record.name, "status": record.status, "reason": record.reason}
                 for record in records
@@ -164,6 +170,7 @@ def describe_predictor(predictor: Predictor, frame_size: tuple[int, int] | None)
 
     frame_size: (height, width) of the frames, or None if not known.
     """
+    network_size = predictor.network_size(frame_size) if frame_size else predictor.input_size
     nodes = predictor.node_counts
     running = ", ".join(
         name if nodes is None else f"{name} {nodes.get(name, 0)} nodes"
@@ -173,7 +180,7 @@ def describe_predictor(predictor: Predictor, frame_size: tuple[int, int] | None)
     return (
         f"{predictor.contract.model_name} sha256:{predictor.digest[:12]} | {running} | "
         f"threads {predictor.threads} | frames {_size(frame_size)}, "
-        f"model input {_size(predictor.input_size)}"
+        f"network at {_size(network_size)}"
     )
 
 

@@ -81,6 +81,17 @@ def test_a_damaged_file_is_refused(exported, tmp_path):
             Predictor(path, warmup=0)
 
 
+def test_a_file_of_any_size_is_verified_at_the_frames_own(lite_checkpoint, tmp_path):
+    """Frames far above the trained height would be shrunk, and differ from PyTorch's answers."""
+    trained = tmp_path / "trained.pt"
+    model = load_checkpoint(lite_checkpoint).model
+    save_checkpoint(trained, model, training={"trained_height": 40})
+    report = export_checkpoint(trained, tmp_path / "lite.onnx", size=SIZE, dynamic=True)
+    assert report.parity["depth"].passed
+    with Predictor(report.path, warmup=0) as predictor:
+        assert predictor.network_size(SIZE) == (40, 60)
+
+
 def test_only_the_one_file_is_left(exported):
     assert list(exported.path.parent.iterdir()) == [exported.path]
     assert exported.num_bytes == exported.path.stat().st_size

@@ -8,6 +8,7 @@ from runtime.preprocess import (
     check_rgb,
     check_sparse_depth,
     clean_sparse_depth,
+    covers_little,
     is_constant,
 )
 
@@ -84,6 +85,39 @@ def test_a_single_bad_pixel_anywhere_is_seen(bad):
         depth.flat[at] = bad
         kept, cleaned, returns = clean_sparse_depth(depth, max_depth_m=80)
         assert (cleaned.total, returns, kept.flat[at]) == (1, 33 * 35 - 1, 0)
+
+
+def scan_rows(size, lines, firings=450):
+    """A LiDAR of so many level lines over the lower two thirds of a picture of any size."""
+    depth = np.zeros(size, np.float32)
+    rows = np.linspace(size[0] / 3, size[0] - 1, lines).astype(int)
+    columns = np.linspace(0, size[1] - 1, firings).astype(int)
+    depth[np.ix_(rows, columns)] = 9
+    return depth
+
+
+@pytest.mark.parametrize("size", [(125, 414), (375, 1242), (1216, 1936), (2160, 3840)])
+def test_few_returns_are_flagged_alike_for_every_camera(size):
+    for lines in (64, 32, 16, 8, 4):
+        assert not covers_little(scan_rows(size, lines)), lines
+    assert covers_little(scan_rows(size, 1))
+    assert covers_little(scan_rows(size, 16, firings=20))
+
+
+def test_returns_in_one_corner_are_few_however_densely_they_lie():
+    depth = np.zeros((1280, 4160), np.float32)
+    depth[:230, :230] = 5  # 23 x 23 cells of ten by ten pixels, of 128 x 416
+    assert covers_little(depth)
+    depth[:240, :240] = 5
+    assert not covers_little(depth)
+
+
+def test_a_cell_of_a_small_picture_is_a_pixel():
+    depth = np.zeros((100, 100), np.float32)
+    depth[0, :99] = 5
+    assert covers_little(depth)
+    depth[0, 99] = 5
+    assert not covers_little(depth)
 
 
 def test_constant_pictures():

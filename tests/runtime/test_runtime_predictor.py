@@ -151,6 +151,57 @@ def test_boundaries_are_resized_smoothly_and_classes_are_not(model_file):
     assert prediction.boundary[0, -1] == pytest.approx(2)
 
 
+@pytest.mark.parametrize(
+    ("size", "trained", "frame", "runs_at"),
+    [
+        (None, 40, (80, 96), (40, 48)),
+        (None, 40, (50, 60), (50, 60)),
+        (None, None, (80, 96), (80, 96)),
+        ("frame", 40, (80, 96), (80, 96)),
+        (64, 40, (80, 100), (64, 80)),
+        (96, None, (48, 64), (96, 128)),
+        ((33, 70), None, (48, 64), (33, 70)),
+    ],
+)
+def test_a_model_of_free_size_runs_at_the_size_asked_for(
+    model_file, make_frame, contract, size, trained, frame, runs_at
+):
+    """The graph fails at any other size; the warm-up runs at it, too."""
+    path = model_file(
+        only_runs_at=runs_at,
+        contract=dataclasses.replace(contract, trained_height=trained, native_size=frame),
+        heads=("semantic", "depth", "boundary", "semantic_logits"),
+    )
+    with Predictor(path, size=size) as predictor:
+        prediction = predictor.predict(*make_frame(*frame))
+        assert predictor.size == size
+        assert predictor.input_size is None
+        assert predictor.network_size(frame) == runs_at
+    assert prediction.network_size == runs_at
+    assert prediction.frame_size == frame
+    for answer in (prediction.semantic, prediction.depth, prediction.boundary):
+        assert answer.shape == frame
+    assert prediction.semantic_logits.shape == (2, *frame)
+
+
+def test_a_model_of_fixed_size_takes_no_other(model_file, make_frame):
+    path = model_file(size=(48, 64))
+    for size in ("frame", 48, (48, 64)):
+        with pytest.raises(InputError, match="of fixed size"):
+            Predictor(path, size=size)
+    with Predictor(path) as predictor:
+        assert predictor.network_size((375, 1242)) == (48, 64)
+        assert predictor.predict(*make_frame(96, 128)).network_size == (48, 64)
+
+
+def test_a_size_that_makes_no_sense_is_refused(model_file, make_frame):
+    with pytest.raises(InputError, match="number of rows"):
+        Predictor(model_file(), size=True)
+    predictor = Predictor(model_file(), size=16_000, warmup=0)
+    with pytest.raises(InputError, match="ask for fewer rows"):
+        predictor.predict(*make_frame(48, 640))
+
+
 # --- bad input ---------------------------------------------------------------------------------
 
 
@@ -180,16 +231,6 @@ def test_without_any_depth_the_answer_is_flagged(model_file, make_frame, fill):
     assert prediction.degraded == ("no_depth",)
     assert prediction.depth_returns == 0
     assert_right(prediction, rgb, np.zeros_like(depth))
-
-
-def test_few_returns_are_flagged(model_file, make_frame):
-    rgb, depth = make_frame(100, 100)
-    predictor = Predictor(model_file())
-    depth[:] = 0
-    depth[0, :9] = 5  # 9 of 10,000: below a thousandth
-    assert predictor.predict(rgb, depth).degraded == ("sparse_depth_low",)
-    depth[0, 9] = 5
-    assert predictor.predict(rgb, depth).degraded == ()
 
 
 def test_a_dead_camera_is_flagged(model_file, make_frame):
@@ -264,7 +305,8 @@ def test_counts_may_be_numpy_s(model_file):
 
 
 @pytest.mark.parametrize(
-    ("size", "runs"), [((-1, 40), 1), (5, 1), ((40.0, 40.0), 1), ((40, 40, 3), 1), ((40, 40), -3)]
+    ("size", "runs"),
+    [((-1, 40), 1), (5, 1), ((40.0, 40.0), 1), ((40, 40, 3), 1), ((40, 40), -3), ((40, 10**6), 1)],
 )
 def test_warm_up_refuses_what_cannot_be(model_file, size, runs):
     with pytest.raises(InputError, match=r"must be"):

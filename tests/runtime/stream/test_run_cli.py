@@ -79,7 +79,7 @@ def test_a_run_from_end_to_end(tmp_path, run):
     first_line, *_, last_line = result.stdout.strip().splitlines()
     assert re.match(
         r"by-hand sha256:[0-9a-f]{12} \| CPUExecutionProvider [1-9]\d* nodes \| threads 1 \| "
-        r"frames 48 x 64, model input of any size$",
+        r"frames 48 x 64, network at 48 x 64$",
         first_line,
     )
     assert last_line == f"pictures: {out / 'overlay'}"
@@ -93,6 +93,39 @@ def test_a_run_from_end_to_end(tmp_path, run):
     assert cv2.imread(str(out / "latency.png")) is not None
 
 
+@pytest.mark.parametrize(
+    ("size", "runs_at"),
+    [("auto", (40, 53)), ("frame", (52, 69)), ("64", (64, 85)), ("33x70", (33, 70))],
+)
+def test_the_size_at_which_the_network_ran_is_said(
+    tmp_path, make_frame, model_file, contract, size, runs_at
+):
+    for folder in ("cam", "lidar"):
+        (tmp_path / folder).mkdir()
+    rgb, depth = make_frame(52, 69)
+    cv2.imwrite(str(tmp_path / "cam/f.png"), rgb)
+    cv2.imwrite(str(tmp_path / "lidar/f.png"), np.rint(depth * 256).astype(np.uint16))
+    model = model_file(contract=dataclasses.replace(contract, trained_height=40))
+    given = arguments((tmp_path / "cam", tmp_path / "lidar"), model, tmp_path)
+    result = CliRunner().invoke(app, [*given, "--size", size])
+    assert result.exit_code == 0, result.output
+    height, width = runs_at
+    assert f"frames 52 x 69, network at {height} x {width}\n" in result.stdout
+    (row,) = rows_of(tmp_path / "out")
+    assert (row["height"], row["width"]) == ("52", "69")
+    assert (row["network_height"], row["network_width"]) == (str(height), str(width))
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["frames"]["by_network_size"] == {f"{height} x {width}": 1}
+    assert report["model"]["trained_height"] == 40
+    assert cv2.imread(str(tmp_path / "out/semantic/f.png"), -1).shape == (52, 69)
+
+
+def test_a_size_that_the_command_does_not_know_is_a_usage_error(run):
+    result = run("--size", "large")
+    assert result.exit_code == 2
+    assert "--size 'large'" in result.output
+
+
 def test_the_rows_and_the_report_agree(tmp_path, run):
     run("--deadline-ms", 60_000, "--warmup", 2)
     rows = rows_of(tmp_path / "out")
@@ -101,7 +134,7 @@ def test_the_rows_and_the_report_agree(tmp_path, run):
     assert {(row["height"], row["width"]) for row in rows} == {("48", "64")}
     assert {row["missed_deadline"] for row in rows} == {"0"}
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert (report["format"], report["version"]) == ("ssdnet-run", "1.1")
+    assert (report["format"], report["version"]) == ("ssdnet-run", "1.2")
     assert report["frames"]["by_status"] == {"ok": N}
     assert report["provider"]["threads"] == 1
     assert report["provider"]["nodes"]["CPUExecutionProvider"] > 5

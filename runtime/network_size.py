@@ -1,0 +1,92 @@
+"""At which size a network runs for a frame: the one rule of engine and evaluation."""
+
+import operator
+from typing import Any, Literal
+
+from runtime.contract import MAX_PIXELS, MAX_SIDE, MIN_SIDE, check_side, check_size
+from runtime.errors import InputError
+
+#: None = about the trained height, "frame" = the frame's own, rows, or (height, width).
+NetworkSize = Literal["frame"] | int | tuple[int, int] | None
+
+#: A network looks alike at a frame of up to so many times the height it was trained for.
+LARGEST_RATIO = 1.25
+
+
+def check_network_size(asked: Any, *, fixed: bool) -> NetworkSize:
+    """Give back what was asked for, in plain integers.
+
+    fixed: whether the model takes one size only.
+    Raises InputError for anything but a NetworkSize, for sides out of range, and for anything but
+    None where the model is of fixed size.
+    """
+    if asked is None:
+        return None
+    if fixed:
+        raise InputError(
+            f"size = {asked!r:.80}, but the model is of fixed size: leave size out, or export the "
+            "model with --dynamic"
+        )
+    if isinstance(asked, str) and asked == "frame":
+        return "frame"
+    try:
+        if isinstance(asked, tuple | list):
+            return check_size([_integer(side) for side in asked])
+        return check_side(_integer(asked), "size")
+    except ValueError as error:
+        raise InputError(
+            f'{error}: size is None (about the trained height), "frame" (the frame\'s own), a '
+            "number of rows, or (height, width)"
+        ) from error
+
+
+def parse_network_size(text: str) -> NetworkSize:
+    """Read a command line's "auto", "frame", ROWS or HEIGHTxWIDTH. Raises InputError."""
+    if text in ("auto", "frame"):
+        return None if text == "auto" else "frame"
+    sides = text.lower().split("x")
+    if not all(side.isdecimal() for side in sides) or len(sides) > 2:
+        raise InputError(
+            f"--size {text!r:.80}; expected auto (about the trained height), frame (the frame's "
+            "own), a number of rows such as 400, or HEIGHTxWIDTH such as 400x640"
+        )
+    numbers = [int(side[:9]) for side in sides]  # longer ones are out of range as well
+    return check_network_size(numbers[0] if len(numbers) == 1 else numbers, fixed=False)
+
+
+def network_size(
+    asked: NetworkSize, frame_size: tuple[int, int], *, trained_height: int | None
+) -> tuple[int, int]:
+    """Return the (height, width) at which a network of free size runs for a frame.
+
+    asked: None = `trained_height` rows for a frame that has more than a quarter more, with its
+        aspect kept, and the frame's own size for any other or where no height is known;
+        "frame" = the frame's own size; so many rows, with the aspect kept; or (height, width)
+    Raises InputError if the frame's aspect makes so many rows too wide.
+    """
+    if isinstance(asked, tuple):
+        return asked
+    height, width = frame_size
+    rows = asked
+    if rows is None and trained_height is not None and height > LARGEST_RATIO * trained_height:
+        rows = trained_height
+    if rows is None or rows == "frame":
+        return frame_size
+    size = rows, max(MIN_SIDE, round(width * rows / height))
+    if size[1] > MAX_SIDE or size[0] * size[1] > MAX_PIXELS:
+        raise InputError(
+            f"size = {rows} rows would be {size[0]} x {size[1]} pixels for a frame of {height} x "
+            f"{width}; at most {MAX_SIDE} a side and {MAX_PIXELS} in all: ask for fewer rows"
+        )
+    return size
+
+
+def _integer(value: Any) -> int:
+    """A whole number of any library; ValueError for anything else, for a truth value too."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = None
+    if number is None or isinstance(value, bool):
+        raise ValueError(f"size = {value!r:.80} is not a whole number")
+    return number
