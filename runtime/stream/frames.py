@@ -11,10 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
+from runtime.stream.picture_size import picture_size
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png",)
 KITTI_DEPTH_SCALE = 256.0  # PNG units a metre; Virtual KITTI has 100
+# Of a picture, before it is decoded: a header of a few bytes can ask for gigabytes.
+MAX_PIXELS = 64_000_000
+MAX_FILE_BYTES = 256_000_000
 
 
 @dataclass(frozen=True)
@@ -121,23 +125,44 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
 
 
 def decode(path: Path, flags: int) -> NDArray[Any]:
-    """Decode an image file with OpenCV's IMREAD_* `flags`.
+    """Decode a PNG or JPEG file with OpenCV's IMREAD_* `flags`.
 
-    Raises InputError if the file cannot be read, or is truncated or damaged.
+    Raises InputError if the file cannot be read, is larger than MAX_FILE_BYTES, holds more than
+    MAX_PIXELS, is of another format, or is truncated or damaged.
     """
+    content = _read(path)
+    damaged = f"{path} is empty, truncated or damaged, or no PNG or JPEG ({len(content)} bytes)"
+    size = picture_size(content)
+    if size is None:
+        raise InputError(damaged)
+    if size[0] * size[1] > MAX_PIXELS:
+        raise InputError(
+            f"{path} says that it has {size[0]} x {size[1]} pixels, expected at most "
+            f"{MAX_PIXELS:,}: is it damaged?"
+        )
     try:
-        if not stat.S_ISREG(path.stat().st_mode):  # reading a pipe would wait for ever
-            raise InputError(f"cannot read {path}: it is not a regular file")
-        content = np.fromfile(path, dtype=np.uint8)
-    except OSError as error:
-        raise InputError(f"cannot read {path} ({error.strerror})") from error
-    try:
-        image: NDArray[Any] | None = cv2.imdecode(content, flags)
-    except cv2.error:  # an empty file, or a size beyond OpenCV's limit
+        image: NDArray[Any] | None = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    except cv2.error:
         image = None
     if image is None:
-        raise InputError(f"{path} is empty, truncated or damaged ({content.size} bytes)")
+        raise InputError(damaged)
     return image
+
+
+def _read(path: Path) -> bytes:
+    """The content of a regular file of a picture's size. Raises InputError."""
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):  # reading a pipe would wait for ever
+            raise InputError(f"cannot read {path}: it is not a regular file")
+        if status.st_size > MAX_FILE_BYTES:
+            raise InputError(
+                f"{path} has {status.st_size:,} bytes, expected a picture of at most "
+                f"{MAX_FILE_BYTES:,}"
+            )
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {path} ({error.strerror})") from error
 
 
 def _pictures(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:

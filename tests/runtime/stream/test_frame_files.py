@@ -1,12 +1,17 @@
 """Folders to frames, files to arrays."""
 
 import os
+import re
+import subprocess
+import sys
+import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+import runtime.stream.frames
 from runtime import InputError
 from runtime.stream.frames import FrameFiles, list_frames, read_frame, read_rgb, read_sparse_depth
 
@@ -198,3 +203,67 @@ def test_what_is_no_regular_file_is_refused(tmp_path):
     for name in ("pipe.png", "folder.png"):
         with pytest.raises(InputError, match="not a regular file"):
             read_rgb(tmp_path / name)
+
+
+# --- pictures that ask for too much -------------------------------------------------------------
+
+
+def bomb(path: Path, height: int = 30_000, width: int = 30_000) -> Path:
+    """A JPEG or PNG of a few hundred bytes whose header asks for gigabytes."""
+    content = cv2.imencode(path.suffix, np.zeros((16, 16, 3), np.uint8))[1].tobytes()
+    if path.suffix == ".jpg":
+        frame = content.index(b"\xff\xc0") + 5
+        size = height.to_bytes(2, "big") + width.to_bytes(2, "big")
+        content = content[:frame] + size + content[frame + 4 :]
+    else:
+        header = b"IHDR" + width.to_bytes(4, "big") + height.to_bytes(4, "big") + content[24:29]
+        content = content[:12] + header + zlib.crc32(header).to_bytes(4, "big") + content[33:]
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_a_picture_may_have_so_many_pixels(tmp_path, monkeypatch, suffix):
+    path = write(tmp_path / f"a{suffix}", np.zeros((40, 50, 3), np.uint8))
+    monkeypatch.setattr(runtime.stream.frames, "MAX_PIXELS", 40 * 50)
+    assert read_rgb(path).shape == (40, 50, 3)
+    monkeypatch.setattr(runtime.stream.frames, "MAX_PIXELS", 40 * 50 - 1)
+    with pytest.raises(InputError, match=r"has 40 x 50 pixels, expected at most 1,999"):
+        read_rgb(path)
+
+
+def test_a_file_may_have_so_many_bytes(tmp_path, monkeypatch):
+    path = write(tmp_path / "a.png", np.zeros((40, 50, 3), np.uint8))
+    size = path.stat().st_size
+    monkeypatch.setattr(runtime.stream.frames, "MAX_FILE_BYTES", size)
+    assert read_rgb(path).shape == (40, 50, 3)
+    monkeypatch.setattr(runtime.stream.frames, "MAX_FILE_BYTES", size - 1)
+    with pytest.raises(InputError, match=rf"has {size} bytes, expected .* at most {size - 1}"):
+        read_rgb(path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs RLIMIT_AS")
+def test_what_asks_for_too_much_takes_no_memory(tmp_path):
+    """Where 300 MB are left, as seen by the reader that training has, too."""
+    bomb(tmp_path / "bomb.jpg")
+    bomb(tmp_path / "bomb.png")
+    (tmp_path / "sparse.png").touch()
+    os.truncate(tmp_path / "sparse.png", 100_000_000_000)
+    program = (
+        "import resource, sys; from pathlib import Path\n"
+        "from runtime import InputError; from runtime.stream.frames import read_rgb\n"
+        "used = int(Path('/proc/self/statm').read_text().split()[0]) * resource.getpagesize()\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (used + 300_000_000,) * 2)\n"
+        "for path in sys.argv[1:]:\n"
+        "    try: read_rgb(Path(path))\n"
+        "    except InputError as error: print(error)\n"
+    )
+    paths = [tmp_path / name for name in ("bomb.jpg", "bomb.png", "sparse.png")]
+    command = [sys.executable, "-c", program, *map(str, paths)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert re.findall(r"has (.*?), expected", done.stdout) == [
+        "30000 x 30000 pixels",
+        "30000 x 30000 pixels",
+        "100,000,000,000 bytes",
+    ]

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+import runtime.stream.frames
 import runtime.stream.pipeline
 from runtime import OutputError, Predictor
 from runtime.stream.frames import list_frames
@@ -188,6 +189,15 @@ def test_a_bad_frame_is_flagged_and_the_run_goes_on(predictor, stream_of, kind, 
     assert record.name == "2"
     assert record.latency is None
     assert re.search(reason, record.reason)
+
+
+def test_a_picture_that_is_too_large_is_a_flagged_frame(predictor, stream_of, monkeypatch):
+    monkeypatch.setattr(runtime.stream.frames, "MAX_PIXELS", 48 * 64)
+    folders = stream_of(3)
+    cv2.imwrite(str(folders[0] / "1.png"), np.zeros((49, 64, 3), np.uint8))
+    result = run(predictor, folders)
+    assert [record.status for record in result.records] == ["ok", "skipped", "ok"]
+    assert "has 49 x 64 pixels" in result.records[1].reason
 
 
 def test_a_failing_session_is_a_flagged_frame(model_file, stream_of):

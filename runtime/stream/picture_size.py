@@ -1,0 +1,43 @@
+"""The size of a picture as its header says it, before the pixels take memory."""
+
+import re
+import struct
+
+_PNG_START = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"
+_JPEG_START = b"\xff\xd8"
+# Markers of a JPEG file (ITU-T T.81, table B.1): a byte of ones, then the code.
+_MARKER = re.compile(rb"\xff([^\x00\xff])")
+_START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_NO_SEGMENT = frozenset({0x01, *range(0xD0, 0xD8)})
+_MOST_SEGMENTS = 1000  # before the size; a colour profile takes up to 255
+
+
+def picture_size(content: bytes) -> tuple[int, int] | None:
+    """(height, width) in the header of a PNG or JPEG file; None for any other content.
+
+    content: the whole file. Looks where OpenCV's decoders look (libpng, libjpeg).
+    """
+    try:
+        if content.startswith(_PNG_START):
+            width, height = struct.unpack_from(">II", content, len(_PNG_START))
+            return height, width
+        if content.startswith(_JPEG_START):
+            return _jpeg_size(content)
+    except struct.error:  # the file ends
+        pass
+    return None
+
+
+def _jpeg_size(content: bytes) -> tuple[int, int] | None:
+    position = len(_JPEG_START)
+    for _ in range(_MOST_SEGMENTS):
+        marker = _MARKER.search(content, position)
+        if marker is None:
+            return None
+        position = marker.end()
+        if marker[1][0] in _START_OF_FRAME:
+            _length, _precision, height, width = struct.unpack_from(">HBHH", content, position)
+            return height, width
+        if marker[1][0] not in _NO_SEGMENT:
+            position += struct.unpack_from(">H", content, position)[0]
+    return None
