@@ -125,7 +125,13 @@ def run(
             with Predictor(
                 model, provider=provider.value, size=network_size, threads=threads, warmup=0
             ) as predictor:
-                writer = FrameWriter(out, predictor.contract, kinds=kinds, overwrite=overwrite)
+                writer = FrameWriter(
+                    out,
+                    predictor.contract,
+                    kinds=kinds,
+                    names=[files.name for files in frames],
+                    overwrite=overwrite,
+                )
                 frame_size = _warm_up(predictor, frames, depth_scale, runs=warmup)
                 if not as_json:
                     _say(describe_predictor(predictor, frame_size), out)

@@ -1,7 +1,7 @@
 """Write the answers of a run, a frame's files all or none."""
 
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,9 +40,9 @@ _JPEG = (cv2.IMWRITE_JPEG_QUALITY, 85)
 class FrameWriter:
     """Write each frame's answers into a folder of `RunFolder`, one subfolder a kind.
 
-    folder, overwrite: as `RunFolder` takes them
+    folder, names, overwrite: as `RunFolder` takes them
     kinds: which of KINDS to write; a head that the model lacks is left out
-    Raises OutputError if the folder cannot be had.
+    Raises OutputError if the folder cannot be used.
     """
 
     def __init__(
@@ -50,12 +50,12 @@ class FrameWriter:
         folder: Path,
         contract: Contract,
         *,
-        kinds: Iterable[str] = KINDS,
+        kinds: Sequence[str] = KINDS,
+        names: Collection[str] = (),
         overwrite: bool = False,
     ) -> None:
         self._overlay = Overlay(contract.classes, contract.max_depth_m)
-        self._folder = RunFolder(folder, overwrite=overwrite)
-        self._subfolders = {kind: self._folder.subfolder(kind) for kind in kinds}
+        self._folder = RunFolder(folder, kinds=kinds, names=names, overwrite=overwrite)
 
     def write(self, name: str, rgb: NDArray[np.uint8], prediction: Prediction) -> None:
         """Write what was asked for of one frame: all of it, or, on an error, none.
@@ -65,7 +65,7 @@ class FrameWriter:
         written: list[Path] = []
         self._folder.note(name)
         try:
-            for kind, folder in self._subfolders.items():
+            for kind, folder in self._folder.subfolders.items():
                 path = folder / (name + SUFFIXES[kind])
                 content = self._encode(kind, rgb, prediction, path)
                 if content is not None:

@@ -116,12 +116,61 @@ def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, contract, ans
     assert files_in(out) == {".ssdnet-run", *mine}
 
 
+@pytest.fixture
+def earlier_run(tmp_path, contract, answered):
+    """A folder with a run of the frame "a", whose report was written."""
+    FrameWriter(tmp_path / "out", contract, kinds=KINDS).write("a", *answered)
+    (tmp_path / "out" / "report.json").write_text("{}")
+    return tmp_path / "out"
+
+
+def refuse_to_overwrite(out, contract, text, **options):
+    """Check that nothing was touched, there or elsewhere."""
+    before = {name: (out.parent / name).read_bytes() for name in files_in(out.parent)}
+    with pytest.raises(OutputError, match=text):
+        FrameWriter(out, contract, overwrite=True, **options)
+    assert before == {name: (out.parent / name).read_bytes() for name in files_in(out.parent)}
+
+
+def test_overwrite_writes_nothing_through_a_link(tmp_path, contract, earlier_run):
+    (earlier_run / "depth").rename(tmp_path / "pictures")
+    (earlier_run / "depth").symlink_to(tmp_path / "pictures")
+    text = r"out/depth is a link or a file in the place"
+    refuse_to_overwrite(earlier_run, contract, text, kinds=("semantic", "depth"))
+    (earlier_run / "depth").unlink()
+    (earlier_run / "depth").symlink_to(tmp_path / "none")
+    refuse_to_overwrite(earlier_run, contract, text, kinds=("depth",))
+    (earlier_run / "depth").unlink()
+    (earlier_run / "depth").touch()
+    refuse_to_overwrite(earlier_run, contract, text, kinds=("depth",))
+    FrameWriter(earlier_run, contract, kinds=("semantic",), overwrite=True)
+
+
+def test_overwrite_replaces_no_file_of_another(tmp_path, contract, earlier_run, answered):
+    foreign = earlier_run / "depth" / "b.png"
+    foreign.write_text("mine")
+    text = r"out/depth/b\.png is not of the earlier run"
+    refuse_to_overwrite(earlier_run, contract, text, names=("a", "b"))
+    foreign.unlink()
+    foreign.symlink_to(tmp_path / "none")
+    refuse_to_overwrite(earlier_run, contract, text, names=("a", "b"))
+    FrameWriter(earlier_run, contract, kinds=("semantic",), names=("a", "b"), overwrite=True)
+    assert foreign.is_symlink()
+
+
+def test_overwrite_replaces_no_folder_of_another(contract, earlier_run):
+    (earlier_run / "depth" / "a.png").unlink()
+    (earlier_run / "depth" / "a.png").mkdir()
+    text = r"out/depth/a\.png is not of the earlier run"
+    refuse_to_overwrite(earlier_run, contract, text, names=("a",))
+
+
 def test_overwrite_does_not_follow_links_out_of_the_folder(tmp_path, contract, answered):
     out, pictures = tmp_path / "out", tmp_path / "pictures"
     FrameWriter(out, contract, kinds=("semantic",)).write("a", *answered)
     (out / "semantic").rename(pictures)
     (out / "semantic").symlink_to(pictures)
-    FrameWriter(out, contract, kinds=("semantic",), overwrite=True)
+    FrameWriter(out, contract, kinds=("depth",), overwrite=True)
     assert files_in(pictures) == {"a.png"}
 
 

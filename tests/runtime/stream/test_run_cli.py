@@ -339,6 +339,18 @@ def test_an_existing_run_needs_overwrite(tmp_path, run):
     assert {p.stem for p in (tmp_path / "out/depth").iterdir()} == {"f0", "f1"}
 
 
+def test_overwrite_never_replaces_a_foreign_file(tmp_path, run):
+    assert run("--limit", 2).exit_code == 0
+    (tmp_path / "out/depth/f3.png").write_text("mine")
+    before = files_in(tmp_path / "out")
+    result = run("--overwrite")
+    assert result.exit_code == 1
+    assert "out/depth/f3.png is not of the earlier run" in result.stderr
+    assert files_in(tmp_path / "out") == before
+    assert run("--limit", 3, "--overwrite").exit_code == 0
+    assert (tmp_path / "out/depth/f3.png").read_text() == "mine"
+
+
 @pytest.mark.parametrize("kind", ["depth", "semantic"])
 def test_answers_are_never_written_where_frames_are_read(tmp_path, run, stream, kind):
     assert run().exit_code == 0
