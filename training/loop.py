@@ -26,7 +26,7 @@ from training.distributed import (
     synchronise_batch_norm,
 )
 from training.evaluation.pictures import draw_pictures
-from training.evaluation.scoring import score_sources, torch_predict
+from training.evaluation.scoring import require_lidar, score_sources, torch_predict
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import count_pixels, open_dataset, open_mixture
 from training.losses import SSDNetLoss, class_weights
@@ -97,6 +97,7 @@ def _train(
     validation = {
         item.name: open_dataset(item, data, classes=classes) for item in recipe.validation.source
     }
+    require_lidar(validation, LidarInput.parse(recipe.validation.lidar))
     network = build_network(recipe.model, init)
     weights = None
     if "semantic" in network.config.heads and recipe.loss.weighs_classes:
@@ -267,7 +268,7 @@ def _validate(
     step: int,
 ) -> None:
     """Score the network, each process its share of the frames; show figures and pictures."""
-    lidar = LidarInput()
+    lidar = LidarInput.parse(recipe.validation.lidar)
     scores = score_sources(network, sources, processes, lidar=lidar)
     board.add_scalars({f"validation/{name}": score for name, score in scores.items()}, step)
     if not processes.is_first:

@@ -7,13 +7,14 @@ from dataclasses import field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
 
-from pydantic import Discriminator, Field, Tag, TypeAdapter, ValidationError
+from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from runtime.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
 from runtime.errors import InputError
 from training.datasets.class_mapping import ClassTable
 from training.datasets.source import SourceRecipe, source_kinds
+from training.lidar.split import LidarInput
 from training.limits import (
     MAX_BATCH_PIXELS,
     MAX_SAMPLES,
@@ -174,11 +175,22 @@ class LoopRecipe:
     log_every: Steps = 20
 
 
+def _require_lidar(text: str) -> str:
+    try:
+        LidarInput.parse(text)
+    except InputError as error:
+        raise ValueError(str(error).rstrip(".")) from error
+    return text
+
+
 @dataclass(frozen=True, config=STRICT)
 class ValidationRecipe:
     """Sets that the averaged weights are scored on while training."""
 
     every: Steps = 1000
+    #: The LiDAR that is fed, as `training.lidar.split.LidarInput` reads it: what the network is
+    #: trained with.
+    lidar: Annotated[str, AfterValidator(_require_lidar)] = "own"
     source: Annotated[tuple[AnySource, ...], Field(max_length=100)] = ()
     #: Frames of each set, evenly spread, that TensorBoard shows as pictures.
     pictures: Annotated[int, Field(ge=0, le=1000)] = 3

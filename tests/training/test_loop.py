@@ -13,11 +13,15 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from typer.testing import CliRunner
 
+from layouts.kitti_stream import write_stream
+from layouts.virtual_kitti import write_second_edition
 from models import SSDNet, create_model, load_checkpoint, save_checkpoint
 from models.registry import NETWORKS, Entry
 from runtime.errors import CheckpointError, DatasetError, InputError
 from training import cli, loop
 from training.datasets.camvid import CamVidRecipe
+from training.datasets.kitti_stream import KittiStreamRecipe
+from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment import AugmentConfig
 from training.loop import train
 from training.losses import LossConfig
@@ -189,6 +193,32 @@ def test_tensorboard_shows_terms_rates_scores_and_pictures(data, tmp_path):
     assert (picture[40:64, :80] == image[40:64]).all()
     assert (picture[40:64, 320:400] == image[40:64]).all()
     assert not (picture[40:64, 400:] == image[40:64]).all()
+
+
+def test_validation_feeds_the_lidar_that_the_recipe_says(data, tmp_path):
+    write_second_edition(data / "scenes", magnify=8)
+    errors = []
+    for lidar in ("none", "random:0.5", "random:0.5"):
+        run = replace(
+            recipe(steps=1),
+            validation=ValidationRecipe(source=(RenderedRecipe(path="scenes"),), lidar=lidar),
+        )
+        out = tmp_path / f"run{len(errors)}"
+        train(run, data=[data], out=out)
+        events = EventAccumulator(str(out / "tensorboard"))
+        events.Reload()
+        errors.append(events.Scalars("validation/scenes/mae_m")[0].value)
+    assert errors[1] == errors[2]
+    assert errors[0] != errors[1]
+
+
+def test_a_lidar_that_a_validation_set_cannot_give_is_refused_at_the_start(data, tmp_path):
+    write_stream(data / "kitti_stream", magnify=8)
+    source = KittiStreamRecipe(path="kitti_stream")
+    run = replace(recipe(), validation=ValidationRecipe(source=(source,), lidar="64"))
+    with pytest.raises(InputError, match=r"kitti_stream/0000000000.*'64'.*validation\.lidar"):
+        train(run, data=[data], out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_run_that_goes_on_keeps_its_curves(data, tmp_path):

@@ -39,6 +39,7 @@ def test_defaults_and_conversions(tmp_path):
     assert recipe.data.source[0].scale == (1.0, 2.0)
     assert recipe.optimizer.name == "adamw"
     assert recipe.validation.source == ()
+    assert recipe.validation.lidar == "own"
 
 
 @pytest.mark.parametrize(
@@ -278,6 +279,21 @@ def test_mistaken_sources_are_named_with_their_file(tmp_path):
         read(tmp_path, MINIMAL.replace("batch_size = 4", "cache_gib = -1"))
     with pytest.raises(InputError, match=r"model\.classes = 'coco'; choose one of 'camvid'"):
         read(tmp_path, MINIMAL.replace("[data]\n", "classes = 'coco'\n[data]\n"))
+
+
+def test_validation_names_its_lidar(tmp_path):
+    assert read(tmp_path, MINIMAL + '[validation]\nlidar = "random:0.05"\n').validation.lidar
+    with pytest.raises(InputError, match=r"validation\.lidar = '63': .*divides 64, random:SHARE"):
+        read(tmp_path, MINIMAL + '[validation]\nlidar = "63"\n')
+
+
+@pytest.mark.parametrize(
+    "name", ["paper-vkitti", "paper-cityscapes", "vkitti", "ablation/ssdnet", "ablation/ungated"]
+)
+def test_what_is_trained_on_a_random_share_is_validated_so(name):
+    recipe = read_recipe(Path(recipes.__path__[0]) / f"{name}.toml")
+    assert recipe.data.augment.random_share == (0.05, 0.05)
+    assert recipe.validation.lidar == "random:0.05"
 
 
 def test_two_validation_sets_of_one_path_are_refused():

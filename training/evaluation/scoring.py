@@ -169,6 +169,12 @@ def split_frames(
         yield frame
 
 
+def require_lidar(sources: Mapping[str, SampleSource], lidar: LidarInput) -> None:
+    """Raise an InputError for a LiDAR that the first frame of a set cannot give."""
+    for source in sources.values():
+        next(split_frames(source, [0], lidar))
+
+
 def score_sources(
     network: Network,
     sources: Mapping[str, SampleSource],

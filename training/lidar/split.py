@@ -44,8 +44,8 @@ class LidarInput:
         except ValueError:
             pass
         raise InputError(
-            f"LiDAR {text!r}; expected a number of lines that divides {SENSOR_LINES}, random:SHARE "
-            "with a share above 0 and up to 1, none, or own."
+            f"the LiDAR {text!r} is not known; expected a number of lines that divides "
+            f"{SENSOR_LINES}, random:SHARE with a share above 0 and up to 1, none, or own."
         )
 
     def __str__(self) -> str:
