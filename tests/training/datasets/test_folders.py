@@ -1,0 +1,141 @@
+"""Data of one's own: pictures, depth and labels by stem, with a class table in the recipe."""
+
+import numpy as np
+import pytest
+
+from layouts.pictures import write
+from models import load_checkpoint
+from runtime.contract import ClassInfo
+from runtime.errors import DatasetError, InputError
+from training.datasets.folders import FoldersRecipe
+from training.loop import train
+from training.recipe import read_recipe
+
+CLASSES = (ClassInfo("lane", (10, 20, 30)), ClassInfo("rest", (200, 0, 0)))
+RECIPE = """
+[model]
+name = "ssdnet-small"
+classes = [{name = "lane", color = [10, 20, 30]}, {name = "rest", color = [200, 0, 0]}]
+[data]
+batch_size = 2
+workers = 0
+augment.crop = [32, 64]
+[[data.source]]
+kind = "folders"
+path = "mine"
+depth = "depth"
+labels = "labels"
+depth_scale = 1000
+intrinsics = [50, 50, 32, 16]
+[schedule]
+steps = 1
+"""
+
+
+@pytest.fixture
+def mine(tmp_path):
+    for index, name in enumerate(("b.jpg", "a.png")):
+        stem = name[0]
+        write(tmp_path / "mine" / "images" / name, np.full((40, 64, 3), 80 + index, np.uint8))
+        label = np.zeros((40, 64), np.uint8)
+        label[:, 30:] = 1
+        label[:4] = 255
+        write(tmp_path / "mine" / "labels" / f"{stem}.png", label)
+        depth = np.full((40, 64), 2500, np.uint16)
+        depth[:10] = 0
+        write(tmp_path / "mine" / "depth" / f"{stem}.png", depth)
+        write(tmp_path / "mine" / "scans" / f"{stem}.png", depth // 2)
+    return tmp_path / "mine"
+
+
+def test_everything_is_paired_by_stem(mine):
+    recipe = FoldersRecipe(
+        path="mine",
+        depth="depth",
+        sparse_depth="scans",
+        labels="labels",
+        depth_scale=1000,
+        intrinsics=(50, 51, 32, 16),
+        semantic_weight=0.5,
+    )
+    source = recipe.open(mine, CLASSES)
+    assert len(source) == 2
+    first = source[0]
+    assert first.name == "mine/a"
+    assert (first.rgb == 81).all()
+    assert first.depth.dtype == np.float32
+    assert (first.depth[:10] == 0).all()
+    assert (first.depth[10:] == 2.5).all()
+    assert (first.sparse_depth[10:] == 1.25).all()
+    assert np.unique(first.semantic).tolist() == [0, 1, 255]
+    assert (first.semantic[:4] == 255).all()
+    assert first.intrinsics.tolist() == [[50, 0, 32], [0, 51, 16], [0, 0, 1]]
+    assert first.semantic_weight == 0.5
+
+
+def test_pictures_alone_are_enough(mine):
+    sample = FoldersRecipe(path="mine").open(mine, "camvid")[1]
+    assert not sample.depth.any()
+    assert sample.sparse_depth is None
+    assert (sample.semantic == 255).all()
+    assert sample.intrinsics is None
+
+
+def test_another_id_may_mean_no_class(mine):
+    recipe = FoldersRecipe(path="mine", labels="labels", ignore=0)
+    (mine / "labels" / "a.png").unlink()
+    write(mine / "labels" / "a.png", np.repeat(np.uint8([[0, 1]]), 40, 0).repeat(32, 1))
+    assert np.unique(recipe.open(mine, CLASSES)[0].semantic).tolist() == [1, 255]
+
+
+def test_what_is_missing_or_wrong_is_named(mine):
+    def opened(**keys):
+        return FoldersRecipe(path="mine", **keys).open(mine, CLASSES)
+
+    with pytest.raises(DatasetError, match="pictures: no such folder"):
+        opened(rgb="pictures")
+    write(mine / "labels" / "a.png", np.full((40, 64), 2, np.uint8))
+    with pytest.raises(DatasetError, match=r"a\.png: class id 2, expected 0\.\.1"):
+        opened(labels="labels")[0]
+    with pytest.raises(DatasetError, match=r"b\.png: expected one channel of uint16"):
+        opened(depth="labels")[1]
+    write(mine / "depth" / "b.png", np.zeros((40, 63), np.uint16))
+    with pytest.raises(DatasetError, match="40x63 differs"):
+        opened(depth="depth")[1]
+    (mine / "depth" / "b.png").unlink()
+    with pytest.raises(DatasetError, match=r"b\.png: missing \(1 of 2"):
+        opened(depth="depth")
+    write(mine / "images" / "a.jpg", np.zeros((40, 64, 3), np.uint8))
+    with pytest.raises(DatasetError, match="two pictures named 'a'"):
+        opened()
+
+
+def test_own_data_trains_a_network_of_its_own_classes(mine, tmp_path):
+    (tmp_path / "r.toml").write_text(RECIPE)
+    recipe = read_recipe(tmp_path / "r.toml")
+    network = load_checkpoint(train(recipe, data=[tmp_path], out=tmp_path / "run")).model
+    assert network.config.classes == CLASSES
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("[10, 20, 30]", "[10, 20, 300]", r"model\.classes\[0\]\.color\[2\] = 300: "),
+        ("[10, 20, 30]", "[10, 20]", r"model\.classes\[0\]\.color = \[10, 20\] has too few"),
+        ('"rest"', '"lane"', r"model\.classes has 'lane' twice"),
+        ('name = "rest"', 'nam = "rest"', r"unknown key model\.classes\[1\]\.nam; .* name, color"),
+        ('name = "rest", ', "", r"missing key model\.classes\[1\]\.name"),
+        ("depth_scale = 1000", "depth_scale = 0", r"source\[0\]\.depth_scale = 0: "),
+    ],
+)
+def test_mistakes_in_the_recipe_are_named(tmp_path, old, new, text):
+    (tmp_path / "r.toml").write_text(RECIPE.replace(old, new))
+    with pytest.raises(InputError, match=text):
+        read_recipe(tmp_path / "r.toml")
+
+
+def test_sets_of_other_classes_are_refused_beside_it(mine, tmp_path):
+    text = RECIPE + '[[validation.source]]\nkind = "camvid"\npath = "mine"\n'
+    (tmp_path / "r.toml").write_text(text)
+    with pytest.raises(DatasetError, match="not mapped to the classes of a table of its own"):
+        train(read_recipe(tmp_path / "r.toml"), data=[tmp_path], out=tmp_path / "run")
