@@ -6,13 +6,33 @@ from typing import Annotated
 import typer
 
 from runtime.errors import SSDNetError
+from training.stop_signal import StopSignal
+
+ERROR, STOPPED = 1, 130  # exit codes
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
-@app.command()
+def _print_recipes(wanted: bool) -> None:
+    if wanted:
+        from training.recipe_files import describe_recipe, list_recipes
+
+        for name, path in list_recipes().items():
+            typer.echo(f"{name:28} {describe_recipe(path)}")
+        raise typer.Exit
+
+
+@app.command(
+    epilog="Exit codes: 0 done; 1 error; 2 usage; 130 stopped by Ctrl-C or SIGTERM, after which "
+    "the same command goes on."
+)
 def train(
-    recipe: Annotated[Path, typer.Argument(help="TOML file that says everything of a training.")],
+    recipe: Annotated[
+        str,
+        typer.Argument(
+            help="Name of a recipe, see --list, or a file: what ends in .toml or holds a slash."
+        ),
+    ],
     data: Annotated[
         list[Path], typer.Option(help="Folder with the recipe's data sets; may be repeated.")
     ],
@@ -30,37 +50,38 @@ def train(
     stop_after: Annotated[
         int | None, typer.Option(min=1, help="End at this step; the run can be resumed.")
     ] = None,
+    _list: Annotated[
+        bool,
+        typer.Option("--list", callback=_print_recipes, is_eager=True, help="List the recipes."),
+    ] = False,
 ) -> None:
-    """Train a network; writes checkpoints, TensorBoard curves and the resolved recipe."""
-    try:
-        # Heavy imports here, so that --help answers at once.
-        from training.loop import train as run
-        from training.recipe import read_recipe
+    """Train a network; writes checkpoints, TensorBoard curves, scores and the resolved recipe."""
+    with StopSignal() as stop:
+        try:
+            # Heavy imports here, so that --help answers at once.
+            from training.loop import train as run
+            from training.recipe import read_recipe
+            from training.recipe_files import find_recipe
 
-        path = run(
-            read_recipe(recipe, change or ()),
-            data=data,
-            out=out,
-            init=init,
-            device=device,
-            stop_after=stop_after,
-        )
-    except ImportError as error:
-        typer.echo(f'error: {error}: training needs pip install "ssdnet[train]"', err=True)
-        raise typer.Exit(1) from error
-    except SSDNetError as error:
-        typer.echo(f"error: {error}", err=True)
-        raise typer.Exit(1) from error
-    except KeyboardInterrupt:
-        kept = (out / "last.pt").is_file()
-        typer.echo(
-            "stopped; the same command goes on from the last checkpoint"
-            if kept
-            else "stopped before the first checkpoint; the same command starts anew",
-            err=True,
-        )
-        raise typer.Exit(1) from None
+            path = run(
+                read_recipe(find_recipe(recipe), change or ()),
+                data=data,
+                out=out,
+                init=init,
+                device=device,
+                stop_after=stop_after,
+                stop=stop,
+            )
+        except ImportError as error:
+            typer.echo(f'error: {error}: training needs pip install "ssdnet[train]"', err=True)
+            raise typer.Exit(ERROR) from error
+        except SSDNetError as error:
+            typer.echo(f"error: {error}", err=True)
+            raise typer.Exit(ERROR) from error
     typer.echo(str(path))
+    if stop() and path.name == "last.pt":
+        typer.echo(f"stopped; the same command goes on from {path}", err=True)
+        raise typer.Exit(STOPPED)
 
 
 def main() -> None:

@@ -39,6 +39,14 @@ class Processes:
         if self.count > 1:
             dist.barrier()
 
+    def any(self, flag: bool) -> bool:
+        """Whether any process says so; all of them get the same answer."""
+        if self.count == 1:
+            return flag
+        said = torch.tensor(int(flag), device=self.device)
+        dist.all_reduce(said)
+        return bool(said.item())
+
     def gather(self, item: T) -> list[T]:
         """Return what every process gives here, in their order; plain Python objects."""
         if self.count == 1:
@@ -65,7 +73,7 @@ def join_processes(device: str) -> Iterator[Processes]:
     """Join the processes that torchrun started, or be the only one.
 
     ``device`` is "cpu" (gloo), "cuda" (nccl; each process of a machine takes its own card), or
-    "cuda:N" for a single process. Raises InputError if the device cannot be had.
+    "cuda:N" for a single process. Raises InputError if there is no such device.
     """
     count = int(os.environ.get("WORLD_SIZE", "1"))
     try:
@@ -74,7 +82,7 @@ def join_processes(device: str) -> Iterator[Processes]:
             place = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
         torch.zeros(1, device=place)
     except (RuntimeError, AssertionError) as error:
-        raise InputError(f"device {device!r} cannot be had: {error}. Try --device cpu.") from error
+        raise InputError(f"device {device!r} is not there: {error}. Try --device cpu.") from error
     if count == 1:
         yield Processes(0, 1, place)
         return

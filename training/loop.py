@@ -34,14 +34,18 @@ from training.network import adjust_logits, build_network
 from training.optimizer import build_optimizer, exponential_average, learning_rate
 from training.recipe import LoopRecipe, Recipe
 from training.run_folder import (
+    BEST,
     FINAL,
     LAST,
+    SCORES,
     TENSORBOARD,
-    claim,
     name_weights,
+    prepare_folder,
     require_finite,
-    to_text,
+    require_same,
 )
+from training.score_table import SHOWN, ScoreTable
+from training.stop_signal import leave_signals_to_parent
 
 #: (rgb, sparse_depth) -> what the network says.
 Forward = Callable[[Tensor, Tensor], SSDNetOutput]
@@ -58,18 +62,22 @@ def train(
     init: Path | None = None,
     device: str = "cpu",
     stop_after: int | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Path:
     """Train as the recipe says and return the path of the final checkpoint, model.pt.
 
     Writes ``out``: recipe.json (resolved), last.pt (to resume from), model.pt (the averaged
-    weights, to ship) and tensorboard/. An ``out`` with a last.pt of the same recipe goes on where
-    it stopped; of another recipe it is an InputError. ``init`` starts from another checkpoint's
-    weights, as far as they fit. ``stop_after`` ends early at that step, resumable, and returns
-    last.pt. Started by torchrun each process takes its share of every batch, see
-    `training.distributed`; the first one writes.
+    weights, to ship), best.pt (those of the best validation so far), scores.csv (every figure of
+    every validation) and tensorboard/. An ``out`` with a last.pt of the same recipe goes on where
+    it stopped; of another recipe it is an InputError that names the key. ``init`` starts from
+    another checkpoint's weights, as far as they fit.
+
+    ``stop_after`` ends early at that step, resumable, and returns last.pt; so does ``stop`` once it
+    says True, which is asked between two steps. Started by torchrun each process takes its share of
+    every batch, see `training.distributed`; the first one writes, and all stop at the same step.
     """
     with join_processes(device) as processes:
-        return _train(recipe, processes, data, out, init, stop_after)
+        return _train(recipe, processes, data, out, init, stop_after, stop)
 
 
 def _train(
@@ -79,6 +87,7 @@ def _train(
     out: Path,
     init: Path | None,
     stop_after: int | None,
+    stop: Callable[[], bool],
 ) -> Path:
     device = processes.device
     resolved = {
@@ -103,7 +112,7 @@ def _train(
     if "semantic" in network.config.heads and recipe.loss.weighs_classes:
         weights = _weigh_classes(recipe, sources, network.config.num_classes)
     if processes.is_first:
-        claim(out, resolved)  # only now: what cannot start leaves no folder behind
+        prepare_folder(out, resolved)  # only now: what cannot start leaves no folder behind
     processes.wait()
     network = network.to(device)
     if recipe.loop.channels_last:
@@ -138,6 +147,7 @@ def _train(
         num_workers=recipe.data.workers,
         prefetch_factor=3 if recipe.data.workers else None,
         pin_memory=device.type == "cuda",
+        worker_init_fn=_start_worker,
     )
     training_info = {
         "data": [item.name for item in recipe.data.source],
@@ -158,6 +168,16 @@ def _train(
             info = {**training_info, "step": step}
             save_checkpoint(out / LAST, network, training=info, trainer=trainer)
 
+    def save_averaged(path: Path) -> None:
+        share = recipe.loop.logit_adjustment
+        save_checkpoint(
+            path,
+            network,
+            training={**training_info, "step": step},
+            state_dict=adjust_logits(averaged.state_dict(), weights, share),
+        )
+
+    scores = ScoreTable(out / SCORES, step) if processes.is_first else None
     last_step = steps if stop_after is None else min(steps, stop_after)
     with (
         _Board(out / TENSORBOARD if processes.is_first else None, step) as board,
@@ -171,7 +191,7 @@ def _train(
     ):
         network.train()
         batches = iter(loader)
-        while step < last_step:
+        while step < last_step and not processes.any(stop()):
             rate = learning_rate(recipe.schedule, recipe.optimizer.learning_rate, step)
             for group in optimizer.param_groups:
                 group["lr"] = rate
@@ -217,19 +237,15 @@ def _train(
                 progress.set_postfix(loss=f"{sums['total'].item():.3f}")
             # Before the checkpoint: a run killed meanwhile comes here again.
             if validation and (step % recipe.validation.every == 0 or step == steps):
-                _validate(averaged, validation, recipe, processes, board, step)
+                figures = _validate(averaged, validation, recipe, processes, board, step)
+                if scores is not None and scores.add(step, figures, recipe.validation.best):
+                    save_averaged(out / BEST)
                 network.train()
             if step % recipe.loop.checkpoint_every == 0:
                 save_last()
     save_last()
     if step == steps and processes.is_first:
-        share = recipe.loop.logit_adjustment
-        save_checkpoint(
-            out / FINAL,
-            network,
-            training={**training_info, "step": step},
-            state_dict=adjust_logits(averaged.state_dict(), weights, share),
-        )
+        save_averaged(out / FINAL)
     processes.wait()  # whoever reads the file next finds it
     return out / (FINAL if step == steps else LAST)  # stopped early: nothing to ship yet
 
@@ -266,14 +282,20 @@ def _validate(
     processes: Processes,
     board: _Board,
     step: int,
-) -> None:
+) -> dict[str, dict[str, float]]:
     """Score the network, each process its share of the frames; show figures and pictures."""
     lidar = LidarInput.parse(recipe.validation.lidar)
     scores = score_sources(network, sources, processes, lidar=lidar)
-    board.add_scalars({f"validation/{name}": score for name, score in scores.items()}, step)
+    shown = {
+        f"{name}/{key}": figures[key]
+        for name, figures in scores.items()
+        for key in SHOWN
+        if key in figures
+    }
+    board.add_scalars({f"validation/{name}": score for name, score in shown.items()}, step)
     if not processes.is_first:
-        return
-    text = ", ".join(f"{name} {score:.4f}" for name, score in scores.items())
+        return scores
+    text = ", ".join(f"{name} {score:.4f}" for name, score in shown.items())
     tqdm.write(f"step {step}: {text}", file=sys.stderr)
     for name, source in sources.items():
         pictures = draw_pictures(
@@ -285,6 +307,14 @@ def _validate(
         )
         for frame, picture in pictures:
             board.add_picture(f"{name}/{frame}", picture, step)
+    return scores
+
+
+def _start_worker(_: int) -> None:
+    """Set up a process of the loader, whichever way it was started."""
+    leave_signals_to_parent()
+    # OpenCV's threads would compete with those of the training.
+    cv2.setNumThreads(0)
 
 
 def _compute_loss(
@@ -346,9 +376,7 @@ def _resume(
     if not path.is_file():
         return 0
     checkpoint = load_checkpoint(path)
-    known = {key: checkpoint.training.get(key) for key in resolved}
-    if to_text(known) != to_text(resolved):
-        raise InputError(f"{path}: is of a training with another recipe. Choose another --out.")
+    require_same(checkpoint.training, resolved, path)
     network.load_state_dict(checkpoint.model.state_dict())
     try:
         average.load_state_dict(checkpoint.trainer["average"])

@@ -194,13 +194,21 @@ class ValidationRecipe:
     source: Annotated[tuple[AnySource, ...], Field(max_length=100)] = ()
     #: Frames of each set, evenly spread, that TensorBoard shows as pictures.
     pictures: Annotated[int, Field(ge=0, le=1000)] = 3
+    #: The score that best.pt has the best of, "SET/FIGURE" as "camvid/miou", columns of scores.csv.
+    #: "" = of the first set: miou, or mae_m where it has no labels.
+    best: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse sets whose scores would share a name, with a ValueError that names the key."""
+        """Refuse sets that are mixed up, with a ValueError that names the key."""
         paths = [item.name for item in self.source]
         twice = sorted({path for path in paths if paths.count(path) > 1})
         if twice:
             raise ValueError(f"source has {twice[0]!r} twice; scores are named by the path")
+        if self.best and self.best.rpartition("/")[0] not in paths:
+            raise ValueError(
+                f"best = {self.best!r}; expected SET/FIGURE of one of the sets {paths}, for "
+                "example 'camvid/miou'"
+            )
 
 
 @dataclass(frozen=True, config=STRICT)

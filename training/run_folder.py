@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,36 +13,87 @@ from torch import Tensor
 from runtime.atomic_write import atomic_write
 from runtime.errors import InputError, SSDNetError
 from training.distributed import Processes
+from training.recipe import Recipe, build
 
 RECIPE = "recipe.json"
 LAST = "last.pt"
 FINAL = "model.pt"
+BEST = "best.pt"
+SCORES = "scores.csv"
 NON_FINITE = "non_finite.json"
 TENSORBOARD = "tensorboard"
+
+#: What a run may go on with in another way: its weights stay the same.
+_WITHOUT_EFFECT = (
+    "recipe.data.workers",
+    "recipe.data.cache_gib",
+    "recipe.loop.checkpoint_every",
+    "recipe.loop.log_every",
+    "recipe.terms",
+    "recipe.validation",
+)
 
 
 class NonFiniteLossError(SSDNetError):
     """The loss became NaN or infinite; names the step and the file with the frames."""
 
 
-def claim(out: Path, resolved: Mapping[str, Any]) -> None:
-    """Make ``out`` this training's folder, or say that it is another's."""
+def prepare_folder(out: Path, resolved: Mapping[str, Any]) -> None:
+    """Make ``out`` this training's folder, or say in what it is another's. Raises InputError."""
     path = out / RECIPE
-    text = to_text(resolved)
     try:
         if path.is_file():
-            if path.read_text(encoding="utf-8") != text:
-                raise InputError(
-                    f"{out}: holds a training with another recipe (see its recipe.json). "
-                    "Choose another --out, or the recipe it was started with."
-                )
-            return
+            require_same(_read_json(path), resolved, path)
         out.mkdir(parents=True, exist_ok=True)
-        atomic_write(path, text.encode())
+        atomic_write(path, to_text(resolved).encode())
     except OSError as error:
         raise InputError(
             f"{out}: cannot be written: {error.strerror}. Choose another --out."
         ) from error
+
+
+def require_same(before: Mapping[str, Any], now: Mapping[str, Any], path: Path) -> None:
+    """Raise InputError that names the first key in which two trainings differ in their result.
+
+    A key that a recipe of before does not have counts with its default.
+    """
+    try:
+        recipe = asdict(build(Recipe, before.get("recipe")))
+    except InputError as error:
+        raise InputError(
+            f"{path}: is of a training with another recipe, which is none here: {error} Choose "
+            "another --out."
+        ) from error
+    old = _flatten({**{key: before.get(key) for key in now}, "recipe": recipe})
+    new = _flatten(now)
+    for key in [*old, *(key for key in new if key not in old)]:
+        if old.get(key) != new.get(key) and not key.startswith(_WITHOUT_EFFECT):
+            raise InputError(
+                f"{path}: is of a training with another recipe: {key.removeprefix('recipe.')} was "
+                f"{old.get(key)!r}, now it is {new.get(key)!r}. Choose another --out, or what it "
+                "was started with."
+            )
+
+
+def _flatten(value: Any, place: str = "") -> dict[str, Any]:
+    """Every value by its place: {"recipe.data.source[0].path": ...}."""
+    if isinstance(value, Mapping):
+        parts = [(f"{place}.{key}".removeprefix("."), item) for key, item in value.items()]
+    elif isinstance(value, list | tuple):
+        parts = [(f"{place}[{index}]", item) for index, item in enumerate(value)]
+    else:
+        return {place: value}
+    return {key: item for name, part in parts for key, item in _flatten(part, name).items()}
+
+
+def _read_json(path: Path) -> Mapping[str, Any]:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(f"{path}: is no JSON ({error}). Choose another --out.") from error
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: holds no recipe. Choose another --out.")
+    return document
 
 
 def to_text(resolved: Mapping[str, Any]) -> str:

@@ -463,7 +463,7 @@ def test_final_checkpoint_is_adjusted_and_the_resumable_one_is_not(data, tmp_pat
     ("changes", "device", "text"),
     [
         ({"model": ModelRecipe("foo")}, "cpu", "unknown model 'foo'"),
-        ({}, "nowhere", "device 'nowhere' cannot be had"),
+        ({}, "nowhere", "device 'nowhere' is not there"),
     ],
 )
 def test_what_cannot_start_leaves_no_folder(data, tmp_path, changes, device, text):

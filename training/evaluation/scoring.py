@@ -181,24 +181,20 @@ def score_sources(
     processes: Processes,
     *,
     lidar: LidarInput,
-) -> dict[str, float]:
-    """Score a network on validation sets: mIoU where there are labels, MAE and RMSE where depth.
+) -> dict[str, dict[str, float]]:
+    """Score a network on validation sets: the figures of each, see `Scores.figures`.
 
     Every process scores its share of the frames and gets the figures of all. Raises InputError for
     a LiDAR that a set cannot give.
     """
     predict = torch_predict(network)
-    result: dict[str, float] = {}
+    names = [info.name for info in network.config.classes]
+    result: dict[str, dict[str, float]] = {}
     for name, source in sources.items():
         share = range(processes.rank, len(source), processes.count)
         frames = split_frames(source, share, lidar)
         parts = processes.gather(score(predict, frames, num_classes=network.config.num_classes))
         for part in parts[1:]:
             parts[0].merge(part)
-        figures = parts[0].figures()
-        result |= {
-            f"{name}/{key}": figures[key]
-            for key in ("miou", "mae_m", "rmse_m", "boundary_f")
-            if key in figures
-        }
+        result[name] = parts[0].figures(names)
     return result

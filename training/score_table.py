@@ -1,0 +1,79 @@
+"""The scores of every validation as a table, and which of them is the best."""
+
+import csv
+import io
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from runtime.atomic_write import atomic_write
+from runtime.errors import InputError
+
+#: What progress and TensorBoard show of a set's figures.
+SHOWN = ("miou", "mae_m", "rmse_m", "boundary_f")
+#: Figures that start so are errors: the smaller the better.
+_ERRORS = ("mae", "rmse", "imae", "irmse")
+
+
+class ScoreTable:
+    """A file of a row a step and set: "step", "set", and a column a figure.
+
+    What it has of steps beyond ``step`` is of an interrupted run that comes there again: it is left
+    out. Raises InputError for a file that is none of these.
+    """
+
+    def __init__(self, path: Path, step: int) -> None:
+        self._path = path
+        self._rows: list[dict[str, str]] = []
+        if not path.is_file():
+            return
+        try:
+            with path.open(encoding="utf-8", newline="") as stream:
+                rows = list(csv.DictReader(stream))
+            self._rows = [row for row in rows if int(row["step"]) <= step and row["set"]]
+        except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
+            raise InputError(
+                f"{path}: is no table of scores ({type(error).__name__}: {error}). Move it away."
+            ) from error
+
+    def add(self, step: int, scores: Mapping[str, Mapping[str, float]], best: str) -> bool:
+        """Write the scores of a step; return whether the score ``best`` is the best so far.
+
+        ``best`` is "SET/FIGURE", or "" for the first set's miou or, without labels, mae_m. Raises
+        InputError for a figure that the set does not have, OutputError for what cannot be written.
+        """
+        name, figure = _choose(scores, best)
+        before = [
+            float(row[figure]) for row in self._rows if row["set"] == name and row.get(figure)
+        ]
+        self._rows += [
+            {"step": str(step), "set": item, **{key: repr(value) for key, value in figures.items()}}
+            for item, figures in scores.items()
+        ]
+        columns = dict.fromkeys(key for row in self._rows for key in row)
+        text = io.StringIO(newline="")
+        writer = csv.DictWriter(text, list(columns), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self._rows)
+        atomic_write(self._path, text.getvalue().encode())
+        if not figure:
+            return False
+        sign = -1 if figure.startswith(_ERRORS) else 1
+        now = sign * scores[name][figure]
+        return not math.isnan(now) and all(
+            now > sign * value for value in before if not math.isnan(value)
+        )
+
+
+def _choose(scores: Mapping[str, Mapping[str, float]], best: str) -> tuple[str, str]:
+    """Set and figure; an empty figure where the first set has neither labels nor depth."""
+    if best:
+        name, _, figure = best.rpartition("/")
+        if figure not in scores[name]:
+            raise InputError(
+                f"validation.best = {best!r}; {name} has {', '.join(scores[name])}. Choose one; "
+                "the run can go on."
+            )
+        return name, figure
+    name = next(iter(scores))
+    return name, next((figure for figure in ("miou", "mae_m") if figure in scores[name]), "")
