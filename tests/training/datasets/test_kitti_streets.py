@@ -1,0 +1,127 @@
+"""KITTI's streets on small files in their layout: scan and stereo truth side by side."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from layouts.kitti_streets import HEIGHT, WIDTH, write_streets
+from layouts.pictures import write
+from runtime.errors import DatasetError
+from training.datasets.kitti_streets import KittiStreets
+from training.lidar.split import LidarInput, frame_generator, split_lidar
+from training.loading.open_dataset import open_dataset
+from training.recipe import AnySource, build
+
+DATA = Path(os.environ.get("SSDNET_DATA", "")) / "kitti_streets"
+
+
+@pytest.fixture
+def streets(tmp_path):
+    write_streets(tmp_path)
+    return tmp_path
+
+
+def test_the_scan_is_the_input_and_the_disparity_the_target(streets):
+    sample = KittiStreets(streets)[0]
+    assert sample.name == "kitti_streets/000002"
+    assert sample.rgb.shape == (HEIGHT, WIDTH, 3)
+    assert np.abs(sample.rgb.astype(int) - (200, 20, 40)).max() <= 4  # JPEG
+    assert sample.depth.dtype == sample.sparse_depth.dtype == np.float32
+    assert (sample.depth[:, :8] == 10.0).all()  # 40 px m / 4 px
+    assert not sample.depth[:, 8:].any()
+    assert {
+        (int(u), int(v)): sample.scan_line[v, u] for v, u in np.argwhere(sample.sparse_depth)
+    } == {(u, v): line for line, v in enumerate((1, 3, 5, 7)) for u in (2, 6, 12)}
+    assert sample.sparse_depth[1, 12] == pytest.approx(10.0)
+    assert ((sample.scan_line >= 0) == (sample.sparse_depth > 0)).all()
+    assert sample.intrinsics.tolist() == [[10, 0, 8], [0, 10, 4], [0, 0, 1]]
+    assert sample.focal_baseline_px_m == 40
+    assert (sample.semantic == 255).all()
+
+
+def test_the_lines_asked_for_are_fed_and_the_whole_truth_is_scored(streets):
+    sample = KittiStreets(streets)[0]
+    for text, lines in (("own", 4), ("64", 4), ("32", 2), ("16", 1), ("none", 0)):
+        frame = split_lidar(sample, LidarInput.parse(text), frame_generator(0))
+        assert np.count_nonzero(frame.fed) == 3 * lines, text
+        assert frame.target is sample.depth
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "names"),
+    [(0, None, ["2", "3", "7"]), (3, None, ["3", "7"]), (0, 3, ["2", "3"]), (4, 7, ["7"])],
+)
+def test_blocks_are_of_numbers_not_of_places(streets, first, last, names):
+    keys = {"kind": "kitti_streets", "path": streets.name, "first": first}
+    recipe = build(AnySource, keys if last is None else {**keys, "last": last})
+    source = open_dataset(recipe, [streets.parent], classes="camvid")
+    assert [source[index].name for index in range(len(source))] == [
+        f"kitti_streets/00000{name}" for name in names
+    ]
+
+
+def test_images_as_they_were_published_are_read_too(tmp_path):
+    write_streets(tmp_path, suffix=".png")
+    assert (KittiStreets(tmp_path)[0].rgb == (200, 20, 40)).all()
+
+
+@pytest.mark.parametrize(
+    ("lost", "text"),
+    [
+        ("image_02", "image_02: no such folder"),
+        ("velodyne_fov", "velodyne_fov: no such folder"),
+        ("disp_occ_0/000003.png", r"disp_occ_0/000003\.png: missing \(1 of 3"),
+        ("velodyne_fov/000007.bin", r"velodyne_fov/000007\.bin: missing"),
+        ("calib.txt", r"cannot read the calibration .*calib\.txt"),
+    ],
+)
+def test_missing_parts_are_named(streets, lost, text):
+    (streets / lost).rename(streets / "elsewhere")
+    with pytest.raises(DatasetError, match=text):
+        KittiStreets(streets)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("fb_disp: 40", "", "no line 'fb_disp:'"),
+        ("fb_disp: 40", "fb_disp: 0", "fb_disp is 0.0, expected a positive"),
+        ("fb_disp: 40", "fb_disp: nan", "'fb_disp' holds NaN"),
+        ("P2: 10", "P2: ", "'P2' has 11 numbers, expected 12"),
+        ("R0_rect: 1", "R0_rect: one", "'R0_rect' holds something not a number"),
+    ],
+)
+def test_broken_calibrations_are_named(streets, old, new, text):
+    path = streets / "calib.txt"
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(DatasetError, match=rf"calib\.txt.*{text}"):
+        KittiStreets(streets)
+
+
+def test_other_numbers_sizes_and_kinds_are_named(streets):
+    with pytest.raises(DatasetError, match=r"3 frames, none of them numbered 8\.\.None"):
+        KittiStreets(streets, first=8)
+    truth = streets / "disp_occ_0" / "000002.png"
+    write(truth, np.zeros((HEIGHT, WIDTH + 1), np.uint16))
+    with pytest.raises(DatasetError, match=r"000002\.png"):
+        KittiStreets(streets)[0]
+    write(truth, np.zeros((HEIGHT, WIDTH), np.uint8))
+    with pytest.raises(DatasetError, match=r"000002\.png: expected one channel of uint16"):
+        KittiStreets(streets)[0]
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="SSDNET_DATA names no folder with kitti_streets")
+def test_recorded_streets_agree_with_their_truth():
+    training, validation = KittiStreets(DATA, last=81), KittiStreets(DATA, first=83, last=98)
+    assert (len(training), len(validation)) == (77, 15)
+    for index in (0, 7, 14):
+        sample = validation[index]
+        assert sample.size == (375, 1242)
+        assert sample.scan_line.max() == 45  # of the 64 lines, those in the camera's view
+        assert 0.03 < np.mean(sample.sparse_depth > 0) < 0.05
+        assert 0.1 < np.mean(sample.depth > 0) < 0.3
+        both = (sample.sparse_depth > 0) & (sample.depth > 0)
+        error = np.abs(sample.sparse_depth[both] / sample.depth[both] - 1)
+        assert np.median(error) < 0.01

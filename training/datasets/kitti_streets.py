@@ -1,0 +1,111 @@
+"""Streets of KITTI stereo 2015 (Menze and Geiger 2015), each with its whole LiDAR scan."""
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic.dataclasses import dataclass
+
+from runtime.errors import DatasetError
+from training.datasets.class_mapping import ClassTable
+from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
+from training.datasets.kitti_calibration import CalibrationFile, chain, read_points
+from training.datasets.sample import IGNORE, Sample
+from training.datasets.source import SourceRecipe
+from training.datasets.virtual_kitti import require_partners
+from training.lidar.scan import project_lines
+from training.limits import STRICT, Index
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class KittiStreetsRecipe(SourceRecipe):
+    """What a recipe says about KITTI's streets."""
+
+    kind: Literal["kitti_streets"] = "kitti_streets"
+    #: First and last number of the frames taken, inclusive. Neighbours often show one place:
+    #: validate on another block of numbers than the one trained on.
+    first: Index = 0
+    last: Index | None = None
+
+    def open(self, folder: Path, classes: ClassTable) -> "KittiStreets":
+        """See `SourceRecipe.open`."""
+        return KittiStreets(folder, first=self.first, last=self.last)
+
+
+class KittiStreets:
+    """Frames numbered ``first`` .. ``last`` (inclusive) of ``root/image_02/<number>.jpg`` or .png.
+
+    The input is the scan of the frame, ``velodyne_fov/<number>.bin``, with its scan lines, so that
+    any of them can be fed. The target beside it is ``disp_occ_0/<number>.png``: a stereo disparity
+    of d = p / 256 px for a 16-bit pixel p > 0, measured by seven scans and by models fitted to
+    moving cars; depth is ``fb_disp`` / d. ``calib.txt`` has P2, R0_rect, Tr_velo_to_cam and fb_disp
+    (focal length times baseline, px m) of all frames. No classes. Raises DatasetError for missing
+    folders, files or calibrations, no frame of these numbers, and files of another kind or size.
+    """
+
+    def __init__(self, root: Path | str, *, first: int = 0, last: int | None = None) -> None:
+        self._root = Path(root)
+        images = require_folder(self._root / "image_02", "the streets' images")
+        found = sorted(
+            path
+            for path in images.iterdir()
+            if path.suffix in {".jpg", ".png"} and path.stem.isdecimal()
+        )
+        self._images = [
+            path
+            for path in found
+            if first <= int(path.stem) and (last is None or int(path.stem) <= last)
+        ]
+        if not self._images:
+            raise DatasetError(
+                f"{images}: {len(found)} frames, none of them numbered {first}..{last}."
+            )
+        for folder, suffix in (("velodyne_fov", ".bin"), ("disp_occ_0", ".png")):
+            partners = require_folder(self._root / folder, f"{folder}'s {suffix} files")
+            require_partners(partners, [f"{path.stem}{suffix}" for path in self._images])
+        self._intrinsics, self._extrinsics, self._focal_baseline = _read_calibration(
+            self._root / "calib.txt"
+        )
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __getitem__(self, index: int) -> Sample:
+        path = self._images[index]
+        rgb = read_rgb(path)
+        size = (rgb.shape[0], rgb.shape[1])
+        truth = self._root / "disp_occ_0" / f"{path.stem}.png"
+        disparity = read_gray(truth, np.uint16)
+        require_size(truth, disparity.shape, size)
+        points = read_points(self._root / "velodyne_fov" / f"{path.stem}.bin")
+        sparse_depth, scan_line = project_lines(points, self._intrinsics, self._extrinsics, size)
+        return Sample(
+            rgb=rgb,
+            depth=_to_depth(disparity, self._focal_baseline),
+            semantic=np.full(size, IGNORE, dtype=np.uint8),
+            intrinsics=self._intrinsics,
+            name=f"kitti_streets/{path.stem}",
+            sparse_depth=sparse_depth,
+            scan_line=scan_line,
+            focal_baseline_px_m=self._focal_baseline,
+        )
+
+
+def _to_depth(stored: NDArray[np.uint16], focal_baseline: float) -> NDArray[np.float32]:
+    """Metres of a picture of disparities in 1/256 px, 0 = unknown."""
+    depth = np.zeros(stored.shape, dtype=np.float32)
+    np.divide(np.float32(256 * focal_baseline), stored, out=depth, where=stored > 0)
+    return depth
+
+
+def _read_calibration(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Intrinsics (3, 3), extrinsics (4, 4) from the LiDAR to the camera, and px m."""
+    numbers = CalibrationFile(path)
+    rectify, velo_to_cam = np.eye(4), np.eye(4)
+    rectify[:3, :3] = numbers.matrix("R0_rect", 3, 3)
+    velo_to_cam[:3] = numbers.matrix("Tr_velo_to_cam", 3, 4)
+    focal_baseline = float(numbers.matrix("fb_disp", 1)[0])
+    if not focal_baseline > 0:
+        raise DatasetError(f"{path}: fb_disp is {focal_baseline}, expected a positive number.")
+    return *chain(numbers.matrix("P2", 3, 4), rectify, velo_to_cam), focal_baseline
