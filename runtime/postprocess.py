@@ -14,14 +14,13 @@ from runtime.prediction import (
     SEMANTIC_UNKNOWN_CLASS,
 )
 from runtime.preprocess import NetworkInput
-from runtime.resize import resize_image, resize_nearest
+from runtime.resize import resize_answer
 
 _FLOAT_HEADS = {
     "depth": DEPTH_NOT_FINITE,
     "boundary": BOUNDARY_NOT_FINITE,
     "semantic_logits": LOGITS_NOT_FINITE,
 }
-_NEAREST = ("semantic", "depth")  # classes and depths are never mixed; the other heads are
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +42,7 @@ def postprocess(
     found = faults(outputs, num_classes=num_classes)
     if frame.network_size != frame.frame_size:
         outputs = {
-            head: resize_output(head, values, frame.frame_size) for head, values in outputs.items()
+            head: resize_answer(head, values, frame.frame_size) for head, values in outputs.items()
         }
     return Answers(outputs, found)
 
@@ -66,10 +65,3 @@ def faults(outputs: Mapping[str, NDArray[Any]], *, num_classes: int) -> tuple[st
 def _all_finite(values: NDArray[Any]) -> bool:
     # NaN and Inf reach the minimum or the maximum: half the time of np.isfinite(values).all().
     return bool(np.isfinite(values.min()) and np.isfinite(values.max()))
-
-
-def resize_output(head: str, values: NDArray[Any], size: tuple[int, int]) -> NDArray[Any]:
-    """Resize one head, (H, W) or (C, H, W), to `size` (height, width) by the contract's rule."""
-    if values.ndim == 3:
-        return np.stack([resize_output(head, plane, size) for plane in values])
-    return resize_nearest(values, size) if head in _NEAREST else resize_image(values, size)

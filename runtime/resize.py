@@ -16,6 +16,20 @@ from numpy.typing import NDArray
 
 Size = tuple[int, int]  # (height, width)
 
+_NEVER_MIXED = ("semantic", "depth")  # heads
+
+
+def resize_answer(head: str, values: NDArray[Any], size: Size) -> NDArray[Any]:
+    """Resize one head of a network, (H, W) or (C, H, W), to `size`.
+
+    Classes and depths take the nearest pixel: a mixture of two is neither. Probabilities and scores
+    go as pictures do.
+    """
+    if values.ndim == 3:
+        return np.stack([resize_answer(head, plane, size) for plane in values])
+    resize = resize_nearest if head in _NEVER_MIXED else resize_image
+    return resize(values, size)
+
 
 def resize_image(image: NDArray[Any], size: Size) -> NDArray[Any]:
     """Resize a picture or a map of probabilities or scores, (H, W) or (H, W, C), to `size`.

@@ -40,6 +40,14 @@ def evaluate(
     ] = False,
     device: Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")] = "cpu",
     threads: Annotated[int, typer.Option(min=1, help="Threads of the processor.")] = 2,
+    size: Annotated[
+        str,
+        typer.Option(
+            help="Size at which models of free size run: auto (about the height they were trained "
+            "for, where a frame is much larger), frame (the frame's own), ROWS, or HEIGHTxWIDTH. "
+            "Scored at the frame's size."
+        ),
+    ] = "auto",
     limit: Annotated[
         int | None, typer.Option(min=1, help="Frames of each set, evenly spread.")
     ] = None,
@@ -51,6 +59,7 @@ def evaluate(
     """Score models on data sets; prints a table."""
     try:
         # Heavy imports here, so that --help answers at once.
+        from runtime.network_size import parse_network_size
         from training.evaluation.evaluate import evaluate as run
         from training.evaluation.report import (
             draw_lidar_quality,
@@ -72,6 +81,7 @@ def evaluate(
             with_baselines=baselines,
             device=device,
             threads=threads,
+            size=parse_network_size(size),
             limit=limit,
         )
         typer.echo(format_table(rows))

@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from models import CLASS_TABLES
 from runtime.errors import InputError
+from runtime.network_size import NetworkSize
 from training.datasets.sample import SampleSource
 from training.datasets.source import SourceRecipe
 from training.evaluation.baselines import BASELINES
@@ -30,6 +31,7 @@ def evaluate(
     with_baselines: bool = False,
     device: str = "cpu",
     threads: int = 2,
+    size: NetworkSize = None,
     limit: int | None = None,
 ) -> list[Row]:
     """Score models and, if asked for, baselines without one.
@@ -38,7 +40,8 @@ def evaluate(
     says `training.lidar.split`; a set that cannot give one has no row with it. Where nothing was
     fed in any frame of a set there is one row, with the LiDAR "none" and no fault, whatever was
     asked for. Every model gets the same inputs, whatever else is asked for. ``limit`` takes that
-    many frames of a set, evenly spread.
+    many frames of a set, evenly spread. ``size`` is that at which every model runs, as
+    `Predictor` takes it.
 
     Raises DatasetError, InputError, CheckpointError, ContractError and ProviderError for what
     cannot be opened, InputError if nothing could be scored.
@@ -46,7 +49,7 @@ def evaluate(
     rows: list[Row] = []
     with ExitStack() as stack:
         opened = {
-            path: stack.enter_context(open_model(path, device=device, threads=threads))
+            path: stack.enter_context(open_model(path, device=device, threads=threads, size=size))
             for path in models
         }
         model_names = short_names(list(opened))

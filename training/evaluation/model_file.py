@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from models import CLASS_TABLES, load_checkpoint
 from runtime.contract import ClassInfo
 from runtime.errors import InputError, SSDNetError
+from runtime.network_size import NetworkSize, check_network_size, network_size
 from runtime.predictor import Predictor
+from runtime.resize import move_returns, resize_answer, resize_image
 from training.datasets.class_mapping import ClassTable
 from training.evaluation.baselines import Fill
 from training.evaluation.scoring import Answer, Predict, torch_predict
@@ -50,9 +52,12 @@ class ScoredModel:
 
 
 @contextmanager
-def open_model(path: Path, *, device: str = "cpu", threads: int = 2) -> Iterator[ScoredModel]:
+def open_model(
+    path: Path, *, device: str = "cpu", threads: int = 2, size: NetworkSize = None
+) -> Iterator[ScoredModel]:
     """Open ``*.pt`` through PyTorch, ``*.onnx`` through the engine that ships.
 
+    Either runs at ``size`` as `Predictor` takes it, by default about the height it was trained for.
     Raises InputError for another kind of file, CheckpointError, ContractError and ProviderError for
     what cannot be opened.
     """
@@ -64,8 +69,9 @@ def open_model(path: Path, *, device: str = "cpu", threads: int = 2) -> Iterator
             network = network.to(device)
         except (RuntimeError, AssertionError) as error:
             raise InputError(f"device {device!r} cannot be had: {error}.") from error
+        asked = check_network_size(size, fixed=False)
         yield ScoredModel(
-            torch_predict(network),
+            _at_network_size(torch_predict(network), asked, checkpoint.trained_height),
             network.config.classes,
             f"torch on {device}",
             checkpoint.training,
@@ -73,7 +79,9 @@ def open_model(path: Path, *, device: str = "cpu", threads: int = 2) -> Iterator
     elif path.suffix == ".onnx":
         provider = "cuda" if device.startswith("cuda") else "cpu"
         card = int(device.partition(":")[2] or 0)
-        with Predictor(path, provider=provider, device_id=card, threads=threads) as predictor:
+        with Predictor(
+            path, provider=provider, device_id=card, size=size, threads=threads
+        ) as predictor:
             contract = predictor.contract
             yield ScoredModel(
                 engine_predict(predictor),
@@ -83,6 +91,25 @@ def open_model(path: Path, *, device: str = "cpu", threads: int = 2) -> Iterator
             )
     else:
         raise InputError(f"{path}: expected a checkpoint (*.pt) or an exported model (*.onnx).")
+
+
+def _at_network_size(predict: Predict, asked: NetworkSize, trained_height: int | None) -> Predict:
+    """Let a predictor run at the size by the engine's rule, and answer at the frame's."""
+
+    def resized(rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32]) -> Answer:
+        frame_size = sparse_depth.shape
+        size = network_size(asked, frame_size, trained_height=trained_height)
+        if size == frame_size:
+            return predict(rgb, sparse_depth)
+        answer = predict(resize_image(rgb, size), move_returns(sparse_depth, size))
+        return Answer(
+            **{
+                head: None if values is None else resize_answer(head, values, frame_size)
+                for head, values in answer._asdict().items()
+            }
+        )
+
+    return resized
 
 
 def fill_predict(fill: Fill) -> Predict:

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from export.exporter import export_checkpoint
-from models import create_model, save_checkpoint
+from models import create_model, load_checkpoint, save_checkpoint
 from runtime.errors import InputError
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
@@ -88,6 +88,34 @@ def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, tmp_
     assert "miou" in camvid[0]["figures"]
     assert cv2.imread(str(plot)).shape[0] > 200
     assert "| lite.onnx" in result.output
+
+
+def test_checkpoint_and_export_run_at_one_size(folder, tmp_path):
+    """Frames of 64 rows for a network trained on 40: shrunk for both, unless asked otherwise."""
+    network = load_checkpoint(folder / "lite.pt").model
+    save_checkpoint(tmp_path / "a.pt", network, training={"trained_height": 40})
+    export_checkpoint(tmp_path / "a.pt", tmp_path / "a.onnx", size=(64, 96), dynamic=True)
+    data = ["--data", f"rendered:{folder}/scenes", "--json", tmp_path / "rows.json"]
+    figures = {}
+    for size in ("auto", "frame", "40", "48x80"):
+        result = run(tmp_path / "a.pt", tmp_path / "a.onnx", *data, "--size", size)
+        assert result.exit_code == 0, result.output
+        torch_row, file_row = json.loads((tmp_path / "rows.json").read_text())
+        assert file_row["figures"]["mae_m"] == pytest.approx(torch_row["figures"]["mae_m"], 1e-4)
+        assert file_row["figures"]["miou"] == pytest.approx(torch_row["figures"]["miou"], 1e-2)
+        figures[size] = torch_row["figures"]
+    assert figures["auto"] == figures["40"]
+    assert figures["auto"]["mae_m"] != figures["frame"]["mae_m"] != figures["48x80"]["mae_m"]
+
+
+def test_a_file_of_fixed_size_is_scored_at_no_other(folder):
+    data = ["--data", f"camvid:{folder}/camvid,split=val"]
+    result = run(folder / "lite.onnx", *data, "--size", "frame")
+    assert result.exit_code == 1
+    assert "the model is of fixed size" in result.output
+    result = run(folder / "lite.pt", *data, "--size", "large")
+    assert result.exit_code == 1
+    assert "--size 'large'" in result.output
 
 
 def test_limit_takes_so_many_frames(folder, tmp_path):
