@@ -5,6 +5,7 @@ from torch import Tensor, nn
 
 from models import Network
 from models.blocks import upsample
+from runtime.contract import NO_CLASS
 
 
 class DeployGraph(nn.Module):
@@ -31,8 +32,8 @@ class DeployGraph(nn.Module):
 
         rgb: uint8 (N, H, W, 3), red first. sparse_depth: float32 (N, H, W), metres; what is no
         measurement is masked by the network. Returns, as far as the network has the head:
-        semantic uint8 (N, H, W), depth float32 (N, H, W) in metres, boundary float32 (N, H, W) in
-        0..1, semantic_logits float32 (N, C, H, W).
+        semantic uint8 (N, H, W), NO_CLASS where its scores are not finite, depth float32 (N, H, W)
+        in metres, boundary float32 (N, H, W) in 0..1, semantic_logits float32 (N, C, H, W).
         """
         config = self.model.config
         height, width = rgb.shape[1], rgb.shape[2]
@@ -63,11 +64,15 @@ class DeployGraph(nn.Module):
 
 
 def _best_class(logits: Tensor) -> Tensor:
-    """Class ids uint8 (N, H, W) of (N, C, H, W).
+    """Class ids uint8 (N, H, W) of (N, C, H, W); NO_CLASS where a score is NaN or Inf.
 
-    The reshape keeps the classes innermost: without it ONNX Runtime moves the transposition
-    behind the ArgMax, which then strides through memory and takes twice as long.
+    An arg-max says nothing about NaN, and whoever runs the file shall see it. The reshape keeps the
+    classes innermost: without it ONNX Runtime moves the transposition behind the ArgMax, which
+    then strides through memory and takes twice as long.
     """
     batch, classes, height, width = logits.shape
-    ids = logits.permute(0, 2, 3, 1).reshape(-1, classes).argmax(dim=1)
-    return ids.to(torch.uint8).reshape(batch, height, width)
+    scores = logits.permute(0, 2, 3, 1).reshape(-1, classes)
+    finite = scores.sum(dim=1) * 0 == 0  # NaN and Inf reach the sum, and times 0 both are NaN
+    ids = scores.argmax(dim=1).to(torch.uint8)
+    ids = torch.where(finite, ids, torch.tensor(NO_CLASS, dtype=torch.uint8))
+    return ids.reshape(batch, height, width)

@@ -1,6 +1,7 @@
 """Checkpoint in, one verified ONNX file out."""
 
 import hashlib
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any, BinaryIO
 
 import onnx
 import torch
+from torch import nn
 
 from export.deploy import DeployGraph
 from export.errors import ExportError
@@ -55,8 +57,8 @@ def export_checkpoint(
 
     Raises CheckpointError for a checkpoint that cannot be read, InputError for a size that cannot
     be, OutputError for a target that exists (without ``overwrite``) or cannot be written, and
-    ExportError if the graph cannot be made or differs from PyTorch by more than rounding. Nothing
-    is left on disk then; an older file of that name stays.
+    ExportError for weights that are not finite, or if the graph cannot be made or differs from
+    PyTorch by more than rounding. Nothing is left on disk then; an older file of that name stays.
     """
     size = size or DEFAULT_SIZE
     try:
@@ -66,6 +68,7 @@ def export_checkpoint(
     target = Path(onnx_path)
     _check_target(target, Path(checkpoint_path), overwrite=overwrite)
     checkpoint = load_checkpoint(checkpoint_path)
+    _require_finite(checkpoint.model)
     graph = DeployGraph(checkpoint.model, with_logits=with_logits)
     model = trace(graph, size=size, dynamic=dynamic, opset=opset)
     contract = _contract(checkpoint, _digest(checkpoint_path), size=size, opset=opset)
@@ -88,6 +91,21 @@ def _check_target(target: Path, checkpoint: Path, *, overwrite: bool) -> None:
         raise OutputError(f"{target} exists: choose another name, or ask to overwrite it")
     if not target.parent.is_dir():
         raise OutputError(f"{target.parent} is no folder: make it first")
+
+
+def _require_finite(model: nn.Module) -> None:
+    """Raise ExportError naming the weights and buffers that hold NaN or Inf."""
+    bad = [
+        name
+        for name, values in itertools.chain(model.named_parameters(), model.named_buffers())
+        if not bool(torch.isfinite(values).all())
+    ]
+    if bad:
+        raise ExportError(
+            f"the checkpoint holds NaN or Inf in {', '.join(bad[:5])}"
+            + (f" and {len(bad) - 5} more" if len(bad) > 5 else "")
+            + ": its training went wrong, so nothing was written; take an earlier checkpoint"
+        )
 
 
 def _contract(

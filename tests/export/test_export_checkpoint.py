@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from export import exporter
 from export.cli import app
+from export.errors import ExportError
 from export.exporter import export_checkpoint
 from export.parity import measure_parity
 from export.probe_frames import probe_frames
@@ -194,6 +195,23 @@ def test_existing_file_is_replaced_only_on_demand(lite_checkpoint, tmp_path):
     assert result.exit_code == 0, result.output
     assert "max_abs_m" in result.output
     onnx.checker.check_model(str(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("semantic_head.bias", float("nan")),
+        ("stem.0.1.running_var", float("inf")),
+        ("rgb_mean", -float("inf")),
+    ],
+)
+def test_weights_that_are_not_finite_are_refused(lite, tmp_path, name, value):
+    weights = {key: tensor.clone() for key, tensor in lite.state_dict().items()}
+    weights[name].view(-1)[1] = value
+    save_checkpoint(tmp_path / "c.pt", lite, state_dict=weights)
+    with pytest.raises(ExportError, match=f"NaN or Inf in {name}: "):
+        export_checkpoint(tmp_path / "c.pt", tmp_path / "m.onnx", size=SIZE)
+    assert [path.name for path in tmp_path.iterdir()] == ["c.pt"]
 
 
 @pytest.mark.parametrize(

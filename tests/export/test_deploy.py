@@ -1,0 +1,94 @@
+"""What the deploy graph says where the network's scores are not finite."""
+
+import copy
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from export.deploy import DeployGraph
+from export.trace import trace
+from models.blocks import upsample
+from models.ssdnet import SSDNetOutput
+from runtime.contract import NO_CLASS
+from runtime.session import open_session
+
+STRIDE = 2
+
+
+class ScoresByColour(nn.Module):
+    """Scores on a grid of half the size: each colour is one, and one of 255 is not finite.
+
+    zero_at: 255 turns it into 0 / 0, NaN; 254 into 1 / 0, Inf; 256 into -1 / 0, -Inf.
+    """
+
+    config = SimpleNamespace(
+        name="by-hand", heads=("semantic",), semantic_stride=STRIDE, output_stride=STRIDE
+    )
+
+    def __init__(self, zero_at: float) -> None:
+        super().__init__()
+        self.zero_at = zero_at
+
+    def predict_coarse(self, rgb: torch.Tensor, sparse_depth: torch.Tensor) -> SSDNetOutput:
+        x = (rgb + 0 * sparse_depth)[:, :, ::STRIDE, ::STRIDE]
+        scores = (x - self.zero_at) / (x != 255).to(x.dtype)
+        return SSDNetOutput(semantic_logits=scores)
+
+
+@pytest.mark.parametrize("zero_at", [254.0, 255.0, 256.0])
+def test_a_pixel_with_scores_that_are_not_finite_has_no_class(zero_at):
+    network = ScoresByColour(zero_at)
+    session = open_session(
+        trace(DeployGraph(network), size=(32, 48), dynamic=True).SerializeToString(),
+        provider="cpu",
+        device_id=0,
+        threads=1,
+    )
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(0, 255, (3, 32, 48, 3), dtype=np.uint8)
+    for colour in range(3):
+        rgb[0, 2 * rng.integers(16), 2 * rng.integers(24), colour] = 255
+    rgb[1, 0, 0] = 255  # all scores of a corner
+    sparse_depth = np.zeros((3, 32, 48), np.float32)
+    (semantic,) = session.run(["semantic"], {"rgb": rgb, "sparse_depth": sparse_depth})
+
+    coarse = network.predict_coarse(
+        torch.from_numpy(rgb).permute(0, 3, 1, 2).float(), torch.zeros(3, 1, 32, 48)
+    )
+    scores = upsample(coarse.semantic_logits, factor=STRIDE)
+    expected = scores.argmax(dim=1).to(torch.uint8).numpy()
+    expected[~torch.isfinite(scores).all(dim=1).numpy()] = NO_CLASS
+    assert (semantic == expected).all()
+    assert [(frame == NO_CLASS).any() for frame in semantic] == [True, True, False]
+    assert (semantic[0] == NO_CLASS).sum() <= 3 * 4 * STRIDE**2
+
+
+def test_large_finite_scores_keep_their_class():
+    session = open_session(
+        trace(DeployGraph(ScoresByColour(-1e36)), size=(32, 48)).SerializeToString(),
+        provider="cpu",
+        device_id=0,
+        threads=1,
+    )
+    rgb = np.zeros((1, 32, 48, 3), np.uint8)
+    feed = {"rgb": rgb, "sparse_depth": np.zeros((1, 32, 48), np.float32)}
+    assert not session.run(["semantic"], feed)[0].any()
+
+
+@pytest.mark.parametrize("name", ["semantic_head.bias", "encoder.stages.1.0.conv1.0.weight"])
+def test_a_broken_network_answers_no_class(lite, name):
+    broken = copy.deepcopy(lite)
+    with torch.no_grad():
+        broken.get_parameter(name).view(-1)[3] = float("nan")
+    session = open_session(
+        trace(DeployGraph(broken), size=(64, 96)).SerializeToString(),
+        provider="cpu",
+        device_id=0,
+        threads=1,
+    )
+    rgb = np.full((1, 64, 96, 3), 99, np.uint8)
+    feed = {"rgb": rgb, "sparse_depth": np.zeros((1, 64, 96), np.float32)}
+    assert (session.run(["semantic"], feed)[0] == NO_CLASS).all()
