@@ -7,20 +7,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.contract import NO_CLASS, Contract
 from runtime.prediction import (
     BOUNDARY_NOT_FINITE,
+    BOUNDARY_OUT_OF_RANGE,
     DEPTH_NOT_FINITE,
+    DEPTH_OUT_OF_RANGE,
     LOGITS_NOT_FINITE,
+    SEMANTIC_NOT_FINITE,
     SEMANTIC_UNKNOWN_CLASS,
 )
 from runtime.preprocess import NetworkInput
 from runtime.resize import resize_answer
 
-_FLOAT_HEADS = {
-    "depth": DEPTH_NOT_FINITE,
-    "boundary": BOUNDARY_NOT_FINITE,
-    "semantic_logits": LOGITS_NOT_FINITE,
-}
+_ROUNDING = 1e-3  # of the range: how far arithmetic may leave it
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +36,10 @@ class Answers:
 
 
 def postprocess(
-    outputs: Mapping[str, NDArray[Any]], frame: NetworkInput, *, num_classes: int
+    outputs: Mapping[str, NDArray[Any]], frame: NetworkInput, contract: Contract
 ) -> Answers:
     """Check the outputs of one frame, head -> array, and bring them to the frame's size."""
-    found = faults(outputs, num_classes=num_classes)
+    found = faults(outputs, contract)
     if frame.network_size != frame.frame_size:
         outputs = {
             head: resize_answer(head, values, frame.frame_size) for head, values in outputs.items()
@@ -47,19 +47,36 @@ def postprocess(
     return Answers(outputs, found)
 
 
-def faults(outputs: Mapping[str, NDArray[Any]], *, num_classes: int) -> tuple[str, ...]:
+def faults(outputs: Mapping[str, NDArray[Any]], contract: Contract) -> tuple[str, ...]:
     """The reasons why these outputs cannot be used; () if they can.
 
-    outputs: head -> array of one frame.
+    outputs: head -> array of one frame, not empty.
     """
-    found = [
-        reason
-        for head, reason in _FLOAT_HEADS.items()
-        if head in outputs and not _all_finite(outputs[head])
-    ]
-    if "semantic" in outputs and int(outputs["semantic"].max()) >= num_classes:
-        found.append(SEMANTIC_UNKNOWN_CLASS)
+    found = []
+    if "depth" in outputs:
+        limit = contract.max_depth_m
+        found += _range_faults(outputs["depth"], limit, DEPTH_NOT_FINITE, DEPTH_OUT_OF_RANGE)
+    if "boundary" in outputs:
+        found += _range_faults(outputs["boundary"], 1.0, BOUNDARY_NOT_FINITE, BOUNDARY_OUT_OF_RANGE)
+    if "semantic_logits" in outputs and not _all_finite(outputs["semantic_logits"]):
+        found.append(LOGITS_NOT_FINITE)
+    if "semantic" in outputs:
+        highest = int(outputs["semantic"].max())
+        if highest == NO_CLASS:
+            found.append(SEMANTIC_NOT_FINITE)
+        elif highest >= len(contract.classes):
+            found.append(SEMANTIC_UNKNOWN_CLASS)
     return tuple(found)
+
+
+def _range_faults(
+    values: NDArray[Any], limit: float, not_finite: str, out_of_range: str
+) -> list[str]:
+    """What is wrong with values that must lie in 0..limit, but for rounding."""
+    if not _all_finite(values):
+        return [not_finite]
+    margin = _ROUNDING * limit
+    return [] if values.min() >= -margin and values.max() <= limit + margin else [out_of_range]
 
 
 def _all_finite(values: NDArray[Any]) -> bool:

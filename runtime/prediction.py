@@ -12,8 +12,11 @@ SPARSE_DEPTH_LOW = "sparse_depth_low"  # returns in less than a hundredth of the
 IMAGE_CONSTANT = "image_constant"  # every pixel alike: a covered or dead camera
 # The answer is not usable (valid is False):
 DEPTH_NOT_FINITE = "depth_not_finite"
+DEPTH_OUT_OF_RANGE = "depth_out_of_range"  # negative or beyond the contract's max_depth_m
 BOUNDARY_NOT_FINITE = "boundary_not_finite"
+BOUNDARY_OUT_OF_RANGE = "boundary_out_of_range"  # no probability 0..1
 LOGITS_NOT_FINITE = "semantic_logits_not_finite"
+SEMANTIC_NOT_FINITE = "semantic_not_finite"  # pixels of id 255: the graph found their scores so
 SEMANTIC_UNKNOWN_CLASS = "semantic_unknown_class"
 
 
@@ -54,7 +57,8 @@ class Prediction:
     network_size: (height, width) at which the network ran; the answers were resized if it is
         another than the frame's
     latency: where the time went
-    valid: False when an output holds NaN, Inf or an unknown class; `degraded` says which
+    valid: False when an output holds NaN, Inf, an unknown class or a value out of its range;
+        `degraded` says which
     degraded: reasons why the answer is worth less than usual; () in the normal case
     cleaned: depth pixels that were treated as no measurement
     depth_returns: number of depth pixels used

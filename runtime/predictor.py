@@ -22,7 +22,7 @@ from runtime.postprocess import postprocess
 from runtime.prediction import Latency, Prediction
 from runtime.preprocess import preprocess
 from runtime.session import node_counts, open_session
-from runtime.signature import read_signature
+from runtime.signature import check_outputs, read_signature
 
 BUNDLED_MODEL = "ssdnet-lite.onnx"
 _MOST_THREADS = 1024
@@ -127,7 +127,7 @@ class Predictor:
         preprocessed = time.perf_counter()
         outputs = self._run(frame.rgb, frame.sparse_depth)
         inferred = time.perf_counter()
-        answers = postprocess(outputs, frame, num_classes=len(self.contract.classes))
+        answers = postprocess(outputs, frame, self.contract)
         finished = time.perf_counter()
         return Prediction(
             semantic=answers.heads.get("semantic"),
@@ -207,14 +207,9 @@ class Predictor:
             raise InferenceError(
                 f"the session failed on a frame of {rgb.shape[0]} x {rgb.shape[1]}: {error}"
             ) from error
-        results = {head: batch[0] for head, batch in zip(self.heads, batches, strict=True)}
-        for head, values in results.items():
-            if values.shape[-2:] != sparse_depth.shape:
-                raise InferenceError(
-                    f"the model gave {head} of {values.shape[-2:]} for a frame of "
-                    f"{sparse_depth.shape}: export it again with ssdnet-export"
-                )
-        return results
+        outputs = dict(zip(self.heads, batches, strict=True))
+        check_outputs(outputs, size=rgb.shape[:2], num_classes=len(self.contract.classes))
+        return {head: batch[0] for head, batch in outputs.items()}
 
 
 def _require_count(name: str, value: Any, *, at_least: int, at_most: int = 2**31 - 1) -> int:

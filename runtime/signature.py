@@ -1,10 +1,13 @@
-"""Read from a session whether the graph has the inputs and outputs of the contract."""
+"""Whether a graph has the inputs and outputs of the contract, and answers by it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from numpy.typing import NDArray
+
 from runtime.contract import check_size
-from runtime.errors import ContractError
+from runtime.errors import ContractError, InferenceError
 
 _INPUTS = {"rgb": ("tensor(uint8)", 4), "sparse_depth": ("tensor(float)", 3)}
 _OUTPUTS = {
@@ -77,6 +80,19 @@ def _read(session: Any, num_classes: int) -> Signature:
         return Signature(size=check_size((height, width)), heads=heads)
     except ValueError as error:
         raise _foreign("inputs of a size that pictures have", str(error)) from error
+
+
+def check_outputs(
+    outputs: Mapping[str, NDArray[Any]], *, size: tuple[int, int], num_classes: int
+) -> None:
+    """Raise InferenceError unless each output, by its head, answers one frame of `size`."""
+    for head, values in outputs.items():
+        planes = (num_classes,) if head == "semantic_logits" else ()
+        if values.shape != (1, *planes, *size):
+            raise InferenceError(
+                f"the model gave {head} of the shape {values.shape}, expected was "
+                f"{(1, *planes, *size)}: export it again with ssdnet-export"
+            )
 
 
 def _check_tensor(tensor: Any, dtype: str, rank: int) -> None:

@@ -145,12 +145,13 @@ Frame = tuple[np.ndarray, np.ndarray]
 
 @pytest.fixture
 def make_frame() -> Callable[..., Frame]:
-    """Give (rgb, sparse_depth) of random colours (blue never 0) and 5 % random returns."""
+    """Give (rgb, sparse_depth): random colours, 0 < green <= blue, and 5 % random returns."""
 
     def make(height: int = 48, width: int = 64, seed: int = 0) -> Frame:
         random = np.random.default_rng(seed)
         rgb = random.integers(1, 256, (height, width, 3), dtype=np.uint8)
-        depth = random.uniform(1, MAX_DEPTH_M, (height, width)).astype(np.float32)
+        rgb[..., 1] = np.minimum(rgb[..., 1], rgb[..., 2])  # green / blue is a probability
+        depth = random.uniform(1, MAX_DEPTH_M - DEPTH_OFFSET_M, (height, width)).astype(np.float32)
         depth[random.random((height, width)) > 0.05] = 0
         return rgb, depth
 

@@ -23,15 +23,34 @@ def test_a_boundary_shrunk_far_skips_no_line():
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("head", ["depth", "boundary", "semantic_logits"])
-def test_one_value_that_is_not_finite_is_found_anywhere(head, bad):
+def test_one_value_that_is_not_finite_is_found_anywhere(contract, head, bad):
     for at in range(17 * 19):
         values = np.zeros((17, 19), np.float32)
         values.flat[at] = bad
-        assert faults({head: values}, num_classes=1) == (f"{head}_not_finite",)
+        assert faults({head: values}, contract) == (f"{head}_not_finite",)
 
 
-def test_only_ids_with_a_name_are_valid():
+@pytest.mark.parametrize(("head", "limit"), [("depth", 80.0), ("boundary", 1.0)])
+def test_a_value_out_of_range_is_found_anywhere(contract, head, limit):
+    values = np.full((5, 7), limit / 2, np.float32)
+    values[0, :2] = 0, limit
+    assert faults({head: values}, contract) == ()
+    values[0, :2] = -1e-6 * limit, limit * (1 + 1e-6)  # rounding
+    assert faults({head: values}, contract) == ()
+    for at in range(values.size):
+        for bad in (-0.01 * limit, 1.01 * limit, -3e38, 3e38):
+            wrong = values.copy()
+            wrong.flat[at] = bad
+            assert faults({head: wrong}, contract) == (f"{head}_out_of_range",)
+
+
+def test_only_ids_with_a_name_are_valid(contract):
     semantic = np.zeros((5, 5), np.uint8)
-    semantic[4, 4] = 10
-    assert faults({"semantic": semantic}, num_classes=11) == ()
-    assert faults({"semantic": semantic}, num_classes=10) == ("semantic_unknown_class",)
+    for highest, expected in (
+        (1, ()),
+        (2, ("semantic_unknown_class",)),
+        (254, ("semantic_unknown_class",)),
+        (255, ("semantic_not_finite",)),
+    ):
+        semantic[4, 4] = highest
+        assert faults({"semantic": semantic}, contract) == expected

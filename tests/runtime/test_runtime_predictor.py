@@ -140,7 +140,7 @@ def test_a_large_frame_keeps_every_return_that_has_a_pixel(model_file):
 def test_boundaries_are_resized_smoothly_and_classes_are_not(model_file):
     rgb = np.full((64, 64, 3), 100, np.uint8)
     rgb[:, 32:, 0] = 200
-    rgb[:, 32:, 1] = 200  # boundary 1 to the left, 2 to the right
+    rgb[:, 32:, 1] = 50  # boundary 1 to the left, 1/2 to the right
     depth = np.ones((64, 64), np.float32)
     prediction = Predictor(model_file(size=(32, 32))).predict(rgb, depth)
     assert set(np.unique(prediction.semantic)) == {0, 1}
@@ -148,7 +148,7 @@ def test_boundaries_are_resized_smoothly_and_classes_are_not(model_file):
     assert (prediction.semantic[:, :32] == 0).all()
     assert len(np.unique(prediction.boundary)) > 2
     assert prediction.boundary[0, 0] == pytest.approx(1)
-    assert prediction.boundary[0, -1] == pytest.approx(2)
+    assert prediction.boundary[0, -1] == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(

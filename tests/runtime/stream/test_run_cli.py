@@ -103,7 +103,7 @@ def test_the_size_at_which_the_network_ran_is_said(
     for folder in ("cam", "lidar"):
         (tmp_path / folder).mkdir()
     rgb, depth = make_frame(52, 69)
-    cv2.imwrite(str(tmp_path / "cam/f.png"), rgb)
+    cv2.imwrite(str(tmp_path / "cam/f.png"), rgb[..., ::-1])
     cv2.imwrite(str(tmp_path / "lidar/f.png"), np.rint(depth * 256).astype(np.uint16))
     model = model_file(contract=dataclasses.replace(contract, trained_height=40))
     given = arguments((tmp_path / "cam", tmp_path / "lidar"), model, tmp_path)

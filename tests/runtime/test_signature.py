@@ -1,0 +1,90 @@
+"""Graphs that promise the contract's outputs and give something else when they run."""
+
+from collections.abc import Callable
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from runtime import ContractError, InferenceError, Predictor
+from runtime.model_file import with_contract
+
+HEADS = ("semantic", "depth", "boundary", "semantic_logits")
+
+
+def behind(head: str, *nodes: onnx.NodeProto, **weights: object) -> Callable[..., None]:
+    """An edit of a graph: more nodes behind an output, from "before" to its own name."""
+
+    def edit(graph: onnx.GraphProto) -> None:
+        for node in graph.node:
+            for names in (node.input, node.output):
+                for place, name in enumerate(names):
+                    if name == head:
+                        names[place] = "before"
+        graph.node.extend(nodes)
+        graph.initializer.extend(
+            numpy_helper.from_array(np.asarray(values), name) for name, values in weights.items()
+        )
+
+    return edit
+
+
+def repeated(head: str, *times: int) -> Callable[..., None]:
+    """Repeat an output along its axes, by numbers that nobody knows before the graph runs."""
+    return behind(
+        head,
+        helper.make_node("ReduceMin", ["colors"], ["darkest"], keepdims=0),
+        helper.make_node("Mul", ["darkest", "nothing"], ["zero"]),
+        helper.make_node("Cast", ["zero"], ["none"], to=TensorProto.INT64),
+        helper.make_node("Add", ["times", "none"], ["repeats"]),
+        helper.make_node("Tile", ["before", "repeats"], [head]),
+        times=np.array(times),
+        nothing=np.float32(0),
+    )
+
+
+@pytest.mark.parametrize(
+    ("head", "times"),
+    [
+        ("depth", (2, 1, 1)),
+        ("semantic", (0, 1, 1)),
+        ("boundary", (1, 0, 1)),
+        ("boundary", (1, 1, 2)),
+        ("semantic_logits", (1, 2, 1, 1)),
+        ("semantic_logits", (1, 0, 1, 1)),
+    ],
+)
+def test_an_answer_of_another_shape_is_an_inference_error(model_file, make_frame, head, times):
+    with Predictor(model_file(edit=repeated(head, *times), heads=HEADS), warmup=0) as predictor:
+        for _ in range(2):
+            with pytest.raises(InferenceError, match=rf"gave {head} of the shape"):
+                predictor.predict(*make_frame())
+
+
+@pytest.mark.parametrize("name", ["Squeeze", "Unsqueeze"])
+def test_an_answer_of_another_rank_is_refused_at_load(model_file, name):
+    edit = behind("depth", helper.make_node(name, ["before", "axis"], ["depth"]), axis=[0])
+    with pytest.raises(ContractError, match="depth to be"):
+        Predictor(model_file(edit=edit))
+
+
+@pytest.mark.parametrize("head", ["depth", "boundary"])
+@pytest.mark.parametrize("offset", [-500.0, 500.0])
+def test_impossible_values_make_a_frame_invalid(model_file, make_frame, head, offset):
+    edit = behind(
+        head, helper.make_node("Add", ["before", "too_far"], [head]), too_far=np.float32(offset)
+    )
+    with Predictor(model_file(edit=edit)) as predictor:
+        prediction = predictor.predict(*make_frame())
+    assert not prediction.valid
+    assert prediction.degraded == (f"{head}_out_of_range",)
+
+
+@pytest.mark.parametrize("name", [b"rgb", b"sparse_depth", b"semantic"])
+def test_names_that_are_no_text(model_file, contract, name):
+    path = model_file(contract=None)
+    content = path.read_bytes().replace(name, b"\xff" * len(name))
+    path.write_bytes(with_contract(content, contract))
+    with pytest.raises(ContractError, match=r"names in UTF-8|cannot be loaded"):
+        Predictor(path)
