@@ -21,6 +21,12 @@ def test_import_loads_neither_torch_nor_onnx_nor_onnxruntime():
     assert not loaded & heavy
 
 
+def test_projecting_a_scan_loads_no_model_runner():
+    loaded = loaded_after("from runtime import OcclusionFilter, project_points")
+    assert {"numpy", "cv2"} <= loaded
+    assert "onnxruntime" not in loaded
+
+
 def test_only_the_command_needs_typer():
     assert "typer" not in loaded_after("import runtime")
 

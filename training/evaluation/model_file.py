@@ -68,7 +68,9 @@ def open_model(
         try:
             network = network.to(device)
         except (RuntimeError, AssertionError) as error:
-            raise InputError(f"device {device!r} cannot be had: {error}.") from error
+            raise InputError(
+                f"device {device!r} is not there: {error}. Give another --device."
+            ) from error
         asked = check_network_size(size, fixed=False)
         yield ScoredModel(
             _at_network_size(torch_predict(network), asked, checkpoint.trained_height),
