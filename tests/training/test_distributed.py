@@ -153,8 +153,9 @@ def test_two_processes_train_what_one_trains_with_the_large_batch(tmp_path, data
     difference = joined(shipped[0], "") - joined(shipped[1], "")
     assert difference.norm() < 1e-3 * joined(shipped[0], "").norm()
     assert sorted(path.name for path in two.iterdir()) == [
-        *("last.pt", "model.pt", "rank0.start", "rank0.weights", "rank1.start", "rank1.weights"),
-        *("recipe.json", "tensorboard"),
+        *("best.pt", "last.pt", "model.pt"),
+        *("rank0.start", "rank0.weights", "rank1.start", "rank1.weights"),
+        *("recipe.json", "scores.csv", "tensorboard"),
     ]
     assert len(list((two / "tensorboard").iterdir())) == 1  # one of them writes
 
