@@ -73,9 +73,9 @@ def command(tmp_path):
         label = rng.integers(0, 11, (40, 48), dtype=np.uint8)
         camvid.write_frame(tmp_path / "camvid", rgb, label, str(index))
     (tmp_path / "r.toml").write_text(RECIPE)
-    (tmp_path / "train.py").write_text(TRAIN)
+    (tmp_path / "stopped.py").write_text(TRAIN)
     run = ["r.toml", "--data", str(tmp_path), "--out", str(tmp_path / "run")]
-    return [str(tmp_path / "train.py"), str(tmp_path / run[0]), *run[1:]]
+    return [str(tmp_path / "stopped.py"), str(tmp_path / run[0]), *run[1:]]
 
 
 def start(command, *launcher, wait=""):

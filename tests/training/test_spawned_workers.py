@@ -1,0 +1,77 @@
+"""Workers that do not inherit the training's memory, as on macOS, Windows and Linux from 3.14."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from layouts import kitti_stream
+from models import load_checkpoint
+
+TRAIN = """
+import multiprocessing, os, sys
+if __name__ == "__main__":
+    multiprocessing.set_start_method("spawn")
+    import torch
+    torch.set_num_threads(1)
+    from training import loop
+    compute = loop._compute_loss
+    def compute_loss(*arguments):
+        os.write(1, b"batch\\n")
+        return compute(*arguments)
+    loop._compute_loss = compute_loss
+    from training.cli import main
+    main()
+"""
+
+RECIPE = """
+[model]
+name = "ssdnet-small"
+[data]
+batch_size = 2
+workers = 1
+frequency_samples = 2
+augment.crop = [32, 32]
+cache_gib = 0.1
+[[data.source]]
+kind = "kitti_stream"
+path = "stream"
+[[data.source]]
+kind = "rendered_on_the_fly"
+num_scenes = 1
+frames_per_scene = 1
+size = [32, 64]
+[schedule]
+steps = 100000
+[loop]
+checkpoint_every = 100000
+log_every = 100000
+accumulate = 8
+"""
+
+
+def test_a_run_with_spawned_workers_trains_and_stops(tmp_path):
+    pytest.importorskip("embreex", reason="the renderer needs the train extra")
+    kitti_stream.write_stream(tmp_path / "stream", magnify=5)
+    (tmp_path / "r.toml").write_text(RECIPE)
+    (tmp_path / "spawned.py").write_text(TRAIN)
+    out = tmp_path / "run"
+    arguments = [str(tmp_path / "r.toml"), "--data", str(tmp_path), "--out", str(out)]
+    process = subprocess.Popen(
+        [sys.executable, "-W", "ignore", str(tmp_path / "spawned.py"), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    lines = [process.stdout.readline() for _ in range(3)]
+    if lines[-1]:
+        os.killpg(process.pid, signal.SIGINT)  # the worker gets it, too
+    said, errors = process.communicate(timeout=180)
+    assert process.returncode == 130, errors[-3000:]
+    assert "Traceback" not in errors
+    # The worker went on to the end of the step, beyond what it had prepared.
+    assert 3 + said.count("batch\n") == 8
+    assert load_checkpoint(out / "last.pt").trainer["step"] == 1
