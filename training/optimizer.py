@@ -33,7 +33,8 @@ def build_optimizer(
 
 
 def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
-    """Rate of a step: linear warm-up from 0, then cosine down to its final share, or constant."""
+    """Rate of a step: a warm-up in equal steps (the first is
+    peak / warmup_steps), then cosine down to its final share, or constant."""
     if step < schedule.warmup_steps:
         return peak * (step + 1) / schedule.warmup_steps
     if schedule.shape == "constant":

@@ -308,12 +308,13 @@ def _describe(mistake: Mapping[str, Any], kind: Any) -> str:
     place = mistake["loc"]
     key = _join(place)
     value, context = mistake["input"], mistake.get("ctx", {})
+    shown = repr(value) if len(repr(value)) <= 200 else f"{value!r:.200}..."
     match mistake["type"]:
         case "unexpected_keyword_argument":
             known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
             return f"unknown key {key}; known here: {known}. Correct its name."
         case "missing" if isinstance(place[-1], int):
-            return f"{_join(place[:-1])} = {value!r} has too few values."
+            return f"{_join(place[:-1])} = {shown} has too few values."
         case "missing":
             return f"missing key {key}."
         case "union_tag_not_found":
@@ -322,13 +323,13 @@ def _describe(mistake: Mapping[str, Any], kind: Any) -> str:
             tag, known = context["tag"], context["expected_tags"]
             return f"{key + '.' * bool(key)}kind = {tag!r}; choose one of {known}."
         case "literal_error":
-            return f"{key} = {value!r}; choose one of {context['expected']}."
+            return f"{key} = {shown}; choose one of {context['expected']}."
         case "value_error" if isinstance(value, dict):  # of a table; its text starts with the key
             return f"{key + '.' * bool(key)}{context['error']}."
         case "value_error":
-            return f"{key} = {value!r}: {context['error']}."
+            return f"{key} = {shown}: {context['error']}."
         case _:
-            return f"{key} = {value!r}: {mistake['msg'].lower()}."
+            return f"{key} = {shown}: {mistake['msg'].lower()}."
 
 
 def _table_at(kind: Any, place: Sequence[str | int]) -> Any:

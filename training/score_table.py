@@ -30,7 +30,9 @@ class ScoreTable:
         try:
             with path.open(encoding="utf-8", newline="") as stream:
                 rows = list(csv.DictReader(stream))
-            self._rows = [row for row in rows if int(row["step"]) <= step and row["set"]]
+            if not all(row["set"] for row in rows):
+                raise ValueError("a row without its set")
+            self._rows = [row for row in rows if int(row["step"]) <= step]
         except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
             raise InputError(
                 f"{path}: is no table of scores ({type(error).__name__}: {error}). Move it away."

@@ -234,6 +234,41 @@ def test_a_run_that_goes_on_keeps_its_curves(data, tmp_path):
     assert [event.step for event in events.Scalars("validation/camvid/miou")] == [2, 4]
 
 
+def test_best_weights_and_scores_survive_an_interruption(data, tmp_path):
+    run = recipe(steps=6, logit_adjustment=0.5)
+    run = replace(run, validation=replace(run.validation, every=2, best="camvid/boundary_f"))
+    train(run, data=[data], out=tmp_path / "whole")
+    train(run, data=[data], out=tmp_path / "parts", stop_after=5)
+    left = (tmp_path / "parts" / "last.pt").read_bytes()
+    train(run, data=[data], out=tmp_path / "parts")
+    # Killed after the last validation, before its checkpoint: it is done again.
+    (tmp_path / "parts" / "last.pt").write_bytes(left)
+    (tmp_path / "parts" / "model.pt").unlink()
+    train(run, data=[data], out=tmp_path / "parts")
+    best, expected = (load_checkpoint(tmp_path / name / "best.pt") for name in ("parts", "whole"))
+    assert best.training["step"] == expected.training["step"]
+    whole, parts = ((tmp_path / name / "scores.csv").read_text() for name in ("whole", "parts"))
+    assert whole == parts
+    header, *rows = whole.splitlines()
+    assert [row.split(",")[0] for row in rows] == ["2", "4", "6"]
+    assert {"miou", "fwiou", "iou_sky", "boundary_f"} <= set(header.split(","))
+
+
+def test_best_weights_are_those_of_the_best_validation(data, tmp_path, monkeypatch):
+    figures = iter([0.2, 0.5, 0.4])
+    monkeypatch.setattr(loop, "score_sources", lambda *_, **__: {"camvid": {"miou": next(figures)}})
+    run = recipe(steps=6)
+    run = replace(run, validation=replace(run.validation, every=2))
+    train(run, data=[data], out=tmp_path / "run")
+    best = load_checkpoint(tmp_path / "run" / "best.pt")
+    assert best.training["step"] == 4
+    assert not best.trainer
+    assert not torch.equal(
+        best.model.state_dict()["semantic_head.weight"],
+        weights(tmp_path / "run" / "model.pt")["semantic_head.weight"],
+    )
+
+
 def test_a_checkpoint_of_another_recipe_is_not_gone_on_from(data, tmp_path):
     train(recipe(steps=4), data=[data], out=tmp_path / "run", stop_after=2)
     (tmp_path / "run" / "recipe.json").unlink()

@@ -5,8 +5,33 @@ import math
 import pytest
 import torch
 
-from training.optimizer import exponential_average, learning_rate
-from training.recipe import ScheduleRecipe
+from models import create_model
+from training.losses import LossConfig, SSDNetLoss
+from training.optimizer import build_optimizer, exponential_average, learning_rate
+from training.recipe import OptimizerRecipe, ScheduleRecipe
+
+
+@pytest.mark.parametrize("name", ["adamw", "sgd"])
+def test_weight_decay_pulls_at_kernels_alone(name):
+    """A step without any gradient: what is decayed shrinks, all else stays."""
+    network = create_model("ssdnet-small")
+    criterion = SSDNetLoss(LossConfig(weighting="uncertainty"), max_depth_m=100.0)
+    parameters = dict([*network.named_parameters(), *criterion.named_parameters()])
+    with torch.no_grad():
+        for value in parameters.values():
+            value.fill_(1.0)
+            value.grad = torch.zeros_like(value)
+    recipe = OptimizerRecipe(name=name, learning_rate=0.1, weight_decay=0.5)
+    build_optimizer(recipe, network, criterion).step()
+    kinds = {"conv": 0, "bias": 0, "norm": 0, "learned by the loss": 0}
+    for key, value in parameters.items():
+        decayed = value.ndim == 4
+        torch.testing.assert_close(value, torch.full_like(value, 0.95 if decayed else 1.0), msg=key)
+        kinds["conv"] += decayed
+        kinds["bias"] += key.endswith("bias")
+        kinds["norm"] += not decayed and key.endswith("weight")
+        kinds["learned by the loss"] += key.startswith("log_variances")
+    assert all(kinds.values()), kinds
 
 
 def test_learning_rate_by_hand():

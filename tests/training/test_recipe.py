@@ -305,6 +305,67 @@ def test_two_validation_sets_of_one_path_are_refused():
 
 
 @pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ("data.workers = 1000000", "data.workers = 1000000: .*less than or equal to"),
+        (
+            "data.augment = {crop = [9000, 9000], scale = [1.0, 1.0]}",
+            "batch_size = 4: .* 9000x9000",
+        ),
+        ("data.batch_size = 1000000000", "data.batch_size = 1000000000: "),
+        ("data.batch_size = 60000", "batch_size = 60000: .* more than 268435456 pixels"),
+        ("data.augment.crop = [100000, 320]", r"augment.crop\[0\] = 100000: "),
+        ("data.augment.crop = [16000, 16000]", "augment.scale = .* a crop of 16000x16000"),
+        ("data.seed = 1" + "0" * 30, "data.seed = 10+: "),
+        ("data.cache_gib = 1e300", "data.cache_gib = 1e"),
+        ("data.frequency_samples = 1000000000", "data.frequency_samples"),
+        ("data.augment.scale = [1e-9, 1.0]", r"augment.scale\[0\] = 1e-09: "),
+        ("data.augment.scale = [0.02, 1.0]", "augment.scale = .* from a window of 384000000"),
+        ("data.augment.hue_deg = 1e9", "augment.hue_deg"),
+        ("data.augment.brightness = nan", "augment.brightness = nan: .*finite"),
+        ("schedule.steps = 1000000000000", "schedule.steps = 1000000000000: "),
+        ("schedule.steps = 99000000", "schedule.steps = 99000000: .* 396000000 samples"),
+        ("schedule.warmup_steps = 1000000000000", "schedule.warmup_steps"),
+        ("loop.accumulate = 1000000000", "loop.accumulate"),
+        ("loop.log_every = 1000000000000", "loop.log_every"),
+        ("loop.clip_norm = 1e300", "loop.clip_norm"),
+        ("optimizer.learning_rate = 1e300", "optimizer.learning_rate"),
+        ("loss.depth_weight = inf", "loss.depth_weight = inf: .*finite"),
+        ("validation.pictures = 1000000000", "validation.pictures"),
+        ("model.max_depth_m = 1e39", "model.max_depth_m"),
+        ("model.trained_height = 1000000", "model.trained_height"),
+        (f"terms = '{'x' * 20_000}'", r"terms = 'x{199}\.\.\.: "),
+        ("data.source = [{kind = 'camvid', path = 'a', size = [100000, 64]}]", r"size\[0\] = 1000"),
+        (
+            "data.source = [{kind = 'camvid', path = 'a', scale = [0.02, 1.0]}]",
+            r"data\.source\[0\]\.scale = .* from a window",
+        ),
+        (
+            "data.source = [{kind = 'rendered_on_the_fly', num_scenes = 1000000000}]",
+            r"source\[0\]\.num_scenes",
+        ),
+        (
+            "data.source = [{kind = 'kitti_stream', path = 'a', last = 1000000000000}]",
+            r"source\[0\]\.last",
+        ),
+    ],
+    ids=lambda text: text[:40],
+)
+def test_absurd_values_are_refused_before_anything_is_allocated(base, change, text):
+    with pytest.raises(InputError, match=text):
+        read_recipe(base / "base.toml", [change])
+
+
+def test_the_score_of_the_best_weights_is_of_a_validation_set(base):
+    sets = "validation.source = [{kind = 'camvid', path = 'r/val', split = 'val'}]"
+    best = read_recipe(base / "base.toml", [sets, "validation.best = 'r/val/miou'"])
+    assert best.validation.best == "r/val/miou"
+    for name in ("miou", "camvid/miou"):
+        with pytest.raises(InputError, match=rf"validation\.best = '{name}'; expected SET/FIGURE"):
+            read_recipe(base / "base.toml", [sets, f"validation.best = '{name}'"])
+
+
+@pytest.mark.parametrize(
     "change",
     [
         "data.seed = -1",

@@ -1,0 +1,79 @@
+"""The table of scores, and which validation was the best."""
+
+import csv
+
+import pytest
+
+from runtime.errors import InputError
+from training.score_table import ScoreTable
+
+
+def rows(path):
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_a_row_a_step_and_set_with_every_figure(tmp_path):
+    path = tmp_path / "scores.csv"
+    table = ScoreTable(path, 0)
+    table.add(2, {"camvid": {"miou": 0.25, "iou_car": 0.5}, "a,b/c": {"mae_m": 1 / 3}}, "")
+    table.add(4, {"camvid": {"miou": 0.5, "iou_car": float("nan")}, "a,b/c": {"mae_m": 2.0}}, "")
+    assert rows(path) == [
+        {"step": "2", "set": "camvid", "miou": "0.25", "iou_car": "0.5", "mae_m": ""},
+        {"step": "2", "set": "a,b/c", "miou": "", "iou_car": "", "mae_m": repr(1 / 3)},
+        {"step": "4", "set": "camvid", "miou": "0.5", "iou_car": "nan", "mae_m": ""},
+        {"step": "4", "set": "a,b/c", "miou": "", "iou_car": "", "mae_m": "2.0"},
+    ]
+
+
+def test_a_run_that_goes_on_has_no_step_twice(tmp_path):
+    path = tmp_path / "scores.csv"
+    table = ScoreTable(path, 0)
+    for step, miou in ((2, 0.1), (4, 0.9), (6, 0.2)):
+        table.add(step, {"a": {"miou": miou}}, "")
+    table = ScoreTable(path, 3)  # the checkpoint of step 3 is what was left
+    assert table.add(4, {"a": {"miou": 0.9}}, "")  # the best again: best.pt may be lost
+    assert [row["step"] for row in rows(path)] == ["2", "4"]
+    assert not ScoreTable(path, 4).add(6, {"a": {"miou": 0.9}}, "")
+
+
+@pytest.mark.parametrize(
+    ("best", "figure", "values", "expected"),
+    [
+        ("", "miou", [0.2, 0.1, 0.3, 0.3], [True, False, True, False]),
+        ("", "mae_m", [2.0, 3.0, 1.0, 1.0], [True, False, True, False]),
+        ("a/b/irmse_per_km", "irmse_per_km", [2.0, 3.0, 1.0], [True, False, True]),
+        ("a/b/iou_car", "iou_car", [float("nan"), 0.1, float("nan"), 0.2], [False, True] * 2),
+        ("", "boundary_f", [0.1, 0.2], [False, False]),  # nothing to choose by
+    ],
+)
+def test_the_best_is_the_highest_score_or_the_smallest_error(
+    tmp_path, best, figure, values, expected
+):
+    table = ScoreTable(tmp_path / "scores.csv", 0)
+    said = [
+        table.add(step, {"a/b": {"rmse_px": 1.0 - step, figure: value}}, best)
+        for step, value in enumerate(values)
+    ]
+    assert said == expected
+
+
+def test_the_default_is_the_first_set(tmp_path):
+    table = ScoreTable(tmp_path / "scores.csv", 0)
+    first = [{"mae_m": 2.0, "miou": 0.1}, {"mae_m": 1.0, "miou": 0.1}, {"mae_m": 3.0, "miou": 0.2}]
+    scores = [{"a": figures, "b": {"miou": 0.9 - index}} for index, figures in enumerate(first)]
+    assert [table.add(step, item, "") for step, item in enumerate(scores)] == [True, False, True]
+
+
+def test_a_figure_that_the_set_lacks_is_named_with_those_it_has(tmp_path):
+    table = ScoreTable(tmp_path / "scores.csv", 0)
+    with pytest.raises(InputError, match=r"validation\.best = 'a/miou'; a has mae_m, rmse_m"):
+        table.add(1, {"a": {"mae_m": 1.0, "rmse_m": 2.0}}, "a/miou")
+
+
+@pytest.mark.parametrize("text", ["a,b\n1,2\n", "step,set\nx,a\n", "\xff\n", "step,set\n1\n"])
+def test_a_file_that_is_no_table_is_refused(tmp_path, text):
+    path = tmp_path / "scores.csv"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match=r"scores\.csv: is no table of scores"):
+        ScoreTable(path, 5)
