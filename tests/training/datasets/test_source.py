@@ -7,7 +7,14 @@ import sys
 import numpy as np
 import pytest
 
-from layouts import camvid, cityscapes, kitti_depth, kitti_stream, virtual_kitti
+from layouts import (
+    camvid,
+    cityscapes,
+    kitti_depth,
+    kitti_stream,
+    kitti_streets,
+    virtual_kitti,
+)
 from layouts.pictures import write
 from training.datasets.source import source_kinds
 from training.loading.open_dataset import open_dataset
@@ -122,6 +129,7 @@ def data(tmp_path_factory):
     cityscapes.write_stereo(root / "cityscapes")
     kitti_depth.write_drive(root / "kitti_depth", images="raw")
     kitti_stream.write_stream(root / "kitti_stream")
+    kitti_streets.write_streets(root / "kitti_streets")
     drive = root / "kitti_raw" / "2011_09_26" / "2011_09_26_drive_0001_sync"
     write(drive / "image_02" / "data" / "0000000000.png", np.zeros((8, 16, 3), np.uint8))
     (drive / "velodyne_points" / "data").mkdir(parents=True)
