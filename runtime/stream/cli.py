@@ -67,6 +67,9 @@ def run(
     model: Annotated[
         Path | None, typer.Option(help="ONNX file made by ssdnet-export. [default: bundled]")
     ] = None,
+    sha256: Annotated[
+        str | None, typer.Option(help="SHA-256 that the model file must have. [default: any]")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("ssdnet-run"),
     provider: Annotated[Provider, typer.Option(help="What runs the model.")] = Provider.cpu,
     size: Annotated[
@@ -123,7 +126,12 @@ def run(
             _require_apart(out, rgb_dir, depth_dir)
             frames = list_frames(rgb_dir, depth_dir, limit=limit)
             with Predictor(
-                model, provider=provider.value, size=network_size, threads=threads, warmup=0
+                model,
+                sha256=sha256,
+                provider=provider.value,
+                size=network_size,
+                threads=threads,
+                warmup=0,
             ) as predictor:
                 writer = FrameWriter(
                     out,

@@ -2,6 +2,8 @@
 
 import copy
 import hashlib
+import subprocess
+import sys
 
 import numpy as np
 import onnx
@@ -245,6 +247,78 @@ def test_wrong_arguments_are_refused(lite_checkpoint, tmp_path):
     assert lite_checkpoint.read_bytes() == before
     result = CliRunner().invoke(app, [str(lite_checkpoint), "m.onnx", "--height", "64"])
     assert result.exit_code == 2
+
+
+@pytest.fixture
+def export_in_another_process(lite_checkpoint):
+    """Start an export that waits for a line while it verifies what it wrote."""
+    started = []
+
+    def start(target):
+        program = (
+            "import sys; from pathlib import Path; from export import exporter\n"
+            "verify = exporter.measure_parity\n"
+            "def wait_and_verify(*arguments, **options):\n"
+            "    print('verifying', flush=True); sys.stdin.readline()\n"
+            "    return verify(*arguments, **options)\n"
+            "exporter.measure_parity = wait_and_verify\n"
+            f"exporter.export_checkpoint({str(lite_checkpoint)!r}, {str(target)!r}, size={SIZE})\n"
+        )
+        process = subprocess.Popen(
+            [sys.executable, "-c", program],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        assert process.stdout.readline() == "verifying\n", process.communicate()[1]
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_a_killed_export_leaves_nothing_to_the_next(
+    lite_checkpoint, tmp_path, export_in_another_process
+):
+    target = tmp_path / "m.onnx"
+    process = export_in_another_process(target)
+    process.kill()  # SIGKILL: nothing can be tidied up
+    process.communicate()
+    assert len(list(tmp_path.iterdir())) == 1
+    assert not target.exists()
+    export_checkpoint(lite_checkpoint, target, size=SIZE)
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_of_two_exports_to_one_path_one_succeeds(
+    lite_checkpoint, tmp_path, export_in_another_process
+):
+    target = tmp_path / "m.onnx"
+    process = export_in_another_process(target)
+    with pytest.raises(OutputError, match="another process is writing it"):
+        export_checkpoint(lite_checkpoint, target, size=SIZE)
+    _, error = process.communicate("go on\n")
+    assert process.returncode == 0, error
+    assert list(tmp_path.iterdir()) == [target]
+    assert Predictor(target, warmup=0).input_size == SIZE
+
+
+def test_a_file_that_appears_during_an_export_stays(lite_checkpoint, tmp_path, monkeypatch):
+    target = tmp_path / "m.onnx"
+
+    def somebody_else(*arguments, **options):
+        target.write_bytes(b"somebody else's model")
+        return measure_parity(*arguments, **options)
+
+    monkeypatch.setattr(exporter, "measure_parity", somebody_else)
+    with pytest.raises(OutputError, match="exists"):
+        export_checkpoint(lite_checkpoint, target, size=SIZE)
+    assert target.read_bytes() == b"somebody else's model"
+    assert list(tmp_path.iterdir()) == [target]
 
 
 def test_checkpoint_of_another_project_is_a_checkpoint_error(tmp_path):

@@ -318,6 +318,16 @@ def test_folders_that_make_no_stream_are_exit_code_1(tmp_path, run, stream, spoi
     assert not (tmp_path / "out").exists()
 
 
+def test_a_pinned_model_is_the_one_that_runs(tmp_path, run):
+    assert run().exit_code == 0
+    digest = json.loads((tmp_path / "out/report.json").read_text())["model"]["sha256"]
+    assert run("--sha256", digest, "--overwrite").exit_code == 0
+    for other, text in (("0" * 64, digest), ("abc", "64 hexadecimal digits")):
+        result = run("--sha256", other, "--overwrite")
+        assert result.exit_code == 1
+        assert text in result.stderr
+
+
 def test_a_bad_model_is_exit_code_1_and_leaves_an_earlier_run_alone(tmp_path, run):
     assert run().exit_code == 0
     before = files_in(tmp_path / "out")
