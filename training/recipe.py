@@ -159,7 +159,7 @@ class LoopRecipe:
     #: left out and the scale is halved.
     autocast: Literal["none", "bf16", "fp16"] = "none"
     channels_last: bool = True
-    #: Let torch.compile make kernels of its own: minutes once, faster steps after.
+    #: Let torch.compile make kernels of its own.
     compile: bool = False
     #: Decay of the averaged weights that ship; 0 = no averaging.
     ema_decay: Share = 0.999

@@ -55,10 +55,10 @@ class RenderedScenes:
     """``scenes`` streets of ``frames`` frames each, as `ssdnet-render` would write them.
 
     The scenes have the seeds ``seed`` ... ``seed + scenes - 1`` and take turns through
-    ``variants``; ``size`` is (height, width). A frame costs about a second of processor time and
-    more, so a mixture of them wants many workers, or a cache. Equal arguments give equal frames.
-    ``classes`` is the table of the class ids. Raises DatasetError for more frames than a street has
-    room for.
+    ``variants``; ``size`` is (height, width). Rendering a frame takes far longer than
+    reading one, so a mixture of them wants many workers, or a cache. Equal arguments give equal
+    frames. ``classes`` is the table of the class ids. Raises DatasetError for more frames than a
+    street has room for.
     """
 
     def __init__(

@@ -29,10 +29,10 @@ _VAL_SCENE, _VAL_FIRST = 20, 547  # the last 290 of its 837 frames: the paper's 
 class Selection:
     """Which frames of a set to take.
 
-    split: "train", "val" and "test" are the paper's sizes (11,112 / 2,320 / 3,576), by whole
-    scenes: Scene01 is the test, the last 290 frames of Scene20 are for validation; "all" is every
-    frame. scenes or variants given by name replace the split's own; `frames`, rows of
-    "scene/variant/number", replaces everything.
+    split: "train", "val" and "test" are the paper's sizes (11,112 / 2,320 / 3,576): Scene01 is the
+    test, the last 290 frames of Scene20 are for validation, and all else, the start of that same
+    street included, is for training; "all" is every frame. scenes or variants given by name replace
+    the split's own; `frames`, rows of "scene/variant/number", replaces everything.
     """
 
     split: Split = "all"

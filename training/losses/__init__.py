@@ -1,4 +1,4 @@
-"""The losses of the paper, Eq. 2-12, one file a family; `SSDNetLoss` is their weighted sum."""
+"""The losses of the paper, Eq. 2-12, and soft IoU; a file a family, summed by `SSDNetLoss`."""
 
 from training.losses.semantic import class_weights
 from training.losses.total import LossConfig, SSDNetLoss

@@ -1,4 +1,4 @@
-"""Class-weighted cross-entropy, Eq. 5, and the weights of the classes."""
+"""Class-weighted cross-entropy, Eq. 5, the weights of the classes, and soft IoU."""
 
 from typing import Literal
 

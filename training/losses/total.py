@@ -153,10 +153,10 @@ class SSDNetLoss(nn.Module):
         `semantic` int64 (N, H, W), 255 = none. `depth` float32 (N, 1, H, W) [m]; 0, not finite
         or beyond `max_depth_m` = none. `semantic_weight` float (N,): how much each sample's labels
         count in Eq. 5 and 6, below 1 for labels made by a network. Samples may lack either target
-        altogether. Names: depth, semantic, boundary, semantic_boundary, semantic_depth,
-        side_boundary; those of weight 0, and those that need a head that the network lacks, are
-        left out. Computed in float32
-        whatever the network was computed in. Raises ValueError on targets of another size.
+        altogether. Names: those of `TERMS` (depth, semantic, semantic_iou, boundary, side_boundary,
+        semantic_boundary, semantic_depth); those of weight 0, and those that need a head that the
+        network lacks, are left out. Computed in float32 whatever the network was computed in.
+        Raises ValueError on targets of another size.
         """
         answer = _any_answer(output)
         if answer.shape[-2:] != semantic.shape[-2:] or semantic.shape[-2:] != depth.shape[-2:]:

@@ -69,7 +69,7 @@ class Scene:
 
 
 def open_scene(job: SceneJob, variant: Variant) -> Scene:
-    """Build the street of a job; this takes most of a second."""
+    """Build the street of a job, which all of its frames share."""
     # CamVid's pictures come from Britain, KITTI's from Germany; some of each do the other thing.
     left_hand = (job.seed % 10 != 0) if job.camera == "camvid" else (job.seed % 5 == 0)
     sway = np.random.default_rng(np.random.SeedSequence([job.seed, 4])).uniform(0, 1000)

@@ -1,5 +1,7 @@
 """Data of one's own: pictures, depth and labels by stem, with a class table in the recipe."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -139,3 +141,11 @@ def test_sets_of_other_classes_are_refused_beside_it(mine, tmp_path):
     (tmp_path / "r.toml").write_text(text)
     with pytest.raises(DatasetError, match="not mapped to the classes of a table of its own"):
         train(read_recipe(tmp_path / "r.toml"), data=[tmp_path], out=tmp_path / "run")
+
+
+def test_the_recipe_of_the_docs_reads(tmp_path):
+    text = (Path(__file__).parents[3] / "docs" / "training.md").read_text()
+    (tmp_path / "r.toml").write_text(text.split("```toml\n")[1].split("```")[0])
+    recipe = read_recipe(tmp_path / "r.toml")
+    assert recipe.data.source[0].sparse_depth == "lidar"
+    assert [info.name for info in recipe.model.class_table] == ["lane", "other"]
