@@ -66,14 +66,15 @@ def preprocess(
     sparse_depth = check_sparse_depth(sparse_depth, size=frame_size)
     sparse_depth, cleaned, returns = clean_sparse_depth(sparse_depth, max_depth_m=max_depth_m)
     size = size_for(frame_size)
-    network_rgb = rgb
+    network_rgb, fed = rgb, returns
     if size != frame_size:
         network_rgb = resize_image(rgb, size)
         sparse_depth = move_returns(sparse_depth, size)
+        fed = cv2.countNonZero(sparse_depth)
     degraded = []
     if returns == 0:
         degraded.append(NO_DEPTH)
-    elif covers_little(sparse_depth):
+    elif covers_little(sparse_depth, returns=fed):
         degraded.append(SPARSE_DEPTH_LOW)
     if is_constant(rgb):
         degraded.append(IMAGE_CONSTANT)
@@ -160,17 +161,17 @@ def clean_sparse_depth(
     return kept, cleaned, cv2.countNonZero(kept)
 
 
-def covers_little(sparse_depth: NDArray[np.float32]) -> bool:
-    """Whether the returns lie in fewer than `_LOW_SHARE` of the cells of `_GRID` over the picture.
+def covers_little(sparse_depth: NDArray[np.float32], *, returns: int) -> bool:
+    """Whether returns lie in fewer than `_LOW_SHARE` of the cells of `_GRID` over the picture.
 
-    A cell of a picture smaller than the grid is a pixel. Counted so, a sparse LiDAR beside a camera
-    of many pixels is as good as beside a small one.
+    returns: how many there are. A cell of a picture smaller than the grid is a pixel. Counted so, a
+    sparse LiDAR beside a camera of many pixels is as good as beside a small one.
     """
     height, width = sparse_depth.shape
     rows, columns = min(_GRID[0], height), min(_GRID[1], width)
     needed = _LOW_SHARE * rows * columns
     largest_cell = math.ceil(height / rows) * math.ceil(width / columns)
-    if cv2.countNonZero(sparse_depth) >= needed * largest_cell:
+    if returns >= needed * largest_cell:
         return False  # however densely they lie
     row, column = np.divmod(np.flatnonzero(sparse_depth > 0), width)
     occupied = np.zeros(rows * columns, dtype=np.bool_)
