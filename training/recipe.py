@@ -81,8 +81,9 @@ class ModelRecipe:
     boundary_gating: bool = True
     #: Factor on the sparse depth at the network's input.
     sparse_depth_gain: Positive = 1.0
-    #: Rows of the pictures it is trained for. Goes into the exported file: a camera of many more
-    #: rows is brought down to it. None = not known: every frame runs at its own size.
+    #: Rows of the pictures as it sees them, magnification included. Goes into the exported file: a
+    #: camera of many more rows is brought down to it. None = not known: every frame runs at its own
+    #: size.
     trained_height: Side | None = None
 
     def __post_init__(self) -> None:
