@@ -1,19 +1,17 @@
 """`ssdnet-export`: a checkpoint in, one verified ONNX file out."""
 
+if __name__ == "__main__":  # python -m export.cli
+    from export.__main__ import main
+
+    main()  # ends the process
+
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from runtime.command import interruptible, reported_errors
 from runtime.contract import MIN_SIDE
-
-ERROR = 1  # exit code
-
-
-def main() -> None:
-    """Entry point of the command."""
-    app()
-
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -39,32 +37,22 @@ def export(
     if (height is None) != (width is None):
         raise typer.BadParameter("give both --height and --width, or neither")
     size = None if height is None or width is None else (height, width)
-    try:  # here, so that --help does not wait for PyTorch
-        from export.exporter import export_checkpoint
-        from runtime.errors import SSDNetError
-    except ImportError as error:
-        typer.echo(f'error: {error}: pip install "ssdnet[export,cpu]"', err=True)
-        raise typer.Exit(ERROR) from error
-    try:
-        report = export_checkpoint(
-            checkpoint,
-            model,
-            size=size,
-            dynamic=dynamic,
-            opset=opset,
-            with_logits=with_logits,
-            overwrite=overwrite,
-        )
-    except SSDNetError as error:
-        typer.echo(f"error: {error}", err=True)
-        raise typer.Exit(ERROR) from error
+    with reported_errors("export,cpu"):
+        from export.exporter import export_checkpoint  # here: --help does not wait for PyTorch
+
+        with interruptible():
+            report = export_checkpoint(
+                checkpoint,
+                model,
+                size=size,
+                dynamic=dynamic,
+                opset=opset,
+                with_logits=with_logits,
+                overwrite=overwrite,
+            )
     shape = f"{report.size[0]} x {report.size[1]}" + (", any size accepted" if dynamic else "")
     typer.echo(f"{report.path}: {report.num_bytes / 1e6:.1f} MB, {shape}, opset {opset}")
     typer.echo(f"largest difference to PyTorch on {report.num_frames} frames:")
     for head, measured in report.parity.items():
         figures = ", ".join(f"{name} {value:.6g}" for name, value in measured.figures.items())
         typer.echo(f"  {head:16}{figures}")
-
-
-if __name__ == "__main__":
-    main()

@@ -4,6 +4,12 @@ import contextlib
 import os
 import signal
 import sys
+
+if __name__ == "__main__":  # python -m runtime.stream.cli
+    from runtime.stream.__main__ import main
+
+    main()  # ends the process
+
 from collections.abc import Callable, Iterator
 from enum import StrEnum
 from pathlib import Path
@@ -13,6 +19,7 @@ import typer
 
 from runtime import __version__
 from runtime.atomic_write import atomic_write
+from runtime.command import ERROR, SIGNALS, end_now, reported_errors
 from runtime.errors import InputError, OutputError, SSDNetError
 from runtime.network_size import NetworkSize, parse_network_size
 from runtime.predictor import Predictor
@@ -32,7 +39,7 @@ from runtime.stream.report import (
 from runtime.stream.run_folder import FRAMES_FILE, KINDS, LATENCY_FILE, REPORT_FILE
 from runtime.stream.writer import DEPTH_PNG_SCALE, FrameWriter, encode
 
-ERROR, USAGE, SKIPPED, MISSED = 1, 2, 3, 4  # exit codes
+SKIPPED, MISSED = 3, 4  # exit codes
 
 
 class Provider(StrEnum):
@@ -42,21 +49,13 @@ class Provider(StrEnum):
     cuda = "cuda"
 
 
-def main() -> None:
-    """Entry point of the command."""
-    try:
-        app()
-    finally:  # nothing is left to stop
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
 @app.command(
     epilog="Exit codes: 0 done; 1 error; 2 usage; 3 finished, but frames were skipped or their "
     "answers not usable, or Ctrl-C or SIGTERM came; 4 --deadline-ms was missed by any frame, even "
-    "if others were skipped; 130 Ctrl-C or SIGTERM came before the first frame."
+    "if others were skipped; 130 Ctrl-C or SIGTERM came before the run began."
 )
 def run(
     rgb: Annotated[Path | None, typer.Option(help="Folder of the pictures (PNG or JPEG).")] = None,
@@ -120,19 +119,20 @@ def run(
     if demo != (rgb is None and depth is None) or (rgb is None) != (depth is None):
         raise typer.BadParameter("give either --demo, or both --rgb and --depth")
     dedicate_process()
-    with _stoppable() as let_finish:
-        try:
-            rgb_dir, depth_dir = (rgb, depth) if rgb and depth else bundled_stream()
-            _require_apart(out, rgb_dir, depth_dir)
-            frames = list_frames(rgb_dir, depth_dir, limit=limit)
-            with Predictor(
-                model,
-                sha256=sha256,
-                provider=provider.value,
-                size=network_size,
-                threads=threads,
-                warmup=0,
-            ) as predictor:
+    with reported_errors("cpu"):
+        rgb_dir, depth_dir = (rgb, depth) if rgb and depth else bundled_stream()
+        _require_apart(out, rgb_dir, depth_dir)
+        frames = list_frames(rgb_dir, depth_dir, limit=limit)
+        with Predictor(
+            model,
+            sha256=sha256,
+            provider=provider.value,
+            size=network_size,
+            threads=threads,
+            warmup=0,
+        ) as predictor:
+            frame_size = _warm_up(predictor, frames, depth_scale, runs=warmup)
+            with _stop_asked() as stop:  # only now: until here nothing was written
                 writer = FrameWriter(
                     out,
                     predictor.contract,
@@ -140,10 +140,9 @@ def run(
                     names=[files.name for files in frames],
                     overwrite=overwrite,
                 )
-                frame_size = _warm_up(predictor, frames, depth_scale, runs=warmup)
                 if not as_json:
                     _say(describe_predictor(predictor, frame_size), out)
-                result = _run(predictor, frames, writer, depth_scale, write=bool(kinds))
+                result = _run(predictor, frames, writer, depth_scale, stop, write=bool(kinds))
                 report = build_report(
                     predictor,
                     result,
@@ -158,19 +157,15 @@ def run(
                     kinds=kinds,
                     deadline_ms=deadline_ms,
                 )
-            let_finish()
-            _write_summary(out, result, report, deadline_ms)
-        except SSDNetError as error:
-            typer.echo(f"error: {error}", err=True)
-            raise typer.Exit(ERROR) from error
-        if as_json:
-            printed = _say(to_json(report).rstrip("\n"), out)
-            raise typer.Exit(_exit_code(result, deadline_ms) if printed else ERROR)
-        lines = [describe_run(result, report), f"results: {out.resolve()}"]
-        if "overlay" in kinds and any(record.status == OK for record in result.records):
-            lines.append(f"pictures: {(out / 'overlay').resolve()}")
-        _say("\n".join(lines), out)
-        raise typer.Exit(_exit_code(result, deadline_ms))
+                _write_summary(out, result, report, deadline_ms)
+                if as_json:
+                    printed = _say(to_json(report).rstrip("\n"), out)
+                    raise typer.Exit(_exit_code(result, deadline_ms) if printed else ERROR)
+                lines = [describe_run(result, report), f"results: {out.resolve()}"]
+                if "overlay" in kinds and any(record.status == OK for record in result.records):
+                    lines.append(f"pictures: {(out / 'overlay').resolve()}")
+                _say("\n".join(lines), out)
+                raise typer.Exit(_exit_code(result, deadline_ms))
 
 
 def _say(text: str, out: Path) -> bool:
@@ -191,29 +186,23 @@ def _say(text: str, out: Path) -> bool:
 
 
 @contextlib.contextmanager
-def _stoppable() -> Iterator[Callable[[], None]]:
-    """Let the first Ctrl-C or SIGTERM raise KeyboardInterrupt, and those after it do nothing.
+def _stop_asked() -> Iterator[Callable[[], bool]]:
+    """Yield what says whether Ctrl-C or SIGTERM came, which do nothing else in the block.
 
-    What is left after the first is two frames and the report. Whoever stops a service wants its
-    report, too. Yields what makes even the first be ignored.
+    An exception could come between the writing of a frame and its line in the table. What is left
+    to do after a signal is three frames and the report: whoever stops a service wants it, too.
     """
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def ignore() -> None:
-        for number in before:
-            signal.signal(number, signal.SIG_IGN)
-
-    def stop(number: int, frame: object) -> None:
-        ignore()
-        raise KeyboardInterrupt
-
+    came: list[int] = []
+    before = {number: signal.getsignal(number) for number in SIGNALS}
     for number, handler in before.items():
         if handler is not signal.SIG_IGN:  # as a shell starts what runs in its background
-            signal.signal(number, stop)
+            signal.signal(number, lambda number, frame: came.append(number))
     try:
-        yield ignore
+        yield lambda: bool(came)
     finally:
         for number, handler in before.items():
+            if handler is end_now:  # the command is done: nothing is left to stop
+                handler = signal.SIG_IGN
             signal.signal(number, handler or signal.SIG_DFL)
 
 
@@ -271,19 +260,27 @@ def _run(
     frames: tuple[FrameFiles, ...],
     writer: FrameWriter,
     depth_scale: float,
+    stop: Callable[[], bool],
     *,
     write: bool,
 ) -> StreamResult:
     """Run the stream, under a progress bar where stderr is a terminal."""
     save = writer.write if write else None
     if not sys.stderr.isatty():
-        return run_stream(predictor, frames, depth_scale=depth_scale, write=save)
+        return run_stream(predictor, frames, depth_scale=depth_scale, write=save, stop=stop)
     with typer.progressbar(length=len(frames), file=sys.stderr, label="frames") as bar:
 
         def advance(record: FrameRecord) -> None:
             bar.update(1)
 
-        return run_stream(predictor, frames, depth_scale=depth_scale, write=save, on_record=advance)
+        return run_stream(
+            predictor,
+            frames,
+            depth_scale=depth_scale,
+            write=save,
+            on_record=advance,
+            stop=stop,
+        )
 
 
 def _write_summary(
@@ -308,7 +305,3 @@ def _exit_code(result: StreamResult, deadline_ms: float | None) -> int:
     if result.interrupted or any(record.status != OK for record in result.records):
         return SKIPPED
     return 0
-
-
-if __name__ == "__main__":
-    main()

@@ -47,7 +47,7 @@ class FrameRecord:
 
 @dataclass(frozen=True)
 class StreamResult:
-    """The records in order, the time from first read to last write, whether Ctrl-C came."""
+    """The records in order, the time from first read to last write, whether it was stopped."""
 
     records: tuple[FrameRecord, ...]
     wall_s: float
@@ -61,15 +61,18 @@ def run_stream(
     depth_scale: float,
     write: WriteFrame | None = None,
     on_record: Callable[[FrameRecord], None] = lambda record: None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> StreamResult:
     """Predict every frame, in order.
 
     One thread reads ahead and one writes behind; both hold at most two frames, so memory does not
-    grow. A frame that cannot be read or predicted is recorded and skipped. On KeyboardInterrupt
-    what was predicted is written and the records so far come back.
+    grow. A frame that cannot be read or predicted is recorded and skipped.
 
     write: is called with (name, rgb, prediction) in the writing thread; None = nothing is written
     on_record: is called with each record when its frame is done
+    stop: is asked before each frame; once it says True, what was predicted is written and the
+        records so far come back. (A KeyboardInterrupt could come between a frame's writing and its
+        record: it is passed on, and what was written is not known.)
 
     Raises what `write` raises (OutputError), after the frames before it were written.
     """
@@ -77,7 +80,6 @@ def run_stream(
     reads: deque[tuple[int, FrameFiles, Future[tuple[Frame, float]]]] = deque()
     writes: deque[tuple[FrameRecord, Future[float] | None]] = deque()
     waiting = iter(enumerate(frames))
-    interrupted = False
 
     def read_next() -> None:
         for index, files in waiting:
@@ -85,9 +87,8 @@ def run_stream(
             return
 
     def finish_oldest() -> None:
-        record, written = writes[0]
+        record, written = writes.popleft()
         record = record if written is None else replace(record, write_ms=written.result())
-        writes.popleft()  # only now: an interrupt while waiting must not lose it
         records.append(record)
         on_record(record)
 
@@ -95,24 +96,20 @@ def run_stream(
     writer = ThreadPoolExecutor(1, thread_name_prefix="write", initializer=_give_way)
     started = time.perf_counter()
     try:
-        try:
-            for _ in range(_READ_AHEAD):
-                read_next()
-            while reads:
-                index, files, reading = reads.popleft()
-                record, written = _predict(predictor, index, files, reading, writer, write)
-                read_next()
-                writes.append((record, written))
-                while len(writes) > _WRITE_BEHIND:
-                    finish_oldest()
-        except KeyboardInterrupt:
-            interrupted = True
+        for _ in range(_READ_AHEAD):
+            read_next()
+        while reads and not stop():
+            index, files, reading = reads.popleft()
+            writes.append(_predict(predictor, index, files, reading, writer, write))
+            read_next()
+            while len(writes) > _WRITE_BEHIND:
+                finish_oldest()
         while writes:
             finish_oldest()
     finally:
         reader.shutdown(cancel_futures=True)
         writer.shutdown(cancel_futures=True)
-    return StreamResult(tuple(records), time.perf_counter() - started, interrupted)
+    return StreamResult(tuple(records), time.perf_counter() - started, bool(reads))
 
 
 def _predict(

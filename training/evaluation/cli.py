@@ -1,5 +1,10 @@
 """`ssdnet-eval`: the metrics of Table 1 for checkpoints and exported files, a row each."""
 
+if __name__ == "__main__":  # python -m training.evaluation.cli
+    from training.evaluation.__main__ import main
+
+    main()  # ends the process
+
 import re
 import tomllib
 from pathlib import Path
@@ -7,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
-from runtime.errors import InputError, SSDNetError
+from runtime.command import interruptible, reported_errors
+from runtime.errors import InputError
 
 if TYPE_CHECKING:
     from training.datasets.source import SourceRecipe
@@ -57,7 +63,7 @@ def evaluate(
     ] = None,
 ) -> None:
     """Score models on data sets; prints a table."""
-    try:
+    with reported_errors("cpu,train"):
         # Heavy imports here, so that --help answers at once.
         from runtime.network_size import parse_network_size
         from training.evaluation.evaluate import evaluate as run
@@ -73,28 +79,23 @@ def evaluate(
             require_writable(json, "--json")
         if plot is not None:
             require_writable(plot, "--plot", suffix=".png")
-        rows: list[Row] = run(
-            models,
-            [parse_source(text) for text in data],
-            lidars=[LidarInput.parse(text.strip()) for text in lidar.split(",")],
-            faults=["none", *_parse_faults(faults)],
-            with_baselines=baselines,
-            device=device,
-            threads=threads,
-            size=parse_network_size(size),
-            limit=limit,
-        )
-        typer.echo(format_table(rows))
-        if json is not None:
-            write_json(rows, json)
-        if plot is not None:
-            draw_lidar_quality(rows, plot)
-    except ImportError as error:
-        typer.echo(f'error: {error}: evaluation needs pip install "ssdnet[cpu,train]"', err=True)
-        raise typer.Exit(1) from error
-    except SSDNetError as error:
-        typer.echo(f"error: {error}", err=True)
-        raise typer.Exit(1) from error
+        with interruptible():
+            rows: list[Row] = run(
+                models,
+                [parse_source(text) for text in data],
+                lidars=[LidarInput.parse(text.strip()) for text in lidar.split(",")],
+                faults=["none", *_parse_faults(faults)],
+                with_baselines=baselines,
+                device=device,
+                threads=threads,
+                size=parse_network_size(size),
+                limit=limit,
+            )
+            typer.echo(format_table(rows))
+            if json is not None:
+                write_json(rows, json)
+            if plot is not None:
+                draw_lidar_quality(rows, plot)
 
 
 def parse_source(text: str) -> "SourceRecipe":
@@ -131,12 +132,3 @@ def _parse_faults(text: str) -> list[Any]:
     if unknown:
         raise InputError(f"--faults {unknown[0]!r}; known: {', '.join(known)}.")
     return names
-
-
-def main() -> None:
-    """Entry point of the installed command."""
-    app()
-
-
-if __name__ == "__main__":
-    main()

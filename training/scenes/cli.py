@@ -1,14 +1,25 @@
 """`ssdnet-render`: render driving scenes into the Virtual KITTI 2 layout."""
 
+import signal
 import sys
+
+if __name__ == "__main__":  # python -m training.scenes.cli
+    from training.scenes.__main__ import main
+
+    main()  # ends the process
+
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
+from runtime.command import interruptible, reported_errors
 from runtime.contract import MIN_SIDE
 
-app = typer.Typer(add_completion=False)
+if TYPE_CHECKING:
+    from multiprocessing.pool import Pool
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 T = TypeVar("T")
 
@@ -43,15 +54,11 @@ def render(
     overwrite: Annotated[bool, typer.Option(help="Replace scenes that exist.")] = False,
 ) -> None:
     """Render streets: RGB, depth and classes of every frame."""
-    try:
-        from runtime.errors import SSDNetError
+    with reported_errors("train"):
         from training.scenes.layout.street_plan import STREET_KINDS, StreetKind
         from training.scenes.rendering.camera import CameraName
         from training.scenes.rendering.weather import VARIANTS, Variant
         from training.scenes.scene_job import LONGEST_S, SceneJob
-    except ImportError as error:
-        typer.echo(f'error: {error}: rendering needs pip install "ssdnet[train]"', err=True)
-        raise typer.Exit(1) from error
 
     cameras: dict[str, CameraName] = {"kitti": "kitti", "camvid": "camvid", "varied": "varied"}
     kinds: dict[str, StreetKind] = {kind: kind for kind in STREET_KINDS}
@@ -78,11 +85,8 @@ def render(
         )
         for index in range(scenes)
     ]
-    try:
+    with reported_errors("train"), interruptible():
         total = _run(jobs, workers)
-    except SSDNetError as error:
-        typer.echo(f"error: {error}", err=True)
-        raise typer.Exit(1) from error
     typer.echo(f"{total} frames of {scenes} scenes in {out}")
 
 
@@ -106,8 +110,6 @@ def _parse_size(text: str) -> tuple[int, int]:
 
 
 def _run(jobs: list, workers: int) -> int:  # type: ignore[type-arg]
-    from multiprocessing import get_context
-
     from tqdm import tqdm
 
     from training.scenes.scene_job import run_job
@@ -120,17 +122,19 @@ def _run(jobs: list, workers: int) -> int:  # type: ignore[type-arg]
                 total += run_job(job)
                 bar.update()
             return total
-        with get_context("spawn").Pool(workers) as pool:
+        with _start_pool(workers) as pool:
             for done in pool.imap_unordered(run_job, jobs):
                 total += done
                 bar.update()
     return total
 
 
-def main() -> None:
-    """Entry point of `ssdnet-render`."""
-    app()
+def _start_pool(workers: int) -> "Pool":
+    """Processes that Ctrl-C, which a terminal sends to all, does not reach: they are terminated."""
+    from multiprocessing import get_context
 
-
-if __name__ == "__main__":
-    main()
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # is inherited
+    try:
+        return get_context("spawn").Pool(workers)
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -255,21 +255,36 @@ def reread(folders: tuple[Path, Path]):
     return frame.rgb, frame.sparse_depth
 
 
-def test_ctrl_c_finishes_what_was_predicted(predictor, stream_of, monkeypatch):
-    predict = predictor.predict
-    count = iter(range(100))
-
-    def interrupted(rgb, depth):
-        if next(count) == 4:
-            raise KeyboardInterrupt
-        return predict(rgb, depth)
-
-    monkeypatch.setattr(predictor, "predict", interrupted)
+def test_what_was_predicted_before_a_stop_is_written(predictor, stream_of):
+    asked = iter([False] * 4 + [True])
     written = []
-    result = run(predictor, stream_of(10), write=lambda name, *_: written.append(name))
+    result = run(
+        predictor,
+        stream_of(10),
+        write=lambda name, *_: written.append(name),
+        stop=lambda: next(asked),
+    )
     assert result.interrupted
     assert written == ["0", "1", "2", "3"]
     assert [record.name for record in result.records] == written
+    assert not [t for t in threading.enumerate() if t.name.startswith(("read", "write"))]
+
+
+@pytest.mark.parametrize("asked", [[True], [False] * 3], ids=["at once", "never"])
+def test_a_stop_that_comes_before_the_first_frame_or_not_at_all(predictor, stream_of, asked):
+    answers = iter(asked)
+    result = run(predictor, stream_of(3), stop=lambda: next(answers))
+    assert result.interrupted == asked[0]
+    assert len(result.records) == len(asked) * (not asked[0])
+
+
+def test_an_interrupt_is_passed_on_and_leaves_no_thread(predictor, stream_of, monkeypatch):
+    def interrupt(rgb, depth):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(predictor, "predict", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        run(predictor, stream_of(10))
     assert not [t for t in threading.enumerate() if t.name.startswith(("read", "write"))]
 
 

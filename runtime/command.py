@@ -1,0 +1,74 @@
+"""What the commands share: how errors and Ctrl-C end them. Light, since it is loaded first."""
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from types import FrameType
+
+from runtime.errors import SSDNetError
+
+ERROR, INTERRUPTED = 1, 130  # exit codes
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def end_quietly() -> None:
+    """Let Ctrl-C and SIGTERM end the process at once, as the first thing that a command does.
+
+    For as long as it imports and reads: a KeyboardInterrupt in the middle of an import comes out as
+    a traceback, or as another error.
+    """
+    for number in SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as a shell starts background jobs
+            signal.signal(number, end_now)
+
+
+def end_now(number: int, frame: FrameType | None) -> None:
+    """End the process as `end_quietly` says: a signal handler."""
+    os._exit(INTERRUPTED)
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM raise KeyboardInterrupt in the block, which cleans up after itself.
+
+    A second one ends the process at once.
+    """
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        end_quietly()
+        raise KeyboardInterrupt
+
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler or signal.SIG_DFL)
+
+
+@contextlib.contextmanager
+def reported_errors(extras: str) -> Iterator[None]:
+    """Turn what a command's block raises into a line on stderr and an exit code.
+
+    SSDNetError is exit code 1, and so is ImportError, which says to install ``ssdnet[extras]``;
+    KeyboardInterrupt is exit code 130 without a line.
+    """
+    try:
+        yield
+    except SSDNetError as error:
+        _end(f"error: {error}", error)
+    except ImportError as error:
+        _end(f'error: {error}: pip install "ssdnet[{extras}]"', error)
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+
+
+def _end(text: str, error: Exception) -> None:
+    with contextlib.suppress(OSError):  # nobody reads
+        sys.stderr.write(text + "\n")
+    raise SystemExit(ERROR) from error

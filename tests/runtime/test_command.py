@@ -1,0 +1,115 @@
+"""What the five commands do with errors and Ctrl-C."""
+
+import signal
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from runtime.command import interruptible, reported_errors
+from runtime.errors import InputError
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals")
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "text"),
+    [
+        (InputError("what came"), 1, "error: what came\n"),
+        (ImportError("No module named 'x'"), 1,
+         "error: No module named 'x': pip install \"ssdnet[train]\"\n"),
+        (KeyboardInterrupt(), 130, ""),
+    ],
+    ids=["ours", "missing package", "Ctrl-C"],
+)  # fmt: skip
+def test_an_error_is_a_line_and_an_exit_code(capfd, error, code, text):
+    with pytest.raises(SystemExit) as caught, reported_errors("train"):
+        raise error
+    assert caught.value.code == code
+    assert capfd.readouterr().err == text
+
+
+def test_an_error_that_is_nobodys_fault_is_not_hidden():
+    with pytest.raises(ZeroDivisionError), reported_errors("train"):
+        raise ZeroDivisionError
+
+
+@posix
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_block_that_can_be_interrupted_cleans_up(number):
+    before = signal.getsignal(number)
+    cleaned = []
+
+    def work():
+        with interruptible():
+            try:
+                signal.raise_signal(number)
+            finally:
+                cleaned.append(True)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert cleaned
+    assert signal.getsignal(number) == before
+
+
+@posix
+@pytest.mark.parametrize(
+    ("block", "code"),
+    [
+        ("signal.raise_signal(signal.SIGINT)", 130),
+        ("signal.raise_signal(signal.SIGTERM)", 130),
+        # A second one does not wait for what the first one cleans up.
+        ("with interruptible():\n  try: signal.raise_signal(signal.SIGINT)\n"
+         "  finally: signal.raise_signal(signal.SIGINT); print('cleaned up')", 130),
+        ("signal.signal(signal.SIGINT, signal.SIG_IGN); end_quietly(); "
+         "signal.raise_signal(signal.SIGINT); sys.exit(7)", 7),
+    ],
+    ids=["Ctrl-C", "SIGTERM", "twice", "deaf from the start"],
+)  # fmt: skip
+def test_a_process_ends_without_a_traceback(block, code):
+    program = f"import signal, sys\nfrom runtime.command import *\nend_quietly()\n{block}"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
+
+
+PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
+SCRIPTS = tomllib.loads(PYPROJECT.read_text())["project"]["scripts"]
+COMMANDS = {
+    "ssdnet-eval": ["none.pt", "--data", "camvid:none"],
+    "ssdnet-export": ["none.pt", "none.onnx"],
+    "ssdnet-render": ["out", "--scenes", "1"],
+    "ssdnet-run": ["--demo"],
+    "ssdnet-train": ["none.toml", "--data", "none", "--out", "none"],
+}
+
+
+def test_every_command_is_known_here():
+    assert set(SCRIPTS) == set(COMMANDS)
+
+
+@posix
+@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("imported", ["typer.", "numpy."])
+def test_ctrl_c_while_a_command_imports(tmp_path, name, imported):
+    """-X importtime tells how far it is."""
+    module, function = SCRIPTS[name].split(":")
+    program = f"from {module} import {function}; {function}()"
+    process = subprocess.Popen(
+        [sys.executable, "-X", "importtime", "-c", program, *COMMANDS[name]],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        # A shell starts what runs in its background deaf to Ctrl-C, and children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    for line in process.stderr:
+        if line.rpartition("|")[2].strip().startswith(imported):
+            break
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate()
+    assert (process.returncode, stdout) == (130, "")
+    assert not [line for line in stderr.splitlines() if not line.startswith("import time:")]
