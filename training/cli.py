@@ -1,14 +1,17 @@
 """`ssdnet-train`: from a recipe to a checkpoint."""
 
+if __name__ == "__main__":  # python -m training.cli
+    from training.__main__ import main
+
+    main()  # ends the process
+
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from runtime.errors import SSDNetError
+from runtime.command import INTERRUPTED, reported_errors
 from training.stop_signal import StopSignal
-
-ERROR, STOPPED = 1, 130  # exit codes
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -56,13 +59,13 @@ def train(
     ] = False,
 ) -> None:
     """Train a network; writes checkpoints, TensorBoard curves, scores and the resolved recipe."""
-    with StopSignal() as stop:
-        try:
-            # Heavy imports here, so that --help answers at once.
-            from training.loop import train as run
-            from training.recipe import read_recipe
-            from training.recipe_files import find_recipe
+    with reported_errors("train"):
+        # Heavy imports here, so that --help answers at once.
+        from training.loop import train as run
+        from training.recipe import read_recipe
+        from training.recipe_files import find_recipe
 
+        with StopSignal() as stop:
             path = run(
                 read_recipe(find_recipe(recipe), change or ()),
                 data=data,
@@ -72,22 +75,7 @@ def train(
                 stop_after=stop_after,
                 stop=stop,
             )
-        except ImportError as error:
-            typer.echo(f'error: {error}: training needs pip install "ssdnet[train]"', err=True)
-            raise typer.Exit(ERROR) from error
-        except SSDNetError as error:
-            typer.echo(f"error: {error}", err=True)
-            raise typer.Exit(ERROR) from error
     typer.echo(str(path))
     if stop() and path.name == "last.pt":
         typer.echo(f"stopped; the same command goes on from {path}", err=True)
-        raise typer.Exit(STOPPED)
-
-
-def main() -> None:
-    """Entry point of the installed command."""
-    app()
-
-
-if __name__ == "__main__":
-    main()
+        raise typer.Exit(INTERRUPTED)
