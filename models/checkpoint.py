@@ -12,6 +12,7 @@ import torch
 from models.network import Network
 from models.registry import NETWORKS
 from runtime.atomic_write import atomic_file
+from runtime.contract import check_side
 from runtime.errors import CheckpointError, OutputError
 
 FORMAT = "ssdnet-checkpoint"
@@ -32,9 +33,15 @@ class Checkpoint:
 
     @property
     def trained_height(self) -> int | None:
-        """Rows of the pictures it was trained for, as its recipe said; None = not known."""
+        """Rows of the pictures it was trained for, as its recipe said; None = not known.
+
+        Raises CheckpointError for what no picture has.
+        """
         value = self.training.get("trained_height")
-        return value if isinstance(value, int) else None
+        try:
+            return None if value is None else check_side(value, "trained_height")
+        except ValueError as error:
+            raise CheckpointError(f"the checkpoint's {error}. Train anew.") from error
 
 
 def save_checkpoint(

@@ -68,7 +68,7 @@ class Contract:
     max_depth_m: depths beyond it are no measurement [m]
     native_size: (height, width) it was exported and verified at; a dynamic model accepts any size
     stride: the graph pads to a multiple of it, and crops back
-    resize: how each tensor is resized where a picture has another size than a fixed model
+    resize: how each tensor is resized where the network runs at another size than the frame's
     precision: "fp32", "fp16", "int8"
     training: the data it was trained on and their terms
     versions: of what made the file (ssdnet, torch, onnx, opset)

@@ -73,10 +73,11 @@ def _range_faults(
     values: NDArray[Any], limit: float, not_finite: str, out_of_range: str
 ) -> list[str]:
     """What is wrong with values that must lie in 0..limit, but for rounding."""
-    if not _all_finite(values):
+    low, high = values.min(), values.max()  # NaN and Inf reach one of them
+    if not (np.isfinite(low) and np.isfinite(high)):
         return [not_finite]
     margin = _ROUNDING * limit
-    return [] if values.min() >= -margin and values.max() <= limit + margin else [out_of_range]
+    return [] if low >= -margin and high <= limit + margin else [out_of_range]
 
 
 def _all_finite(values: NDArray[Any]) -> bool:

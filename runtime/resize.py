@@ -1,8 +1,8 @@
 """The one resize rule: the contract's, for the frames of a stream and for those of a training.
 
-A pixel is a centre at integer coordinates (row, column). In a side of `old` pixels that is brought
-to `new` of them, a centre u comes to lie at u' = (u + 0.5) * new / old - 0.5; what was measured
-there falls in the pixel rint(u'), half to even, as a projected return falls in rint(u), rint(v).
+Integers are pixel centres, as `runtime.projection` has them. In a side of `old` pixels that is
+brought to `new` of them, a centre u comes to lie at u' = (u + 0.5) * new / old - 0.5; what was
+measured there falls in the pixel rint(u'), half to even, as a projected return does.
 
 Pictures are averaged by area along each side that shrinks and are bilinear along one that grows.
 LiDAR returns are moved one by one. Labels and dense depth take the nearest pixel.

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from models import SSDNet, load_checkpoint, save_checkpoint
+from models.checkpoint import Checkpoint
 from models.classes import CAMVID_CLASSES, numbered_classes
 from models.registry import NETWORKS
 from runtime.errors import CheckpointError
@@ -156,3 +157,13 @@ def test_configuration_that_cannot_be_built_is_named(tmp_path):
     change(path, config={**SMALL.to_dict(), "boundary_channels": -4})
     with pytest.raises(CheckpointError, match="cannot be built here"):
         load_checkpoint(path)
+
+
+def test_the_trained_height_is_one_that_pictures_have():
+    network = torch.nn.Identity()
+    assert Checkpoint(network, {}).trained_height is None
+    assert Checkpoint(network, {"trained_height": None}).trained_height is None
+    assert Checkpoint(network, {"trained_height": 400}).trained_height == 400
+    for bad in (-5, 0, True, 400.0, "400", 10**9):
+        with pytest.raises(CheckpointError, match="trained_height must be"):
+            _ = Checkpoint(network, {"trained_height": bad}).trained_height
