@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.contract import MAX_SIDE
 from runtime.errors import InputError
 
 _INDEX_BITS = 32
@@ -101,8 +102,11 @@ def project_with_rows(
     _check_matrix("intrinsics", intrinsics, 3)
     _check_matrix("extrinsics", extrinsics, 4)
     height, width = _check_size(size)
-    matrix = (intrinsics.astype(np.float64) @ extrinsics[:3].astype(np.float64)).astype(np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
+        matrix = intrinsics.astype(np.float64) @ extrinsics[:3].astype(np.float64)
+        matrix = matrix.astype(np.float32)
+        if not np.isfinite(matrix).all():
+            raise InputError("intrinsics times extrinsics is beyond float32: check the calibration")
         u_z, v_z, z = matrix[:, :3] @ points[:, :3].T + matrix[:, 3:]
         # Compared before dividing, which leaves a fraction to divide. Together these hold for
         # z > 0 alone, and never for NaN.
@@ -130,10 +134,11 @@ def project_with_rows(
 
 
 def _check_points(points: Any) -> None:
-    if not isinstance(points, np.ndarray) or points.dtype != np.float32:
-        came = points.dtype if isinstance(points, np.ndarray) else type(points).__name__
+    is_plain = isinstance(points, np.ndarray) and not isinstance(points, np.ma.MaskedArray)
+    if not is_plain or points.dtype != np.float32:
+        came = points.dtype if is_plain else type(points).__name__
         raise InputError(
-            f"points must be a float32 array [m], got {came}: use points.astype(np.float32)"
+            f"points must be a plain float32 array [m], got {came}: use points.astype(np.float32)"
         )
     if points.ndim != 2 or points.shape[1] < 3:
         raise InputError(f"points must have the shape (N, 3) or (N, 4), got {points.shape}")
@@ -158,7 +163,7 @@ def _check_size(size: Any) -> tuple[int, int]:
     if (
         not isinstance(size, tuple)
         or len(size) != 2
-        or not all(isinstance(side, int | np.integer) and side > 0 for side in size)
+        or not all(isinstance(side, int | np.integer) and 0 < side <= MAX_SIDE for side in size)
     ):
-        raise InputError(f"size must be (height, width) in pixels, got {size!r}")
+        raise InputError(f"size must be (height, width), 1..{MAX_SIDE} pixels each, got {size!r}")
     return int(size[0]), int(size[1])

@@ -136,8 +136,8 @@ def test_occlusion_filter_takes_away_what_shows_through_a_near_object():
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"points": np.zeros((5, 3))}, "points must be a float32 array .* got float64"),
-        ({"points": [[1, 2, 3]]}, "points must be a float32 array .* got list"),
+        ({"points": np.zeros((5, 3))}, "points must be a plain float32 array .* got float64"),
+        ({"points": [[1, 2, 3]]}, "points must be a plain float32 array .* got list"),
         ({"points": np.zeros((5, 2), np.float32)}, r"points must have the shape .* \(5, 2\)"),
         ({"points": np.zeros(3, np.float32)}, "points must have the shape"),
         ({"intrinsics": K.astype(int)}, "intrinsics must be an array of floats, got int64"),
@@ -147,7 +147,13 @@ def test_occlusion_filter_takes_away_what_shows_through_a_near_object():
         ({"extrinsics": LIDAR_TO_CAMERA[:3]}, r"extrinsics must have the shape \(4, 4\)"),
         ({"extrinsics": LIDAR_TO_CAMERA.T}, "last row of extrinsics must be 0, 0, 0, 1"),
         ({"extrinsics": np.full((4, 4), np.inf)}, "extrinsics must be finite"),
+        (
+            {"points": np.ma.masked_less(np.zeros((5, 3), np.float32), 1)},
+            "plain float32 array .* got MaskedArray",
+        ),
+        ({"intrinsics": np.diag([1e300, 1, 1])}, "beyond float32"),
         ({"size": (0, 5)}, "size must be"),
+        ({"size": (10**6, 10**6)}, "size must be"),
         ({"size": (4.0, 5.0)}, "size must be"),
         ({"size": 5}, "size must be"),
     ],
