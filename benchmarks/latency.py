@@ -31,6 +31,7 @@ from export.exporter import export_checkpoint
 from models import create_model, save_checkpoint
 from runtime import Predictor
 from runtime.atomic_write import atomic_write
+from runtime.resize import move_returns
 from runtime.stream.bundled import bundled_stream
 from runtime.stream.frames import FrameFiles, list_frames, read_frame
 from runtime.stream.pipeline import run_stream
@@ -188,19 +189,11 @@ def _frames(folder: Path, size: tuple[int, int], suffix: str) -> list[FrameFiles
     folder = folder / suffix[1:]
     for pair in list_frames(rgb, depth, limit=5):
         frame = read_frame(pair, depth_scale=256.0)
-        _write(folder / "rgb" / f"{pair.name}{suffix}", _to(frame.rgb[..., ::-1], size))
-        units = (_to(frame.sparse_depth, size) * 256).astype(np.uint16)
+        bgr = cv2.resize(frame.rgb[..., ::-1], size[::-1], interpolation=cv2.INTER_CUBIC)
+        _write(folder / "rgb" / f"{pair.name}{suffix}", bgr)
+        units = (move_returns(frame.sparse_depth, size) * 256).astype(np.uint16)
         _write(folder / "depth" / f"{pair.name}.png", units)
     return list(list_frames(folder / "rgb", folder / "depth"))
-
-
-def _to(image: NDArray, size: tuple[int, int]) -> NDArray:
-    nearest = image.ndim == 2
-    return cv2.resize(
-        image,
-        (size[1], size[0]),
-        interpolation=cv2.INTER_NEAREST_EXACT if nearest else cv2.INTER_CUBIC,
-    )
 
 
 def _write(path: Path, image: NDArray) -> None:

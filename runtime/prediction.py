@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 # Reasons in Prediction.degraded. The answer is usable, with less behind it than usual:
 NO_DEPTH = "no_depth"  # not one usable return: the answer comes from the camera alone
-SPARSE_DEPTH_LOW = "sparse_depth_low"  # returns in less than a hundredth of the picture
+SPARSE_DEPTH_LOW = "sparse_depth_low"  # in too few places, see `preprocess.covers_little`
 IMAGE_CONSTANT = "image_constant"  # every pixel alike: a covered or dead camera
 # The answer is not usable (valid is False):
 DEPTH_NOT_FINITE = "depth_not_finite"

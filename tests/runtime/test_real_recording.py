@@ -10,6 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from runtime import project_points
+from runtime.preprocess import covers_little
+from runtime.resize import move_returns
 from runtime.stream.cli import app
 from runtime.stream.frames import list_frames, read_frame
 
@@ -99,3 +101,16 @@ def test_scans_fall_where_the_stereo_truth_has_their_disparity():
     assert np.median(rint) < 0.05
     assert np.median(rint) < 0.7 * np.median(floor)
     assert len(rint) > 1.2 * len(floor)
+
+
+@pytest.mark.parametrize("size", [(125, 414), (375, 1242), (2160, 3840)])
+def test_a_thinned_lidar_is_few_returns_at_the_same_count_of_lines_for_every_camera(kitti, size):
+    # The engine's tests also run where training cannot.
+    kitti_stream = pytest.importorskip("training.datasets.kitti_stream")
+    sample = kitti_stream.KittiStream(kitti, first=0, last=0)[0]
+    flagged = {}
+    for lines in (64, 32, 16, 8, 4, 2, 1):
+        kept = sample.scan_line % (64 // lines) == 32 // lines
+        depth = move_returns(np.where(kept, sample.depth, 0).astype(np.float32), size)
+        flagged[lines] = covers_little(depth, returns=np.count_nonzero(depth))
+    assert [lines for lines, few in flagged.items() if few] == [2, 1]
