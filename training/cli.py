@@ -43,7 +43,11 @@ def train(
         Path, typer.Option(help="Run folder; one of the same recipe goes on where it stopped.")
     ],
     init: Annotated[
-        Path | None, typer.Option(help="Checkpoint whose weights to start from.")
+        str | None,
+        typer.Option(
+            help="Weights to start from: 'ssdnet-lite', or a file: what ends in .pt or holds a "
+            "slash."
+        ),
     ] = None,
     change: Annotated[
         list[str] | None,
@@ -61,6 +65,7 @@ def train(
     """Train a network; writes checkpoints, TensorBoard curves, scores and the resolved recipe."""
     with reported_errors("train"):
         # Heavy imports here, so that --help answers at once.
+        from training.initial_weights import find_weights
         from training.loop import train as run
         from training.recipe import read_recipe
         from training.recipe_files import find_recipe
@@ -70,7 +75,7 @@ def train(
                 read_recipe(find_recipe(recipe), change or ()),
                 data=data,
                 out=out,
-                init=init,
+                init=None if init is None else find_weights(init),
                 device=device,
                 stop_after=stop_after,
                 stop=stop,

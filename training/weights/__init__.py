@@ -1,0 +1,1 @@
+"""Checkpoints that are installed with the package, see `training.initial_weights`."""
