@@ -1,7 +1,5 @@
 """Checkpoints: weights that carry their own configuration."""
 
-import pickle
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +7,7 @@ from typing import Any
 
 import torch
 
+from models.checkpoint_checks import check_archive, check_weights
 from models.network import Network
 from models.registry import NETWORKS
 from runtime.atomic_write import atomic_file
@@ -17,7 +16,6 @@ from runtime.errors import CheckpointError, OutputError
 
 FORMAT = "ssdnet-checkpoint"
 VERSION = 1
-_ZIP_START = b"PK\x03\x04"
 
 
 @dataclass(frozen=True)
@@ -56,9 +54,9 @@ def save_checkpoint(
 
     It holds the name of the network's class, its configuration (classes, depth range and
     normalisation with it) and the weights: the model's, or ``state_dict`` (averaged weights, say).
-    ``training`` and ``trainer`` hold plain
-    values and tensors. An existing file is replaced. Raises CheckpointError when it cannot be
-    written; a file that stood there before is then untouched.
+    ``training`` and ``trainer`` hold plain values and tensors. An existing file is replaced.
+    Raises CheckpointError when it cannot be written; a file that stood there before is then
+    untouched.
     """
     path = Path(path)
     document = {
@@ -84,6 +82,9 @@ def save_checkpoint(
 def load_checkpoint(path: Path | str) -> Checkpoint:
     """Read a checkpoint strictly, without running any code from it.
 
+    Nothing is allocated beyond the file's own size before its weights are known to fit its
+    configuration. Weights in half precision come back in single precision.
+
     Raises CheckpointError that says whether the file is missing, truncated or no checkpoint at
     all, is not one of this project, is of a newer version, or holds other weights than its
     configuration wants.
@@ -92,9 +93,15 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint file. Give the path of a .pt file.")
     try:
+        check_archive(path)
+    except ValueError as error:
+        raise CheckpointError(f"{path}: {error}") from error
+    except Exception as error:  # a damaged archive can fail in any way
+        raise CheckpointError(f"{path}: damaged ({_first_line(error)}). Copy it again.") from error
+    try:
         document = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # a damaged pickle can fail in any way
-        raise CheckpointError(f"{path}: {_unreadable(path, error)}") from error
+    except Exception as error:  # so can a damaged pickle
+        raise CheckpointError(f"{path}: damaged ({_first_line(error)}). Copy it again.") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise CheckpointError(
             f"{path}: a PyTorch file, but not an ssdnet checkpoint (no 'format: {FORMAT}'). "
@@ -106,11 +113,11 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             f"{path}: checkpoint version {version!r}, but this installation reads version "
             f"{VERSION}. Install a release that matches the file."
         )
-    missing = [key for key in ("config", "weights", "training", "trainer") if key not in document]
-    if missing:
-        raise CheckpointError(f"{path}: the checkpoint lacks {', '.join(missing)}. Train anew.")
+    for key in ("config", "weights", "training", "trainer"):
+        if not isinstance(document.get(key), dict):
+            raise CheckpointError(f"{path}: the checkpoint lacks {key}. Train anew.")
     # Files of before there were other networks do not name theirs.
-    kind = document.get("network", "SSDNet")
+    kind = str(document.get("network", "SSDNet"))
     kinds = {entry.network.__name__: entry for entry in NETWORKS.values()}
     if kind not in kinds:
         raise CheckpointError(
@@ -119,36 +126,23 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         )
     try:
         config = type(kinds[kind].config).from_dict(document["config"])
-        model = kinds[kind].network(config)
+        with torch.device("meta"):  # its shapes alone
+            expected = kinds[kind].network(config).state_dict()
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
         raise CheckpointError(
             f"{path}: its configuration cannot be built here: {_first_line(error)}. "
             "It may come from a newer release."
         ) from error
     try:
-        model.load_state_dict(document["weights"], strict=True)
-    except (RuntimeError, TypeError, AttributeError) as error:
+        check_weights(document["weights"], expected)
+    except ValueError as error:
         raise CheckpointError(
-            f"{path}: its weights do not fit its own configuration '{config.name}': {error}"
+            f"{path}: its weights do not fit its own configuration {config.name!r}: {error}. "
+            "Give a file that ssdnet-train wrote."
         ) from error
+    model = kinds[kind].network(config)
+    model.load_state_dict(document["weights"], strict=True)
     return Checkpoint(model.eval(), document["training"], document["trainer"])
-
-
-def _unreadable(path: Path, error: Exception) -> str:
-    """Say what is wrong with a file that torch.load refuses."""
-    with path.open("rb") as stream:
-        start = stream.read(len(_ZIP_START))
-    if not _ZIP_START.startswith(start):
-        return "not a checkpoint but a file of another kind. Give a file that ssdnet-train wrote."
-    if not zipfile.is_zipfile(path):  # its directory comes last
-        return f"truncated ({path.stat().st_size} bytes). Copy it again."
-    if isinstance(error, pickle.UnpicklingError):
-        # Not torch's own text: it goes on to say how to run the code all the same.
-        return (
-            "it holds something else than tensors and plain values, which could run code when "
-            "read. Give a file that ssdnet-train wrote."
-        )
-    return f"damaged ({_first_line(error)}). Copy it again."
 
 
 def _first_line(error: BaseException) -> str:

@@ -59,6 +59,8 @@ class NetworkConfig:
         check_classes(self.classes)
         check_max_depth(self.max_depth_m)
         check_stride(self.stride)
+        if not all(0 < value < float("inf") for value in self.rgb_std):
+            raise ValueError(f"rgb_std must be positive, got {self.rgb_std}")
 
     @property
     def heads(self) -> tuple[Head, ...]:

@@ -5,6 +5,11 @@ from typing import Any, Literal
 
 from models.network import Head, NetworkConfig
 
+# What can be built: far beyond any network that was.
+MAX_STAGES = 8
+MAX_BLOCKS = 100
+MAX_CHANNELS = 8192
+
 
 @dataclass(frozen=True)
 class SSDNetConfig(NetworkConfig):
@@ -55,6 +60,7 @@ class SSDNetConfig(NetworkConfig):
             raise ValueError("a network needs a semantic head, a depth head or both")
         if not (self.use_rgb or self.use_sparse_depth):
             raise ValueError("a network needs rgb, sparse depth or both as input")
+        self._check_sizes()
         super().__post_init__()
         if len(self.encoder_channels) != len(self.encoder_blocks):
             raise ValueError("encoder_channels and encoder_blocks must have the same length")
@@ -77,6 +83,22 @@ class SSDNetConfig(NetworkConfig):
             raise ValueError(f"sparse_depth_gain must be positive, got {self.sparse_depth_gain}")
         if self.depth_prior and not self.stem_channels:
             raise ValueError("depth_prior works on the grid of a strided stem")
+
+    def _check_sizes(self) -> None:
+        """Refuse more layers or channels than any network has, before they are made."""
+        counts = {
+            "stem layers": (len(self.stem_channels), 0, MAX_STAGES),
+            "encoder stages": (len(self.encoder_channels), 1, MAX_STAGES),
+            "blocks of a stage": (max(self.encoder_blocks, default=1), 1, MAX_BLOCKS),
+        }
+        for key in ("stem_channels", "encoder_channels", "decoder_channels"):
+            for channels in getattr(self, key):
+                counts[f"{key} {channels}"] = (channels, 1, MAX_CHANNELS)
+        counts["boundary_channels"] = (self.boundary_channels, 1, MAX_CHANNELS)
+        counts["semantic_refine_channels"] = (self.semantic_refine_channels, 0, MAX_CHANNELS)
+        for what, (count, least, most) in counts.items():
+            if not least <= count <= most:
+                raise ValueError(f"{what}: {least} to {most} can be built, got {count}")
 
     @property
     def heads(self) -> tuple[Head, ...]:

@@ -1,6 +1,8 @@
 """Checkpoints carry all that is needed and refuse all that is not theirs."""
 
 import os
+import resource
+import zipfile
 from dataclasses import replace
 
 import pytest
@@ -167,3 +169,135 @@ def test_the_trained_height_is_one_that_pictures_have():
     for bad in (-5, 0, True, 400.0, "400", 10**9):
         with pytest.raises(CheckpointError, match="trained_height must be"):
             _ = Checkpoint(network, {"trained_height": bad}).trained_height
+
+
+def test_the_network_is_named_and_files_of_before_are_the_family(tmp_path):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    document = torch.load(path, weights_only=True)
+    assert document.pop("network") == "SSDNet"
+    torch.save(document, path)
+    assert type(load_checkpoint(path).model) is SSDNet
+    change(path, network="Unheard")
+    with pytest.raises(
+        CheckpointError, match="network 'Unheard', but this installation knows SSDN"
+    ):
+        load_checkpoint(path)
+
+
+@pytest.fixture
+def little_memory():
+    """Whatever allocates gigabytes fails."""
+    with open("/proc/self/statm") as statm:
+        used = int(statm.read().split()[0]) * resource.getpagesize()
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + 2**30, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"encoder_blocks": (10**9, 1, 1, 1)}, "blocks of a stage: 1 to 100"),
+        ({"encoder_channels": (10**9, 8, 8, 8)}, "encoder_channels 1000000000: 1 to 8192"),
+        ({"encoder_channels": (8192, 8192, 8192, 8192)}, "it lacks depth_decoder"),
+        ({"boundary_channels": 8192}, "has the shape"),
+        ({"stem_channels": (8,) * 1000}, "stem layers: 0 to 8"),
+        ({"boundary_channels": 0}, "boundary_channels: 1 to"),
+        ({"encoder_channels": (8.0, 8, 8, 8)}, "wrong type: 8.0"),
+        ({"encoder_channels": "8888"}, "encoder_channels has the wrong type"),
+        ({"depth_head": 1}, "depth_head has the wrong type: 1"),
+        ({"max_depth_m": 1e39}, "max_depth_m must be"),
+        ({"max_depth_m": "77"}, "max_depth_m has the wrong type"),
+        ({"classes": ({"name": "road", "color": (1, 2)},) * 4}, "color has the wrong type"),
+        ({"rgb_std": (0.0, 1.0, 1.0)}, "rgb_std must be positive"),
+    ],
+)
+def test_absurd_configurations_are_refused_before_they_are_built(
+    tmp_path, changes, said, little_memory
+):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    change(path, config={**SMALL.to_dict(), **changes})
+    with pytest.raises(CheckpointError, match=said):
+        load_checkpoint(path)
+
+
+def weights_of(path, convert):
+    document = torch.load(path, weights_only=True)
+    weights = document["weights"]
+    document["weights"] = {name: convert(name, value) for name, value in weights.items()}
+    torch.save(document, path)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
+def test_floating_point_weights_of_any_precision_load(tmp_path, dtype):
+    path = tmp_path / "a.pt"
+    model = SSDNet(SMALL)
+    save_checkpoint(path, model)
+    weights_of(path, lambda _, value: value.to(dtype) if value.is_floating_point() else value)
+    weight = load_checkpoint(path).model.stem[0][0].weight
+    assert weight.dtype == torch.float32
+    torch.testing.assert_close(weight, model.stem[0][0].weight, rtol=1e-2, atol=1e-3)
+
+
+@pytest.mark.parametrize("dtype", [torch.int64, torch.uint8, torch.bool, torch.complex64])
+def test_weights_of_another_type_are_not_cast(tmp_path, dtype):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    weights_of(path, lambda name, value: value.to(dtype) if name == "stem.0.0.weight" else value)
+    with pytest.raises(CheckpointError, match=r"stem\.0\.0\.weight is of type torch\."):
+        load_checkpoint(path)
+
+
+def test_tensors_that_repeat_one_value_are_refused(tmp_path, little_memory):
+    """A file of a few kilobytes that asks for 19 GB of weights."""
+    huge = replace(SMALL, encoder_channels=(8192, 8192, 8192, 8192))
+    with torch.device("meta"):
+        shapes = {name: value.shape for name, value in SSDNet(huge).state_dict().items()}
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    counters = {name for name in shapes if name.endswith("num_batches_tracked")}
+    weights = {
+        name: torch.zeros((), dtype=torch.int64 if name in counters else torch.float32).expand(
+            shape
+        )
+        for name, shape in shapes.items()
+    }
+    change(path, config=huge.to_dict(), weights=weights)
+    assert path.stat().st_size < 100_000
+    with pytest.raises(CheckpointError, match="repeat values"):
+        load_checkpoint(path)
+
+
+def test_a_file_that_unpacks_to_much_more_is_refused(tmp_path, little_memory):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a/data/bomb", bytes(2**26))
+    with pytest.raises(CheckpointError, match="it would unpack from"):
+        load_checkpoint(path)
+
+
+def test_a_file_that_calls_for_memory_is_refused(tmp_path, little_memory):
+    """PyTorch's reader allows bytearray(n) and torch.FloatTensor(n)."""
+    for kind in (b"cbuiltins\nbytearray\n", b"ctorch\nFloatTensor\n"):
+        with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:
+            call = kind + b"\x8a\x05\x00\x00\x00\x00\x02\x85R."  # kind(2**33)
+            archive.writestr("a/data.pkl", b"\x80\x02" + call)
+            archive.writestr("a/version", b"3\n")
+        with pytest.raises(CheckpointError, match="something else than tensors"):
+            load_checkpoint(tmp_path / "a.pt")
+
+
+def test_a_file_larger_than_any_checkpoint_is_not_read(tmp_path):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    whole = path.read_bytes()
+    with path.open("wb") as stream:  # sparse: takes no space
+        stream.write(whole[:4])
+        stream.seek(9 * 2**30)
+        stream.write(whole)
+    with pytest.raises(CheckpointError, match="at most 8589934592"):
+        load_checkpoint(path)
