@@ -29,6 +29,7 @@ from runtime.errors import ContractError, InputError
 MAX_MODEL_BYTES = 2**31 - 1  # what protobuf can hold
 MAX_DOCUMENT_BYTES = 2**22
 
+_MAX_FIELDS = 10_000  # of a message; a model has tens, its graph being one of them
 _METADATA_PROPS = 14  # field numbers of ModelProto and of its entries
 _KEY, _VALUE = 1, 2
 _VARINT, _FIXED_64, _BYTES, _FIXED_32 = 0, 1, 2, 5  # wire types
@@ -58,13 +59,15 @@ def load_model_file(path: Path, *, sha256: str | None = None) -> ModelFile:
             f"sha256 must be the 64 hexadecimal digits of a file's SHA-256, got {sha256!r:.80}"
         )
     content = _read(path)
-    digest = hashlib.sha256(content).hexdigest()
-    if sha256 is not None and digest != sha256.lower():
-        raise ContractError(
-            f"the model {path} has the SHA-256 {digest}, asked for was {sha256.lower()}: get the "
-            "right file, or ask for this one"
-        )
-    return ModelFile(content, digest, read_contract(content))
+    if sha256 is not None:
+        digest = hashlib.sha256(content).hexdigest()
+        if digest != sha256.lower():
+            raise ContractError(
+                f"the model {path} has the SHA-256 {digest}, asked for was {sha256.lower()}: get "
+                "the right file, or ask for this one"
+            )
+    contract, digest = _check(content)
+    return ModelFile(content, digest, contract)
 
 
 def read_contract(model: bytes) -> Contract:
@@ -73,6 +76,22 @@ def read_contract(model: bytes) -> Contract:
     Raises ContractError. A file of schema 1.0 has no digests, so any damage that leaves its
     metadata readable goes unnoticed.
     """
+    return _check(model)[0]
+
+
+def with_contract(content: bytes, contract: Contract) -> bytes:
+    """Give the bytes of a model file: `content`, an ONNX model, then `contract` as its metadata.
+
+    The contract's own `content` is filled in. Raises ValueError or TypeError where what it holds
+    is not plain JSON.
+    """
+    described = Content(bytes=len(content), sha256=hashlib.sha256(content).hexdigest())
+    text = dataclasses.replace(contract, content=described).to_json()
+    return content + _entry(text)
+
+
+def _check(model: bytes) -> tuple[Contract, str]:
+    """Check a model; give what it says of itself, and the SHA-256 of the whole."""
     entries = list(_metadata(model))
     ours = [(start, value) for start, key, value in entries if key == METADATA_KEY.encode()]
     if not ours:
@@ -91,31 +110,16 @@ def read_contract(model: bytes) -> Contract:
     except UnicodeDecodeError as error:
         raise _damaged(f"its metadata is not UTF-8 ({error})") from error
     contract = Contract.from_json(text)
+    view = memoryview(model)
+    digest = hashlib.sha256(view[:start])
     if contract.content is not None:
-        _check_content(model, start, text, contract.content)
-    return contract
-
-
-def with_contract(content: bytes, contract: Contract) -> bytes:
-    """Give the bytes of a model file: `content`, an ONNX model, then `contract` as its metadata.
-
-    The contract's own `content` is filled in. Raises ValueError or TypeError where what it holds
-    is not plain JSON.
-    """
-    described = Content(bytes=len(content), sha256=hashlib.sha256(content).hexdigest())
-    text = dataclasses.replace(contract, content=described).to_json()
-    return content + _entry(text)
-
-
-def _check_content(model: bytes, start: int, text: str, content: Content) -> None:
-    """Raise ContractError unless the model is its content, then this one entry, then nothing."""
-    if model[start:] != _entry(text):
-        raise _damaged("its metadata is not the last thing in it, or is written another way")
-    if start != content.bytes:
-        raise _damaged(f"{start} bytes stand before its metadata, which speaks of {content.bytes}")
-    digest = hashlib.sha256(memoryview(model)[:start]).hexdigest()
-    if digest != content.sha256:
-        raise _damaged(f"its content has the SHA-256 {digest}, its metadata says {content.sha256}")
+        if view[start:] != _entry(text):
+            raise _damaged("its metadata is not the last thing in it, or is written another way")
+        found = Content(bytes=start, sha256=digest.hexdigest())
+        if found != contract.content:
+            raise _damaged(f"before its metadata stand {found}, by its metadata {contract.content}")
+    digest.update(view[start:])  # one pass over the bytes for both digests
+    return contract, digest.hexdigest()
 
 
 def _read(path: Path) -> bytes:
@@ -157,7 +161,7 @@ def _metadata(model: bytes) -> Iterator[tuple[int, bytes, bytes]]:
                 parts = {field: part for _, field, part in _fields(entry) if part is not None}
                 yield start, bytes(parts.get(_KEY, b"")), bytes(parts.get(_VALUE, b""))
     except (IndexError, ValueError) as error:
-        raise _damaged("its fields do not fit its length") from error
+        raise _damaged(f"its fields do not make a model: {error}") from error
 
 
 def _fields(message: memoryview) -> Iterator[tuple[int, int, memoryview | None]]:
@@ -165,8 +169,11 @@ def _fields(message: memoryview) -> Iterator[tuple[int, int, memoryview | None]]
 
     Raises ValueError or IndexError where the message does not end with a field.
     """
-    at = 0
+    at = count = 0
     while at < len(message):
+        count += 1
+        if count > _MAX_FIELDS:
+            raise ValueError(f"more than {_MAX_FIELDS} fields")
         start = at
         key, at = _varint(message, at)
         number, wire_type = key >> 3, key & 7

@@ -2,10 +2,12 @@
 
 import hashlib
 import json
+from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
+from google.protobuf.message import DecodeError
 from onnx import helper
 
 from runtime import ContractError, Predictor
@@ -33,6 +35,23 @@ def test_the_contract_is_the_one_that_onnx_runtime_hands_out(model_file):
     with Predictor(path, warmup=0) as predictor:
         metadata = predictor._session.get_modelmeta().custom_metadata_map
         assert predictor.contract.to_json() == metadata[METADATA_KEY]
+
+
+def test_the_check_in_the_documentation(model_file, tmp_path, monkeypatch):
+    page = (Path(__file__).parents[2] / "docs/model_file.md").read_text()
+    program = page.partition("```python")[2].partition("```")[0]
+    whole = model_file().read_bytes()
+    monkeypatch.chdir(tmp_path)
+    exec(program, {})
+    place = whole.index(b"by-hand")
+    for damaged in (
+        whole[:9] + b"?" + whole[10:],
+        whole[:place] + b"?" + whole[place + 1 :],
+        whole + b"\x08\x01",
+    ):
+        (tmp_path / "model.onnx").write_bytes(damaged)
+        with pytest.raises((AssertionError, DecodeError)):
+            exec(program, {})
 
 
 def test_every_byte_counts(model_file):
@@ -126,6 +145,7 @@ def test_metadata_of_many_megabytes_is_not_parsed(model_file):
         b"\x08\x01\x0d\x00",  # half a 32-bit number
         b"\x08\x01\x72\x02\x0a\x05",  # a key longer than its entry
         b"\x08\x01\x72" + b"\xff" * 8 + b"\x7f",  # an entry of 2^63 bytes
+        b"\x08\x01" + b"\x72\x00" * 10_000,  # entries that would fill the memory
     ],
 )
 def test_what_is_no_protobuf(content):
