@@ -17,6 +17,8 @@ from runtime.errors import InputError
 from runtime.stream.bundled import bundled_stream
 from training import cli
 from training.initial_weights import find_weights, list_weights
+from training.recipe import read_recipe
+from training.recipe_files import find_recipe
 
 RECIPE = """
 [model]
@@ -67,7 +69,8 @@ def test_the_installed_weights_say_their_terms():
     training = load_checkpoint(path).training
     assert "non-commercial" in training["terms"]
     assert "camvid" in training["data"]
-    assert load_checkpoint(path).trained_height == 375
+    recipe = read_recipe(find_recipe("lite"))
+    assert load_checkpoint(path).trained_height == recipe.model.trained_height == 400
     assert path.stat().st_size < 7e6  # half precision
 
 
