@@ -108,8 +108,14 @@ def _train(
     }
     require_lidar(validation, LidarInput.parse(recipe.validation.lidar))
     network = build_network(recipe.model, init)
+    heads = network.config.heads
+    if not recipe.loss.terms_for(heads):
+        raise InputError(
+            f"no term of the loss is about what {network.config.name!r} answers "
+            f"({', '.join(heads)}). Set the weight of one that is."
+        )
     weights = None
-    if "semantic" in network.config.heads and recipe.loss.weighs_classes:
+    if "semantic" in heads and recipe.loss.weighs_classes:
         weights = _weigh_classes(recipe, sources, network.config.num_classes)
     if processes.is_first:
         prepare_folder(out, resolved)  # only now: what cannot start leaves no folder behind

@@ -39,6 +39,37 @@ def test_one_return_fills_its_coarse_cell_and_keeps_its_value():
     assert not prior.filled[0, 0, 15:, 15:].any()
 
 
+def test_a_cell_without_a_return_takes_the_coarser_level_at_its_weight():
+    """Two cells of one pixel, measured 0.2 and nothing; one coarse cell over both, weight 1e-3.
+
+    The coarse cell holds half of 0.2 and half a measurement: 0.1 / 0.501 and 0.5 / 0.501. The
+    measured cell becomes (0.2 + 1e-3 * 0.1 / 0.501) / 1.001 with the support
+    (1 + 1e-3 * 0.5 / 0.501) / 1.001; the other has the coarse cell's values.
+    """
+    measured = torch.zeros(1, 2, 2, 2)
+    measured[0, 0, :, 0], measured[0, 1, :, 0] = 0.2, 1.0
+    prior = pull_push_fill(measured, factor=1, levels=1)
+    support = torch.tensor([[0.9999980, 0.9980040], [0.9999980, 0.9980040]])
+    torch.testing.assert_close(prior.support[0, 0], support, rtol=0, atol=2e-7)
+    torch.testing.assert_close(prior.filled[0, 0], torch.full((2, 2), 0.2))
+
+
+def test_the_coarser_level_counts_a_thousandth_of_a_full_cell():
+    """Half-measured cells of 0.2 and 0.8 under one coarse cell, whose mean is 0.5.
+
+    Pulled: (0.1, 0.5) and (0.4, 0.5); the coarse cell (0.25, 0.5) / 0.501 = (0.499002, 0.998004).
+    Pushed, the left: (0.1 + 1e-3 * 0.499002) / 0.501 = 0.200597 over
+    (0.5 + 1e-3 * 0.998004) / 0.501 = 0.999996.
+    """
+    measured = torch.zeros(1, 2, 4, 4)
+    measured[0, 1, ::2] = 1.0  # every second row
+    measured[0, 0, ::2, :2], measured[0, 0, ::2, 2:] = 0.2, 0.8
+    prior = pull_push_fill(measured, factor=2, levels=1)
+    near, far = 0.200597 / 0.999996, (0.4 + 1e-3 * 0.499002) / 0.501 / 0.999996
+    expected = torch.tensor([[near, far], [near, far]])
+    torch.testing.assert_close(prior.filled[0, 0], expected, rtol=0, atol=2e-6)
+
+
 def test_measured_cell_is_not_washed_out_by_its_neighbours():
     depth = torch.zeros(1, 1, 64, 64)
     depth[0, 0, 4, 4], depth[0, 0, 4, 20] = 0.1, 0.9

@@ -1,5 +1,6 @@
 """The whole loss, Eq. 12."""
 
+from collections.abc import Collection, Mapping
 from functools import partial
 from typing import Literal
 
@@ -9,6 +10,7 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
 from models import SSDNetOutput
+from models.network import Head
 from training.limits import STRICT
 from training.losses.boundary import (
     BetaMode,
@@ -38,16 +40,16 @@ from training.losses.semantic import (
     soft_overlap,
 )
 
-#: Names of the terms; each has a weight "<name>_weight" in `LossConfig`.
-TERMS = (
-    "depth",
-    "semantic",
-    "semantic_iou",
-    "boundary",
-    "side_boundary",
-    "semantic_boundary",
-    "semantic_depth",
-)
+#: The terms, each with a weight "<name>_weight" in `LossConfig`, and the heads that each needs.
+TERMS: Mapping[str, frozenset[Head]] = {
+    "depth": frozenset({"depth"}),
+    "semantic": frozenset({"semantic"}),
+    "semantic_iou": frozenset({"semantic"}),
+    "boundary": frozenset({"boundary"}),
+    "side_boundary": frozenset({"boundary"}),
+    "semantic_boundary": frozenset({"semantic", "boundary"}),
+    "semantic_depth": frozenset({"semantic", "depth"}),
+}
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -98,6 +100,18 @@ class LossConfig:
         """Whether a term is there that class frequencies weigh."""
         return bool(self.semantic_weight) and self.class_weighting != "none"
 
+    def terms_for(self, heads: Collection[Head]) -> list[str]:
+        """Return the names of the terms with a weight that a network of these heads can have.
+
+        Terms of heads that it lacks are left out, whatever their weight: one recipe trains the
+        whole family.
+        """
+        return [
+            name
+            for name, needed in TERMS.items()
+            if getattr(self, f"{name}_weight") and needed <= set(heads)
+        ]
+
     def __post_init__(self) -> None:
         """Refuse what cannot be minimised, with a ValueError that names it."""
         numbers = {
@@ -132,7 +146,7 @@ class SSDNetLoss(nn.Module):
         self.config = config
         self.max_depth_m = max_depth_m
         self.register_buffer("class_weights", class_weights, persistent=False)
-        learned = TERMS if config.weighting == "uncertainty" else ()
+        learned = tuple(TERMS) if config.weighting == "uncertainty" else ()
         self.log_variances = nn.ParameterDict(
             {name: nn.Parameter(torch.zeros(())) for name in learned if self._weight(name)}
         )

@@ -1,0 +1,204 @@
+"""A network is one file and one line: tiny ones go through every tool."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+from typer.testing import CliRunner
+
+from export.exporter import export_checkpoint
+from layouts import virtual_kitti
+from models import (
+    Network,
+    NetworkConfig,
+    SSDNetOutput,
+    create_model,
+    list_models,
+    load_checkpoint,
+    save_checkpoint,
+)
+from models.blocks import ConvBNReLU, pad_to_multiple
+from models.registry import NETWORKS, Entry
+from runtime import Predictor
+from runtime.contract import ClassInfo
+from runtime.errors import CheckpointError, InputError
+from training import cli
+from training.evaluation import cli as evaluation_cli
+from training.network import build_network
+from training.recipe import ModelRecipe
+
+FEATURES = 16
+
+
+@dataclass(frozen=True)
+class TinyConfig(NetworkConfig):
+    """One strided convolution."""
+
+    name: str = "tiny-semantic"
+    heads = ("semantic",)
+    stride = 4
+    semantic_stride = 4
+
+
+class TinySemantic(Network):
+    """Classes from RGB alone, on a quarter of the picture's grid."""
+
+    def __init__(self, config):
+        super().__init__(config)
+        self.layer = ConvBNReLU(3, FEATURES, stride=4)
+        self.semantic_head = nn.Conv2d(FEATURES, config.num_classes, 1)
+
+    def predict_coarse(self, rgb, sparse_depth):
+        x = pad_to_multiple(self.normalise_rgb(rgb), self.config.stride)
+        return SSDNetOutput(semantic_logits=self.semantic_head(self.layer(x)))
+
+
+@dataclass(frozen=True)
+class TinyDepthConfig(NetworkConfig):
+    """One convolution at full size."""
+
+    name: str = "tiny-depth"
+    classes: tuple[ClassInfo, ...] = ()
+    heads = ("depth",)
+    stride = 1
+
+
+class TinyDepth(Network):
+    """Depth from the sparse depth alone, at full size."""
+
+    def __init__(self, config):
+        super().__init__(config)
+        self.layer = ConvBNReLU(2, FEATURES)
+        self.depth_head = nn.Conv2d(FEATURES, 1, 1)
+
+    def predict_coarse(self, rgb, sparse_depth):
+        depth, valid_mask = self.normalise_depth(sparse_depth)
+        features = self.layer(torch.cat((depth, valid_mask.to(depth.dtype)), dim=1))
+        return SSDNetOutput(depths=(torch.sigmoid(self.depth_head(features)),))
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch):
+    monkeypatch.setitem(NETWORKS, "tiny-semantic", Entry(TinySemantic, TinyConfig()))
+    monkeypatch.setitem(NETWORKS, "tiny-depth", Entry(TinyDepth, TinyDepthConfig()))
+
+
+RECIPE = """
+terms = "for tests"
+[model]
+name = "{name}"
+[data]
+batch_size = 4
+workers = 0
+frequency_samples = 4
+source = [{{ kind = "rendered", path = "rendered" }}]
+[data.augment]
+crop = [32, 64]
+scale = [1.0, 1.2]
+[schedule]
+steps = 10
+[loop]
+ema_decay = 0.5
+logit_adjustment = 0.5
+log_every = 1
+[validation]
+every = 5
+source = [{{ kind = "rendered", path = "rendered" }}]
+"""
+
+
+@pytest.mark.parametrize(("name", "head"), [("tiny-semantic", "semantic"), ("tiny-depth", "depth")])
+def test_a_network_of_one_head_goes_through_every_tool(name, head, tmp_path):
+    virtual_kitti.write_second_edition(tmp_path / "rendered", magnify=5)
+    recipe = tmp_path / "tiny.toml"
+    recipe.write_text(RECIPE.format(name=name))
+    run = [str(recipe), "--data", str(tmp_path), "--out", str(tmp_path / "run")]
+    result = CliRunner().invoke(cli.app, run)
+    assert result.exit_code == 0, result.output
+    path = tmp_path / "run/model.pt"
+    checkpoint = load_checkpoint(path)
+    assert type(checkpoint.model) is NETWORKS[name].network
+    assert checkpoint.model.config.heads == (head,)
+    assert checkpoint.training["terms"] == "for tests"
+    weight = checkpoint.model.layer[0].weight
+    torch.manual_seed(0)
+    assert not torch.equal(weight, create_model(name).layer[0].weight)  # it learned
+
+    report = export_checkpoint(path, tmp_path / "m.onnx", size=(47, 62), dynamic=True)
+    assert report.heads == (head,)
+    assert report.parity.keys() == {head}
+    with Predictor(tmp_path / "m.onnx", warmup=0) as predictor:
+        assert predictor.heads == (head,)
+        assert predictor.contract.model_name == name
+        rng = np.random.default_rng(0)
+        rgb = rng.integers(0, 256, (45, 70, 3), dtype=np.uint8)
+        prediction = predictor.predict(rgb, 50 * rng.random((45, 70), dtype=np.float32))
+    assert prediction.valid
+    assert prediction.boundary is None
+    assert (prediction.semantic is None) == (head != "semantic")
+    assert (prediction.depth is None) == (head != "depth")
+
+    data = f"rendered:{tmp_path / 'rendered'}"
+    models = [str(path), str(tmp_path / "m.onnx")]
+    arguments = [*models, "--data", data, "--json", str(tmp_path / "scores.json")]
+    result = CliRunner().invoke(evaluation_cli.app, arguments)
+    assert result.exit_code == 0, result.output
+    rows = json.loads((tmp_path / "scores.json").read_text())
+    figures = [row["figures"] for row in (rows if isinstance(rows, list) else rows["rows"])]
+    assert len(figures) == 2
+    wanted = "miou" if head == "semantic" else "mae_m"
+    assert figures[0][wanted] == pytest.approx(figures[1][wanted], rel=1e-3)
+    assert not any(key.startswith("boundary") for figure in figures for key in figure)
+
+
+def test_a_loss_of_which_no_term_has_a_head_is_refused(tmp_path):
+    virtual_kitti.write_second_edition(tmp_path / "rendered", magnify=5)
+    (tmp_path / "tiny.toml").write_text(RECIPE.format(name="tiny-depth"))
+    arguments = ["--data", str(tmp_path), "--out", str(tmp_path / "run")]
+    arguments += ["--set", "loss.depth_weight = 0.0"]
+    result = CliRunner().invoke(cli.app, [str(tmp_path / "tiny.toml"), *arguments])
+    assert result.exit_code == 1
+    assert "no term of the loss is about what 'tiny-depth' answers (depth)" in result.output
+    assert not (tmp_path / "run").exists()
+
+
+def test_another_network_s_weights_are_not_taken_over(tmp_path):
+    """Layers of one name and shape mean something else in another network."""
+    save_checkpoint(tmp_path / "depth.pt", create_model("tiny-depth"))
+    with pytest.raises(CheckpointError, match="none of its layers fits the recipe's 'tiny-sem"):
+        build_network(ModelRecipe("tiny-semantic"), tmp_path / "depth.pt")
+
+
+def test_settings_that_a_network_lacks_are_named():
+    with pytest.raises(ValueError, match="boundary_gating means nothing to the network 'tiny-sem"):
+        create_model("tiny-semantic", boundary_gating=False)
+    with pytest.raises(InputError, match="sparse_depth_gain means nothing"):
+        build_network(ModelRecipe("tiny-semantic", sparse_depth_gain=2.0), None)
+    with pytest.raises(ValueError, match="exactly when there is a semantic head"):
+        create_model("tiny-depth", num_classes=4)
+    assert create_model("tiny-depth", max_depth_m=60).config.max_depth_m == 60
+    assert "tiny-depth" in list_models()
+
+
+@pytest.mark.parametrize("name", list_models())
+def test_every_network_keeps_the_promises_of_the_base(name):
+    """Its heads are those it names, and its class scores come from semantic_head."""
+    with torch.device("meta"):
+        model = create_model(name).eval()
+        output = model(torch.empty(1, 3, 65, 97), torch.empty(1, 1, 65, 97))
+    answers = {
+        "semantic": output.semantic_logits,
+        "depth": None if output.depths is None else output.depths[0],
+        "boundary": output.boundary_logits,
+    }
+    heads = model.config.heads
+    assert heads == tuple(head for head in answers if head in heads)
+    for head, answer in answers.items():
+        assert (answer is not None) == (head in heads)
+        assert answer is None or answer.shape[-2:] == (65, 97)
+    if "semantic" in heads:
+        assert model.semantic_head.bias.shape == (model.config.num_classes,)
+    assert type(model.config).from_dict(model.config.to_dict()) == model.config
