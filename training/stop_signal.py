@@ -6,7 +6,7 @@ import signal
 import sys
 from types import FrameType
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+from runtime.command import SIGNALS, end_quietly
 
 
 class StopSignal:
@@ -24,7 +24,7 @@ class StopSignal:
         return self._came
 
     def __enter__(self) -> "StopSignal":
-        self._before = {number: signal.getsignal(number) for number in _SIGNALS}
+        self._before = {number: signal.getsignal(number) for number in SIGNALS}
         for number, handler in self._before.items():
             if handler is not signal.SIG_IGN:  # as a shell starts what runs in its background
                 signal.signal(number, self._remember)
@@ -37,8 +37,7 @@ class StopSignal:
     def _remember(self, number: int, frame: FrameType | None) -> None:
         alone = int(os.environ.get("WORLD_SIZE", "1")) == 1
         if alone:
-            for item in _SIGNALS:
-                signal.signal(item, signal.SIG_DFL)
+            end_quietly()
         if not self._came:
             self._came = True
             again = "; Ctrl-C again stops at once" if alone else ""
@@ -49,5 +48,5 @@ class StopSignal:
 
 def leave_signals_to_parent() -> None:
     """Let a worker process go on until its parent, who gets the same signals, ends it."""
-    for number in _SIGNALS:
+    for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)

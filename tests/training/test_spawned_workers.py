@@ -22,7 +22,7 @@ if __name__ == "__main__":
         os.write(1, b"batch\\n")
         return compute(*arguments)
     loop._compute_loss = compute_loss
-    from training.cli import main
+    from training.__main__ import main
     main()
 """
 
