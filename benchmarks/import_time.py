@@ -1,4 +1,4 @@
-"""What `import runtime` adds to `import onnxruntime`, in fresh processes that take turns.
+"""What the engine adds to `import onnxruntime`, in fresh processes that take turns.
 
 python benchmarks/import_time.py [--rounds 15]
 """
@@ -10,7 +10,7 @@ import sys
 
 #: The clock starts inside the process, so that the interpreter's own start is left out.
 PROGRAM = "import time; t = time.perf_counter(); {imports}; print(time.perf_counter() - t)"
-ENGINE, BARE = "import onnxruntime, runtime", "import onnxruntime"
+ENGINE, BARE = "import onnxruntime; from runtime import Predictor", "import onnxruntime"
 
 
 def main() -> None:

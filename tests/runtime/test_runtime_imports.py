@@ -1,36 +1,73 @@
-"""`import runtime` is light: the engine is embedded in other people's programs."""
+"""What is imported loads no more than it needs: the engine is embedded in other programs."""
 
 import subprocess
 import sys
 
+import pytest
+
 import runtime
+
+ENGINE = {"cv2", "onnxruntime"}
+
+
+def words_printed_by(program: str) -> list[str]:
+    """By a fresh interpreter, where nothing was imported before."""
+    command = [sys.executable, "-c", program]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
 
 
 def loaded_after(statement: str) -> set[str]:
-    program = f"import sys; {statement}; print(' '.join(sys.modules))"
-    result = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    return {name.partition(".")[0] for name in result.stdout.split()}
+    """The top-level packages."""
+    modules = words_printed_by(f"import sys; {statement}; print(*sys.modules)")
+    return {name.partition(".")[0] for name in modules}
 
 
-def test_import_loads_neither_torch_nor_onnx_nor_onnxruntime():
-    loaded = loaded_after("import runtime, runtime.stream.cli")
-    assert {"runtime", "numpy", "cv2"} <= loaded
-    heavy = {"torch", "onnx", "onnxruntime", "models", "training", "export", "scipy"}
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "import runtime",
+        "import models",
+        "from models import load_checkpoint, save_checkpoint",
+        "from runtime.contract import Contract",
+        "from runtime import Contract, SSDNetError, __version__",
+        "import runtime.errors, runtime.atomic_write, runtime.command",
+    ],
+)
+def test_the_leaves_load_neither_opencv_nor_onnxruntime(statement):
+    loaded = loaded_after(statement)
+    assert "runtime" in loaded
+    assert not loaded & {*ENGINE, "typer"}
+
+
+def test_the_leaves_of_files_and_errors_need_nothing_but_python():
+    statement = "import runtime.errors, runtime.atomic_write, runtime.command"
+    assert loaded_after(statement) - {"runtime"} <= sys.stdlib_module_names | loaded_after("pass")
+
+
+def test_the_predictor_loads_neither_torch_nor_onnx_nor_a_command_line():
+    loaded = loaded_after("from runtime import Predictor; Predictor")
+    assert {"numpy", "cv2"} <= loaded
+    heavy = {"torch", "onnx", "typer", "models", "training", "export", "scipy"}
     assert not loaded & heavy
 
 
-def test_projecting_a_scan_loads_no_model_runner():
-    loaded = loaded_after("from runtime import OcclusionFilter, project_points")
-    assert {"numpy", "cv2"} <= loaded
-    assert "onnxruntime" not in loaded
-
-
-def test_only_the_command_needs_typer():
-    assert "typer" not in loaded_after("import runtime")
+def test_the_command_loads_neither_torch_nor_onnx_nor_onnxruntime():
+    loaded = loaded_after("import runtime.stream.cli")
+    assert {"runtime", "numpy", "cv2", "typer"} <= loaded
+    assert not loaded & {"torch", "onnx", "onnxruntime", "models", "training", "export", "scipy"}
 
 
 def test_the_public_names_are_there():
     for name in runtime.__all__:
         assert getattr(runtime, name) is not None
+    assert set(runtime.__all__) <= set(words_printed_by("import runtime; print(*dir(runtime))"))
+    everything: dict[str, object] = {}
+    exec("from runtime import *", everything)
+    assert set(runtime.__all__) <= set(everything)
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'runtime' has no attribute 'Predictr'"):
+        _ = runtime.Predictr
+    with pytest.raises(ImportError, match="cannot import name 'Predictr'"):
+        exec("from runtime import Predictr")

@@ -1,6 +1,5 @@
 """What was asked for is what runs, or an error says what is missing: with a stand-in runtime."""
 
-import os
 import sys
 from types import SimpleNamespace
 
@@ -8,7 +7,6 @@ import onnxruntime
 import pytest
 
 from runtime import ContractError, Predictor, ProviderError
-from runtime.cores import available_cores
 from runtime.session import node_counts, open_session
 
 CPU, CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"
@@ -137,7 +135,3 @@ def test_a_damaged_model_is_not_blamed_on_the_gpu(fake_runtime):
 
 def test_a_runtime_that_cannot_count_nodes():
     assert node_counts(object()) is None
-
-
-def test_cores_are_counted():
-    assert 1 <= available_cores() <= (os.cpu_count() or 1)
