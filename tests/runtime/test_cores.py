@@ -1,4 +1,4 @@
-"""The cores that a process may use: physical ones, within its affinity and its container's quota."""
+"""Physical cores, within the affinity of the process and its container's quota."""
 
 import os
 import sys

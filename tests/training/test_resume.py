@@ -1,9 +1,7 @@
 """A training killed at any moment goes on to the same weights."""
 
-import random
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import cv2
@@ -13,9 +11,10 @@ import torch
 
 from models import load_checkpoint
 
-# A small network on CamVid's layout; says when it writes a checkpoint, and takes its time.
+# A small network on CamVid's layout. In the middle of writing a checkpoint it says so, and waits
+# for a line or the end of the input.
 TRAIN = """
-import os, sys, time
+import os, sys
 from dataclasses import replace
 from pathlib import Path
 import torch
@@ -27,11 +26,11 @@ NETWORKS["ssdnet-lite"] = Entry(SSDNet, replace(
 ))
 torch.set_num_threads(1)
 write = os.fsync
-def slow(handle):
+def ask(handle):
     print("writing", flush=True)
-    time.sleep(0.3)
+    sys.stdin.readline()
     write(handle)
-os.fsync = slow
+os.fsync = ask
 from training.datasets.camvid import CamVidRecipe
 from training.loading.augment import AugmentConfig
 from training.loop import train
@@ -63,28 +62,36 @@ def data(tmp_path):
 def start(data: Path, out: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-W", "ignore", "-c", TRAIN, str(data), str(out)],
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
     )
 
 
+def finish(process: subprocess.Popen[str]) -> None:
+    process.communicate()
+    assert process.returncode == 0
+
+
 def test_killed_at_any_moment_it_goes_on_to_the_same_weights(data, tmp_path):
-    assert start(data, tmp_path / "whole").wait() == 0
+    finish(start(data, tmp_path / "whole"))
     out = tmp_path / "killed"
-    draw = random.Random()  # another moment in every run of the test
-    # In the middle of writing the first, of writing a later one, and at random moments between.
-    for lines, delay_s in ((1, 0.1), (2, 0.1), (1, draw.uniform(0.3, 0.6))):
+    # In the middle of writing the first, of writing a later one, and somewhere after writing one.
+    for writes, ends_writing in ((1, False), (2, False), (1, True)):
         process = start(data, out)
-        for _ in range(lines):
+        for written in range(writes):
+            if written:
+                print(file=process.stdin, flush=True)
             assert process.stdout.readline() == "writing\n"
-        time.sleep(delay_s)
+        if ends_writing:
+            print(file=process.stdin, flush=True)
         process.kill()
-        process.wait()
+        process.communicate()
         assert not (out / "model.pt").exists()
     steps = load_checkpoint(out / "last.pt").trainer["step"]
     assert 3 <= steps < 12
-    assert start(data, out).wait() == 0
+    finish(start(data, out))
     expected = load_checkpoint(tmp_path / "whole" / "last.pt")
     reached = load_checkpoint(out / "last.pt")
     assert reached.trainer["step"] == 12

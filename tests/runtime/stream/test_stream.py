@@ -4,8 +4,8 @@ import os
 import re
 import sys
 import threading
-import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -121,27 +121,36 @@ def test_reading_and_writing_give_way_to_inference(predictor, stream_of):
     assert os.nice(0) == before, "inference was slowed down as well"
 
 
-def test_a_slow_disk_holds_the_stream_back_instead_of_filling_the_memory(predictor, stream_of):
-    folders = stream_of(12)
+class WhenAwaited:
+    """An executor as slow as can be: it does nothing until somebody waits for it."""
+
+    def __init__(self, *_, **__) -> None:
+        pass
+
+    def submit(self, call, *arguments):
+        return SimpleNamespace(result=lambda: call(*arguments))
+
+    def shutdown(self, **_) -> None:
+        pass
+
+
+def test_a_slow_disk_holds_the_stream_back_instead_of_filling_the_memory(
+    predictor, stream_of, monkeypatch
+):
+    monkeypatch.setattr(runtime.stream.pipeline, "ThreadPoolExecutor", WhenAwaited)
+    done: list[str] = []
     ahead = []
-    done = 0
     predict = predictor.predict
-    predicted = 0
+    count = iter(range(12))
 
     def counted(*frame):
-        nonlocal predicted
-        predicted += 1
-        ahead.append(predicted - done)
+        ahead.append(next(count) - len(done))
         return predict(*frame)
 
-    def slow(name, rgb, prediction):
-        nonlocal done
-        time.sleep(0.01)
-        done += 1
-
-    predictor.predict = counted
-    run(predictor, folders, write=slow)
-    assert max(ahead) <= 4
+    monkeypatch.setattr(predictor, "predict", counted)
+    run(predictor, stream_of(12), write=lambda name, *_: done.append(name))
+    assert ahead == [0, 1] + [2] * 10
+    assert done == [str(index) for index in range(12)]
 
 
 # --- frames that go wrong ----------------------------------------------------------------------
