@@ -3,9 +3,8 @@
     python benchmarks/projection.py [--rounds 200] [--keep-memory]
 
 The scan is that of a 64-line sensor on a street of walls, 115,200 returns all around; the picture
-has 1242 x 375 pixels. Plain and filtered projection take turns. The time is the processor's, which
-other programs on the machine do not lengthen by waiting. With --keep-memory freed memory is kept
-for the next scan, as ssdnet-run keeps it.
+has 1242 x 375 pixels. Plain and filtered projection take turns. With --keep-memory
+freed memory is kept for the next scan, as ssdnet-run keeps it.
 """
 
 import argparse
@@ -54,7 +53,7 @@ def main() -> None:
     if arguments.keep_memory:
         dedicate_process()
     cv2.setNumThreads(1)
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})  # numpy's threads stay there, too
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     points = street_scan(np.random.default_rng(0))
     occlusion = OcclusionFilter()
     ways: dict[str, Callable[[], NDArray[np.float32]]] = {
@@ -67,9 +66,9 @@ def main() -> None:
     returns = {name: np.count_nonzero(way()) for name, way in ways.items()}
     for _ in range(rounds):
         for name, way in ways.items():
-            start = time.thread_time()
+            start = time.perf_counter()
             way()
-            times_ms[name].append(1000 * (time.thread_time() - start))
+            times_ms[name].append(1000 * (time.perf_counter() - start))
     print(f"{len(points)} returns to {SIZE[1]} x {SIZE[0]}, one core, n = {rounds}\n")
     print("| projection | pixels with a return | best ms | median ms | p99 ms |")
     print("|---|---|---|---|---|")
