@@ -37,7 +37,7 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
     """Open a session on `provider` ("cpu" or "cuda") with `threads` threads within an operator.
 
     model: the bytes of one self-contained ONNX file.
-    Raises ProviderError if the provider cannot be had, and ContractError if the model cannot be
+    Raises ProviderError if the provider cannot be used, and ContractError if the model cannot be
     loaded.
     """
     if not isinstance(provider, str) or provider not in PROVIDERS:

@@ -24,7 +24,13 @@ from runtime.errors import InputError, OutputError, SSDNetError
 from runtime.network_size import NetworkSize, parse_network_size
 from runtime.predictor import Predictor
 from runtime.stream.bundled import bundled_stream
-from runtime.stream.frames import KITTI_DEPTH_SCALE, FrameFiles, list_frames, read_frame
+from runtime.stream.frames import (
+    KITTI_DEPTH_SCALE,
+    MAX_PIXELS,
+    FrameFiles,
+    list_frames,
+    read_frame,
+)
 from runtime.stream.latency_plot import draw_latency
 from runtime.stream.pipeline import OK, FrameRecord, StreamResult, run_stream
 from runtime.stream.process import dedicate_process
@@ -58,7 +64,12 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions
     "if others were skipped; 130 Ctrl-C or SIGTERM came before the run began."
 )
 def run(
-    rgb: Annotated[Path | None, typer.Option(help="Folder of the pictures (PNG or JPEG).")] = None,
+    rgb: Annotated[
+        Path | None,
+        typer.Option(
+            help=f"Folder of the pictures (PNG or JPEG, at most {MAX_PIXELS // 10**6} megapixels)."
+        ),
+    ] = None,
     depth: Annotated[
         Path | None, typer.Option(help="Folder of the sparse depth maps (16-bit PNG).")
     ] = None,
@@ -102,7 +113,10 @@ def run(
         ),
     ] = "all",
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace an earlier run in --out.")
+        bool,
+        typer.Option(
+            "--overwrite", help="Replace the files of an earlier run in --out, no others."
+        ),
     ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print report.json instead of the tables.")

@@ -1,4 +1,4 @@
-"""Latency statistics that claim no more than the number of frames supports."""
+"""Latency statistics that say no more than the number of frames supports."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -218,7 +218,7 @@ def test_depth_beyond_what_a_png_holds_is_said(tmp_path, stream, model_file, con
     assert report["depth_png"] == {"units_per_metre": 256, "max_m": 65535 / 256}
 
 
-def test_without_warm_up_no_first_inference_is_claimed(tmp_path, run):
+def test_without_warm_up_no_first_inference_is_said(tmp_path, run):
     assert "first inference n/a" in run("--warmup", 0).stdout
 
 
