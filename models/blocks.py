@@ -1,5 +1,6 @@
 """Building blocks that every network of the family shares."""
 
+import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -85,3 +86,24 @@ def pad_to_multiple(x: Tensor, multiple: int) -> Tensor:
     """Pad (N, C, H, W) with zeros at the bottom and right to a multiple of ``multiple``."""
     height, width = x.shape[2], x.shape[3]
     return F.pad(x, (0, -width % multiple, 0, -height % multiple))
+
+
+def adaptive_mean(x: Tensor, cells: int) -> Tensor:
+    """Mean over a grid of cells x cells: (N, C, H, W) -> (N, C, cells, cells).
+
+    Adaptive average pooling as two products, which ONNX can express for any H and W.
+    """
+    rows, columns = (_cell_means(x, x.shape[axis], cells) for axis in (2, 3))
+    return rows @ x @ columns.transpose(0, 1)
+
+
+def _cell_means(x: Tensor, length: int, cells: int) -> Tensor:
+    """Weights (cells, length) of the means.
+
+    Cell i goes from floor(i * length / cells) to ceil((i + 1) * length / cells).
+    """
+    place = torch.arange(length, device=x.device)
+    cell = torch.arange(cells, device=x.device)[:, None]
+    inside = (place >= cell * length // cells) & (place < -(-(cell + 1) * length // cells))
+    weights = inside.to(x.dtype)
+    return weights / weights.sum(dim=1, keepdim=True)

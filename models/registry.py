@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
+from models.baselines.ddrnet_23_slim import DDRNet23Slim, DDRNet23SlimConfig
+from models.baselines.fast_scnn import FastSCNN, FastSCNNConfig
 from models.classes import numbered_classes
 from models.network import Network, NetworkConfig
 from models.ssdnet import SSDNet
@@ -22,6 +24,8 @@ class Entry(NamedTuple):
 #: Name -> network; a new one is a line here.
 NETWORKS: dict[str, Entry] = {
     **{config.name: Entry(SSDNet, config) for config in FAMILY},
+    "ddrnet-23-slim": Entry(DDRNet23Slim, DDRNet23SlimConfig()),
+    "fast-scnn": Entry(FastSCNN, FastSCNNConfig()),
 }
 
 

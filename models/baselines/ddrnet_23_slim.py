@@ -1,0 +1,172 @@
+"""DDRNet-23-slim: semantic segmentation from RGB alone.
+
+Paper: Hong, Pan, Sun, Jia, "Deep Dual-resolution Networks for Real-time and Accurate Semantic
+Segmentation of Road Scenes", 2021, Table 1 and Figure 4. Without the extra head on the fine branch
+that its training adds.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from models.blocks import ConvBNReLU, pad_to_multiple, upsample
+from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+
+_WIDTH = 32
+_FINE = 64
+_CONTEXT = 128
+_HEAD = 64
+
+
+@dataclass(frozen=True)
+class DDRNet23SlimConfig(NetworkConfig):
+    """Nothing to choose but the classes."""
+
+    name: str = "ddrnet-23-slim"
+    heads = ("semantic",)
+    #: The last stage's grid is half as fine; it rounds up.
+    stride = 32
+    semantic_stride = 8
+
+
+class DDRNet23Slim(Network):
+    """A branch that stays at an eighth of the image, one that goes down, and bridges between.
+
+    The stages end without ReLU, which each reader of their features applies.
+    """
+
+    def __init__(self, config: DDRNet23SlimConfig) -> None:
+        super().__init__(config)
+        w = _WIDTH
+        self.stem = nn.Sequential(ConvBNReLU(3, w, stride=2), ConvBNReLU(w, w, stride=2))
+        self.stage1 = _stage(w, w)
+        self.stage2 = _stage(w, 2 * w, stride=2)
+        self.coarse3 = _stage(2 * w, 4 * w, stride=2)
+        self.coarse4 = _stage(4 * w, 8 * w, stride=2)
+        self.coarse5 = Bottleneck(8 * w, 8 * w, stride=2)
+        self.fine3 = _stage(2 * w, _FINE)
+        self.fine4 = _stage(_FINE, _FINE)
+        self.fine5 = Bottleneck(_FINE, _FINE)
+        self.up3 = _conv_bn(4 * w, _FINE, kernel=1)
+        self.up4 = _conv_bn(8 * w, _FINE, kernel=1)
+        self.down3 = _conv_bn(_FINE, 4 * w, stride=2)
+        self.down4 = nn.Sequential(
+            ConvBNReLU(_FINE, 4 * w, stride=2), _conv_bn(4 * w, 8 * w, stride=2)
+        )
+        self.context = PyramidContext(16 * w, _CONTEXT, 2 * _FINE)
+        self.refine = nn.Sequential(
+            *_normed(nn.Conv2d(2 * _FINE, _HEAD, 3, padding=1, bias=False)),
+            nn.BatchNorm2d(_HEAD),
+            nn.ReLU(inplace=True),
+        )
+        self.semantic_head = nn.Conv2d(_HEAD, config.num_classes, 1)
+        self.apply(initialise)
+
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+        """Predict on an eighth of the image's grid, see `Network.predict_coarse`."""
+        x = pad_to_multiple(self.normalise_rgb(rgb), self.config.stride)
+        shared = F.relu(self.stage2(F.relu(self.stage1(self.stem(x)))))
+        coarse, fine = self.coarse3(shared), self.fine3(shared)
+        down, up = self.down3(F.relu(fine)), self.up3(F.relu(coarse))
+        coarse, fine = F.relu(coarse + down), F.relu(fine + upsample(up, factor=2))
+        coarse, fine = self.coarse4(coarse), self.fine4(fine)
+        down, up = self.down4(F.relu(fine)), self.up4(F.relu(coarse))
+        coarse, fine = F.relu(coarse + down), F.relu(fine + upsample(up, factor=4))
+        fine = self.fine5(fine)
+        context = self.context(self.coarse5(coarse))
+        fused = fine + upsample(context, size=(fine.shape[2], fine.shape[3]))
+        return SSDNetOutput(semantic_logits=self.semantic_head(self.refine(fused)))
+
+
+class BasicBlock(nn.Module):
+    """Two 3x3 convolutions around a shortcut (He et al. 2016), without the last ReLU."""
+
+    def __init__(self, in_channels: int, out_channels: int, *, stride: int = 1) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            ConvBNReLU(in_channels, out_channels, stride=stride),
+            _conv_bn(out_channels, out_channels),
+        )
+        self.shortcut = _shortcut(in_channels, out_channels, stride)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, H, W) -> (N, C', ceil(H / stride), ceil(W / stride))."""
+        out: Tensor = self.layers(x) + self.shortcut(x)
+        return out
+
+
+class Bottleneck(nn.Module):
+    """1x1, 3x3, 1x1 to twice the channels around a shortcut, without the last ReLU."""
+
+    def __init__(self, in_channels: int, channels: int, *, stride: int = 1) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            ConvBNReLU(in_channels, channels, kernel=1),
+            ConvBNReLU(channels, channels, stride=stride),
+            _conv_bn(channels, 2 * channels, kernel=1),
+        )
+        self.shortcut = _shortcut(in_channels, 2 * channels, stride)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, H, W) -> (N, 2 C', ceil(H / stride), ceil(W / stride))."""
+        out: Tensor = self.layers(x) + self.shortcut(x)
+        return out
+
+
+class PyramidContext(nn.Module):
+    """The paper's DAPPM: means over larger and larger windows, each added to the next."""
+
+    def __init__(self, in_channels: int, channels: int, out_channels: int) -> None:
+        super().__init__()
+        self.pools = nn.ModuleList(
+            nn.AvgPool2d(2 * stride + 1, stride, stride) for stride in (2, 4, 8)
+        )
+        self.narrow = nn.ModuleList(
+            _normed(nn.Conv2d(in_channels, channels, 1, bias=False)) for _ in range(5)
+        )
+        self.process = nn.ModuleList(
+            _normed(nn.Conv2d(channels, channels, 3, padding=1, bias=False)) for _ in range(4)
+        )
+        self.project = _normed(nn.Conv2d(5 * channels, out_channels, 1, bias=False))
+        self.shortcut = _normed(nn.Conv2d(in_channels, out_channels, 1, bias=False))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, H, W) -> (N, C', H, W)."""
+        size = (x.shape[2], x.shape[3])
+        pooled = [pool(x) for pool in self.pools] + [x.mean(dim=(2, 3), keepdim=True)]
+        scales = [self.narrow[0](x)]
+        for mean, narrow, process in zip(pooled, list(self.narrow)[1:], self.process, strict=True):
+            scales.append(process(upsample(narrow(mean), size=size) + scales[-1]))
+        out: Tensor = self.project(torch.cat(scales, dim=1)) + self.shortcut(x)
+        return out
+
+
+def _stage(in_channels: int, out_channels: int, *, stride: int = 1) -> nn.Sequential:
+    """Two residual blocks with a ReLU between."""
+    return nn.Sequential(
+        BasicBlock(in_channels, out_channels, stride=stride),
+        nn.ReLU(),
+        BasicBlock(out_channels, out_channels),
+    )
+
+
+def _conv_bn(
+    in_channels: int, out_channels: int, *, kernel: int = 3, stride: int = 1
+) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(in_channels, out_channels, kernel, stride, kernel // 2, bias=False),
+        nn.BatchNorm2d(out_channels),
+    )
+
+
+def _shortcut(in_channels: int, out_channels: int, stride: int) -> nn.Module:
+    if stride == 1 and in_channels == out_channels:
+        return nn.Identity()
+    return _conv_bn(in_channels, out_channels, kernel=1, stride=stride)
+
+
+def _normed(conv: nn.Conv2d) -> nn.Sequential:
+    """Batch normalisation and ReLU in front of a convolution."""
+    return nn.Sequential(nn.BatchNorm2d(conv.in_channels), nn.ReLU(), conv)
