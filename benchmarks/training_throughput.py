@@ -179,7 +179,7 @@ def time_loop(recipe: Recipe, arguments: argparse.Namespace, out: Path) -> dict[
     loop.DataLoader = TimedLoader
     probe = replace(
         recipe,
-        schedule=replace(recipe.schedule, steps=1_000_000, warmup_steps=0),
+        schedule=replace(recipe.schedule, steps=100_000, warmup_steps=0),
         loop=replace(recipe.loop, checkpoint_every=1_000_000),
         validation=replace(recipe.validation, source=()),
     )
