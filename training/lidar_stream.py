@@ -13,7 +13,7 @@ import numpy as np
 import typer
 
 from runtime.atomic_write import atomic_write
-from runtime.errors import SSDNetError
+from runtime.command import reported_errors
 from runtime.stream.frames import KITTI_DEPTH_SCALE
 from training.datasets.virtual_kitti import VirtualKitti
 from training.datasets.virtual_kitti_split import Selection
@@ -54,11 +54,8 @@ def main(
     seed: int = 0,
 ) -> None:
     """Scan a rendered scene with a LiDAR and lay its frames out for ssdnet-run."""
-    try:
+    with reported_errors("train"):
         typer.echo(f"{write_lidar_stream(variant, out, lines=lines, seed=seed)} frames in {out}")
-    except SSDNetError as error:
-        typer.echo(f"error: {error}", err=True)
-        raise typer.Exit(1) from error
 
 
 if __name__ == "__main__":
