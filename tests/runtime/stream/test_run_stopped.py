@@ -53,6 +53,14 @@ def require_consistent(out: Path) -> list[str]:
     return listed
 
 
+@pytest.fixture
+def sensitive_to_ctrl_c():
+    """As a process is that a terminal started; a shell's background is deaf to it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 class SignalAtLine:
     """A trace function that sends this process a signal at the n-th line run of these files."""
 
@@ -71,7 +79,7 @@ class SignalAtLine:
         return self
 
 
-def test_at_every_line_of_the_main_thread(tmp_path, command):
+def test_at_every_line_of_the_main_thread(tmp_path, command, sensitive_to_ctrl_c):
     """Of what starts, feeds and ends the run; every third to save time."""
     listed, line = [], 0
     while True:
