@@ -165,11 +165,15 @@ def test_a_loss_of_which_no_term_has_a_head_is_refused(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_another_network_s_weights_are_not_taken_over(tmp_path):
-    """Layers of one name and shape mean something else in another network."""
-    save_checkpoint(tmp_path / "depth.pt", create_model("tiny-depth"))
+class OtherSemantic(TinySemantic):
+    """The same layers, read in another way."""
+
+
+def test_weights_of_another_network_are_not_taken_over(tmp_path, monkeypatch):
+    monkeypatch.setitem(NETWORKS, "tiny-other", Entry(OtherSemantic, TinyConfig("tiny-other")))
+    save_checkpoint(tmp_path / "other.pt", create_model("tiny-other"))
     with pytest.raises(CheckpointError, match="none of its layers fits the recipe's 'tiny-sem"):
-        build_network(ModelRecipe("tiny-semantic"), tmp_path / "depth.pt")
+        build_network(ModelRecipe("tiny-semantic"), tmp_path / "other.pt")
 
 
 def test_settings_that_a_network_lacks_are_named():
