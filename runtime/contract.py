@@ -138,7 +138,7 @@ class Contract:
                 native_size=check_size(_value(document, "native_size"), "native_size"),
                 stride=check_stride(_value(document, "stride")),
                 resize=_resize(document),
-                precision=_text(document, "precision"),
+                precision=check_name(_value(document, "precision"), "precision"),
                 training=_mapping(document, "training"),
                 versions=_text_mapping(document, "versions"),
                 parity=_mapping(document, "parity"),
@@ -196,7 +196,7 @@ def check_max_depth(max_depth_m: object) -> float:
 
 
 def check_name(text: object, name: str) -> str:
-    """Give back the name of a model or a class; ValueError unless it is short and printable."""
+    """Give back a name, of a class say; ValueError unless it is short and printable."""
     if not isinstance(text, str) or not text.isprintable() or not 1 <= len(text) <= MAX_NAME_LENGTH:
         raise ValueError(
             f"{name} must be printable text of 1 to {MAX_NAME_LENGTH} characters, got {text!r:.80}"

@@ -47,7 +47,7 @@ class Predictor:
 
     Raises ContractError for a missing, damaged, foreign or too new model, ProviderError if the
     provider cannot run it, InputError for arguments out of range and for any `size` but None where
-    the model is of fixed size.
+    the model is of fixed size, and InferenceError where the warm-up fails.
     """
 
     contract: Contract
@@ -114,8 +114,8 @@ class Predictor:
         Where the network runs at another size (`network_size`), the frame is resized to it and the
         answers back by the contract's rule.
 
-        Raises InputError for arrays of another type or shape, InferenceError if the session fails
-        or the predictor was closed.
+        Raises InputError for arrays of another type or shape, InferenceError if the session fails,
+        answers in another shape or was closed.
         """
         started = time.perf_counter()
         frame = preprocess(
