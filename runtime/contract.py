@@ -38,6 +38,7 @@ RESIZE_RULES: Mapping[str, tuple[str, ...]] = {
 }
 
 
+_INPUTS = ("rgb", "sparse_depth")
 _DIGEST_KEY = "document_sha256"
 _MINOR_VERSION = re.compile("[0-9]{1,4}")
 
@@ -316,7 +317,8 @@ def _class(entry: object, name: str) -> ClassInfo:
 def _resize(document: Mapping[str, Any]) -> dict[str, str]:
     rules = _text_mapping(document, "resize")
     for tensor, known in RESIZE_RULES.items():
-        rule = _value(rules, tensor)
+        # A head that came after the file was made has no rule in it.
+        rule = _value(rules, tensor) if tensor in _INPUTS else rules.get(tensor, known[0])
         if rule not in known:
             raise _wrong(f"resize.{tensor}", " or ".join(known), rule)
     return rules

@@ -30,9 +30,7 @@ def check_network_size(asked: Any, *, fixed: bool) -> NetworkSize:
     if isinstance(asked, str) and asked == "frame":
         return "frame"
     try:
-        if isinstance(asked, tuple | list):
-            return check_size([_integer(side) for side in asked])
-        return check_side(_integer(asked), "size")
+        return _in_range(asked)
     except ValueError as error:
         raise InputError(
             f'{error}: size is None (about the trained height), "frame" (the frame\'s own), a '
@@ -45,13 +43,16 @@ def parse_network_size(text: str) -> NetworkSize:
     if text in ("auto", "frame"):
         return None if text == "auto" else "frame"
     sides = text.lower().split("x")
-    if not all(side.isdecimal() for side in sides) or len(sides) > 2:
+    try:
+        if not all(side.isdecimal() for side in sides) or len(sides) > 2:
+            raise ValueError("neither a word nor pixels")
+        numbers = [int(side[:9]) for side in sides]  # longer ones are out of range as well
+        return _in_range(numbers[0] if len(numbers) == 1 else numbers)
+    except ValueError as error:
         raise InputError(
-            f"--size {text!r:.80}; expected auto (about the trained height), frame (the frame's "
-            "own), a number of rows such as 400, or HEIGHTxWIDTH such as 400x640"
-        )
-    numbers = [int(side[:9]) for side in sides]  # longer ones are out of range as well
-    return check_network_size(numbers[0] if len(numbers) == 1 else numbers, fixed=False)
+            f"--size {text!r:.80}: {error}; expected auto (about the trained height), frame (the "
+            "frame's own), a number of rows such as 400, or HEIGHTxWIDTH such as 400x640"
+        ) from error
 
 
 def network_size(
@@ -79,6 +80,13 @@ def network_size(
             f"{width}; at most {MAX_SIDE} a side and {MAX_PIXELS} in all: ask for fewer rows"
         )
     return size
+
+
+def _in_range(asked: Any) -> int | tuple[int, int]:
+    """Rows, or (height, width), in plain integers; ValueError for anything else."""
+    if isinstance(asked, tuple | list):
+        return check_size([_integer(side) for side in asked])
+    return check_side(_integer(asked), "size")
 
 
 def _integer(value: Any) -> int:

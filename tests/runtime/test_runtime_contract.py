@@ -7,7 +7,7 @@ import json
 import pytest
 
 from runtime import ClassInfo, Contract, ContractError
-from runtime.contract import Content
+from runtime.contract import RESIZE_RULES, Content
 
 
 @pytest.fixture
@@ -147,6 +147,15 @@ def test_a_wrong_value_is_named(contract, key, value):
 def test_sparse_depth_that_would_be_mixed_is_refused(contract):
     rules = dict(contract.resize, sparse_depth="bilinear")
     with pytest.raises(ContractError, match=r"resize\.sparse_depth must be nearest"):
+        Contract.from_json(document(contract, resize=rules))
+
+
+def test_a_head_that_came_later_needs_no_rule(contract, monkeypatch):
+    later = {**RESIZE_RULES, "confidence": ("bilinear",)}
+    monkeypatch.setattr("runtime.contract.RESIZE_RULES", later)
+    assert Contract.from_json(document(contract)).resize == contract.resize
+    with pytest.raises(ContractError, match=r"resize\.confidence must be bilinear"):
+        rules = dict(contract.resize, confidence="nearest")
         Contract.from_json(document(contract, resize=rules))
 
 

@@ -68,8 +68,9 @@ def evaluate(
                 rows += _score_all(name, model, title, source, lidars, faults, limit)
     if not rows:
         raise InputError(
-            "nothing could be scored: these sets give none of the LiDARs asked for. Ask for "
-            "--lidar own."
+            "nothing could be scored: these sets give none of the LiDARs asked for. Lines need "
+            "the set's intrinsics, or a recorded scan, of which every second line stays the "
+            "target; ask for random:0.05 or none, which every set gives."
         )
     return rows
 

@@ -118,6 +118,23 @@ def test_a_file_of_fixed_size_is_scored_at_no_other(folder):
     assert "--size 'large'" in result.output
 
 
+def test_depth_without_intrinsics_is_fed_at_random_alone(folder, tmp_path):
+    for name, pixels in (
+        ("images", np.zeros((64, 96, 3), np.uint8)),
+        ("depth", np.full((64, 96), 2560, np.uint16)),
+    ):
+        (tmp_path / name).mkdir()
+        cv2.imwrite(str(tmp_path / name / "a.png"), pixels)
+    data = f"folders:{tmp_path},depth=depth"
+    for lidar in ("own", "16"):
+        result = run(folder / "lite.pt", "--data", data, "--lidar", lidar)
+        assert result.exit_code == 1
+        assert "intrinsics" in result.stderr
+        assert "ask for random:0.05 or none" in result.stderr
+    for lidar in ("random:0.05", "none"):
+        assert run(folder / "lite.pt", "--data", data, "--lidar", lidar).exit_code == 0
+
+
 def test_limit_takes_so_many_frames(folder, tmp_path):
     out = tmp_path / "rows.json"
     data = f"rendered:{folder}/scenes"
