@@ -154,8 +154,8 @@ def test_a_head_that_came_later_needs_no_rule(contract, monkeypatch):
     later = {**RESIZE_RULES, "confidence": ("bilinear",)}
     monkeypatch.setattr("runtime.contract.RESIZE_RULES", later)
     assert Contract.from_json(document(contract)).resize == contract.resize
+    rules = dict(contract.resize, confidence="nearest")
     with pytest.raises(ContractError, match=r"resize\.confidence must be bilinear"):
-        rules = dict(contract.resize, confidence="nearest")
         Contract.from_json(document(contract, resize=rules))
 
 
