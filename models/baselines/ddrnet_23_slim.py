@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from models.baselines.residual import Bottleneck, basic_stage, conv_bn, normed
 from models.blocks import ConvBNReLU, pad_to_multiple, upsample
 from models.network import Network, NetworkConfig, SSDNetOutput, initialise
 
@@ -41,23 +42,23 @@ class DDRNet23Slim(Network):
         super().__init__(config)
         w = _WIDTH
         self.stem = nn.Sequential(ConvBNReLU(3, w, stride=2), ConvBNReLU(w, w, stride=2))
-        self.stage1 = _stage(w, w)
-        self.stage2 = _stage(w, 2 * w, stride=2)
-        self.coarse3 = _stage(2 * w, 4 * w, stride=2)
-        self.coarse4 = _stage(4 * w, 8 * w, stride=2)
+        self.stage1 = basic_stage(w, w)
+        self.stage2 = basic_stage(w, 2 * w, stride=2)
+        self.coarse3 = basic_stage(2 * w, 4 * w, stride=2)
+        self.coarse4 = basic_stage(4 * w, 8 * w, stride=2)
         self.coarse5 = Bottleneck(8 * w, 8 * w, stride=2)
-        self.fine3 = _stage(2 * w, _FINE)
-        self.fine4 = _stage(_FINE, _FINE)
+        self.fine3 = basic_stage(2 * w, _FINE)
+        self.fine4 = basic_stage(_FINE, _FINE)
         self.fine5 = Bottleneck(_FINE, _FINE)
-        self.up3 = _conv_bn(4 * w, _FINE, kernel=1)
-        self.up4 = _conv_bn(8 * w, _FINE, kernel=1)
-        self.down3 = _conv_bn(_FINE, 4 * w, stride=2)
+        self.up3 = conv_bn(4 * w, _FINE, kernel=1)
+        self.up4 = conv_bn(8 * w, _FINE, kernel=1)
+        self.down3 = conv_bn(_FINE, 4 * w, stride=2)
         self.down4 = nn.Sequential(
-            ConvBNReLU(_FINE, 4 * w, stride=2), _conv_bn(4 * w, 8 * w, stride=2)
+            ConvBNReLU(_FINE, 4 * w, stride=2), conv_bn(4 * w, 8 * w, stride=2)
         )
         self.context = PyramidContext(16 * w, _CONTEXT, 2 * _FINE)
         self.refine = nn.Sequential(
-            *_normed(nn.Conv2d(2 * _FINE, _HEAD, 3, padding=1, bias=False)),
+            *normed(nn.Conv2d(2 * _FINE, _HEAD, 3, padding=1, bias=False)),
             nn.BatchNorm2d(_HEAD),
             nn.ReLU(inplace=True),
         )
@@ -80,41 +81,6 @@ class DDRNet23Slim(Network):
         return SSDNetOutput(semantic_logits=self.semantic_head(self.refine(fused)))
 
 
-class BasicBlock(nn.Module):
-    """Two 3x3 convolutions around a shortcut (He et al. 2016), without the last ReLU."""
-
-    def __init__(self, in_channels: int, out_channels: int, *, stride: int = 1) -> None:
-        super().__init__()
-        self.layers = nn.Sequential(
-            ConvBNReLU(in_channels, out_channels, stride=stride),
-            _conv_bn(out_channels, out_channels),
-        )
-        self.shortcut = _shortcut(in_channels, out_channels, stride)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """(N, C, H, W) -> (N, C', ceil(H / stride), ceil(W / stride))."""
-        out: Tensor = self.layers(x) + self.shortcut(x)
-        return out
-
-
-class Bottleneck(nn.Module):
-    """1x1, 3x3, 1x1 to twice the channels around a shortcut, without the last ReLU."""
-
-    def __init__(self, in_channels: int, channels: int, *, stride: int = 1) -> None:
-        super().__init__()
-        self.layers = nn.Sequential(
-            ConvBNReLU(in_channels, channels, kernel=1),
-            ConvBNReLU(channels, channels, stride=stride),
-            _conv_bn(channels, 2 * channels, kernel=1),
-        )
-        self.shortcut = _shortcut(in_channels, 2 * channels, stride)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """(N, C, H, W) -> (N, 2 C', ceil(H / stride), ceil(W / stride))."""
-        out: Tensor = self.layers(x) + self.shortcut(x)
-        return out
-
-
 class PyramidContext(nn.Module):
     """The paper's DAPPM: means over larger and larger windows, each added to the next."""
 
@@ -124,13 +90,13 @@ class PyramidContext(nn.Module):
             nn.AvgPool2d(2 * stride + 1, stride, stride) for stride in (2, 4, 8)
         )
         self.narrow = nn.ModuleList(
-            _normed(nn.Conv2d(in_channels, channels, 1, bias=False)) for _ in range(5)
+            normed(nn.Conv2d(in_channels, channels, 1, bias=False)) for _ in range(5)
         )
         self.process = nn.ModuleList(
-            _normed(nn.Conv2d(channels, channels, 3, padding=1, bias=False)) for _ in range(4)
+            normed(nn.Conv2d(channels, channels, 3, padding=1, bias=False)) for _ in range(4)
         )
-        self.project = _normed(nn.Conv2d(5 * channels, out_channels, 1, bias=False))
-        self.shortcut = _normed(nn.Conv2d(in_channels, out_channels, 1, bias=False))
+        self.project = normed(nn.Conv2d(5 * channels, out_channels, 1, bias=False))
+        self.shortcut = normed(nn.Conv2d(in_channels, out_channels, 1, bias=False))
 
     def forward(self, x: Tensor) -> Tensor:
         """(N, C, H, W) -> (N, C', H, W)."""
@@ -141,32 +107,3 @@ class PyramidContext(nn.Module):
             scales.append(process(upsample(narrow(mean), size=size) + scales[-1]))
         out: Tensor = self.project(torch.cat(scales, dim=1)) + self.shortcut(x)
         return out
-
-
-def _stage(in_channels: int, out_channels: int, *, stride: int = 1) -> nn.Sequential:
-    """Two residual blocks with a ReLU between."""
-    return nn.Sequential(
-        BasicBlock(in_channels, out_channels, stride=stride),
-        nn.ReLU(),
-        BasicBlock(out_channels, out_channels),
-    )
-
-
-def _conv_bn(
-    in_channels: int, out_channels: int, *, kernel: int = 3, stride: int = 1
-) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(in_channels, out_channels, kernel, stride, kernel // 2, bias=False),
-        nn.BatchNorm2d(out_channels),
-    )
-
-
-def _shortcut(in_channels: int, out_channels: int, stride: int) -> nn.Module:
-    if stride == 1 and in_channels == out_channels:
-        return nn.Identity()
-    return _conv_bn(in_channels, out_channels, kernel=1, stride=stride)
-
-
-def _normed(conv: nn.Conv2d) -> nn.Sequential:
-    """Batch normalisation and ReLU in front of a convolution."""
-    return nn.Sequential(nn.BatchNorm2d(conv.in_channels), nn.ReLU(), conv)
