@@ -88,6 +88,16 @@ def pad_to_multiple(x: Tensor, multiple: int) -> Tensor:
     return F.pad(x, (0, -width % multiple, 0, -height % multiple))
 
 
+def extend_to_multiple(x: Tensor, multiple: int) -> Tensor:
+    """Repeat the last row and column of (N, C, H, W) up to a multiple of ``multiple``.
+
+    For what is pooled next: ONNX Runtime joins zeros to a pooling, and then refuses the model where
+    they are as many as the window is wide.
+    """
+    height, width = x.shape[2], x.shape[3]
+    return F.pad(x, (0, -width % multiple, 0, -height % multiple), mode="replicate")
+
+
 def adaptive_mean(x: Tensor, cells: int) -> Tensor:
     """Mean over a grid of cells x cells: (N, C, H, W) -> (N, C, cells, cells).
 

@@ -1,0 +1,72 @@
+"""BaCNN: semantics and boundaries from RGB alone.
+
+Paper: Zou, He, Wang, Bi, Shang, "Boundary-Aware CNN for Semantic Segmentation", IEEE Access 2019:
+FCN8s whose first convolution of each block is boundary-aware, behind a boundary network. The paper
+leaves open how the boundary reaches the coarser blocks: here by max-pooling, so that none is lost.
+The boundary network has a side output on each block and fuses them, as Xie and Tu's (2015).
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from models.baselines.fcn8s import FCN8s
+from models.baselines.vgg16 import VGG16, VGG16_BLOCKS
+from models.blocks import upsample
+from models.network import NetworkConfig, SSDNetOutput, initialise
+
+
+@dataclass(frozen=True)
+class BaCNNConfig(NetworkConfig):
+    """Nothing to choose but the classes."""
+
+    name: str = "bacnn"
+    heads = ("semantic", "boundary")
+    stride = 32
+    semantic_stride = 8
+
+
+class BaCNN(FCN8s):
+    """A boundary network, and FCN8s gated by what it finds."""
+
+    def __init__(self, config: BaCNNConfig) -> None:
+        super().__init__(config)
+        self.boundary = BoundaryNetwork()
+        self.boundary.apply(initialise)
+
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+        """Predict boundaries at full size, classes at an eighth; see `Network.predict_coarse`."""
+        x = self.normalise_rgb(rgb)
+        boundary_logits, sides = self.boundary(x)
+        boundaries = [torch.sigmoid(boundary_logits)]
+        for _ in VGG16_BLOCKS[1:]:
+            boundaries.append(F.max_pool2d(boundaries[-1], 2, ceil_mode=True))
+        _, pooled = self.backbone(x, boundaries)
+        return SSDNetOutput(
+            semantic_logits=self.score(pooled),
+            boundary_logits=boundary_logits,
+            side_boundary_logits=tuple(sides),
+        )
+
+
+class BoundaryNetwork(nn.Module):
+    """VGG16 with one logit a pixel from each block, fused at full size."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.backbone = VGG16()
+        self.sides = nn.ModuleList(nn.Conv2d(channels, 1, 1) for channels, _ in VGG16_BLOCKS)
+        self.fuse = nn.Conv2d(len(VGG16_BLOCKS), 1, 1)
+
+    def forward(self, x: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """(N, 3, H, W) -> logits (N, 1, H, W), and those of each block, finest first."""
+        height, width = x.shape[2], x.shape[3]
+        features, _ = self.backbone(x)
+        sides = [side(feature) for side, feature in zip(self.sides, features, strict=True)]
+        raised = [
+            upsample(logit, factor=2**index)[:, :, :height, :width]
+            for index, logit in enumerate(sides)
+        ]
+        return self.fuse(torch.cat(raised, dim=1)), sides

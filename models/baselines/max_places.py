@@ -1,0 +1,40 @@
+"""Where the largest value of each 2x2 window is, in operators that every ONNX runtime has."""
+
+from functools import reduce
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+#: Values this share apart are equal: two implementations of one convolution round differently, and
+#: shall not put the maximum of an even window in different places.
+_ROUNDING = 1e-5
+
+
+def windows(x: Tensor) -> Tensor:
+    """2x2 windows, row by row: (N, C, H, W) -> (N, C, 4, H / 2, W / 2). H and W are even."""
+    batch, channels, height, width = x.shape
+    return F.pixel_unshuffle(x, 2).view(batch, channels, 4, height // 2, width // 2)
+
+
+def max_places(x: Tensor) -> Tensor:
+    """True at the first of the largest values of each window, once a window.
+
+    (N, C, H, W) -> bool (N, C, 4, H / 2, W / 2), in the order of `windows`.
+    """
+    values = windows(x)
+    largest = reduce(torch.maximum, values.unbind(2))
+    large = (values >= (largest - _ROUNDING * largest.abs()).unsqueeze(2)).unbind(2)
+    first, found = [large[0]], large[0]
+    for each in large[1:]:
+        first.append(each & ~found)
+        found = found | each
+    return torch.stack(first, dim=2)
+
+
+def max_unpool(x: Tensor, places: Tensor) -> Tensor:
+    """Max-unpooling: each value goes back to its window's place, the rest is 0.
+
+    x (N, C, h, w), places of `max_places` -> (N, C, 2 h, 2 w).
+    """
+    return F.pixel_shuffle(torch.where(places, x.unsqueeze(2), 0.0).flatten(1, 2), 2)

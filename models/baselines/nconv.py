@@ -1,0 +1,99 @@
+"""NConv-CNN: depth completion from the LiDAR alone, with 480 parameters.
+
+Paper: Eldesokey, Felsberg, Khan, "Propagating Confidences through CNNs for Sparse Data Regression",
+BMVC 2018, section 3 and Figure 2.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from models.baselines.max_places import max_places, windows
+from models.blocks import pad_to_multiple
+from models.network import Network, NetworkConfig, SSDNetOutput
+from runtime.contract import ClassInfo
+
+_WIDTH = 2
+#: Halvings; the layers between them are the same at every size.
+_LEVELS = 3
+#: Less confidence than this is none; more than any rounding in an empty window.
+_NO_CONFIDENCE = 1e-6
+
+
+@dataclass(frozen=True)
+class NConvConfig(NetworkConfig):
+    """Nothing to choose but the depth range."""
+
+    name: str = "nconv"
+    classes: tuple[ClassInfo, ...] = ()
+    heads = ("depth",)
+    stride = 2**_LEVELS
+
+
+class NConv(Network):
+    """A pyramid of normalised convolutions: data and its confidence go through every layer."""
+
+    def __init__(self, config: NConvConfig) -> None:
+        super().__init__(config)
+        self.start = NormalisedConv(1, _WIDTH, kernel=5)
+        self.spread = NormalisedConv(_WIDTH, _WIDTH, kernel=5)
+        self.spread_on = NormalisedConv(_WIDTH, _WIDTH, kernel=5)
+        self.merge = nn.ModuleList(
+            NormalisedConv(2 * _WIDTH, _WIDTH, kernel=3) for _ in range(_LEVELS)
+        )
+        self.depth_head = NormalisedConv(_WIDTH, 1, kernel=1)
+
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+        """Predict at the padded image's size, see `Network.predict_coarse`."""
+        depth, measured = self.normalise_depth(sparse_depth)
+        x = pad_to_multiple(depth, self.config.stride)
+        confidence = pad_to_multiple(measured.to(depth.dtype), self.config.stride)
+        x, confidence = self.spread_on(*self.spread(*self.start(x, confidence)))
+        levels = [(x, confidence)]
+        for level in range(_LEVELS):
+            x, confidence = self.spread(*_pool(x, confidence))
+            if level == 0:  # the paper's figure: twice at a half, once at the coarser sizes
+                x, confidence = self.spread_on(x, confidence)
+            levels.append((x, confidence))
+        for merge, (fine, fine_confidence) in zip(self.merge, levels[-2::-1], strict=True):
+            joined = torch.cat((fine, _double(x)), dim=1)
+            x, confidence = merge(joined, torch.cat((fine_confidence, _double(confidence)), dim=1))
+        answer, _ = self.depth_head(x, confidence)
+        # The answer is linear: only what is used is held within the range, not what learns.
+        return SSDNetOutput(depths=(answer if self.training else answer.clamp(0, 1),))
+
+
+class NormalisedConv(nn.Module):
+    """A convolution weighted by confidence, with weights that are never negative.
+
+    Shapes: x (N, C, H, W), confidence (N, C, H, W) in 0..1; returns both, (N, C', H, W). The
+    confidence that goes on is the share of the weights that met confident data.
+    """
+
+    def __init__(self, in_channels: int, out_channels: int, *, kernel: int) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.empty(out_channels, in_channels, kernel, kernel))
+        self.bias = nn.Parameter(torch.zeros(out_channels, 1, 1))
+        nn.init.normal_(self.weight, 2.0, sqrt(2 / (kernel**2 * out_channels)))
+
+    def forward(self, x: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the weighted means plus bias, and the confidence in them."""
+        weight = F.softplus(self.weight, beta=10)
+        padding = weight.shape[-1] // 2
+        support = F.conv2d(confidence, weight, padding=padding)
+        sums = F.conv2d(x * confidence, weight, padding=padding)
+        total = weight.sum(dim=(1, 2, 3)).view(-1, 1, 1)
+        return sums / support.clamp(min=_NO_CONFIDENCE) + self.bias, support / total
+
+
+def _pool(x: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
+    """To half the size: the most confident value of each 2x2 window, for a quarter of the area."""
+    chosen = torch.where(max_places(confidence), windows(x), 0.0).sum(dim=2)
+    return chosen, F.max_pool2d(confidence, 2) / 4
+
+
+def _double(x: Tensor) -> Tensor:
+    return F.interpolate(x, scale_factor=2.0, mode="nearest")

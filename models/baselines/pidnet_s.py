@@ -1,0 +1,159 @@
+"""PIDNet-S: semantic segmentation from RGB alone.
+
+Paper: Xu, Xiong, Bhattacharyya, "PIDNet: A Real-time Semantic Segmentation Network Inspired by PID
+Controllers", CVPR 2023, Figures 4 to 7 and Table 2. Without the heads on the detail and boundary
+branches that its training adds.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from models.baselines.residual import BasicBlock, Bottleneck, basic_stage, conv_bn, normed
+from models.blocks import pad_to_multiple, upsample
+from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+
+_WIDTH = 32
+_CONTEXT = 96
+_HEAD = 128
+
+
+@dataclass(frozen=True)
+class PIDNetSConfig(NetworkConfig):
+    """Nothing to choose but the classes."""
+
+    name: str = "pidnet-s"
+    heads = ("semantic",)
+    #: The last stage's grid is half as fine; it rounds up.
+    stride = 32
+    semantic_stride = 8
+
+
+class PIDNetS(Network):
+    """Three branches: detail (P) and boundary (D) at an eighth of the image, context (I) below.
+
+    The stages end without ReLU, which each reader of their features applies.
+    """
+
+    def __init__(self, config: PIDNetSConfig) -> None:
+        super().__init__(config)
+        w = _WIDTH
+        self.stem = nn.Sequential(
+            *(nn.Conv2d(3, w, 3, 2, 1), nn.BatchNorm2d(w), nn.ReLU(inplace=True)),
+            *(nn.Conv2d(w, w, 3, 2, 1), nn.BatchNorm2d(w), nn.ReLU(inplace=True)),
+        )
+        self.stage1 = basic_stage(w, w)
+        self.stage2 = basic_stage(w, 2 * w, stride=2)
+        self.context3 = basic_stage(2 * w, 4 * w, count=3, stride=2)
+        self.context4 = basic_stage(4 * w, 8 * w, count=3, stride=2)
+        self.context5 = nn.Sequential(
+            Bottleneck(8 * w, 8 * w, stride=2), nn.ReLU(), Bottleneck(16 * w, 8 * w)
+        )
+        self.pyramid = ParallelPyramidContext(16 * w, _CONTEXT, 4 * w)
+        self.detail3 = basic_stage(2 * w, 2 * w)
+        self.detail4 = basic_stage(2 * w, 2 * w)
+        self.detail5 = Bottleneck(2 * w, 2 * w)
+        self.up3 = conv_bn(4 * w, 2 * w, kernel=1)
+        self.up4 = conv_bn(8 * w, 2 * w, kernel=1)
+        self.guide3 = AttentionGuide(2 * w, w)
+        self.guide4 = AttentionGuide(2 * w, w)
+        self.boundary3 = BasicBlock(2 * w, w)
+        self.boundary4 = Bottleneck(w, w)
+        self.boundary5 = Bottleneck(2 * w, 2 * w)
+        self.difference3 = conv_bn(4 * w, w)
+        self.difference4 = conv_bn(8 * w, 2 * w)
+        self.fuse = BoundaryGuide(4 * w)
+        self.refine = nn.Sequential(
+            *normed(nn.Conv2d(4 * w, _HEAD, 3, padding=1, bias=False)),
+            nn.BatchNorm2d(_HEAD),
+            nn.ReLU(inplace=True),
+        )
+        self.semantic_head = nn.Conv2d(_HEAD, config.num_classes, 1)
+        self.apply(initialise)
+
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+        """Predict on an eighth of the image's grid, see `Network.predict_coarse`."""
+        x = pad_to_multiple(self.normalise_rgb(rgb), self.config.stride)
+        x = F.relu(self.stage2(F.relu(self.stage1(self.stem(x)))))
+        detail, boundary = self.detail3(x), self.boundary3(x)
+        x = F.relu(self.context3(x))
+        detail = self.guide3(detail, upsample(self.up3(x), factor=2))
+        boundary = boundary + upsample(self.difference3(x), factor=2)
+        detail, boundary = self.detail4(F.relu(detail)), self.boundary4(F.relu(boundary))
+        x = F.relu(self.context4(x))
+        detail = self.guide4(detail, upsample(self.up4(x), factor=4))
+        boundary = boundary + upsample(self.difference4(x), factor=4)
+        detail, boundary = self.detail5(F.relu(detail)), self.boundary5(F.relu(boundary))
+        context = self.pyramid(self.context5(x))
+        context = upsample(context, size=(detail.shape[2], detail.shape[3]))
+        fused = self.fuse(detail, context, boundary)
+        return SSDNetOutput(semantic_logits=self.semantic_head(self.refine(fused)))
+
+
+class AttentionGuide(nn.Module):
+    """The paper's Pag: context where it is like the detail, detail elsewhere. All (N, C, H, W).
+
+    The context is raised to the detail's size before it is compared, not after: the 1x1 convolution
+    and the upsampling can change places.
+    """
+
+    def __init__(self, channels: int, narrow: int) -> None:
+        super().__init__()
+        self.embed_detail = conv_bn(channels, narrow, kernel=1)
+        self.embed_context = conv_bn(channels, narrow, kernel=1)
+
+    def forward(self, detail: Tensor, context: Tensor) -> Tensor:
+        """Blend the two by how alike they are, pixel by pixel."""
+        alike = self.embed_detail(detail) * self.embed_context(context)
+        share = torch.sigmoid(alike.sum(dim=1, keepdim=True))
+        return (1.0 - share) * detail + share * context
+
+
+class ParallelPyramidContext(nn.Module):
+    """The paper's PAPPM: means over larger and larger windows, all processed at once."""
+
+    def __init__(self, in_channels: int, channels: int, out_channels: int) -> None:
+        super().__init__()
+        self.pools = nn.ModuleList(
+            nn.AvgPool2d(2 * stride + 1, stride, stride) for stride in (2, 4, 8)
+        )
+        self.narrow = nn.ModuleList(
+            normed(nn.Conv2d(in_channels, channels, 1, bias=False)) for _ in range(5)
+        )
+        self.process = normed(
+            nn.Conv2d(4 * channels, 4 * channels, 3, padding=1, groups=4, bias=False)
+        )
+        self.project = normed(nn.Conv2d(5 * channels, out_channels, 1, bias=False))
+        self.shortcut = normed(nn.Conv2d(in_channels, out_channels, 1, bias=False))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, C, H, W) -> (N, C', H, W)."""
+        size = (x.shape[2], x.shape[3])
+        pooled = [pool(x) for pool in self.pools] + [x.mean(dim=(2, 3), keepdim=True)]
+        finest = self.narrow[0](x)
+        scales = [
+            upsample(narrow(mean), size=size) + finest
+            for mean, narrow in zip(pooled, list(self.narrow)[1:], strict=True)
+        ]
+        joined = torch.cat((finest, self.process(torch.cat(scales, dim=1))), dim=1)
+        out: Tensor = self.project(joined) + self.shortcut(x)
+        return out
+
+
+class BoundaryGuide(nn.Module):
+    """The paper's light Bag: detail at boundaries, context elsewhere. All (N, C, H, W)."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.detail = conv_bn(channels, channels, kernel=1)
+        self.context = conv_bn(channels, channels, kernel=1)
+
+    def forward(self, detail: Tensor, context: Tensor, boundary: Tensor) -> Tensor:
+        """Fuse the three branches."""
+        edge = torch.sigmoid(boundary)
+        out: Tensor = self.detail((1.0 - edge) * context + detail) + self.context(
+            context + edge * detail
+        )
+        return out

@@ -1,0 +1,74 @@
+"""SparseConvNet: depth completion from the LiDAR alone.
+
+Paper: Uhrig, Schneider, Schneider, Franke, Brox, Geiger, "Sparsity Invariant CNNs", 3DV 2017,
+section 3 and Figure 2.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+from runtime.contract import ClassInfo
+
+_WIDTH = 16
+_KERNELS = (11, 7, 5, 3, 3)
+
+
+@dataclass(frozen=True)
+class SparseConvNetConfig(NetworkConfig):
+    """Nothing to choose but the depth range."""
+
+    name: str = "sparse-conv"
+    classes: tuple[ClassInfo, ...] = ()
+    heads = ("depth",)
+    stride = 1
+
+
+class SparseConvNet(Network):
+    """Sparse convolutions at full size, from 11x11 to 1x1."""
+
+    def __init__(self, config: SparseConvNetConfig) -> None:
+        super().__init__(config)
+        width, layers = 1, []
+        for kernel in _KERNELS:
+            layers.append(SparseConv(width, _WIDTH, kernel=kernel))
+            width = _WIDTH
+        self.layers = nn.ModuleList(layers)
+        self.depth_head = SparseConv(_WIDTH, 1, kernel=1)
+        self.apply(initialise)
+
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+        """Predict at full size, see `Network.predict_coarse`."""
+        x, measured = self.normalise_depth(sparse_depth)
+        mask = measured.to(x.dtype)
+        for layer in self.layers:
+            x, mask = layer(x, mask)
+            x = torch.relu(x)
+        depth, _ = self.depth_head(x, mask)
+        # The answer is linear: only what is used is held within the range, not what learns.
+        return SSDNetOutput(depths=(depth if self.training else depth.clamp(0, 1),))
+
+
+class SparseConv(nn.Module):
+    """A convolution over what was measured: its sum over the count of measured pixels, plus bias.
+
+    Shapes: x (N, C, H, W), mask (N, 1, H, W), 0 or 1; returns (N, C', H, W) and the mask of
+    windows that hold a measurement.
+    """
+
+    def __init__(self, in_channels: int, out_channels: int, *, kernel: int) -> None:
+        super().__init__()
+        self.kernel = kernel
+        self.conv = nn.Conv2d(in_channels, out_channels, kernel, padding=kernel // 2, bias=False)
+        self.bias = nn.Parameter(torch.zeros(out_channels, 1, 1))
+
+    def forward(self, x: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """Convolve and grow the mask."""
+        area = self.kernel**2
+        counted = F.avg_pool2d(mask, self.kernel, 1, self.kernel // 2) * area
+        # An empty window sums to 0 over 1: exact where the paper adds a small number to the count.
+        out = self.conv(x * mask) / counted.clamp(min=1.0) + self.bias
+        return out, F.max_pool2d(mask, self.kernel, 1, self.kernel // 2)

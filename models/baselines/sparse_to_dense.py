@@ -1,0 +1,70 @@
+"""Sparse-to-dense: depth completion from RGB and LiDAR.
+
+Paper: Ma, Karaman, "Sparse-to-Dense: Depth Prediction from Sparse Depth Samples and a Single
+Image", ICRA 2018, Figure 3, with ResNet-18 and the decoder "deconv3".
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+from models.blocks import ResidualBlock, pad_to_multiple
+from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+from runtime.contract import ClassInfo
+
+#: Channels of ResNet-18's stages, of two blocks each (He et al. 2016).
+_STAGES = (64, 128, 256, 512)
+_DECODER = (256, 128, 64, 32, 16)
+
+
+@dataclass(frozen=True)
+class SparseToDenseConfig(NetworkConfig):
+    """Nothing to choose but the depth range."""
+
+    name: str = "sparse-to-dense"
+    classes: tuple[ClassInfo, ...] = ()
+    heads = ("depth",)
+    stride = 32
+    output_stride = 2
+
+
+class SparseToDense(Network):
+    """ResNet-18 over colours and depth in metres, and four transposed convolutions up again."""
+
+    def __init__(self, config: SparseToDenseConfig) -> None:
+        super().__init__(config)
+        layers: list[nn.Module] = [
+            nn.Conv2d(4, _STAGES[0], 7, 2, 3, bias=False),
+            nn.BatchNorm2d(_STAGES[0]),
+            nn.ReLU(inplace=True),
+            nn.MaxPool2d(3, 2, padding=1),
+        ]
+        width = _STAGES[0]
+        for channels in _STAGES:
+            layers.append(ResidualBlock(width, channels, stride=1 if channels == width else 2))
+            layers.append(ResidualBlock(channels, channels))
+            width = channels
+        self.encoder = nn.Sequential(
+            *layers, nn.Conv2d(width, _DECODER[0], 1, bias=False), nn.BatchNorm2d(_DECODER[0])
+        )
+        ups: list[nn.Module] = []
+        for width, channels in pairwise(_DECODER):
+            ups += [
+                nn.ConvTranspose2d(width, channels, 3, 2, 1, output_padding=1, bias=False),
+                nn.BatchNorm2d(channels),
+                nn.ReLU(inplace=True),
+            ]
+        self.decoder = nn.Sequential(*ups)
+        self.depth_head = nn.Conv2d(_DECODER[-1], 1, 3, padding=1)
+        self.apply(initialise)
+
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+        """Predict on half the image's grid, see `Network.predict_coarse`."""
+        depth, _ = self.normalise_depth(sparse_depth)
+        x = torch.cat((self.normalise_rgb(rgb), depth * self.config.max_depth_m), dim=1)
+        x = self.encoder(pad_to_multiple(x, self.config.stride))
+        answer = self.depth_head(self.decoder(x))
+        # The answer is linear: only what is used is held within the range, not what learns.
+        return SSDNetOutput(depths=(answer if self.training else answer.clamp(0, 1),))
