@@ -57,11 +57,6 @@ class Mesh:
             normals=self.normals @ turn,
         )
 
-    def rotated(self, rotation: ArrayLike) -> Self:
-        """Rotate by a 3x3 matrix acting on column vectors."""
-        turn = np.asarray(rotation, dtype=np.float32).T
-        return replace(self, positions=self.positions @ turn, normals=self.normals @ turn)
-
     def scaled(self, factor: float) -> Self:
         """Scale the positions about the origin."""
         return replace(self, positions=self.positions * np.float32(factor))
