@@ -111,7 +111,7 @@ def expected_terms(loss, config):
     """Terms that a recipe gives a weight and that its network has the heads for."""
     terms = {name for name in TERMS if getattr(loss, f"{name}_weight")}
     if not config.semantic_head:
-        terms -= {"semantic", "semantic_iou", "semantic_boundary", "semantic_depth"}
+        terms -= {"semantic", "semantic_iou", "lovasz", "semantic_boundary", "semantic_depth"}
     if not config.depth_head:
         terms -= {"depth", "semantic_depth"}
     return terms

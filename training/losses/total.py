@@ -31,6 +31,7 @@ from training.losses.joint import (
     semantic_depth_loss,
     soft_disagreement,
 )
+from training.losses.lovasz import lovasz_softmax_loss, picture_mean
 from training.losses.semantic import (
     IGNORE,
     ClassWeighting,
@@ -45,6 +46,7 @@ TERMS: Mapping[str, frozenset[Head]] = {
     "depth": frozenset({"depth"}),
     "semantic": frozenset({"semantic"}),
     "semantic_iou": frozenset({"semantic"}),
+    "lovasz": frozenset({"semantic"}),
     "boundary": frozenset({"boundary"}),
     "side_boundary": frozenset({"boundary"}),
     "semantic_boundary": frozenset({"semantic", "boundary"}),
@@ -71,6 +73,8 @@ class LossConfig:
     side_boundary_weight: float = 0.0
     #: Soft IoU of the classes beside Eq. 5; not the paper's.
     semantic_iou_weight: float = 0.0
+    #: Lovász-Softmax of each picture (Berman et al. 2018); ENet with it is the paper's ENet_LSloss.
+    lovasz_weight: float = 0.0
 
     #: "fixed": the weights above, as in the paper. "uncertainty": each is multiplied by a factor
     #: that is learned along with the network (Kendall et al. 2018, the paper's reference 35).
@@ -167,10 +171,10 @@ class SSDNetLoss(nn.Module):
         `semantic` int64 (N, H, W), 255 = none. `depth` float32 (N, 1, H, W) [m]; 0, not finite
         or beyond `max_depth_m` = none. `semantic_weight` float (N,): how much each sample's labels
         count in Eq. 5 and 6, below 1 for labels made by a network. Samples may lack either target
-        altogether. Names: those of `TERMS` (depth, semantic, semantic_iou, boundary, side_boundary,
-        semantic_boundary, semantic_depth); those of weight 0, and those that need a head that the
-        network lacks, are left out. Computed in float32 whatever the network was computed in.
-        Raises ValueError on targets of another size.
+        altogether. Names: those of `TERMS` (depth, semantic, semantic_iou, lovasz, boundary,
+        side_boundary, semantic_boundary, semantic_depth); those of weight 0, and those that need a
+        head that the network lacks, are left out. Computed in float32 whatever the network was
+        computed in. Raises ValueError on targets of another size.
         """
         answer = _any_answer(output)
         if answer.shape[-2:] != semantic.shape[-2:] or semantic.shape[-2:] != depth.shape[-2:]:
@@ -250,25 +254,29 @@ class SSDNetLoss(nn.Module):
         with_depth = bool(config.semantic_depth_weight) and output.depths is not None
         boundary_logits = output.boundary_logits if config.semantic_boundary_weight else None
         joint = boundary_logits is not None or with_depth
-        if not (config.semantic_weight or config.semantic_iou_weight or joint):
+        alone = config.semantic_weight or config.semantic_iou_weight or config.lovasz_weight
+        if not (alone or joint):
             return {}
         weights = self.class_weights
         if weights is None:
             weights = torch.ones(logits.shape[1], device=logits.device)
         form = config.disagreement if joint else None
-        cross_entropy, overlap, disagreement = _class_maps(
+        cross_entropy, overlap, lovasz, disagreement = _class_maps(
             logits,
             semantic,
             weights,
             semantic_weight,
             form,
             with_overlap=bool(config.semantic_iou_weight),
+            with_lovasz=bool(config.lovasz_weight),
         )
         terms = {}
         if overlap is not None:
             terms["semantic_iou"] = soft_iou_loss(overlap)
+        known = semantic != IGNORE
+        if lovasz is not None:
+            terms["lovasz"] = picture_mean(lovasz, known, semantic_weight)
         if config.semantic_weight:
-            known = semantic != IGNORE
             terms["semantic"] = labelled_mean(cross_entropy, known, semantic_weight)
         if disagreement is not None and boundary_logits is not None:
             boundary = torch.sigmoid(boundary_logits.float())
@@ -297,20 +305,24 @@ def _class_maps(
     form: Literal["soft", "hard"] | None,
     *,
     with_overlap: bool,
-) -> tuple[Tensor, Tensor | None, NeighbourMaps | None]:
-    """Everything that needs all classes of a pixel: Eq. 5's map, soft overlap, disagreement.
+    with_lovasz: bool,
+) -> tuple[Tensor, Tensor | None, Tensor | None, NeighbourMaps | None]:
+    """Everything that needs all classes of a pixel: Eq. 5's map, overlap, Lovász, disagreement.
 
     Sample by sample: the class maps of a whole batch fit no cache, which costs a CPU a third more.
     """
-    cross_entropy, overlaps, disagreements = [], [], []
+    cross_entropy, overlaps, lovasz, disagreements = [], [], [], []
     # Unbound, not sliced: the gradient of each slice would be as large as the whole batch.
     for index, (sample, label) in enumerate(zip(logits.unbind(0), semantic.unbind(0), strict=True)):
         log_probabilities = F.log_softmax(sample[None].float(), dim=1)
         cross_entropy.append(cross_entropy_map(log_probabilities, label[None], weights))
-        probabilities = log_probabilities.exp() if with_overlap or form == "soft" else None
+        soft = with_overlap or with_lovasz or form == "soft"
+        probabilities = log_probabilities.exp() if soft else None
         if with_overlap and probabilities is not None:
             share = None if sample_weight is None else sample_weight[index : index + 1]
             overlaps.append(soft_overlap(probabilities, label[None], share))
+        if with_lovasz and probabilities is not None:
+            lovasz.append(lovasz_softmax_loss(probabilities[0], label))
         if form == "soft" and probabilities is not None:
             disagreements.append(soft_disagreement(probabilities))
         elif form == "hard":
@@ -320,4 +332,5 @@ def _class_maps(
         across, down = zip(*disagreements, strict=True)
         disagreement = NeighbourMaps(torch.cat(across), torch.cat(down))
     overlap = torch.stack(overlaps).sum(dim=0) if overlaps else None
-    return torch.cat(cross_entropy), overlap, disagreement
+    per_picture = torch.stack(lovasz) if lovasz else None
+    return torch.cat(cross_entropy), overlap, per_picture, disagreement

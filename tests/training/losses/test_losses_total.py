@@ -16,6 +16,7 @@ from training.losses.joint import (
     semantic_depth_loss,
     soft_disagreement,
 )
+from training.losses.lovasz import lovasz_softmax_loss
 from training.losses.semantic import soft_iou_loss, soft_overlap, weighted_cross_entropy
 
 ALL_OFF = {
@@ -279,6 +280,21 @@ def test_soft_iou_is_a_term_of_its_own():
     torch.testing.assert_close(terms["semantic_iou"], expected)
     torch.testing.assert_close(terms["total"], 2 * expected)
     assert set(terms) == {"semantic_iou", "total"}
+
+
+def test_lovasz_is_a_term_of_its_own():
+    parts = leaves()
+    semantic, depth = targets()
+    semantic[0, :5] = 255
+    config = LossConfig(**{**ALL_OFF, "lovasz_weight": 2.0})
+    terms = SSDNetLoss(config, max_depth_m=100.0)(
+        answer(parts), semantic, depth, semantic_weight=torch.tensor([1.0, 0.2])
+    )
+    probabilities = torch.softmax(parts["semantic"], dim=1)
+    first, second = map(lovasz_softmax_loss, probabilities, semantic)
+    torch.testing.assert_close(terms["lovasz"], (first + 0.2 * second) / 2)
+    torch.testing.assert_close(terms["total"], first + 0.2 * second)
+    assert set(terms) == {"lovasz", "total"}
 
 
 def test_learned_weighting_by_hand():
