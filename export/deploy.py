@@ -52,6 +52,8 @@ class DeployGraph(nn.Module):
             maps["boundary"] = coarse.boundary_logits
         if coarse.depths is not None:
             maps["depth"] = coarse.depths[0] * config.max_depth_m
+            if config.depth_stride == 1:
+                answers["depth"] = maps.pop("depth")[:, 0, :height, :width]
         if maps:
             # One tensor for both: ONNX Runtime splits the work of a Resize by channels, so two of
             # one channel each take four times as long.

@@ -78,6 +78,11 @@ class NetworkConfig:
         return 1
 
     @property
+    def depth_stride(self) -> int:
+        """Ratio of the image to the grid of the finest depth."""
+        return self.output_stride
+
+    @property
     def semantic_stride(self) -> int:
         """Ratio of the image to the grid of the semantic logits."""
         return 1
@@ -140,7 +145,9 @@ class Network(nn.Module):
             semantic_logits=(
                 None if logits is None else full_size(logits, self.config.semantic_stride)
             ),
-            depths=None if depths is None else (full_size(depths[0], stride), *depths[1:]),
+            depths=None
+            if depths is None
+            else (full_size(depths[0], self.config.depth_stride), *depths[1:]),
             boundary_logits=None if boundary is None else full_size(boundary, stride),
             side_boundary_logits=coarse.side_boundary_logits,
         )

@@ -13,6 +13,7 @@ from models.depth_prior import DepthPrior, pull_push_fill
 from models.encoder import build_encoder
 from models.network import Network, SSDNetOutput, initialise
 from models.ssdnet_config import SSDNetConfig
+from models.surfaces import Surfaces, choose_surface, gather_surfaces, keep_measurements
 from models.task_decoder import TaskDecoder, UpBlock
 
 
@@ -47,9 +48,17 @@ class SSDNet(Network):
                     finest, config.stem_channels[0], width, config.skip_fusion
                 )
             self.semantic_head = nn.Conv2d(width, config.num_classes, 1)
-        self.depth_decoder = self.depth_heads = None
+        self.depth_decoder = self.depth_heads = self.depth_refine = None
         if config.depth_head:
             self.depth_decoder = TaskDecoder(config, skips, bottom)
+            if config.depth_refine_channels:
+                width = config.depth_refine_channels
+                self.depth_refine = UpBlock(
+                    finest, config.stem_channels[0], width, config.skip_fusion
+                )
+                self.surface_features = nn.Conv2d(len(Surfaces._fields), width, 1)
+                self.surface_block = ConvBNReLU(width, width)
+                self.surface_head = nn.Conv2d(width, 4, 1)
             self.depth_heads = nn.ModuleList(
                 # With a prior the finest head says a correction and how far to trust the prior.
                 nn.Conv2d(channels, 2 if config.depth_prior and scale == 0 else 1, 1)
@@ -111,7 +120,19 @@ class SSDNet(Network):
             if prior is not None:
                 logits[0] = _refine(logits[0], prior)
             depths = tuple(torch.sigmoid(logit) for logit in logits)
+            if self.depth_refine is not None:
+                gate = None if boundaries[0] is None else upsample(boundaries[0])
+                finest = self.depth_refine(features[0], stem_features[1], gate, exact=exact)
+                depths = (self._choose_surface(finest, depths[0], x[:, -2:]), *depths)
         return SSDNetOutput(semantic_logits, depths, boundary_logits, tuple(sides))
+
+    def _choose_surface(self, features: Tensor, regressed: Tensor, measured: Tensor) -> Tensor:
+        """Depth at full size from features (N, C, h, w) on the grid of the stem's first layer."""
+        surfaces = gather_surfaces(measured, factor=2, levels=self.config.num_skips + 1)
+        features = features + self.surface_features(surfaces.features())
+        head = self.surface_head(self.surface_block(features)).float()
+        depth = choose_surface(head, upsample(regressed.float()), surfaces)
+        return keep_measurements(upsample(depth), measured)
 
 
 def _refine(head: Tensor, prior: DepthPrior) -> Tensor:

@@ -41,6 +41,9 @@ class SSDNetConfig(NetworkConfig):
     #: Channels of one more UpBlock of the semantic decoder, on the grid of the stem's first
     #: convolution; 0 = none. Poles and signs are thinner than a cell of the coarser grid.
     semantic_refine_channels: int = 0
+    #: Channels of one more UpBlock of the depth decoder, on the same grid, whose head chooses among
+    #: the surfaces that were measured around a pixel, see `models.surfaces`; 0 = none.
+    depth_refine_channels: int = 0
     boundary_channels: int = 16
     #: Gate the decoders by 1 - B (Eq. 1); without it B = 0 and a BaConv is a plain convolution.
     boundary_gating: bool = True
@@ -73,6 +76,8 @@ class SSDNetConfig(NetworkConfig):
             self.semantic_head and len(self.stem_channels) > 1
         ):
             raise ValueError("semantic_refine_channels needs a semantic head and two stem layers")
+        if self.depth_refine_channels and not (self.depth_prior and len(self.stem_channels) > 1):
+            raise ValueError("depth_refine_channels needs depth_prior and two stem layers")
         if self.depth_prior and not (self.depth_head and self.use_sparse_depth):
             raise ValueError("depth_prior needs the sparse depth and a depth head")
         if self.depth_prior and not self.valid_mask_input:
@@ -122,6 +127,11 @@ class SSDNetConfig(NetworkConfig):
         return int(2 ** len(self.stem_channels))
 
     @property
+    def depth_stride(self) -> int:
+        """Ratio of the image to the grid of the finest depth."""
+        return 1 if self.depth_refine_channels else self.output_stride
+
+    @property
     def semantic_stride(self) -> int:
         """Ratio of the image to the grid of the semantic logits."""
         return 2 if self.semantic_refine_channels else self.output_stride
@@ -155,6 +165,7 @@ SSDNET_LITE = SSDNetConfig(
     semantic_refine_channels=16,
     valid_mask_input=True,
     depth_prior=True,
+    depth_refine_channels=16,
     global_context=True,
 )
 

@@ -75,7 +75,8 @@ def test_any_size_of_32_and_more_works(name, size):
         assert output.semantic_logits is None
     if config.depth_head:
         assert output.depths[0].shape == (2, 1, *size)
-        assert len(output.depths) == len(config.decoder_channels)
+        scales = len(config.decoder_channels) + bool(config.depth_refine_channels)
+        assert len(output.depths) == scales
         assert all(((d >= 0) & (d <= 1)).all() for d in output.depths)
     else:
         assert output.depths is None
@@ -92,7 +93,8 @@ def test_refined_semantics_are_twice_as_fine_as_the_rest():
     model = SSDNet(small("ssdnet-lite")).eval()
     coarse = model.predict_coarse(*frame(64, 96))
     assert tuple(coarse.semantic_logits.shape[2:]) == (32, 48)
-    assert tuple(coarse.depths[0].shape[2:]) == (16, 24)
+    assert [tuple(depth.shape[2:]) for depth in coarse.depths[:2]] == [(64, 96), (16, 24)]
+    assert tuple(coarse.boundary_logits.shape[2:]) == (16, 24)
     plain = SSDNet(small("ssdnet-lite", semantic_refine_channels=0)).eval()
     assert tuple(plain.predict_coarse(*frame(64, 96)).semantic_logits.shape[2:]) == (16, 24)
 
