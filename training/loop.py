@@ -30,7 +30,7 @@ from training.evaluation.scoring import require_lidar, score_sources, torch_pred
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import count_pixels, open_dataset, open_mixture
 from training.losses import SSDNetLoss, class_weights
-from training.network import adjust_logits, build_network
+from training.network import adjust_logits, build_network, train_parts
 from training.optimizer import build_optimizer, exponential_average, learning_rate
 from training.recipe import LoopRecipe, Recipe
 from training.run_folder import (
@@ -108,6 +108,7 @@ def _train(
     }
     require_lidar(validation, LidarInput.parse(recipe.validation.lidar))
     network = build_network(recipe.model, init)
+    train_parts(network, recipe.optimizer.only)
     heads = network.config.heads
     if not recipe.loss.terms_for(heads):
         raise InputError(
@@ -195,7 +196,7 @@ def _train(
             disable=None if processes.is_first else True,
         ) as progress,
     ):
-        network.train()
+        train_parts(network, recipe.optimizer.only)
         batches = iter(loader)
         while step < last_step and not processes.any(stop()):
             rate = learning_rate(recipe.schedule, recipe.optimizer.learning_rate, step)
@@ -246,7 +247,7 @@ def _train(
                 figures = _validate(averaged, validation, recipe, processes, board, step)
                 if scores is not None and scores.add(step, figures, recipe.validation.best):
                     save_averaged(out / BEST)
-                network.train()
+                train_parts(network, recipe.optimizer.only)
             if step % recipe.loop.checkpoint_every == 0:
                 save_last()
     save_last()

@@ -42,6 +42,26 @@ def build_network(recipe: ModelRecipe, init: Path | None) -> Network:
     return network
 
 
+def train_parts(network: Network, only: tuple[str, ...]) -> None:
+    """Put the parts whose names begin with one of ``only`` into training mode; () = all.
+
+    The others are frozen: no gradient, and the batch statistics that they have. Raises InputError
+    for a beginning that fits no part.
+    """
+    parts = dict(network.named_children())
+    unknown = [start for start in only if not any(name.startswith(start) for name in parts)]
+    if unknown:
+        raise InputError(
+            f"optimizer.only: no part of '{network.config.name}' begins with {unknown[0]!r}; "
+            f"it has {', '.join(parts)}."
+        )
+    network.train()
+    for name, part in parts.items():
+        trained = not only or name.startswith(only)
+        part.train(trained)
+        part.requires_grad_(trained)
+
+
 def adjust_logits(
     state_dict: Mapping[str, Tensor], weights: Tensor | None, share: float
 ) -> dict[str, Tensor]:

@@ -140,6 +140,9 @@ class OptimizerRecipe:
     learning_rate: NotNegative = 2e-3
     weight_decay: NotNegative = 1e-2
     momentum: Share = 0.9
+    #: Parts of the network that are trained, by the beginning of their names ("depth_"); the others
+    #: stay as they are, their batch statistics too. () = all.
+    only: Annotated[tuple[str, ...], Field(max_length=100)] = ()
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -117,6 +117,22 @@ def test_interrupted_run_ends_at_the_same_weights(data, tmp_path):
         assert torch.equal(value, expected[name]), name
 
 
+def test_parts_that_are_not_trained_stay_as_they_are(data, tmp_path):
+    """Weights and batch statistics, through a validation, too; the others move."""
+    init = tmp_path / "init.pt"
+    save_checkpoint(init, create_model("ssdnet-lite"))
+    run = recipe(steps=4)
+    run = replace(
+        run,
+        optimizer=OptimizerRecipe(only=("semantic_",)),
+        validation=replace(run.validation, every=2),
+    )
+    before = weights(init)
+    after = weights(train(run, data=[data], out=tmp_path / "run", init=init))
+    moved = {name.split(".")[0] for name in after if not torch.equal(after[name], before[name])}
+    assert moved == {"semantic_decoder", "semantic_refine", "semantic_head"}
+
+
 def test_learned_weights_of_the_loss_survive_an_interruption(data, tmp_path):
     run = replace(recipe(), loss=LossConfig(weighting="uncertainty"))
     train(run, data=[data], out=tmp_path / "whole")

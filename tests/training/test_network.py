@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from models import CLASS_TABLES, create_model, save_checkpoint
-from training.network import adjust_logits, build_network
+from runtime.errors import InputError
+from training.network import adjust_logits, build_network, train_parts
 from training.recipe import ModelRecipe
 
 
@@ -50,3 +51,17 @@ def test_init_says_when_weights_come_to_mean_something_else(tmp_path, capsys, ch
     assert capsys.readouterr().err == ""
     build_network(ModelRecipe("ssdnet-lite", **changed), other)
     assert said in capsys.readouterr().err
+
+
+def test_only_some_parts_are_trained():
+    network = create_model("ssdnet-lite")
+    train_parts(network, ("depth_", "surface_head"))
+    trained = {name.split(".")[0] for name, p in network.named_parameters() if p.requires_grad}
+    assert trained == {"depth_decoder", "depth_heads", "depth_refine", "surface_head"}
+    assert not network.encoder.training
+    assert network.depth_decoder.training
+    train_parts(network, ())
+    assert all(p.requires_grad for p in network.parameters())
+    assert all(module.training for module in network.modules())
+    with pytest.raises(InputError, match=r"begins with 'deep'; it has stem, .*depth_decoder"):
+        train_parts(network, ("depth_", "deep"))

@@ -12,6 +12,7 @@ from pydantic.dataclasses import dataclass
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable
 from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
+from training.datasets.kitti_calibration import CalibrationFile, read_points
 from training.datasets.sample import Sample
 from training.datasets.source import Names, SourceRecipe
 from training.datasets.virtual_kitti_labels import (
@@ -26,6 +27,7 @@ from training.datasets.virtual_kitti_split import (
     read_frame_list,
     require_every_frame,
 )
+from training.lidar.scan import project_lines
 from training.limits import STRICT
 
 #: Depth PNGs hold centimetres; 65535 is sky.
@@ -64,20 +66,26 @@ class RenderedRecipe(SourceRecipe):
     variants: Names | None = None
     #: File below ``path`` that lists the frames, rows of "scene/variant/number".
     frames: str | None = None
+    #: Feed the scans of the LiDAR that was rendered, with its parallax and its panes, instead of
+    #: lines drawn from the camera's depth.
+    scans: bool = False
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
         """See `SourceRecipe.open`."""
         frames = None if self.frames is None else read_frame_list(folder / self.frames)
         selection = Selection("all", self.scenes, self.variants, frames)
-        return VirtualKitti(folder, selection=selection, classes=classes)
+        return VirtualKitti(folder, selection=selection, classes=classes, scans=self.scans)
 
 
 class VirtualKitti:
     """Frames of ``root/<scene>/<variant>/frames/{rgb,depth,classSegmentation}/Camera_<n>``.
 
     ``selection`` says which frames, ``cameras`` which of 0 and 1, ``classes`` the table of the
-    class ids. Depth is metres, 0 for the sky. Raises DatasetError for missing folders,
-    files without their partners, unknown colours and wrong sizes.
+    class ids. Depth is metres, 0 for the sky. With ``scans`` the input is the rendered LiDAR's,
+    ``frames/lidar/Camera_<n>`` and ``calib.txt``, with its scan lines.
+
+    Raises DatasetError for missing folders, files without their partners, unknown colours and wrong
+    sizes.
     """
 
     def __init__(
@@ -87,10 +95,13 @@ class VirtualKitti:
         selection: Selection | None = None,
         cameras: Sequence[int] = (0,),
         classes: ClassTable = "camvid",
+        scans: bool = False,
     ) -> None:
         root = require_folder(Path(root), "scenes in the Virtual KITTI 2 layout")
         selection = selection or Selection()
         self._classes = classes
+        self._scans = scans
+        self._extrinsics: dict[Path, NDArray[np.float64]] = {}
         self._frames: list[tuple[Path, int, str]] = []
         self._colors: dict[Path, ColorTable] = {}
         self._intrinsics: dict[Path, dict[tuple[str, str], NDArray[np.float64]]] = {}
@@ -116,9 +127,19 @@ class VirtualKitti:
                     variant / "frames" / kind / f"Camera_{camera}", f"{stem}_*.png"
                 )
                 require_partners(other, [f"{stem}_{number}.png" for number in numbers])
+            if self._scans:
+                lidar = variant / "frames" / "lidar" / f"Camera_{camera}"
+                require_partners(
+                    require_folder(lidar, "the LiDAR's scans, which ssdnet-render writes"),
+                    [f"lidar_{number}.bin" for number in numbers],
+                )
             self._frames += [(variant, camera, number) for number in numbers]
         self._colors[variant] = read_colors(variant / "colors.txt", self._classes)
         self._intrinsics[variant] = _read_intrinsics(variant / "intrinsic.txt")
+        if self._scans:
+            self._extrinsics[variant] = np.eye(4)
+            calibration = CalibrationFile(variant / "calib.txt")
+            self._extrinsics[variant][:3] = calibration.matrix("Tr_velo_to_cam", 3, 4)
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -134,9 +155,17 @@ class VirtualKitti:
             raise DatasetError(
                 f"{variant / 'intrinsic.txt'}: no row for frame {int(number)} of camera {camera}."
             )
+        sparse_depth = scan_line = None
+        if self._scans:
+            points = read_points(frames / "lidar" / folder / f"lidar_{number}.bin")
+            sparse_depth, scan_line = project_lines(
+                points, intrinsics, self._extrinsics[variant], size
+            )
         return Sample(
             rgb=rgb,
             depth=depth,
+            sparse_depth=sparse_depth,
+            scan_line=scan_line,
             semantic=read_classes(
                 frames / "classSegmentation" / folder / f"classgt_{number}.png",
                 self._colors[variant],

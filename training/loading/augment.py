@@ -37,6 +37,9 @@ class AugmentConfig:
     crop: tuple[CropSide, CropSide] = (320, 480)
     #: Range of the random magnification of the image.
     scale: FactorRange = (0.7, 1.8)
+    #: Divide depth by the magnification, as for a camera that came nearer: its metres then keep
+    #: fitting the size that things have in the picture (Yin et al. 2023, Metric3D).
+    scale_depth: bool = False
     flip: Share = 0.5
     #: Largest relative change of brightness, contrast and saturation; largest hue shift [degrees].
     brightness: Strength = 0.3
@@ -75,15 +78,31 @@ def augment(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
 def scale_and_crop(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
     """Magnify by a random factor and cut a random window of ``config.crop``.
 
-    What lies beyond the image is mean colour, no depth and no label. Depth keeps its metres; the
-    intrinsics follow the pixels.
+    What lies beyond the image is mean colour, no depth and no label. Depth keeps its metres and
+    the intrinsics follow the pixels; with ``config.scale_depth`` the depth is that of the same
+    camera, and the intrinsics keep their focal length.
     """
     scale = float(np.exp(rng.uniform(*np.log(config.scale))))
     height, width = config.crop
     window = (round(height / scale), round(width / scale))  # in pixels of the sample
     top = _random_offset(sample.size[0], window[0], rng)
     left = _random_offset(sample.size[1], window[1], rng)
-    return resize(cut(sample, top, left, window), config.crop)
+    sample = resize(cut(sample, top, left, window), config.crop)
+    return approach(sample, scale) if config.scale_depth else sample
+
+
+def approach(sample: Sample, factor: float) -> Sample:
+    """Take a picture magnified by ``factor`` for one of the same camera, that much nearer."""
+    intrinsics = sample.intrinsics
+    if intrinsics is not None:
+        intrinsics = intrinsics / np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
+    sparse_depth = sample.sparse_depth
+    return replace(
+        sample,
+        depth=sample.depth / np.float32(factor),
+        sparse_depth=None if sparse_depth is None else sparse_depth / np.float32(factor),
+        intrinsics=intrinsics,
+    )
 
 
 def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
@@ -109,8 +128,8 @@ def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
 def resize(sample: Sample, size: tuple[int, int]) -> Sample:
     """Resize to (height, width) by the engine's rule, see `runtime.resize`.
 
-    Dense depth and labels are taken by nearest; recorded depth is moved return by return, so that
-    no return is doubled and, where two meet, the nearer stays.
+    Labels and depth that is known for most pixels are taken by nearest; recorded depth is moved
+    return by return, so that no return is doubled and, where two meet, the nearer stays.
     """
     if size == sample.size:
         return sample
@@ -128,7 +147,8 @@ def resize(sample: Sample, size: tuple[int, int]) -> Sample:
         )
     sparse_depth, scan_line = sample.sparse_depth, sample.scan_line
     if sparse_depth is not None:
-        depth = move_returns(sample.depth, size)
+        is_dense = np.count_nonzero(sample.depth) > sample.depth.size // 2
+        depth = (resize_nearest if is_dense else move_returns)(sample.depth, size)
         if scan_line is None:
             sparse_depth = move_returns(sparse_depth, size)
         else:

@@ -9,6 +9,9 @@ from torch import Tensor
 from training.losses.masked import masked_mean, split_into_blocks
 from training.losses.ssim import ssim_loss
 
+#: Normalised depth below which ratios are not told apart.
+_NEAREST = 1e-3
+
 #: (prediction, target, valid), all (N, 1, h, w), depth normalised to 0..1 -> loss ().
 DepthCriterion = Callable[[Tensor, Tensor, Tensor], Tensor]
 
@@ -49,15 +52,26 @@ def paper_depth_loss(
 
 
 def metric_depth_loss(
-    prediction: Tensor, target: Tensor, valid: Tensor, *, max_depth_m: float, l2: float
+    prediction: Tensor,
+    target: Tensor,
+    valid: Tensor,
+    *,
+    max_depth_m: float,
+    l2: float,
+    log: float = 0.0,
 ) -> Tensor:
-    """Mean |e| + l2 * mean e^2 with the error e in metres, at one scale, ().
+    """Mean |e| + l2 * mean e^2 + log * mean |log ratio|, the error e in metres, at one scale, ().
 
     Not the paper's: it suits LiDAR targets, which are too sparse for SSIM's windows, and keeps
-    the gradient of near errors alive. `l2` is in 1/m.
+    the gradient of near errors alive. `l2` is in 1/m, `log` in m: metres are ruled by what is far,
+    the ratio of prediction and target counts near and far alike.
     """
     error = (prediction - target) * max_depth_m
-    return masked_mean(error.abs() + l2 * error.square(), valid)
+    loss = error.abs() + l2 * error.square()
+    if log:
+        known = torch.where(valid, target, 1.0).clamp(min=_NEAREST)
+        loss = loss + log * (prediction.clamp(min=_NEAREST) / known).log().abs()
+    return masked_mean(loss, valid)
 
 
 def multi_scale_depth_loss(

@@ -85,12 +85,14 @@ class LossConfig:
     #: Over what Eq. 6's beta is counted.
     boundary_beta: BetaMode = "batch"
 
-    #: "paper": Eq. 4 on normalised depth. "metric": L1 + metric_l2 * L2 in metres.
+    #: "paper": Eq. 4 on normalised depth. "metric": L1 + metric_l2 * L2 in metres, and ratios.
     depth_form: Literal["paper", "metric"] = "paper"
     depth_l1: float = 0.4
     depth_l2: float = 0.4
     depth_ssim: float = 0.2
     metric_l2: float = 0.02
+    #: Weight of the mean |log(prediction / target)| beside them [m].
+    metric_log: float = 0.0
     #: Mean over all scales, or the finest alone.
     depth_scales: Literal["mean", "finest"] = "mean"
 
@@ -235,7 +237,10 @@ class SSDNetLoss(nn.Module):
             return {}
         if config.depth_form == "metric":
             criterion = partial(
-                metric_depth_loss, max_depth_m=self.max_depth_m, l2=config.metric_l2
+                metric_depth_loss,
+                max_depth_m=self.max_depth_m,
+                l2=config.metric_l2,
+                log=config.metric_log,
             )
         else:
             criterion = partial(

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("embreex", reason="the renderer needs the train extra")
 
 from runtime.errors import DatasetError
+from runtime.projection import project_points
 from training.datasets.rendered_scenes import RenderedOnTheFlyRecipe, RenderedScenes
 from training.datasets.virtual_kitti import VirtualKitti
 from training.loading.open_dataset import open_dataset
@@ -36,6 +37,23 @@ def test_a_frame_on_the_fly_is_the_frame_on_disk(tmp_path):
     np.testing.assert_array_equal(cv2.imdecode(jpeg, cv2.IMREAD_COLOR_RGB), written.rgb)
     assert len(np.unique(sample.semantic)) > 3
     assert [path.name for path in tmp_path.iterdir()] == ["Scene03"]
+
+
+def test_the_scans_that_were_rendered_are_the_input(tmp_path):
+    job = SceneJob(tmp_path, 3, ("fog",), frames=1, step_s=1.0, camera="kitti", size=SIZE)
+    (frame,) = render_frames(job, "fog")
+    folder = write_variant(tmp_path, job.name, "fog", [frame])
+    (sample,) = [VirtualKitti(tmp_path, scans=True)[0]]
+    expected = project_points(
+        frame.scan.points, frame.intrinsics, frame.scan.to_camera, sample.size
+    )
+    np.testing.assert_allclose(sample.sparse_depth, expected, atol=1e-3)
+    assert np.count_nonzero(expected) > 300
+    assert ((sample.scan_line >= 0) == (sample.sparse_depth > 0)).all()
+    np.testing.assert_array_equal(sample.depth, VirtualKitti(tmp_path)[0].depth)
+    (folder / "frames/lidar/Camera_0/lidar_00000.bin").unlink()
+    with pytest.raises(DatasetError, match=r"lidar_00000\.bin"):
+        VirtualKitti(tmp_path, scans=True)
 
 
 @dataclass

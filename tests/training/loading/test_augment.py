@@ -228,6 +228,28 @@ def test_a_crop_of_a_shrunk_picture_skips_no_pixel():
     assert np.abs(out.rgb.astype(int) - 60).max() <= 1
 
 
+def test_dense_truth_beside_a_recorded_input_stays_dense_when_enlarged():
+    sample = replace(recorded_beside_its_target(), depth=plane().depth)
+    enlarged = resize(sample, (96, 128))
+    assert (enlarged.depth > 0).all()
+    np.testing.assert_array_equal(enlarged.depth, resize_nearest(sample.depth, (96, 128)))
+    assert np.count_nonzero(enlarged.sparse_depth) == np.count_nonzero(sample.sparse_depth)
+
+
+def test_depth_follows_the_magnification_where_it_is_asked_to():
+    """What is magnified by two looks as from half as far with the same camera."""
+    sample = recorded_beside_its_target()
+    config = AugmentConfig(crop=(32, 32), scale=(2.0, 2.0))
+    kept = scale_and_crop(sample, config, np.random.default_rng(1))
+    scaled = scale_and_crop(sample, replace(config, scale_depth=True), np.random.default_rng(1))
+    np.testing.assert_allclose(scaled.depth, kept.depth / 2)
+    np.testing.assert_allclose(scaled.sparse_depth, kept.sparse_depth / 2)
+    np.testing.assert_array_equal(scaled.rgb, kept.rgb)
+    assert kept.intrinsics[0, 0] == pytest.approx(100.0)
+    assert scaled.intrinsics[0, 0] == pytest.approx(50.0)
+    np.testing.assert_allclose(scaled.intrinsics[:, 2], kept.intrinsics[:, 2])
+
+
 def test_size_that_is_there_already_changes_nothing():
     sample = recorded_beside_its_target()
     assert resize(sample, sample.size) is sample

@@ -197,3 +197,19 @@ def test_without_ground_truth_loss_and_gradient_are_exactly_zero():
     assert loss.item() == 0.0
     assert logits.grad.abs().max() == 0.0
     assert coarse.grad.abs().max() == 0.0
+
+
+def test_the_log_of_the_ratio_counts_near_and_far_alike():
+    target = torch.tensor([0.02, 0.8, 0.0]).view(1, 1, 1, 3)
+    prediction = torch.tensor([0.01, 0.4, 0.9]).view(1, 1, 1, 3)
+    loss = metric_depth_loss(prediction, target, target > 0, max_depth_m=100.0, l2=0.0, log=10.0)
+    assert loss.item() == pytest.approx((1 + 40) / 2 + 10 * np.log(2), rel=1e-5)
+
+
+def test_the_log_of_the_ratio_is_finite_at_nothing():
+    prediction = torch.zeros(1, 1, 1, 2, requires_grad=True)
+    target = torch.tensor([0.5, 0.0]).view(1, 1, 1, 2)
+    loss = metric_depth_loss(prediction, target, target > 0, max_depth_m=100.0, l2=0.0, log=10.0)
+    loss.backward()
+    assert loss.isfinite()
+    assert prediction.grad.isfinite().all()
