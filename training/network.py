@@ -58,8 +58,9 @@ def train_parts(network: Network, only: tuple[str, ...]) -> None:
     network.train()
     for name, part in parts.items():
         trained = not only or name.startswith(only)
-        part.train(trained)
         part.requires_grad_(trained)
+        if not trained:
+            part.eval()
 
 
 def adjust_logits(

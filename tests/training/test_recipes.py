@@ -10,7 +10,7 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from layouts import camvid, cityscapes, kitti_depth, kitti_stream, virtual_kitti
+from layouts import camvid, cityscapes, kitti_depth, kitti_stream, kitti_streets, virtual_kitti
 from models import CLASS_TABLES, SSDNet, load_checkpoint
 from models.registry import NETWORKS, Entry
 from models.ssdnet_config import FAMILY
@@ -28,6 +28,7 @@ SCORES = {
     "cityscapes": {"miou", "boundary_f", "mae_m", "rmse_m"},
     "kitti_depth": {"mae_m", "rmse_m"},
     "kitti_stream": {"miou", "boundary_f", "mae_m", "rmse_m"},
+    "kitti_streets": {"mae_m", "rmse_m"},
     "virtual_kitti_1": {"miou", "boundary_f", "mae_m", "rmse_m"},
 }
 
@@ -46,8 +47,10 @@ def data(tmp_path_factory):
     kitti_depth.write_selection(root / "kitti_depth", magnify=8)
     # The recipes validate on frames 50 to 59.
     kitti_stream.write_stream(root / "kitti_stream", frames=52, labelled=52, magnify=5)
-    for path in ("train", "rendered/train"):
-        virtual_kitti.write_second_edition(root / path, magnify=5)
+    kitti_streets.write_streets(root / "kitti_streets", (2, 69, 70, 98), magnify=5)
+    for path in ("train", "rendered/train", "rendered/kitti", "rendered/varied"):
+        variant = virtual_kitti.write_second_edition(root / path, magnify=5)
+        virtual_kitti.write_scans(variant)
     # The paper validates on the end of its last scene.
     for scene, numbers in (("0002", (0, 1)), ("0020", (547,))):
         virtual_kitti.write_first_edition(root / "vkitti", scene, numbers=numbers, magnify=5)
@@ -155,7 +158,12 @@ def test_shipped_recipe_trains(path, data, tmp_path):
     }
     # Heads of coarser scales that no loss looks at.
     coarse = {name for name in start if re.fullmatch(r"depth_heads\.[1-9]\.weight", name)}
-    assert still == (coarse if recipe.loss.depth_scales == "finest" else set())
+    idle = coarse if recipe.loss.depth_scales == "finest" else set()
+    only = recipe.optimizer.only or ("",)
+    frozen = {name for name, p in checkpoint.model.named_parameters() if p.ndim > 1} - {
+        name for name in start if name.startswith(only)
+    }
+    assert still == idle | frozen
 
     shown = read_scalars(tmp_path / "run" / "tensorboard")
     terms = expected_terms(recipe.loss, config)

@@ -23,7 +23,7 @@ def seen_at(u, v, depth):
 LINES = [[seen_at(6, v, 10.0), seen_at(2, v, 10.0), seen_at(12, v, 10.0)] for v in (1, 3, 5, 7)]
 
 
-def write_streets(root, numbers=(2, 3, 7), *, suffix=".jpg"):
+def write_streets(root, numbers=(2, 3, 7), *, suffix=".jpg", magnify=1):
     """Frames with four lines at 10 m, and a truth of 10 m in the left half, unknown in the right.
 
     The picture of the first one is red, as JPEG or as PNG.
@@ -33,9 +33,11 @@ def write_streets(root, numbers=(2, 3, 7), *, suffix=".jpg"):
     points = np.array([point for line in LINES for point in line], "<f4")
     for folder in ("image_02", "velodyne_fov", "disp_occ_0"):
         (root / folder).mkdir(parents=True, exist_ok=True)
-    (root / "calib.txt").write_text(CALIBRATION)
+    focal, cx, cy = 10 * magnify, 8 * magnify, 4 * magnify
+    camera = f"P2: {focal} 0 {cx} 0 0 {focal} {cy} 0 0 0 1 0"
+    (root / "calib.txt").write_text("\n".join([camera, *CALIBRATION.splitlines()[1:], ""]))
     for number in numbers:
         image = np.full((HEIGHT, WIDTH, 3), (200, 20, 40), np.uint8)
-        write(root / "image_02" / f"{number:06d}{suffix}", image)
-        write(root / "disp_occ_0" / f"{number:06d}.png", disparity)
+        write(root / "image_02" / f"{number:06d}{suffix}", image, magnify)
+        write(root / "disp_occ_0" / f"{number:06d}.png", disparity, magnify)
         (root / "velodyne_fov" / f"{number:06d}.bin").write_bytes(points.tobytes())

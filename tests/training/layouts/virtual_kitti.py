@@ -65,6 +65,16 @@ def write_second_edition(
     return folder
 
 
+def write_scans(variant, *, frames=2):
+    """What a LiDAR of four returns saw, beside a variant of the second edition."""
+    folder = variant / "frames" / "lidar" / "Camera_0"
+    folder.mkdir(parents=True)
+    points = np.array([(10, y, z, 0.5) for z in (0.5, -0.5) for y in (1, -1)], "<f4")
+    for number in range(frames):
+        (folder / f"lidar_{number:05d}.bin").write_bytes(points.tobytes())
+    (variant / "calib.txt").write_text("Tr_velo_to_cam: 0 -1 0 0 0 0 -1 0 1 0 0 0\n")
+
+
 def write_first_edition(root, scene="0001", variant="clone", *, numbers=(0, 1), magnify=1):
     # Every car and van is an instance with a colour of its own; nothing is undefined.
     colors = {name: rgb for name, rgb in COLORS.items() if name not in ("Car", "Van", "Undefined")}
