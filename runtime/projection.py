@@ -160,7 +160,7 @@ def _check_points(points: Any) -> None:
             f"points must be a plain float32 array [m], got {came}: use points.astype(np.float32)"
         )
     if points.ndim != 2 or points.shape[1] < 3:
-        raise InputError(f"points must have the shape (N, 3) or (N, 4), got {points.shape}")
+        raise InputError(f"points must have the shape (N, 3) or wider, got {points.shape}")
 
 
 def _check_matrix(name: str, matrix: Any, side: int) -> None:
