@@ -1,5 +1,6 @@
 """The training loop: one flat function from a recipe to checkpoints."""
 
+import contextlib
 import random
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,6 +14,7 @@ import torch
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader
+from torch.utils.data.dataloader import _MultiProcessingDataLoaderIter
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
@@ -195,9 +197,9 @@ def _train(
             unit="step",
             disable=None if processes.is_first else True,
         ) as progress,
+        _batches(loader) as batches,
     ):
         train_parts(network, recipe.optimizer.only)
-        batches = iter(loader)
         while step < last_step and not processes.any(stop()):
             rate = learning_rate(recipe.schedule, recipe.optimizer.learning_rate, step)
             for group in optimizer.param_groups:
@@ -359,6 +361,18 @@ def _weigh_classes(recipe: Recipe, sources: Sequence[SampleSource], num_classes:
             "without semantic head, or add a labelled set."
         )
     return class_weights(torch.from_numpy(counts), recipe.loss.class_weighting)
+
+
+@contextlib.contextmanager
+def _batches(loader: DataLoader[Any]) -> Iterator[Iterator[dict[str, Any]]]:
+    """The loader's batches. Its workers end with the block, also where an error's traceback keeps
+    the iterator: they heed no SIGTERM, so whoever waits for them at exit would wait for ever."""
+    batches = iter(loader)
+    try:
+        yield batches
+    finally:
+        if isinstance(batches, _MultiProcessingDataLoaderIter):
+            batches._shutdown_workers()
 
 
 def _next_batch(batches: Iterator[dict[str, Any]]) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """The loop learns, resumes to the same weights, and stops when it must."""
 
 import json
+import multiprocessing
 import shutil
 import time
 from dataclasses import replace
@@ -309,8 +310,11 @@ def test_a_damaged_frame_is_named_without_a_traceback(data, tmp_path):
     (data / "camvid" / "train" / "3.png").write_bytes(b"nothing")
     run = replace(recipe(), loss=LossConfig(class_weighting="none"))
     run = replace(run, data=replace(run.data, workers=1))
+    others = set(multiprocessing.active_children())
     with pytest.raises(DatasetError) as raised:
         train(run, data=[data], out=tmp_path / "run")
+    # Though the traceback holds the loader: a worker that is left keeps the process from ending.
+    assert set(multiprocessing.active_children()) <= others
     assert len(str(raised.value).splitlines()) == 1
     assert str(raised.value).startswith(str(data / "camvid" / "train" / "3.png"))
 
