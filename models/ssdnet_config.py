@@ -100,7 +100,8 @@ class SSDNetConfig(NetworkConfig):
             for channels in getattr(self, key):
                 counts[f"{key} {channels}"] = (channels, 1, MAX_CHANNELS)
         counts["boundary_channels"] = (self.boundary_channels, 1, MAX_CHANNELS)
-        counts["semantic_refine_channels"] = (self.semantic_refine_channels, 0, MAX_CHANNELS)
+        for key in ("semantic_refine_channels", "depth_refine_channels"):
+            counts[key] = (getattr(self, key), 0, MAX_CHANNELS)
         for what, (count, least, most) in counts.items():
             if not least <= count <= most:
                 raise ValueError(f"{what}: {least} to {most} can be built, got {count}")

@@ -201,6 +201,7 @@ def little_memory():
         ({"boundary_channels": 8192}, "has the shape"),
         ({"stem_channels": (8,) * 1000}, "stem layers: 0 to 8"),
         ({"boundary_channels": 0}, "boundary_channels: 1 to"),
+        ({"depth_refine_channels": 10**9}, "depth_refine_channels: 0 to"),
         ({"encoder_channels": (8.0, 8, 8, 8)}, "wrong type: 8.0"),
         ({"encoder_channels": "8888"}, "encoder_channels has the wrong type"),
         ({"depth_head": 1}, "depth_head has the wrong type: 1"),
