@@ -47,17 +47,16 @@ class DeployGraph(nn.Module):
             answers["semantic"] = _best_class(logits)[:, :height, :width]
             answers["semantic_logits"] = logits[:, :, :height, :width]
 
-        maps = {}
+        grids: dict[int, dict[str, Tensor]] = {}
         if coarse.boundary_logits is not None:
-            maps["boundary"] = coarse.boundary_logits
+            grids.setdefault(config.output_stride, {})["boundary"] = coarse.boundary_logits
         if coarse.depths is not None:
-            maps["depth"] = coarse.depths[0] * config.max_depth_m
-            if config.depth_stride == 1:
-                answers["depth"] = maps.pop("depth")[:, 0, :height, :width]
-        if maps:
+            metres = coarse.depths[0] * config.max_depth_m
+            grids.setdefault(config.depth_stride, {})["depth"] = metres
+        for stride, maps in grids.items():
             # One tensor for both: ONNX Runtime splits the work of a Resize by channels, so two of
             # one channel each take four times as long.
-            full = upsample(torch.cat(list(maps.values()), dim=1), factor=config.output_stride)
+            full = upsample(torch.cat(list(maps.values()), dim=1), factor=stride)
             full = full[:, :, :height, :width]
             answers |= {head: full[:, index] for index, head in enumerate(maps)}
         if "boundary" in answers:

@@ -30,13 +30,22 @@ def pull_push_fill(measured: Tensor, *, factor: int, levels: int) -> DepthPrior:
     measured (N, 2, H, W): the normalised depth, 0 where not measured, and the mask of measured
     pixels, 0 or 1; height and width are multiples of ``factor * 2**levels``.
     """
-    # Depth and mask go through the same steps as one tensor: a level costs one pooling and one
-    # upsampling, and their ratio stays a weighted mean of measurements.
+    filled, density = pull_push(measured, factor=factor, levels=levels)
+    weighted, support = filled[:, :1], filled[:, 1:]
+    return DepthPrior(weighted / support.clamp(min=1e-6), density, support)
+
+
+def pull_push(measured: Tensor, *, factor: int, levels: int) -> tuple[Tensor, Tensor]:
+    """Carry a value, 0 where not measured, and its mask through the pyramid of `pull_push_fill`.
+
+    measured (N, 2, H, W) as there. Returns the weighted value and its support, (N, 2, h, w), whose
+    ratio is a weighted mean of measurements, and the share of measured pixels, (N, 1, h, w).
+    """
+    # Both go through the same steps as one tensor: a level costs one pooling and one upsampling.
     pyramid = [F.avg_pool2d(measured, factor)]
     for _ in range(levels):
         pyramid.append(F.avg_pool2d(pyramid[-1], 2))
     coarse = pyramid[-1] / (pyramid[-1][:, 1:] + COARSE_WEIGHT)
     for level in reversed(pyramid[:-1]):
         coarse = (level + COARSE_WEIGHT * upsample(coarse)) / (level[:, 1:] + COARSE_WEIGHT)
-    weighted, support = coarse[:, :1], coarse[:, 1:]
-    return DepthPrior(weighted / support.clamp(min=1e-6), pyramid[0][:, 1:], support)
+    return coarse, pyramid[0][:, 1:]

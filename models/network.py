@@ -74,7 +74,7 @@ class NetworkConfig:
 
     @property
     def output_stride(self) -> int:
-        """Ratio of the image to the finest grid of depth and boundaries."""
+        """Ratio of the image to the finest grid of the boundaries, and of depth by default."""
         return 1
 
     @property
@@ -155,8 +155,9 @@ class Network(nn.Module):
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
         """Predict on the heads' own grids.
 
-        These are 1 / ``config.semantic_stride`` of the image for the semantics and 1 /
-        ``config.output_stride`` for the finest depth and the boundary. Inputs as `forward`. A
+        These are 1 / ``config.semantic_stride`` of the image for the semantics, 1 /
+        ``config.depth_stride`` for the finest depth and 1 / ``config.output_stride`` for the
+        boundary. Inputs as `forward`. A
         network that pads the image at the bottom and right to a multiple of its stride gives grids
         that cover the padding too.
         """

@@ -11,11 +11,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from models.blocks import upsample
-from models.depth_prior import COARSE_WEIGHT
+from models.depth_prior import pull_push
 
 #: Windows of the max-pools that carry a surface on into cells without any, one after the other:
-#: together they reach 19 cells, a bit more than two lines of a 16-line LiDAR are apart.
+#: together they reach 18 cells.
 WINDOWS = (3, 3, 5, 7, 9, 15)
 #: Normalised depth below which no surface lies.
 NEAREST = 1e-3
@@ -72,12 +71,7 @@ def gather_surfaces(measured: Tensor, *, factor: int, levels: int) -> Surfaces:
     smooth = F.avg_pool2d(torch.cat([carried[:, :1], support], dim=1), 3, 1, 1)
     nearest = smooth[:, 1:].clamp(min=1e-6) / smooth[:, :1].clamp(min=1e-6)
 
-    pyramid = [F.avg_pool2d(torch.cat([inverse, mask], dim=1), factor)]
-    for _ in range(levels):
-        pyramid.append(F.avg_pool2d(pyramid[-1], 2))
-    coarse = pyramid[-1] / (pyramid[-1][:, 1:] + COARSE_WEIGHT)
-    for level in reversed(pyramid[:-1]):
-        coarse = (level + COARSE_WEIGHT * upsample(coarse)) / (level[:, 1:] + COARSE_WEIGHT)
+    coarse, density = pull_push(torch.cat([inverse, mask], dim=1), factor=factor, levels=levels)
     mean = coarse[:, 1:].clamp(min=1e-6) / coarse[:, :1].clamp(min=1e-6)
     return Surfaces(
         nearest.clamp(NEAREST, 1.0),
@@ -85,7 +79,7 @@ def gather_surfaces(measured: Tensor, *, factor: int, levels: int) -> Surfaces:
         mean.clamp(NEAREST, 1.0),
         support,
         coarse[:, 1:],
-        pyramid[0][:, 1:],
+        density,
     )
 
 
@@ -100,8 +94,8 @@ def choose_surface(head: Tensor, regressed: Tensor, surfaces: Surfaces) -> Tenso
 
     head (N, 4, h, w): logits of the trust in the mean, the farthest and the nearest surface, and a
     relative correction. Each in turn replaces what was chosen before as far as it is trusted:
-    nested sigmoids blend as a soft-max does, at a tenth of its time in ONNX Runtime. Without
-    support the network's own depth is the answer.
+    nested sigmoids can give whatever weights a soft-max can. Without support the network's own
+    depth is the answer.
     """
     trust = torch.sigmoid(head[:, :3])
     depth = regressed + trust[:, :1] * surfaces.mean_support * (surfaces.mean - regressed)
