@@ -40,8 +40,10 @@ class KittiStreets:
     any of them can be fed. The target beside it is ``disp_occ_0/<number>.png``: a stereo disparity
     of d = p / 256 px for a 16-bit pixel p > 0, measured by seven scans and by models fitted to
     moving cars; depth is ``fb_disp`` / d. ``calib.txt`` has P2, R0_rect, Tr_velo_to_cam and fb_disp
-    (focal length times baseline, px m) of all frames. No classes. Raises DatasetError for missing
-    folders, files or calibrations, no frame of these numbers, and files of another kind or size.
+    (focal length times baseline, px m) of all frames. No classes, but the road, where the folder
+    ``road_mask`` is there: ``<number>.png``, 0 = not road, 1 = road, 255 = unknown. Raises
+    DatasetError for missing folders, files or calibrations, no frame of these numbers, files of
+    another kind or size, and other values in a mask.
     """
 
     def __init__(self, root: Path | str, *, first: int = 0, last: int | None = None) -> None:
@@ -64,6 +66,10 @@ class KittiStreets:
         for folder, suffix in (("velodyne_fov", ".bin"), ("disp_occ_0", ".png")):
             partners = require_folder(self._root / folder, f"{folder}'s {suffix} files")
             require_partners(partners, [f"{path.stem}{suffix}" for path in self._images])
+        masks = self._root / "road_mask"
+        self._masks = masks if masks.is_dir() else None
+        if self._masks is not None:
+            require_partners(self._masks, [f"{path.stem}.png" for path in self._images])
         self._intrinsics, self._extrinsics, self._focal_baseline = _read_calibration(
             self._root / "calib.txt"
         )
@@ -89,7 +95,22 @@ class KittiStreets:
             sparse_depth=sparse_depth,
             scan_line=scan_line,
             focal_baseline_px_m=self._focal_baseline,
+            road_mask=self._read_mask(path.stem, size),
         )
+
+    def _read_mask(self, number: str, size: tuple[int, int]) -> NDArray[np.uint8] | None:
+        if self._masks is None:
+            return None
+        path = self._masks / f"{number}.png"
+        mask = read_gray(path, np.uint8)
+        require_size(path, mask.shape, size)
+        other = np.setdiff1d(mask, (0, 1, IGNORE))
+        if other.size:
+            raise DatasetError(
+                f"{path}: holds the value {other[0]}; expected 0 = not road, 1 = road, 255 = "
+                "unknown."
+            )
+        return mask
 
 
 def _to_depth(stored: NDArray[np.uint16], focal_baseline: float) -> NDArray[np.float32]:

@@ -35,6 +35,9 @@ class Sample:
     #: Focal length times stereo baseline [px m], where depth was measured as disparity: d = this /
     #: depth, in pixels of the set's own images whatever size they were brought to.
     focal_baseline_px_m: float | None = None
+    #: uint8 (H, W), the road drawn by hand where that is all that is labelled: 0 = not road, 1 =
+    #: road, 255 = unknown. None where the set has no such mask.
+    road_mask: NDArray[np.uint8] | None = None
 
     @property
     def size(self) -> tuple[int, int]:

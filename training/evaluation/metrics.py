@@ -1,4 +1,4 @@
-"""The metrics of Table 1, KITTI's inverse-depth errors, and boundary precision and recall.
+"""The metrics of Table 1, KITTI's inverse-depth errors, boundary precision and recall, road IoU.
 
 Each `...Scores` accumulates over frames with `update`, takes in another's counts with `merge`, and
 `compute` says what all frames together come to. Everything is counted over pixels, not averaged
@@ -53,7 +53,7 @@ class SemanticScores:
 
         Raises ValueError if the shapes differ or an id is not a class.
         """
-        _require_same_shape(prediction=prediction, semantic=semantic)
+        require_same_shape(prediction=prediction, semantic=semantic)
         known = semantic != IGNORE
         for name, ids in (("prediction", prediction[known]), ("semantic", semantic[known])):
             if ids.size and not (ids.min() >= 0 and ids.max() < self.num_classes):
@@ -71,7 +71,7 @@ class SemanticScores:
 
     def merge(self, other: "SemanticScores") -> None:
         """Add another's counts. Raises ValueError for another number of classes."""
-        _require_equal("num_classes", self.num_classes, other.num_classes)
+        require_equal("num_classes", self.num_classes, other.num_classes)
         self.confusion += other.confusion
 
     def compute_categories(
@@ -108,6 +108,78 @@ class SemanticScores:
             frequency_weighted_iou=float(_ratio((labelled * iou)[in_truth].sum(), labelled.sum())),
             class_iou=tuple(iou.tolist()),
         )
+
+
+class RoadScores:
+    """IoU of the road against a mask of it that was drawn by hand.
+
+    Predicted road is the class of that name, whatever else its table has. Accumulates with
+    `update`, takes in another's counts with `merge`.
+    """
+
+    #: Values of a mask.
+    NO_ROAD, ROAD = 0, 1
+
+    def __init__(self, num_classes: int) -> None:
+        #: int64 (2, C): pixels by mask (no road, road) and predicted class.
+        self.counts: NDArray[np.int64] = np.zeros((2, num_classes), dtype=np.int64)
+
+    def update(self, prediction: NDArray[np.integer], road_mask: NDArray[np.integer]) -> None:
+        """Count a frame: class ids (H, W) against 0 = not road, 1 = road, anything else unknown.
+
+        Raises ValueError if the shapes differ or an id is not a class.
+        """
+        require_same_shape(prediction=prediction, road_mask=road_mask)
+        num_classes = self.counts.shape[1]
+        for row, value in enumerate((self.NO_ROAD, self.ROAD)):
+            ids = prediction[road_mask == value].astype(np.int64)
+            counted = np.bincount(ids, minlength=num_classes)
+            if len(counted) > num_classes:
+                raise ValueError(
+                    f"prediction holds the class id {len(counted) - 1}, expected 0.."
+                    f"{num_classes - 1}"
+                )
+            self.counts[row] += counted
+
+    def merge(self, other: "RoadScores") -> None:
+        """Add another's counts. Raises ValueError for another number of classes."""
+        require_equal("num_classes", self.counts.shape[1], other.counts.shape[1])
+        self.counts += other.counts
+
+    def compute(self, road: int) -> float:
+        """Return the IoU of the class `road`, 0..1; NaN without any pixel of either."""
+        hit = self.counts[1, road]
+        return float(_ratio(hit, self.counts[1].sum() + self.counts[0, road]))
+
+
+class ErrorSums:
+    """Count, mean absolute and root mean square of errors, from sums."""
+
+    def __init__(self) -> None:
+        self._sums = np.zeros(3)  # pixels, sum |e|, sum e^2
+
+    def add(self, error: NDArray[np.float64]) -> None:
+        """Count errors of any shape."""
+        self._sums += error.size, np.abs(error).sum(), np.square(error).sum()
+
+    def merge(self, other: "ErrorSums") -> None:
+        """Add another's sums."""
+        self._sums += other._sums
+
+    @property
+    def pixels(self) -> int:
+        """How many were counted."""
+        return int(self._sums[0])
+
+    @property
+    def mae(self) -> float:
+        """Mean absolute error; NaN of nothing."""
+        return float(_ratio(self._sums[1], self._sums[0]))
+
+    @property
+    def rmse(self) -> float:
+        """Root mean square error; NaN of nothing."""
+        return float(np.sqrt(_ratio(self._sums[2], self._sums[0])))
 
 
 @dataclass(frozen=True)
@@ -152,8 +224,8 @@ class DepthScores:
         what is nearer than 0.1 m is taken as 0.1 m. Raises ValueError if the shapes differ or a
         prediction is not finite where there is truth.
         """
-        _require_same_shape(prediction=prediction, depth=depth)
-        known = _scored(depth)
+        require_same_shape(prediction=prediction, depth=depth)
+        known = scored(depth)
         truth = depth[known].astype(np.float64)
         answer = prediction[known].astype(np.float64)
         if not np.isfinite(answer).all():
@@ -170,7 +242,7 @@ class DepthScores:
 
     def merge(self, other: "DepthScores") -> None:
         """Add another's sums. Raises ValueError for other ranges."""
-        _require_equal("up_to_m", self.up_to_m, other.up_to_m)
+        require_equal("up_to_m", self.up_to_m, other.up_to_m)
         self._sums += other._sums
         self._inverse_sums += other._inverse_sums
 
@@ -220,7 +292,7 @@ class DisparityScores:
     """
 
     def __init__(self) -> None:
-        self._sums = np.zeros(3)  # pixels, sum |e|, sum e^2
+        self._sums = ErrorSums()
 
     def update(
         self,
@@ -233,26 +305,20 @@ class DisparityScores:
         A prediction nearer than 0.1 m is taken as 0.1 m. Raises ValueError if the shapes differ
         or the focal length times baseline is not positive.
         """
-        _require_same_shape(prediction=prediction, depth=depth)
+        require_same_shape(prediction=prediction, depth=depth)
         if not focal_baseline_px_m > 0:
             raise ValueError(f"focal_baseline_px_m must be positive, not {focal_baseline_px_m}")
-        known = _scored(depth)
+        known = scored(depth)
         answer = np.maximum(prediction[known].astype(np.float64), _NEAREST_M)
-        error = focal_baseline_px_m * np.abs(1 / answer - 1 / depth[known].astype(np.float64))
-        self._sums += error.size, error.sum(), np.square(error).sum()
+        self._sums.add(focal_baseline_px_m * (1 / answer - 1 / depth[known].astype(np.float64)))
 
     def merge(self, other: "DisparityScores") -> None:
         """Add another's sums."""
-        self._sums += other._sums
+        self._sums.merge(other._sums)
 
     def compute(self) -> DisparityMetrics:
         """Return the metrics of all frames so far."""
-        pixels, absolute, square = self._sums
-        return DisparityMetrics(
-            int(pixels),
-            float(_ratio(absolute, pixels)),
-            float(np.sqrt(_ratio(square, pixels))),
-        )
+        return DisparityMetrics(self._sums.pixels, self._sums.mae, self._sums.rmse)
 
 
 class BoundaryScores:
@@ -277,7 +343,7 @@ class BoundaryScores:
 
         Raises ValueError if the shapes differ.
         """
-        _require_same_shape(probability=probability, semantic=semantic)
+        require_same_shape(probability=probability, semantic=semantic)
         target, valid = boundary_target(torch.from_numpy(semantic.astype(np.int64))[None])
         known = valid[0, 0].numpy()
         true = target[0, 0].numpy() & known
@@ -293,8 +359,8 @@ class BoundaryScores:
 
     def merge(self, other: "BoundaryScores") -> None:
         """Add another's counts. Raises ValueError for other thresholds or another tolerance."""
-        _require_equal("thresholds", self.thresholds, other.thresholds)
-        _require_equal("tolerance_px", self.tolerance_px, other.tolerance_px)
+        require_equal("thresholds", self.thresholds, other.thresholds)
+        require_equal("tolerance_px", self.tolerance_px, other.tolerance_px)
         self._counts += other._counts
 
     def compute(self) -> BoundaryMetrics:
@@ -321,8 +387,8 @@ class BoundaryScores:
         return cv2.dilate(mask.astype(np.uint8), disk) > 0
 
 
-def _scored(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Where depth is known and counts."""
+def scored(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return where a true depth [m] is known and counts."""
     return np.asarray((depth > 0) & (depth <= FARTHEST_M))
 
 
@@ -336,13 +402,15 @@ def _mean(values: NDArray[np.float64]) -> float:
     return float(values.mean()) if values.size else float("nan")
 
 
-def _require_same_shape(**arrays: NDArray[np.generic]) -> None:
+def require_same_shape(**arrays: NDArray[np.generic]) -> None:
+    """Raise a ValueError that names the arrays if their shapes differ."""
     shapes = {name: array.shape for name, array in arrays.items()}
     if len(set(shapes.values())) > 1:
         text = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
         raise ValueError(f"shapes differ: {text}; expected one (height, width)")
 
 
-def _require_equal(name: str, ours: object, theirs: object) -> None:
+def require_equal(name: str, ours: object, theirs: object) -> None:
+    """Raise a ValueError if two scores to be merged differ in a setting."""
     if ours != theirs:
         raise ValueError(f"cannot merge scores of another {name}: {ours} and {theirs}")

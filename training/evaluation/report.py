@@ -9,6 +9,7 @@ from pathlib import Path
 
 from runtime.atomic_write import atomic_file, atomic_write
 from runtime.errors import OutputError
+from training.evaluation.depth_regions import REGIONS
 
 #: What the table shows, in this order, where a row has it: key, title, factor.
 _COLUMNS = (
@@ -17,6 +18,7 @@ _COLUMNS = (
     ("accuracy", "Acc %", 100.0),
     ("mean_accuracy", "mAcc %", 100.0),
     ("fwiou", "fwIoU %", 100.0),
+    ("road_iou", "road IoU %", 100.0),
     ("mae_m_0_20", "MAE 0-20 m [m]", 1.0),
     ("mae_m_0_50", "0-50", 1.0),
     ("mae_m", "0-100", 1.0),
@@ -25,6 +27,16 @@ _COLUMNS = (
     ("rmse_m", "0-100", 1.0),
     ("imae_per_km", "iMAE [1/km]", 1.0),
     ("irmse_per_km", "iRMSE [1/km]", 1.0),
+    *(
+        (f"{error}_m_{region}", f"{region} {error.upper()} [mm]", 1000.0)
+        for region in REGIONS
+        for error in ("mae", "rmse")
+    ),
+    ("mae_m_surest_50", "MAE [mm] of the surest 50 %", 1000.0),
+    ("mae_m_surest_80", "80 %", 1000.0),
+    ("mae_m_surest_100", "100 %", 1000.0),
+    ("coverage_1", "errors within 1 scale %", 100.0),
+    ("coverage_2", "2 scales %", 100.0),
     ("mae_px", "disparity MAE [px]", 1.0),
     ("rmse_px", "RMSE [px]", 1.0),
     ("boundary_precision", "boundary P %", 100.0),

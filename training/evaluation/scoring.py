@@ -13,12 +13,15 @@ from models.classes import CATEGORIES
 from runtime.errors import InputError
 from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import Processes
+from training.evaluation.depth_regions import DepthRegionScores, is_dense
 from training.evaluation.metrics import (
     BoundaryScores,
     DepthScores,
     DisparityScores,
+    RoadScores,
     SemanticScores,
 )
+from training.evaluation.uncertainty import UncertaintyScores
 from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
 
 #: The boundary's F-score is that of the best of these over the whole set.
@@ -31,7 +34,12 @@ class Answer(NamedTuple):
     semantic: NDArray[np.uint8] | None
     depth: NDArray[np.float32] | None
     boundary: NDArray[np.float32] | None
+    #: Scale of a Laplace distribution around the depth [m].
+    depth_uncertainty: NDArray[np.float32] | None = None
 
+
+#: Name of the class that is scored against masks of the road.
+ROAD = "road"
 
 #: (rgb uint8 (H, W, 3), sparse_depth float32 (H, W) in metres) -> answer at the same size.
 Predict = Callable[[NDArray[np.uint8], NDArray[np.float32]], Answer]
@@ -69,6 +77,9 @@ class Scores:
         self.depth = DepthScores()
         self.boundary = BoundaryScores(BOUNDARY_THRESHOLDS)
         self.disparity = DisparityScores()
+        self.regions = DepthRegionScores()
+        self.uncertainty = UncertaintyScores()
+        self.road = RoadScores(num_classes)
 
     def update(self, answer: Answer, frame: LidarSplit) -> None:
         """Count a frame; missing heads and targets are left out."""
@@ -77,10 +88,16 @@ class Scores:
         labelled = bool((sample.semantic != IGNORE).any())
         if answer.semantic is not None and labelled:
             self.semantic.update(answer.semantic, sample.semantic)
+        if answer.semantic is not None and sample.road_mask is not None:
+            self.road.update(answer.semantic, sample.road_mask)
         if answer.depth is not None and frame.target.any():
             self.depth.update(answer.depth, frame.target)
             if sample.focal_baseline_px_m is not None:
                 self.disparity.update(answer.depth, frame.target, sample.focal_baseline_px_m)
+            if is_dense(frame.target):
+                self.regions.update(answer.depth, frame.target, frame.fed)
+            if answer.depth_uncertainty is not None:
+                self.uncertainty.update(answer.depth_uncertainty, answer.depth, frame.target)
         if answer.boundary is not None and labelled:
             self.boundary.update(answer.boundary, sample.semantic)
 
@@ -91,9 +108,15 @@ class Scores:
         self.depth.merge(other.depth)
         self.boundary.merge(other.boundary)
         self.disparity.merge(other.disparity)
+        self.regions.merge(other.regions)
+        self.uncertainty.merge(other.uncertainty)
+        self.road.merge(other.road)
 
     def figures(self, class_names: Sequence[str] = ()) -> dict[str, float]:
-        """Return what was scored as named numbers: shares 0..1, metres, 1/km."""
+        """Return what was scored as named numbers: shares 0..1, metres, 1/km.
+
+        class_names: of the ids; without them there is no IoU of a single class.
+        """
         figures: dict[str, float] = {}
         semantic, depth, boundary = (
             self.semantic.compute(),
@@ -113,6 +136,8 @@ class Scores:
             }
             if class_names:
                 figures |= _category_figures(self.semantic, class_names)
+        if self.road.counts.any() and ROAD in class_names:
+            figures["road_iou"] = self.road.compute(class_names.index(ROAD))
         if depth.pixels:
             figures |= {"mae_m": depth.mae_m, "rmse_m": depth.rmse_m}
             for part in depth.ranges:
@@ -121,6 +146,13 @@ class Scores:
                     f"rmse_m_0_{part.up_to_m:g}": part.rmse_m,
                 }
             figures |= {"imae_per_km": depth.imae_per_km, "irmse_per_km": depth.irmse_per_km}
+        for item in self.regions.compute():
+            if item.pixels:
+                figures |= {
+                    f"mae_m_{item.region}": item.mae_m,
+                    f"rmse_m_{item.region}": item.rmse_m,
+                }
+        figures |= _uncertainty_figures(self.uncertainty)
         disparity = self.disparity.compute()
         if disparity.pixels:
             figures |= {"mae_px": disparity.mae_px, "rmse_px": disparity.rmse_px}
@@ -132,6 +164,18 @@ class Scores:
                 "boundary_threshold": boundary.threshold,
             }
         return figures
+
+
+def _uncertainty_figures(scores: UncertaintyScores) -> dict[str, float]:
+    uncertainty = scores.compute()
+    if not uncertainty.pixels:
+        return {}
+    surest = {f"mae_m_surest_{100 * item.share:.0f}": item.mae_m for item in uncertainty.surest}
+    return {
+        **surest,
+        "coverage_1": uncertainty.coverage_1,
+        "coverage_2": uncertainty.coverage_2,
+    }
 
 
 def _category_figures(semantic: SemanticScores, class_names: Sequence[str]) -> dict[str, float]:

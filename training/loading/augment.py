@@ -121,6 +121,7 @@ def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
         depth=take(sample.depth, 0),
         semantic=take(sample.semantic, IGNORE),
         scan_line=None if sample.scan_line is None else take(sample.scan_line, -1),
+        road_mask=None if sample.road_mask is None else take(sample.road_mask, IGNORE),
         intrinsics=intrinsics,
     )
 
@@ -164,6 +165,7 @@ def resize(sample: Sample, size: tuple[int, int]) -> Sample:
         depth=depth,
         semantic=resize_nearest(sample.semantic, size),
         scan_line=scan_line,
+        road_mask=None if sample.road_mask is None else resize_nearest(sample.road_mask, size),
         intrinsics=intrinsics,
     )
 
@@ -185,6 +187,7 @@ def flip(sample: Sample) -> Sample:
         depth=mirror(sample.depth),
         semantic=mirror(sample.semantic),
         scan_line=None if sample.scan_line is None else mirror(sample.scan_line),
+        road_mask=None if sample.road_mask is None else mirror(sample.road_mask),
         intrinsics=intrinsics,
     )
 

@@ -39,6 +39,7 @@ def _bytes_of(sample: Sample) -> int:
             sample.depth,
             sample.semantic,
             sample.scan_line,
+            sample.road_mask,
         )
         if array is not None
     }

@@ -41,6 +41,25 @@ def test_the_scan_is_the_input_and_the_disparity_the_target(streets):
     assert (sample.semantic == 255).all()
 
 
+def test_the_road_is_a_mask_where_the_folder_is_there(streets):
+    assert KittiStreets(streets)[0].road_mask is None
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    mask[4:] = 1
+    mask[:2] = 255
+    write(streets / "road_mask" / "000002.png", mask)
+    with pytest.raises(DatasetError, match=r"000003\.png"):
+        KittiStreets(streets)
+    for number in (3, 7):
+        write(streets / "road_mask" / f"{number:06d}.png", mask)
+    np.testing.assert_array_equal(KittiStreets(streets)[0].road_mask, mask)
+    write(streets / "road_mask" / "000002.png", mask + 6)
+    with pytest.raises(DatasetError, match=r"000002\.png: holds the value 5; expected 0"):
+        KittiStreets(streets)[0]
+    write(streets / "road_mask" / "000002.png", mask[1:])
+    with pytest.raises(DatasetError, match=r"road_mask.*000002\.png"):
+        KittiStreets(streets)[0]
+
+
 def test_the_lines_asked_for_are_fed_and_the_whole_truth_is_scored(streets):
     sample = KittiStreets(streets)[0]
     for text, lines in (("own", 4), ("64", 4), ("32", 2), ("16", 1), ("none", 0)):

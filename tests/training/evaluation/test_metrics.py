@@ -9,6 +9,7 @@ from training.evaluation.metrics import (
     BoundaryScores,
     DepthScores,
     DisparityScores,
+    RoadScores,
     SemanticScores,
 )
 
@@ -249,3 +250,26 @@ def test_disparity_errors_equal_the_hand_computed_ones():
     assert math.isnan(DisparityScores().compute().mae_px)
     with pytest.raises(ValueError, match="positive"):
         scores.update(answer, depth, 0.0)
+
+
+def test_road_iou_by_hand():
+    scores, other = RoadScores(4), RoadScores(4)
+    mask = np.array([[1, 1, 1, 0, 0, 0, 255, 255]], np.uint8)
+    ids = np.array([[3, 3, 2, 3, 0, 1, 3, 0]], np.uint8)
+    scores.update(ids, mask)
+    assert scores.compute(road=3) == pytest.approx(2 / 4)  # 2 hit of 3, one more predicted
+    assert scores.compute(road=2) == pytest.approx(1 / 3)
+    other.update(np.full_like(ids, 3), mask)
+    scores.merge(other)
+    assert scores.compute(road=3) == pytest.approx(5 / 10)
+    assert math.isnan(RoadScores(4).compute(road=3))
+
+
+def test_road_scores_refuse_what_they_cannot_count():
+    mask = np.ones((2, 2), np.uint8)
+    with pytest.raises(ValueError, match=r"class id 4, expected 0\.\.3"):
+        RoadScores(4).update(np.full((2, 2), 4, np.uint8), mask)
+    with pytest.raises(ValueError, match="shapes differ"):
+        RoadScores(4).update(mask, mask[1:])
+    with pytest.raises(ValueError, match="num_classes"):
+        RoadScores(4).merge(RoadScores(3))

@@ -121,6 +121,9 @@ def test_each_depth_error_has_its_own_name():
         "rmse_m_0_50": 1.768,
         "imae_per_km": 10.0,  # 1000 / 10 - 1000 / 12.5 = 20, in half of the pixels
         "irmse_per_km": 14.142,
+        # A wall without edges under 64 lines: all of it is near a return.
+        "mae_m_interior": 1.25,
+        "rmse_m_interior": 1.768,
         "mae_px": 4.0,  # 400 / 10 - 400 / 12.5 = 8
         "rmse_px": 5.657,
     }
@@ -131,6 +134,50 @@ def test_one_class_everywhere_scores_its_share():
     assert result["miou"] == pytest.approx((3000 / 7200 + 0 + 0) / 3)
     assert result["accuracy"] == pytest.approx(3000 / 7200)
     assert "mae_m" not in result
+
+
+def test_regions_are_those_of_dense_truth_alone():
+    """Without returns all is uncovered; a recorded scan that is scored has no regions."""
+    depth = sample().depth
+    half = replace(sample(), sparse_depth=np.where(np.arange(120) < 40, depth, 0))
+    result = figures(lambda rgb, fed: Answer(None, depth + fed / 10, None), half)
+    assert result["mae_m_interior"] == pytest.approx(40 / 52)  # 12 px beyond the last return
+    assert result["mae_m_uncovered"] == 0
+    assert "mae_m_edge" not in result
+    frame = recorded()
+    result = figures(lambda rgb, fed: Answer(None, frame.depth, None), frame)
+    assert "mae_m" in result
+    assert not any("interior" in name or "uncovered" in name for name in result)
+
+
+def test_uncertainty_is_scored_where_a_model_has_one():
+    depth = sample().depth
+    answer = depth + np.where(np.arange(120) < 60, np.float32(1), np.float32(4))
+    scale = np.where(np.arange(120) < 60, np.float32(0.9), np.float32(3)) + np.zeros_like(depth)
+    result = figures(lambda rgb, fed: Answer(None, answer, None, scale))
+    assert result["mae_m_surest_50"] == pytest.approx(1)
+    assert result["mae_m_surest_80"] == pytest.approx((0.5 * 1 + 0.3 * 4) / 0.8)
+    assert result["mae_m_surest_100"] == pytest.approx(result["mae_m"])
+    assert (result["coverage_1"], result["coverage_2"]) == (0, 1)
+    without = figures(lambda rgb, fed: Answer(None, answer, None))
+    assert not any("surest" in name or "coverage" in name for name in without)
+
+
+def test_the_class_road_is_scored_against_a_mask_of_it():
+    mask = np.zeros((60, 120), np.uint8)
+    mask[30:] = 1
+    mask[10:20] = 255
+    unlabelled = np.full((60, 120), 255, np.uint8)
+    frame = sample(semantic=unlabelled, road_mask=mask)
+    ids = np.full((60, 120), 8, np.uint8)
+    ids[25:45] = 3
+    split = split_lidar(frame)
+    scores = score(lambda rgb, fed: Answer(ids, None, None), [split], num_classes=11)
+    names = [f"c{i}" for i in range(11)]
+    assert scores.figures(names) == {}
+    assert scores.figures() == {}
+    names[3] = "road"
+    assert scores.figures(names) == {"road_iou": pytest.approx(15 / 35)}
 
 
 def test_unlabelled_frames_do_not_count():

@@ -267,6 +267,18 @@ def test_result_has_the_crop_size_and_is_reproducible():
         assert not np.array_equal(a.rgb, other.rgb)
 
 
+def test_a_mask_of_the_road_goes_with_the_labels():
+    """Mirrored, cut beyond the picture, resized: its pixels stay those of the class under them."""
+    sample = plane()
+    sample = replace(sample, road_mask=(sample.semantic == 3).astype(np.uint8))
+    config = AugmentConfig(crop=(60, 80), scale=(0.7, 1.5))
+    for seed in range(4):
+        out = augment(sample, config, np.random.default_rng(seed))
+        expected = np.where(out.semantic == IGNORE, IGNORE, out.semantic == 3)
+        assert (out.semantic == IGNORE).any()
+        np.testing.assert_array_equal(out.road_mask, expected)
+
+
 def test_augmentation_does_not_touch_its_input():
     sample = recorded()
     before = {n: getattr(sample, n).copy() for n in ("rgb", "depth", "semantic", "scan_line")}

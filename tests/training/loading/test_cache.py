@@ -1,5 +1,7 @@
 """Decoded frames are kept as long as they fit, and never change what is read."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -64,6 +66,18 @@ def test_a_smaller_frame_may_still_fit_after_a_larger_one_did_not():
 @pytest.mark.parametrize(("limit", "decoded"), [(BYTES + 200, 1), (BYTES + 199, 2)])
 def test_scan_lines_count_too(limit, decoded):
     counted = Counted(with_lines=True)
+    read(CachedSource(counted, limit_bytes=limit), [0, 0])
+    assert len(counted.decoded) == decoded
+
+
+@pytest.mark.parametrize(("limit", "decoded"), [(BYTES + 100, 1), (BYTES + 99, 2)])
+def test_road_masks_count_too(limit, decoded):
+    class Masked(Counted):
+        def __getitem__(self, index):
+            sample = super().__getitem__(index)
+            return replace(sample, road_mask=np.zeros(sample.size, np.uint8))
+
+    counted = Masked()
     read(CachedSource(counted, limit_bytes=limit), [0, 0])
     assert len(counted.decoded) == decoded
 

@@ -1,0 +1,101 @@
+"""Where depth could be known: regions against plain loops, errors by hand."""
+
+import numpy as np
+import pytest
+
+from training.evaluation.depth_regions import (
+    EDGE_RATIO,
+    REGIONS,
+    DepthRegionScores,
+    depth_edges,
+    is_dense,
+    split_regions,
+)
+
+
+def house():
+    """A wall at 20 m with a post at 5 m in front, sky above, something beyond 100 m right."""
+    depth = np.full((40, 80), 20, np.float32)
+    depth[:, 30:33] = 5
+    depth[:6] = 0
+    depth[:, 70:] = 300
+    return depth
+
+
+def test_regions_equal_loops():
+    rng = np.random.default_rng(0)
+    depth = house()
+    fed = np.where(rng.random(depth.shape) < 0.004, depth, 0)
+    fed[:, 50:] = 0
+    known = (depth > 0) & (depth <= 100)
+    edges = []
+    for v, u in np.ndindex(depth.shape):
+        rows, columns = slice(max(v - 1, 0), v + 2), slice(max(u - 1, 0), u + 2)
+        around = depth[rows, columns][known[rows, columns]]
+        if around.size and around.max() > EDGE_RATIO * around.min():
+            edges.append((v, u))
+    returns = np.argwhere(fed > 0)
+    expected = np.empty(depth.shape, object)
+    for pixel in np.ndindex(depth.shape):
+        to_edge = np.hypot(*(np.array(edges) - pixel).T).min()
+        to_return = np.hypot(*(returns - pixel).T).min()
+        near = "edge" if to_edge <= 3 else "interior"
+        expected[pixel] = near if to_return <= 12 else "uncovered"
+    masks = split_regions(depth, fed)
+    assert list(masks) == list(REGIONS)
+    assert (sum(mask.astype(int) for mask in masks.values()) == 1).all()
+    for region, mask in masks.items():
+        assert mask.sum() > 50
+        np.testing.assert_array_equal(mask, expected == region)
+
+
+def test_neither_sky_nor_what_is_too_far_makes_an_edge():
+    edges = depth_edges(house())
+    assert edges[6:, [29, 30, 32, 33]].all()
+    edges[:, 29:34] = False
+    assert not edges.any()
+
+
+def test_a_gentle_slope_is_no_edge():
+    rows = np.linspace(10, 20, 200, dtype=np.float32)  # half a percent a row
+    assert not depth_edges(np.repeat(rows[:, None], 50, axis=1)).any()
+
+
+def test_without_returns_all_is_uncovered_and_without_edges_none_is_edge():
+    depth = house()
+    assert split_regions(depth, np.zeros_like(depth))["uncovered"].all()
+    flat = np.full((20, 20), 7, np.float32)
+    assert split_regions(flat, flat)["interior"].all()
+
+
+def test_errors_by_hand_and_merged():
+    depth = house()
+    fed = np.zeros_like(depth)
+    fed[20, 10] = 20
+    masks, known = split_regions(depth, fed), (depth > 0) & (depth <= 100)
+    answer = depth.copy()
+    answer[masks["interior"]] += 1
+    answer[masks["uncovered"]] -= 4
+    answer[20, 10] += 2  # 3 m off
+    scores, other = DepthRegionScores(), DepthRegionScores()
+    scores.update(answer, depth, fed)
+    other.update(depth, depth, fed)
+    interior, edge, uncovered = scores.compute()
+    count = int((masks["interior"] & known).sum())
+    assert (interior.region, interior.pixels) == ("interior", count)
+    assert interior.mae_m == pytest.approx((count + 2) / count)
+    assert interior.rmse_m == pytest.approx(np.sqrt((count + 8) / count))
+    assert edge.pixels == 0  # the post is farther than 12 px
+    assert np.isnan(edge.mae_m)
+    assert uncovered.mae_m == uncovered.rmse_m == 4
+    scores.merge(other)
+    assert scores.compute()[2].mae_m == 2
+    with pytest.raises(ValueError, match="shapes differ"):
+        scores.update(answer, depth, fed[1:])
+
+
+def test_rendered_depth_is_dense_and_accumulated_scans_are_not():
+    rng = np.random.default_rng(0)
+    assert is_dense(house())
+    assert not is_dense(np.where(rng.random((40, 80)) < 0.4, house(), 0))
+    assert not is_dense(np.zeros((40, 80), np.float32))

@@ -1,0 +1,72 @@
+"""Does an uncertainty rank and measure the errors: against sorting, and on true distributions."""
+
+import numpy as np
+import pytest
+
+from training.evaluation.uncertainty import LAPLACE_COVERAGE, UncertaintyScores
+
+
+def frames(rng, count=3):
+    """Errors drawn from a Laplace distribution of the scale that is given."""
+    for _ in range(count):
+        depth = rng.uniform(1, 99, (60, 90)).astype(np.float32)
+        depth[:5] = 0
+        scale = np.exp(rng.normal(-1, 1, depth.shape)).astype(np.float32)
+        yield scale, (depth + rng.laplace(0, scale)).astype(np.float32), depth
+
+
+def test_the_surest_are_those_of_all_frames_sorted():
+    scores, other = UncertaintyScores((0.1, 0.5, 0.8, 1.0)), UncertaintyScores((0.1, 0.5, 0.8, 1.0))
+    scales, errors = [], []
+    for index, (scale, prediction, depth) in enumerate(frames(np.random.default_rng(0))):
+        (other if index else scores).update(scale, prediction, depth)
+        scales.append(scale[depth > 0])
+        errors.append(np.abs(prediction - depth)[depth > 0])
+    scores.merge(other)
+    by_scale = np.concatenate(errors)[np.argsort(np.concatenate(scales))]
+    metrics = scores.compute()
+    assert metrics.pixels == by_scale.size == 3 * 55 * 90
+    for item in metrics.surest:
+        expected = by_scale[: round(item.share * by_scale.size)].mean()
+        assert item.mae_m == pytest.approx(expected, rel=0.01), item.share
+    assert metrics.surest[0].mae_m < 0.3 * metrics.surest[-1].mae_m
+
+
+def test_coverage_of_a_true_scale_is_that_of_laplace_and_of_others_is_not():
+    right, small = UncertaintyScores(), UncertaintyScores()
+    for scale, prediction, depth in frames(np.random.default_rng(1)):
+        right.update(scale, prediction, depth)
+        small.update(scale / 2, prediction, depth)
+    metrics = right.compute()
+    assert (metrics.coverage_1, metrics.coverage_2) == pytest.approx(LAPLACE_COVERAGE, abs=0.01)
+    assert small.compute().coverage_2 == pytest.approx(LAPLACE_COVERAGE[0], abs=0.01)
+
+
+def test_equal_uncertainties_rank_nothing():
+    scores = UncertaintyScores()
+    depth = np.full((10, 10), 10, np.float32)
+    prediction = depth + np.linspace(0, 4, 100, dtype=np.float32).reshape(10, 10)
+    for scale in (0.0, 1.0, 1e9):  # below and beyond the histogram, too
+        scores.update(np.full_like(depth, scale), prediction, depth)
+    assert [item.mae_m for item in scores.compute().surest] == pytest.approx([2, 2, 2], rel=1e-4)
+
+
+def test_what_is_no_uncertainty_is_refused():
+    depth = np.full((4, 4), 10, np.float32)
+    for bad in (-1, np.nan, np.inf):
+        scale = np.ones_like(depth)
+        scale[0, 0] = bad
+        with pytest.raises(ValueError, match="1 of 16 uncertainties are negative, NaN"):
+            UncertaintyScores().update(scale, depth, depth)
+        scale_beside_truth = np.where(scale == 1, depth, 0)
+        UncertaintyScores().update(scale, depth, scale_beside_truth)
+    with pytest.raises(ValueError, match="shapes differ"):
+        UncertaintyScores().update(depth[1:], depth, depth)
+    with pytest.raises(ValueError, match="shares"):
+        UncertaintyScores().merge(UncertaintyScores((0.5,)))
+
+
+def test_of_nothing_is_nan():
+    metrics = UncertaintyScores().compute()
+    assert metrics.pixels == 0
+    assert np.isnan([metrics.coverage_1, metrics.surest[0].mae_m]).all()

@@ -1,0 +1,125 @@
+"""Depth errors by what could be known: near a return, near a return at an edge, and elsewhere.
+
+For dense ground truth alone, as of rendered scenes. The regions of a frame:
+
+- depth edge: a pixel with true depths in the 3 x 3 pixels around it of which the farthest is more
+  than `EDGE_RATIO` times the nearest. Unknown depth (sky) and what counts in no figure makes none.
+- "interior": at most `RETURN_REACH_PX` from a return that was fed and farther than `EDGE_REACH_PX`
+  from every depth edge: what the LiDAR knows already.
+- "edge": as near to a return, and at most `EDGE_REACH_PX` from a depth edge.
+- "uncovered": the rest, where only the picture can tell.
+
+Distances are Euclidean between centres of pixels, at the size of the frame.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from training.evaluation.metrics import ErrorSums, require_same_shape, scored
+
+RETURN_REACH_PX = 12
+EDGE_REACH_PX = 3
+EDGE_RATIO = 1.1
+
+REGIONS = ("interior", "edge", "uncovered")
+
+#: Dense is a truth whose known pixels have so large a share of known ones around them. Rendered
+#: depth has 0.99, the accumulated scans of KITTI's streets 0.5.
+_DENSE_SHARE = 0.9
+_AROUND = (3, 3)
+_BEYOND_M = 1e6  # stands for no depth where the nearest is looked for
+
+
+@dataclass(frozen=True)
+class DepthRegionMetrics:
+    """Errors of depth in one of the `REGIONS`."""
+
+    region: str
+    pixels: int
+    mae_m: float
+    rmse_m: float
+
+
+class DepthRegionScores:
+    """MAE and RMSE of each of the `REGIONS`, over the same pixels as `DepthScores`.
+
+    Accumulates with `update`, takes in another's sums with `merge`.
+    """
+
+    def __init__(self) -> None:
+        self._sums = {region: ErrorSums() for region in REGIONS}
+
+    def update(
+        self,
+        prediction: NDArray[np.floating],
+        depth: NDArray[np.floating],
+        fed: NDArray[np.floating],
+    ) -> None:
+        """Count a frame: float (H, W) [m], the answer, the dense truth and the depth that was fed.
+
+        0, negative or not finite in `depth` = no truth, 0 in `fed` = no return. Raises ValueError
+        if the shapes differ.
+        """
+        require_same_shape(prediction=prediction, depth=depth, fed=fed)
+        known = scored(depth)
+        error = np.abs(prediction[known].astype(np.float64) - depth[known])
+        for region, mask in split_regions(depth, fed).items():
+            self._sums[region].add(error[mask[known]])
+
+    def merge(self, other: "DepthRegionScores") -> None:
+        """Add another's sums."""
+        for region, sums in self._sums.items():
+            sums.merge(other._sums[region])
+
+    def compute(self) -> tuple[DepthRegionMetrics, ...]:
+        """Return the metrics of all frames so far, in the order of `REGIONS`."""
+        return tuple(
+            DepthRegionMetrics(region, sums.pixels, sums.mae, sums.rmse)
+            for region, sums in self._sums.items()
+        )
+
+
+def is_dense(depth: NDArray[np.floating]) -> bool:
+    """Whether a true depth (H, W) is dense where it is known; without any it is not."""
+    known = scored(depth)
+    if not known.any():
+        return False
+    around = cv2.blur(known.astype(np.float32), _AROUND, borderType=cv2.BORDER_REPLICATE)
+    return bool(around[known].mean() >= _DENSE_SHARE)
+
+
+def split_regions(
+    depth: NDArray[np.floating], fed: NDArray[np.floating]
+) -> dict[str, NDArray[np.bool_]]:
+    """Return the mask (H, W) of each of the `REGIONS`; every pixel is in one of them.
+
+    depth: the dense truth [m]; fed: what was fed [m], 0 = no return.
+    """
+    covered = _within(fed > 0, RETURN_REACH_PX)
+    at_edge = _within(depth_edges(depth), EDGE_REACH_PX)
+    return {
+        "interior": covered & ~at_edge,
+        "edge": covered & at_edge,
+        "uncovered": ~covered,
+    }
+
+
+def depth_edges(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return where a dense true depth (H, W) [m] has an edge."""
+    known = scored(depth)
+    window = np.ones(_AROUND, np.uint8)
+    far = cv2.dilate(np.where(known, depth, 0).astype(np.float32), window)
+    near = cv2.erode(np.where(known, depth, _BEYOND_M).astype(np.float32), window)
+    edges: NDArray[np.bool_] = far > EDGE_RATIO * near
+    return edges
+
+
+def _within(mask: NDArray[np.bool_], reach_px: int) -> NDArray[np.bool_]:
+    """Where a pixel of the mask is at most so far away."""
+    if not mask.any():  # OpenCV's distance to nothing is finite
+        return mask
+    to_it = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray(to_it <= reach_px)

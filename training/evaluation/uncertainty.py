@@ -1,0 +1,98 @@
+"""Whether a network knows how far its depth is off: the surest pixels, and coverage."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.evaluation.metrics import require_equal, require_same_shape, scored
+
+#: Shares of a Laplace distribution within one and two of its scales b: 1 - exp(-1), 1 - exp(-2).
+LAPLACE_COVERAGE = (0.632, 0.865)
+
+# Bins of the uncertainty, equal in its logarithm: neighbours differ by 0.3 %.
+_LOWEST_M, _HIGHEST_M, _BINS = 1e-3, 1e3, 4096
+
+
+@dataclass(frozen=True)
+class SurestMetrics:
+    """Mean absolute error of the surest share of the pixels."""
+
+    share: float
+    mae_m: float
+
+
+@dataclass(frozen=True)
+class UncertaintyMetrics:
+    """What an uncertainty is worth."""
+
+    pixels: int
+    surest: tuple[SurestMetrics, ...]
+    #: Shares 0..1 of the errors of at most one and two scales, see `LAPLACE_COVERAGE`.
+    coverage_1: float
+    coverage_2: float
+
+
+class UncertaintyScores:
+    """Error of the surest shares of the pixels of all frames together, and coverage.
+
+    Over the same pixels as `DepthScores`. The pixels of all frames are ranked together, by a
+    histogram of `_BINS` bins over the logarithm of the uncertainty, so that memory is bounded; of
+    the bin in which a share ends, part is taken, as if its pixels were alike. Accumulates with
+    `update`, takes in another's counts with `merge`.
+    """
+
+    def __init__(self, shares: Sequence[float] = (0.5, 0.8, 1.0)) -> None:
+        self.shares = tuple(shares)
+        # Columns: pixels, sum |e|.
+        self._bins = np.zeros((_BINS, 2))
+        self._within = np.zeros(2)  # pixels whose error is at most one and two scales
+
+    def update(
+        self,
+        uncertainty: NDArray[np.floating],
+        prediction: NDArray[np.floating],
+        depth: NDArray[np.floating],
+    ) -> None:
+        """Count a frame: float (H, W) [m]; 0, negative or not finite in `depth` = no truth.
+
+        Raises ValueError if the shapes differ, or an uncertainty is negative or not finite where
+        there is truth.
+        """
+        require_same_shape(uncertainty=uncertainty, prediction=prediction, depth=depth)
+        known = scored(depth)
+        scale = uncertainty[known].astype(np.float64)
+        bad = ~(np.isfinite(scale) & (scale >= 0))
+        if bad.any():
+            raise ValueError(
+                f"{int(bad.sum())} of {scale.size} uncertainties are negative, NaN or infinite "
+                "where there is ground truth; expected metres"
+            )
+        error = np.abs(prediction[known].astype(np.float64) - depth[known])
+        place = np.log(np.clip(scale, _LOWEST_M, _HIGHEST_M) / _LOWEST_M)
+        index = (place / np.log(_HIGHEST_M / _LOWEST_M) * (_BINS - 1)).astype(np.intp)
+        self._bins[:, 0] += np.bincount(index, minlength=_BINS)
+        self._bins[:, 1] += np.bincount(index, weights=error, minlength=_BINS)
+        self._within += [(error <= factor * scale).sum() for factor in (1, 2)]
+
+    def merge(self, other: "UncertaintyScores") -> None:
+        """Add another's counts. Raises ValueError for other shares."""
+        require_equal("shares", self.shares, other.shares)
+        self._bins += other._bins
+        self._within += other._within
+
+    def compute(self) -> UncertaintyMetrics:
+        """Return the metrics of all frames so far; NaN without any pixel."""
+        pixels = float(self._bins[:, 0].sum())
+        if not pixels:
+            nothing = tuple(SurestMetrics(share, float("nan")) for share in self.shares)
+            return UncertaintyMetrics(0, nothing, float("nan"), float("nan"))
+        counts, errors = np.vstack([np.zeros(2), self._bins.cumsum(axis=0)]).T
+        surest = tuple(
+            SurestMetrics(
+                share, float(np.interp(share * pixels, counts, errors) / (share * pixels))
+            )
+            for share in self.shares
+        )
+        return UncertaintyMetrics(int(pixels), surest, *(self._within / pixels).tolist())
