@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
+from types import UnionType
 from typing import Any, Literal, NamedTuple, Self, get_args, get_origin, get_type_hints
 
 import torch
@@ -13,6 +14,7 @@ from runtime.contract import (
     MIN_SIDE,
     ClassInfo,
     check_classes,
+    check_focal_length,
     check_max_depth,
     check_name,
     check_stride,
@@ -47,6 +49,11 @@ class NetworkConfig:
     classes: tuple[ClassInfo, ...] = CAMVID_CLASSES
     #: Depth that the normalised output 1.0 stands for; a measurement beyond it counts as none.
     max_depth_m: float = 100.0
+    #: Focal length [px] of the camera in whose depth the network works (Yin et al. 2023, Metric3D):
+    #: what it is fed is depth * this / f and what it answers is multiplied by f / this, f the focal
+    #: length in pixels of the picture that it sees. Both are done outside the network. None = the
+    #: network works in plain metres.
+    canonical_focal_px: float | None = None
     #: Mean and standard deviation of RGB in 0..255, part of the network (ImageNet's figures).
     rgb_mean: tuple[float, float, float] = (123.675, 116.28, 103.53)
     rgb_std: tuple[float, float, float] = (58.395, 57.12, 57.375)
@@ -58,6 +65,8 @@ class NetworkConfig:
         check_name(self.name, "name")
         check_classes(self.classes)
         check_max_depth(self.max_depth_m)
+        if self.canonical_focal_px is not None:
+            check_focal_length(self.canonical_focal_px, "canonical_focal_px")
         check_stride(self.stride)
         if not all(0 < value < float("inf") for value in self.rgb_std):
             raise ValueError(f"rgb_std must be positive, got {self.rgb_std}")
@@ -203,6 +212,8 @@ def _check_shapes(rgb: Tensor, sparse_depth: Tensor) -> tuple[int, int]:
 def _checked(value: Any, hint: Any, key: str) -> Any:
     """Return a plain value as a configuration's field holds it, or raise a ValueError."""
     kind, arguments = get_origin(hint) or hint, get_args(hint)
+    if kind is UnionType:  # X | None
+        return None if value is None else _checked(value, arguments[0], key)
     if kind is Literal and isinstance(value, str) and value in arguments:
         return value
     if kind is tuple and isinstance(value, list | tuple):

@@ -22,6 +22,8 @@ MAX_CLASSES = 255  # ids are uint8, and one of them is NO_CLASS
 MAX_NAME_LENGTH = 64
 MIN_DEPTH_RANGE_M = 1.0  # bounds of max_depth_m
 MAX_DEPTH_RANGE_M = 10_000.0
+MIN_FOCAL_PX = 1.0  # bounds of a focal length: from tiny pictures to long telephoto lenses
+MAX_FOCAL_PX = 1_000_000.0
 
 #: The rules a file may name for each tensor; `runtime.resize` carries them out.
 #: "bilinear" takes the mean of the area along each side that shrinks, so that no pixel is skipped,
@@ -194,6 +196,19 @@ def check_max_depth(max_depth_m: object) -> float:
             f"got {max_depth_m!r:.80}"
         )
     return float(max_depth_m)
+
+
+def check_focal_length(focal_px: object, name: str) -> float:
+    """Give back a focal length in pixels; ValueError naming it if it is out of range."""
+    if (
+        not isinstance(focal_px, int | float)
+        or isinstance(focal_px, bool)
+        or not MIN_FOCAL_PX <= focal_px <= MAX_FOCAL_PX  # False for NaN
+    ):
+        raise ValueError(
+            f"{name} must be {MIN_FOCAL_PX:g} to {MAX_FOCAL_PX:g} pixels, got {focal_px!r:.80}"
+        )
+    return float(focal_px)
 
 
 def check_name(text: object, name: str) -> str:

@@ -148,7 +148,7 @@ def _train(
 
     steps, batch, parts = recipe.schedule.steps, recipe.data.batch_size, recipe.loop.accumulate
     per_step = parts * batch * processes.count
-    mixture = open_mixture(recipe.data, sources, length=steps * per_step)
+    mixture = open_mixture(recipe.data, sources, length=steps * per_step, model=recipe.model)
     loader = DataLoader(
         mixture,
         batch_size=batch,

@@ -28,6 +28,8 @@ def build_network(recipe: ModelRecipe, init: Path | None) -> Network:
         changes["boundary_gating"] = False
     if recipe.sparse_depth_gain != 1:
         changes["sparse_depth_gain"] = recipe.sparse_depth_gain
+    if recipe.canonical_focal_px is not None:
+        changes["canonical_focal_px"] = recipe.canonical_focal_px
     try:
         network = create_model(
             recipe.name,

@@ -12,7 +12,7 @@ from pydantic.dataclasses import dataclass
 
 from runtime.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
 from runtime.errors import InputError
-from training.datasets.class_mapping import ClassTable
+from training.datasets.class_mapping import ClassTable, list_classes
 from training.datasets.source import SourceRecipe, source_kinds
 from training.lidar.split import LidarInput
 from training.limits import (
@@ -22,6 +22,7 @@ from training.limits import (
     BatchSize,
     Count,
     DepthRange,
+    FocalLength,
     NotNegative,
     Positive,
     Seed,
@@ -69,6 +70,11 @@ class ModelRecipe:
 
     name: str
     max_depth_m: DepthRange = 100.0
+    #: Focal length of the canonical camera, see `models.NetworkConfig`: the network is trained on
+    #: depth * this / f, f the focal length of each picture as it sees it, magnification included.
+    #: A set that does not say its focal length counts as of the canonical camera before it is
+    #: magnified. None = plain metres.
+    canonical_focal_px: FocalLength | None = None
     #: The table of the class ids: a name in `models.CLASS_TABLES`, or one's own.
     classes: Annotated[
         Annotated[Literal["camvid", "cityscapes", "virtual_kitti"], Tag(_NAMED)]
@@ -93,6 +99,11 @@ class ModelRecipe:
         if twice:
             raise ValueError(f"classes has {twice[0]!r} twice")
 
+    def class_id(self, name: str) -> int | None:
+        """Return the id of the class of this name, in any case of its letters; None = no such."""
+        names = [info.name.lower() for info in list_classes(self.class_table)]
+        return names.index(name) if name in names else None
+
     @property
     def class_table(self) -> ClassTable:
         """What `classes` says, as networks and data sets take it."""
@@ -114,6 +125,9 @@ class DataRecipe:
     #: every time.
     cache_gib: NotNegative = 0.0
     seed: Seed = 0
+    #: Train depth to the far end of the range where the class is called "sky" and nothing was
+    #: measured.
+    sky_depth: bool = False
     #: Samples from which the class frequencies for the loss are counted.
     frequency_samples: Count = 400
 
@@ -230,7 +244,9 @@ class Recipe:
     terms: Annotated[str, Field(max_length=10_000)] = ""
 
     def __post_init__(self) -> None:
-        """Refuse a training without end, with a ValueError that names the key."""
+        """Refuse a training without end or without a sky, with a ValueError that names the key."""
+        if self.data.sky_depth and self.model.class_id("sky") is None:
+            raise ValueError("data.sky_depth needs a class called 'sky' in model.classes")
         samples = self.schedule.steps * self.data.batch_size * self.loop.accumulate
         if samples > MAX_SAMPLES:
             raise ValueError(

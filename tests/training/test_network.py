@@ -5,7 +5,8 @@ import math
 import pytest
 import torch
 
-from models import CLASS_TABLES, create_model, save_checkpoint
+from models import CLASS_TABLES, create_model, load_checkpoint, save_checkpoint
+from models.ssdnet_config import SSDNetConfig
 from runtime.errors import InputError
 from training.network import adjust_logits, build_network, train_parts
 from training.recipe import ModelRecipe
@@ -65,3 +66,22 @@ def test_only_some_parts_are_trained():
     assert all(module.training for module in network.modules())
     with pytest.raises(InputError, match=r"begins with 'deep'; it has stem, .*depth_decoder"):
         train_parts(network, ("depth_", "deep"))
+
+
+def test_canonical_focal_length_goes_from_the_recipe_into_the_checkpoint(tmp_path):
+    recipe = ModelRecipe("ssdnet-lite", canonical_focal_px=721.5)
+    network = build_network(recipe, None)
+    assert network.config.canonical_focal_px == 721.5
+    save_checkpoint(tmp_path / "a.pt", network)
+    assert load_checkpoint(tmp_path / "a.pt").model.config == network.config
+    plain = build_network(ModelRecipe("nconv"), None)
+    assert plain.config.canonical_focal_px is None
+    save_checkpoint(tmp_path / "b.pt", plain)
+    assert load_checkpoint(tmp_path / "b.pt").model.config == plain.config
+
+
+@pytest.mark.parametrize("focal", [0, -1.0, float("nan"), float("inf"), "721", True])
+def test_a_network_refuses_a_focal_length_that_no_camera_has(focal):
+    config = {**create_model("ssdnet-lite").config.to_dict(), "canonical_focal_px": focal}
+    with pytest.raises(ValueError, match="canonical_focal_px"):
+        SSDNetConfig.from_dict(config)

@@ -390,3 +390,22 @@ def test_values_out_of_range_are_refused_by_name(base, change):
     key = change.split(" = ")[0].split(".")[-1]
     with pytest.raises(InputError, match=rf"{key}(\[\d\])? = "):
         read_recipe(base / "base.toml", [change])
+
+
+def test_sky_needs_a_class_of_that_name(tmp_path):
+    text = MINIMAL.replace("batch_size = 4", "batch_size = 4\nsky_depth = true")
+    assert read(tmp_path, text).data.sky_depth
+    vkitti = text.replace('"ssdnet-lite"', '"ssdnet-lite"\nclasses = "virtual_kitti"', 1)
+    recipe = read(tmp_path, vkitti)  # there it is written "Sky"
+    assert recipe.model.class_table == "virtual_kitti"
+    assert recipe.model.class_id("sky") == 1
+    own = text.replace('"ssdnet-lite"', '"ssdnet-lite"\nclasses = [{name = "a", color = [0,0,0]}]')
+    with pytest.raises(InputError, match=r"data\.sky_depth needs a class called 'sky'"):
+        read(tmp_path, own)
+
+
+@pytest.mark.parametrize("value", ["0", "0.5", "-700.0", "inf", "nan", '"721"', "2e6"])
+def test_a_canonical_focal_length_is_a_positive_number_of_pixels(tmp_path, value):
+    key = f'"ssdnet-lite"\ncanonical_focal_px = {value}'
+    with pytest.raises(InputError, match=r"model\.canonical_focal_px"):
+        read(tmp_path, MINIMAL.replace('"ssdnet-lite"', key))

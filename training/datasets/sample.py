@@ -44,6 +44,13 @@ class Sample:
         """(height, width)."""
         return self.rgb.shape[0], self.rgb.shape[1]
 
+    @property
+    def focal_length_px(self) -> float | None:
+        """Focal length [px], the geometric mean of both axes; None without intrinsics."""
+        if self.intrinsics is None:
+            return None
+        return float(np.sqrt(self.intrinsics[0, 0] * self.intrinsics[1, 1]))
+
 
 class SampleSource(Protocol):
     """A data set: anything with a length that yields samples."""

@@ -118,10 +118,11 @@ def _score_all(
                 continue
             if frame.fed.any():
                 was_fed[lidar, fault] = True
-                answer = model.predict(sample.rgb, add_fault(frame.fed, fault, rng))
+                fed = add_fault(frame.fed, fault, rng)
+                answer = model.predict(sample.rgb, fed, sample.focal_length_px)
             else:
                 if camera_alone is None:
-                    camera_alone = model.predict(sample.rgb, frame.fed)
+                    camera_alone = model.predict(sample.rgb, frame.fed, sample.focal_length_px)
                 answer = camera_alone
             scores[lidar, fault].update(answer, frame)
     class_names = [info.name for info in model.classes]

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from models import CLASS_TABLES, load_checkpoint
+from runtime.canonical_focal import focal_length_at
 from runtime.contract import ClassInfo
 from runtime.errors import InputError, SSDNetError
 from runtime.network_size import NetworkSize, check_network_size, network_size
@@ -98,12 +99,16 @@ def open_model(
 def _at_network_size(predict: Predict, asked: NetworkSize, trained_height: int | None) -> Predict:
     """Let a predictor run at the size by the engine's rule, and answer at the frame's."""
 
-    def resized(rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32]) -> Answer:
+    def resized(
+        rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
+    ) -> Answer:
         frame_size = sparse_depth.shape
         size = network_size(asked, frame_size, trained_height=trained_height)
         if size == frame_size:
-            return predict(rgb, sparse_depth)
-        answer = predict(resize_image(rgb, size), move_returns(sparse_depth, size))
+            return predict(rgb, sparse_depth, focal_length_px)
+        if focal_length_px is not None:
+            focal_length_px = focal_length_at(size, focal_length_px, frame_size)
+        answer = predict(resize_image(rgb, size), move_returns(sparse_depth, size), focal_length_px)
         return Answer(
             **{
                 head: None if values is None else resize_answer(head, values, frame_size)
@@ -116,13 +121,15 @@ def _at_network_size(predict: Predict, asked: NetworkSize, trained_height: int |
 
 def fill_predict(fill: Fill) -> Predict:
     """Return a baseline, which needs the sparse depth alone, as a predictor."""
-    return lambda rgb, sparse_depth: Answer(None, fill(sparse_depth), None)
+    return lambda rgb, sparse_depth, focal_length_px: Answer(None, fill(sparse_depth), None)
 
 
 def engine_predict(predictor: Predictor) -> Predict:
     """Return the engine as a predictor; an answer that it calls invalid is an error."""
 
-    def predict(rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32]) -> Answer:
+    def predict(
+        rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
+    ) -> Answer:
         prediction = predictor.predict(rgb, sparse_depth)
         if not prediction.valid:
             raise SSDNetError(f"the model's answer is invalid: {', '.join(prediction.degraded)}.")

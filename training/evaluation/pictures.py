@@ -38,7 +38,8 @@ def draw_pictures(
             None,
         )
         drawn = [
-            overlay.draw(sample.rgb, answer) for answer in (predict(sample.rgb, frame.fed), truth)
+            overlay.draw(sample.rgb, answer)
+            for answer in (predict(sample.rgb, frame.fed, sample.focal_length_px), truth)
         ]
         height = max(picture.shape[0] for picture in drawn)
         padded = [

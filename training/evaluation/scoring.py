@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from models import Network
 from models.classes import CATEGORIES
+from runtime.canonical_focal import canonical_factor
 from runtime.errors import InputError
 from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import Processes
@@ -41,8 +42,9 @@ class Answer(NamedTuple):
 #: Name of the class that is scored against masks of the road.
 ROAD = "road"
 
-#: (rgb uint8 (H, W, 3), sparse_depth float32 (H, W) in metres) -> answer at the same size.
-Predict = Callable[[NDArray[np.uint8], NDArray[np.float32]], Answer]
+#: (rgb uint8 (H, W, 3), sparse_depth float32 (H, W) in metres, focal length in pixels of this
+#: picture or None = not known) -> answer at the same size, its depth in metres.
+Predict = Callable[[NDArray[np.uint8], NDArray[np.float32], float | None], Answer]
 
 
 def torch_predict(network: Network) -> Predict:
@@ -50,17 +52,21 @@ def torch_predict(network: Network) -> Predict:
     network.eval()
 
     @torch.inference_mode()
-    def predict(rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32]) -> Answer:
+    def predict(
+        rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
+    ) -> Answer:
         device = network.rgb_mean.device
+        factor = canonical_factor(network.config.canonical_focal_px, focal_length_px)
+        unit_m = network.config.max_depth_m / factor
         output = network(
             torch.from_numpy(rgb).to(device).permute(2, 0, 1)[None].float(),
-            torch.from_numpy(sparse_depth).to(device)[None, None],
+            torch.from_numpy(sparse_depth).to(device)[None, None] * factor,
         )
         semantic = depth = boundary = None
         if output.semantic_logits is not None:
             semantic = output.semantic_logits[0].argmax(0).to(torch.uint8).cpu().numpy()
         if output.depths is not None:
-            depth = (output.depths[0][0, 0].float() * network.config.max_depth_m).cpu().numpy()
+            depth = (output.depths[0][0, 0].float() * unit_m).cpu().numpy()
         if output.boundary_logits is not None:
             boundary = torch.sigmoid(output.boundary_logits)[0, 0].cpu().numpy()
         return Answer(semantic, depth, boundary)
@@ -189,7 +195,8 @@ def score(predict: Predict, frames: Iterable[LidarSplit], *, num_classes: int) -
     """Score a predictor on frames; missing heads and targets are left out."""
     scores = Scores(num_classes)
     for frame in frames:
-        scores.update(predict(frame.sample.rgb, frame.fed), frame)
+        sample = frame.sample
+        scores.update(predict(sample.rgb, frame.fed, sample.focal_length_px), frame)
     return scores
 
 

@@ -66,12 +66,27 @@ class AugmentConfig:
         require_window("scale", self.crop, self.scale)
 
 
-def augment(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
-    """Return a changed sample of size ``config.crop``, a pure function of its arguments."""
+def augment(
+    sample: Sample,
+    config: AugmentConfig,
+    rng: Generator,
+    *,
+    canonical_focal_px: float | None = None,
+) -> Sample:
+    """Return a changed sample of size ``config.crop``, a pure function of its arguments.
+
+    With ``canonical_focal_px`` its depth is canonical, see `canonical_depth`, whatever
+    ``config.scale_depth`` says.
+    """
+    if canonical_focal_px is not None:
+        # An unknown camera is taken for the canonical one, which came nearer.
+        config = replace(config, scale_depth=sample.intrinsics is None)
     sample = scale_and_crop(sample, config, rng)
     if rng.random() < config.flip:
         sample = flip(sample)
     sample = draw_lidar(sample, config, rng)
+    if canonical_focal_px is not None:
+        sample = canonical_depth(sample, canonical_focal_px)
     return replace(sample, rgb=change_colors(sample.rgb, config, rng))
 
 
@@ -103,6 +118,37 @@ def approach(sample: Sample, factor: float) -> Sample:
         sparse_depth=None if sparse_depth is None else sparse_depth / np.float32(factor),
         intrinsics=intrinsics,
     )
+
+
+def canonical_depth(sample: Sample, focal_px: float) -> Sample:
+    """Give all depth as the camera of this focal length [px] sees it: times ``focal_px`` / f.
+
+    A thing as large in the picture is then as far, whatever the camera (Yin et al. 2023, Metric3D,
+    Sec. 3.2, "CSTM label"). f is that of the picture as it is now. The intrinsics stay those of the
+    camera. Without intrinsics nothing changes.
+    """
+    focal = sample.focal_length_px
+    if focal is None:
+        return sample
+    factor, sparse_depth = np.float32(focal_px / focal), sample.sparse_depth
+    return replace(
+        sample,
+        depth=sample.depth * factor,
+        sparse_depth=None if sparse_depth is None else sparse_depth * factor,
+    )
+
+
+def far_sky(sample: Sample, sky: int, max_depth_m: float) -> Sample:
+    """Put the depth target of the class ``sky`` at the far end of the range.
+
+    Pixels where anything was measured keep what they have: labels made by a network err. Only
+    after the LiDAR was drawn, which sees no sky.
+    """
+    unmeasured = sample.depth == 0
+    if sample.sparse_depth is not None:
+        unmeasured &= sample.sparse_depth == 0
+    is_sky = unmeasured & (sample.semantic == sky)
+    return replace(sample, depth=np.where(is_sky, np.float32(max_depth_m), sample.depth))
 
 
 def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:

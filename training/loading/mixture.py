@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from training.datasets.sample import Sample, SampleSource
-from training.loading.augment import AugmentConfig, augment
+from training.loading.augment import AugmentConfig, augment, far_sky
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,18 @@ class MixturePart:
     augment: AugmentConfig
 
 
+@dataclass(frozen=True)
+class DepthTarget:
+    """What the network's depth stands for, see `models.NetworkConfig`; plain metres by default.
+
+    sky: the class whose depth is trained to ``max_depth_m``; None = no class
+    """
+
+    max_depth_m: float = 100.0
+    canonical_focal_px: float | None = None
+    sky: int | None = None
+
+
 class Mixture(Dataset[dict[str, Tensor | str]]):
     """``length`` augmented samples; the i-th is a pure function of the parts, seed, length and i.
 
@@ -28,11 +40,19 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
     worker processes. Within a set frames come in shuffled passes, each frame once a pass.
     """
 
-    def __init__(self, parts: Sequence[MixturePart], *, length: int, seed: int) -> None:
+    def __init__(
+        self,
+        parts: Sequence[MixturePart],
+        *,
+        length: int,
+        seed: int,
+        depth: DepthTarget | None = None,
+    ) -> None:
         if not parts or any(part.weight <= 0 for part in parts):
             raise ValueError("a mixture needs at least one data set, each with a positive weight")
         self._parts = list(parts)
         self._seed = seed
+        self._depth = depth or DepthTarget()
         weights = np.array([part.weight for part in parts], dtype=np.float64)
         rng = np.random.default_rng([seed, 0])
         self._part = rng.choice(len(parts), size=length, p=weights / weights.sum())
@@ -50,7 +70,16 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
     def __getitem__(self, index: int) -> dict[str, Tensor | str]:
         part = self._parts[self._part[index]]
         rng = np.random.default_rng([self._seed, 1, index])
-        return as_tensors(augment(part.source[int(self._frame[index])], part.augment, rng))
+        target = self._depth
+        sample = augment(
+            part.source[int(self._frame[index])],
+            part.augment,
+            rng,
+            canonical_focal_px=target.canonical_focal_px,
+        )
+        if target.sky is not None:
+            sample = far_sky(sample, target.sky, target.max_depth_m)
+        return as_tensors(sample)
 
 
 def as_tensors(sample: Sample) -> dict[str, Tensor | str]:

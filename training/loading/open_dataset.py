@@ -12,9 +12,9 @@ from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
 from training.datasets.source import SourceRecipe
 from training.loading.cache import CachedSource
-from training.loading.mixture import Mixture, MixturePart
+from training.loading.mixture import DepthTarget, Mixture, MixturePart
 from training.loading.resized import ResizedSource
-from training.recipe import DataRecipe
+from training.recipe import DataRecipe, ModelRecipe
 
 
 def open_dataset(
@@ -39,8 +39,17 @@ def _find_folder(recipe: SourceRecipe, roots: Sequence[Path]) -> Path:
     )
 
 
-def open_mixture(recipe: DataRecipe, sources: Sequence[SampleSource], *, length: int) -> Mixture:
-    """Join data sets in the recipe's proportions, with its augmentation and its memory."""
+def open_mixture(
+    recipe: DataRecipe,
+    sources: Sequence[SampleSource],
+    *,
+    length: int,
+    model: ModelRecipe | None = None,
+) -> Mixture:
+    """Join data sets in the recipe's proportions, with its augmentation and its memory.
+
+    ``model`` says what the network's depth stands for; None = metres, and no depth of the sky.
+    """
     share = recipe.cache_gib / (max(1, recipe.workers) * len(sources))
     parts = [
         MixturePart(
@@ -50,7 +59,11 @@ def open_mixture(recipe: DataRecipe, sources: Sequence[SampleSource], *, length:
         )
         for item, source in zip(recipe.source, sources, strict=True)
     ]
-    return Mixture(parts, length=length, seed=recipe.seed)
+    depth = None
+    if model is not None:
+        sky = model.class_id("sky") if recipe.sky_depth else None
+        depth = DepthTarget(model.max_depth_m, model.canonical_focal_px, sky)
+    return Mixture(parts, length=length, seed=recipe.seed, depth=depth)
 
 
 def count_pixels(

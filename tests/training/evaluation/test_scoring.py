@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-from models import SSDNet
+from models import SSDNet, SSDNetOutput
 from models.registry import NETWORKS
 from runtime.errors import InputError
 from training.datasets.sample import Sample
@@ -77,7 +78,8 @@ def test_a_lidar_that_the_set_cannot_give_is_refused():
 
 def figures(predict, frame=None):
     split = split_lidar(frame or sample())
-    return score(predict, [split], num_classes=11).figures([f"c{i}" for i in range(11)])
+    scores = score(lambda rgb, fed, _: predict(rgb, fed), [split], num_classes=11)
+    return scores.figures([f"c{i}" for i in range(11)])
 
 
 def test_truth_scores_full_marks():
@@ -172,7 +174,7 @@ def test_the_class_road_is_scored_against_a_mask_of_it():
     ids = np.full((60, 120), 8, np.uint8)
     ids[25:45] = 3
     split = split_lidar(frame)
-    scores = score(lambda rgb, fed: Answer(ids, None, None), [split], num_classes=11)
+    scores = score(lambda rgb, fed, _: Answer(ids, None, None), [split], num_classes=11)
     names = [f"c{i}" for i in range(11)]
     assert scores.figures(names) == {}
     assert scores.figures() == {}
@@ -197,8 +199,41 @@ def test_network_answers_at_the_frames_size_in_metres():
         max_depth_m=50.0,
     )
     network = SSDNet(small)
-    answer = torch_predict(network)(sample().rgb, sample().depth)
+    answer = torch_predict(network)(sample().rgb, sample().depth, None)
     assert answer.semantic.shape == answer.depth.shape == answer.boundary.shape == (60, 120)
     assert answer.semantic.dtype == np.uint8
     assert 1 < answer.depth.mean() < 49  # a sigmoid in the middle of 0..50 m
     assert not network.training
+
+
+def test_a_network_of_canonical_depth_sees_it_and_answers_in_metres():
+    """A fake network that answers what it is fed: the factor must come off again."""
+
+    class Copy(torch.nn.Module):
+        config = replace(NETWORKS["ssdnet-lite"].config, canonical_focal_px=450.0)
+        rgb_mean = torch.zeros(1)
+
+        def forward(self, rgb, sparse_depth):
+            self.fed = sparse_depth
+            return SSDNetOutput(depths=(sparse_depth / 100,))
+
+    network, truth = Copy(), sample()
+    for focal, factor in ((300.0, 1.5), (900.0, 0.5), (None, 1.0)):
+        answer = torch_predict(network)(truth.rgb, truth.depth, focal)
+        np.testing.assert_allclose(network.fed[0, 0], truth.depth * np.float32(factor))
+        np.testing.assert_allclose(answer.depth, truth.depth, rtol=1e-6)
+    network.config = replace(network.config, canonical_focal_px=None)
+    torch_predict(network)(truth.rgb, truth.depth, 300.0)
+    np.testing.assert_array_equal(network.fed[0, 0], truth.depth)
+
+
+def test_frames_are_scored_with_their_own_focal_length():
+    seen = []
+
+    def predict(rgb, fed, focal_length_px):
+        seen.append(focal_length_px)
+        return Answer(None, sample().depth, None)
+
+    frames = [split_lidar(sample(), "random:0.1"), split_lidar(sample(intrinsics=None), "none")]
+    score(predict, frames, num_classes=11)
+    assert seen == [300.0, None]

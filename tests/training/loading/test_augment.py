@@ -11,9 +11,11 @@ from training.datasets.sample import IGNORE, Sample
 from training.loading.augment import (
     AugmentConfig,
     augment,
+    canonical_depth,
     change_colors,
     cut,
     draw_lidar,
+    far_sky,
     flip,
     resize,
     scale_and_crop,
@@ -309,3 +311,67 @@ def test_gray_takes_the_colour_away():
     assert np.abs(out - out[..., :1]).max() <= 1
     expected = cv2.cvtColor(plane().rgb, cv2.COLOR_RGB2GRAY)
     assert np.abs(out[..., 0] - expected).max() <= 2
+
+
+def test_what_is_magnified_has_its_canonical_depth_divided():
+    """A picture twice as large of the same camera: the same thing at half the canonical depth."""
+    sample = recorded_beside_its_target()
+    large = resize(sample, (96, 128))
+    assert large.intrinsics[0, 0] == 2 * sample.intrinsics[0, 0]
+    now, then = canonical_depth(sample, 100.0), canonical_depth(large, 100.0)
+    np.testing.assert_array_equal(now.depth, sample.depth * 2)  # f = 50
+    np.testing.assert_array_equal(then.depth, move_returns(now.depth, (96, 128)) / 2)
+    np.testing.assert_array_equal(then.sparse_depth, move_returns(now.sparse_depth, (96, 128)) / 2)
+    np.testing.assert_array_equal(then.intrinsics, large.intrinsics)
+
+
+def test_canonical_focal_length_is_the_mean_of_both_axes():
+    sample = replace(plane(), intrinsics=np.diag([40.0, 90.0, 1.0]))
+    assert sample.focal_length_px == pytest.approx(60.0)
+    np.testing.assert_allclose(canonical_depth(sample, 30.0).depth, sample.depth / 2)
+    unknown = replace(sample, intrinsics=None)
+    assert unknown.focal_length_px is None
+    assert canonical_depth(unknown, 30.0) is unknown
+
+
+@pytest.mark.parametrize("scale_depth", [False, True])
+@pytest.mark.parametrize(("known", "factor"), [(True, 200 / (50 * 2)), (False, 1 / 2)])
+def test_augmented_samples_are_in_canonical_depth(known, factor, scale_depth):
+    """Magnified by 2, of 50 px or as if of 200 px: all depth is as the canonical camera's."""
+    sample = recorded_beside_its_target()
+    if not known:
+        sample = replace(sample, intrinsics=None)
+    config = AugmentConfig(crop=(32, 32), scale=(2.0, 2.0), lidar_missing=0, lidar_random=0)
+    metres = augment(sample, config, np.random.default_rng(3))
+    config = replace(config, scale_depth=scale_depth)
+    canonical = augment(sample, config, np.random.default_rng(3), canonical_focal_px=200.0)
+    assert metres.depth.any()
+    assert metres.sparse_depth.any()
+    np.testing.assert_allclose(canonical.depth, metres.depth * factor, rtol=1e-6)
+    np.testing.assert_allclose(canonical.sparse_depth, metres.sparse_depth * factor, rtol=1e-6)
+    np.testing.assert_array_equal(canonical.rgb, metres.rgb)
+
+
+def test_the_lidar_is_drawn_in_metres_whatever_the_canonical_camera():
+    """A wall at 60 m, drawn before the factor: a LiDAR of 85 m sees it at 240 canonical metres."""
+    sample = replace(plane(), depth=np.full((48, 64), 60, np.float32))
+    config = AugmentConfig(crop=(48, 64), scale=(1.0, 1.0), lidar_missing=0, lidar_random=0)
+    out = augment(sample, config, np.random.default_rng(0), canonical_focal_px=200.0)
+    seen = out.sparse_depth[out.sparse_depth > 0]
+    assert len(seen) > 50
+    np.testing.assert_allclose(seen, 240, atol=1)
+
+
+def test_sky_is_far_where_nothing_was_measured():
+    depth = np.array([[0, 0, 7, 0, 0]], np.float32)
+    fed = np.array([[0, 0, 0, 5, 0]], np.float32)
+    semantic = np.array([[4, 4, 4, 4, 3]], np.uint8)
+    sample = Sample(np.zeros((1, 5, 3), np.uint8), depth, semantic, None, "sky", fed)
+    out = far_sky(sample, 4, 80.0)
+    assert out.depth.tolist() == [[80, 80, 7, 0, 0]]
+    assert out.depth.dtype == np.float32
+    assert out.sparse_depth is fed
+    assert depth.tolist() == [[0, 0, 7, 0, 0]]
+    assert far_sky(replace(sample, sparse_depth=None), 4, 80.0).depth.tolist() == [
+        [80, 80, 7, 80, 0]
+    ]

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 import torch
 
+from training.datasets.camvid import CamVidRecipe
 from training.datasets.sample import Sample
 from training.loading.augment import AugmentConfig
-from training.loading.mixture import Mixture, MixturePart, as_tensors
+from training.loading.mixture import DepthTarget, Mixture, MixturePart, as_tensors
+from training.loading.open_dataset import open_mixture
+from training.recipe import DataRecipe, ModelRecipe
 
 
 class Numbered:
@@ -70,3 +73,45 @@ def test_a_target_is_never_fed_where_no_input_was_drawn():
     assert sample.sparse_depth is None
     with pytest.raises(ValueError, match="draw_lidar"):
         as_tensors(sample)
+
+
+class Street:
+    """One frame: the upper half sky, class 0, the lower a road, class 3, at 20 m; f = 50 px."""
+
+    def __len__(self):
+        return 1
+
+    def __getitem__(self, index):
+        depth = np.zeros((40, 40), np.float32)
+        depth[20:] = 20
+        semantic = np.where(depth > 0, 3, 0).astype(np.uint8)
+        intrinsics = np.array([[50.0, 0, 20], [0, 50.0, 20], [0, 0, 1]])
+        return Sample(np.zeros((40, 40, 3), np.uint8), depth, semantic, intrinsics, "street")
+
+
+def drawn(data, model):
+    config = AugmentConfig(crop=(40, 40), scale=(1.0, 1.0), lidar_missing=0)
+    recipe = DataRecipe((CamVidRecipe(path="street"),), augment=config, **data)
+    sample = open_mixture(recipe, [Street()], length=1, model=model)[0]
+    return {name: set(sample[name].unique().tolist()) for name in ("depth", "sparse_depth")}
+
+
+def test_the_recipe_says_what_the_depth_stands_for():
+    plain = drawn({}, ModelRecipe("ssdnet-lite"))
+    assert plain["depth"] == {0, 20}
+    # Far in the target only: no LiDAR measures the sky.
+    far = drawn({"sky_depth": True}, ModelRecipe("ssdnet-lite", max_depth_m=90.0))
+    assert far["depth"] == {20, 90}
+    assert far["sparse_depth"] == plain["sparse_depth"]
+    # The far end is that of the canonical range.
+    both = drawn({"sky_depth": True}, ModelRecipe("ssdnet-lite", canonical_focal_px=75.0))
+    assert both["depth"] == {30, 100}
+    assert 28 < max(both["sparse_depth"]) < 32
+
+
+def test_without_a_word_depth_is_in_metres():
+    part = MixturePart(Street(), 1.0, AugmentConfig(crop=(40, 40), scale=(2.0, 2.0)))
+    assert Mixture([part], length=1, seed=0)[0]["depth"].max() == 20
+    target = DepthTarget(canonical_focal_px=50.0)
+    canonical = Mixture([part], length=1, seed=0, depth=target)[0]
+    assert canonical["depth"].max() == 10
