@@ -127,7 +127,12 @@ def _train(
     if recipe.loop.channels_last:
         network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     synchronise_batch_norm(network, processes)
-    criterion = SSDNetLoss(recipe.loss, weights, max_depth_m=network.config.max_depth_m).to(device)
+    criterion = SSDNetLoss(
+        recipe.loss,
+        weights,
+        max_depth_m=network.config.max_depth_m,
+        road=recipe.model.class_id("road"),
+    ).to(device)
     optimizer = build_optimizer(recipe.optimizer, network, criterion)
     scaler = torch.amp.GradScaler(device.type, enabled=recipe.loop.autocast == "fp16")
     # Buffers are averaged too: batch statistics must fit the averaged weights.
@@ -348,6 +353,7 @@ def _compute_loss(
         samples["semantic"].to(device, non_blocking=True),
         samples["depth"].to(device, non_blocking=True),
         semantic_weight=samples["semantic_weight"].to(device, non_blocking=True),
+        road_mask=samples["road_mask"].to(device, non_blocking=True),
     )
     return terms
 

@@ -244,9 +244,11 @@ class Recipe:
     terms: Annotated[str, Field(max_length=10_000)] = ""
 
     def __post_init__(self) -> None:
-        """Refuse a training without end or without a sky, with a ValueError that names the key."""
+        """Refuse a training without end, or of classes that are not there, by a ValueError."""
         if self.data.sky_depth and self.model.class_id("sky") is None:
             raise ValueError("data.sky_depth needs a class called 'sky' in model.classes")
+        if self.loss.road_weight and self.model.class_id("road") is None:
+            raise ValueError("loss.road_weight needs a class called 'road' in model.classes")
         samples = self.schedule.steps * self.data.batch_size * self.loop.accumulate
         if samples > MAX_SAMPLES:
             raise ValueError(

@@ -409,3 +409,11 @@ def test_a_canonical_focal_length_is_a_positive_number_of_pixels(tmp_path, value
     key = f'"ssdnet-lite"\ncanonical_focal_px = {value}'
     with pytest.raises(InputError, match=r"model\.canonical_focal_px"):
         read(tmp_path, MINIMAL.replace('"ssdnet-lite"', key))
+
+
+def test_a_mask_of_the_road_needs_a_class_of_that_name(tmp_path):
+    text = MINIMAL + "[loss]\nroad_weight = 0.5"
+    assert read(tmp_path, text).loss.road_weight == 0.5
+    own = text.replace('"ssdnet-lite"', '"ssdnet-lite"\nclasses = [{name = "a", color = [0,0,0]}]')
+    with pytest.raises(InputError, match=r"loss\.road_weight needs a class called 'road'"):
+        read(tmp_path, own)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
-from training.datasets.sample import Sample, SampleSource
+from training.datasets.sample import IGNORE, Sample, SampleSource
 from training.loading.augment import AugmentConfig, augment, far_sky
 
 
@@ -86,15 +86,20 @@ def as_tensors(sample: Sample) -> dict[str, Tensor | str]:
     """Turn a sample into what the loop batches.
 
     rgb uint8 (3, H, W); sparse_depth and depth float32 (1, H, W), metres; semantic int64 (H, W);
-    semantic_weight float32 (); name. Raises ValueError for a sample without an input.
+    semantic_weight float32 (); road_mask uint8 (H, W), 255 = unknown; name. Raises
+    ValueError for a sample without an input.
     """
     if sample.sparse_depth is None:
         raise ValueError(f"{sample.name} has no sparse_depth; draw one with augment.draw_lidar")
+    road_mask = sample.road_mask
+    if road_mask is None:
+        road_mask = np.full(sample.size, IGNORE, dtype=np.uint8)
     return {
         "rgb": torch.from_numpy(np.ascontiguousarray(sample.rgb.transpose(2, 0, 1))),
         "sparse_depth": torch.from_numpy(sample.sparse_depth[None]),
         "depth": torch.from_numpy(sample.depth[None]),
         "semantic": torch.from_numpy(sample.semantic.astype(np.int64)),
         "semantic_weight": torch.tensor(sample.semantic_weight, dtype=torch.float32),
+        "road_mask": torch.from_numpy(road_mask),
         "name": sample.name,
     }

@@ -32,6 +32,7 @@ from training.losses.joint import (
     soft_disagreement,
 )
 from training.losses.lovasz import lovasz_softmax_loss, picture_mean
+from training.losses.road import road_loss
 from training.losses.semantic import (
     IGNORE,
     ClassWeighting,
@@ -47,6 +48,7 @@ TERMS: Mapping[str, frozenset[Head]] = {
     "semantic": frozenset({"semantic"}),
     "semantic_iou": frozenset({"semantic"}),
     "lovasz": frozenset({"semantic"}),
+    "road": frozenset({"semantic"}),
     "boundary": frozenset({"boundary"}),
     "side_boundary": frozenset({"boundary"}),
     "semantic_boundary": frozenset({"semantic", "boundary"}),
@@ -75,6 +77,8 @@ class LossConfig:
     semantic_iou_weight: float = 0.0
     #: Lovász-Softmax of each picture (Berman et al. 2018); ENet with it is the paper's ENet_LSloss.
     lovasz_weight: float = 0.0
+    #: The class "road" against masks of it, where a set has no other labels; not the paper's.
+    road_weight: float = 0.0
 
     #: "fixed": the weights above, as in the paper. "uncertainty": each is multiplied by a factor
     #: that is learned along with the network (Kendall et al. 2018, the paper's reference 35).
@@ -134,7 +138,8 @@ class SSDNetLoss(nn.Module):
     """Eq. 12: the weighted sum of the losses of every task and of the joint ones, all means.
 
     `class_weights` float (C,), see `training.losses.class_weights`; None = every class alike.
-    `max_depth_m` is the depth that the network's normalised 1.0 stands for.
+    `max_depth_m` is the depth that the network's normalised 1.0 stands for; `road` the id of the
+    class that masks of the road are about, None = there is none.
     """
 
     class_weights: Tensor | None
@@ -147,9 +152,11 @@ class SSDNetLoss(nn.Module):
         class_weights: Tensor | None = None,
         *,
         max_depth_m: float,
+        road: int | None = None,
     ) -> None:
         super().__init__()
         self.config = config
+        self.road = road
         self.max_depth_m = max_depth_m
         self.register_buffer("class_weights", class_weights, persistent=False)
         learned = tuple(TERMS) if config.weighting == "uncertainty" else ()
@@ -163,6 +170,7 @@ class SSDNetLoss(nn.Module):
         semantic: Tensor,
         depth: Tensor,
         semantic_weight: Tensor | None = None,
+        road_mask: Tensor | None = None,
     ) -> dict[str, Tensor]:
         """Return every term by name, not yet weighted, and their weighted sum as "total"; all ().
 
@@ -172,10 +180,10 @@ class SSDNetLoss(nn.Module):
 
         `semantic` int64 (N, H, W), 255 = none. `depth` float32 (N, 1, H, W) [m]; 0, not finite
         or beyond `max_depth_m` = none. `semantic_weight` float (N,): how much each sample's labels
-        count in Eq. 5 and 6, below 1 for labels made by a network. Samples may lack either target
-        altogether. Names: those of `TERMS` (depth, semantic, semantic_iou, lovasz, boundary,
-        side_boundary, semantic_boundary, semantic_depth); those of weight 0, and those that need a
-        head that the network lacks, are left out. Computed in float32 whatever the network was
+        count in Eq. 5 and 6, below 1 for labels made by a network. `road_mask` uint8 (N, H,
+        W), see `road_loss`; None = nothing known. Samples may lack any target altogether. Names:
+        those of `TERMS`; those of weight 0, and those that need a head that the network lacks, are
+        left out. Computed in float32 whatever the network was
         computed in. Raises ValueError on targets of another size.
         """
         answer = _any_answer(output)
@@ -188,6 +196,7 @@ class SSDNetLoss(nn.Module):
         terms = self._boundary_terms(output, semantic, semantic_weight)
         terms |= self._depth_terms(output, depth)
         terms |= self._semantic_terms(output, semantic, semantic_weight)
+        terms |= self._road_terms(output, road_mask)
         weighted = [self._weigh(name, term) for name, term in terms.items()]
         # Without any term the total is still a 0 that can be differentiated.
         anchor = torch.nan_to_num(answer[0, 0, 0, 0].float(), posinf=0, neginf=0)
@@ -249,6 +258,12 @@ class SSDNetLoss(nn.Module):
         scales = output.depths if config.depth_scales == "mean" else output.depths[:1]
         target, valid = normalise_depth(depth, self.max_depth_m)
         return {"depth": multi_scale_depth_loss(scales, target, valid, criterion)}
+
+    def _road_terms(self, output: SSDNetOutput, road_mask: Tensor | None) -> dict[str, Tensor]:
+        logits = output.semantic_logits
+        if logits is None or road_mask is None or self.road is None or not self.config.road_weight:
+            return {}
+        return {"road": road_loss(logits.float(), road_mask, self.road)}
 
     def _semantic_terms(
         self, output: SSDNetOutput, semantic: Tensor, semantic_weight: Tensor | None

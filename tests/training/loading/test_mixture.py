@@ -1,5 +1,7 @@
 """The mixture is reproducible from any sample on and keeps its proportions."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -115,3 +117,12 @@ def test_without_a_word_depth_is_in_metres():
     target = DepthTarget(canonical_focal_px=50.0)
     canonical = Mixture([part], length=1, seed=0, depth=target)[0]
     assert canonical["depth"].max() == 10
+
+
+def test_masks_of_the_road_go_along():
+    sample = replace(Street()[0], sparse_depth=np.zeros((40, 40), np.float32))
+    assert (as_tensors(sample)["road_mask"] == 255).all()
+    mask = np.where(np.arange(40)[:, None] < 20, 0, 1) * np.ones((40, 40), np.uint8)
+    tensors = as_tensors(replace(sample, road_mask=mask.astype(np.uint8)))
+    assert tensors["road_mask"].dtype == torch.uint8
+    assert tensors["road_mask"].tolist() == mask.tolist()

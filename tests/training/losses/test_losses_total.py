@@ -17,6 +17,7 @@ from training.losses.joint import (
     soft_disagreement,
 )
 from training.losses.lovasz import lovasz_softmax_loss
+from training.losses.road import road_loss
 from training.losses.semantic import soft_iou_loss, soft_overlap, weighted_cross_entropy
 
 ALL_OFF = {
@@ -339,3 +340,17 @@ def test_learned_weighting_leaves_alone_what_has_no_targets():
     criterion(answer(parts), semantic, torch.zeros_like(depth))["total"].backward()
     assert criterion.log_variances["depth"].grad.item() == 0
     assert criterion.log_variances["semantic"].grad.item() != 0
+
+
+def test_masks_of_the_road_count_by_their_weight():
+    semantic, depth = targets()
+    mask = torch.ones(semantic.shape, dtype=torch.uint8)
+    config = replace(LossConfig(), road_weight=2.0)
+    given = {"max_depth_m": 100.0, "road": 1}
+    terms = SSDNetLoss(config, **given)(answer(leaves()), semantic, depth, road_mask=mask)
+    without = SSDNetLoss(LossConfig(), **given)(answer(leaves()), semantic, depth, road_mask=mask)
+    assert "road" not in without
+    expected = road_loss(answer(leaves()).semantic_logits, mask, 1)
+    torch.testing.assert_close(terms["road"], expected)
+    torch.testing.assert_close(terms["total"], without["total"] + 2 * expected)
+    assert "road" not in SSDNetLoss(config, **given)(answer(leaves()), semantic, depth)
