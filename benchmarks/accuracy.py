@@ -1,6 +1,6 @@
 """Accuracy of an exported model through the engine itself, beside classical baselines.
 
-    python benchmarks/accuracy.py --data DIR [--data DIR ...] [--model model.onnx] [--json OUT]
+    python benchmarks/accuracy.py --data DIR [--data DIR ...] [--model NAME|PATH] [--json OUT]
 
 Scores whatever it finds below the --data folders: `camvid` (val; RGB only, no depth given),
 `kitti_stream` (frames 50-59; every second scan line fed, the others scored) and `rendered/val`
@@ -38,7 +38,7 @@ def main() -> None:
     """Print a table a set."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, action="append", required=True)
-    parser.add_argument("--model", type=Path, help="ONNX file; the bundled one by default")
+    parser.add_argument("--model", help="bundled model or ONNX file; ssdnet-lite by default")
     parser.add_argument("--json", type=Path, help="write the figures here, too")
     arguments = parser.parse_args()
     figures = {}

@@ -31,6 +31,7 @@ from export.exporter import export_checkpoint
 from models import create_model, save_checkpoint
 from runtime import Predictor
 from runtime.atomic_write import atomic_write
+from runtime.bundled_models import find_model, list_bundled_models
 from runtime.resize import move_returns
 from runtime.stream.bundled import bundled_stream
 from runtime.stream.frames import FrameFiles, list_frames, read_frame
@@ -94,7 +95,7 @@ def main() -> None:
 
 
 def measure(
-    model: Path | None,
+    model: Path,
     size: tuple[int, int],
     scratch: Path,
     *,
@@ -173,10 +174,10 @@ def _timed(call: Callable[[], object]) -> tuple[float, float]:
     return time.perf_counter() - started, time.process_time() - worked
 
 
-def _model(name: str, scratch: Path) -> Path | None:
-    """Return the bundled lite, or an export of random weights, which run as fast as trained."""
-    if name == "ssdnet-lite":
-        return None
+def _model(name: str, scratch: Path) -> Path:
+    """Return a bundled model, or an export of random weights, which run as fast as trained."""
+    if name in list_bundled_models():
+        return find_model(name)
     checkpoint, onnx = scratch / f"{name}.pt", scratch / f"{name}.onnx"
     save_checkpoint(checkpoint, create_model(name).eval())
     export_checkpoint(checkpoint, onnx, dynamic=True)

@@ -26,6 +26,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=2000)
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--model", help="bundled model or ONNX file; ssdnet-lite by default")
     arguments = parser.parse_args()
     process = psutil.Process()
     part = max(1, arguments.frames // 10)
@@ -35,7 +36,7 @@ def main() -> None:
 
     with (
         tempfile.TemporaryDirectory() as scratch,
-        Predictor(size="frame", threads=arguments.threads) as engine,
+        Predictor(arguments.model, size="frame", threads=arguments.threads) as engine,
     ):
         files = list_frames(*bundled_stream())
         frames = [read_frame(pair, depth_scale=256.0) for pair in files]

@@ -1,6 +1,6 @@
 """How the depth of a network that ran small comes back to the frame's size: ways side by side.
 
-    python benchmarks/upsampling.py --data DIR/kitti_streets [--every 4] [--model model.onnx]
+    python benchmarks/upsampling.py --data DIR/kitti_streets [--every 4] [--model NAME|PATH]
 
 Every frame is brought to fewer rows, the network runs there, and its depth is brought back in each
 way and scored on the semi-dense truth. "enlarged" frames are magnified first, as a stand-in for a
@@ -136,7 +136,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, required=True, help="folder kitti_streets")
     parser.add_argument("--every", type=int, default=4, help="take every so many frames")
-    parser.add_argument("--model", type=Path, help="ONNX file of free size; the bundled by default")
+    parser.add_argument("--model", help="bundled model or ONNX file; ssdnet-lite by default")
     parser.add_argument("--threads", type=int, default=2, help="of the network")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)

@@ -15,6 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from runtime.bundled_models import list_bundled_models
     from runtime.contract import ClassInfo, Contract
     from runtime.errors import (
         CheckpointError,
@@ -49,6 +50,7 @@ _MODULES = {
     "Predictor": "runtime.predictor",
     "ProviderError": "runtime.errors",
     "SSDNetError": "runtime.errors",
+    "list_bundled_models": "runtime.bundled_models",
     "project_points": "runtime.projection",
 }
 
@@ -69,6 +71,7 @@ __all__ = [
     "ProviderError",
     "SSDNetError",
     "__version__",
+    "list_bundled_models",
     "project_points",
 ]
 

@@ -138,7 +138,7 @@ def _read(path: Path) -> bytes:
         reason = getattr(error, "strerror", None) or error
         raise ContractError(
             f"cannot read the model {str(path)[:200]!r} ({reason}): name an ONNX file made by "
-            "ssdnet-export, or none for the bundled model"
+            "ssdnet-export, or one of the bundled models"
         ) from error
     if not content:
         raise ContractError(f"the model {path} is an empty file: get it again")

@@ -1,21 +1,19 @@
 """The engine: one model, one verb."""
 
 import operator
-import os
 import time
 from collections.abc import Sequence
-from importlib import resources
 from os import PathLike
-from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.bundled_models import find_model
 from runtime.contract import Contract, check_size
 from runtime.cores import available_cores
-from runtime.errors import ContractError, InferenceError, InputError
+from runtime.errors import InferenceError, InputError
 from runtime.model_file import load_model_file
 from runtime.network_size import NetworkSize, check_network_size, network_size
 from runtime.postprocess import postprocess
@@ -24,14 +22,14 @@ from runtime.preprocess import preprocess
 from runtime.session import node_counts, open_session
 from runtime.signature import check_outputs, read_signature
 
-BUNDLED_MODEL = "ssdnet-lite.onnx"
 _MOST_THREADS = 1024
 
 
 class Predictor:
     """Run a model of the contract: one picture and one sparse depth map in, three answers out.
 
-    model: an ONNX file made by ssdnet-export; None = the bundled model
+    model: an ONNX file made by ssdnet-export, or the name of a bundled model ("ssdnet-lite"), see
+        `find_model`; None = ssdnet-lite
     sha256: digest that the file must have, 64 hexadecimal digits; None = any
     provider: "cpu" or "cuda"; what is asked for is what runs
     device_id: which GPU
@@ -79,7 +77,7 @@ class Predictor:
         warmup = _require_count("warmup", warmup, at_least=0)
         device_id = _require_count("device_id", device_id, at_least=0)
         started = time.perf_counter()
-        path = _model_path(model)
+        path = find_model(model)
         file = load_model_file(path, sha256=sha256)
         self.model, self.digest, self.contract = str(path), file.sha256, file.contract
         self.provider = provider
@@ -223,24 +221,6 @@ def _require_count(name: str, value: Any, *, at_least: int, at_most: int = 2**31
             f"{name} must be a whole number of at least {at_least}{limit}, got {value!r}"
         )
     return count
-
-
-def _model_path(model: str | bytes | PathLike[str] | None) -> Path:
-    if model is None:
-        bundled = resources.files("runtime") / "assets" / BUNDLED_MODEL
-        if not bundled.is_file():
-            raise ContractError(
-                f"the bundled model {bundled} is missing: install ssdnet again, or name a model "
-                "made by ssdnet-export"
-            )
-        return Path(str(bundled))
-    try:
-        return Path(os.fsdecode(model))
-    except TypeError as error:
-        raise InputError(
-            f"model must be a path, got {type(model).__name__}: name an ONNX file, or none for "
-            "the bundled model"
-        ) from error
 
 
 def _ms_since(started: float) -> float:

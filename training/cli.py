@@ -45,8 +45,8 @@ def train(
     init: Annotated[
         str | None,
         typer.Option(
-            help="Weights to start from: 'ssdnet-lite', or a file: what ends in .pt or holds a "
-            "slash."
+            help="Weights to start from: by name those that are installed (ssdnet-lite), or a "
+            "file: what ends in .pt or holds a slash."
         ),
     ] = None,
     change: Annotated[

@@ -19,6 +19,7 @@ import typer
 
 from runtime import __version__
 from runtime.atomic_write import atomic_write
+from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.command import ERROR, SIGNALS, end_now, reported_errors
 from runtime.errors import InputError, OutputError, SSDNetError
 from runtime.network_size import NetworkSize, parse_network_size
@@ -75,7 +76,12 @@ def run(
     ] = None,
     demo: Annotated[bool, typer.Option("--demo", help="Run the bundled stream.")] = False,
     model: Annotated[
-        Path | None, typer.Option(help="ONNX file made by ssdnet-export. [default: bundled]")
+        str | None,
+        typer.Option(
+            metavar="NAME|PATH",
+            help=f"A bundled model ({', '.join(list_bundled_models())}), or an ONNX file made by "
+            f"ssdnet-export: what ends in .onnx or holds a folder. [default: {DEFAULT_MODEL}]",
+        ),
     ] = None,
     sha256: Annotated[
         str | None, typer.Option(help="SHA-256 that the model file must have. [default: any]")

@@ -1,80 +1,93 @@
-"""The bundled model's answers on the bundled stream are pinned: a change of any is seen.
+"""The bundled models' answers on the bundled stream are pinned: a change of any is seen.
 
-The references lie in `replay/`: each head of all frames, thinned and one below the other. After a
-change that is meant to change them (a new bundled model, say) look at the answers, then write anew:
+The references lie in `replay/MODEL/`: each head of all frames, thinned and one below the other.
+After a change that is meant to change them (new weights or another bundled model, say) look at the
+answers, then write anew those of all models, or of some:
 
-    python tests/runtime/test_bundled_replay.py
+    python tests/runtime/test_bundled_replay.py [MODEL ...]
 """
 
+import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from runtime import Predictor
+from runtime import Prediction, Predictor, list_bundled_models
 from runtime.stream.bundled import bundled_stream
 from runtime.stream.frames import list_frames, read_frame
 
 REFERENCES = Path(__file__).parent / "replay"
-#: Every so many rows and columns; units of the PNG a metre and of a probability of 1.
-SEMANTIC_STEP, MAP_STEP = 4, 8
-DEPTH_SCALE, BOUNDARY_SCALE = 256, 255
+#: Every so many rows and columns of a head.
+STEPS = {"semantic": 4, "depth": 8, "boundary": 8, "depth_uncertainty": 8}
+#: Units of a head's PNG a metre and of a probability of 1.
+SCALES = {"depth": 256, "boundary": 255, "depth_uncertainty": 256}
 # Room for the rounding of other processors and ONNX Runtimes, and no more.
 SAME_CLASS = 0.999
-DEPTH_TOLERANCE = 0.005  # of the depth, and a centimetre
+METRES_TOLERANCE = 0.005  # of the depth or its uncertainty, and a centimetre
 BOUNDARY_TOLERANCE = 0.01
 
 
-def replay() -> dict[str, np.ndarray]:
+def replay(model: str) -> dict[str, np.ndarray]:
     """Head -> the answers for all frames, thinned, one below the other, as its PNG holds them."""
-    with Predictor() as predictor:
+    with Predictor(model) as predictor:
+        heads = predictor.heads
         predictions = []
         for files in list_frames(*bundled_stream()):
             frame = read_frame(files, depth_scale=256.0)
             predictions.append(predictor.predict(frame.rgb, frame.sparse_depth))
     assert all(item.valid and not item.degraded for item in predictions)
-    thin = np.s_[MAP_STEP // 2 :: MAP_STEP, MAP_STEP // 2 :: MAP_STEP]
-    semantic = np.vstack([p.semantic[::SEMANTIC_STEP, ::SEMANTIC_STEP] for p in predictions])
-    depth = np.vstack([p.depth[thin] for p in predictions])
-    boundary = np.vstack([p.boundary[thin] for p in predictions])
-    return {
-        "semantic": semantic,
-        "depth": np.rint(depth * DEPTH_SCALE).astype(np.uint16),
-        "boundary": np.rint(boundary * BOUNDARY_SCALE).astype(np.uint8),
-    }
+    return {head: np.vstack([thinned(item, head) for item in predictions]) for head in heads}
 
 
-@pytest.fixture(scope="module")
-def answers() -> dict[str, np.ndarray]:
-    return replay()
+def thinned(prediction: Prediction, head: str) -> np.ndarray:
+    """A head's pixels that are pinned, in the units of its PNG."""
+    step = STEPS[head]
+    values = getattr(prediction, head)[step // 2 :: step, step // 2 :: step]
+    if head not in SCALES:
+        return values
+    kind = np.uint8 if head == "boundary" else np.uint16
+    return np.rint(np.minimum(values * SCALES[head], np.iinfo(kind).max)).astype(kind)
 
 
-def reference(head: str) -> np.ndarray:
-    return cv2.imread(str(REFERENCES / f"{head}.png"), cv2.IMREAD_UNCHANGED)
+@pytest.fixture(scope="module", params=list_bundled_models())
+def answers(request) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Of one model: head -> the answers now, and those pinned."""
+    now, folder = replay(request.param), REFERENCES / request.param
+    pinned = {path.stem: cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in folder.iterdir()}
+    assert now.keys() == pinned.keys(), f"pin {request.param} with python {__file__}"
+    return now, pinned
 
 
 def test_classes_are_those_pinned(answers):
-    pinned = reference("semantic")
-    assert answers["semantic"].shape == pinned.shape
-    assert (answers["semantic"] == pinned).mean() >= SAME_CLASS
+    now, pinned = (part["semantic"] for part in answers)
+    assert now.shape == pinned.shape
+    assert (now == pinned).mean() >= SAME_CLASS
 
 
-def test_depth_is_that_pinned(answers):
-    pinned = reference("depth").astype(np.float64) / DEPTH_SCALE
-    error_m = np.abs(answers["depth"] / DEPTH_SCALE - pinned)
-    assert (error_m <= DEPTH_TOLERANCE * pinned + 0.01).all(), error_m.max()
+@pytest.mark.parametrize("head", ["depth", "depth_uncertainty"])
+def test_metres_are_those_pinned(answers, head):
+    if head not in answers[0]:
+        pytest.skip("the model does not say")
+    now, pinned = (part[head].astype(np.float64) / SCALES[head] for part in answers)
+    error_m = np.abs(now - pinned)
+    assert (error_m <= METRES_TOLERANCE * pinned + 0.01).all(), error_m.max()
 
 
 def test_boundaries_are_those_pinned(answers):
-    pinned = reference("boundary").astype(np.float64) / BOUNDARY_SCALE
-    error = np.abs(answers["boundary"] / BOUNDARY_SCALE - pinned)
+    now, pinned = (part["boundary"].astype(np.float64) / SCALES["boundary"] for part in answers)
+    error = np.abs(now - pinned)
     assert (error <= BOUNDARY_TOLERANCE).all(), error.max()
 
 
 if __name__ == "__main__":
-    REFERENCES.mkdir(exist_ok=True)
-    for name, values in replay().items():
-        path = REFERENCES / f"{name}.png"
-        if not cv2.imwrite(str(path), values, (cv2.IMWRITE_PNG_COMPRESSION, 9)):
-            raise SystemExit(f"cannot write {path}")
+    for model in sys.argv[1:] or list_bundled_models():
+        folder = REFERENCES / model
+        folder.mkdir(parents=True, exist_ok=True)
+        for old in folder.glob("*.png"):
+            old.unlink()
+        for head, values in replay(model).items():
+            path = folder / f"{head}.png"
+            if not cv2.imwrite(str(path), values, (cv2.IMWRITE_PNG_COMPRESSION, 9)):
+                raise SystemExit(f"cannot write {path}")

@@ -10,7 +10,6 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-import runtime.predictor
 from runtime import ContractError, InputError, Predictor
 from runtime.model_file import with_contract
 
@@ -57,12 +56,6 @@ def test_a_pinned_file(model_file):
 def test_a_pin_that_is_no_digest(model_file, digest):
     with pytest.raises(InputError, match="64 hexadecimal digits"):
         Predictor(model_file(), sha256=digest)
-
-
-def test_a_missing_bundled_model(monkeypatch):
-    monkeypatch.setattr(runtime.predictor, "BUNDLED_MODEL", "not-there.onnx")
-    with pytest.raises(ContractError, match=r"bundled model .*not-there\.onnx.* is missing"):
-        Predictor()
 
 
 def test_an_empty_file(tmp_path):

@@ -8,6 +8,7 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
+import training.initial_weights
 from export.parity import reference
 from export.probe_frames import ProbeFrame
 from layouts import camvid
@@ -55,17 +56,29 @@ def bundled_frames(step):
         yield ProbeFrame(path.stem, image, metres.astype(np.float32))
 
 
+installed = pytest.mark.parametrize("name", list_weights())
+
+
 def test_a_name_is_neither_a_slash_nor_an_ending():
-    assert list_weights() == ["ssdnet-lite"]
+    assert "ssdnet-lite" in list_weights()
     assert find_weights("ssdnet-lite").is_file()
     assert str(find_weights("ssdnet-lite.pt")) == "ssdnet-lite.pt"
     assert str(find_weights("run/ssdnet-lite")) == "run/ssdnet-lite"
-    with pytest.raises(InputError, match=r"called 'ssdnet'; known: ssdnet-lite\."):
+    with pytest.raises(InputError, match=rf"called 'ssdnet'; known: {', '.join(list_weights())}\."):
         find_weights("ssdnet")
 
 
-def test_the_installed_weights_say_their_terms():
-    path = find_weights("ssdnet-lite")
+def test_a_file_in_the_folder_is_a_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(training.initial_weights.resources, "files", lambda package: tmp_path)
+    (tmp_path / "weights").mkdir()
+    (tmp_path / "weights/ssdnet-nano.pt").touch()
+    assert list_weights() == ["ssdnet-nano"]
+    assert find_weights("ssdnet-nano") == tmp_path / "weights/ssdnet-nano.pt"
+
+
+@installed
+def test_the_installed_weights_say_their_terms(name):
+    path = find_weights(name)
     training = load_checkpoint(path).training
     assert "non-commercial" in training["terms"]
     assert "camvid" in training["data"]
@@ -74,10 +87,11 @@ def test_the_installed_weights_say_their_terms():
     assert path.stat().st_size < 7e6  # half precision
 
 
-def test_the_installed_weights_answer_as_the_bundled_model():
+@installed
+def test_the_installed_weights_answer_as_the_bundled_model(name):
     """Half precision moves depth by centimetres far away, classes where two of them tie."""
-    model = load_checkpoint(find_weights("ssdnet-lite")).model
-    with Predictor(warmup=0, size="frame") as predictor:
+    model = load_checkpoint(find_weights(name)).model
+    with Predictor(name, warmup=0, size="frame") as predictor:
         for frame in bundled_frames(step=7):
             prediction = predictor.predict(frame.rgb, frame.sparse_depth)
             expected = reference(model, frame)
@@ -100,7 +114,7 @@ def test_ten_steps_from_the_name_keep_what_is_known(tmp_path):
     arguments = [str(tmp_path / "recipe.toml"), *run, "--init"]
     unknown = CliRunner().invoke(cli.app, [*arguments, "ssdnet-huge"])
     assert unknown.exit_code == 1
-    assert "known: ssdnet-lite" in unknown.output
+    assert f"known: {', '.join(list_weights())}" in unknown.output
     result = CliRunner().invoke(cli.app, [*arguments, "ssdnet-lite"])
     assert result.exit_code == 0, result.output
     tuned = load_checkpoint(tmp_path / "run/model.pt").model

@@ -25,7 +25,11 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 @app.command()
 def evaluate(
     models: Annotated[
-        list[Path], typer.Argument(help="Checkpoints (*.pt) and exported models (*.onnx).")
+        list[str],
+        typer.Argument(
+            help="Checkpoints (*.pt), exported models (*.onnx), and bundled models by name "
+            "(ssdnet-lite)."
+        ),
     ],
     data: Annotated[
         list[str],
@@ -65,6 +69,7 @@ def evaluate(
     """Score models on data sets; prints a table."""
     with reported_errors("cpu,train"):
         # Heavy imports here, so that --help answers at once.
+        from runtime.bundled_models import find_model
         from runtime.network_size import parse_network_size
         from training.evaluation.evaluate import evaluate as run
         from training.evaluation.report import (
@@ -81,7 +86,7 @@ def evaluate(
             require_writable(plot, "--plot", suffix=".png")
         with interruptible():
             rows: list[Row] = run(
-                models,
+                [Path(name) if name.endswith(".pt") else find_model(name) for name in models],
                 [parse_source(text) for text in data],
                 lidars=[LidarInput.parse(text.strip()) for text in lidar.split(",")],
                 faults=["none", *_parse_faults(faults)],

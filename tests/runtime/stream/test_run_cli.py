@@ -327,6 +327,15 @@ def test_a_pinned_model_is_the_one_that_runs(tmp_path, run):
         assert text in result.stderr
 
 
+def test_a_model_by_its_name(tmp_path, run):
+    assert run("--model", "ssdnet-lite").exit_code == 0
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert report["model"]["path"].endswith("assets/ssdnet-lite.onnx")
+    result = run("--model", "ssdnet-huge", "--overwrite")
+    assert result.exit_code == 1
+    assert "no bundled model is called 'ssdnet-huge'; there are: " in result.stderr
+
+
 def test_a_bad_model_is_exit_code_1_and_leaves_an_earlier_run_alone(tmp_path, run):
     assert run().exit_code == 0
     before = files_in(tmp_path / "out")

@@ -213,6 +213,16 @@ def test_data_sets_are_given_as_in_a_recipe():
         parse_source("kitti_stream:x,first=a")
 
 
+def test_a_bundled_model_is_scored_by_its_name(folder, tmp_path):
+    data = ["--data", f"camvid:{folder}/camvid,split=val", "--json", tmp_path / "rows.json"]
+    assert run("ssdnet-lite", *data).exit_code == 0
+    (row,) = json.loads((tmp_path / "rows.json").read_text())
+    assert (row["model"], row["engine"]) == ("ssdnet-lite.onnx", "onnxruntime on cpu")
+    result = run("ssdnet-huge", *data)
+    assert result.exit_code == 1
+    assert "no bundled model is called 'ssdnet-huge'; there are: " in result.output
+
+
 def test_rows_of_equal_names_are_told_apart():
     assert short_names([Path("a/model.pt"), Path("b/model.pt")]) == ["a/model.pt", "b/model.pt"]
     assert short_names([Path("x/a/1"), Path("x/a/2")]) == ["1", "2"]

@@ -1,0 +1,86 @@
+"""A model by its name, its path, or not at all."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+import runtime.bundled_models
+from runtime import ContractError, InputError, Predictor
+from runtime.bundled_models import DEFAULT_MODEL, find_model, list_bundled_models
+
+pytest.importorskip("onnxruntime")
+
+
+@pytest.fixture
+def assets(tmp_path, model_file, monkeypatch):
+    """An installation with the models `ssdnet-lite` and `other`."""
+    folder = tmp_path / "installed" / "assets"
+    folder.mkdir(parents=True)
+    monkeypatch.setattr(runtime.bundled_models.resources, "files", lambda package: folder.parent)
+    for name in ("ssdnet-lite", "other"):
+        shutil.copy(model_file(), folder / f"{name}.onnx")
+    (folder / "MODEL_CARD.md").touch()
+    return folder
+
+
+def test_what_is_installed():
+    assert DEFAULT_MODEL in list_bundled_models()
+    assert find_model(DEFAULT_MODEL) == find_model(None)
+    assert find_model(None).is_file()
+
+
+def test_a_file_in_the_folder_is_a_model(assets):
+    assert list_bundled_models() == ["other", "ssdnet-lite"]
+    assert find_model("other") == find_model(b"other") == assets / "other.onnx"
+    with Predictor("other", warmup=0) as predictor:
+        assert predictor.model == str(assets / "other.onnx")
+    shutil.copy(assets / "other.onnx", assets / "third.onnx")
+    assert find_model("third").is_file()
+
+
+@pytest.mark.parametrize(
+    "text", ["a.onnx", "A.ONNX", "./other", "down/other", "/other", f"..{os.sep}x.bin", "x/"]
+)
+def test_an_ending_or_a_folder_makes_a_path(assets, text):
+    assert find_model(text) == Path(text)
+    assert find_model(os.fsencode(text)) == Path(text)
+
+
+def test_a_pathlike_is_a_path_whatever_it_is_called(assets):
+    assert find_model(Path("other")) == Path("other")
+
+
+def test_a_file_of_a_models_name_in_the_current_folder_is_not_taken(
+    assets, tmp_path, monkeypatch, model_file
+):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    shutil.copy(model_file(), "other")
+    shutil.copy(model_file(), "mine")
+    with Predictor("other", warmup=0) as by_name, Predictor("./other", warmup=0) as by_path:
+        assert by_name.model == str(assets / "other.onnx")
+        assert by_path.model == "other"
+    with pytest.raises(ContractError, match="no bundled model is called 'mine'"):
+        find_model("mine")
+
+
+@pytest.mark.parametrize("name", ["ssdnet-huge", "", ".", "other.bin", "\0", "x" * 5000])
+def test_an_unknown_name_lists_those_that_are_there(assets, name):
+    with pytest.raises(ContractError, match=r"there are: other, ssdnet-lite\. Name one") as error:
+        Predictor(name)
+    assert len(str(error.value)) < 600
+
+
+def test_nothing_installed(assets):
+    for path in assets.glob("*.onnx"):
+        path.unlink()
+    with pytest.raises(ContractError, match=r"'ssdnet-lite'; there are: none.* install ssdnet"):
+        Predictor()
+
+
+@pytest.mark.parametrize("thing", [3, 1.5, ["ssdnet-lite"], object()])
+def test_what_is_no_text_is_refused(thing):
+    with pytest.raises(InputError, match="must be a path or a name, got"):
+        find_model(thing)
