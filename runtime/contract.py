@@ -10,7 +10,7 @@ from typing import Any
 from runtime.errors import ContractError
 
 METADATA_KEY = "ssdnet"
-SCHEMA_VERSION = "1.1"
+SCHEMA_VERSION = "1.2"
 
 # What is sane, for a model file and for a network's configuration alike.
 MIN_SIDE = 32  # rows, columns: networks of the family halve a picture up to five times
@@ -27,16 +27,17 @@ MAX_FOCAL_PX = 1_000_000.0
 
 #: The rules a file may name for each tensor; `runtime.resize` carries them out.
 #: "bilinear" takes the mean of the area along each side that shrinks, so that no pixel is skipped,
-#: and is bilinear along one that grows. "nearest" never mixes two depths or classes: `semantic` and
-#: `depth` take the pixel with the nearest centre, and each return of `sparse_depth` is moved to its
-#: one pixel, whether the map shrinks or grows; of several in one pixel the nearest to the camera
-#: stays.
+#: and is bilinear along one that grows. "nearest" never mixes two depths or classes: `semantic`,
+#: `depth` and `depth_uncertainty` take the pixel with the nearest centre, and each return of
+#: `sparse_depth` is moved to its one pixel, whether the map shrinks or grows; of several in one
+#: pixel the nearest to the camera stays.
 RESIZE_RULES: Mapping[str, tuple[str, ...]] = {
     "rgb": ("bilinear",),
     "sparse_depth": ("nearest",),
     "semantic": ("nearest",),
     "depth": ("nearest",),
     "boundary": ("bilinear",),
+    "depth_uncertainty": ("nearest",),  # since schema 1.2
 }
 
 

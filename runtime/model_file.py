@@ -1,6 +1,6 @@
 """The bytes of a model file: read within bounds, written and checked with the metadata at the end.
 
-A file of schema 1.1 holds, in this order and nothing else:
+Since schema 1.1 a file holds, in this order and nothing else:
 
 | bytes | |
 |---|---|

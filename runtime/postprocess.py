@@ -13,6 +13,8 @@ from runtime.prediction import (
     BOUNDARY_OUT_OF_RANGE,
     DEPTH_NOT_FINITE,
     DEPTH_OUT_OF_RANGE,
+    DEPTH_UNCERTAINTY_NOT_FINITE,
+    DEPTH_UNCERTAINTY_OUT_OF_RANGE,
     LOGITS_NOT_FINITE,
     SEMANTIC_NOT_FINITE,
     SEMANTIC_UNKNOWN_CLASS,
@@ -56,6 +58,12 @@ def faults(outputs: Mapping[str, NDArray[Any]], contract: Contract) -> tuple[str
     if "depth" in outputs:
         limit = contract.max_depth_m
         found += _range_faults(outputs["depth"], limit, DEPTH_NOT_FINITE, DEPTH_OUT_OF_RANGE)
+    if "depth_uncertainty" in outputs:
+        scale = outputs["depth_uncertainty"]
+        if not _all_finite(scale):
+            found.append(DEPTH_UNCERTAINTY_NOT_FINITE)
+        elif scale.min() < 0:
+            found.append(DEPTH_UNCERTAINTY_OUT_OF_RANGE)
     if "boundary" in outputs:
         found += _range_faults(outputs["boundary"], 1.0, BOUNDARY_NOT_FINITE, BOUNDARY_OUT_OF_RANGE)
     if "semantic_logits" in outputs and not _all_finite(outputs["semantic_logits"]):

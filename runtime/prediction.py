@@ -13,6 +13,8 @@ IMAGE_CONSTANT = "image_constant"  # every pixel alike: a covered or dead camera
 # The answer is not usable (valid is False):
 DEPTH_NOT_FINITE = "depth_not_finite"
 DEPTH_OUT_OF_RANGE = "depth_out_of_range"  # negative or beyond the contract's max_depth_m
+DEPTH_UNCERTAINTY_NOT_FINITE = "depth_uncertainty_not_finite"
+DEPTH_UNCERTAINTY_OUT_OF_RANGE = "depth_uncertainty_out_of_range"  # negative
 BOUNDARY_NOT_FINITE = "boundary_not_finite"
 BOUNDARY_OUT_OF_RANGE = "boundary_out_of_range"  # no probability 0..1
 LOGITS_NOT_FINITE = "semantic_logits_not_finite"
@@ -52,6 +54,9 @@ class Prediction:
     semantic: uint8 (H, W), class ids, see `Contract.classes`; None without that head
     depth: float32 (H, W) [m]; None without that head
     boundary: float32 (H, W), probability 0..1; None without that head
+    depth_uncertainty: float32 (H, W) [m], how far `depth` may be off: the scale b of a Laplace
+        distribution around it, within which 63 % of the errors are meant to lie, and 86 % within
+        2 b; None where the model does not say
     semantic_logits: float32 (C, H, W); None unless the model was exported with logits
     frame_size: (height, width)
     network_size: (height, width) at which the network ran; the answers were resized if it is
@@ -75,5 +80,6 @@ class Prediction:
     degraded: tuple[str, ...] = ()
     cleaned: Cleaned = field(default_factory=Cleaned)
     depth_returns: int = 0
+    depth_uncertainty: NDArray[np.float32] | None = None
     semantic_logits: NDArray[np.float32] | None = None
     stamp: Any = None

@@ -26,7 +26,7 @@ _MOST_THREADS = 1024
 
 
 class Predictor:
-    """Run a model of the contract: one picture and one sparse depth map in, three answers out.
+    """Run a model of the contract: one picture and one sparse depth map in, its answers out.
 
     model: an ONNX file made by ssdnet-export, or the name of a bundled model ("ssdnet-lite"), see
         `find_model`; None = ssdnet-lite
@@ -131,6 +131,7 @@ class Predictor:
             semantic=answers.heads.get("semantic"),
             depth=answers.heads.get("depth"),
             boundary=answers.heads.get("boundary"),
+            depth_uncertainty=answers.heads.get("depth_uncertainty"),
             semantic_logits=answers.heads.get("semantic_logits"),
             frame_size=frame.frame_size,
             network_size=frame.network_size,

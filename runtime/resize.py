@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 Size = tuple[int, int]  # (height, width)
 
-_NEVER_MIXED = ("semantic", "depth")  # heads
+_NEVER_MIXED = ("semantic", "depth", "depth_uncertainty")  # heads
 
 
 def resize_answer(head: str, values: NDArray[Any], size: Size) -> NDArray[Any]:
     """Resize one head of a network, (H, W) or (C, H, W), to `size`.
 
-    Classes and depths take the nearest pixel: a mixture of two is neither. Probabilities and scores
-    go as pictures do.
+    Classes and depths take the nearest pixel, since a mixture of two is neither, and so does what
+    is said of that pixel's depth. Probabilities and scores go as pictures do.
     """
     if values.ndim == 3:
         return np.stack([resize_answer(head, plane, size) for plane in values])

@@ -14,6 +14,7 @@ _OUTPUTS = {
     "semantic": ("tensor(uint8)", 3),
     "depth": ("tensor(float)", 3),
     "boundary": ("tensor(float)", 3),
+    "depth_uncertainty": ("tensor(float)", 3),
     "semantic_logits": ("tensor(float)", 4),
 }
 
@@ -57,6 +58,8 @@ def _read(session: Any, num_classes: int) -> Signature:
         _check_tensor(outputs[name], *_OUTPUTS[name])
     if "semantic" in heads and not num_classes:
         raise _foreign("the names of the classes of 'semantic' in the metadata", "none")
+    if "depth_uncertainty" in heads and "depth" not in heads:
+        raise _foreign("depth beside its depth_uncertainty", f"outputs {sorted(outputs)}")
     if "semantic_logits" in heads:
         channels = outputs["semantic_logits"].shape[1]
         if isinstance(channels, int) and channels != num_classes:

@@ -44,7 +44,7 @@ from runtime.stream.report import (
     to_json,
 )
 from runtime.stream.run_folder import FRAMES_FILE, KINDS, LATENCY_FILE, REPORT_FILE
-from runtime.stream.writer import DEPTH_PNG_SCALE, FrameWriter, encode
+from runtime.stream.writer import DEPTH_PNG_SCALE, HEADS, FrameWriter, encode
 
 SKIPPED, MISSED = 3, 4  # exit codes
 
@@ -114,8 +114,8 @@ def run(
     save: Annotated[
         str,
         typer.Option(
-            help=f"What to write: {', '.join(KINDS)}; or all, or none. Depth is a 16-bit PNG, "
-            f"metres x {DEPTH_PNG_SCALE}."
+            help=f"What to write: {', '.join(KINDS)}; or all that the model answers, or none. "
+            f"Depth and its uncertainty are 16-bit PNGs, metres x {DEPTH_PNG_SCALE}."
         ),
     ] = "all",
     overwrite: Annotated[
@@ -151,6 +151,7 @@ def run(
             threads=threads,
             warmup=0,
         ) as predictor:
+            kinds = _answered(kinds, predictor, everything=save == "all")
             frame_size = _warm_up(predictor, frames, depth_scale, runs=warmup)
             with _stop_asked() as stop:  # only now: until here nothing was written
                 writer = FrameWriter(
@@ -244,6 +245,17 @@ def _kinds(save: str) -> tuple[str, ...]:
     if unknown:
         raise typer.BadParameter(f"--save knows {', '.join(KINDS)}, all and none, not {unknown}")
     return tuple(kind for kind in KINDS if kind in asked)
+
+
+def _answered(kinds: tuple[str, ...], predictor: Predictor, *, everything: bool) -> tuple[str, ...]:
+    """Return the kinds that the model answers. Raises InputError if one was asked for by name."""
+    missing = [kind for kind in kinds if kind in HEADS and HEADS[kind] not in predictor.heads]
+    if missing and not everything:
+        raise InputError(
+            f"--save asks for {', '.join(missing)}, the model {predictor.contract.model_name} "
+            f"answers {', '.join(predictor.heads)}: leave it out, or choose another --model"
+        )
+    return tuple(kind for kind in kinds if kind not in missing)
 
 
 def _network_size(text: str) -> NetworkSize:

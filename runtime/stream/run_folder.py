@@ -10,7 +10,13 @@ from runtime.atomic_write import atomic_write, remove_leftover
 from runtime.errors import OutputError
 
 #: Kind of answer -> ending of its files, one subfolder a kind.
-SUFFIXES = {"semantic": ".png", "depth": ".png", "boundary": ".png", "overlay": ".jpg"}
+SUFFIXES = {
+    "semantic": ".png",
+    "depth": ".png",
+    "uncertainty": ".png",
+    "boundary": ".png",
+    "overlay": ".jpg",
+}
 KINDS = tuple(SUFFIXES)
 FRAMES_FILE, REPORT_FILE, LATENCY_FILE = "frames.csv", "report.json", "latency.png"
 _MARKER = ".ssdnet-run"

@@ -16,6 +16,13 @@ from runtime.prediction import Prediction
 from runtime.stream.overlay import Overlay
 from runtime.stream.run_folder import KINDS, SUFFIXES, RunFolder
 
+#: Kind of answer that is one head's -> the field of `Prediction` that holds it.
+HEADS = {
+    "semantic": "semantic",
+    "depth": "depth",
+    "uncertainty": "depth_uncertainty",
+    "boundary": "boundary",
+}
 DEPTH_PNG_SCALE = 256  # units a metre, as KITTI's
 UINT16_MAX = 65535
 DEPTH_PNG_MAX_M = UINT16_MAX / DEPTH_PNG_SCALE
@@ -83,7 +90,7 @@ class FrameWriter:
         try:
             if kind == "overlay":
                 return encode(".jpg", self._overlay.draw(rgb, prediction), _JPEG)
-            values = getattr(prediction, kind)
+            values = getattr(prediction, HEADS[kind])
             return None if values is None else _ENCODERS[kind](values)
         except (cv2.error, ValueError) as error:
             height, width = rgb.shape[:2]
@@ -98,9 +105,9 @@ def encode_semantic(semantic: NDArray[np.uint8]) -> memoryview:
     return encode(".png", semantic, _PNG_RUNS)
 
 
-def encode_depth(depth: NDArray[np.float32]) -> memoryview:
+def encode_metres(metres: NDArray[np.float32]) -> memoryview:
     """PNG of 16 bits, metres x 256 rounded; what is beyond 255.99 m says 65535."""
-    near = np.clip(depth, 0, DEPTH_PNG_MAX_M)
+    near = np.clip(metres, 0, DEPTH_PNG_MAX_M)
     units = np.rint(near * DEPTH_PNG_SCALE).astype(np.uint16)
     return encode(".png", units, _PNG_STORED)
 
@@ -112,7 +119,8 @@ def encode_boundary(boundary: NDArray[np.float32]) -> memoryview:
 
 _ENCODERS: dict[str, Callable[[NDArray[Any]], memoryview]] = {
     "semantic": encode_semantic,
-    "depth": encode_depth,
+    "depth": encode_metres,
+    "uncertainty": encode_metres,
     "boundary": encode_boundary,
 }
 

@@ -50,6 +50,7 @@ def make_model(
     semantic = 1 where red >= 128, else 0
     depth = sparse_depth + DEPTH_OFFSET_M, without cleaning: a NaN in would be a NaN out
     boundary = green / blue, NaN where both are 0
+    depth_uncertainty = depth / 16
     semantic_logits = (red, -red)
 
     only_runs_at: the graph fails for frames of another size.
@@ -61,6 +62,7 @@ def make_model(
         "blue_at": np.array(2),
         "half": np.float32(128),
         "offset": np.float32(DEPTH_OFFSET_M),
+        "sixteenth": np.float32(1 / 16),
         "channel_axis": np.array([1]),
     }
     nodes = [
@@ -82,11 +84,13 @@ def make_model(
         nodes.append(helper.make_node("Add", [depth, "plane"], ["same_depth"]))
         depth = "same_depth"
     nodes.append(helper.make_node("Add", [depth, "offset"], ["depth"]))
+    nodes.append(helper.make_node("Mul", ["depth", "sixteenth"], ["depth_uncertainty"]))
     plane = ["N", height, width]
     outputs = {
         "semantic": (TensorProto.UINT8, plane),
         "depth": (TensorProto.FLOAT, plane),
         "boundary": (TensorProto.FLOAT, plane),
+        "depth_uncertainty": (TensorProto.FLOAT, plane),
         "semantic_logits": (TensorProto.FLOAT, ["N", 2, height, width]),
     }
     graph = helper.make_graph(

@@ -22,7 +22,7 @@ def test_a_boundary_shrunk_far_skips_no_line():
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("head", ["depth", "boundary", "semantic_logits"])
+@pytest.mark.parametrize("head", ["depth", "boundary", "depth_uncertainty", "semantic_logits"])
 def test_one_value_that_is_not_finite_is_found_anywhere(contract, head, bad):
     for at in range(17 * 19):
         values = np.zeros((17, 19), np.float32)
@@ -42,6 +42,15 @@ def test_a_value_out_of_range_is_found_anywhere(contract, head, limit):
             wrong = values.copy()
             wrong.flat[at] = bad
             assert faults({head: wrong}, contract) == (f"{head}_out_of_range",)
+
+
+def test_a_negative_uncertainty_is_found_anywhere_and_none_is_too_large(contract):
+    for at in range(5 * 7):
+        scale = np.zeros((5, 7), np.float32)
+        scale.flat[at] = 1e6  # a model may know nothing: of no use, but true
+        assert faults({"depth_uncertainty": scale}, contract) == ()
+        scale.flat[at] = -1e-3
+        assert faults({"depth_uncertainty": scale}, contract) == ("depth_uncertainty_out_of_range",)
 
 
 def test_only_ids_with_a_name_are_valid(contract):

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from runtime import ClassInfo, Contract, ContractError
+from runtime import ClassInfo, Contract, ContractError, Predictor
 from runtime.contract import RESIZE_RULES, Content
 
 
@@ -56,6 +56,16 @@ def test_a_file_of_schema_1_0_does_not_say_what_it_was_trained_for(contract):
     assert Contract.from_json(document(contract, trained_height=400)).trained_height == 400
 
 
+def test_a_file_of_schema_1_1_knows_no_uncertainty(contract, model_file, make_frame):
+    rules = {name: rule for name, rule in contract.resize.items() if name != "depth_uncertainty"}
+    old = dataclasses.replace(contract, schema_version="1.1", resize=rules)
+    assert Contract.from_json(old.to_json()) == old
+    with Predictor(model_file(contract=old)) as predictor:
+        prediction = predictor.predict(*make_frame())
+    assert prediction.valid
+    assert prediction.depth_uncertainty is None
+
+
 @pytest.mark.parametrize(
     "key", [key for key in Contract.__dataclass_fields__ if key != "trained_height"]
 )
@@ -72,7 +82,7 @@ def test_the_document_holds_its_own_digest(contract):
     assert list(json.loads(text))[-2:] == ["content", "document_sha256"]
     for fault in (
         text.replace("by-hand", "by-hind"),
-        text.replace('"1.1"', '"1.0"'),
+        text.replace('"1.2"', '"1.0"'),
         text.replace('"content"', '"contend"'),
         text.replace('"document_sha256"', '"document_sha257"'),
         text.replace(", ", ","),

@@ -89,8 +89,24 @@ def test_a_head_that_the_model_lacks_is_none(model_file, make_frame):
         prediction = predictor.predict(*make_frame())
         assert prediction.semantic is None
         assert prediction.boundary is None
+        assert prediction.depth_uncertainty is None
         assert prediction.depth is not None
         assert predictor.heads == ("depth",)
+
+
+def test_the_uncertainty_comes_where_the_model_has_it(model_file, make_frame):
+    rgb, depth = make_frame()
+    heads = ("semantic", "depth", "boundary", "depth_uncertainty")
+    with Predictor(model_file(heads=heads)) as predictor:
+        assert predictor.heads == heads
+        prediction = predictor.predict(rgb, depth)
+    assert_right(prediction, rgb, depth)
+    assert prediction.depth_uncertainty.dtype == np.float32
+    assert np.array_equal(prediction.depth_uncertainty, prediction.depth / 16)
+    for size in [(33, 101), (144, 40)]:  # smaller and larger: of the same pixel as its depth
+        resized = Predictor(model_file("fixed.onnx", heads=heads, size=size)).predict(rgb, depth)
+        assert resized.depth_uncertainty.shape == (48, 64)
+        assert np.array_equal(resized.depth_uncertainty, resized.depth / 16)
 
 
 def test_logits_come_where_the_model_has_them(model_file, make_frame):

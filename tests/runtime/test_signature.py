@@ -10,7 +10,7 @@ from onnx import TensorProto, helper, numpy_helper
 from runtime import ContractError, InferenceError, Predictor
 from runtime.model_file import with_contract
 
-HEADS = ("semantic", "depth", "boundary", "semantic_logits")
+HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
 
 
 def behind(head: str, *nodes: onnx.NodeProto, **weights: object) -> Callable[..., None]:
@@ -48,6 +48,7 @@ def repeated(head: str, *times: int) -> Callable[..., None]:
     ("head", "times"),
     [
         ("depth", (2, 1, 1)),
+        ("depth_uncertainty", (1, 2, 1)),
         ("semantic", (0, 1, 1)),
         ("boundary", (1, 0, 1)),
         ("boundary", (1, 1, 2)),
@@ -62,20 +63,34 @@ def test_an_answer_of_another_shape_is_an_inference_error(model_file, make_frame
                 predictor.predict(*make_frame())
 
 
+@pytest.mark.parametrize("head", ["depth", "depth_uncertainty"])
 @pytest.mark.parametrize("name", ["Squeeze", "Unsqueeze"])
-def test_an_answer_of_another_rank_is_refused_at_load(model_file, name):
-    edit = behind("depth", helper.make_node(name, ["before", "axis"], ["depth"]), axis=[0])
-    with pytest.raises(ContractError, match="depth to be"):
-        Predictor(model_file(edit=edit))
+def test_an_answer_of_another_rank_is_refused_at_load(model_file, head, name):
+    edit = behind(head, helper.make_node(name, ["before", "axis"], [head]), axis=[0])
+    with pytest.raises(ContractError, match=f"{head} to be"):
+        Predictor(model_file(edit=edit, heads=HEADS))
 
 
-@pytest.mark.parametrize("head", ["depth", "boundary"])
-@pytest.mark.parametrize("offset", [-500.0, 500.0])
+def test_an_uncertainty_of_no_depth_is_refused_at_load(model_file):
+    with pytest.raises(ContractError, match="expected depth beside its depth_uncertainty"):
+        Predictor(model_file(heads=("semantic", "depth_uncertainty")))
+
+
+@pytest.mark.parametrize(
+    ("head", "offset"),
+    [
+        ("depth", -500.0),
+        ("depth", 500.0),
+        ("boundary", -500.0),
+        ("boundary", 500.0),
+        ("depth_uncertainty", -500.0),
+    ],
+)
 def test_impossible_values_make_a_frame_invalid(model_file, make_frame, head, offset):
     edit = behind(
         head, helper.make_node("Add", ["before", "too_far"], [head]), too_far=np.float32(offset)
     )
-    with Predictor(model_file(edit=edit)) as predictor:
+    with Predictor(model_file(edit=edit, heads=HEADS)) as predictor:
         prediction = predictor.predict(*make_frame())
     assert not prediction.valid
     assert prediction.degraded == (f"{head}_out_of_range",)

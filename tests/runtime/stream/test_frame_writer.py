@@ -12,7 +12,7 @@ from runtime import OutputError, Predictor
 from runtime.atomic_write import atomic_file
 from runtime.stream.overlay import Overlay
 from runtime.stream.run_folder import KINDS
-from runtime.stream.writer import FrameWriter, encode_boundary, encode_depth, encode_semantic
+from runtime.stream.writer import FrameWriter, encode_boundary, encode_metres, encode_semantic
 
 
 @pytest.fixture
@@ -20,7 +20,8 @@ def answered(model_file, make_frame):
     """(rgb, prediction) of a frame."""
     rgb, depth = make_frame(60, 80)
     rgb[..., 1] = rgb[..., 2] // 2  # boundary = green / blue stays within 0..1
-    return rgb, Predictor(model_file()).predict(rgb, depth)
+    heads = ("semantic", "depth", "boundary", "depth_uncertainty")
+    return rgb, Predictor(model_file(heads=heads)).predict(rgb, depth)
 
 
 def decode(content: bytes):
@@ -31,9 +32,9 @@ def files_in(folder: Path) -> set[str]:
     return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
 
 
-def test_depth_is_rounded_and_clipped_and_zero_stays_none():
+def test_metres_are_rounded_and_clipped_and_zero_stays_none():
     depth = np.array([[0, 1, 80.001, 1.5 / 256, 2.4 / 256, 255.999, 300, 1e9]], np.float32)
-    image = decode(encode_depth(depth))
+    image = decode(encode_metres(depth))
     assert image.dtype == np.uint16
     assert image.tolist() == [[0, 256, 20480, 2, 2, 65535, 65535, 65535]]
 
@@ -53,6 +54,7 @@ def test_a_frame_is_written(tmp_path, contract, answered):
         ".ssdnet-run",
         "semantic/0007.png",
         "depth/0007.png",
+        "uncertainty/0007.png",
         "boundary/0007.png",
         "overlay/0007.jpg",
     }
@@ -60,14 +62,17 @@ def test_a_frame_is_written(tmp_path, contract, answered):
     assert np.array_equal(semantic, prediction.semantic)
     depth = cv2.imread(str(out / "depth/0007.png"), cv2.IMREAD_UNCHANGED) / 256
     assert abs(depth - prediction.depth).max() <= 0.5 / 256 + 1e-6
+    uncertainty = cv2.imread(str(out / "uncertainty/0007.png"), cv2.IMREAD_UNCHANGED) / 256
+    assert abs(uncertainty - prediction.depth / 16).max() <= 0.5 / 256 + 1e-6
     boundary = cv2.imread(str(out / "boundary/0007.png"), cv2.IMREAD_UNCHANGED) / 255
     assert abs(boundary - prediction.boundary).max() <= 0.5 / 255 + 1e-6
 
 
 def test_only_what_was_asked_for_and_what_the_model_has(tmp_path, contract, answered):
     rgb, prediction = answered
-    prediction = dataclasses.replace(prediction, boundary=None)
-    writer = FrameWriter(tmp_path / "out", contract, kinds=("semantic", "boundary"))
+    prediction = dataclasses.replace(prediction, boundary=None, depth_uncertainty=None)
+    kinds = ("semantic", "boundary", "uncertainty")
+    writer = FrameWriter(tmp_path / "out", contract, kinds=kinds)
     writer.write("a", rgb, prediction)
     assert files_in(tmp_path / "out") == {".ssdnet-run", "semantic/a.png"}
 

@@ -41,7 +41,7 @@ def stream(tmp_path, make_frame) -> tuple[Path, Path]:
 @pytest.fixture
 def run(tmp_path, stream, model_file):
     """Run the command on the stream, into tmp_path/out, and give click's result."""
-    model = model_file()
+    model = model_file(heads=("semantic", "depth", "boundary", "depth_uncertainty"))
 
     def invoke(*arguments: object):
         rgb, depth = stream
@@ -71,8 +71,8 @@ def test_a_run_from_end_to_end(tmp_path, run):
     assert result.exit_code == 0, result.output
     out = tmp_path / "out"
     names = [f"f{index}" for index in range(N)]
-    for kind, suffix in (("semantic", "png"), ("depth", "png"), ("boundary", "png")):
-        assert {p.name for p in (out / kind).iterdir()} == {f"{n}.{suffix}" for n in names}
+    for kind in ("semantic", "depth", "uncertainty", "boundary"):
+        assert {p.name for p in (out / kind).iterdir()} == {f"{n}.png" for n in names}
     assert len(list((out / "overlay").glob("*.jpg"))) == N
 
     first_line, *_, last_line = result.stdout.strip().splitlines()
@@ -187,6 +187,22 @@ def test_what_is_saved(tmp_path, run, save, folders):
     assert {p.name for p in (tmp_path / "out").iterdir() if p.is_dir()} == folders
     assert len(rows_of(tmp_path / "out")) == N
     assert ("pictures:" in result.stdout) == ("overlay" in folders)
+
+
+def test_all_that_is_saved_is_what_the_model_answers(tmp_path, stream, model_file):
+    given = arguments(stream, model_file(heads=("semantic", "depth")), tmp_path)
+    result = CliRunner().invoke(app, [*given, "--limit", "1", "--json"])
+    assert json.loads(result.stdout)["saved"] == ["semantic", "depth", "overlay"]
+    folders = {p.name for p in (tmp_path / "out").iterdir() if p.is_dir()}
+    assert folders == {"semantic", "depth", "overlay"}
+
+
+def test_what_the_model_does_not_answer_cannot_be_saved(tmp_path, stream, model_file):
+    given = arguments(stream, model_file(heads=("semantic", "depth")), tmp_path)
+    result = CliRunner().invoke(app, [*given, "--save", "depth,uncertainty"])
+    assert result.exit_code == 1
+    assert "asks for uncertainty, the model by-hand answers semantic, depth" in result.stderr
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_missed_deadline_is_exit_code_4(tmp_path, run, stream):

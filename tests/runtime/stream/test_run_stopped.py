@@ -33,7 +33,8 @@ def command(tmp_path, make_frame, model_file):
         assert cv2.imwrite(str(tmp_path / f"cam/f{index}.png"), rgb[..., ::-1])
         image = np.rint(depth * 256).astype(np.uint16)
         assert cv2.imwrite(str(tmp_path / f"lidar/f{index}.png"), image)
-    options = {"--rgb": "cam", "--depth": "lidar", "--out": "out", "--model": model_file()}
+    model = model_file(heads=("semantic", "depth", "boundary", "depth_uncertainty"))
+    options = {"--rgb": "cam", "--depth": "lidar", "--out": "out", "--model": model}
     paths = [text for name, path in options.items() for text in (name, str(tmp_path / path))]
     return [*paths, "--threads", "1", "--warmup", "1"]
 
