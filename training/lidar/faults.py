@@ -2,9 +2,12 @@
 
 from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
+
+from runtime.projection import project_points
 
 Depth = NDArray[np.float32]
 Fault = Literal["none", "nan", "shift", "dropout"]
@@ -39,3 +42,42 @@ def add_fault(fed: Depth, fault: Fault, rng: Generator) -> Depth:
         start = round((1 - DROPOUT_SHARE) / 2 * width)
         damaged[:, start : width - start] = 0
     return damaged
+
+
+def misalign(
+    fed: Depth,
+    intrinsics: NDArray[np.float64],
+    rng: Generator,
+    *,
+    rotation_deg: float,
+    shift_m: float,
+) -> Depth:
+    """Return the scan as a LiDAR that is not where its calibration says puts it into the picture.
+
+    fed: float32 (H, W) [m], 0 = none. intrinsics: (3, 3). rotation_deg, shift_m: the largest error
+    about and along each axis. All returns move together in space; of two that fall into one pixel
+    the nearer stays.
+    """
+    row, column = np.nonzero(fed)
+    z = fed[row, column].astype(np.float64)
+    pixels = np.stack([column, row, np.ones(len(z))])
+    points = (np.linalg.inv(intrinsics) @ pixels * z).T.astype(np.float32)
+    moved = np.eye(4)
+    angles = np.deg2rad(rng.uniform(-rotation_deg, rotation_deg, 3))
+    moved[:3, :3] = cv2.Rodrigues(angles)[0]
+    moved[:3, 3] = rng.uniform(-shift_m, shift_m, 3)
+    return project_points(points, intrinsics, moved, (fed.shape[0], fed.shape[1]))
+
+
+def drop_sectors(fed: Depth, share: tuple[float, float], rng: Generator) -> Depth:
+    """Return a copy without the returns of one to three sectors: dirt, water, or lost packets.
+
+    share: (low, high) of the picture's width that each takes.
+    """
+    kept = fed.copy()
+    width = fed.shape[1]
+    for _ in range(int(rng.integers(1, 4))):
+        columns = round(rng.uniform(*share) * width)
+        start = int(rng.integers(0, width - columns + 1))
+        kept[:, start : start + columns] = 0
+    return kept

@@ -35,8 +35,15 @@ def random_share(depth: Depth, share: float, rng: Generator) -> Depth:
 def beam_elevations(lines: int) -> NDArray[np.float64]:
     """Elevation of every beam in rad, highest first; fewer than 64 lines are a thinned HDL-64E.
 
-    Raises ValueError unless lines divides 64.
+    128 have one more beam between every two, and one below. Raises ValueError unless lines divides
+    64 or is 128.
     """
+    if lines == 2 * SENSOR_LINES:
+        last = 2 * HDL64_ELEVATIONS_DEG[-1] - HDL64_ELEVATIONS_DEG[-2]
+        above = np.append(HDL64_ELEVATIONS_DEG, last)
+        between = (above[:-1] + above[1:]) / 2
+        degrees = np.stack([HDL64_ELEVATIONS_DEG, between], axis=1).ravel()
+        return np.asarray(np.deg2rad(degrees))
     return np.deg2rad(HDL64_ELEVATIONS_DEG[is_kept(np.arange(SENSOR_LINES), lines)])
 
 
@@ -66,9 +73,10 @@ def scan_line_index(
     The LiDAR sits in the camera, so a beam keeps its elevation angle and its trace in the picture
     is a slightly bent line: v = cy - fy tan(elevation) / cos(azimuth).
 
-    size: (height, width). intrinsics: (3, 3). lines: a divisor of 64. azimuth_step_deg: angle
-    between two firings (0.17 is an HDL-64E at 10 Hz). pitch_deg: tilt of the LiDAR, up is positive.
-    phase: 0..1 of a step, where the first firing lies. Returns (H, W) int16.
+    size: (height, width). intrinsics: (3, 3). lines: a divisor of 64, or 128.
+    azimuth_step_deg: angle between two firings (0.17 is an HDL-64E at 10 Hz). pitch_deg: tilt of
+    the LiDAR, up is positive. phase: 0..1 of a step, where the first firing lies. Returns
+    (H, W) int16.
     """
     height, width = size
     fx, fy = intrinsics[0, 0], intrinsics[1, 1]
@@ -101,7 +109,7 @@ def scan_lines(
     pitch_jitter_deg: float = 0.4,
     azimuth_step_deg: float = 0.17,
 ) -> Depth:
-    """What a LiDAR of so many lines, a divisor of 64, would return of dense depth.
+    """What a LiDAR of so many lines, a divisor of 64 or 128, would return of dense depth.
 
     depth: (H, W) float32 metres along the optical axis, 0 = no surface (sky: no return).
     intrinsics: (3, 3). max_range_m: longest range, along the ray. range_noise_m: standard
@@ -120,7 +128,31 @@ def scan_lines(
         pitch_deg=pitch_jitter_deg * float(rng.standard_normal()),
         phase=float(rng.random()),
     )
-    row, column = np.nonzero((beam >= 0) & (depth > 0))
+    return measure(
+        depth,
+        beam >= 0,
+        intrinsics,
+        rng,
+        max_range_m=max_range_m,
+        range_noise_m=range_noise_m,
+        drop_share=drop_share,
+        far_drop_share=far_drop_share,
+    )
+
+
+def measure(
+    depth: Depth,
+    looked_at: NDArray[np.bool_],
+    intrinsics: NDArray[np.float64],
+    rng: Generator,
+    *,
+    max_range_m: float = 85.0,
+    range_noise_m: float = 0.02,
+    drop_share: float = 0.08,
+    far_drop_share: float = 0.35,
+) -> Depth:
+    """What a LiDAR would return from the pixels that it looks at, bool (H, W); see `scan_lines`."""
+    row, column = np.nonzero(looked_at & (depth > 0))
     z = depth[row, column].astype(np.float64)
     x = (column - intrinsics[0, 2]) / intrinsics[0, 0]
     y = (row - intrinsics[1, 2]) / intrinsics[1, 1]

@@ -12,19 +12,25 @@ from pydantic.dataclasses import dataclass
 
 from runtime.resize import move_returns, move_scan_lines, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample
+from training.lidar.faults import drop_sectors, misalign
 from training.lidar.simulate import SENSOR_LINES
+from training.lidar.solid_state import solid_state_scan
 from training.lidar.split import LidarInput, split_lidar
 from training.limits import (
     STRICT,
     CropSide,
     Degrees,
     FactorRange,
+    NotNegative,
     Share,
     ShareRange,
     Strength,
     require_window,
 )
 
+#: Share of the pixels whose depth is known, from which on a LiDAR can be drawn from it; measured
+#: truth has a fifth, rendered streets under a wide sky a third.
+_DENSE_SHARE = 0.3
 #: RGB that fills what lies beyond the image: the networks' mean colour.
 _FILL_RGB = (124, 116, 104)
 
@@ -56,10 +62,23 @@ class AugmentConfig:
     #: Range of that share, of the pixels for dense depth, of the returns for recorded depth.
     random_share: ShareRange = (0.01, 0.08)
     recorded_share: ShareRange = (0.3, 0.8)
-    #: Scan-line counts to choose from; a recorded scan keeps every 64/n-th line.
+    #: Scan-line counts to choose from; a recorded scan keeps every 64/n-th line. 128 are drawn from
+    #: dense depth, where there is none they are what 64 are.
     lines: Annotated[
-        tuple[Literal[1, 2, 4, 8, 16, 32, 64], ...], Field(min_length=1, max_length=100)
+        tuple[Literal[1, 2, 4, 8, 16, 32, 64, 128], ...], Field(min_length=1, max_length=100)
     ] = (64, 32, 16)
+    #: How often the input is a solid-state LiDAR's, drawn from dense depth, see
+    #: `training.lidar.solid_state`; where there is none it is what it would have been.
+    lidar_solid_state: Share = 0.0
+    #: How often the LiDAR is not where the calibration says, and how far at most about each axis
+    #: [degrees] and along it [m]; where intrinsics are known.
+    lidar_misaligned: Share = 0.0
+    misalignment_deg: Degrees = 0.5
+    misalignment_m: NotNegative = 0.05
+    #: How often one to three sectors of the LiDAR are missing, and the range of the share of the
+    #: picture's width that each takes.
+    lidar_dropout: Share = 0.0
+    dropout_share: ShareRange = (0.05, 0.3)
 
     def __post_init__(self) -> None:
         """Refuse a vast window, with a ValueError that names the key."""
@@ -242,10 +261,47 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
     """Choose what the LiDAR saw and what is left as the target, see `training.lidar.split`."""
     lidar = _choose_lidar(sample, config, rng)
     first_line = int(rng.integers(SENSOR_LINES))
-    split = split_lidar(sample, lidar, rng, same_target=False, first_line=first_line)
-    if split is None:
-        raise ValueError(f"{sample.name} cannot be split for the LiDAR {lidar}")
-    return replace(sample, sparse_depth=split.fed, depth=split.target)
+    fed, target = _draw_solid_state(sample, lidar, config, rng), sample.depth
+    if fed is None:
+        if lidar.lines > SENSOR_LINES:  # more than any recorded scan has: drawn from the truth
+            sample = replace(sample, sparse_depth=None, scan_line=None)
+        split = split_lidar(sample, lidar, rng, same_target=False, first_line=first_line)
+        if split is None:
+            raise ValueError(f"{sample.name} cannot be split for the LiDAR {lidar}")
+        fed, target = split.fed, split.target
+    return replace(sample, sparse_depth=_disturb(fed, sample, config, rng), depth=target)
+
+
+def _draw_solid_state(
+    sample: Sample, lidar: LidarInput, config: AugmentConfig, rng: Generator
+) -> NDArray[np.float32] | None:
+    """What a solid-state LiDAR sees, now and then, where a LiDAR is there at all."""
+    if not config.lidar_solid_state or lidar.kind == "none" or sample.intrinsics is None:
+        return None
+    if not _is_dense(sample) or rng.random() >= config.lidar_solid_state:
+        return None
+    return solid_state_scan(sample.depth, sample.intrinsics, rng)
+
+
+def _disturb(
+    fed: NDArray[np.float32], sample: Sample, config: AugmentConfig, rng: Generator
+) -> NDArray[np.float32]:
+    """Let the LiDAR be knocked out of its place or lose sectors, now and then."""
+    intrinsics, rotation_deg = sample.intrinsics, config.misalignment_deg
+    is_misaligned = config.lidar_misaligned and rng.random() < config.lidar_misaligned
+    if is_misaligned and intrinsics is not None and fed.any():
+        shift_m = config.misalignment_m
+        fed = misalign(fed, intrinsics, rng, rotation_deg=rotation_deg, shift_m=shift_m)
+    if config.lidar_dropout and rng.random() < config.lidar_dropout:
+        fed = drop_sectors(fed, config.dropout_share, rng)
+    return fed
+
+
+def _is_dense(sample: Sample) -> bool:
+    """Whether the depth is known for most surfaces, as rendered truth is, and no scan."""
+    is_scan = sample.scan_line is not None and sample.sparse_depth is None
+    known = int(np.count_nonzero(sample.depth))
+    return not is_scan and known > _DENSE_SHARE * sample.depth.size
 
 
 def _choose_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> LidarInput:
@@ -253,13 +309,15 @@ def _choose_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Lida
     missing = rng.random() < config.lidar_missing
     random = rng.random() < config.lidar_random
     lines = int(rng.choice(config.lines))
+    if lines > SENSOR_LINES and (sample.intrinsics is None or not _is_dense(sample)):
+        lines = SENSOR_LINES
     is_recorded = sample.sparse_depth is not None or sample.scan_line is not None
     if missing:
         return LidarInput("none")
     if random or not (is_recorded or sample.intrinsics is not None):
         share = rng.uniform(*(config.recorded_share if is_recorded else config.random_share))
         return LidarInput("random", share=float(share))
-    if is_recorded and sample.scan_line is None:
+    if is_recorded and sample.scan_line is None and lines <= SENSOR_LINES:
         return LidarInput("own")
     if sample.sparse_depth is None and sample.scan_line is not None:
         # All lines of the sensor would leave no target: at least every second is withheld.

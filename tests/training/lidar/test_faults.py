@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from training.lidar.faults import DROPOUT_SHARE, add_fault
+from training.lidar.faults import DROPOUT_SHARE, add_fault, drop_sectors, misalign
 from training.lidar.simulate import random_share
 
 
@@ -30,3 +30,52 @@ def test_faults_do_what_they_say_and_leave_the_input_alone():
     assert columns[0] == 160 - 1 - columns[-1]
     assert (add_fault(fed, "none", rng) == before).all()
     assert (fed == before).all()
+
+
+K = np.array([[80.0, 0, 80], [0, 80.0, 24], [0, 0, 1]])
+
+
+def test_a_misaligned_scan_moves_as_one_body():
+    """Returns of a wall: turned and shifted by one motion, none further than it allows."""
+    fed = np.zeros((48, 160), np.float32)
+    fed[8:40:8, 20:140:8] = 10.0
+    moved = misalign(fed, K, np.random.default_rng(1), rotation_deg=3.0, shift_m=0.2)
+    assert np.count_nonzero(moved) == np.count_nonzero(fed)
+    there, here = np.argwhere(moved), np.argwhere(fed)
+    steps = there[np.lexsort(there.T)] - here[np.lexsort(here.T)]
+    assert (steps.mean(axis=0) != 0).any()
+    # 3 degrees are 4.2 px, and up to 1.4 px more at the sides; 0.2 m at 10 m are 1.6 px.
+    assert np.abs(steps).max() <= 8
+    assert steps.std(axis=0).max() < 2
+    assert 0 < np.abs(moved[moved > 0] - 10).max() < 0.2 + 10 * np.deg2rad(3) * 1.2
+
+
+def test_without_an_error_nothing_moves():
+    fed = random_share(np.full((48, 160), 20.0, np.float32), 0.3, np.random.default_rng(0))
+    before = fed.copy()
+    same = misalign(fed, K, np.random.default_rng(1), rotation_deg=0.0, shift_m=0.0)
+    np.testing.assert_allclose(same, fed, rtol=1e-6)
+    misalign(fed, K, np.random.default_rng(1), rotation_deg=5.0, shift_m=1.0)
+    np.testing.assert_array_equal(fed, before)
+
+
+def test_of_two_returns_that_fall_together_the_nearer_stays():
+    fed = np.zeros((48, 160), np.float32)
+    fed[24, 80:100] = 40.0
+    fed[24, 81:100:2] = 4.0  # moves ten times as far
+    moved = misalign(fed, K, np.random.default_rng(0), rotation_deg=0.0, shift_m=1.0)
+    assert (moved[moved > 0] < 30).sum() == 10
+    assert 0 < (moved > 30).sum() <= 10
+
+
+def test_sectors_are_lost_from_top_to_bottom():
+    fed = np.full((48, 160), 20.0, np.float32)
+    counts = set()
+    for seed in range(30):
+        left = drop_sectors(fed, (0.1, 0.2), np.random.default_rng(seed))
+        lost = left == 0
+        assert (lost == lost[0]).all()
+        assert 16 <= lost[0].sum() <= 96
+        counts.add(np.count_nonzero(np.diff(lost[0].astype(int), prepend=0) == 1))
+    assert counts == {1, 2, 3}
+    assert (fed == 20).all()

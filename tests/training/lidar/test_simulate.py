@@ -37,6 +37,21 @@ def test_beams_span_the_field_of_the_hdl64():
         beam_elevations(48)
 
 
+def test_128_lines_have_one_between_every_two():
+    fine = np.rad2deg(beam_elevations(128))
+    assert len(fine) == 128
+    np.testing.assert_allclose(np.deg2rad(fine[::2]), beam_elevations(64))
+    assert (np.diff(fine) < -0.16).all()
+    np.testing.assert_allclose(fine[1:-1:2], (fine[:-2:2] + fine[2::2]) / 2)
+    assert fine[-1] == pytest.approx(-24.58)
+    depth = np.full((375, 1242), 20.0, np.float32)
+    hits = [
+        np.count_nonzero(scan_lines(depth, KITTI, lines, np.random.default_rng(0), **EXACT))
+        for lines in (64, 128)
+    ]
+    assert 1.8 < hits[1] / hits[0] <= 2.1
+
+
 def test_a_line_is_one_elevation_angle():
     index = scan_line_index((375, 1242), KITTI, 16)
     row, column = np.nonzero(index == 5)

@@ -375,3 +375,84 @@ def test_sky_is_far_where_nothing_was_measured():
     assert far_sky(replace(sample, sparse_depth=None), 4, 80.0).depth.tolist() == [
         [80, 80, 7, 80, 0]
     ]
+
+
+def rendered(height=48, width=64):
+    """The plane's dense truth, and a scan of it whose lines are known, 0.5 m too far."""
+    scan = recorded(height, width)
+    seen = np.where(scan.depth > 0, scan.depth + 0.5, 0).astype(np.float32)
+    return replace(plane(height, width), sparse_depth=seen, scan_line=scan.scan_line)
+
+
+ALWAYS = AugmentConfig(lidar_missing=0, lidar_random=0, lines=(64,))
+
+
+def test_a_solid_state_lidar_is_drawn_from_dense_truth_alone():
+    config = replace(ALWAYS, lidar_solid_state=1.0)
+    for sample in (rendered(), plane()):
+        out = draw_lidar(sample, config, np.random.default_rng(0))
+        seen = out.sparse_depth > 0
+        assert seen.sum() > 100
+        np.testing.assert_allclose(out.sparse_depth[seen], sample.depth[seen], atol=0.15)
+        np.testing.assert_array_equal(out.depth, sample.depth)
+    for sample in (recorded(), recorded_beside_its_target(), replace(plane(), intrinsics=None)):
+        thin = replace(sample, depth=np.where(sample.depth % 4 < 1, sample.depth, 0))
+        with_it, without = (
+            draw_lidar(thin, item, np.random.default_rng(0)).sparse_depth
+            for item in (config, ALWAYS)
+        )
+        np.testing.assert_array_equal(with_it, without)
+    missing = draw_lidar(plane(), replace(config, lidar_missing=1.0), np.random.default_rng(0))
+    assert not missing.sparse_depth.any()
+
+
+def test_128_lines_are_drawn_from_dense_truth_and_are_64_of_a_recorded_scan():
+    config = replace(ALWAYS, lines=(128,))
+    camera = np.array([[500.0, 0, 159.5], [0, 500.0, 40.0], [0, 0, 1]])
+    sample = replace(rendered(240, 320), intrinsics=camera)
+    seen = draw_lidar(sample, config, np.random.default_rng(0)).sparse_depth
+    known = seen > 0
+    np.testing.assert_allclose(seen[known], sample.depth[known], atol=0.15)  # not + 0.5
+    drawn = draw_lidar(
+        replace(sample, sparse_depth=None, scan_line=None), ALWAYS, np.random.default_rng(0)
+    )
+    assert known.sum() > 1.7 * np.count_nonzero(drawn.sparse_depth)
+    for scan in (recorded(), recorded_beside_its_target(), replace(rendered(), intrinsics=None)):
+        thin = replace(scan, depth=np.where(scan.depth % 4 < 1, scan.depth, 0))
+        of_128, of_64 = (
+            draw_lidar(thin, item, np.random.default_rng(0)).sparse_depth
+            for item in (config, ALWAYS)
+        )
+        np.testing.assert_array_equal(of_128, of_64)
+
+
+def test_a_misaligned_lidar_moves_the_input_and_not_the_target():
+    config = replace(ALWAYS, lidar_misaligned=1.0, misalignment_deg=4.0, misalignment_m=0.0)
+    sample = rendered()
+    straight = draw_lidar(sample, ALWAYS, np.random.default_rng(0))
+    moved = draw_lidar(sample, config, np.random.default_rng(0))
+    assert not np.array_equal(moved.sparse_depth > 0, straight.sparse_depth > 0)
+    assert np.count_nonzero(moved.sparse_depth) > 0.7 * np.count_nonzero(straight.sparse_depth)
+    np.testing.assert_array_equal(moved.depth, straight.depth)
+    unknown = draw_lidar(replace(sample, intrinsics=None), config, np.random.default_rng(0))
+    np.testing.assert_array_equal(unknown.sparse_depth, straight.sparse_depth)
+
+
+def test_sectors_drop_out_of_the_input_and_not_of_the_target():
+    config = replace(ALWAYS, lidar_dropout=1.0, dropout_share=(0.2, 0.2))
+    sample = rendered()
+    out = draw_lidar(sample, config, np.random.default_rng(0))
+    whole = draw_lidar(sample, ALWAYS, np.random.default_rng(0)).sparse_depth
+    lost = (whole > 0) & (out.sparse_depth == 0)
+    assert lost.any(axis=0).sum() >= 12
+    np.testing.assert_array_equal(out.sparse_depth[~lost], whole[~lost])
+    np.testing.assert_array_equal(out.depth, sample.depth)
+
+
+def test_what_is_off_draws_no_random_number():
+    """A training that was begun before these keys came goes on with the samples it would have."""
+    ours, expected = np.random.default_rng(5), np.random.default_rng(5)
+    draw_lidar(rendered(), ALWAYS, ours)
+    # Missing or not, at random or not, how many lines, the first of them.
+    _ = expected.random(), expected.random(), expected.choice(ALWAYS.lines), expected.integers(64)
+    assert ours.random() == expected.random()
