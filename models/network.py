@@ -135,12 +135,15 @@ class Network(nn.Module):
         self.register_buffer("rgb_mean", torch.tensor(config.rgb_mean).view(1, 3, 1, 1))
         self.register_buffer("rgb_std", torch.tensor(config.rgb_std).view(1, 3, 1, 1))
 
-    def forward(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def forward(
+        self, rgb: Tensor, sparse_depth: Tensor, *, upsample_semantic: bool = True
+    ) -> SSDNetOutput:
         """Predict at full size.
 
         rgb: float (N, 3, H, W), RGB in 0..255. sparse_depth: float (N, 1, H, W), metres; 0,
         negative, NaN, Inf or beyond ``config.max_depth_m`` = no measurement. H, W >= MIN_SIDE, odd
-        sizes too. Raises ValueError on other shapes.
+        sizes too. Raises ValueError on other shapes. Without ``upsample_semantic`` the semantic
+        logits stay on their own grid of ceil(H / s) x ceil(W / s), s = ``config.semantic_stride``.
         """
         height, width = _check_shapes(rgb, sparse_depth)
         coarse = self.predict_coarse(rgb, sparse_depth)
@@ -150,10 +153,15 @@ class Network(nn.Module):
 
         logits, depths, boundary = coarse.semantic_logits, coarse.depths, coarse.boundary_logits
         stride = self.config.output_stride
+        if logits is not None:
+            side = self.config.semantic_stride
+            logits = (
+                full_size(logits, side)
+                if upsample_semantic
+                else logits[:, :, : -(-height // side), : -(-width // side)]
+            )
         return SSDNetOutput(
-            semantic_logits=(
-                None if logits is None else full_size(logits, self.config.semantic_stride)
-            ),
+            semantic_logits=logits,
             depths=None
             if depths is None
             else (full_size(depths[0], self.config.depth_stride), *depths[1:]),

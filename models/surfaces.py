@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from models.blocks import max_around
 from models.depth_prior import pull_push
 
 #: Windows of the max-pools that carry a surface on into cells without any, one after the other:
@@ -66,7 +67,7 @@ def gather_surfaces(measured: Tensor, *, factor: int, levels: int) -> Surfaces:
     inverse = mask / depth.clamp(min=NEAREST)
     carried = F.max_pool2d(torch.cat([inverse, depth], dim=1), factor)
     for window in WINDOWS:
-        carried = torch.where(carried > 0, carried, _largest_around(carried, window))
+        carried = torch.where(carried > 0, carried, max_around(carried, window))
     support = (carried[:, 1:] > 0).to(depth.dtype)
     smooth = F.avg_pool2d(torch.cat([carried[:, :1], support], dim=1), 3, 1, 1)
     nearest = smooth[:, 1:].clamp(min=1e-6) / smooth[:, :1].clamp(min=1e-6)
@@ -81,12 +82,6 @@ def gather_surfaces(measured: Tensor, *, factor: int, levels: int) -> Surfaces:
         coarse[:, 1:],
         density,
     )
-
-
-def _largest_around(x: Tensor, window: int) -> Tensor:
-    """Maximum over a square window: over its rows and then over its columns, 30 steps for 225."""
-    half = window // 2
-    return F.max_pool2d(F.max_pool2d(x, (window, 1), 1, (half, 0)), (1, window), 1, (0, half))
 
 
 def choose_surface(head: Tensor, regressed: Tensor, surfaces: Surfaces) -> Tensor:

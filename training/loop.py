@@ -49,8 +49,8 @@ from training.run_folder import (
 from training.score_table import SHOWN, ScoreTable
 from training.stop_signal import leave_signals_to_parent
 
-#: (rgb, sparse_depth) -> what the network says.
-Forward = Callable[[Tensor, Tensor], SSDNetOutput]
+#: What `Network.forward` is, perhaps shared among processes or compiled.
+Forward = Callable[..., SSDNetOutput]
 
 #: Types of arithmetic other than float32, as recipes call them.
 _AUTOCAST = {"bf16": torch.bfloat16, "fp16": torch.float16}
@@ -347,7 +347,9 @@ def _compute_loss(
         dtype=_AUTOCAST.get(loop.autocast),
         enabled=loop.autocast in _AUTOCAST,
     ):
-        output = forward(rgb, sparse_depth)
+        output = forward(
+            rgb, sparse_depth, upsample_semantic=criterion.config.semantic_grid == "image"
+        )
     terms: dict[str, Tensor] = criterion(
         output,
         samples["semantic"].to(device, non_blocking=True),

@@ -72,4 +72,4 @@ def balanced_cross_entropy(
     share = counts[0] / counts[1].clamp(min=1)
     weight = torch.where(boundary > 0, 1 - share, share * known)
     values = F.binary_cross_entropy_with_logits(logits, boundary, weight, reduction="none")
-    return labelled_mean(values.squeeze(1), valid.squeeze(1), sample_weight)
+    return labelled_mean(values.sum(dim=(1, 2, 3)), known.sum(), sample_weight)

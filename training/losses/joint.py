@@ -65,38 +65,42 @@ def hard_disagreement(labels: Tensor) -> NeighbourMaps:
     )
 
 
-def semantic_boundary_loss(disagreement: NeighbourMaps, boundary: Tensor) -> Tensor:
+def semantic_boundary_loss(
+    disagreement: NeighbourMaps, boundary: Tensor, *, side: int = 1
+) -> Tensor:
     """Eq. 8: where neighbours differ in class the boundary should be sure, ().
 
     `boundary` P_b, float (N, 1, H, W) in 0..1. (1/N) sum f_u e^-P_b + f_v e^-P_b over all N
     pixels; the first column and row have no neighbour and f = 0. No ground truth enters, so
-    unlabelled images count as well.
+    unlabelled images count as well. ``side`` is that of a cell of the maps in pixels: two cells
+    meet along so many pixels, which all count.
     """
     doubt = torch.exp(-boundary.squeeze(1))
     across = disagreement.across * doubt[..., 1:]
     down = disagreement.down * doubt[..., 1:, :]
-    return _mean(across, down, doubt.numel())
+    return _mean(across, down, doubt.numel() * side)
 
 
 def semantic_depth_loss(
-    disagreement: NeighbourMaps, depth: Tensor, *, depth_scale: float = 1.0
+    disagreement: NeighbourMaps, depth: Tensor, *, depth_scale: float = 1.0, side: int = 1
 ) -> Tensor:
     """Eq. 9-11: where neighbours differ in class the depth should step, ().
 
     `depth` P_d, float (N, 1, H, W), normalised to 0..1. (1/N) sum f_u e^-|s du P_d| +
     f_v e^-|s dv P_d| with s = `depth_scale`: the printed loss depends on the unit of depth, 1
-    means normalised depth and `max_depth_m` would mean metres.
+    means normalised depth and `max_depth_m` would mean metres. ``side`` as in
+    `semantic_boundary_loss`.
     """
     scaled = depth.squeeze(1) * depth_scale
     step_across = (scaled[..., 1:] - scaled[..., :-1]).abs()
     step_down = (scaled[..., 1:, :] - scaled[..., :-1, :]).abs()
     across = disagreement.across * torch.exp(-step_across)
     down = disagreement.down * torch.exp(-step_down)
-    return _mean(across, down, scaled.numel())
+    return _mean(across, down, scaled.numel() * side)
 
 
 def _mean(across: Tensor, down: Tensor, pixels: int) -> Tensor:
-    """Both sums over the number of pixels, of all processes."""
+    """Both sums over a number of pixels, of all processes."""
     sums = torch.stack([across.sum() + down.sum(), across.new_tensor(pixels)])
     total, count = sum_over_processes(sums).unbind()
     return total / count

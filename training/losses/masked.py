@@ -28,8 +28,14 @@ def split_into_blocks(x: Tensor, grid: tuple[int, int]) -> tuple[Tensor, int]:
     pooling and padding to the stride make them; the padding is 0.
     """
     height, width = x.shape[-2:]
-    side = 1
-    while side * grid[0] < height or side * grid[1] < width:
-        side *= 2
+    side = cell_side((height, width), grid)
     padding = (0, side * grid[1] - width, 0, side * grid[0] - height)
     return (F.pad(x, padding) if any(padding) else x), side
+
+
+def cell_side(size: tuple[int, int], grid: tuple[int, int]) -> int:
+    """Side of the square of pixels that a cell of ``grid`` stands for, see `split_into_blocks`."""
+    side = 1
+    while side * grid[0] < size[0] or side * grid[1] < size[1]:
+        side *= 2
+    return side

@@ -7,6 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from training.distributed import sum_over_processes
+from training.losses.masked import cell_side
 
 IGNORE = 255
 
@@ -39,34 +40,50 @@ def class_weights(pixel_counts: Tensor, weighting: ClassWeighting = "median") ->
     return weights.float()
 
 
-def cross_entropy_map(log_probabilities: Tensor, semantic: Tensor, weights: Tensor) -> Tensor:
-    """One pixel's term of Eq. 5, -beta log p of its class: float (N, H, W), 0 where ignored.
+def class_shares(semantic: Tensor, classes: int, grid: tuple[int, int]) -> Tensor:
+    """Share of every class among the pixels under each cell of a grid: float32 (N, C, h, w).
 
-    `log_probabilities` float (N, C, H, W); `semantic` int64 (N, H, W), 255 = ignore; `weights`
+    `semantic` int64 (N, H, W), 255 = ignore; `grid` (h, w) as in `split_into_blocks`. Pixels that
+    are ignored or beyond the image are of no class: the shares of a cell sum to the known part of
+    it. Logits scored with them count as if they were repeated over all pixels of their cell; at
+    the size of the image the shares are 0 and 1.
+    """
+    height, width = semantic.shape[-2:]
+    side = cell_side((height, width), grid)
+    padding = (0, side * grid[1] - width, 0, side * grid[0] - height)
+    pixels = F.pad(semantic, padding, value=IGNORE) if any(padding) else semantic
+    pixels = F.pixel_unshuffle(pixels.unsqueeze(1), side).clamp(max=classes)
+    shares = torch.zeros(len(semantic), classes + 1, *grid, device=semantic.device)
+    one = shares.new_tensor(1 / side**2).expand(pixels.shape)
+    return shares.scatter_add_(1, pixels, one)[:, :classes]
+
+
+def cross_entropy_sums(log_probabilities: Tensor, shares: Tensor, weights: Tensor) -> Tensor:
+    """Eq. 5 summed over each sample, -beta log p of every known pixel's class: (N,), in cells.
+
+    `log_probabilities` float (N, C, h, w); `shares` of that shape, see `class_shares`; `weights`
     float (C,). Our reading of the printed beta_j: the weight of the class that pixel j is of.
     """
-    return F.nll_loss(
-        log_probabilities, semantic, weight=weights, ignore_index=IGNORE, reduction="none"
-    )
+    of_class = (log_probabilities * shares).sum(dim=(2, 3))
+    return -(of_class * weights).sum(dim=1)
 
 
-def labelled_mean(values: Tensor, known: Tensor, sample_weight: Tensor | None = None) -> Tensor:
-    """Mean over all known pixels of the batch, ().
+def labelled_mean(sums: Tensor, known: Tensor, sample_weight: Tensor | None = None) -> Tensor:
+    """Mean over all that is known in the batch, ().
 
-    `values` float (N, H, W), 0 where not `known`, bool (N, H, W). `sample_weight` float (N,)
-    scales each sample's part without changing what is divided by, so a batch of labels worth 0.2
-    gives 0.2 of the loss. 0, with a gradient of 0, if nothing is known. Pixels of all processes
-    count.
+    `sums` float (N,) over what is known of each sample; `known` (): how much that is altogether.
+    `sample_weight` float (N,) scales each sample's part without changing what is divided by, so a
+    batch of labels worth 0.2 gives 0.2 of the loss. 0, with a gradient of 0, if nothing is known.
+    What all processes know counts.
     """
-    sums = values.sum(dim=(1, 2))
     if sample_weight is not None:
         sums = sums * sample_weight
-    return sum_over_processes(sums.sum()) / sum_over_processes(known.sum()).clamp(min=1)
+    return sum_over_processes(sums.sum()) / sum_over_processes(known).clamp(min=1e-6)
 
 
 def weighted_cross_entropy(
     log_probabilities: Tensor,
-    semantic: Tensor,
+    shares: Tensor,
     weights: Tensor,
     sample_weight: Tensor | None = None,
 ) -> Tensor:
@@ -74,31 +91,25 @@ def weighted_cross_entropy(
 
     The paper sums; a sum would drown the joint terms, which are means.
     """
-    values = cross_entropy_map(log_probabilities, semantic, weights)
-    return labelled_mean(values, semantic != IGNORE, sample_weight)
+    sums = cross_entropy_sums(log_probabilities, shares, weights)
+    return labelled_mean(sums, shares.sum(), sample_weight)
 
 
 def soft_overlap(
-    probabilities: Tensor, semantic: Tensor, sample_weight: Tensor | None = None
+    probabilities: Tensor, shares: Tensor, sample_weight: Tensor | None = None
 ) -> Tensor:
-    """What soft IoU is made of, summed over all labelled pixels: float (3, C).
+    """What soft IoU is made of, summed over all labelled pixels: float (3, C), in cells.
 
-    `probabilities` float (N, C, H, W) that sum to 1 over C; `semantic` int64 (N, H, W), 255 =
-    ignore; `sample_weight` float (N,). Rows: probability on pixels of the class (intersection),
-    probability on all labelled pixels, pixels of the class. Rows of parts of a batch add up.
+    `probabilities` float (N, C, h, w) that sum to 1 over C; `shares` of that shape, see
+    `class_shares`; `sample_weight` float (N,). Rows: probability on pixels of the class
+    (intersection), probability on all labelled pixels, pixels of the class. Rows of parts of a
+    batch add up.
     """
-    classes = probabilities.shape[1]
-    known = semantic != IGNORE
-    weight = known.to(probabilities.dtype)
     if sample_weight is not None:
-        weight = weight * sample_weight[:, None, None]
-    predicted = torch.einsum("nchw,nhw->c", probabilities, weight)
-    label = torch.where(known, semantic, 0)
-    right = probabilities.gather(1, label[:, None]).squeeze(1) * weight
-    empty = probabilities.new_zeros(classes)
-    intersection = empty.index_add(0, label.flatten(), right.flatten())
-    labelled = empty.index_add(0, label.flatten(), weight.flatten())
-    return torch.stack((intersection, predicted, labelled))
+        shares = shares * sample_weight[:, None, None, None]
+    intersection = (probabilities * shares).sum(dim=(0, 2, 3))
+    predicted = (probabilities * shares.sum(dim=1, keepdim=True)).sum(dim=(0, 2, 3))
+    return torch.stack((intersection, predicted, shares.sum(dim=(0, 2, 3))))
 
 
 def soft_iou_loss(overlap: Tensor) -> Tensor:

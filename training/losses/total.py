@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping
 from functools import partial
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -32,11 +32,13 @@ from training.losses.joint import (
     soft_disagreement,
 )
 from training.losses.lovasz import lovasz_softmax_loss, picture_mean
+from training.losses.masked import cell_side
 from training.losses.road import road_loss
 from training.losses.semantic import (
     IGNORE,
     ClassWeighting,
-    cross_entropy_map,
+    class_shares,
+    cross_entropy_sums,
     labelled_mean,
     soft_iou_loss,
     soft_overlap,
@@ -83,6 +85,11 @@ class LossConfig:
     #: "fixed": the weights above, as in the paper. "uncertainty": each is multiplied by a factor
     #: that is learned along with the network (Kendall et al. 2018, the paper's reference 35).
     weighting: Literal["fixed", "uncertainty"] = "fixed"
+
+    #: Where the semantic logits are scored: upsampled to the image's size, or on the head's own
+    #: grid against the share of each class among the pixels of a cell, which is quicker. For a head
+    #: at the image's size both are the same.
+    semantic_grid: Literal["image", "head"] = "image"
 
     #: How Eq. 5's beta comes from the class frequencies; "paper" is literal.
     class_weighting: ClassWeighting = "median"
@@ -187,11 +194,14 @@ class SSDNetLoss(nn.Module):
         computed in. Raises ValueError on targets of another size.
         """
         answer = _any_answer(output)
-        if answer.shape[-2:] != semantic.shape[-2:] or semantic.shape[-2:] != depth.shape[-2:]:
+        height, width = semantic.shape[-2:]
+        side = cell_side((height, width), (answer.shape[-2], answer.shape[-1]))
+        expected = (-(-height // side), -(-width // side))
+        if answer.shape[-2:] != expected or depth.shape[-2:] != (height, width):
             raise ValueError(
                 f"the network's answer is {tuple(answer.shape[-2:])}, semantic "
-                f"{tuple(semantic.shape[-2:])} and depth {tuple(depth.shape[-2:])}; expected one "
-                "size (height, width)"
+                f"{(height, width)} and depth {tuple(depth.shape[-2:])}; expected one size "
+                "(height, width), of the answer up to a power of two"
             )
         terms = self._boundary_terms(output, semantic, semantic_weight)
         terms |= self._depth_terms(output, depth)
@@ -281,7 +291,7 @@ class SSDNetLoss(nn.Module):
         if weights is None:
             weights = torch.ones(logits.shape[1], device=logits.device)
         form = config.disagreement if joint else None
-        cross_entropy, overlap, lovasz, disagreement = _class_maps(
+        classes = _class_maps(
             logits,
             semantic,
             weights,
@@ -291,30 +301,59 @@ class SSDNetLoss(nn.Module):
             with_lovasz=bool(config.lovasz_weight),
         )
         terms = {}
-        if overlap is not None:
-            terms["semantic_iou"] = soft_iou_loss(overlap)
-        known = semantic != IGNORE
-        if lovasz is not None:
-            terms["lovasz"] = picture_mean(lovasz, known, semantic_weight)
+        if classes.overlap is not None:
+            terms["semantic_iou"] = soft_iou_loss(classes.overlap)
+        if classes.lovasz is not None:
+            terms["lovasz"] = picture_mean(classes.lovasz, semantic != IGNORE, semantic_weight)
         if config.semantic_weight:
-            terms["semantic"] = labelled_mean(cross_entropy, known, semantic_weight)
-        if disagreement is not None and boundary_logits is not None:
-            boundary = torch.sigmoid(boundary_logits.float())
-            terms["semantic_boundary"] = semantic_boundary_loss(disagreement, boundary)
-        if disagreement is not None and with_depth and output.depths is not None:
+            terms["semantic"] = labelled_mean(classes.cross_entropy, classes.known, semantic_weight)
+        disagreement = classes.disagreement
+        if disagreement is None:
+            return terms
+        grid = (logits.shape[-2], logits.shape[-1])
+        side = cell_side((semantic.shape[-2], semantic.shape[-1]), grid)
+        if boundary_logits is not None:
+            boundary = _on_grid(torch.sigmoid(boundary_logits.float()), grid)
+            terms["semantic_boundary"] = semantic_boundary_loss(disagreement, boundary, side=side)
+        if with_depth and output.depths is not None:
             terms["semantic_depth"] = semantic_depth_loss(
-                disagreement, output.depths[0].float(), depth_scale=config.joint_depth_scale
+                disagreement,
+                _on_grid(output.depths[0].float(), grid),
+                depth_scale=config.joint_depth_scale,
+                side=side,
             )
         return terms
 
 
+def _on_grid(x: Tensor, grid: tuple[int, int]) -> Tensor:
+    """Bring (N, 1, H, W) to a coarser grid by means, or to a finer one by bilinear upsampling."""
+    if x.shape[-2] < grid[0]:
+        return F.interpolate(x, size=grid, mode="bilinear", align_corners=False)
+    side = cell_side((x.shape[-2], x.shape[-1]), grid)
+    return x if side == 1 else F.avg_pool2d(x, side, ceil_mode=True)
+
+
 def _any_answer(output: SSDNetOutput) -> Tensor:
-    """Return an answer of the image's size, (N, any, H, W), of whatever head there is."""
+    """Return an answer of whatever head there is, (N, any, h, w)."""
     depth = None if output.depths is None else output.depths[0]
     for answer in (output.boundary_logits, output.semantic_logits, depth):
         if answer is not None:
             return answer
     raise ValueError("the network has no head")
+
+
+class _ClassMaps(NamedTuple):
+    """What needs all classes of a pixel."""
+
+    #: Sums of Eq. 5, (N,), and what is known of all samples, (), in cells.
+    cross_entropy: Tensor
+    known: Tensor
+    #: See `soft_overlap`.
+    overlap: Tensor | None
+    #: Lovász-Softmax of each sample, (N,).
+    lovasz: Tensor | None
+    #: Eq. 7 on the grid of the logits.
+    disagreement: NeighbourMaps | None
 
 
 def _class_maps(
@@ -326,23 +365,26 @@ def _class_maps(
     *,
     with_overlap: bool,
     with_lovasz: bool,
-) -> tuple[Tensor, Tensor | None, Tensor | None, NeighbourMaps | None]:
-    """Everything that needs all classes of a pixel: Eq. 5's map, overlap, Lovász, disagreement.
+) -> _ClassMaps:
+    """Everything that needs all classes of a pixel.
 
     Sample by sample: the class maps of a whole batch fit no cache, which costs a CPU a third more.
     """
-    cross_entropy, overlaps, lovasz, disagreements = [], [], [], []
+    count, grid = logits.shape[1], (logits.shape[-2], logits.shape[-1])
+    cross_entropy, known, overlaps, lovasz, disagreements = [], [], [], [], []
     # Unbound, not sliced: the gradient of each slice would be as large as the whole batch.
     for index, (sample, label) in enumerate(zip(logits.unbind(0), semantic.unbind(0), strict=True)):
         log_probabilities = F.log_softmax(sample[None].float(), dim=1)
-        cross_entropy.append(cross_entropy_map(log_probabilities, label[None], weights))
+        shares = class_shares(label[None], count, grid)
+        cross_entropy.append(cross_entropy_sums(log_probabilities, shares, weights))
+        known.append(shares.sum())
         soft = with_overlap or with_lovasz or form == "soft"
         probabilities = log_probabilities.exp() if soft else None
         if with_overlap and probabilities is not None:
             share = None if sample_weight is None else sample_weight[index : index + 1]
-            overlaps.append(soft_overlap(probabilities, label[None], share))
+            overlaps.append(soft_overlap(probabilities, shares, share))
         if with_lovasz and probabilities is not None:
-            lovasz.append(lovasz_softmax_loss(probabilities[0], label))
+            lovasz.append(lovasz_softmax_loss(_over_pixels(probabilities[0], label), label))
         if form == "soft" and probabilities is not None:
             disagreements.append(soft_disagreement(probabilities))
         elif form == "hard":
@@ -351,6 +393,20 @@ def _class_maps(
     if disagreements:
         across, down = zip(*disagreements, strict=True)
         disagreement = NeighbourMaps(torch.cat(across), torch.cat(down))
-    overlap = torch.stack(overlaps).sum(dim=0) if overlaps else None
-    per_picture = torch.stack(lovasz) if lovasz else None
-    return torch.cat(cross_entropy), overlap, per_picture, disagreement
+    return _ClassMaps(
+        cross_entropy=torch.cat(cross_entropy),
+        known=torch.stack(known).sum(),
+        overlap=torch.stack(overlaps).sum(dim=0) if overlaps else None,
+        lovasz=torch.stack(lovasz) if lovasz else None,
+        disagreement=disagreement,
+    )
+
+
+def _over_pixels(cells: Tensor, semantic: Tensor) -> Tensor:
+    """Repeat (C, h, w) over the pixels of every cell: (C, H, W), of the size of ``semantic``."""
+    height, width = semantic.shape
+    side = cell_side((height, width), (cells.shape[-2], cells.shape[-1]))
+    if side == 1:
+        return cells
+    pixels = cells.repeat_interleave(side, dim=1).repeat_interleave(side, dim=2)
+    return pixels[:, :height, :width]

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from training.losses.semantic import (
+    class_shares,
     class_weights,
     soft_iou_loss,
     soft_overlap,
@@ -34,6 +35,11 @@ def test_class_weights_of_unseen_and_even_counts():
         class_weights(torch.zeros(3), "median")
 
 
+def shares_of(semantic, like):
+    """Shares on the grid of `like`, (N, C, h, w)."""
+    return class_shares(torch.as_tensor(semantic), like.shape[1], tuple(like.shape[-2:])).to(like)
+
+
 def cross_entropy_by_loops(logits, semantic, weights, sample_weight):
     total, count = 0.0, 0
     for n, v, u in np.ndindex(*semantic.shape):
@@ -56,7 +62,7 @@ def test_weighted_cross_entropy_equals_loops(weighting):
     sample_weight = np.array([1.0, 0.2], dtype=np.float32)
     ours = weighted_cross_entropy(
         torch.log_softmax(torch.from_numpy(logits), dim=1),
-        torch.from_numpy(semantic),
+        shares_of(semantic, torch.from_numpy(logits)),
         weights,
         torch.from_numpy(sample_weight),
     )
@@ -66,18 +72,18 @@ def test_weighted_cross_entropy_equals_loops(weighting):
 
 def test_a_batch_of_light_labels_is_a_light_loss():
     log_probabilities = torch.log_softmax(torch.randn(2, 3, 4, 4), dim=1)
-    semantic = torch.randint(0, 3, (2, 4, 4))
-    full = weighted_cross_entropy(log_probabilities, semantic, torch.ones(3))
+    shares = shares_of(torch.randint(0, 3, (2, 4, 4)), log_probabilities)
+    full = weighted_cross_entropy(log_probabilities, shares, torch.ones(3))
     light = weighted_cross_entropy(
-        log_probabilities, semantic, torch.ones(3), torch.tensor([0.2, 0.2])
+        log_probabilities, shares, torch.ones(3), torch.tensor([0.2, 0.2])
     )
     assert light.item() == pytest.approx(0.2 * full.item(), rel=1e-5)
 
 
 def test_without_labels_loss_and_gradient_are_zero():
     logits = torch.randn(1, 3, 4, 4, requires_grad=True)
-    semantic = torch.full((1, 4, 4), 255)
-    loss = weighted_cross_entropy(torch.log_softmax(logits, dim=1), semantic, torch.ones(3))
+    shares = shares_of(torch.full((1, 4, 4), 255), logits)
+    loss = weighted_cross_entropy(torch.log_softmax(logits, dim=1), shares, torch.ones(3))
     loss.backward()
     assert loss.item() == 0.0
     assert logits.grad.abs().max() == 0.0
@@ -107,15 +113,14 @@ def test_soft_iou_equals_loops(sample_weight):
     probabilities = torch.softmax(logits, dim=1)
     semantic = rng.choice([0, 0, 1, 2, 2, 255], size=(2, 6, 7))  # 3 and 4 are never seen
     semantic[1][semantic[1] == 1] = 0
-    overlap = soft_overlap(
-        probabilities, torch.from_numpy(semantic), torch.tensor(sample_weight).double()
-    )
+    shares = shares_of(semantic, probabilities)
+    overlap = soft_overlap(probabilities, shares, torch.tensor(sample_weight).double())
     expected = soft_iou_by_loops(probabilities.numpy(), semantic, sample_weight)
     assert soft_iou_loss(overlap).item() == pytest.approx(expected, rel=1e-9)
     halves = [
         soft_overlap(
             probabilities[n : n + 1],
-            torch.from_numpy(semantic[n : n + 1]),
+            shares[n : n + 1],
             torch.tensor(sample_weight[n : n + 1]).double(),
         )
         for n in range(2)
@@ -127,16 +132,51 @@ def test_soft_iou_by_hand():
     right = torch.zeros(1, 2, 1, 4)
     right[0, 0, 0, :2] = right[0, 1, 0, 2:] = 1
     semantic = torch.tensor([[[0, 0, 1, 1]]])
-    assert soft_iou_loss(soft_overlap(right, semantic)).item() == 0
+    assert soft_iou_loss(soft_overlap(right, shares_of(semantic, right))).item() == 0
     # All said to be 0: IoU of 0 is 2 / 4, of 1 none.
     one = torch.zeros(1, 2, 1, 4)
     one[:, 0] = 1
-    assert soft_iou_loss(soft_overlap(one, semantic)).item() == pytest.approx(0.75)
+    assert soft_iou_loss(soft_overlap(one, shares_of(semantic, one))).item() == pytest.approx(0.75)
 
 
 def test_soft_iou_of_nothing_labelled_is_0_with_a_gradient_of_0():
     probabilities = torch.full((1, 3, 2, 2), 1 / 3, requires_grad=True)
-    loss = soft_iou_loss(soft_overlap(probabilities, torch.full((1, 2, 2), 255)))
+    shares = shares_of(torch.full((1, 2, 2), 255), probabilities)
+    loss = soft_iou_loss(soft_overlap(probabilities, shares))
     loss.backward()
     assert loss.item() == 0
     assert not probabilities.grad.any()
+
+
+def test_class_shares_by_hand():
+    semantic = torch.tensor([[[0, 1, 2], [1, 1, 255], [2, 255, 2]]])
+    shares = class_shares(semantic, 3, (2, 2))  # the last row and column of cells reach beyond
+    expected = [
+        [[0.25, 0.0], [0.0, 0.0]],
+        [[0.75, 0.0], [0.0, 0.0]],
+        [[0.0, 0.25], [0.25, 0.25]],
+    ]
+    assert shares[0].tolist() == expected
+    assert torch.equal(
+        class_shares(semantic, 3, (3, 3))[0],
+        torch.stack([semantic[0] == k for k in range(3)]).float(),
+    )
+
+
+def test_a_cell_scored_by_shares_is_a_logit_repeated_over_its_pixels():
+    rng = np.random.default_rng(0)
+    coarse = torch.from_numpy(rng.standard_normal((2, 4, 3, 4)))
+    semantic = rng.choice([0, 0, 1, 2, 3, 255], size=(2, 5, 8))
+    repeated = coarse.repeat_interleave(2, dim=2).repeat_interleave(2, dim=3)[:, :, :5]
+    weights = torch.tensor([0.5, 2.0, 1.0, 3.0]).double()
+    sample_weight = torch.tensor([1.0, 0.2]).double()
+    cross_entropy, iou = [], []
+    for logits in (coarse, repeated):
+        shares = shares_of(semantic, logits)
+        log_probabilities = torch.log_softmax(logits, dim=1)
+        cross_entropy.append(
+            weighted_cross_entropy(log_probabilities, shares, weights, sample_weight)
+        )
+        iou.append(soft_iou_loss(soft_overlap(log_probabilities.exp(), shares, sample_weight)))
+    torch.testing.assert_close(*cross_entropy)
+    torch.testing.assert_close(*iou)

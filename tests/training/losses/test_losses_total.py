@@ -18,7 +18,12 @@ from training.losses.joint import (
 )
 from training.losses.lovasz import lovasz_softmax_loss
 from training.losses.road import road_loss
-from training.losses.semantic import soft_iou_loss, soft_overlap, weighted_cross_entropy
+from training.losses.semantic import (
+    class_shares,
+    soft_iou_loss,
+    soft_overlap,
+    weighted_cross_entropy,
+)
 
 ALL_OFF = {
     "depth_weight": 0.0,
@@ -83,6 +88,7 @@ def test_total_is_the_weighted_sum_of_the_families():
         answer(parts), semantic, depth, semantic_weight=sample_weight
     )
     log_p = torch.log_softmax(parts["semantic"], dim=1)
+    shares = class_shares(semantic, 5, (16, 24))
     maps = soft_disagreement(log_p.exp())
     target, valid = boundary_target(semantic)
     coarse = (
@@ -102,7 +108,7 @@ def test_total_is_the_weighted_sum_of_the_families():
     ]
     expected = {
         "depth": sum(of_depth) / 2,
-        "semantic": weighted_cross_entropy(log_p, semantic, weights, sample_weight),
+        "semantic": weighted_cross_entropy(log_p, shares, weights, sample_weight),
         "boundary": balanced_cross_entropy(
             parts["boundary"], target, valid, sample_weight=sample_weight
         ),
@@ -277,7 +283,8 @@ def test_soft_iou_is_a_term_of_its_own():
         answer(parts), semantic, depth, semantic_weight=sample_weight
     )
     probabilities = torch.softmax(parts["semantic"], dim=1)
-    expected = soft_iou_loss(soft_overlap(probabilities, semantic, sample_weight))
+    shares = class_shares(semantic, 5, (16, 24))
+    expected = soft_iou_loss(soft_overlap(probabilities, shares, sample_weight))
     torch.testing.assert_close(terms["semantic_iou"], expected)
     torch.testing.assert_close(terms["total"], 2 * expected)
     assert set(terms) == {"semantic_iou", "total"}
@@ -354,3 +361,48 @@ def test_masks_of_the_road_count_by_their_weight():
     torch.testing.assert_close(terms["road"], expected)
     torch.testing.assert_close(terms["total"], without["total"] + 2 * expected)
     assert "road" not in SSDNetLoss(config, **given)(answer(leaves()), semantic, depth)
+
+
+def test_semantic_logits_may_stay_on_their_own_grid():
+    """As if they were repeated over the pixels of a cell; only the joint terms see cells."""
+    parts = leaves(size=(16, 24))
+    coarse = leaves(size=(8, 12))["semantic"]
+    semantic, depth = targets()
+    semantic[0, :3, 5:] = 255
+    config = LossConfig(semantic_iou_weight=1.0, lovasz_weight=1.0, joint_depth_scale=50.0)
+    criterion = SSDNetLoss(config, max_depth_m=100.0)
+    repeated = coarse.detach().repeat_interleave(2, dim=2).repeat_interleave(2, dim=3)
+    output = answer(parts)
+    on_grid = criterion(output._replace(semantic_logits=coarse), semantic, depth)
+    at_size = criterion(output._replace(semantic_logits=repeated), semantic, depth)
+    for name in set(on_grid) - {"semantic_boundary", "semantic_depth", "total"}:
+        assert on_grid[name].item() == pytest.approx(at_size[name].item(), rel=1e-5), name
+    on_grid["total"].backward()
+    assert all(parts[name].grad.any() for name in parts if name not in ("semantic", "side"))
+    assert coarse.grad.any()
+
+    # Repeated cells differ where cells meet, along two pixels each: the same sum over the pixels.
+    maps = soft_disagreement(torch.softmax(coarse, dim=1))
+    pooled = [
+        torch.nn.functional.avg_pool2d(map_, 2)
+        for map_ in (torch.sigmoid(output.boundary_logits), output.depths[0])
+    ]
+    expected = semantic_boundary_loss(maps, pooled[0], side=2)
+    assert on_grid["semantic_boundary"].item() == pytest.approx(expected.item(), rel=1e-5)
+    assert expected.item() == pytest.approx(
+        semantic_boundary_loss(maps, pooled[0]).item() / 2, rel=1e-5
+    )
+    expected = semantic_depth_loss(maps, pooled[1], depth_scale=50.0, side=2)
+    assert on_grid["semantic_depth"].item() == pytest.approx(expected.item(), rel=1e-5)
+
+
+def test_semantics_alone_are_scored_on_their_own_grid_of_an_odd_size():
+    coarse = leaves(size=(8, 12))["semantic"]
+    semantic, depth = targets()
+    output = SSDNetOutput(semantic_logits=coarse)
+    terms = SSDNetLoss(LossConfig(), max_depth_m=100.0)(
+        output, semantic[:, 1:, 1:], depth[..., 1:, 1:]
+    )
+    assert terms["semantic"].item() > 0
+    with pytest.raises(ValueError, match="expected one size"):
+        SSDNetLoss(LossConfig(), max_depth_m=100.0)(output, semantic[:, 3:], depth[:, :, 3:])
