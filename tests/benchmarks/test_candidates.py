@@ -1,0 +1,18 @@
+"""The candidates by name."""
+
+import sys
+
+import pytest
+
+import candidates
+
+
+def test_an_unknown_candidate_is_named_with_those_that_are_known(monkeypatch, capsys):
+    known = {"ssdnet-lite": candidates.LITE, "other": candidates.LITE}
+    monkeypatch.setattr(candidates, "candidates", lambda: known)
+    monkeypatch.setattr(sys, "argv", ["candidates.py", "--only", "other", "stem 1"])
+    with pytest.raises(SystemExit) as error:
+        candidates.main()
+    assert error.value.code == 2
+    said = capsys.readouterr().err
+    assert "--only 'stem 1': no such candidate; known: ssdnet-lite, other\n" in said
