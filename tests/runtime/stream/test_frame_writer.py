@@ -247,7 +247,7 @@ def test_a_disk_that_is_really_full(mount_disk, contract, answered):
 
 
 def panels_of(strip, height):
-    return [strip[i * height : (i + 1) * height] for i in range(4)]
+    return [strip[i * height : (i + 1) * height] for i in range(5)]
 
 
 def test_the_overlay_shows_what_was_predicted(contract, answered):
@@ -260,22 +260,31 @@ def test_the_overlay_shows_what_was_predicted(contract, answered):
     depth[:, 150:] = 80
     boundary = np.zeros((height, width), np.float32)
     boundary[:, 150:] = 1
+    uncertainty = np.full((height, width), 1, np.float32)
     prediction = dataclasses.replace(
-        prediction, semantic=semantic, depth=depth, boundary=boundary, frame_size=(height, width)
+        prediction,
+        semantic=semantic,
+        depth=depth,
+        boundary=boundary,
+        depth_uncertainty=uncertainty,
+        frame_size=(height, width),
     )
     strip = Overlay(contract.classes, contract.max_depth_m).draw(rgb, prediction)
-    image, classes, depths, boundaries = panels_of(strip, height)
+    image, classes, depths, uncertainties, boundaries = panels_of(strip, height)
     assert image[60, 60].tolist() == [20, 10, 250], "blue first"
     dark, red = np.array([128, 0, 0]), np.array([30, 30, 200])
     for column, color in ((60, dark), (240, red)):
         expected = 0.7 * color + 0.3 * np.array([20, 10, 250])
         assert abs(classes[60, column] - expected).max() <= 1
     near, far = depths[60, 60].astype(int), depths[60, 240].astype(int)
-    assert near[2] > near[0], "near is reddish"
-    assert far[0] > far[2], "far is bluish"
+    assert near.sum() > 500, "near is bright"
+    assert far.sum() < 20, "the far end is black"
+    unsure, sure = uncertainties[60, 60].astype(int), uncertainties[60, 240].astype(int)
+    assert unsure[1] > 200, "a metre at 2 m is bright"
+    assert sure.sum() < 170, "a metre at 80 m is dark"
     assert boundaries[60, 60].tolist() == [0, 0, 0]
     assert boundaries[60, 240].tolist() == [255, 255, 255]
-    assert strip.shape[0] > 4 * height, "the legend"
+    assert strip.shape[0] > 5 * height, "the legend"
 
 
 def test_the_depth_colours_are_the_same_for_every_frame(contract, answered):
@@ -291,6 +300,47 @@ def test_the_depth_colours_are_the_same_for_every_frame(contract, answered):
     assert color_at_10_m(1) == color_at_10_m(70)
 
 
+def depth_panels(overlay, answered, **changes):
+    """The panels of the depth and of its uncertainty: 60 x 80 pixels each."""
+    rgb, prediction = answered
+    drawn = overlay.draw(rgb, dataclasses.replace(prediction, **changes))
+    return drawn[:60, 2 * 80 : 3 * 80], drawn[:60, 3 * 80 : 4 * 80]
+
+
+def test_the_sky_has_no_depth(contract, answered, monkeypatch):
+    titles = []
+    monkeypatch.setattr(
+        "runtime.stream.overlay.write_text", lambda picture, text, at: titles.append(text)
+    )
+    grey = [110, 110, 110]
+    ids = np.zeros((60, 80), np.uint8)
+    ids[:30] = 1
+    plain = Overlay(contract.classes, contract.max_depth_m)
+    sky = (contract.classes[0], dataclasses.replace(contract.classes[1], name="sky"))
+    without = depth_panels(plain, answered, semantic=ids)
+    assert "depth" in titles
+    titles.clear()
+    with_sky = depth_panels(Overlay(sky, contract.max_depth_m), answered, semantic=ids)
+    assert "depth, none in the sky" in titles
+    for hidden, shown in zip(with_sky, without, strict=True):
+        assert (hidden[:30] == grey).all()
+        assert np.array_equal(hidden[30:], shown[30:])
+        assert not (shown == grey).all(axis=-1).any()
+    titles.clear()
+    unknown = depth_panels(Overlay(sky, contract.max_depth_m), answered, semantic=None)
+    assert "depth" in titles, "without classes nothing is known to be sky"
+    assert not (unknown[0] == grey).all(axis=-1).any()
+
+
+def test_a_depth_that_is_none_is_not_drawn_as_near(contract, answered):
+    depth = np.full((60, 80), 20, np.float32)
+    depth[40:, :40], depth[40:, 40:] = 0, -1
+    plain = Overlay(contract.classes, contract.max_depth_m)
+    for panel in depth_panels(plain, answered, depth=depth):
+        assert (panel[40:] == 110).all()
+        assert not (panel[20:40] == 110).all(axis=-1).any()
+
+
 @pytest.mark.parametrize(
     "size",
     [(375, 1242), (512, 1024), (125, 414), (33, 35), (1080, 1920), (32, 20600), (65600, 32)],
@@ -299,27 +349,48 @@ def test_the_overlay_of_any_size_is_of_a_handy_size(contract, answered, size):
     _, prediction = answered
     resized = {
         name: cv2.resize(getattr(prediction, name), size[::-1])
-        for name in ("semantic", "depth", "boundary")
+        for name in ("semantic", "depth", "boundary", "depth_uncertainty")
     }
     prediction = dataclasses.replace(prediction, frame_size=size, **resized)
     overlay = Overlay(contract.classes, contract.max_depth_m)
     strip = overlay.draw(np.zeros((*size, 3), np.uint8), prediction)
     assert strip.dtype == np.uint8
-    assert strip.shape[1] <= 4 * 640
-    assert strip.shape[0] <= 4 * 4096 + 200
+    assert strip.shape[1] <= 5 * 640
+    assert strip.shape[0] <= 5 * 4096 + 200
 
 
 def test_the_overlay_leaves_out_missing_heads(contract, answered):
     rgb, prediction = answered
-    only_depth = dataclasses.replace(prediction, semantic=None, boundary=None)
+    no_uncertainty = dataclasses.replace(prediction, depth_uncertainty=None)
+    only_depth = dataclasses.replace(no_uncertainty, semantic=None, boundary=None)
     overlay = Overlay(contract.classes, contract.max_depth_m)
     assert overlay.draw(rgb, only_depth).shape[1] == 2 * 80
-    assert overlay.draw(rgb, prediction).shape[1] == 4 * 80
+    assert overlay.draw(rgb, no_uncertainty).shape[1] == 4 * 80
+    assert overlay.draw(rgb, prediction).shape[1] == 5 * 80
+    only_boundary = dataclasses.replace(no_uncertainty, semantic=None, depth=None)
+    assert Overlay((), contract.max_depth_m).draw(rgb, only_boundary).shape == (60, 2 * 80, 3)
+
+
+def test_the_legend_speaks_of_the_uncertainty_where_it_is_drawn(contract, answered):
+    _, prediction = answered
+    wide = {
+        name: cv2.resize(getattr(prediction, name), (200, 60))
+        for name in ("semantic", "depth", "boundary", "depth_uncertainty")
+    }
+    prediction = dataclasses.replace(prediction, **wide)
+    overlay = Overlay(contract.classes, contract.max_depth_m)
+    rgb = np.zeros((60, 200, 3), np.uint8)
+    with_it = overlay.draw(rgb, prediction)
+    without = overlay.draw(rgb, dataclasses.replace(prediction, depth_uncertainty=None))
+    lines = (with_it.shape[0] - 5 * 60) - (without.shape[0] - 4 * 60)
+    assert lines == 22
+    assert np.array_equal(with_it[5 * 60 : -lines], without[4 * 60 :])
 
 
 def test_the_overlay_leaves_the_frame_alone(contract, answered):
     rgb, prediction = answered
-    before = [a.copy() for a in (rgb, prediction.semantic, prediction.depth, prediction.boundary)]
+    given = (rgb, prediction.semantic, prediction.depth, prediction.depth_uncertainty)
+    given += (prediction.boundary,)
+    before = [a.copy() for a in given]
     Overlay(contract.classes, contract.max_depth_m).draw(rgb, prediction)
-    after = [rgb, prediction.semantic, prediction.depth, prediction.boundary]
-    assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(before, given, strict=True))

@@ -1,0 +1,64 @@
+"""Colours for a map of numbers, and the bar that says what they mean."""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.stream.picture_text import text_width, write_text
+
+_TICKS = tuple(step * 10.0**power for power in range(-3, 5) for step in (1, 2, 3, 5))
+
+
+@dataclass(frozen=True)
+class ColorScale:
+    """Colours that run with the logarithm of a value: equal ratios look equally different.
+
+    title, unit: what the bar says of the values
+    low, high: the values of the first and the last colour; what is beyond takes the nearer of them
+    color_map: one of OpenCV's
+    bright_low: the map's last and brightest colour stands for `low`, not for `high`
+    """
+
+    title: str
+    unit: str
+    low: float
+    high: float
+    color_map: int
+    bright_low: bool = False
+
+    def paint(self, values: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Colour a map (H, W): uint8 (H, W, 3), blue first."""
+        logarithms = cv2.log(np.clip(values, self.low, self.high))
+        # From 0 at `low` to 255 at `high`, or the other way round; |x| of what cannot be negative.
+        alpha = 255 / math.log(self.high / self.low)
+        beta = -alpha * math.log(self.low)
+        if self.bright_low:
+            alpha, beta = -alpha, 255 - beta
+        index = cv2.convertScaleAbs(logarithms, alpha=alpha, beta=beta)
+        return cv2.applyColorMap(index, self.color_map)  # type: ignore[return-value]
+
+    def draw_bar(self, width: int, height: int) -> NDArray[np.uint8]:
+        """Draw all the colours from `low` to `high` with values written on them.
+
+        Returns uint8 (height, width, 3), blue first.
+        """
+        bar = np.zeros((height, width, 3), dtype=np.uint8)
+        ramp = np.geomspace(self.low, self.high, width, dtype=np.float32)
+        bar[3:-3] = self.paint(ramp[np.newaxis])
+        end = f"{self.high:g} {self.unit}"
+        end_at = width - text_width(end) - 4
+        write_text(bar, end, (end_at, height - 6))
+        free, title = 0, f"{self.title} "
+        for tick in _TICKS:
+            if not self.low <= tick < self.high:
+                continue
+            x = round((width - 1) * math.log(tick / self.low) / math.log(self.high / self.low))
+            text = f"{title}{tick:g} {self.unit}"
+            if x >= free and x + text_width(text) + 8 < end_at:
+                cv2.line(bar, (x, 3), (x, height - 4), (0, 0, 0))
+                write_text(bar, text, (x + 3, height - 6))
+                free, title = x + text_width(text) + 8, ""
+        return bar
