@@ -281,7 +281,7 @@ def test_the_overlay_shows_what_was_predicted(contract, answered):
     assert far.sum() < 20, "the far end is black"
     unsure, sure = uncertainties[60, 60].astype(int), uncertainties[60, 240].astype(int)
     assert unsure[1] > 200, "a metre at 2 m is bright"
-    assert sure.sum() < 170, "a metre at 80 m is dark"
+    assert sure.sum() < 250, "a metre at 80 m is dark"
     assert boundaries[60, 60].tolist() == [0, 0, 0]
     assert boundaries[60, 240].tolist() == [255, 255, 255]
     assert strip.shape[0] > 5 * height, "the legend"
