@@ -132,6 +132,7 @@ def _contract(
         parity={},
         checkpoint_sha256=digest,
         trained_height=checkpoint.trained_height,
+        canonical_focal_px=config.canonical_focal_px,
     )
 
 

@@ -69,7 +69,7 @@ class Contract:
     schema_version: "major.minor"; a reader refuses another major than its own
     model_name: for example "ssdnet-lite"
     classes: in the order of the ids of `semantic`; empty without a semantic head
-    max_depth_m: depths beyond it are no measurement [m]
+    max_depth_m: depths beyond it are no measurement [m], in canonical metres if there are any
     native_size: (height, width) it was exported and verified at; a dynamic model accepts any size
     stride: the graph pads to a multiple of it, and crops back
     resize: how each tensor is resized where the network runs at another size than the frame's
@@ -79,6 +79,8 @@ class Contract:
     parity: head -> largest measured difference to PyTorch; {} = not measured
     checkpoint_sha256: digest of the checkpoint the file was made from
     trained_height: rows of the pictures it was trained for; None = not known
+    canonical_focal_px: focal length [px] of the camera in whose metres the graph works, see
+        `runtime.canonical_focal`; None = it works in plain metres
     content: the bytes of the file before this document; None in a file of schema 1.0
     """
 
@@ -95,6 +97,7 @@ class Contract:
     parity: Mapping[str, Any]
     checkpoint_sha256: str
     trained_height: int | None = None
+    canonical_focal_px: float | None = None
     content: Content | None = None
 
     def to_json(self) -> str:
@@ -148,6 +151,7 @@ class Contract:
                 parity=_mapping(document, "parity"),
                 checkpoint_sha256=_text(document, "checkpoint_sha256"),
                 trained_height=_trained_height(document),
+                canonical_focal_px=_canonical_focal(document),
                 content=_content(document, text),
             )
             # Infinite numbers and halves of characters, wherever else they stand.
@@ -285,6 +289,11 @@ def _is_integer(value: object) -> bool:
 def _trained_height(document: Mapping[str, Any]) -> int | None:
     value = document.get("trained_height")  # files of schema 1.0 have none
     return None if value is None else check_side(value, "trained_height")
+
+
+def _canonical_focal(document: Mapping[str, Any]) -> float | None:
+    value = document.get("canonical_focal_px")  # files before schema 1.2 have none
+    return None if value is None else check_focal_length(value, "canonical_focal_px")
 
 
 def _content(document: Mapping[str, Any], text: str) -> Content | None:

@@ -22,6 +22,7 @@ from runtime.prediction import (
 from runtime.preprocess import NetworkInput
 from runtime.resize import resize_answer
 
+_IN_METRES = frozenset({"depth", "depth_uncertainty"})
 _ROUNDING = 1e-3  # of the range: how far arithmetic may leave it
 
 
@@ -40,8 +41,14 @@ class Answers:
 def postprocess(
     outputs: Mapping[str, NDArray[Any]], frame: NetworkInput, contract: Contract
 ) -> Answers:
-    """Check the outputs of one frame, head -> array, and bring them to the frame's size."""
+    """Check the outputs of one frame, head -> array, and bring them to its metres and its size."""
     found = faults(outputs, contract)
+    if frame.depth_factor != 1:
+        unit_m = np.float32(1 / frame.depth_factor)
+        outputs = {
+            head: values * unit_m if head in _IN_METRES else values
+            for head, values in outputs.items()
+        }
     if frame.network_size != frame.frame_size:
         outputs = {
             head: resize_answer(head, values, frame.frame_size) for head, values in outputs.items()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.bundled_models import find_model
-from runtime.contract import Contract, check_size
+from runtime.contract import Contract, check_focal_length, check_size
 from runtime.cores import available_cores
 from runtime.errors import InferenceError, InputError
 from runtime.model_file import load_model_file
@@ -37,6 +37,10 @@ class Predictor:
         None = at the height it was trained for, keeping the aspect, where the frame is larger by
         more than a quarter, else at the frame's own; "frame" = at the frame's own; a number of
         rows, keeping the aspect; or (height, width)
+    focal_length_px: focal length of the camera in pixels of the frames as they are given to
+        `predict`: a model with `contract.canonical_focal_px` then judges distances as this camera
+        sees them, whatever its lens; None = as if the picture that the network sees were the
+        canonical camera's. A model without works in plain metres and does not heed it
     threads: threads within an operator; None = the physical cores this process may use
     warmup: predictions made at once, at the model's own size, so that the first frame is not slow
 
@@ -57,6 +61,7 @@ class Predictor:
     threads: int
     input_size: tuple[int, int] | None  # (height, width) of a fixed model; None = any
     size: NetworkSize  # as asked for
+    focal_length_px: float | None  # of the frames; None = not known
     heads: tuple[str, ...]  # for example ("semantic", "depth", "boundary")
     load_ms: float  # reading and optimising the model
     first_inference_ms: float | None  # the first of the warm-up; None without
@@ -69,6 +74,7 @@ class Predictor:
         provider: str = "cpu",
         device_id: int = 0,
         size: NetworkSize = None,
+        focal_length_px: float | None = None,
         threads: int | None = None,
         warmup: int = 1,
     ) -> None:
@@ -76,6 +82,7 @@ class Predictor:
             threads = _require_count("threads", threads, at_least=1, at_most=_MOST_THREADS)
         warmup = _require_count("warmup", warmup, at_least=0)
         device_id = _require_count("device_id", device_id, at_least=0)
+        self.focal_length_px = _check_focal_length(focal_length_px)
         started = time.perf_counter()
         path = find_model(model)
         file = load_model_file(path, sha256=sha256)
@@ -100,27 +107,34 @@ class Predictor:
         rgb: NDArray[np.uint8],
         sparse_depth: NDArray[np.float32],
         *,
+        focal_length_px: float | None = None,
         stamp: Any = None,
     ) -> Prediction:
         """Predict classes, depth and boundaries of one frame.
 
         rgb: uint8 (H, W, 3), red first, as the camera gives it
         sparse_depth: float32 (H, W) [m] along the optical axis; 0 = no measurement, as is NaN,
-            Inf, anything negative or beyond `contract.max_depth_m` (counted in the answer)
+            Inf, anything negative or beyond the range (counted in the answer). The range is
+            `contract.max_depth_m`, for a model of canonical depth that times f /
+            `contract.canonical_focal_px`, f the focal length in pixels of the network's picture
+        focal_length_px: of this frame, where another than the predictor's
         stamp: handed through to the answer
 
         Where the network runs at another size (`network_size`), the frame is resized to it and the
         answers back by the contract's rule.
 
-        Raises InputError for arrays of another type or shape, InferenceError if the session fails,
-        answers in another shape or was closed.
+        Raises InputError for arrays of another type or shape and for a focal length out of range,
+        InferenceError if the session fails, answers in another shape or was closed.
         """
         started = time.perf_counter()
+        focal = _check_focal_length(focal_length_px)
         frame = preprocess(
             rgb,
             sparse_depth,
             max_depth_m=self.contract.max_depth_m,
             size_for=self.network_size,
+            canonical_focal_px=self.contract.canonical_focal_px,
+            focal_length_px=self.focal_length_px if focal is None else focal,
         )
         preprocessed = time.perf_counter()
         outputs = self._run(frame.rgb, frame.sparse_depth)
@@ -209,6 +223,20 @@ class Predictor:
         outputs = dict(zip(self.heads, batches, strict=True))
         check_outputs(outputs, size=rgb.shape[:2], num_classes=len(self.contract.classes))
         return {head: batch[0] for head, batch in outputs.items()}
+
+
+def _check_focal_length(focal_px: Any) -> float | None:
+    """Give back a focal length, None as it is. Raises InputError."""
+    if focal_px is None:
+        return None
+    try:
+        return check_focal_length(
+            float(focal_px) if isinstance(focal_px, np.number) else focal_px, "focal_length_px"
+        )
+    except ValueError as error:
+        raise InputError(
+            f"{error}: give fx of the camera's matrix, in pixels of the frames, or leave it out"
+        ) from error
 
 
 def _require_count(name: str, value: Any, *, at_least: int, at_most: int = 2**31 - 1) -> int:

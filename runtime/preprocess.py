@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.canonical_focal import canonical_factor, focal_length_at
 from runtime.contract import MIN_SIDE
 from runtime.errors import InputError
 from runtime.prediction import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW, Cleaned
@@ -27,11 +28,13 @@ class NetworkInput:
     """A frame as the network takes it, and what was found on the way.
 
     rgb: uint8 (H, W, 3) at the network's size
-    sparse_depth: float32 (H, W) [m] at the network's size, 0 = no measurement
+    sparse_depth: float32 (H, W) at the network's size, metres times `depth_factor`, 0 = no
+        measurement
     frame_rgb: uint8 (H, W, 3) as the camera gave it
     cleaned: depth pixels of the frame that were treated as no measurement
     depth_returns: depth pixels of the frame that are left
     degraded: reasons why the answer will be worth less than usual
+    depth_factor: what the network's depth is divided by to be metres, see `canonical_factor`
     """
 
     rgb: NDArray[np.uint8]
@@ -40,6 +43,7 @@ class NetworkInput:
     cleaned: Cleaned
     depth_returns: int
     degraded: tuple[str, ...]
+    depth_factor: float = 1.0
 
     @property
     def frame_size(self) -> Size:
@@ -53,24 +57,40 @@ class NetworkInput:
 
 
 def preprocess(
-    rgb: Any, sparse_depth: Any, *, max_depth_m: float, size_for: Callable[[Size], Size]
+    rgb: Any,
+    sparse_depth: Any,
+    *,
+    max_depth_m: float,
+    size_for: Callable[[Size], Size],
+    canonical_focal_px: float | None = None,
+    focal_length_px: float | None = None,
 ) -> NetworkInput:
     """Check and clean a frame and bring it to the network's size.
 
     rgb, sparse_depth: as `Predictor.predict` takes them
+    max_depth_m, canonical_focal_px: see `Contract`
     size_for: frame size -> network size
+    focal_length_px: of the frame; None = not known
     Raises InputError for arrays of another type or shape.
     """
     rgb = check_rgb(rgb)
     frame_size = (rgb.shape[0], rgb.shape[1])
     sparse_depth = check_sparse_depth(sparse_depth, size=frame_size)
-    sparse_depth, cleaned, returns = clean_sparse_depth(sparse_depth, max_depth_m=max_depth_m)
     size = size_for(frame_size)
+    factor = 1.0
+    if focal_length_px is not None:
+        focal_length_px = focal_length_at(size, focal_length_px, frame_size)
+        factor = canonical_factor(canonical_focal_px, focal_length_px)
+    sparse_depth, cleaned, returns = clean_sparse_depth(
+        sparse_depth, max_depth_m=max_depth_m / factor
+    )
     network_rgb, fed = rgb, returns
     if size != frame_size:
         network_rgb = resize_image(rgb, size)
         sparse_depth = move_returns(sparse_depth, size)
         fed = cv2.countNonZero(sparse_depth)
+    if factor != 1:  # rounding must not lift the farthest return out of the range
+        sparse_depth = np.minimum(sparse_depth * np.float32(factor), np.float32(max_depth_m))
     degraded = []
     if returns == 0:
         degraded.append(NO_DEPTH)
@@ -78,7 +98,7 @@ def preprocess(
         degraded.append(SPARSE_DEPTH_LOW)
     if is_constant(rgb):
         degraded.append(IMAGE_CONSTANT)
-    return NetworkInput(network_rgb, sparse_depth, rgb, cleaned, returns, tuple(degraded))
+    return NetworkInput(network_rgb, sparse_depth, rgb, cleaned, returns, tuple(degraded), factor)
 
 
 def check_rgb(rgb: Any) -> NDArray[np.uint8]:

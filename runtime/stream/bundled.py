@@ -5,6 +5,9 @@ from pathlib import Path
 
 from runtime.errors import InputError
 
+#: Focal length of its camera: KITTI's 721.54 px of 1242 columns, rendered at 832.
+BUNDLED_FOCAL_LENGTH_PX = 721.54 * 832 / 1242
+
 
 def bundled_stream() -> tuple[Path, Path]:
     """The folders of its pictures and of its sparse depth maps. Raises InputError."""

@@ -21,10 +21,11 @@ from runtime import __version__
 from runtime.atomic_write import atomic_write
 from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.command import ERROR, SIGNALS, end_now, reported_errors
+from runtime.contract import MAX_FOCAL_PX, MIN_FOCAL_PX
 from runtime.errors import InputError, OutputError, SSDNetError
 from runtime.network_size import NetworkSize, parse_network_size
 from runtime.predictor import Predictor
-from runtime.stream.bundled import bundled_stream
+from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.stream.frames import (
     KITTI_DEPTH_SCALE,
     MAX_PIXELS,
@@ -96,6 +97,14 @@ def run(
             "come at the frame's size."
         ),
     ] = "auto",
+    focal_length: Annotated[
+        float | None,
+        typer.Option(
+            help="Focal length of the camera (fx) in pixels of the pictures: a model that knows a "
+            "canonical focal length then fits any camera; others do not heed it. "
+            "[default: not known; that of the bundled stream with --demo]",
+        ),
+    ] = None,
     threads: Annotated[
         int | None, typer.Option(min=1, help="Threads of inference. [default: physical cores]")
     ] = None,
@@ -136,8 +145,11 @@ def run(
     network_size = _network_size(size)
     _require_range("--depth-scale", depth_scale, 1e-3, 1e6)
     _require_range("--deadline-ms", deadline_ms, 1e-6, 1e9)
+    _require_range("--focal-length", focal_length, MIN_FOCAL_PX, MAX_FOCAL_PX)
     if demo != (rgb is None and depth is None) or (rgb is None) != (depth is None):
         raise typer.BadParameter("give either --demo, or both --rgb and --depth")
+    if demo and focal_length is None:
+        focal_length = BUNDLED_FOCAL_LENGTH_PX
     dedicate_process()
     with reported_errors("cpu"):
         rgb_dir, depth_dir = (rgb, depth) if rgb and depth else bundled_stream()
@@ -148,6 +160,7 @@ def run(
             sha256=sha256,
             provider=provider.value,
             size=network_size,
+            focal_length_px=focal_length,
             threads=threads,
             warmup=0,
         ) as predictor:
@@ -172,6 +185,7 @@ def run(
                         "rgb": str(rgb_dir),
                         "depth": str(depth_dir),
                         "depth_scale": depth_scale,
+                        "focal_length_px": focal_length,
                         "warmup": warmup,
                     },
                     output=str(out),

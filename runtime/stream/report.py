@@ -109,6 +109,7 @@ def build_report(
             "input_size": predictor.input_size,
             "size_asked": predictor.size,
             "trained_height": predictor.contract.trained_height,
+            "canonical_focal_px": predictor.contract.canonical_focal_px,
             "heads": predictor.heads,
             "max_depth_m": predictor.contract.max_depth_m,
         },

@@ -49,15 +49,17 @@ def test_contract_says_where_the_file_comes_from(exported, lite_checkpoint):
     assert 0 < contract.parity["depth"]["max_abs_m"] < 0.005
 
 
-def test_the_trained_height_goes_from_the_checkpoint_into_the_file(lite_checkpoint, tmp_path):
-    checkpoint = load_checkpoint(lite_checkpoint)
+def test_what_it_was_trained_for_goes_from_the_checkpoint_into_the_file(lite_checkpoint, tmp_path):
+    network = load_checkpoint(lite_checkpoint).model
+    network.config = replace(network.config, canonical_focal_px=721.5)
     trained = tmp_path / "trained.pt"
-    save_checkpoint(trained, checkpoint.model, training={"trained_height": 375})
-    for path, height in ((trained, 375), (lite_checkpoint, None)):
+    save_checkpoint(trained, network, training={"trained_height": 375})
+    for path, height, focal in ((trained, 375, 721.5), (lite_checkpoint, None, None)):
         model = path.with_suffix(".onnx")
         export_checkpoint(path, model, size=SIZE)
         with Predictor(model, warmup=0) as predictor:
             assert predictor.contract.trained_height == height
+            assert predictor.contract.canonical_focal_px == focal
         model.unlink()
 
 

@@ -67,7 +67,12 @@ def test_a_file_of_schema_1_1_knows_no_uncertainty(contract, model_file, make_fr
 
 
 @pytest.mark.parametrize(
-    "key", [key for key in Contract.__dataclass_fields__ if key != "trained_height"]
+    "key",
+    [
+        key
+        for key in Contract.__dataclass_fields__
+        if key not in ("trained_height", "canonical_focal_px")
+    ],
 )
 def test_a_missing_key_is_named(contract, key):
     content = json.loads(contract.to_json())
@@ -120,6 +125,11 @@ def test_the_document_holds_its_own_digest(contract):
         ("max_depth_m", float("inf")),
         ("max_depth_m", float("nan")),
         ("native_size", [48]),
+        ("canonical_focal_px", 0),
+        ("canonical_focal_px", -721.5),
+        ("canonical_focal_px", 1e7),
+        ("canonical_focal_px", "721.5"),
+        ("canonical_focal_px", True),
         ("trained_height", 0),
         ("trained_height", 375.0),
         ("trained_height", True),
@@ -173,3 +183,13 @@ def test_a_head_that_came_later_needs_no_rule(contract, monkeypatch):
 def test_what_is_no_document_is_refused(text):
     with pytest.raises(ContractError, match="ssdnet-export"):
         Contract.from_json(text)
+
+
+def test_the_canonical_focal_length_may_be_missing(contract):
+    """Files of older schemas have none: they work in plain metres."""
+    content = json.loads(contract.to_json())
+    del content["canonical_focal_px"]
+    assert Contract.from_json(sealed(content)).canonical_focal_px is None
+    assert Contract.from_json(contract.to_json()).canonical_focal_px is None
+    text = document(contract, canonical_focal_px=721.5)
+    assert Contract.from_json(text).canonical_focal_px == 721.5

@@ -130,7 +130,7 @@ def engine_predict(predictor: Predictor) -> Predict:
     def predict(
         rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
     ) -> Answer:
-        prediction = predictor.predict(rgb, sparse_depth)
+        prediction = predictor.predict(rgb, sparse_depth, focal_length_px=focal_length_px)
         if not prediction.valid:
             raise SSDNetError(f"the model's answer is invalid: {', '.join(prediction.degraded)}.")
         return Answer(prediction.semantic, prediction.depth, prediction.boundary)

@@ -543,3 +543,22 @@ def test_without_onnxruntime_the_commands_are_printed(run, monkeypatch):
     result = run()
     assert result.exit_code == 1
     assert 'pip install "ssdnet[cpu]"' in result.stderr
+
+
+def test_the_focal_length_reaches_the_model(tmp_path, run, model_file, contract):
+    """The graph adds 1.5 canonical metres: 3 m behind a lens twice as long."""
+    path = model_file("c.onnx", contract=dataclasses.replace(contract, canonical_focal_px=100.0))
+    result = run("--model", path, "--focal-length", 200)
+    assert result.exit_code == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["model"]["canonical_focal_px"] == 100.0
+    assert report["inputs"]["focal_length_px"] == 200.0
+    picture = next((tmp_path / "out" / "depth").iterdir())
+    assert cv2.imread(str(picture), cv2.IMREAD_UNCHANGED).min() == 3 * 256
+
+
+@pytest.mark.parametrize("value", ["0", "-5", "nan", "1e9"])
+def test_a_focal_length_out_of_range_is_a_usage_error(run, value):
+    result = run("--focal-length", value)
+    assert result.exit_code == 2
+    assert "--focal-length must be a number from 1 to 1e+06" in result.output

@@ -1,0 +1,134 @@
+"""Canonical depth behind any camera: the factor goes on before the model and comes off after."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from runtime import InputError, Predictor
+from runtime.prediction import DEPTH_OUT_OF_RANGE
+
+CANONICAL_PX = 100.0
+HEADS = ("semantic", "depth", "boundary", "depth_uncertainty")
+OFFSET_M = 1.5  # what the graph by hand adds to what it is fed
+
+
+@pytest.fixture
+def canonical(model_file, contract):
+    """A model file that works in the depth of a camera of 100 px, up to 80 m of it."""
+    return model_file(
+        contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX), heads=HEADS
+    )
+
+
+@pytest.fixture
+def frame(make_frame):
+    rgb, depth = make_frame()
+    return rgb, np.minimum(depth, np.float32(15))
+
+
+@pytest.mark.parametrize("focal", [25.0, 99.9, 100.0, 731.25, 4000])
+def test_metres_come_back_for_any_focal_length(canonical, frame, focal):
+    """The graph copies what it is fed and adds 1.5 canonical metres."""
+    rgb, depth = frame
+    with Predictor(canonical, focal_length_px=focal) as predictor:
+        prediction = predictor.predict(rgb, depth)
+        assert predictor.focal_length_px == focal
+    assert prediction.valid
+    expected = depth + np.float32(OFFSET_M * focal / CANONICAL_PX)
+    np.testing.assert_allclose(prediction.depth, expected, rtol=1e-6)
+    np.testing.assert_allclose(prediction.depth_uncertainty, expected / 16, rtol=1e-6)
+    assert prediction.depth.dtype == prediction.depth_uncertainty.dtype == np.float32
+    assert prediction.depth_returns == np.count_nonzero(depth)
+
+
+def test_the_focal_length_of_a_frame_goes_before_that_of_the_predictor(canonical, frame):
+    with Predictor(canonical, focal_length_px=50.0) as predictor:
+        one = predictor.predict(*frame, focal_length_px=300.0)
+        own = predictor.predict(*frame)
+    np.testing.assert_allclose(one.depth - frame[1], OFFSET_M * 3, rtol=1e-4)
+    np.testing.assert_allclose(own.depth - frame[1], OFFSET_M / 2, rtol=1e-4)
+
+
+def test_the_focal_length_follows_the_picture_to_the_networks_size(model_file, contract, frame):
+    """A frame of 96 rows run at 48 has half the focal length there."""
+    rgb, depth = (np.repeat(np.repeat(item, 2, axis=0), 2, axis=1) for item in frame)
+    path = model_file(
+        contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX), heads=HEADS
+    )
+    with Predictor(path, size=48, focal_length_px=400.0) as predictor:
+        prediction = predictor.predict(rgb, depth)
+    assert prediction.network_size == (48, 64)
+    where_none = depth == 0
+    assert prediction.depth[where_none].min() == pytest.approx(OFFSET_M * 2)
+
+
+def test_without_a_focal_length_the_picture_counts_as_the_canonical_cameras(canonical, frame):
+    with Predictor(canonical) as predictor:
+        prediction = predictor.predict(*frame)
+    np.testing.assert_array_equal(prediction.depth, frame[1] + np.float32(OFFSET_M))
+
+
+def test_a_model_of_plain_metres_does_not_heed_it(model_file, frame):
+    with Predictor(model_file(), focal_length_px=731.0) as predictor:
+        prediction = predictor.predict(*frame, focal_length_px=22.0)
+    np.testing.assert_array_equal(prediction.depth, frame[1] + np.float32(OFFSET_M))
+
+
+def test_the_range_is_that_of_the_canonical_camera(canonical, make_frame):
+    """80 canonical metres are 160 m behind a lens twice as long, and 40 m behind half of it."""
+    rgb, depth = make_frame()
+    depth[:] = 0
+    depth[0, :6] = 39, 41, 159, 161, np.nan, 5
+    with Predictor(canonical) as predictor:
+        for focal, too_far, returns in ((200.0, 1, 4), (50.0, 3, 2)):
+            prediction = predictor.predict(rgb, depth, focal_length_px=focal)
+            assert prediction.cleaned.too_far == too_far
+            assert prediction.cleaned.nan == 1
+            assert prediction.depth_returns == returns
+
+
+def test_the_farthest_return_is_not_lost_by_rounding(model_file, contract, make_frame):
+    """Whatever the factor, the graph must be fed what was counted: never beyond its range."""
+    fed = []
+    rgb, depth = make_frame()
+    with Predictor(
+        model_file(contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX))
+    ) as predictor:
+        run = predictor._run
+        predictor._run = lambda rgb, sparse: fed.append(sparse) or run(rgb, sparse)
+        for focal in np.random.default_rng(0).uniform(20, 900, 50):
+            limit = np.float32(80 * focal / CANONICAL_PX)
+            depth[:] = 0
+            depth[5, 5:8] = np.nextafter(limit, np.float32(0)), limit, 1
+            prediction = predictor.predict(rgb, depth, focal_length_px=focal)
+            assert np.count_nonzero(fed[-1]) == prediction.depth_returns >= 2
+            assert fed[-1].max() <= 80
+
+
+def test_an_answer_beyond_the_canonical_range_is_not_valid(canonical, make_frame):
+    rgb, depth = make_frame()
+    depth[:] = 0
+    depth[3, 3] = 159  # and 1.5 canonical metres: 81 of 80
+    with Predictor(canonical, focal_length_px=200.0) as predictor:
+        prediction = predictor.predict(rgb, depth)
+    assert not prediction.valid
+    assert prediction.degraded[-1] == DEPTH_OUT_OF_RANGE
+
+
+@pytest.mark.parametrize(
+    "focal", [0, -1.0, 0.99, 1e7, float("nan"), float("inf"), "721", True, (700, 700), 3 + 4j]
+)
+def test_what_no_camera_has_is_refused(canonical, make_frame, focal):
+    with pytest.raises(InputError, match=r"focal_length_px must be 1 to 1e\+06 pixels.*fx"):
+        Predictor(canonical, focal_length_px=focal)
+    with Predictor(canonical) as predictor:
+        with pytest.raises(InputError, match="focal_length_px"):
+            predictor.predict(*make_frame(), focal_length_px=focal)
+        assert predictor.predict(*make_frame()).valid
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int32, int])
+def test_numbers_of_numpy_are_numbers(canonical, frame, kind):
+    with Predictor(canonical, focal_length_px=kind(200)) as predictor:
+        np.testing.assert_allclose(predictor.predict(*frame).depth.min(), 2 * OFFSET_M)
