@@ -4,6 +4,7 @@ import copy
 import hashlib
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import onnx
@@ -19,6 +20,7 @@ from export.parity import measure_parity
 from export.probe_frames import probe_frames
 from models import CAMVID_CLASSES, load_checkpoint, save_checkpoint
 from runtime import CheckpointError, ContractError, InputError, OutputError, Predictor
+from runtime.contract import SCHEMA_VERSION
 
 SIZE = (64, 96)
 
@@ -66,7 +68,7 @@ def test_what_it_was_trained_for_goes_from_the_checkpoint_into_the_file(lite_che
 def test_a_damaged_file_is_refused(exported, tmp_path):
     """Nothing but ContractError, and always: it was exported whole, so every byte counts."""
     whole = exported.path.read_bytes()
-    assert Predictor(exported.path, warmup=0).contract.schema_version == "1.1"
+    assert Predictor(exported.path, warmup=0).contract.schema_version == SCHEMA_VERSION
     random = np.random.default_rng(0)
     damages = []
     for _ in range(60):

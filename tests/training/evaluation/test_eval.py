@@ -1,6 +1,7 @@
 """`ssdnet-eval`: the same inputs and figures for a checkpoint and the file exported from it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -91,8 +92,12 @@ def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, tmp_
 
 
 def test_checkpoint_and_export_run_at_one_size(folder, tmp_path):
-    """Frames of 64 rows for a network trained on 40: shrunk for both, unless asked otherwise."""
+    """Frames of 64 rows for a network trained on 40: shrunk for both, unless asked otherwise.
+
+    It works in canonical depth: both take the focal length of the scenes, at the size they run at.
+    """
     network = load_checkpoint(folder / "lite.pt").model
+    network.config = replace(network.config, canonical_focal_px=150.0)
     save_checkpoint(tmp_path / "a.pt", network, training={"trained_height": 40})
     export_checkpoint(tmp_path / "a.pt", tmp_path / "a.onnx", size=(64, 96), dynamic=True)
     data = ["--data", f"rendered:{folder}/scenes", "--json", tmp_path / "rows.json"]
@@ -106,6 +111,10 @@ def test_checkpoint_and_export_run_at_one_size(folder, tmp_path):
         figures[size] = torch_row["figures"]
     assert figures["auto"] == figures["40"]
     assert figures["auto"]["mae_m"] != figures["frame"]["mae_m"] != figures["48x80"]["mae_m"]
+    plain = run(folder / "lite.pt", *data, "--size", "frame")
+    assert plain.exit_code == 0, plain.output
+    (row,) = json.loads((tmp_path / "rows.json").read_text())
+    assert row["figures"]["mae_m"] != pytest.approx(figures["frame"]["mae_m"], 1e-2)
 
 
 def test_a_file_of_fixed_size_is_scored_at_no_other(folder):
