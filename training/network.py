@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from models import Network, create_model
+from models import Network, NetworkConfig, create_model
 from models.registry import NETWORKS
 from runtime.errors import InputError
 from training.datasets.class_mapping import list_classes
@@ -20,8 +20,6 @@ def build_network(recipe: ModelRecipe, init: Path | None) -> Network:
 
     Raises InputError for what cannot be built, CheckpointError for what cannot be taken over.
     """
-    known = NETWORKS.get(recipe.name)
-    with_classes = known is not None and "semantic" in known.config.heads
     # Only what the recipe changes: not every network has these.
     changes: dict[str, Any] = {}
     if not recipe.boundary_gating:
@@ -31,17 +29,28 @@ def build_network(recipe: ModelRecipe, init: Path | None) -> Network:
     if recipe.canonical_focal_px is not None:
         changes["canonical_focal_px"] = recipe.canonical_focal_px
     try:
-        network = create_model(
-            recipe.name,
-            classes=list_classes(recipe.class_table) if with_classes else None,
-            max_depth_m=recipe.max_depth_m,
-            **changes,
-        )
+        if recipe.name in NETWORKS:
+            config = _configuration(NETWORKS[recipe.name].config, recipe.config)
+            changes |= {key: getattr(config, key) for key in recipe.config}
+            has_classes = "semantic" in config.heads
+            changes["classes"] = list_classes(recipe.class_table) if has_classes else ()
+        network = create_model(recipe.name, max_depth_m=recipe.max_depth_m, **changes)
     except ValueError as error:
         raise InputError(f"the recipe's model cannot be built: {error}.") from error
     if init is not None:
         start_from(network, init)
     return network
+
+
+def _configuration(config: NetworkConfig, changes: Mapping[str, Any]) -> NetworkConfig:
+    """Change fields of a configuration by plain values; a network without semantics has no classes.
+
+    Raises ValueError for unknown fields, values of the wrong type and what cannot be built.
+    """
+    values = {**config.to_dict(), **changes}
+    if changes.get("semantic_head") is False:
+        values["classes"] = ()
+    return type(config).from_dict(values)
 
 
 def train_parts(network: Network, only: tuple[str, ...]) -> None:

@@ -91,9 +91,15 @@ class ModelRecipe:
     #: camera of many more rows is brought down to it. None = not known: every frame runs at its own
     #: size.
     trained_height: Side | None = None
+    #: Other fields of the network's configuration, by their names there, for example
+    #: `encoder_blocks = [1, 1, 1, 1]`; the rest stays as it is by the network's name.
+    config: Annotated[dict[str, Any], Field(max_length=100)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse two classes of one name, with a ValueError that names the key."""
+        """Refuse what contradicts itself, with a ValueError that names the key."""
+        doubled = sorted({item.name for item in fields(self)} & set(self.config))
+        if doubled:
+            raise ValueError(f"config has {doubled[0]!r}, which is a key of its own: {doubled[0]}")
         names = [] if isinstance(self.classes, str) else [info.name for info in self.classes]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:

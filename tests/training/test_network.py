@@ -1,6 +1,7 @@
 """What weights a training starts from, and what it does to them before they ship."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -85,3 +86,31 @@ def test_a_network_refuses_a_focal_length_that_no_camera_has(focal):
     config = {**create_model("ssdnet-lite").config.to_dict(), "canonical_focal_px": focal}
     with pytest.raises(ValueError, match="canonical_focal_px"):
         SSDNetConfig.from_dict(config)
+
+
+def test_a_recipe_changes_fields_of_the_networks_configuration():
+    config = {"encoder_blocks": [1, 1, 1, 1], "boundary_channels": 4, "global_context": False}
+    network = build_network(ModelRecipe("ssdnet-lite", config=config), None)
+    expected = replace(create_model("ssdnet-lite").config, encoder_blocks=(1, 1, 1, 1))
+    assert network.config == replace(expected, boundary_channels=4, global_context=False)
+    alone = build_network(
+        ModelRecipe("ssdnet-lite", config={"semantic_head": False, "semantic_refine_channels": 0}),
+        None,
+    )
+    assert "semantic" not in alone.config.heads
+    assert alone.config.classes == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "config", "said"),
+    [
+        ("ssdnet-lite", {"encoder_block": [1]}, "encoder_block has the wrong type"),
+        ("ssdnet-lite", {"boundary_channels": "8"}, "boundary_channels has the wrong type"),
+        ("ssdnet-lite", {"layers": 3}, "unknown model configuration keys: layers"),
+        ("ssdnet-lite", {"encoder_blocks": [1]}, "must have the same length"),
+        ("fast-scnn", {"boundary_channels": 8}, "unknown model configuration keys"),
+    ],
+)
+def test_a_configuration_that_cannot_be_is_refused(name, config, said):
+    with pytest.raises(InputError, match=said):
+        build_network(ModelRecipe(name, config=config), None)

@@ -42,6 +42,15 @@ def test_defaults_and_conversions(tmp_path):
     assert recipe.validation.lidar == "own"
 
 
+def test_fields_of_the_networks_configuration(tmp_path):
+    text = MINIMAL.replace("[data]", "[model.config]\nencoder_blocks = [1, 2]\n[data]", 1)
+    assert read(tmp_path, text).model.config == {"encoder_blocks": [1, 2]}
+    changed = read_recipe(tmp_path / "r.toml", ["model.config.boundary_channels = 8"])
+    assert changed.model.config == {"encoder_blocks": [1, 2], "boundary_channels": 8}
+    with pytest.raises(InputError, match=r"model\.config has 'max_depth_m', which is a key of its"):
+        read_recipe(tmp_path / "r.toml", ["model.config.max_depth_m = 50.0"])
+
+
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
