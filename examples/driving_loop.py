@@ -57,8 +57,15 @@ def main() -> None:
                 print(f"frame {newest}: do not use: {', '.join(prediction.degraded)}")
                 continue
             middle = slice(width * 2 // 5, width * 3 // 5)
-            ahead = prediction.depth[:, middle][in_path[prediction.semantic[:, middle]]]
-            nearest = f"{np.percentile(ahead, 5):5.1f} m" if ahead.size > 50 else "  none"
+            road_user = in_path[prediction.semantic[:, middle]]
+            ahead = prediction.depth[:, middle][road_user]
+            nearest = "  none"
+            if ahead.size > 50:
+                pixel = np.argsort(ahead)[ahead.size // 20]
+                nearest = f"{ahead[pixel]:5.1f} m"
+                if prediction.depth_uncertainty is not None:  # of a model that says it
+                    scale = prediction.depth_uncertainty[:, middle][road_user][pixel]
+                    nearest += f" give or take {scale:.1f} m"
             print(
                 f"frame {newest}: nearest road user ahead {nearest}, age {age_ms:5.1f} ms, "
                 f"dropped {dropped} {late}{' '.join(prediction.degraded)}"

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -9,6 +10,8 @@ from numpy.typing import NDArray
 
 from runtime.stream.picture_text import text_width, write_text
 
+NO_VALUE_COLOR = (110, 110, 110)
+_NO_VALUE = 255  # its place among the colours
 _TICKS = tuple(step * 10.0**power for power in range(-3, 5) for step in (1, 2, 3, 5))
 
 
@@ -29,16 +32,26 @@ class ColorScale:
     color_map: int
     bright_low: bool = False
 
-    def paint(self, values: NDArray[np.float32]) -> NDArray[np.uint8]:
-        """Colour a map (H, W): uint8 (H, W, 3), blue first."""
+    def paint(
+        self, values: NDArray[np.float32], *, hidden: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.uint8]:
+        """Colour a map (H, W): uint8 (H, W, 3), blue first.
+
+        hidden: (H, W), where there is no value: NO_VALUE_COLOR
+        """
         logarithms = cv2.log(np.clip(values, self.low, self.high))
-        # From 0 at `low` to 255 at `high`, or the other way round; |x| of what cannot be negative.
-        alpha = 255 / math.log(self.high / self.low)
-        beta = -alpha * math.log(self.low)
-        if self.bright_low:
-            alpha, beta = -alpha, 255 - beta
-        index = cv2.convertScaleAbs(logarithms, alpha=alpha, beta=beta)
-        return cv2.applyColorMap(index, self.color_map)  # type: ignore[return-value]
+        steps = (_NO_VALUE - 1) / math.log(self.high / self.low)
+        index = cv2.convertScaleAbs(logarithms, alpha=steps, beta=-steps * math.log(self.low))
+        if hidden is not None:
+            np.putmask(index, hidden, _NO_VALUE)
+        return cv2.applyColorMap(index, self._colors)  # type: ignore[return-value]
+
+    @cached_property
+    def _colors(self) -> NDArray[np.uint8]:
+        """From `low` to `high`, then NO_VALUE_COLOR: (256, 1, 3), blue first."""
+        ramp = np.linspace(0, 255, _NO_VALUE).astype(np.uint8).reshape(-1, 1)
+        colors = cv2.applyColorMap(ramp[::-1] if self.bright_low else ramp, self.color_map)
+        return np.concatenate([colors, np.full((1, 1, 3), NO_VALUE_COLOR, dtype=np.uint8)])
 
     def draw_bar(self, width: int, height: int) -> NDArray[np.uint8]:
         """Draw all the colours from `low` to `high` with values written on them.

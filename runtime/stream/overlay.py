@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contract import ClassInfo
-from runtime.stream.color_scale import ColorScale
+from runtime.stream.color_scale import NO_VALUE_COLOR, ColorScale
 from runtime.stream.picture_text import text_width, write_text
 
 # Larger frames are shrunk by a whole number until they fit: a JPEG side has at most 65500 pixels.
@@ -18,7 +18,7 @@ _STACK_ASPECT = 2.0  # panels wider than this stand below one another
 _CLASS_OPACITY = 0.7
 _LEGEND_LINE = 22  # pixels
 _SKY = "sky"  # the class that has no depth
-_NO_DEPTH = ClassInfo("no depth", (110, 110, 110))  # as the legend has it
+_NO_DEPTH = ClassInfo("no depth", NO_VALUE_COLOR)  # as the legend has it
 _NEAREST_M = 3.0  # what is nearer is in front of the bonnet
 _UNCERTAINTY_PERCENT = (1.0, 100.0)
 
@@ -117,14 +117,14 @@ class Overlay:
         if ids is not None and self._sky is not None:
             hidden |= ids == self._sky
             title = "depth, none in the sky"
-        panels = {title: self._depth_scale.paint(depth)}
+        panels = {title: self._depth_scale.paint(depth, hidden=hidden)}
         if uncertainty is not None:
             percent: NDArray[Any] = (
                 100 * _shrink_nearest(uncertainty, step) / np.maximum(depth, 1e-6)
             )
-            panels["uncertainty, % of the depth"] = self._uncertainty_scale.paint(percent)
-        for panel in panels.values():
-            panel[hidden] = _NO_DEPTH.color
+            panels["uncertainty, % of the depth"] = self._uncertainty_scale.paint(
+                percent, hidden=hidden
+            )
         return panels
 
     @cached_property
