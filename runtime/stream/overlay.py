@@ -99,6 +99,21 @@ class Overlay:
                 bars += (self._uncertainty_scale,)
         return cv2.vconcat([strip, self._legend(strip.shape[1], bars)])  # type: ignore[return-value]
 
+    def paint_depth(
+        self, depth: NDArray[np.float32], semantic: NDArray[np.uint8] | None = None
+    ) -> NDArray[np.uint8]:
+        """Draw a depth alone, at its own size and without words, coloured as `draw` does.
+
+        depth: metres (H, W). semantic: class ids (H, W), whose sky has no depth; None = not known.
+        Returns uint8 (H, W, 3), blue first.
+        """
+        (panel,) = self._depth_panels(depth, None, semantic, 1).values()
+        return panel
+
+    def draw_depth_bar(self, width: int) -> NDArray[np.uint8]:
+        """Draw what the colours of a depth mean: uint8 (H', width, 3), blue first."""
+        return self._depth_scale.draw_bar(width, _LEGEND_LINE)
+
     def _depth_panels(
         self,
         depth: NDArray[np.float32],

@@ -133,6 +133,11 @@ def engine_predict(predictor: Predictor) -> Predict:
         prediction = predictor.predict(rgb, sparse_depth, focal_length_px=focal_length_px)
         if not prediction.valid:
             raise SSDNetError(f"the model's answer is invalid: {', '.join(prediction.degraded)}.")
-        return Answer(prediction.semantic, prediction.depth, prediction.boundary)
+        return Answer(
+            prediction.semantic,
+            prediction.depth,
+            prediction.boundary,
+            prediction.depth_uncertainty,
+        )
 
     return predict

@@ -39,7 +39,7 @@ class Answer(NamedTuple):
     depth_uncertainty: NDArray[np.float32] | None = None
 
 
-#: Name of the class that is scored against masks of the road.
+#: Name of the class that is scored against masks of the road, in any case of its letters.
 ROAD = "road"
 
 #: (rgb uint8 (H, W, 3), sparse_depth float32 (H, W) in metres, focal length in pixels of this
@@ -142,8 +142,9 @@ class Scores:
             }
             if class_names:
                 figures |= _category_figures(self.semantic, class_names)
-        if self.road.counts.any() and ROAD in class_names:
-            figures["road_iou"] = self.road.compute(class_names.index(ROAD))
+        names = [name.lower() for name in class_names]
+        if self.road.counts.any() and ROAD in names:
+            figures["road_iou"] = self.road.compute(names.index(ROAD))
         if depth.pixels:
             figures |= {"mae_m": depth.mae_m, "rmse_m": depth.rmse_m}
             for part in depth.ranges:

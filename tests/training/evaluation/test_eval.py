@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,12 +12,13 @@ from typer.testing import CliRunner
 
 from export.exporter import export_checkpoint
 from models import create_model, load_checkpoint, save_checkpoint
+from runtime import Latency, Prediction
 from runtime.errors import InputError
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.evaluation.cli import app, parse_source
 from training.evaluation.evaluate import short_names
-from training.evaluation.model_file import ScoredModel
+from training.evaluation.model_file import ScoredModel, engine_predict
 from training.evaluation.report import Row, format_table
 
 
@@ -261,3 +263,21 @@ def test_table_leaves_out_what_no_row_has():
     assert [cell.strip() for cell in row.split("|")[1:-1]] == [
         *("a", "torch on cpu", "x", "3", "64", "none", "50.000", "1.250")
     ]
+
+
+def test_what_a_file_says_of_its_depth_is_scored():
+    """The engine's uncertainty goes into the answer, in its place."""
+    one = np.ones((4, 4), np.float32)
+    prediction = Prediction(
+        semantic=one.astype(np.uint8),
+        depth=2 * one,
+        boundary=3 * one,
+        depth_uncertainty=4 * one,
+        frame_size=(4, 4),
+        network_size=(4, 4),
+        latency=Latency(0, 0, 0, 0),
+        valid=True,
+    )
+    engine = SimpleNamespace(predict=lambda rgb, depth, focal_length_px: prediction)
+    answer = engine_predict(engine)(None, None, None)
+    assert [values[0, 0] for values in answer] == [1, 2, 3, 4]

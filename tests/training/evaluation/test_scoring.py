@@ -178,7 +178,7 @@ def test_the_class_road_is_scored_against_a_mask_of_it():
     names = [f"c{i}" for i in range(11)]
     assert scores.figures(names) == {}
     assert scores.figures() == {}
-    names[3] = "road"
+    names[3] = "Road"
     assert scores.figures(names) == {"road_iou": pytest.approx(15 / 35)}
 
 
