@@ -50,6 +50,22 @@ def test_a_misaligned_scan_moves_as_one_body():
     assert 0 < np.abs(moved[moved > 0] - 10).max() < 0.2 + 10 * np.deg2rad(3) * 1.2
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_turn_moves_near_and_far_alike_and_a_shift_the_near_alone(seed):
+    def moved_px(depth, **error):
+        fed = np.zeros((48, 160), np.float32)
+        fed[24, 80] = depth
+        moved = misalign(fed, K, np.random.default_rng(seed), **error)
+        (at,) = np.argwhere(moved)
+        return np.hypot(*(at - (24, 80)))
+
+    near, far = (moved_px(d, rotation_deg=10.0, shift_m=0.0) for d in (4.0, 4000.0))
+    assert near == far > 1
+    near, far = (moved_px(d, rotation_deg=0.0, shift_m=0.5) for d in (4.0, 4000.0))
+    assert near > 1
+    assert far == 0
+
+
 def test_without_an_error_nothing_moves():
     fed = random_share(np.full((48, 160), 20.0, np.float32), 0.3, np.random.default_rng(0))
     before = fed.copy()
