@@ -15,6 +15,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from typer.testing import CliRunner
 
 from layouts.kitti_stream import write_stream
+from layouts.kitti_streets import HEIGHT, WIDTH, write_streets
+from layouts.pictures import write
 from layouts.virtual_kitti import write_second_edition
 from models import SSDNet, create_model, load_checkpoint, save_checkpoint
 from models.registry import NETWORKS, Entry
@@ -22,6 +24,7 @@ from runtime.errors import CheckpointError, DatasetError, InputError
 from training import cli, loop
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
+from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment import AugmentConfig
 from training.loop import train
@@ -227,6 +230,40 @@ def test_validation_feeds_the_lidar_that_the_recipe_says(data, tmp_path):
         errors.append(events.Scalars("validation/scenes/mae_m")[0].value)
     assert errors[1] == errors[2]
     assert errors[0] != errors[1]
+
+
+def test_the_sky_and_masks_of_the_road_are_targets(data, tmp_path):
+    """CamVid alone has no depth but the sky's, the streets' picture no label but of the road."""
+    write_streets(data / "streets", magnify=8)
+    mask = np.ones((HEIGHT, WIDTH), np.uint8)
+    for number in (2, 3, 7):
+        write(data / "streets" / "road_mask" / f"{number:06d}.png", mask, 8)
+
+    def terms(run, out):
+        train(run, data=[data], out=out)
+        events = EventAccumulator(str(out / "tensorboard"))
+        events.Reload()
+        return {
+            name: events.Scalars(f"loss/{name}")[0].value
+            for name in ("depth", "road")
+            if f"loss/{name}" in events.Tags()["scalars"]
+        }
+
+    run = replace(recipe(steps=1), validation=ValidationRecipe())
+    assert terms(run, tmp_path / "plain") == {"depth": 0}
+    sky = replace(run, data=replace(run.data, sky_depth=True))
+    assert terms(sky, tmp_path / "sky")["depth"] > 0
+    streets = replace(
+        run,
+        data=replace(run.data, source=(KittiStreetsRecipe(path="streets"),)),
+        loss=LossConfig(class_weighting="none", road_weight=1.0),
+    )
+    road = terms(streets, tmp_path / "road")
+    assert road["road"] > 0
+    canonical = replace(run.model, canonical_focal_px=40.0)  # the streets' camera has 80 px
+    nearer = terms(replace(streets, model=canonical), tmp_path / "nearer")
+    assert nearer["road"] == pytest.approx(road["road"], rel=0.5)
+    assert nearer["depth"] != road["depth"]
 
 
 def test_a_lidar_that_a_validation_set_cannot_give_is_refused_at_the_start(data, tmp_path):
