@@ -55,4 +55,4 @@ def export(
     typer.echo(f"largest difference to PyTorch on {report.num_frames} frames:")
     for head, measured in report.parity.items():
         figures = ", ".join(f"{name} {value:.6g}" for name, value in measured.figures.items())
-        typer.echo(f"  {head:16}{figures}")
+        typer.echo(f"  {head:18} {figures}")
