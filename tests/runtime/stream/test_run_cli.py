@@ -249,6 +249,8 @@ def test_the_demo_runs_the_bundled_stream(tmp_path, stream, model_file, monkeypa
     stream[1].rename(bundled / "depth")
     assert CliRunner().invoke(app, arguments).exit_code == 0
     assert len(rows_of(tmp_path / "out")) == N
+    inputs = json.loads((tmp_path / "out/report.json").read_text())["inputs"]
+    assert inputs["focal_length_px"] == pytest.approx(483.35, abs=0.01)  # of the rendered camera
 
 
 def test_a_missing_bundled_stream_is_an_error(tmp_path, model_file, monkeypatch):

@@ -10,6 +10,7 @@ from models import SSDNet, SSDNetOutput
 from models.registry import NETWORKS
 from runtime.errors import InputError
 from training.datasets.sample import Sample
+from training.evaluation.pictures import draw_pictures
 from training.evaluation.scoring import Answer, score, split_frames, torch_predict
 from training.lidar.split import LidarInput
 
@@ -237,3 +238,7 @@ def test_frames_are_scored_with_their_own_focal_length():
     frames = [split_lidar(sample(), "random:0.1"), split_lidar(sample(intrinsics=None), "none")]
     score(predict, frames, num_classes=11)
     assert seen == [300.0, None]
+    source = [sample(), sample(intrinsics=None)]
+    config = NETWORKS["ssdnet-lite"].config
+    list(draw_pictures(predict, source, config, lidar=LidarInput("none"), count=2))
+    assert seen == [300.0, None] * 2
