@@ -17,7 +17,7 @@ _PANEL_WIDTH, _PANEL_HEIGHT = 640, 4096
 _STACK_ASPECT = 2.0  # panels wider than this stand below one another
 _CLASS_OPACITY = 0.7
 _LEGEND_LINE = 22  # pixels
-_SKY = "sky"  # the class that has no depth
+_SKY = "sky"  # the class that has no depth, in any case of its letters
 _NO_DEPTH = ClassInfo("no depth", NO_VALUE_COLOR)  # as the legend has it
 _NEAREST_M = 3.0  # what is nearer is in front of the bonnet
 _UNCERTAINTY_PERCENT = (1.0, 100.0)
@@ -55,7 +55,7 @@ class Overlay:
 
     def __init__(self, classes: Sequence[ClassInfo], max_depth_m: float) -> None:
         self._classes = tuple(classes)
-        self._sky = next((i for i, info in enumerate(classes) if info.name == _SKY), None)
+        self._sky = next((i for i, info in enumerate(classes) if info.name.lower() == _SKY), None)
         nearest_m = min(_NEAREST_M, max_depth_m / 10)
         self._depth_scale = ColorScale(
             "depth", "m", nearest_m, max_depth_m, cv2.COLORMAP_MAGMA, bright_low=True

@@ -316,7 +316,7 @@ def test_the_sky_has_no_depth(contract, answered, monkeypatch):
     ids = np.zeros((60, 80), np.uint8)
     ids[:30] = 1
     plain = Overlay(contract.classes, contract.max_depth_m)
-    sky = (contract.classes[0], dataclasses.replace(contract.classes[1], name="sky"))
+    sky = (contract.classes[0], dataclasses.replace(contract.classes[1], name="Sky"))
     without = depth_panels(plain, answered, semantic=ids)
     assert "depth" in titles
     titles.clear()
