@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 from torch import Tensor
-from torch.nn import functional as F
 
 from models.blocks import upsample
+from models.pooling import cell_means
 
 #: Weight of the coarser level against one fully measured cell. A single return in a 4x4 cell
 #: weighs 1/16, so a measured cell keeps 98 % of its measurement.
@@ -42,9 +42,9 @@ def pull_push(measured: Tensor, *, factor: int, levels: int) -> tuple[Tensor, Te
     ratio is a weighted mean of measurements, and the share of measured pixels, (N, 1, h, w).
     """
     # Both go through the same steps as one tensor: a level costs one pooling and one upsampling.
-    pyramid = [F.avg_pool2d(measured, factor)]
+    pyramid = [cell_means(measured, factor)]
     for _ in range(levels):
-        pyramid.append(F.avg_pool2d(pyramid[-1], 2))
+        pyramid.append(cell_means(pyramid[-1], 2))
     coarse = pyramid[-1] / (pyramid[-1][:, 1:] + COARSE_WEIGHT)
     for level in reversed(pyramid[:-1]):
         coarse = (level + COARSE_WEIGHT * upsample(coarse)) / (level[:, 1:] + COARSE_WEIGHT)

@@ -9,10 +9,9 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 
-from models.blocks import max_around
 from models.depth_prior import pull_push
+from models.pooling import cell_maxima, maxima_around, means_around
 
 #: Windows of the max-pools that carry a surface on into cells without any, one after the other:
 #: together they reach 18 cells.
@@ -65,11 +64,11 @@ def gather_surfaces(measured: Tensor, *, factor: int, levels: int) -> Surfaces:
     """
     depth, mask = measured[:, :1], measured[:, 1:]
     inverse = mask / depth.clamp(min=NEAREST)
-    carried = F.max_pool2d(torch.cat([inverse, depth], dim=1), factor)
+    carried = cell_maxima(torch.cat([inverse, depth], dim=1), factor)
     for window in WINDOWS:
-        carried = torch.where(carried > 0, carried, max_around(carried, window))
+        carried = torch.where(carried > 0, carried, maxima_around(carried, window))
     support = (carried[:, 1:] > 0).to(depth.dtype)
-    smooth = F.avg_pool2d(torch.cat([carried[:, :1], support], dim=1), 3, 1, 1)
+    smooth = means_around(torch.cat([carried[:, :1], support], dim=1), 3)
     nearest = smooth[:, 1:].clamp(min=1e-6) / smooth[:, :1].clamp(min=1e-6)
 
     coarse, density = pull_push(torch.cat([inverse, mask], dim=1), factor=factor, levels=levels)

@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from models import create_model
-from models.blocks import max_around
 from models.surfaces import (
     AGREEMENT,
     NEAREST,
@@ -142,10 +141,3 @@ def test_it_needs_the_prior_and_two_stem_layers():
     ):
         with pytest.raises(ValueError, match="depth_refine_channels"):
             create_model("ssdnet-lite", depth_refine_channels=16, **changes)
-
-
-@pytest.mark.parametrize("window", [1, 3, 5, 7, 9, 15])
-def test_the_maximum_around_a_pixel_is_that_of_pooling(window):
-    x = torch.randn(2, 3, 17, 20, generator=torch.Generator().manual_seed(0))
-    expected = torch.nn.functional.max_pool2d(x, window, 1, window // 2)
-    assert torch.equal(max_around(x, window), expected)

@@ -10,7 +10,9 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
 from models import SSDNetOutput
+from models.blocks import extend_to_multiple
 from models.network import Head
+from models.pooling import cell_means
 from training.limits import STRICT
 from training.losses.boundary import (
     BetaMode,
@@ -330,7 +332,7 @@ def _on_grid(x: Tensor, grid: tuple[int, int]) -> Tensor:
     if x.shape[-2] < grid[0]:
         return F.interpolate(x, size=grid, mode="bilinear", align_corners=False)
     side = cell_side((x.shape[-2], x.shape[-1]), grid)
-    return x if side == 1 else F.avg_pool2d(x, side, ceil_mode=True)
+    return x if side == 1 else cell_means(extend_to_multiple(x, side), side)
 
 
 def _any_answer(output: SSDNetOutput) -> Tensor:
