@@ -15,6 +15,7 @@ from runtime.stream.picture_text import text_width, write_text
 # Larger frames are shrunk by a whole number until they fit: a JPEG side has at most 65500 pixels.
 _PANEL_WIDTH, _PANEL_HEIGHT = 640, 4096
 _STACK_ASPECT = 2.0  # panels wider than this stand below one another
+_STACKED_WIDTH = 960
 _CLASS_OPACITY = 0.7
 _LEGEND_LINE = 22  # pixels
 _SKY = "sky"  # the class that has no depth, in any case of its letters
@@ -71,8 +72,11 @@ class Overlay:
         rgb: uint8 (H, W, 3), red first.
         Returns uint8, blue first, as OpenCV writes it.
         """
-        step = max(-(-rgb.shape[1] // _PANEL_WIDTH), -(-rgb.shape[0] // _PANEL_HEIGHT))
-        step = min(step, *rgb.shape[:2])  # at least a line of a very long frame is left
+        height, width = rgb.shape[:2]
+        stacked = width >= _STACK_ASPECT * height
+        widest = _STACKED_WIDTH if stacked else _PANEL_WIDTH
+        step = max(-(-width // widest), -(-height // _PANEL_HEIGHT))
+        step = min(step, height, width)  # at least a line of a very long frame is left
         image = cv2.cvtColor(_shrink(rgb, step), cv2.COLOR_RGB2BGR)
         panels: dict[str, NDArray[Any]] = {"image": image}
         ids = None
@@ -89,9 +93,7 @@ class Overlay:
             panels["boundary"] = cv2.cvtColor(boundary, cv2.COLOR_GRAY2BGR)
         for title, panel in panels.items():
             write_text(panel, title, (6, 16))
-        height, width = image.shape[:2]
-        join = cv2.vconcat if width >= _STACK_ASPECT * height else cv2.hconcat
-        strip = join(list(panels.values()))
+        strip = (cv2.vconcat if stacked else cv2.hconcat)(list(panels.values()))
         bars: tuple[ColorScale, ...] = ()
         if prediction.depth is not None:
             bars += (self._depth_scale,)

@@ -355,8 +355,21 @@ def test_the_overlay_of_any_size_is_of_a_handy_size(contract, answered, size):
     overlay = Overlay(contract.classes, contract.max_depth_m)
     strip = overlay.draw(np.zeros((*size, 3), np.uint8), prediction)
     assert strip.dtype == np.uint8
-    assert strip.shape[1] <= 5 * 640
+    assert strip.shape[1] <= (960 if size[1] >= 2 * size[0] else 5 * 640)
     assert strip.shape[0] <= 5 * 4096 + 200
+
+
+@pytest.mark.parametrize(
+    ("size", "width"), [((256, 832), 832), ((375, 1242), 621), ((480, 959), 5 * 479)]
+)
+def test_panels_below_one_another_may_be_wider(contract, answered, size, width):
+    resized = {
+        name: cv2.resize(getattr(answered[1], name), size[::-1])
+        for name in ("semantic", "depth", "boundary", "depth_uncertainty")
+    }
+    overlay = Overlay(contract.classes, contract.max_depth_m)
+    answers = dataclasses.replace(answered[1], **resized)
+    assert overlay.draw(np.zeros((*size, 3), np.uint8), answers).shape[1] == width
 
 
 def test_the_overlay_leaves_out_missing_heads(contract, answered):
