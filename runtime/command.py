@@ -68,6 +68,27 @@ def reported_errors(extras: str) -> Iterator[None]:
         sys.exit(INTERRUPTED)
 
 
+def say(text: str, *, otherwise: str = "") -> bool:
+    """Print a command's result on stdout; returns whether it could be printed.
+
+    otherwise: where else the result is, for the line on stderr if stdout has no room. Whoever reads
+    may have left: that is no error.
+    """
+    text = text.encode(errors="backslashreplace").decode()  # file names need not be valid text
+    try:
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+    except OSError as error:
+        # What is still buffered must not fail at exit.
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            with contextlib.suppress(OSError):
+                sys.stderr.write(f"cannot print ({error.strerror}){otherwise}\n")
+        return False
+    return True
+
+
 def _end(text: str, error: Exception) -> None:
     with contextlib.suppress(OSError):  # nobody reads
         sys.stderr.write(text + "\n")

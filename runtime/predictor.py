@@ -60,6 +60,7 @@ class Predictor:
     node_counts: dict[str, int] | None  # execution provider -> nodes; None if not known
     threads: int
     input_size: tuple[int, int] | None  # (height, width) of a fixed model; None = any
+    free_batch: bool  # whether one run of the model takes several frames
     size: NetworkSize  # as asked for
     focal_length_px: float | None  # of the frames; None = not known
     heads: tuple[str, ...]  # for example ("semantic", "depth", "boundary")
@@ -94,6 +95,7 @@ class Predictor:
         )
         signature = read_signature(session, num_classes=len(self.contract.classes))
         self.input_size, self.heads = signature.size, signature.heads
+        self.free_batch = signature.free_batch
         self.size = check_network_size(size, fixed=signature.size is not None)
         self.providers = tuple(session.get_providers())
         self.node_counts = node_counts(session)

@@ -25,10 +25,12 @@ class Signature:
 
     size: (height, width) of its inputs, or None if it takes any
     heads: the names of the contract's outputs it has, in the contract's order
+    free_batch: whether one run takes any number of frames, or one only
     """
 
     size: tuple[int, int] | None
     heads: tuple[str, ...]
+    free_batch: bool = True
 
 
 def read_signature(session: Any, *, num_classes: int) -> Signature:
@@ -77,10 +79,11 @@ def _read(session: Any, num_classes: int) -> Signature:
     height, width = sizes.pop()
     if (height is None) != (width is None):
         raise _foreign("height and width both fixed or both free", f"{inputs['rgb'].shape}")
+    free_batch = not any(isinstance(tensor.shape[0], int) for tensor in inputs.values())
     if height is None or width is None:
-        return Signature(size=None, heads=heads)
+        return Signature(size=None, heads=heads, free_batch=free_batch)
     try:
-        return Signature(size=check_size((height, width)), heads=heads)
+        return Signature(size=check_size((height, width)), heads=heads, free_batch=free_batch)
     except ValueError as error:
         raise _foreign("inputs of a size that pictures have", str(error)) from error
 

@@ -1,7 +1,6 @@
 """`ssdnet-run`: a stream of frames in, pictures, tables and latencies out."""
 
 import contextlib
-import os
 import signal
 import sys
 
@@ -20,7 +19,7 @@ import typer
 from runtime import __version__
 from runtime.atomic_write import atomic_write
 from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
-from runtime.command import ERROR, SIGNALS, end_now, reported_errors
+from runtime.command import ERROR, SIGNALS, end_now, reported_errors, say
 from runtime.contract import MAX_FOCAL_PX, MIN_FOCAL_PX
 from runtime.errors import InputError, OutputError, SSDNetError
 from runtime.network_size import NetworkSize, parse_network_size
@@ -205,19 +204,7 @@ def run(
 
 def _say(text: str, out: Path) -> bool:
     """Print, or say why not: the results on disk matter more. Returns whether it was printed."""
-    text = text.encode(errors="backslashreplace").decode()  # file names need not be valid text
-    try:
-        typer.echo(text)
-        sys.stdout.flush()
-    except OSError as error:
-        # Whoever reads has left, or has no room: what is still buffered must not fail at exit.
-        with contextlib.suppress(OSError, ValueError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not isinstance(error, BrokenPipeError):
-            with contextlib.suppress(OSError):
-                typer.echo(f"cannot print ({error.strerror}): see {out}", err=True)
-        return False
-    return True
+    return say(text, otherwise=f": see {out}")
 
 
 @contextlib.contextmanager

@@ -61,6 +61,12 @@ def test_the_command_loads_neither_torch_nor_onnx_nor_onnxruntime():
     assert not loaded & {"torch", "onnx", "onnxruntime", "models", "training", "export", "scipy"}
 
 
+def test_the_doctor_loads_nothing_that_it_looks_at():
+    loaded = loaded_after("import runtime.tools.doctor_cli")
+    assert {"runtime", "typer"} <= loaded
+    assert not loaded & {*ENGINE, "numpy", "torch", "onnx"}
+
+
 def test_the_public_names_are_there():
     for name in runtime.__all__:
         assert getattr(runtime, name) is not None

@@ -1,0 +1,19 @@
+"""Entry points of the commands; each loads its own file only."""
+
+from runtime.command import end_quietly
+
+
+def info() -> None:
+    """`ssdnet-info`."""
+    end_quietly()
+    from runtime.tools.info import app
+
+    app()
+
+
+def doctor() -> None:
+    """`ssdnet-doctor`."""
+    end_quietly()
+    from runtime.tools.doctor_cli import app
+
+    app()

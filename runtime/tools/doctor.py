@@ -1,0 +1,191 @@
+"""What is installed, what works, what is missing, and the line that mends it.
+
+Nothing heavy is imported with this file: where a package is broken the others are told all the
+same.
+"""
+
+import importlib
+import platform
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Literal
+
+from runtime.errors import SSDNetError
+from runtime.tools.cuda_libraries import DRIVER, cuda_major, find_library, library_names
+
+#: "ok" and "note" (a fact, or what is missing and not needed) are no fault, nor is "warning".
+Status = Literal["ok", "note", "warning", "fault"]
+
+_ENGINE = {"numpy": "numpy", "cv2": "opencv-python-headless"}  # module -> distribution
+_EXTRAS = {"torch": "train,export", "onnx": "export"}  # distribution -> extras that bring it
+_ORT_WHEELS = ("onnxruntime", "onnxruntime-gpu")
+_CUDA_PROVIDER = "CUDAExecutionProvider"
+_MOST_DEPTH_ERROR = 0.1  # of a return, at the median: broken arithmetic is worse, the model is not
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was looked at; `remedy` is a command line or what else to do."""
+
+    name: str
+    status: Status
+    found: str
+    remedy: str = ""
+
+
+def examine(provider: str, *, seconds: float = 1.0) -> Iterator[Check]:
+    """Look at everything, and yield each result as it is known.
+
+    provider: "cpu" or "cuda": what the self-test runs on, and whether what a GPU needs is needed
+    seconds: how long the self-test predicts
+    """
+    yield Check("python", "ok", f"{platform.python_version()} on {platform.platform()}")
+    yield _package("ssdnet", "ssdnet")
+    for module, distribution in _ENGINE.items():
+        yield _package(module, distribution)
+    for distribution, extras in _EXTRAS.items():
+        found = installed(distribution)
+        yield Check(
+            distribution, "note", found or f'not installed, only needed for "ssdnet[{extras}]"'
+        )
+    yield _wheel(provider)
+    try:
+        ort = importlib.import_module("onnxruntime")
+    except ImportError as error:
+        extra = "gpu" if provider == "cuda" else "cpu"
+        yield Check("onnxruntime", "fault", f"{error}", pip("install", f"ssdnet[{extra}]"))
+        return
+    yield _providers(ort, provider)
+    yield from _libraries(ort, provider)
+    yield self_test(provider, seconds=seconds)
+
+
+def installed(distribution: str) -> str | None:
+    """Return the version of an installed distribution, None if there is none."""
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return None
+
+
+def pip(*arguments: str) -> str:
+    """Return the command line that runs pip for this very Python."""
+    return shlex.join([sys.executable, "-m", "pip", *arguments])
+
+
+def _package(module: str, distribution: str) -> Check:
+    """Whether a package can be imported; ours runs at this moment."""
+    found = installed(distribution)
+    try:
+        imported = None if module == "ssdnet" else importlib.import_module(module)
+    except ImportError as error:
+        remedy = pip("install", "--force-reinstall", "--no-deps", distribution)
+        return Check(module, "fault", f"{error}", remedy)
+    # OpenCV has several distributions of one module: its own word counts.
+    return Check(module, "ok", getattr(imported, "__version__", None) or found or "not installed")
+
+
+def _wheel(provider: str) -> Check:
+    found = {name: installed(name) for name in _ORT_WHEELS}
+    text = ", ".join(f"{name} {number}" for name, number in found.items() if number) or "none"
+    if all(found.values()):
+        extra = "gpu" if provider == "cuda" else "cpu"
+        remedy = f"{pip('uninstall', '-y', *_ORT_WHEELS)} && {pip('install', f'ssdnet[{extra}]')}"
+        fault = f"{text}: they own the same files and exclude each other"
+        return Check("onnxruntime wheel", "warning", fault, remedy)
+    return Check("onnxruntime wheel", "ok" if any(found.values()) else "warning", text)
+
+
+def _providers(ort: Any, provider: str) -> Check:
+    available = ort.get_available_providers()
+    found = f"onnxruntime {ort.__version__}: {', '.join(available)}"
+    if provider == "cuda" and _CUDA_PROVIDER not in available:
+        return Check(
+            "providers",
+            "fault",
+            f"{found}; {_CUDA_PROVIDER} is missing",
+            f"{pip('uninstall', '-y', 'onnxruntime')} && {pip('install', 'ssdnet[gpu]')}",
+        )
+    return Check("providers", "ok", found)
+
+
+def _libraries(ort: Any, provider: str) -> Iterator[Check]:
+    if sys.platform != "linux":
+        yield Check("CUDA libraries", "note", "looked for on Linux only")
+        return
+    has_cuda = _CUDA_PROVIDER in ort.get_available_providers()
+    for name in library_names(cuda_major(getattr(ort, "cuda_version", None))):
+        path = find_library(name)
+        if path is not None:
+            yield Check(name, "ok", path)
+        elif provider != "cuda":
+            yield Check(name, "note", 'missing, only needed for "--provider cuda"')
+        elif not has_cuda and name != DRIVER:
+            yield Check(name, "note", "missing, comes with the wheel that is missing, too")
+        elif name == DRIVER:
+            remedy = "install NVIDIA's driver: it comes with the system, not with pip"
+            yield Check(name, "fault", "missing", remedy)
+        else:
+            wheel = f"onnxruntime-gpu[cuda,cudnn]=={ort.__version__}"
+            yield Check(name, "fault", "missing", pip("install", wheel))
+
+
+def self_test(provider: str, *, seconds: float) -> Check:
+    """Predict bundled frames with the bundled model for so long, and look at the answers."""
+    name = f"self-test on {provider}"
+    reinstall = pip("install", "--force-reinstall", "--no-deps", "ssdnet")
+    try:
+        times_ms, error = _predict_bundled(provider, seconds)
+    except SSDNetError as problem:  # its text says what to do
+        return Check(name, "fault", str(problem))
+    except ImportError as problem:
+        return Check(name, "fault", f"not run: {problem}")
+    except _WrongAnswerError as problem:
+        return Check(name, "fault", str(problem), reinstall)
+    middle_ms = sorted(times_ms)[len(times_ms) // 2]
+    return Check(
+        name,
+        "ok",
+        f"{len(times_ms)} frames, {middle_ms:.1f} ms each at the median; depth within "
+        f"{error:.1%} of the returns at the median",
+    )
+
+
+class _WrongAnswerError(Exception):
+    """The engine answered, and what it says cannot be."""
+
+
+def _predict_bundled(provider: str, seconds: float) -> tuple[list[float], float]:
+    """Give the time of each prediction [ms], and the worst frame's depth error as a share."""
+    import numpy as np
+
+    from runtime.predictor import Predictor
+    from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+    from runtime.stream.frames import KITTI_DEPTH_SCALE, list_frames, read_frame
+
+    times_ms, errors = [], []
+    with Predictor(provider=provider, focal_length_px=BUNDLED_FOCAL_LENGTH_PX) as predictor:
+        end = time.perf_counter() + seconds
+        for files in list_frames(*bundled_stream()):
+            frame = read_frame(files, depth_scale=KITTI_DEPTH_SCALE)
+            prediction = predictor.predict(frame.rgb, frame.sparse_depth)
+            if not prediction.valid or prediction.depth is None:
+                reasons = ", ".join(prediction.degraded) or "no depth"
+                raise _WrongAnswerError(f"the answer for {files.name} cannot be used: {reasons}")
+            seen = frame.sparse_depth > 0
+            measured = frame.sparse_depth[seen]
+            errors.append(float(np.median(np.abs(prediction.depth[seen] / measured - 1))))
+            times_ms.append(prediction.latency.total_ms)
+            if time.perf_counter() > end:
+                break
+    worst = max(errors)
+    if not worst <= _MOST_DEPTH_ERROR:
+        raise _WrongAnswerError(
+            f"the depth is {worst:.0%} off the returns at the median, expected at most "
+            f"{_MOST_DEPTH_ERROR:.0%}: the model or what runs it is broken"
+        )
+    return times_ms, worst

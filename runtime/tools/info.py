@@ -1,0 +1,124 @@
+"""`ssdnet-info`: what a model file says of itself."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from runtime.bundled_models import list_bundled_models
+from runtime.command import ERROR, reported_errors, say
+from runtime.predictor import Predictor
+
+INFO_FORMAT, INFO_VERSION = "ssdnet-info", "1.0"
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.command(epilog="Exit codes: 0 done; 1 no model that this engine runs; 2 usage.")
+def info(
+    model: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[NAME|PATH]",
+            help="A bundled model, or an ONNX file made by ssdnet-export. Without it the names of "
+            "the bundled models are printed.",
+        ),
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print a JSON document instead of the table.")
+    ] = False,
+) -> None:
+    """Tell what is in a model file: heads, sizes, classes, terms, parity and digest."""
+    with reported_errors("cpu"):
+        if model is None:
+            names = list_bundled_models()
+            text = json.dumps({"bundled_models": names}) if as_json else "\n".join(names)
+        else:
+            with Predictor(model, warmup=0) as predictor:
+                described = describe_model(predictor)
+            text = json.dumps(described, indent=2) if as_json else model_table(described)
+        if not say(text):
+            raise typer.Exit(ERROR)
+
+
+def describe_model(predictor: Predictor) -> dict[str, Any]:
+    """What is known of a predictor's model: the file, its tensors, and its metadata as it is."""
+    return {
+        "format": INFO_FORMAT,
+        "version": INFO_VERSION,
+        "path": predictor.model,
+        "bytes": Path(predictor.model).stat().st_size,
+        "sha256": predictor.digest,
+        "heads": predictor.heads,
+        "input_size": predictor.input_size,
+        "free_batch": predictor.free_batch,
+        "metadata": asdict(predictor.contract),
+    }
+
+
+def model_table(described: dict[str, Any]) -> str:
+    """The document of `describe_model` for people, a line a fact."""
+    metadata = described["metadata"]
+    focal_px = metadata["canonical_focal_px"]
+    rows = metadata["trained_height"]
+    batch = "any number" if described["free_batch"] else "one"
+    facts = [
+        ("model", metadata["model_name"]),
+        ("file", f"{described['path']} ({described['bytes'] / 1e6:.1f} MB)"),
+        ("sha256", described["sha256"]),
+        ("schema", metadata["schema_version"]),
+        ("heads", ", ".join(described["heads"])),
+        (
+            "input size",
+            "any" if described["input_size"] is None else _size(described["input_size"]),
+        ),
+        ("verified at", _size(metadata["native_size"])),
+        ("trained for", "not known" if rows is None else f"{rows} rows"),
+        ("frames a run", batch),
+        ("stride", f"{metadata['stride']} px"),
+        ("depth range", f"{metadata['max_depth_m']:g} m"),
+        (
+            "canonical focal length",
+            "none: plain metres" if focal_px is None else f"{focal_px:g} px",
+        ),
+        ("precision", metadata["precision"]),
+        ("resize", _pairs(metadata["resize"])),
+        ("terms", _plain(metadata["training"].get("terms", "not said"))),
+        ("trained on", _plain(metadata["training"].get("data", "not said"))),
+        ("made by", _pairs(metadata["versions"])),
+        ("checkpoint sha256", metadata["checkpoint_sha256"]),
+        ("parity with PyTorch", "" if metadata["parity"] else "not measured"),
+        *((f"  {head}", _plain(figures)) for head, figures in metadata["parity"].items()),
+        ("classes", str(len(metadata["classes"]))),
+        *(
+            (f"  {index}", f"{entry['name']} #{bytes(entry['color']).hex()}")
+            for index, entry in enumerate(metadata["classes"])
+        ),
+    ]
+    return "\n".join(f"{_printable(name):24}{_printable(value)}".rstrip() for name, value in facts)
+
+
+def _size(size: tuple[int, int]) -> str:
+    return f"{size[0]} x {size[1]}"
+
+
+def _pairs(mapping: dict[str, str]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in mapping.items())
+
+
+def _plain(value: Any) -> str:
+    """What metadata may hold of any kind, without the marks of JSON around lists and objects."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_plain(entry)}" for name, entry in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_plain, value))
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _printable(text: str) -> str:
+    """A file's text without what would steer a terminal."""
+    return "".join(
+        char if char.isprintable() else char.encode("unicode_escape").decode() for char in text
+    )

@@ -1,0 +1,76 @@
+"""ssdnet-info tells what the file says, in lines and in JSON, and refuses what is no model."""
+
+import dataclasses
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from runtime import list_bundled_models
+from runtime.tools.info import app
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, list(arguments))
+
+
+def test_without_a_model_the_bundled_ones_are_named():
+    assert run().output.split() == list_bundled_models()
+    assert json.loads(run("--json").output) == {"bundled_models": list_bundled_models()}
+
+
+def test_the_lines_hold_what_the_metadata_and_the_tensors_say(model_file, contract):
+    contract = dataclasses.replace(
+        contract,
+        canonical_focal_px=721.5,
+        trained_height=400,
+        training={"data": ["one", "two"], "terms": "research only"},
+        parity={"depth": {"max_abs_m": 0.00012345}},
+    )
+    path = model_file(size=(48, 64), contract=contract)
+    lines = run(str(path)).output.splitlines()
+    told = {line[:24].strip(): line[24:].strip() for line in lines}
+    assert told["model"] == "by-hand"
+    assert told["heads"] == "semantic, depth, boundary"
+    assert told["input size"] == "48 x 64"
+    assert told["trained for"] == "400 rows"
+    assert told["frames a run"] == "any number"
+    assert told["canonical focal length"] == "721.5 px"
+    assert told["terms"] == "research only"
+    assert told["trained on"] == "one, two"
+    assert told["depth"] == "max_abs_m 0.00012345"
+    assert told["classes"] == "2"
+    assert told["0"] == "dark #000080"
+    assert told["1"] == "red #c81e1e"
+    assert told["schema"] == contract.schema_version
+
+
+def test_the_json_holds_the_contract_and_the_digest(model_file, contract):
+    document = json.loads(run(str(model_file()), "--json").output)
+    assert document["input_size"] is None
+    assert len(document["sha256"]) == 64
+    metadata = document["metadata"]
+    assert metadata["max_depth_m"] == contract.max_depth_m
+    assert [entry["name"] for entry in metadata["classes"]] == ["dark", "red"]
+
+
+def test_a_batch_of_one_is_told(model_file):
+    def only_one(graph):
+        for tensor in graph.input:
+            tensor.type.tensor_type.shape.dim[0].dim_value = 1
+
+    path = model_file(edit=only_one)
+    assert "frames a run            one" in run(str(path)).output.splitlines()
+
+
+def test_a_files_text_does_not_steer_the_terminal(model_file, contract):
+    contract = dataclasses.replace(contract, training={"terms": "none\x1b[2J\nmodel   other"})
+    lines = run(str(model_file(contract=contract))).output.splitlines()
+    assert r"terms                   none\x1b[2J\nmodel   other" in lines
+
+
+@pytest.mark.parametrize("name", ["ssdnet-huge", "./nothing.onnx"])
+def test_what_is_no_model_is_an_error(name):
+    result = run(name)
+    assert result.exit_code == 1
+    assert result.output.startswith("error: ")
