@@ -21,8 +21,7 @@ from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.sample import SampleSource
 from training.datasets.virtual_kitti import RenderedRecipe
-from training.evaluation.baselines import BASELINES
-from training.evaluation.model_file import engine_predict, fill_predict
+from training.evaluation.model_file import engine_predict, open_method
 from training.evaluation.scoring import Predict, Scores, score, split_frames
 from training.lidar.split import LidarInput, LidarSplit
 from training.loading.open_dataset import open_dataset
@@ -32,6 +31,8 @@ SETS = {
     "KITTI frames 50-59": KittiStreamRecipe(path="kitti_stream", first=50, last=59),
     "rendered val": RenderedRecipe(path="rendered/val"),
 }
+#: Classical methods that need no more than milliseconds.
+BASELINES = ("nearest", "ip-basic")
 
 
 def main() -> None:
@@ -51,7 +52,7 @@ def main() -> None:
             source = open_dataset(recipe, arguments.data, classes="camvid")
             ways: dict[str, Predict] = {"ssdnet": engine_predict(predictor)}
             if recipe.kind != "camvid":
-                ways |= {name: fill_predict(fill) for name, fill in BASELINES.items()}
+                ways |= {name: open_method(name).predict for name in BASELINES}
             print(f"## {title}, {len(source)} frames")
             figures[title] = {}
             for name, way in ways.items():

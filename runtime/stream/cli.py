@@ -20,6 +20,8 @@ from runtime import __version__
 from runtime.atomic_write import atomic_write
 from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.command import ERROR, SIGNALS, end_now, reported_errors, say
+from runtime.completion.methods import METHODS
+from runtime.completion.predictor import CompletionPredictor
 from runtime.contract import MAX_FOCAL_PX, MIN_FOCAL_PX
 from runtime.errors import InputError, OutputError, SSDNetError
 from runtime.network_size import NetworkSize, parse_network_size
@@ -81,6 +83,13 @@ def run(
             metavar="NAME|PATH",
             help=f"A bundled model ({', '.join(list_bundled_models())}), or an ONNX file made by "
             f"ssdnet-export: what ends in .onnx or holds a folder. [default: {DEFAULT_MODEL}]",
+        ),
+    ] = None,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help=f"A classical method in place of a model, depth alone: {', '.join(METHODS)}.",
         ),
     ] = None,
     sha256: Annotated[
@@ -147,6 +156,15 @@ def run(
     _require_range("--focal-length", focal_length, MIN_FOCAL_PX, MAX_FOCAL_PX)
     if demo != (rgb is None and depth is None) or (rgb is None) != (depth is None):
         raise typer.BadParameter("give either --demo, or both --rgb and --depth")
+    if method is not None:
+        given = {
+            "--model": model is not None,
+            "--sha256": sha256 is not None,
+            "--provider": provider is not Provider.cpu,
+            "--size": network_size is not None,
+            "--threads": threads is not None,
+        }
+        _require_method(method, [option for option, is_given in given.items() if is_given])
     if demo and focal_length is None:
         focal_length = BUNDLED_FOCAL_LENGTH_PX
     dedicate_process()
@@ -154,15 +172,20 @@ def run(
         rgb_dir, depth_dir = (rgb, depth) if rgb and depth else bundled_stream()
         _require_apart(out, rgb_dir, depth_dir)
         frames = list_frames(rgb_dir, depth_dir, limit=limit)
-        with Predictor(
-            model,
-            sha256=sha256,
-            provider=provider.value,
-            size=network_size,
-            focal_length_px=focal_length,
-            threads=threads,
-            warmup=0,
-        ) as predictor:
+        predictor: Predictor | CompletionPredictor
+        if method is not None:
+            predictor = CompletionPredictor(method)
+        else:
+            predictor = Predictor(
+                model,
+                sha256=sha256,
+                provider=provider.value,
+                size=network_size,
+                focal_length_px=focal_length,
+                threads=threads,
+                warmup=0,
+            )
+        with predictor:
             kinds = _answered(kinds, predictor, everything=save == "all")
             frame_size = _warm_up(predictor, frames, depth_scale, runs=warmup)
             with _stop_asked() as stop:  # only now: until here nothing was written
@@ -248,7 +271,20 @@ def _kinds(save: str) -> tuple[str, ...]:
     return tuple(kind for kind in KINDS if kind in asked)
 
 
-def _answered(kinds: tuple[str, ...], predictor: Predictor, *, everything: bool) -> tuple[str, ...]:
+def _require_method(name: str, others: list[str]) -> None:
+    """Raise BadParameter for an unknown method, and for options that are about models alone."""
+    if name not in METHODS:
+        raise typer.BadParameter(f"--method knows {', '.join(METHODS)}, not {name!r:.80}")
+    if others:
+        raise typer.BadParameter(
+            f"{', '.join(others)}: a --method has no file and runs at the frame's size on one "
+            "thread of the processor; leave it out"
+        )
+
+
+def _answered(
+    kinds: tuple[str, ...], predictor: Predictor | CompletionPredictor, *, everything: bool
+) -> tuple[str, ...]:
     """Return the kinds that the model answers. Raises InputError if one was asked for by name."""
     missing = [kind for kind in kinds if kind in HEADS and HEADS[kind] not in predictor.heads]
     if missing and not everything:
@@ -274,7 +310,11 @@ def _require_range(option: str, value: float | None, least: float, most: float) 
 
 
 def _warm_up(
-    predictor: Predictor, frames: tuple[FrameFiles, ...], depth_scale: float, *, runs: int
+    predictor: Predictor | CompletionPredictor,
+    frames: tuple[FrameFiles, ...],
+    depth_scale: float,
+    *,
+    runs: int,
 ) -> tuple[int, int] | None:
     """Warm up at the size of the first frame that can be predicted, and give back its size."""
     for files in frames:
@@ -289,7 +329,7 @@ def _warm_up(
 
 
 def _run(
-    predictor: Predictor,
+    predictor: Predictor | CompletionPredictor,
     frames: tuple[FrameFiles, ...],
     writer: FrameWriter,
     depth_scale: float,

@@ -7,13 +7,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import SSDNetError
 from runtime.prediction import Cleaned, Latency, Prediction
-from runtime.predictor import Predictor
 from runtime.stream.frames import Frame, FrameFiles, read_frame
 
 OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
@@ -21,6 +21,13 @@ _READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side
 _NICENESS = 10
 
 WriteFrame = Callable[[str, NDArray[np.uint8], Prediction], None]
+
+
+class PredictsFrames(Protocol):
+    """What a stream needs of a `Predictor` or a `CompletionPredictor`."""
+
+    def predict(self, rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32]) -> Prediction:
+        """Answer one frame."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +62,7 @@ class StreamResult:
 
 
 def run_stream(
-    predictor: Predictor,
+    predictor: PredictsFrames,
     frames: Sequence[FrameFiles],
     *,
     depth_scale: float,
@@ -113,7 +120,7 @@ def run_stream(
 
 
 def _predict(
-    predictor: Predictor,
+    predictor: PredictsFrames,
     index: int,
     files: FrameFiles,
     reading: "Future[tuple[Frame, float]]",

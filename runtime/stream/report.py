@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from runtime.completion.predictor import CompletionPredictor
 from runtime.predictor import Predictor
 from runtime.stream.latency import (
     LatencyStatistics,
@@ -22,7 +23,7 @@ from runtime.stream.latency import (
 from runtime.stream.pipeline import SKIPPED, FrameRecord, StreamResult
 from runtime.stream.writer import DEPTH_PNG_MAX_M, DEPTH_PNG_SCALE
 
-REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.2"
+REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.3"
 
 # "predict" is Predictor.predict from end to end: what a deadline is held against.
 STAGES: dict[str, Callable[[FrameRecord], float | None]] = {
@@ -81,7 +82,7 @@ def frames_csv(records: Sequence[FrameRecord], *, deadline_ms: float | None) -> 
 
 
 def build_report(
-    predictor: Predictor,
+    predictor: Predictor | CompletionPredictor,
     result: StreamResult,
     *,
     version: str,
@@ -166,8 +167,10 @@ def to_json(report: dict[str, Any]) -> str:
     return json.dumps(report, indent=2, allow_nan=False) + "\n"
 
 
-def describe_predictor(predictor: Predictor, frame_size: tuple[int, int] | None) -> str:
-    """One line: model and digest, what runs it, threads, sizes.
+def describe_predictor(
+    predictor: Predictor | CompletionPredictor, frame_size: tuple[int, int] | None
+) -> str:
+    """One line: model and digest, or method; what runs it, threads, sizes.
 
     frame_size: (height, width) of the frames, or None if not known.
     """
@@ -178,8 +181,9 @@ def describe_predictor(predictor: Predictor, frame_size: tuple[int, int] | None)
         for name in predictor.providers
         if nodes is None or name in nodes or name == predictor.providers[0]
     )
+    digest = f" sha256:{predictor.digest[:12]}" if predictor.digest else ""
     return (
-        f"{predictor.contract.model_name} sha256:{predictor.digest[:12]} | {running} | "
+        f"{predictor.contract.model_name}{digest} | {running} | "
         f"threads {predictor.threads} | frames {_size(frame_size)}, "
         f"network at {_size(network_size)}"
     )

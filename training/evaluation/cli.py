@@ -1,4 +1,4 @@
-"""`ssdnet-eval`: the metrics of Table 1 for checkpoints and exported files, a row each."""
+"""`ssdnet-eval`: the metrics of Table 1 for checkpoints, files and methods, a row each."""
 
 if __name__ == "__main__":  # python -m training.evaluation.cli
     from training.evaluation.__main__ import main
@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 
 from runtime.command import interruptible, reported_errors
-from runtime.errors import InputError
+from runtime.errors import ContractError, InputError
 
 if TYPE_CHECKING:
     from training.datasets.source import SourceRecipe
     from training.evaluation.report import Row
+
+_BASELINES = ("nearest", "ip-basic")  # the fast methods
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -27,8 +29,9 @@ def evaluate(
     models: Annotated[
         list[str],
         typer.Argument(
-            help="Checkpoints (*.pt), exported models (*.onnx), and bundled models by name "
-            "(ssdnet-lite)."
+            help="Checkpoints (*.pt), exported models (*.onnx), bundled models by name "
+            "(ssdnet-lite) and classical methods (ip-basic, nearest, mrf, tgv, "
+            "ip-basic-multiscale)."
         ),
     ],
     data: Annotated[
@@ -46,7 +49,7 @@ def evaluate(
         str, typer.Option(help="Also with the LiDAR damaged: nan,shift,dropout.")
     ] = "",
     baselines: Annotated[
-        bool, typer.Option(help="Also score nearest filling and IP-Basic, which need no model.")
+        bool, typer.Option(help="Also score the methods nearest and ip-basic.")
     ] = False,
     device: Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")] = "cpu",
     threads: Annotated[int, typer.Option(min=1, help="Threads of the processor.")] = 2,
@@ -69,7 +72,6 @@ def evaluate(
     """Score models on data sets; prints a table."""
     with reported_errors("cpu,train"):
         # Heavy imports here, so that --help answers at once.
-        from runtime.bundled_models import find_model
         from runtime.network_size import parse_network_size
         from training.evaluation.evaluate import evaluate as run
         from training.evaluation.report import (
@@ -84,13 +86,14 @@ def evaluate(
             require_writable(json, "--json")
         if plot is not None:
             require_writable(plot, "--plot", suffix=".png")
+        files, methods = _split_names([*models, *(_BASELINES if baselines else ())])
         with interruptible():
             rows: list[Row] = run(
-                [Path(name) if name.endswith(".pt") else find_model(name) for name in models],
+                files,
                 [parse_source(text) for text in data],
                 lidars=[LidarInput.parse(text.strip()) for text in lidar.split(",")],
                 faults=["none", *_parse_faults(faults)],
-                with_baselines=baselines,
+                methods=methods,
                 device=device,
                 threads=threads,
                 size=parse_network_size(size),
@@ -101,6 +104,23 @@ def evaluate(
                 write_json(rows, json)
             if plot is not None:
                 draw_lidar_quality(rows, plot)
+
+
+def _split_names(names: list[str]) -> tuple[list[Path], list[str]]:
+    """Tell files of models from classical methods. Raises ContractError for a name of neither."""
+    from runtime.bundled_models import find_model
+    from runtime.completion.methods import METHODS
+
+    methods = [name for name in dict.fromkeys(names) if name in METHODS]
+    files = []
+    for name in names:
+        if name in METHODS:
+            continue
+        try:
+            files.append(Path(name) if name.endswith(".pt") else find_model(name))
+        except ContractError as error:
+            raise ContractError(f"{error}. Classical methods: {', '.join(METHODS)}.") from error
+    return files, methods
 
 
 def parse_source(text: str) -> "SourceRecipe":

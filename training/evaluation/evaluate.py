@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from models import CLASS_TABLES
 from runtime.errors import InputError
 from runtime.network_size import NetworkSize
 from training.datasets.sample import SampleSource
 from training.datasets.source import SourceRecipe
-from training.evaluation.baselines import BASELINES
-from training.evaluation.model_file import ScoredModel, fill_predict, open_model
+from training.evaluation.model_file import ScoredModel, open_method, open_model
 from training.evaluation.report import Row
 from training.evaluation.scoring import Answer, Scores
 from training.lidar.faults import Fault, add_fault
@@ -28,13 +26,13 @@ def evaluate(
     *,
     lidars: Sequence[LidarInput],
     faults: Sequence[Fault],
-    with_baselines: bool = False,
+    methods: Sequence[str] = (),
     device: str = "cpu",
     threads: int = 2,
     size: NetworkSize = None,
     limit: int | None = None,
 ) -> list[Row]:
-    """Score models and, if asked for, baselines without one.
+    """Score models, and classical methods of depth completion by name.
 
     ``data`` are sets whose paths stand by themselves. What a LiDAR stands for on each kind of set
     says `training.lidar.split`; a set that cannot give one has no row with it. Where nothing was
@@ -53,16 +51,12 @@ def evaluate(
             for path in models
         }
         model_names = short_names(list(opened))
+        scored = dict(zip(model_names, opened.values(), strict=True))
+        scored |= {name: open_method(name) for name in methods}
         folders = short_names([Path(recipe.path) for recipe in data])
         for recipe, folder in zip(data, folders, strict=True):
             title = " ".join([folder, *_changed_keys(recipe)])
 
-            scored = dict(zip(model_names, opened.values(), strict=True))
-            if with_baselines:
-                scored |= {
-                    name: ScoredModel(fill_predict(fill), CLASS_TABLES["camvid"], "no network")
-                    for name, fill in BASELINES.items()
-                }
             for name, model in scored.items():
                 source = open_dataset(recipe, [Path()], classes=model.class_table)
                 rows += _score_all(name, model, title, source, lidars, faults, limit)

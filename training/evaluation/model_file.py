@@ -1,4 +1,4 @@
-"""A checkpoint or an exported file as something that can be scored."""
+"""A checkpoint, an exported file or a classical method as something that can be scored."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -12,23 +12,24 @@ from numpy.typing import NDArray
 
 from models import CLASS_TABLES, load_checkpoint
 from runtime.canonical_focal import focal_length_at
+from runtime.completion.predictor import CompletionPredictor
 from runtime.contract import ClassInfo
 from runtime.errors import InputError, SSDNetError
 from runtime.network_size import NetworkSize, check_network_size, network_size
+from runtime.prediction import DEPTH_UNKNOWN
 from runtime.predictor import Predictor
 from runtime.resize import move_returns, resize_answer, resize_image
 from training.datasets.class_mapping import ClassTable
-from training.evaluation.baselines import Fill
 from training.evaluation.scoring import Answer, Predict, torch_predict
 
 
 @dataclass(frozen=True)
 class ScoredModel:
-    """A model file ready to predict, and what it says about itself."""
+    """What is ready to predict, and what its file says about it."""
 
     predict: Predict
     classes: tuple[ClassInfo, ...]
-    #: How it runs: "torch on cpu", "onnxruntime on cpu".
+    #: How it runs: "torch on cpu", "onnxruntime on cpu", "no network".
     engine: str
     #: What the file says of its training, as the recipe put it.
     training: Mapping[str, Any] = field(default_factory=dict)
@@ -119,9 +120,30 @@ def _at_network_size(predict: Predict, asked: NetworkSize, trained_height: int |
     return resized
 
 
-def fill_predict(fill: Fill) -> Predict:
-    """Return a baseline, which needs the sparse depth alone, as a predictor."""
-    return lambda rgb, sparse_depth, focal_length_px: Answer(None, fill(sparse_depth), None)
+def open_method(name: str) -> ScoredModel:
+    """Open a classical method of depth completion by its name in `runtime.completion.methods`.
+
+    Raises InputError and ProviderError as `CompletionPredictor`.
+    """
+    predict = completion_predict(CompletionPredictor(name))
+    return ScoredModel(predict, CLASS_TABLES["camvid"], "no network")
+
+
+def completion_predict(predictor: CompletionPredictor) -> Predict:
+    """Return a classical method as a predictor; depth 0, no answer, is scored as the number it is.
+
+    So is a frame without any return. Another answer that it calls invalid is an error.
+    """
+
+    def predict(
+        rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
+    ) -> Answer:
+        prediction = predictor.predict(rgb, sparse_depth)
+        if not prediction.valid and DEPTH_UNKNOWN not in prediction.degraded:
+            raise SSDNetError(f"the method's answer is invalid: {', '.join(prediction.degraded)}.")
+        return Answer(None, prediction.depth, None)
+
+    return predict
 
 
 def engine_predict(predictor: Predictor) -> Predict:

@@ -81,7 +81,7 @@ def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, tmp_
     figures = by_key["lite.pt", "scenes", "64", "none"]["figures"]
     wanted = {"miou", "fwiou", "category_miou", "iou_car", "mae_m", "mae_m_0_20", "rmse_m_0_50"}
     assert wanted | {"imae_per_km", "boundary_f", "boundary_recall"} <= figures.keys()
-    nearest = [by_key["nearest filling", "scenes", lidar, "none"] for lidar in ("64", "none")]
+    nearest = [by_key["nearest", "scenes", lidar, "none"] for lidar in ("64", "none")]
     assert nearest[0]["figures"]["mae_m"] < nearest[1]["figures"]["mae_m"]
     camvid = [row for row in rows if row["data"] == "camvid split=val"]
     assert [(row["lidar"], row["fault"], row["frames"]) for row in camvid] == [
@@ -144,6 +144,39 @@ def test_depth_without_intrinsics_is_fed_at_random_alone(folder, tmp_path):
         assert "ask for random:0.05 or none" in result.stderr
     for lidar in ("random:0.05", "none"):
         assert run(folder / "lite.pt", "--data", data, "--lidar", lidar).exit_code == 0
+
+
+def test_methods_are_scored_by_name_and_need_no_model(folder, tmp_path):
+    out, data = tmp_path / "rows.json", f"rendered:{folder}/scenes"
+    names = ["tgv", "ip-basic", "mrf", "ip-basic-multiscale", "nearest"]
+    result = run(*names, "--data", data, "--lidar", "random:0.05,none", "--json", out)
+    assert result.exit_code == 0, result.output
+    rows = json.loads(out.read_text())
+    assert [(row["model"], row["lidar"]) for row in rows] == [
+        (name, lidar) for name in names for lidar in ("random:0.05", "none")
+    ]
+    for row in rows:
+        assert row["engine"] == "no network"
+        assert "miou" not in row["figures"]
+    mae = {(row["model"], row["lidar"]): row["figures"]["mae_m"] for row in rows}
+    # Without a return the answer is 0 whatever the method: what is scored is the mean depth.
+    assert len({mae[name, "none"] for name in names}) == 1
+    assert all(mae[name, "random:0.05"] < mae[name, "none"] for name in names)
+
+
+def test_a_method_is_scored_once_and_beside_models(folder, tmp_path):
+    out, data = tmp_path / "rows.json", f"rendered:{folder}/scenes"
+    result = run("ip-basic", folder / "lite.onnx", "--baselines", "--data", data, "--json", out)
+    assert result.exit_code == 0, result.output
+    names = [row["model"] for row in json.loads(out.read_text())]
+    assert names == ["lite.onnx", "ip-basic", "nearest"]
+
+
+def test_a_name_of_nothing_lists_models_and_methods(folder):
+    result = run("ip_basic", "--data", f"rendered:{folder}/scenes")
+    assert result.exit_code == 1
+    assert "ssdnet-lite" in result.output
+    assert "Classical methods: nearest, ip-basic, ip-basic-multiscale, mrf, tgv" in result.output
 
 
 def test_limit_takes_so_many_frames(folder, tmp_path):

@@ -1,0 +1,78 @@
+"""The Markov random field against a dense solution of its energy, written out in loops."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from runtime.completion.methods import METHODS, create_method
+from runtime.completion.mrf import MRF
+from runtime.errors import ProviderError
+
+pytest.importorskip("scipy.sparse")
+
+
+def scene(height, width, share=0.2, seed=0):
+    rng = np.random.default_rng(seed)
+    rgb = rng.integers(100, 130, (height, width, 3), dtype=np.uint8)
+    depth = rng.uniform(2, 60, (height, width)).astype(np.float32)
+    depth[rng.random((height, width)) > share] = 0
+    depth.flat[0] = 5
+    return rgb, depth
+
+
+def dense_solution(rgb, sparse_depth, data_weight, edge_sharpness):
+    """Where the gradient of the energy vanishes, pair by pair."""
+    height, width = sparse_depth.shape
+    count = height * width
+    system, wanted = np.zeros((count, count)), np.zeros(count)
+    for v, u in np.ndindex(height, width):
+        i = v * width + u
+        if sparse_depth[v, u] > 0:
+            system[i, i] += data_weight
+            wanted[i] += data_weight * float(sparse_depth[v, u])
+        for row, column in ((v, u + 1), (v + 1, u)):
+            if row < height and column < width:
+                unlike = (rgb[v, u].astype(float) - rgb[row, column]) / 255
+                weight = max(np.exp(-edge_sharpness * (unlike**2).sum()), 1e-4)
+                j = row * width + column
+                system[[i, j], [i, j]] += weight
+                system[[i, j], [j, i]] -= weight
+    return np.linalg.solve(system, wanted).reshape(height, width)
+
+
+@pytest.mark.parametrize("size", [(7, 9), (1, 12), (12, 1), (1, 1), (2, 2)])
+@pytest.mark.parametrize(("data_weight", "edge_sharpness"), [(10.0, 1000.0), (0.5, 50.0)])
+def test_it_is_the_minimum_of_the_energy(size, data_weight, edge_sharpness):
+    rgb, sparse_depth = scene(*size)
+    depth = MRF(data_weight, edge_sharpness).complete(rgb, sparse_depth)
+    assert depth.dtype == np.float32
+    wanted = dense_solution(rgb, sparse_depth, data_weight, edge_sharpness)
+    np.testing.assert_allclose(depth, wanted, rtol=1e-4)
+
+
+def test_the_answer_lies_between_the_returns():
+    rgb, sparse_depth = scene(40, 50, share=0.02)
+    depth = MRF().complete(rgb, sparse_depth)
+    returns = sparse_depth[sparse_depth > 0]
+    assert returns.min() - 1e-4 <= depth.min() < depth.max() <= returns.max() + 1e-4
+
+
+def test_depth_changes_where_the_picture_does():
+    rgb = np.zeros((20, 40, 3), np.uint8)
+    rgb[:, 23:] = 200
+    sparse_depth = np.zeros((20, 40), np.float32)
+    sparse_depth[:, 2], sparse_depth[:, 37] = 10, 30
+    depth = MRF().complete(rgb, sparse_depth)
+    np.testing.assert_allclose(depth[:, :23], 10, atol=0.2)
+    np.testing.assert_allclose(depth[:, 23:], 30, atol=0.2)
+    plain = MRF().complete(np.zeros_like(rgb), sparse_depth)
+    assert plain[0, 19] == pytest.approx(20, abs=1)  # without the edge: a ramp
+
+
+def test_without_scipy_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "scipy.sparse", None)
+    with pytest.raises(ProviderError, match=r'pip install "ssdnet\[classical\]"'):
+        create_method("mrf")
+    for name in METHODS.keys() - {"mrf"}:
+        create_method(name)

@@ -1,0 +1,39 @@
+"""Nearest filling against a search through all returns."""
+
+import numpy as np
+import pytest
+
+from runtime.completion.nearest import Nearest
+
+
+def complete(sparse_depth):
+    return Nearest().complete(np.zeros((*sparse_depth.shape, 3), np.uint8), sparse_depth)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_return_taken_is_the_nearest_but_for_the_mask(seed):
+    rng = np.random.default_rng(seed)
+    height, width = rng.integers(40, 90, 2)
+    at = rng.choice(height * width, 25, replace=False)
+    sparse_depth = np.zeros((height, width), dtype=np.float32)
+    sparse_depth.flat[at] = np.arange(1, 26)  # each depth names its return
+    taken = complete(sparse_depth).astype(int) - 1
+    rows, columns = np.divmod(at, width)
+    v, u = np.mgrid[:height, :width]
+    distance = np.hypot(v[..., None] - rows, u[..., None] - columns)  # to every return
+    to_taken = np.take_along_axis(distance, taken[..., None], axis=-1)[..., 0]
+    assert (to_taken <= 1.05 * distance.min(axis=-1)).all()
+
+
+def test_along_a_row_the_halves_are_exact():
+    sparse_depth = np.zeros((1, 9), dtype=np.float32)
+    sparse_depth[0, [1, 6]] = 4.0, 9.0
+    np.testing.assert_array_equal(complete(sparse_depth), [[4, 4, 4, 4, 9, 9, 9, 9, 9]])
+
+
+def test_every_measured_pixel_keeps_its_depth():
+    rng = np.random.default_rng(0)
+    dense = 1 + rng.random((20, 30), dtype=np.float32)
+    filled = complete(dense)
+    np.testing.assert_array_equal(filled, dense)
+    assert not np.shares_memory(filled, dense)
