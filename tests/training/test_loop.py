@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from layouts.kitti_stream import write_stream
 from layouts.kitti_streets import HEIGHT, WIDTH, write_streets
 from layouts.pictures import write
-from layouts.virtual_kitti import write_second_edition
+from layouts.virtual_kitti import COLORS, write_second_edition
 from models import SSDNet, create_model, load_checkpoint, save_checkpoint
 from models.registry import NETWORKS, Entry
 from runtime.errors import CheckpointError, DatasetError, InputError
@@ -233,7 +233,10 @@ def test_validation_feeds_the_lidar_that_the_recipe_says(data, tmp_path):
 
 
 def test_the_sky_and_masks_of_the_road_are_targets(data, tmp_path):
-    """CamVid alone has no depth but the sky's, the streets' picture no label but of the road."""
+    """The scene has no depth at its top and is all sky, the streets no label but of the road."""
+    scene = write_second_edition(data / "scenes", frames=1, magnify=8)
+    sky_colour = np.broadcast_to(np.uint8(COLORS["Sky"]), (8, 15, 3))
+    write(scene / "frames/classSegmentation/Camera_0/classgt_00000.png", sky_colour, 8)
     write_streets(data / "streets", magnify=8)
     mask = np.ones((HEIGHT, WIDTH), np.uint8)
     for number in (2, 3, 7):
@@ -250,9 +253,11 @@ def test_the_sky_and_masks_of_the_road_are_targets(data, tmp_path):
         }
 
     run = replace(recipe(steps=1), validation=ValidationRecipe())
-    assert terms(run, tmp_path / "plain") == {"depth": 0}
-    sky = replace(run, data=replace(run.data, sky_depth=True))
-    assert terms(sky, tmp_path / "sky")["depth"] > 0
+    run = replace(run, data=replace(run.data, source=(RenderedRecipe(path="scenes"),)))
+    plain = terms(run, tmp_path / "plain")
+    sky = terms(replace(run, data=replace(run.data, sky_depth=True)), tmp_path / "sky")
+    assert plain.keys() == sky.keys() == {"depth"}
+    assert sky["depth"] != plain["depth"]
     streets = replace(
         run,
         data=replace(run.data, source=(KittiStreetsRecipe(path="streets"),)),
