@@ -1,6 +1,6 @@
 """The engine inside a 10 Hz loop: what to look at before trusting an answer.
 
-    python examples/driving_loop.py [--rgb DIR --depth DIR]
+    python examples/driving_loop.py [--rgb DIR --depth DIR --focal-length PX]
 
 Plays a stream (the bundled one by default) at the sensor's rate, always takes the newest frame,
 and shows how a stack tells a good answer from a degraded, an invalid or a late one.
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from runtime import InputError, Predictor
-from runtime.stream.bundled import bundled_stream
+from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.stream.frames import list_frames, read_frame
 
 PERIOD_S = 0.1
@@ -25,13 +25,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rgb", type=Path)
     parser.add_argument("--depth", type=Path)
+    parser.add_argument("--focal-length", type=float, help="fx in pixels of the pictures")
     arguments = parser.parse_args()
     if (arguments.rgb is None) != (arguments.depth is None):
         parser.error("give both --rgb and --depth, or neither")
     folders = (arguments.rgb, arguments.depth) if arguments.rgb else bundled_stream()
     frames = [read_frame(files, depth_scale=256.0) for files in list_frames(*folders)]
 
-    with Predictor() as predictor:
+    focal_length_px = arguments.focal_length if arguments.rgb else BUNDLED_FOCAL_LENGTH_PX
+    with Predictor(focal_length_px=focal_length_px) as predictor:
         # Memory and caches are ready for the camera's size before the first frame counts.
         height, width = frames[0].sparse_depth.shape
         predictor.warm_up((height, width), runs=3)

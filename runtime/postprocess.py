@@ -44,11 +44,8 @@ def postprocess(
     """Check the outputs of one frame, head -> array, and bring them to its metres and its size."""
     found = faults(outputs, contract)
     if frame.depth_factor != 1:
-        unit_m = np.float32(1 / frame.depth_factor)
-        outputs = {
-            head: values * unit_m if head in _IN_METRES else values
-            for head, values in outputs.items()
-        }
+        for head in _IN_METRES & outputs.keys():
+            outputs[head][...] *= np.float32(1 / frame.depth_factor)  # the session's, now ours
     if frame.network_size != frame.frame_size:
         outputs = {
             head: resize_answer(head, values, frame.frame_size) for head, values in outputs.items()

@@ -89,8 +89,10 @@ def preprocess(
         network_rgb = resize_image(rgb, size)
         sparse_depth = move_returns(sparse_depth, size)
         fed = cv2.countNonZero(sparse_depth)
-    if factor != 1:  # rounding must not lift the farthest return out of the range
-        sparse_depth = np.minimum(sparse_depth * np.float32(factor), np.float32(max_depth_m))
+    if factor != 1:
+        sparse_depth = sparse_depth * np.float32(factor)
+        # Rounding must not lift the farthest return out of the range.
+        np.minimum(sparse_depth, np.float32(max_depth_m), out=sparse_depth)
     degraded = []
     if returns == 0:
         degraded.append(NO_DEPTH)
