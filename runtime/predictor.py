@@ -3,6 +3,7 @@
 import operator
 import time
 from collections.abc import Sequence
+from importlib import import_module
 from os import PathLike
 from types import TracebackType
 from typing import Any
@@ -163,6 +164,31 @@ class Predictor:
             depth_returns=frame.depth_returns,
             stamp=stamp,
         )
+
+    def stream(self, **options: Any) -> Any:
+        """Answer what sensors push from their own threads: a `PushStream`, to be closed.
+
+        ```python
+        with predictor.stream(mode="live", deadline_ms=50, max_skew_ms=20) as stream:
+            stream.push_image(rgb, stamp)  # by the camera's callback; seconds, or int nanoseconds
+            stream.push_depth(sparse_depth, stamp)  # by the LiDAR's
+            for result in stream:  # ends after stream.close()
+                result.prediction, result.skew_ms, result.age_ms, result.deadline_met
+        ```
+
+        mode: "live": a push never waits, and the newest complete frame wins; "replay": every frame,
+            in order, and a push waits until there is room
+        deadline_ms: what `latency_ms` of an answer may be; None = any
+        max_skew_ms: how far the stamps of an image and its depth map may lie apart (20)
+        max_wait_ms: how long an image waits for its depth map before it is answered from the
+            camera alone, and a depth map for its image; in a replay by the stamps (50)
+        on_result: is called with each answer in the stream's thread, instead of iterating
+        on_error: is called so with each InputError or InferenceError of a frame
+        sensor_clock: tells the time now by the clock of the stamps, for `age_ms`
+
+        Raises InputError for options out of range.
+        """
+        return import_module("runtime.stream.push.push_stream").PushStream(self, **options)
 
     def network_size(self, frame_size: tuple[int, int]) -> tuple[int, int]:
         """Return the (height, width) at which the network runs for a frame of such a size.

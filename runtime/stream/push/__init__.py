@@ -1,0 +1,1 @@
+"""Frames pushed by a driving stack's own callbacks: synchronised, answered, accounted for."""

@@ -1,0 +1,41 @@
+"""Time stamps of sensors: seconds as a float, or nanoseconds as an int, of whatever clock."""
+
+import math
+import operator
+from typing import Any
+
+import numpy as np
+
+from runtime.errors import InputError
+
+Stamp = float | int
+
+NS_PER_MS = 1_000_000
+_LIMIT_NS = 2**63  # what 64 bits hold: 292 years
+
+
+def stamp_ns(stamp: Any) -> int:
+    """Return a stamp in nanoseconds.
+
+    stamp: seconds if a float, nanoseconds if an int; also of NumPy's types.
+    Raises InputError for anything else, for NaN and infinity, and beyond 64 bits.
+    """
+    if isinstance(stamp, float | np.floating):
+        nanoseconds_float = float(stamp) * 1e9
+        nanoseconds = round(nanoseconds_float) if math.isfinite(nanoseconds_float) else _LIMIT_NS
+    elif isinstance(stamp, bool | np.bool_):
+        raise InputError(f"stamp must be seconds (float) or nanoseconds (int), got {stamp}")
+    else:
+        try:
+            nanoseconds = operator.index(stamp)
+        except TypeError:
+            raise InputError(
+                "stamp must be seconds (float) or nanoseconds (int), got "
+                f"{type(stamp).__name__}: give the sensor's own, of whatever clock"
+            ) from None
+    if not -_LIMIT_NS <= nanoseconds < _LIMIT_NS:
+        raise InputError(
+            f"stamp must be finite and fit in 64 bits of nanoseconds, got {stamp!r:.60}: "
+            "a float is seconds, an int nanoseconds"
+        )
+    return nanoseconds

@@ -1,0 +1,98 @@
+"""A clock that stands still until a test moves it, and a predictor whose answers are known."""
+
+import threading
+from types import SimpleNamespace
+
+import pytest
+
+from runtime.prediction import Latency, Prediction
+from runtime.preprocess import preprocess
+from runtime.stream.push.push_stream import PushStream
+
+MS = 1_000_000
+
+
+class ManualClock:
+    """Moved by the test alone. Who waits for a time is woken when it has come."""
+
+    def __init__(self):
+        self._now_ns = 0
+        self._conditions = set()
+        self._lock = threading.Lock()
+
+    def now_ns(self):
+        return self._now_ns
+
+    def wait(self, changed, timeout_ns):
+        with self._lock:
+            self._conditions.add(changed)
+        if timeout_ns is None or timeout_ns > 0:
+            changed.wait(60)  # a test that hangs fails
+
+    def advance_ms(self, milliseconds):
+        with self._lock:
+            conditions = list(self._conditions)
+            self._now_ns += round(milliseconds * MS)
+        for changed in conditions:
+            with changed:
+                changed.notify_all()
+
+
+class CheckedPredictor:
+    """Checks a frame as the engine does and answers depth + 1.
+
+    gate: is asked for leave before each prediction; hold it with `gate.clear()`
+    """
+
+    def __init__(self):
+        self.gate = threading.Event()
+        self.gate.set()
+        self.entered = threading.Semaphore(0)
+        self.clock = None
+        self.takes_ms = 0
+        self.fail_with = None
+
+    def predict(self, rgb, sparse_depth, *, stamp=None, focal_length_px=None):
+        self.entered.release()
+        assert self.gate.wait(60)
+        if self.fail_with is not None:
+            raise self.fail_with
+        frame = preprocess(rgb, sparse_depth, max_depth_m=80, size_for=lambda size: size)
+        if self.takes_ms:
+            self.clock.advance_ms(self.takes_ms)
+        return Prediction(
+            semantic=None,
+            depth=frame.sparse_depth + 1,
+            boundary=None,
+            frame_size=frame.frame_size,
+            network_size=frame.network_size,
+            latency=Latency(0, 0, 0, 0),
+            degraded=frame.degraded,
+            depth_returns=frame.depth_returns,
+            stamp=stamp,
+        )
+
+
+@pytest.fixture(scope="session")
+def checked_predictor():
+    """The class."""
+    return CheckedPredictor
+
+
+@pytest.fixture
+def setup():
+    """Make a stream on a manual clock: `.stream`, `.clock`, `.predictor`. Closed at the end."""
+    made = []
+
+    def make(**options):
+        clock, predictor = ManualClock(), CheckedPredictor()
+        predictor.clock = clock
+        stream = PushStream(predictor, clock=clock, **options)
+        made.append((stream, predictor))
+        return SimpleNamespace(stream=stream, clock=clock, predictor=predictor)
+
+    yield make
+    for stream, predictor in made:
+        predictor.gate.set()
+        stream.close()
+        assert not stream._worker.is_alive()

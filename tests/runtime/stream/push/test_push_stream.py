@@ -1,0 +1,469 @@
+"""The stream with its threads: live and replay, ends, callbacks, and a ledger that always adds up.
+
+No test sleeps: the clock is moved by hand, and a prediction lasts until its gate is opened.
+"""
+
+import threading
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from runtime.errors import InferenceError, InputError
+from runtime.predictor import Predictor
+from runtime.stream.push.push_stream import PushStream
+
+
+def image(value=0):
+    rgb = np.full((32, 40, 3), value % 256, np.uint8)
+    rgb[0, 0] = 255 - rgb[0, 0]
+    return rgb
+
+
+def depth(value=0):
+    return np.full((32, 40), 1 + value % 50, np.float32)
+
+
+def push_pair(stream, number):
+    stream.push_image(image(number), number / 10)
+    stream.push_depth(depth(number), number / 10)
+
+
+def add_up(counts):
+    """Check that every message is accounted for, and give the counts back."""
+    for of in (counts.images, counts.depths, counts):
+        fates = (of.dropped, of.unmatched, of.errors)
+        assert of.pushed == of.answered + of.pending + sum(sum(fate.values()) for fate in fates)
+        assert of.pending >= 0
+    return counts
+
+
+def test_answers_of_the_engine_come_back_with_both_stamps(model_file, make_frame):
+    rgb, sparse_depth = make_frame()
+    with Predictor(model_file(), threads=1) as predictor:
+        expected = predictor.predict(rgb, sparse_depth)
+        with predictor.stream(mode="live", deadline_ms=1e6, max_skew_ms=20) as stream:
+            stream.push_image(rgb, 1.0)
+            stream.push_depth(sparse_depth, 1_000_000_000)
+            result = next(iter(stream))
+            stream.close()
+            assert list(stream) == []
+    for head in predictor.heads:
+        np.testing.assert_array_equal(
+            getattr(result.prediction, head), getattr(expected, head), strict=True
+        )
+    np.testing.assert_array_equal(result.rgb, rgb)
+    assert (result.sequence, result.image_stamp, result.depth_stamp) == (0, 1.0, 1_000_000_000)
+    assert (result.skew_ms, result.deadline_met) == (0, True)
+    assert result.age_ms == result.latency_ms > 0
+
+
+def test_a_replay_answers_every_frame_in_order_from_two_threads(setup):
+    stream = setup(mode="replay").stream
+    n = 60
+
+    def push_all(push, make):
+        for number in range(n):
+            push(make(number), number / 10)
+
+    sensors = [
+        threading.Thread(target=push_all, args=(stream.push_image, image)),
+        threading.Thread(target=push_all, args=(stream.push_depth, depth)),
+    ]
+
+    def close_after_both():
+        for sensor in sensors:
+            sensor.join()
+        stream.close()
+
+    threads = [*sensors, threading.Thread(target=close_after_both)]
+    for thread in threads:
+        thread.start()
+    results = list(stream)
+    for thread in threads:
+        thread.join()
+    assert [result.image_stamp for result in results] == [number / 10 for number in range(n)]
+    assert [result.depth_stamp for result in results] == [number / 10 for number in range(n)]
+    assert [result.sequence for result in results] == list(range(n))
+    for number, result in enumerate(results):
+        assert (result.prediction.depth == depth(number) + 1).all()
+    counts = add_up(stream.counts)
+    assert counts.pushed == counts.answered == 2 * n
+
+
+def test_a_replay_makes_the_pusher_wait_until_there_is_room(setup):
+    made = setup(mode="replay")
+    made.predictor.gate.clear()
+    pushed = []
+
+    def push_all():
+        for number in range(20):
+            push_pair(made.stream, number)
+            pushed.append(number)
+
+    pusher = threading.Thread(target=push_all)
+    pusher.start()
+    made.predictor.entered.acquire()
+    with made.stream._changed:
+        assert made.stream._changed.wait_for(lambda: len(made.stream._ready) == 2, timeout=60)
+    assert len(pushed) <= 4, "one with the worker and two before it"
+    made.predictor.gate.set()
+    assert [next(made.stream).image_stamp for _ in range(20)] == [n / 10 for n in range(20)]
+    pusher.join()
+
+
+def test_a_live_push_never_waits_and_the_newest_complete_frame_wins(setup):
+    made = setup(mode="live")
+    made.predictor.gate.clear()
+    push_pair(made.stream, 0)
+    made.predictor.entered.acquire()
+    for number in range(1, 100):
+        push_pair(made.stream, number)
+    made.predictor.gate.set()
+    made.stream.close()
+    counts = add_up(made.stream.counts)
+    assert counts.images.answered + counts.images.dropped["unread"] == 2
+    assert counts.images.dropped["overtaken"] == 98
+    assert counts.dropped["overtaken"] == 2 * 98
+    (result,) = list(made.stream)
+    assert result.image_stamp == 9.9, "the newest answer, of the newest frame"
+
+
+def test_a_complete_frame_is_not_overtaken_by_one_without_depth(setup):
+    made = setup(mode="live", max_wait_ms=50)
+    made.predictor.gate.clear()
+    push_pair(made.stream, 0)
+    made.predictor.entered.acquire()
+    push_pair(made.stream, 1)
+    made.stream.push_image(image(2), 0.2)
+    made.clock.advance_ms(50)
+    made.stream.push_image(image(3), 0.3)  # decides that 0.2 stays alone
+    made.predictor.gate.set()
+    made.predictor.entered.acquire()
+    dropped = add_up(made.stream.counts).images.dropped
+    assert dropped["incomplete"] == 1
+    assert "overtaken" not in dropped
+    made.stream.close()
+    assert next(made.stream).image_stamp == 0.3
+
+
+def test_an_image_without_depth_is_answered_from_the_camera_alone(setup):
+    made = setup(mode="live", max_wait_ms=50)
+    made.stream.push_image(image(), 5)
+    made.clock.advance_ms(49)
+    assert made.stream.counts.pending == 1
+    made.clock.advance_ms(1)
+    result = next(made.stream)
+    assert (result.image_stamp, result.depth_stamp, result.skew_ms) == (5, None, None)
+    assert result.prediction.degraded == ("no_depth",)
+    assert result.latency_ms == 50
+    counts = add_up(made.stream.counts)
+    assert (counts.images.answered, counts.camera_only) == (1, 1)
+
+
+def test_depth_without_an_image_is_dropped_and_counted(setup):
+    made = setup(mode="live", max_wait_ms=50)
+    made.stream.push_depth(depth(), 5)
+    made.stream.push_depth(depth(), 6)
+    made.stream.close()
+    assert list(made.stream) == []
+    counts = add_up(made.stream.counts)
+    assert counts.depths.unmatched == {"no_image": 2}
+    assert counts.pending == 0
+
+
+def test_a_replay_without_depth_goes_on_after_max_wait(setup):
+    made = setup(mode="replay", max_wait_ms=50)
+    stop = threading.Event()
+
+    def push_all():
+        for number in range(40):
+            made.stream.push_image(image(number), number / 10)
+        stop.set()
+        made.stream.close()
+
+    pusher = threading.Thread(target=push_all)
+    pusher.start()
+
+    def pass_time():
+        while not stop.is_set():
+            made.clock.advance_ms(10)
+
+    timer = threading.Thread(target=pass_time)
+    timer.start()
+    results = list(made.stream)
+    pusher.join()
+    timer.join()
+    assert [result.image_stamp for result in results] == [number / 10 for number in range(40)]
+    assert add_up(made.stream.counts).camera_only == 40
+
+
+def test_latency_age_and_deadline(setup):
+    now = iter([1.0, 2.5])
+    made = setup(mode="live", deadline_ms=30, sensor_clock=lambda: next(now))
+    made.predictor.takes_ms = 30
+    push_pair(made.stream, 0)
+    first = next(made.stream)
+    made.predictor.takes_ms = 30.001
+    push_pair(made.stream, 10)
+    second = next(made.stream)
+    assert (first.latency_ms, first.age_ms, first.deadline_met) == (30, 1000, True)
+    assert (second.latency_ms, second.age_ms, second.deadline_met) == (30.001, 1500, False)
+
+
+def test_in_a_replay_latency_begins_with_the_turn_and_there_is_no_age(setup):
+    made = setup(mode="replay")
+    made.predictor.takes_ms = 30
+    for number in range(3):
+        push_pair(made.stream, number)
+    made.stream.close()
+    assert [(r.latency_ms, r.age_ms, r.deadline_met) for r in made.stream] == [(30, None, None)] * 3
+
+
+def test_what_was_pushed_may_be_written_to_afterwards(setup):
+    made = setup(mode="replay")
+    made.predictor.gate.clear()
+    rgb, sparse_depth = image(3), depth(3)
+    made.stream.push_image(rgb, 0)
+    made.stream.push_depth(sparse_depth, 0)
+    rgb[:], sparse_depth[:] = 0, 0
+    made.predictor.gate.set()
+    result = next(made.stream)
+    assert (result.rgb == image(3)).all()
+    assert (result.prediction.depth == depth(3) + 1).all()
+
+
+# --- errors ------------------------------------------------------------------------------------
+
+
+def test_what_cannot_be_a_message_is_refused_and_counted(setup):
+    stream = setup().stream
+    with pytest.raises(InputError, match="rgb must be uint8"):
+        stream.push_image(image().astype(np.float32), 0)
+    with pytest.raises(InputError, match="sparse_depth must be float32"):
+        stream.push_depth(depth().astype(np.float64), 0)
+    with pytest.raises(InputError, match="sparse_depth must have the shape"):
+        stream.push_depth(np.zeros((3, 4, 5), np.float32), 0)
+    with pytest.raises(InputError, match="stamp must be"):
+        stream.push_image(image(), None)
+    counts = add_up(stream.counts)
+    assert counts.images.errors == {"bad_message": 1, "bad_stamp": 1}
+    assert counts.depths.errors == {"bad_message": 2}
+
+
+def test_frames_that_do_not_fit_and_a_failing_session_are_errors_and_the_stream_goes_on(setup):
+    told, heard = [], threading.Semaphore(0)
+
+    def hear(error):
+        told.append(type(error))
+        heard.release()
+
+    made = setup(mode="replay", on_error=hear)
+    made.stream.push_image(image(), 0)
+    made.stream.push_depth(np.ones((32, 41), np.float32), 0)
+    assert heard.acquire(timeout=60)
+    made.predictor.fail_with = InferenceError("the device was lost")
+    push_pair(made.stream, 1)
+    assert heard.acquire(timeout=60)
+    made.predictor.fail_with = None
+    push_pair(made.stream, 2)
+    made.stream.close()
+    assert [result.image_stamp for result in made.stream] == [0.2]
+    assert told == [InputError, InferenceError]
+    counts = add_up(made.stream.counts)
+    assert counts.images.errors == {"input_error": 1, "inference_error": 1}
+    assert counts.depths.errors == {"input_error": 1, "inference_error": 1}
+
+
+@pytest.mark.parametrize("options", [
+    {"mode": "fast"}, {"mode": None}, {"deadline_ms": 0}, {"deadline_ms": "1"},
+    {"deadline_ms": True}, {"max_skew_ms": -1}, {"max_skew_ms": float("nan")},
+    {"max_wait_ms": float("inf")},
+])  # fmt: skip
+def test_options_out_of_range(setup, options):
+    with pytest.raises(InputError, match=next(iter(options))):
+        setup(**options)
+
+
+# --- the end -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", ["live", "replay"])
+def test_close_answers_what_waits_and_may_be_called_again_and_from_any_thread(setup, mode):
+    made = setup(mode=mode)
+    made.stream.push_image(image(), 1.0)
+    made.stream.push_depth(depth(), 2.0)
+    made.stream.push_image(image(), 3.0)
+    closers = [threading.Thread(target=made.stream.close) for _ in range(4)]
+    for thread in closers:
+        thread.start()
+    for thread in closers:
+        thread.join(60)
+        assert not thread.is_alive()
+    made.stream.close()
+    answered = [result.image_stamp for result in made.stream]
+    assert answered == ([3.0] if mode == "live" else [1.0, 3.0])
+    push_pair(made.stream, 40)
+    counts = add_up(made.stream.counts)
+    assert counts.pending == 0
+    assert counts.dropped["closed"] == 2
+
+
+def test_close_lets_go_who_waits_for_room_and_who_waits_for_answers(setup):
+    made = setup(mode="replay")
+    made.predictor.gate.clear()
+    done = threading.Event()
+
+    def push_for_ever():
+        for number in range(1000):
+            push_pair(made.stream, number)
+        done.set()
+
+    pusher = threading.Thread(target=push_for_ever)
+    pusher.start()
+    made.predictor.entered.acquire()
+    closer = threading.Thread(target=made.stream.close)
+    closer.start()
+    assert done.wait(60), "pushing to a closed stream does not wait"
+    made.predictor.gate.set()
+    closer.join(60)
+    pusher.join(60)
+    results = list(made.stream)
+    assert [result.sequence for result in results] == list(range(len(results)))
+    counts = add_up(made.stream.counts)
+    assert (counts.pushed, counts.pending) == (2000, 0)
+    assert counts.images.answered == len(results) >= 1
+
+
+def test_a_replay_that_nobody_reads_holds_a_bounded_number_of_answers_and_can_be_closed(setup):
+    made = setup(mode="replay")
+    done = threading.Event()
+
+    def push_all():
+        for number in range(200):
+            push_pair(made.stream, number)
+        done.set()
+
+    pusher = threading.Thread(target=push_all)
+    pusher.start()
+    with made.stream._changed:
+        full = made.stream._changed.wait_for(
+            lambda: len(made.stream._results) == 8 and len(made.stream._ready) == 2, timeout=60
+        )
+    assert full
+    assert not done.is_set()
+    made.stream.close()
+    pusher.join(60)
+    assert len(list(made.stream)) <= 8 + 2 + 1 + 16
+
+
+def test_on_result_is_called_in_order_and_may_close_the_stream(setup):
+    seen = []
+
+    def see(result):
+        seen.append(result.sequence)
+        if result.sequence == 2:
+            made.stream.close()
+
+    made = setup(mode="replay", on_result=see)
+    for number in range(30):
+        push_pair(made.stream, number)
+    made.stream.close()
+    assert seen[:3] == [0, 1, 2]
+    assert add_up(made.stream.counts).pending == 0
+    with pytest.raises(InputError, match="on_result"):
+        iter(made.stream)
+
+
+def test_an_error_of_the_callback_ends_the_stream_and_comes_out_at_close(setup):
+    def fail(result):
+        raise ZeroDivisionError
+
+    made = setup(mode="replay", on_result=fail)
+    for number in range(30):
+        push_pair(made.stream, number)  # must not wait for ever
+    with pytest.raises(ZeroDivisionError):
+        made.stream.close()
+    made.stream.close()
+    assert add_up(made.stream.counts).pending == 0
+
+
+def test_an_error_of_the_block_is_not_hidden_by_one_of_the_callback(setup):
+    def fail(result):
+        raise ZeroDivisionError
+
+    def work():
+        with setup(mode="replay", on_result=fail).stream as stream:
+            push_pair(stream, 0)
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        work()
+
+
+# --- any sequence, with threads ----------------------------------------------------------------
+
+bad_images = st.sampled_from(
+    [None, "picture", np.zeros((32, 40), np.uint8), np.zeros((3, 32, 40), np.uint8),
+     np.zeros((8, 8, 3), np.uint8), np.zeros((32, 40, 3), np.int16), np.zeros((0, 0, 3), np.uint8),
+     np.ma.zeros((32, 40, 3), np.uint8), image(1), image(2)]
+)  # fmt: skip
+bad_depths = st.sampled_from(
+    [None, 3.0, np.zeros((32, 40), np.uint16), np.zeros((0, 0), np.float32), np.float32(1),
+     np.zeros((32, 40, 1), np.float32), np.full((32, 40), np.nan, np.float32),
+     np.full((32, 40), -np.inf, np.float32), np.ones((40, 32), np.float32), depth(1), depth(2)]
+)  # fmt: skip
+bad_stamps = st.one_of(
+    st.sampled_from([None, "now", True, 2**70, 1j, np.zeros(2)]),
+    st.floats(),
+    st.integers(-(2**64), 2**64),
+    st.floats(0, 3),
+    st.floats(0, 3),
+)
+bad_messages = st.lists(
+    st.one_of(
+        st.tuples(st.just("push_image"), bad_images, bad_stamps),
+        st.tuples(st.just("push_depth"), bad_depths, bad_stamps),
+    ),
+    min_size=100,
+    max_size=150,
+)
+
+
+@settings(max_examples=100, deadline=None)
+@given(messages=bad_messages, live=st.booleans(), threads=st.integers(1, 3))
+def test_bad_messages_are_refused_or_flagged_and_accounted_for(
+    checked_predictor, messages, live, threads
+):
+    """Over 10,000 messages in all."""
+    refused, answers = [], []
+    stream = PushStream(
+        checked_predictor(),
+        mode="live" if live else "replay",
+        max_wait_ms=0,
+        on_result=answers.append,
+    )
+
+    def push(part):
+        for method, data, stamp in part:
+            try:
+                getattr(stream, method)(data, stamp)
+            except InputError as error:
+                refused.append(str(error))
+
+    pushers = [threading.Thread(target=push, args=(messages[k::threads],)) for k in range(threads)]
+    for pusher in pushers:
+        pusher.start()
+    for pusher in pushers:
+        pusher.join(60)
+        assert not pusher.is_alive()
+    stream.close()
+    counts = add_up(stream.counts)
+    assert counts.pushed == len(messages)
+    assert counts.pending == 0
+    assert counts.images.answered == len(answers)
+    at_push = sum(counts.errors.get(reason, 0) for reason in ("bad_stamp", "bad_message"))
+    assert at_push == len(refused)
+    for result in answers:
+        assert np.isfinite(result.prediction.depth).all()
