@@ -21,7 +21,7 @@ from runtime import Predictor
 from runtime.atomic_write import atomic_write
 from runtime.errors import InputError, SSDNetError
 from runtime.network_size import parse_network_size
-from runtime.stream.bundled import bundled_stream
+from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.stream.frames import KITTI_DEPTH_SCALE, Frame, FrameFiles, list_frames, read_frame
 from runtime.stream.overlay import Overlay
 from runtime.stream.picture_text import write_text
@@ -43,7 +43,7 @@ def main() -> None:
     parser.add_argument("--rgb", type=Path, help="picture of another frame")
     parser.add_argument("--depth", type=Path, help="its sparse depth")
     parser.add_argument("--depth-scale", type=float, default=KITTI_DEPTH_SCALE)
-    parser.add_argument("--focal-length", type=float, help="of the frame [px]")
+    parser.add_argument("--focal-length", type=float, help="of the frame of --rgb [px]")
     parser.add_argument("--size", default="frame", help="frame, auto or rows, as ssdnet-run --size")
     parser.add_argument("--crop", type=int, nargs=4, metavar=("TOP", "LEFT", "HEIGHT", "WIDTH"))
     parser.add_argument("--zoom", type=int, default=1, help="whole number")
@@ -80,13 +80,14 @@ def find_frame(arguments: argparse.Namespace) -> Frame:
 def draw(frame: Frame, titles: Sequence[str], arguments: argparse.Namespace) -> Picture:
     """Draw the panels, blue first."""
 
+    focal_length_px = arguments.focal_length if arguments.rgb else BUNDLED_FOCAL_LENGTH_PX
     answers = []
     for model in arguments.models:
         with Predictor(
             model, size=parse_network_size(arguments.size), threads=arguments.threads, warmup=0
         ) as predictor:
             prediction = predictor.predict(
-                frame.rgb, frame.sparse_depth, focal_length_px=arguments.focal_length
+                frame.rgb, frame.sparse_depth, focal_length_px=focal_length_px
             )
             if prediction.depth is None:
                 raise InputError(f"{model} answers no depth")

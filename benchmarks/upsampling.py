@@ -161,14 +161,16 @@ def _score_frame(
     """Score every way on one frame; an enlarged one at the middles of its pixels."""
     frame = resize(sample, (sample.size[0] * factor, sample.size[1] * factor))
     small = resize(frame, (rows, round(frame.size[1] * rows / frame.size[0])))
-    depth = predictor.predict(small.rgb, small.sparse_depth).depth
+    depth = predictor.predict(
+        small.rgb, small.sparse_depth, focal_length_px=small.focal_length_px
+    ).depth
     middles = np.s_[factor // 2 :: factor, factor // 2 :: factor]
     for name, way in WAYS.items():
         started = time.perf_counter()
         back = way(depth, small.rgb, frame.rgb)
         time_ms = (time.perf_counter() - started) * 1e3
         scores[name].add(back[middles], sample.depth, time_ms)
-    whole = predictor.predict(frame.rgb, frame.sparse_depth)
+    whole = predictor.predict(frame.rgb, frame.sparse_depth, focal_length_px=frame.focal_length_px)
     scores[AT_FRAME].add(whole.depth[middles], sample.depth, whole.latency.inference_ms)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from runtime import Prediction, Predictor, list_bundled_models
-from runtime.stream.bundled import bundled_stream
+from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.stream.frames import list_frames, read_frame
 
 REFERENCES = Path(__file__).parent / "replay"
@@ -36,7 +36,10 @@ def replay(model: str) -> dict[str, np.ndarray]:
         predictions = []
         for files in list_frames(*bundled_stream()):
             frame = read_frame(files, depth_scale=256.0)
-            predictions.append(predictor.predict(frame.rgb, frame.sparse_depth))
+            prediction = predictor.predict(
+                frame.rgb, frame.sparse_depth, focal_length_px=BUNDLED_FOCAL_LENGTH_PX
+            )
+            predictions.append(prediction)
     assert all(item.valid and not item.degraded for item in predictions)
     return {head: np.vstack([thinned(item, head) for item in predictions]) for head in heads}
 
