@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from runtime import Predictor, list_bundled_models
-from runtime.stream.bundled import bundled_stream
+from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.stream.cli import app
 from runtime.stream.frames import list_frames, read_frame
 
@@ -45,7 +45,9 @@ def test_it_sees_the_street(model):
     assert len(files) == 20
     frame = read_frame(files[0], depth_scale=256.0)
     with Predictor(model) as predictor:
-        prediction = predictor.predict(frame.rgb, frame.sparse_depth)
+        prediction = predictor.predict(
+            frame.rgb, frame.sparse_depth, focal_length_px=BUNDLED_FOCAL_LENGTH_PX
+        )
         names = [info.name for info in predictor.contract.classes]
     assert prediction.valid
     assert prediction.degraded == ()
