@@ -174,6 +174,7 @@ class Predictor:
             stream.push_depth(sparse_depth, stamp)  # by the LiDAR's
             for result in stream:  # ends after stream.close()
                 result.prediction, result.skew_ms, result.age_ms, result.deadline_met
+        stream.counts, stream.statistics  # what became of every message; latency, age, jitter
         ```
 
         mode: "live": a push never waits, and the newest complete frame wins; "replay": every frame,
@@ -184,6 +185,8 @@ class Predictor:
             camera alone, and a depth map for its image; in a replay by the stamps (50)
         on_result: is called with each answer in the stream's thread, instead of iterating
         on_error: is called so with each InputError or InferenceError of a frame
+        on_state: is called so with each new `stream.state`: OK, WARN or ERROR and the reasons
+        watchdog: the `WatchdogLimits` that make it so
         sensor_clock: tells the time now by the clock of the stamps, for `age_ms`
 
         Raises InputError for options out of range.

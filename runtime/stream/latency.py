@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 # A percentile needs at least one frame beyond it: 10 for p90, 100 for p99, 1000 for p99.9.
-_PERMILLE = {"p90_ms": 900, "p99_ms": 990, "p99_9_ms": 999}
+PERMILLE = {"p90_ms": 900, "p99_ms": 990, "p99_9_ms": 999}
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def latency_statistics(durations_ms: Iterable[float]) -> LatencyStatistics | Non
         return None
     p90, p99, p99_9 = (
         nearest_rank(ordered, permille) if n * (1000 - permille) >= 1000 else None
-        for permille in _PERMILLE.values()
+        for permille in PERMILLE.values()
     )
     return LatencyStatistics(
         n=n,

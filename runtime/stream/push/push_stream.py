@@ -46,7 +46,9 @@ from runtime.stream.push.counts import (
 )
 from runtime.stream.push.frame_result import FrameResult
 from runtime.stream.push.stamp import NS_PER_MS, Stamp, stamp_ns
+from runtime.stream.push.statistics import StatisticsRecorder, StreamStatistics
 from runtime.stream.push.synchronizer import Decided, Message, Pair, Synchronizer
+from runtime.stream.push.watchdog import Watchdog, WatchdogLimits, WatchdogState
 
 if TYPE_CHECKING:
     from runtime.predictor import Predictor
@@ -56,6 +58,7 @@ _WAITING = 16  # messages a sensor that wait for their partner
 _READY = 2  # replay: pairs that wait for their turn
 _RESULTS = 8  # replay: answers that wait to be fetched
 _LONGEST_MS = 1e9
+_END = object()
 
 
 class PushStream:
@@ -75,6 +78,8 @@ class PushStream:
         max_wait_ms: float = 50.0,
         on_result: Callable[[FrameResult], object] | None = None,
         on_error: Callable[[SSDNetError], object] | None = None,
+        on_state: Callable[[WatchdogState], object] | None = None,
+        watchdog: WatchdogLimits | None = None,
         sensor_clock: Callable[[], Stamp] | None = None,
         clock: MonotonicClock | None = None,
     ) -> None:
@@ -86,7 +91,7 @@ class PushStream:
         )
         self._max_wait_ns = round(_check_ms("max_wait_ms", max_wait_ms) * NS_PER_MS)
         self._predictor = predictor
-        self._on_result, self._on_error = on_result, on_error
+        self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
         self._sensor_clock = sensor_clock
         self._clock = clock or MonotonicClock()
         self._live = mode == LIVE
@@ -99,6 +104,9 @@ class PushStream:
             capacity=_WAITING,
         )
         self._ledger = Ledger()
+        self._recorder = StatisticsRecorder(self.deadline_ms)
+        self._watchdog = Watchdog(watchdog or WatchdogLimits(), live=self._live)
+        self._told = self._watchdog.state(0)  # the last state that on_state was told
         self._ready: deque[Pair] = deque()
         self._results: deque[FrameResult] = deque()
         self._held: Counter[Sensor] = Counter()  # pushes that wait for the synchronizer's room
@@ -145,8 +153,12 @@ class PushStream:
                 self._ledger.settle(sensor, Fate.DROPPED, CLOSED)
                 return
             now_ns = self._moved_ns = self._clock.now_ns()
+            self._watchdog.start(now_ns)
+            jumps = self._synchronizer.jumps_back
             message = Message(stamp, nanoseconds, now_ns, data)
             self._settle(self._synchronizer.add(sensor, message, now_ns))
+            if self._synchronizer.jumps_back != jumps:
+                self._recorder.forget_last()
             self._changed.notify_all()
 
     def _wait_for_room(self, sensor: Sensor) -> None:
@@ -171,6 +183,18 @@ class PushStream:
                 out_of_order=self._synchronizer.out_of_order,
                 jumps_back=self._synchronizer.jumps_back,
             )
+
+    @property
+    def statistics(self) -> StreamStatistics:
+        """Latency, age, skew, jitter and missed deadlines of all answers so far."""
+        with self._changed:
+            return self._recorder.statistics()
+
+    @property
+    def state(self) -> WatchdogState:
+        """How the stream is doing at this moment, also where a prediction never comes back."""
+        with self._changed:
+            return self._watchdog.state(self._clock.now_ns())
 
     def close(self) -> None:
         """Accept nothing more, answer what was accepted, and end.
@@ -230,8 +254,10 @@ class PushStream:
 
     def _work(self) -> None:
         try:
-            while (pair := self._take()) is not None:
-                self._answer(pair)
+            while (pair := self._take()) is not _END:
+                if pair is not None:
+                    self._answer(pair)
+                self._tell_state()
         except BaseException as failure:  # a callback's: handed on to who closes or iterates
             with self._changed:
                 self._failure = failure
@@ -244,8 +270,8 @@ class PushStream:
                 self._ended = True
                 self._changed.notify_all()
 
-    def _take(self) -> Pair | None:
-        """Wait for the next pair; None = the stream is closed and all is done."""
+    def _take(self) -> Any:
+        """Wait for the next pair; None = the state has changed; _END = closed and all done."""
         with self._changed:
             while True:
                 now_ns = self._clock.now_ns()
@@ -257,12 +283,15 @@ class PushStream:
                     self._changed.notify_all()
                     return self._ready.popleft()
                 if self._closed and not self._ready:
+                    return _END
+                if self._watchdog.state(now_ns) != self._told and self._on_state is not None:
                     return None
-                due_ns = self._synchronizer.due_ns()
+                due_ns = _earliest(self._synchronizer.due_ns(), self._watchdog.due_ns(now_ns))
                 held = [sensor for sensor in Sensor if self._held[sensor]]
                 if held and not self._ready:
-                    due_ns = self._moved_ns + self._max_wait_ns
-                    if now_ns >= due_ns:
+                    release_ns = self._moved_ns + self._max_wait_ns
+                    due_ns = _earliest(due_ns, release_ns)
+                    if now_ns >= release_ns:
                         self._moved_ns = now_ns
                         self._settle(self._synchronizer.release_oldest(held[0], now_ns))
                         self._changed.notify_all()
@@ -278,6 +307,7 @@ class PushStream:
             with self._changed:
                 wiring = not isinstance(error, InferenceError)
                 self._settle_pair(pair, Fate.ERROR, INPUT_ERROR if wiring else INFERENCE_ERROR)
+                self._watchdog.failed()
             if self._on_error is not None:
                 self._on_error(error)
             return
@@ -285,9 +315,11 @@ class PushStream:
             with self._changed:
                 self._settle_pair(pair, Fate.ERROR, INFERENCE_ERROR)
             raise
-        result = self._result(pair, prediction, started_ns)
+        now_ns = self._clock.now_ns()
+        result = self._result(pair, prediction, started_ns, now_ns)
         with self._changed:
             self._answers += 1
+            self._record(pair, result, now_ns)
             self._settle_pair(pair, Fate.ANSWERED)
             if self._on_result is None:
                 if self._live and self._results:
@@ -305,9 +337,18 @@ class PushStream:
             sparse_depth = pair.depth.data
         return self._predictor.predict(rgb, sparse_depth, stamp=pair.image.stamp)
 
-    def _result(self, pair: Pair, prediction: Prediction, started_ns: int) -> FrameResult:
+    def _tell_state(self) -> None:
+        if self._on_state is None:
+            return
+        state = self.state
+        if state != self._told:
+            self._told = state
+            self._on_state(state)
+
+    def _result(
+        self, pair: Pair, prediction: Prediction, started_ns: int, now_ns: int
+    ) -> FrameResult:
         image, depth = pair
-        now_ns = self._clock.now_ns()
         latency_ms = (now_ns - (image.arrived_ns if self._live else started_ns)) / NS_PER_MS
         age_ms = None
         if self._sensor_clock is not None:
@@ -347,12 +388,40 @@ class PushStream:
         elif fate is Fate.ANSWERED:
             self._ledger.camera_only += 1
 
+    def _record(self, pair: Pair, result: FrameResult, now_ns: int) -> None:
+        latency = result.prediction.latency
+        figures_ms = {
+            "preprocess": latency.preprocess_ms,
+            "inference": latency.inference_ms,
+            "postprocess": latency.postprocess_ms,
+            "predict": latency.total_ms,
+            "latency": result.latency_ms,
+            "age": result.age_ms,
+            "skew": None if result.skew_ms is None else abs(result.skew_ms),
+        }
+        self._recorder.record(
+            figures_ms,
+            image_ns=pair.image.stamp_ns,
+            answered_ns=now_ns,
+            deadline_met=result.deadline_met,
+        )
+        self._watchdog.answered(
+            now_ns,
+            late=result.deadline_met is False,
+            degraded=bool(result.prediction.degraded),
+            valid=result.prediction.valid,
+        )
+
     def _drop_unread(self, result: FrameResult) -> None:
         self._ledger.revoke_answer(Sensor.IMAGE, UNREAD)
         if result.depth_stamp is not None:
             self._ledger.revoke_answer(Sensor.DEPTH, UNREAD)
         else:
             self._ledger.camera_only -= 1
+
+
+def _earliest(*times_ns: int | None) -> int | None:
+    return min((time_ns for time_ns in times_ns if time_ns is not None), default=None)
 
 
 def _check_depth(sparse_depth: Any) -> NDArray[np.float32]:

@@ -467,3 +467,65 @@ def test_bad_messages_are_refused_or_flagged_and_accounted_for(
     assert at_push == len(refused)
     for result in answers:
         assert np.isfinite(result.prediction.depth).all()
+
+
+# --- statistics and the watchdog ---------------------------------------------------------------
+
+
+def test_statistics_hold_every_answer(setup):
+    made = setup(mode="live", deadline_ms=30)
+    for number, takes_ms in enumerate([10, 40, 50, 20]):
+        made.predictor.takes_ms = takes_ms
+        made.stream.push_image(image(), number / 10)
+        made.stream.push_depth(depth(), number / 10)
+        next(made.stream)
+    statistics = made.stream.statistics
+    stages = statistics.stages
+    assert (stages["latency"].n, stages["latency"].max_ms, stages["latency"].mean_ms) == (4, 50, 30)
+    assert stages["age"] == stages["latency"]
+    assert (stages["skew"].n, stages["skew"].max_ms) == (4, 0)
+    assert (stages["jitter"].n, stages["predict"].n) == (3, 4)
+    assert (statistics.missed.count, statistics.missed.longest_run) == (2, 2)
+
+
+def test_the_watchdog_tells_changes_and_is_right_when_asked(setup):
+    told, heard = [], threading.Semaphore(0)
+
+    def hear(state):
+        told.append((str(state.level), state.reasons))
+        heard.release()
+
+    made = setup(mode="live", deadline_ms=30, on_state=hear)
+    assert str(made.stream.state.level) == "n/a"
+    push_pair(made.stream, 0)
+    next(made.stream)
+    made.predictor.takes_ms = 31
+    push_pair(made.stream, 1)
+    next(made.stream)
+    for _ in range(2):
+        assert heard.acquire(timeout=60)
+    made.clock.advance_ms(500)
+    assert heard.acquire(timeout=60)
+    made.predictor.gate.clear()
+    push_pair(made.stream, 2)
+    made.clock.advance_ms(2000)
+    assert str(made.stream.state.level) == "ERROR", "although the worker hangs"
+    made.predictor.gate.set()
+    made.predictor.takes_ms = 0
+    made.stream.close()
+    assert told[:3] == [("OK", ()), ("WARN", ("late",)), ("WARN", ("late", "silence_ms"))]
+
+
+def test_errors_reach_the_watchdog(setup):
+    told, heard = [], threading.Semaphore(0)
+
+    def hear(state):
+        told.append(state.reasons)
+        heard.release()
+
+    made = setup(mode="replay", on_state=hear)
+    made.predictor.fail_with = InferenceError("the device was lost")
+    push_pair(made.stream, 0)
+    for _ in range(2):
+        assert heard.acquire(timeout=60)
+    assert told[-1] == ("failed",)
