@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,15 +62,20 @@ def read_classes(path: Path, table: ColorTable, size: tuple[int, int]) -> NDArra
     """Class ids uint8 (H, W) of a colour picture; an unlisted colour is a DatasetError."""
     label = read_rgb(path)
     require_size(path, label.shape, size)
-    channels = label.astype(np.int32)
-    color = channels[..., 0] << 16 | channels[..., 1] << 8 | channels[..., 2]
-    index = np.searchsorted(table.colors, color).clip(max=len(table.colors) - 1)
-    unlisted = table.colors[index] != color
+    # Bytes blue, green, red and 0: r << 16 | g << 8 | b as a little-endian integer.
+    packed = cv2.cvtColor(label, cv2.COLOR_RGB2BGRA)
+    packed[..., 3] = 0
+    color = packed.view("<i4").ravel()
+    # Neighbours are mostly of one colour: each run of them is looked up once.
+    starts = np.flatnonzero(np.diff(color, prepend=-1))
+    run = color[starts]
+    index = np.searchsorted(table.colors, run).clip(max=len(table.colors) - 1)
+    unlisted = table.colors[index] != run
     if unlisted.any():
-        red, green, blue = label[unlisted][0]
+        red, green, blue = label.reshape(-1, 3)[starts[unlisted][0]]
         raise DatasetError(
             f"{path}: colour ({red}, {green}, {blue}) is not in {table.path.name}. "
             "Restore the original file (JPEG compression changes colours)."
         )
-    ids: NDArray[np.uint8] = table.ids[index]
-    return ids
+    ids: NDArray[np.uint8] = np.repeat(table.ids[index], np.diff(starts, append=color.size))
+    return ids.reshape(size)

@@ -239,7 +239,7 @@ def flip(sample: Sample) -> Sample:
     """Mirror left and right; the principal point moves with the pixels."""
 
     def mirror(array: NDArray[Any]) -> NDArray[Any]:
-        return np.ascontiguousarray(array[:, ::-1])
+        return cv2.flip(array, 1)
 
     intrinsics = sample.intrinsics
     if intrinsics is not None:
