@@ -3,14 +3,17 @@
     python benchmarks/training_throughput.py RECIPE.toml --data DIR [--set 'model.name = "ssdnet"']
         [--device cpu] [--seconds 40] [--workers 1 2] [--processes 1 2]
 
-The loader is run alone (after some batches to warm up), the step alone (forward, loss, backward and
-update on batches that are already there), then the loop as it is, whose waiting for the next batch
-is timed. Each figure is images over seconds of one stretch of `--seconds`; on a shared machine
-compare figures of one run.
-With two processes each computes on half of the threads.
+The loader is run alone (after some batches to warm up), the step alone (forward, loss, backward,
+clipping, update and averaging on batches that are already there), then the loop as it is, whose
+waiting for the next batch is timed. Each figure is images over seconds of one stretch of
+`--seconds`; CPU time is that of all threads, and of a loader only where it has no process of its
+own (0 workers). On a shared machine compare CPU times, of stretches that alternate. To compare two
+revisions, run the script of each in its own working tree with that tree on PYTHONPATH.
+With two processes each computes on half of the threads. `--processes 0` leaves the loop out.
 """
 
 import argparse
+import itertools
 import json
 import os
 import platform
@@ -19,20 +22,21 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import torch
+from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader
 
 from runtime.stream.report import cpu_name
 from training import loop
 from training.loading.open_dataset import open_dataset, open_mixture
 from training.losses import SSDNetLoss
-from training.network import build_network
-from training.optimizer import build_optimizer
+from training.network import build_network, train_parts
+from training.optimizer import build_optimizer, exponential_average
 from training.recipe import Recipe, read_recipe
 
 
@@ -45,7 +49,7 @@ def main() -> None:
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--seconds", type=float, default=40.0, help="length of each stretch")
-    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--workers", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--processes", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -63,16 +67,18 @@ def main() -> None:
         f"{recipe.loop.autocast}; {cpu_name()}, {arguments.threads} threads, device "
         f"{arguments.device}, torch {torch.__version__}, Python {platform.python_version()}\n"
     )
-    print("| what | images/s | waiting for data |")
-    print("|---|---|---|")
+    print("| what | images/s | CPU ms an image | waiting for data |")
+    print("|---|---|---|---|")
     for workers in arguments.workers:
-        rate = time_loader(recipe, arguments, workers)
-        print(f"| loader alone, {workers} workers | {rate:.1f} | |", flush=True)
-    print(f"| step alone | {time_step(recipe, arguments):.1f} | |", flush=True)
-    for count in arguments.processes:
+        rate, cpu_ms = time_loader(recipe, arguments, workers)
+        shown = "" if workers else f"{cpu_ms:.1f}"
+        print(f"| loader alone, {workers} workers | {rate:.1f} | {shown} | |", flush=True)
+    rate, cpu_ms = time_step(recipe, arguments)
+    print(f"| step alone | {rate:.1f} | {cpu_ms:.1f} | |", flush=True)
+    for count in filter(None, arguments.processes):
         figures = run_processes(arguments, count)
         print(
-            f"| loop, {count} process{'es' * (count > 1)} | {figures['rate']:.1f} | "
+            f"| loop, {count} process{'es' * (count > 1)} | {figures['rate']:.1f} | | "
             f"{figures['waiting']:.1%} |",
             flush=True,
         )
@@ -96,42 +102,53 @@ def make_batches(recipe: Recipe, arguments: argparse.Namespace, workers: int) ->
     )
 
 
-def time_loader(recipe: Recipe, arguments: argparse.Namespace, workers: int) -> float:
-    """Images a second of the loader with nothing else to do."""
+def repeat(work: Callable[[], int], seconds: float) -> tuple[float, float]:
+    """Images a second of work that returns how many it did, and its CPU time an image [ms]."""
+    count, started, cpu = 0, time.perf_counter(), time.process_time()
+    while time.perf_counter() - started < seconds:
+        count += work()
+    return count / (time.perf_counter() - started), (time.process_time() - cpu) / count * 1e3
+
+
+def time_loader(recipe: Recipe, arguments: argparse.Namespace, workers: int) -> tuple[float, float]:
+    """`repeat` of the loader with nothing else to do."""
     batches = make_batches(recipe, arguments, workers)
     for _ in range(4 * max(1, workers)):
         next(batches)  # prefetched before the clock
-    started, count = time.perf_counter(), 0
-    while time.perf_counter() - started < arguments.seconds:
-        count += len(next(batches)["name"])
-    return count / (time.perf_counter() - started)
+    return repeat(lambda: len(next(batches)["name"]), arguments.seconds)
 
 
-def time_step(recipe: Recipe, arguments: argparse.Namespace) -> float:
-    """Images a second of forward, loss, backward and update on batches in memory."""
+def time_step(recipe: Recipe, arguments: argparse.Namespace) -> tuple[float, float]:
+    """`repeat` of what the loop does with a batch that is in memory."""
     device = torch.device(arguments.device)
     drawn = make_batches(recipe, arguments, 0)
-    batches = [next(drawn) for _ in range(2)]
+    batches = itertools.cycle([next(drawn) for _ in range(2)])
     network = build_network(recipe.model, None).to(device)
+    train_parts(network, recipe.optimizer.only)
     if recipe.loop.channels_last:
         network = network.to(memory_format=torch.channels_last)
     criterion = SSDNetLoss(recipe.loss, None, max_depth_m=recipe.model.max_depth_m).to(device)
     optimizer = build_optimizer(recipe.optimizer, network, criterion)
+    average = AveragedModel(
+        network, multi_avg_fn=exponential_average(recipe.loop.ema_decay), use_buffers=True
+    )
 
-    def step(index: int) -> None:
+    def step() -> int:
         optimizer.zero_grad(set_to_none=True)
-        terms = loop._compute_loss(network, criterion, batches[index % 2], recipe.loop, device)
+        terms = loop._compute_loss(network, criterion, next(batches), recipe.loop, device)
         terms["total"].backward()
+        gradients = [p.grad for p in network.parameters() if p.grad is not None]
+        norm = torch.nn.utils.get_total_norm(gradients)
+        if recipe.loop.clip_norm:
+            torch.nn.utils.clip_grads_with_norm_(network.parameters(), recipe.loop.clip_norm, norm)
         optimizer.step()
+        average.update_parameters(network)
         if device.type == "cuda":
             torch.cuda.synchronize()
+        return recipe.data.batch_size
 
-    step(0)
-    started, count = time.perf_counter(), 0
-    while time.perf_counter() - started < arguments.seconds:
-        step(count)
-        count += 1
-    return count * recipe.data.batch_size / (time.perf_counter() - started)
+    step()
+    return repeat(step, arguments.seconds)
 
 
 def run_processes(arguments: argparse.Namespace, count: int) -> dict[str, float]:
