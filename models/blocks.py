@@ -6,6 +6,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+#: Up to so many channels maps are raised one by one, see `_UpsampleFew`.
+_FEW_CHANNELS = 8
+
 
 class ConvBNReLU(nn.Sequential):
     """3x3 (or 1x1) convolution, batch normalisation, ReLU: (N, C, H, W) -> (N, C', H', W')."""
@@ -38,7 +41,8 @@ class BaConv(nn.Module):
         """Convolve x with the share of each pixel that is not boundary."""
         if boundary is not None:
             inside = 1.0 - boundary
-            if self.training and x.is_contiguous(memory_format=torch.channels_last):
+            channels_last = x.is_contiguous(memory_format=torch.channels_last)
+            if channels_last and not torch.compiler.is_exporting():
                 # Spread over the channels first: a product with a map of one channel is scalar
                 # code in bfloat16, which takes four times as long.
                 inside = inside.expand_as(x).contiguous(memory_format=torch.channels_last)
@@ -88,30 +92,31 @@ def upsample(x: Tensor, *, factor: int = 2, size: tuple[int, int] | None = None)
         return F.interpolate(x, size=size, mode="bilinear", align_corners=False)
     if factor == 1:
         return x
-    if x.shape[1] == 1 and x.requires_grad:
-        raised: Tensor = _UpsampleOne.apply(x, factor)
+    if x.shape[1] <= _FEW_CHANNELS and x.requires_grad:
+        raised: Tensor = _UpsampleFew.apply(x, factor)
         return raised
     return F.interpolate(x, scale_factor=float(factor), mode="bilinear", align_corners=False)
 
 
-class _UpsampleOne(torch.autograd.Function):
-    """Bilinear upsampling of one channel, whose gradient is sums of shifted maps.
+class _UpsampleFew(torch.autograd.Function):
+    """Bilinear upsampling of few channels, whose gradient is sums of shifted maps.
 
-    PyTorch's own gradient takes three to nine times as long on one channel on a CPU; on sixteen
-    and more it is the quicker one.
+    PyTorch's own gradient takes three to nine times as long on them on a CPU; on sixteen channels
+    and more it is the quicker one. The maps go through it one by one, which it is made for.
     """
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, factor: int) -> Tensor:
         ctx.factor = factor
+        maps = x.float().flatten(0, 1).unsqueeze(1)
         raised = F.interpolate(
-            x.float(), scale_factor=float(factor), mode="bilinear", align_corners=False
+            maps, scale_factor=float(factor), mode="bilinear", align_corners=False
         )
-        return raised.to(x.dtype)
+        return raised.reshape(*x.shape[:2], *raised.shape[2:]).to(x.dtype)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
-        gradient = gradients[0].float()
+        gradient = gradients[0].float().contiguous()
         for dim in (2, 3):
             gradient = _sum_under_tents(gradient, dim, ctx.factor)
         return gradient.to(gradients[0].dtype), None
