@@ -68,8 +68,8 @@ class IPBasicMultiscale:
     by a larger cross than far ones, so that thin far things keep their width: 7 px to 15 m, 5 px to
     30 m, 3 px beyond. A median follows, to which a return far from all others is noise: it is
     dropped, and a frame of such returns has no answer. Then holes are filled, step by step, by up
-    to 16 px; nothing but `extrapolate` reaches above a column's topmost depth. Fields and range as
-    of `IPBasic`.
+    to 16 px; nothing but `extrapolate` reaches above a column's topmost depth, and a column without
+    any stays without. Fields and range as of `IPBasic`.
     """
 
     max_depth_m: float = 100.0

@@ -183,6 +183,15 @@ def test_an_isolated_return_is_noise():
     assert not ip_basic(one_point(20.0), IPBasicMultiscale).any()
 
 
+def test_how_far_the_variants_reach_beside_and_below():
+    sparse_depth = np.zeros((100, 120), dtype=np.float32)
+    sparse_depth[50, 40:80] = 20
+    for method, beside, below in ((IPBasic, 20, 20), (IPBasicMultiscale, 0, 18)):
+        rows, columns = np.nonzero(ip_basic(sparse_depth, method))
+        assert rows.max() - 50 == below
+        assert (40 - columns.min(), columns.max() - 79) == (beside, beside)
+
+
 # Both
 
 
