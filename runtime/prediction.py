@@ -14,7 +14,7 @@ DEPTH_INCOMPLETE = "depth_incomplete"  # 0 where a classical method gives no dep
 # The answer is not usable (valid is False):
 DEPTH_UNKNOWN = "depth_unknown"  # 0 everywhere: a classical method without any return
 DEPTH_NOT_FINITE = "depth_not_finite"
-DEPTH_OUT_OF_RANGE = "depth_out_of_range"  # negative or beyond the contract's max_depth_m
+DEPTH_OUT_OF_RANGE = "depth_out_of_range"  # negative or beyond the model's range
 DEPTH_UNCERTAINTY_NOT_FINITE = "depth_uncertainty_not_finite"
 DEPTH_UNCERTAINTY_OUT_OF_RANGE = "depth_uncertainty_out_of_range"  # negative
 BOUNDARY_NOT_FINITE = "boundary_not_finite"
@@ -41,7 +41,7 @@ class Cleaned:
     nan: int = 0
     infinite: int = 0
     negative: int = 0
-    too_far: int = 0  # beyond the contract's max_depth_m
+    too_far: int = 0  # beyond the model's range, see `Predictor.predict`
 
     @property
     def total(self) -> int:
