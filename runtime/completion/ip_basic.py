@@ -32,7 +32,8 @@ class IPBasic:
 
     Dilation by a diamond, closing of small holes, filling of larger ones, continuation of every
     column up to the top of the picture, filling of the largest, median, blur. It answers where a
-    return is in reach of the kernels (20 px, and all above that), 0 elsewhere. rgb is not used.
+    return is in reach of the kernels (20 px along rows and columns), and in all of a column above
+    that, 0 elsewhere. rgb is not used.
 
     max_depth_m: at and beyond it is no measurement, as nearer than 0.1 m
     extrapolate: continue the columns and fill what is left by a window of 31 x 31; without, only

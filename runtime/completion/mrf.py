@@ -56,11 +56,11 @@ class MRF:
         try:
             # The ordering for symmetric patterns: half the memory of the default one.
             solution = sparse.linalg.spsolve(system.tocsc(), wanted, permc_spec="MMD_AT_PLUS_A")
-        except MemoryError as error:
+        except (MemoryError, RuntimeError) as error:  # SuperLU's allocations raise either
             height, width = sparse_depth.shape
             raise InferenceError(
-                f"not enough memory to solve for {height} x {width} pixels at once: make the frame "
-                "smaller"
+                f"cannot solve for {height} x {width} pixels at once ({str(error).strip()}): make the frame "
+                "smaller, or free memory"
             ) from error
         depth: Depth = solution.reshape(sparse_depth.shape).astype(np.float32)
         return depth

@@ -21,7 +21,8 @@ from runtime.tools.cuda_libraries import DRIVER, cuda_major, find_library, libra
 Status = Literal["ok", "note", "warning", "fault"]
 
 _ENGINE = {"numpy": "numpy", "cv2": "opencv-python-headless"}  # module -> distribution
-_EXTRAS = {"torch": "train,export", "onnx": "export"}  # distribution -> extras that bring it
+# Distribution -> extras that bring it.
+_EXTRAS = {"torch": "train,export", "onnx": "export", "scipy": "train,classical"}
 _ORT_WHEELS = ("onnxruntime", "onnxruntime-gpu")
 _CUDA_PROVIDER = "CUDAExecutionProvider"
 _MOST_DEPTH_ERROR = 0.1  # of a return, at the median: broken arithmetic is worse, the model is not

@@ -7,7 +7,7 @@ import pytest
 
 from runtime.completion.methods import METHODS, create_method
 from runtime.completion.mrf import MRF
-from runtime.errors import ProviderError
+from runtime.errors import InferenceError, ProviderError
 
 pytest.importorskip("scipy.sparse")
 
@@ -68,6 +68,16 @@ def test_depth_changes_where_the_picture_does():
     np.testing.assert_allclose(depth[:, 23:], 30, atol=0.2)
     plain = MRF().complete(np.zeros_like(rgb), sparse_depth)
     assert plain[0, 19] == pytest.approx(20, abs=1)  # without the edge: a ramp
+
+
+@pytest.mark.parametrize("failure", [MemoryError, RuntimeError])
+def test_too_little_memory_is_an_error_that_says_so(monkeypatch, failure):
+    def spsolve(*args, **options):
+        raise failure("SUPERLU_MALLOC fails")
+
+    monkeypatch.setattr("scipy.sparse.linalg.spsolve", spsolve)
+    with pytest.raises(InferenceError, match=r"40 x 50 pixels at once \(SUPERLU.* smaller"):
+        MRF().complete(*scene(40, 50))
 
 
 def test_without_scipy_it_says_what_to_install(monkeypatch):
