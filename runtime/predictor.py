@@ -171,7 +171,7 @@ class Predictor:
         ```python
         with predictor.stream(mode="live", deadline_ms=50, max_skew_ms=20) as stream:
             stream.push_image(rgb, stamp)  # by the camera's callback; seconds, or int nanoseconds
-            stream.push_depth(sparse_depth, stamp)  # by the LiDAR's
+            stream.push_depth(sparse_depth, stamp)  # by the LiDAR's; or push_points(points, stamp)
             for result in stream:  # ends after stream.close()
                 result.prediction, result.skew_ms, result.age_ms, result.deadline_met
         stream.counts, stream.statistics  # what became of every message; latency, age, jitter
@@ -183,6 +183,8 @@ class Predictor:
         max_skew_ms: how far the stamps of an image and its depth map may lie apart (20)
         max_wait_ms: how long an image waits for its depth map before it is answered from the
             camera alone, and a depth map for its image; in a replay by the stamps (50)
+        calibration: for `push_points`, a `runtime.stream.calibration.Calibration`; its focal length
+            is used where the predictor has none
         on_result: is called with each answer in the stream's thread, instead of iterating
         on_error: is called so with each InputError or InferenceError of a frame
         on_state: is called so with each new `stream.state`: OK, WARN or ERROR and the reasons

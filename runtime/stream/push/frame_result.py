@@ -15,6 +15,8 @@ class FrameResult:
 
     sequence: 0 for the stream's first answer, and so on
     rgb: uint8 (H, W, 3), the image
+    health: what is wrong with the sensors, besides `prediction.degraded`: "image_frozen",
+        "image_black", "image_overexposed", "lidar_sector_lost", "lidar_lines_lost"; () if nothing
     image_stamp, depth_stamp: as they were pushed; depth_stamp is None where the answer comes from
         the camera alone (`prediction.degraded` then holds "no_depth")
     skew_ms: depth stamp - image stamp
@@ -28,6 +30,7 @@ class FrameResult:
     sequence: int
     rgb: NDArray[np.uint8]
     prediction: Prediction
+    health: tuple[str, ...]
     image_stamp: Stamp
     depth_stamp: Stamp | None
     skew_ms: float | None

@@ -21,7 +21,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,9 @@ from numpy.typing import NDArray
 from runtime.errors import InferenceError, InputError, SSDNetError
 from runtime.prediction import Prediction
 from runtime.preprocess import check_rgb, check_sparse_depth
+from runtime.stream.calibration import Calibration
+from runtime.stream.health.image_health import ImageHealth
+from runtime.stream.health.lidar_health import LidarHealth
 from runtime.stream.push.clock import MonotonicClock
 from runtime.stream.push.counts import (
     BAD_MESSAGE,
@@ -76,6 +79,7 @@ class PushStream:
         deadline_ms: float | None = None,
         max_skew_ms: float = 20.0,
         max_wait_ms: float = 50.0,
+        calibration: Calibration | None = None,
         on_result: Callable[[FrameResult], object] | None = None,
         on_error: Callable[[SSDNetError], object] | None = None,
         on_state: Callable[[WatchdogState], object] | None = None,
@@ -91,6 +95,8 @@ class PushStream:
         )
         self._max_wait_ns = round(_check_ms("max_wait_ms", max_wait_ms) * NS_PER_MS)
         self._predictor = predictor
+        self._calibration = calibration
+        self._image_health, self._lidar_health = ImageHealth(), LidarHealth()  # the worker's
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
         self._sensor_clock = sensor_clock
         self._clock = clock or MonotonicClock()
@@ -132,9 +138,22 @@ class PushStream:
         """Push a sparse depth map, float32 (H, W) [m], of the picture's size; as `push_image`."""
         self._push(Sensor.DEPTH, _check_depth, sparse_depth, stamp)
 
-    def _push(
-        self, sensor: Sensor, check: Callable[[Any], NDArray[Any]], data: Any, stamp: Any
-    ) -> None:
+    def push_points(self, points: NDArray[np.float32], stamp: Stamp) -> None:
+        """Push a scan, float32 (N, 3) or wider: x, y, z [m] in the LiDAR's frame; as `push_depth`.
+
+        Raises InputError also for a stream without `calibration`.
+        """
+        self._push(Sensor.DEPTH, self._check_points, points, stamp)
+
+    def _check_points(self, points: Any) -> "_Points":
+        if self._calibration is None:
+            raise InputError(
+                "push_points needs to know where the LiDAR is: make the stream with calibration="
+            )
+        self._calibration.check(points)
+        return _Points(points)
+
+    def _push(self, sensor: Sensor, check: Callable[[Any], Any], data: Any, stamp: Any) -> None:
         reason = BAD_STAMP
         try:
             nanoseconds = stamp_ns(stamp)
@@ -302,7 +321,7 @@ class PushStream:
         """Predict, settle what the pair has become, and tell."""
         started_ns = self._clock.now_ns()
         try:
-            prediction = self._predict(pair)
+            prediction, health = self._predict(pair)
         except SSDNetError as error:
             with self._changed:
                 wiring = not isinstance(error, InferenceError)
@@ -316,7 +335,7 @@ class PushStream:
                 self._settle_pair(pair, Fate.ERROR, INFERENCE_ERROR)
             raise
         now_ns = self._clock.now_ns()
-        result = self._result(pair, prediction, started_ns, now_ns)
+        result = self._result(pair, prediction, health, started_ns, now_ns)
         with self._changed:
             self._answers += 1
             self._record(pair, result, now_ns)
@@ -329,13 +348,27 @@ class PushStream:
         if self._on_result is not None:
             self._on_result(result)
 
-    def _predict(self, pair: Pair) -> Prediction:
+    def _predict(self, pair: Pair) -> tuple[Prediction, tuple[str, ...]]:
+        """The answer, and what is wrong with what it was made of."""
         rgb = pair.image.data
+        size = rgb.shape[:2]
         if pair.depth is None:
-            sparse_depth = np.zeros(rgb.shape[:2], np.float32)
+            sparse_depth = np.zeros(size, np.float32)
+        elif isinstance(pair.depth.data, _Points):
+            assert self._calibration is not None  # push_points asked for it
+            sparse_depth = self._calibration.project(pair.depth.data.points, size)
         else:
             sparse_depth = pair.depth.data
-        return self._predictor.predict(rgb, sparse_depth, stamp=pair.image.stamp)
+        focal_length_px = None
+        if self._calibration is not None and self._predictor.focal_length_px is None:
+            focal_length_px = self._calibration.focal_length_px
+        prediction = self._predictor.predict(
+            rgb, sparse_depth, focal_length_px=focal_length_px, stamp=pair.image.stamp
+        )
+        health = self._image_health.check(rgb)  # only now are they known to fit
+        if pair.depth is not None:
+            health += self._lidar_health.check(sparse_depth)
+        return prediction, health
 
     def _tell_state(self) -> None:
         if self._on_state is None:
@@ -346,7 +379,12 @@ class PushStream:
             self._on_state(state)
 
     def _result(
-        self, pair: Pair, prediction: Prediction, started_ns: int, now_ns: int
+        self,
+        pair: Pair,
+        prediction: Prediction,
+        health: tuple[str, ...],
+        started_ns: int,
+        now_ns: int,
     ) -> FrameResult:
         image, depth = pair
         latency_ms = (now_ns - (image.arrived_ns if self._live else started_ns)) / NS_PER_MS
@@ -359,6 +397,7 @@ class PushStream:
             sequence=self._answers,
             rgb=image.data,
             prediction=prediction,
+            health=health,
             image_stamp=image.stamp,
             depth_stamp=None if depth is None else depth.stamp,
             skew_ms=None if depth is None else (depth.stamp_ns - image.stamp_ns) / NS_PER_MS,
@@ -408,7 +447,7 @@ class PushStream:
         self._watchdog.answered(
             now_ns,
             late=result.deadline_met is False,
-            degraded=bool(result.prediction.degraded),
+            degraded=bool(result.prediction.degraded or result.health),
             valid=result.prediction.valid,
         )
 
@@ -418,6 +457,15 @@ class PushStream:
             self._ledger.revoke_answer(Sensor.DEPTH, UNREAD)
         else:
             self._ledger.camera_only -= 1
+
+
+class _Points(NamedTuple):
+    """A scan that waits for its image."""
+
+    points: NDArray[np.float32]
+
+    def copy(self) -> "_Points":
+        return _Points(self.points.copy())
 
 
 def _earliest(*times_ns: int | None) -> int | None:

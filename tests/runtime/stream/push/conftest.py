@@ -44,6 +44,8 @@ class CheckedPredictor:
     gate: is asked for leave before each prediction; hold it with `gate.clear()`
     """
 
+    focal_length_px = None
+
     def __init__(self):
         self.gate = threading.Event()
         self.gate.set()
@@ -51,8 +53,10 @@ class CheckedPredictor:
         self.clock = None
         self.takes_ms = 0
         self.fail_with = None
+        self.focal_lengths_px = []
 
     def predict(self, rgb, sparse_depth, *, stamp=None, focal_length_px=None):
+        self.focal_lengths_px.append(focal_length_px)
         self.entered.release()
         assert self.gate.wait(60)
         if self.fail_with is not None:

@@ -1,0 +1,187 @@
+"""How LiDAR returns fall into a camera's image: read from the files that stacks have."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import InputError
+from runtime.projection import OcclusionFilter, project_points
+
+_TOML_KEYS = {"intrinsics", "extrinsics", "size"}
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Intrinsics and extrinsics of one camera and one LiDAR.
+
+    intrinsics: float64 (3, 3) of the rectified camera, in pixels of its images
+    extrinsics: float64 (4, 4) from the LiDAR's frame to the camera's [m]; the camera looks along z,
+        x to the right
+    size: (height, width) of the images; None = not said
+    occlusion: takes returns away that the camera cannot see; None = keeps them
+    Raises InputError for matrices that cannot be those.
+    """
+
+    intrinsics: NDArray[np.float64]
+    extrinsics: NDArray[np.float64]
+    size: tuple[int, int] | None = None
+    occlusion: OcclusionFilter | None = None
+
+    def __post_init__(self) -> None:
+        """Check by projecting nothing."""
+        project_points(
+            np.zeros((0, 3), np.float32), self.intrinsics, self.extrinsics, self.size or (1, 1)
+        )
+        if not (self.intrinsics[[0, 1], [0, 1]] > 0).all():
+            raise InputError(
+                "intrinsics must hold positive focal lengths fx and fy, got "
+                f"{self.intrinsics[0, 0]:g} and {self.intrinsics[1, 1]:g}"
+            )
+
+    @property
+    def focal_length_px(self) -> float:
+        """The focal length fx."""
+        return float(self.intrinsics[0, 0])
+
+    def project(self, points: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+        """Return the sparse depth map, float32 (H, W) [m], of a scan, see `project_points`.
+
+        size: (height, width) of the image. Raises InputError if it is not the calibration's.
+        """
+        if self.size not in (None, size):
+            raise InputError(
+                f"the calibration is of images of {self.size} pixels, got one of {size}: scale the "
+                "intrinsics with the image"
+            )
+        return project_points(
+            points, self.intrinsics, self.extrinsics, size, occlusion=self.occlusion
+        )
+
+    def check(self, points: Any) -> None:
+        """Raise InputError unless `points` is a scan, float32 (N, 3) or wider [m]."""
+        sliced = points[:0] if isinstance(points, np.ndarray) and points.ndim else points
+        project_points(sliced, self.intrinsics, self.extrinsics, (1, 1))
+
+    @classmethod
+    def from_kitti(cls, path: Path | str, *, camera: int = 2) -> "Calibration":
+        """Read KITTI's calibration.
+
+        path: a folder of raw data's calib_cam_to_cam.txt and calib_velo_to_cam.txt, or one file
+            with P2, R0_rect and Tr_velo_to_cam (object) or P2 and Tr (odometry)
+        camera: whose images, 0 to 3
+        Raises InputError for a missing file, a missing name or a wrong count of numbers.
+        """
+        path = Path(path)
+        size, rectify = None, np.eye(4)
+        if path.is_dir():
+            cameras = _NumbersFile(path / "calib_cam_to_cam.txt")
+            scanner = _NumbersFile(path / "calib_velo_to_cam.txt")
+            projection = cameras.matrix(f"P_rect_{camera:02d}", 3, 4)
+            rectify[:3, :3] = cameras.matrix("R_rect_00", 3, 3)
+            to_camera = np.hstack([scanner.matrix("R", 3, 3), scanner.matrix("T", 3, 1)])
+            width, height = cameras.matrix(f"S_rect_{camera:02d}", 2, 1)[:, 0]
+            size = (int(height), int(width))
+        else:
+            numbers = _NumbersFile(path)
+            projection = numbers.matrix(f"P{camera}", 3, 4)
+            odometry = "Tr" in numbers
+            if not odometry:
+                rectify[:3, :3] = numbers.matrix("R0_rect", 3, 3)
+            to_camera = numbers.matrix("Tr" if odometry else "Tr_velo_to_cam", 3, 4)
+        intrinsics = projection[:, :3]
+        beside = np.eye(4)
+        try:  # P = K [I | t]: the camera sits beside the one that the scanner is measured to
+            beside[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
+        except np.linalg.LinAlgError as error:
+            raise InputError(f"{path}: P is no projection of a camera: {error}") from error
+        return cls(intrinsics, beside @ rectify @ np.vstack([to_camera, np.eye(4)[3]]), size)
+
+    @classmethod
+    def from_camera_info(cls, info: Mapping[str, Any], extrinsics: Any) -> "Calibration":
+        """Take the fields of a ROS CameraInfo: P of its rectified images, else K.
+
+        info: "p" or "P" (12 numbers), "k" or "K" (9) and "d" or "D", "height", "width"
+        extrinsics: (4, 4) from the LiDAR's frame to the camera's optical frame, as tf gives it
+        Raises InputError if they are missing, or if the image is distorted and only K is there.
+        """
+        fields = {str(key).lower(): value for key, value in info.items()}
+        projection = _matrix("P of the CameraInfo", fields.get("p", [0] * 12), 3, 4)
+        shift = np.eye(4)
+        if projection.any():
+            intrinsics = projection[:, :3]
+            shift[0, 3] = projection[0, 3] / (projection[0, 0] or 1)  # the right one of two
+        elif "k" in fields:
+            intrinsics = _matrix("K of the CameraInfo", fields["k"], 3, 3)
+            if np.any(np.asarray(fields.get("d", []), dtype=np.float64)):
+                raise InputError(
+                    "the CameraInfo has distortion but no P: rectify the images first "
+                    "(image_proc), and give the rectified camera's"
+                )
+        else:
+            raise InputError("the CameraInfo has neither p nor k: give its fields as a mapping")
+        size = None
+        if fields.get("height") and fields.get("width"):
+            size = (int(fields["height"]), int(fields["width"]))
+        return cls(intrinsics, shift @ _matrix("extrinsics", extrinsics, 4, 4), size)
+
+    @classmethod
+    def from_toml(cls, path: Path | str) -> "Calibration":
+        """Read a TOML file of `intrinsics` (3 rows of 3), `extrinsics` (4 of 4) and, optionally,
+        `size` ([height, width]).
+
+        Raises InputError for a file that cannot be read, and for unknown and missing keys.
+        """
+        try:
+            keys = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise InputError(f"cannot read the calibration {path}: {error}") from error
+        if not {"intrinsics", "extrinsics"} <= keys.keys() <= _TOML_KEYS:
+            raise InputError(
+                f"{path} has the keys {', '.join(sorted(keys)) or 'none'}, expected intrinsics, "
+                "extrinsics and optionally size"
+            )
+        size = keys.get("size")
+        return cls(
+            _matrix(f"intrinsics of {path}", keys["intrinsics"], 3, 3),
+            _matrix(f"extrinsics of {path}", keys["extrinsics"], 4, 4),
+            tuple(size) if isinstance(size, list) else size,
+        )
+
+
+class _NumbersFile:
+    """A text file of `name: numbers` lines."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"cannot read the calibration {path}: {error}") from error
+        entries = (line.partition(":") for line in lines if not line.lstrip().startswith("#"))
+        self._entries = {name.strip(): numbers for name, colon, numbers in entries if colon}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._entries
+
+    def matrix(self, name: str, rows: int, columns: int) -> NDArray[np.float64]:
+        """The numbers under a name. Raises InputError."""
+        if name not in self:
+            raise InputError(
+                f"{self._path} has no line '{name}:', it has {', '.join(self._entries) or 'none'}"
+            )
+        return _matrix(f"{name} in {self._path}", self._entries[name].split(), rows, columns)
+
+
+def _matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:
+    try:
+        matrix = np.asarray(numbers, dtype=np.float64)
+    except (TypeError, ValueError):
+        matrix = np.empty(0)
+    if matrix.size != rows * columns or not np.isfinite(matrix).all():
+        raise InputError(f"{name} must be {rows} x {columns} finite numbers, got {numbers!r:.60}")
+    return matrix.reshape(rows, columns)
