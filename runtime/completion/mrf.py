@@ -59,8 +59,8 @@ class MRF:
         except (MemoryError, RuntimeError) as error:  # SuperLU's allocations raise either
             height, width = sparse_depth.shape
             raise InferenceError(
-                f"cannot solve for {height} x {width} pixels at once ({str(error).strip()}): make the frame "
-                "smaller, or free memory"
+                f"cannot solve for {height} x {width} pixels at once ({str(error).strip()}): make "
+                "the frame smaller, or free memory"
             ) from error
         depth: Depth = solution.reshape(sparse_depth.shape).astype(np.float32)
         return depth
