@@ -29,7 +29,7 @@ def build_optimizer(
     ]
     if recipe.name == "sgd":
         return torch.optim.SGD(groups, lr=recipe.learning_rate, momentum=recipe.momentum)
-    return torch.optim.AdamW(groups, lr=recipe.learning_rate, fused=True)
+    return torch.optim.AdamW(groups, lr=recipe.learning_rate)
 
 
 def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
