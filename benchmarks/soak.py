@@ -1,0 +1,288 @@
+"""Push live frames above capacity, with faults, for a long time: nothing crashes, grows or is lost.
+
+    python benchmarks/soak.py [--minutes 30] [--load 1.5] [--size 375x1242] [--threads 2]
+
+A camera and a LiDAR thread push at `--load` times the rate that the model reaches here. Both send
+rubbish now and then: bursts of NaN, empty, half and wrongly sized depth maps, black, frozen and
+wrongly sized images, late, double, missing and jumping stamps; readers are killed and come back.
+Ends with 1 if a message is not accounted for, if the stream ended by itself, or if the process grew
+by more than 64 MB between the first fifth and the end.
+"""
+
+import argparse
+import itertools
+import random
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime import InputError, Predictor
+from runtime.resize import move_returns
+from runtime.stream.bundled import bundled_stream
+from runtime.stream.frames import Frame, list_frames, read_frame
+from runtime.stream.process import dedicate_process
+from runtime.stream.push.counts import StreamCounts
+from runtime.stream.push.statistics import StreamStatistics
+
+_LARGEST_GROWTH_MB = 64
+_FAULTY = 0.1  # share of the messages
+
+
+class ReaderKilledError(Exception):
+    """What ends a reader's thread in the middle of its work."""
+
+
+@dataclass
+class Soaked:
+    """What came of it.
+
+    called: pushes by sensor, counted where they are made. faults: injected, by kind. resident_mb:
+    of the process, over time
+    """
+
+    called: Counter[str] = field(default_factory=Counter)
+    refused: int = 0
+    faults: Counter[str] = field(default_factory=Counter)
+    levels: Counter[str] = field(default_factory=Counter)
+    invalid: int = 0
+    results: int = 0
+    resident_mb: list[float] = field(default_factory=list)
+    counts: StreamCounts | None = None
+    statistics: StreamStatistics | None = None
+
+    @property
+    def growth_mb(self) -> float:
+        """Of the process between the first fifth and the end."""
+        warm = self.resident_mb[len(self.resident_mb) // 5 :]
+        return warm[-1] - warm[0] if warm else 0.0
+
+    def problems(self) -> list[str]:
+        """What must not be; [] if all is well."""
+        assert self.counts is not None
+        found = []
+        if self.counts.pending:
+            found.append(f"{self.counts.pending} messages have no fate")
+        for sensor, counts in (("image", self.counts.images), ("depth", self.counts.depths)):
+            if counts.pushed != self.called[sensor]:
+                found.append(f"{self.called[sensor]} of {sensor} pushed, {counts.pushed} counted")
+        if self.counts.images.answered != self.results:
+            found.append(f"{self.results} results, {self.counts.images.answered} counted")
+        if sum(self.counts.errors.values()) < self.refused:
+            found.append(f"{self.refused} refused, {sum(self.counts.errors.values())} errors")
+        if self.growth_mb > _LARGEST_GROWTH_MB:
+            found.append(f"the process grew by {self.growth_mb:.0f} MB")
+        return found
+
+
+def soak(
+    predictor: Any,
+    frames: list[Frame],
+    *,
+    period_s: float,
+    go_on: Callable[[int], bool],
+    seed: int = 0,
+) -> Soaked:
+    """Push frames of a camera and a LiDAR until `go_on(number of the frame)` is False.
+
+    period_s: between frames of a sensor; 0 = as fast as can be
+    """
+    soaked = Soaked()
+    lock = threading.Lock()
+    stream = predictor.stream(
+        mode="live",
+        deadline_ms=100,
+        on_state=lambda state: soaked.levels.update([str(state.level)]),
+    )
+
+    def push(sensor: str, method: Any, data: Any, stamp: Any) -> None:
+        with lock:
+            soaked.called[sensor] += 1
+        try:
+            method(data, stamp)
+        except InputError:
+            with lock:
+                soaked.refused += 1
+
+    def read(sensor: str, first: int) -> None:
+        chance = random.Random(f"{seed} {sensor} {first}")
+        fault = _image_fault if sensor == "image" else _depth_fault
+        method = stream.push_image if sensor == "image" else stream.push_depth
+        shift = 0.0
+        for number in itertools.count(first):
+            if not go_on(number):
+                return
+            reached[sensor] = number
+            frame = frames[number % len(frames)]
+            data: Any = frame.rgb if sensor == "image" else frame.sparse_depth
+            stamp: Any = number * 0.1 + shift
+            if chance.random() < _FAULTY:
+                kind, data, stamp, shift = fault(chance, data, stamp, shift)
+                with lock:
+                    soaked.faults[kind] += 1
+                if kind == "killed":
+                    raise ReaderKilledError
+            push(sensor, method, data, stamp)
+            if period_s:
+                time.sleep(max(0.0, started + number * period_s - time.perf_counter()))
+
+    def keep_reading(sensor: str) -> None:
+        """Start the reader anew whenever it was killed, three frames later."""
+        while go_on(reached[sensor]):
+            try:
+                return read(sensor, reached[sensor])
+            except ReaderKilledError:
+                reached[sensor] += 3
+
+    reached = {"image": 0, "depth": 0}
+    started = time.perf_counter()
+    readers = [
+        threading.Thread(target=keep_reading, args=(sensor,)) for sensor in ("image", "depth")
+    ]
+
+    def close_after_the_readers() -> None:
+        for reader in readers:
+            reader.join()
+        stream.close()
+
+    closer = threading.Thread(target=close_after_the_readers)
+    for thread in (*readers, closer):
+        thread.start()
+    sampled = 0.0
+    for result in stream:
+        soaked.results += 1
+        soaked.invalid += not result.prediction.valid
+        if time.perf_counter() - sampled > 0.5:
+            sampled = time.perf_counter()
+            soaked.resident_mb.append(resident_mb())
+    closer.join()
+    soaked.counts, soaked.statistics = stream.counts, stream.statistics
+    return soaked
+
+
+def _image_fault(
+    chance: random.Random, rgb: NDArray[np.uint8], stamp: float, shift: float
+) -> tuple[str, Any, Any, float]:
+    kind = chance.choice(
+        ["black", "frozen", "size", "type", "late", "double", "no stamp", "jump", "killed", "None"]
+    )
+    changed: dict[str, Any] = {
+        "black": np.zeros_like(rgb),
+        "frozen": np.full_like(rgb, 77),
+        "size": rgb[:-3],
+        "type": rgb.astype(np.float32),
+        "None": None,
+    }
+    return kind, changed.get(kind, rgb), *_stamp_fault(kind, stamp, shift)
+
+
+def _depth_fault(
+    chance: random.Random, depth: NDArray[np.float32], stamp: float, shift: float
+) -> tuple[str, Any, Any, float]:
+    kind = chance.choice(
+        ["nan", "inf", "empty", "half", "size", "type", "late", "double", "no stamp", "killed"]
+    )
+    burst = depth.copy()
+    burst[depth.shape[0] // 2 :] = np.nan
+    changed: dict[str, Any] = {
+        "nan": burst,
+        "inf": np.full_like(depth, -np.inf),
+        "empty": np.zeros_like(depth),
+        "half": np.where(np.arange(depth.shape[1]) < depth.shape[1] // 2, depth, 0),
+        "size": depth[:, :-5],
+        "type": depth.astype(np.float64),
+    }
+    data = changed.get(kind, depth)
+    return (
+        kind,
+        data.astype(np.float32) if kind == "half" else data,
+        *_stamp_fault(kind, stamp, shift),
+    )
+
+
+def _stamp_fault(kind: str, stamp: float, shift: float) -> tuple[Any, float]:
+    """The stamp that is sent, and by how much the sensor's clock is off from now on."""
+    match kind:
+        case "late":
+            return stamp - 0.35, shift
+        case "double":
+            return stamp - 0.1, shift
+        case "no stamp":
+            return None, shift
+        case "jump":
+            return stamp, 0.0 if shift else -5.0
+    return stamp, shift
+
+
+def resident_mb() -> float:
+    """Memory of this process that is in use (Linux)."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096 / 1e6
+
+
+def bundled_frames(size: tuple[int, int]) -> list[Frame]:
+    """The bundled stream at another size."""
+    frames = [read_frame(files, depth_scale=256.0) for files in list_frames(*bundled_stream())]
+    return [
+        Frame(cv2.resize(frame.rgb, size[::-1]), move_returns(frame.sparse_depth, size))
+        for frame in frames
+    ]
+
+
+def main() -> None:
+    """Soak and print the report."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=30.0)
+    parser.add_argument("--load", type=float, default=1.5, help="rate over what the model reaches")
+    parser.add_argument("--size", default="375x1242", help="HEIGHTxWIDTH")
+    parser.add_argument("--model", help="bundled name or path")
+    parser.add_argument("--threads", type=int, default=2)
+    arguments = parser.parse_args()
+    dedicate_process()
+    height, width = (int(side) for side in arguments.size.split("x"))
+    frames = bundled_frames((height, width))
+    with Predictor(arguments.model, threads=arguments.threads) as predictor:
+        predictor.warm_up((height, width), runs=3)
+        times_ms = [
+            predictor.predict(frame.rgb, frame.sparse_depth).latency.total_ms for frame in frames
+        ]
+        period_s = float(np.median(times_ms)) / 1e3 / arguments.load
+        end = time.monotonic() + arguments.minutes * 60
+        soaked = soak(
+            predictor, frames, period_s=period_s, go_on=lambda number: time.monotonic() < end
+        )
+    assert soaked.counts is not None
+    assert soaked.statistics is not None
+    print(f"pushed at {1 / period_s:.1f} Hz a sensor for {arguments.minutes:g} min")
+    for name, counts in (("image", soaked.counts.images), ("depth", soaked.counts.depths)):
+        print(
+            f"{name}: {counts.pushed} pushed = {counts.answered} answered + dropped "
+            f"{dict(counts.dropped)} + unmatched {dict(counts.unmatched)} + errors "
+            f"{dict(counts.errors)} + {counts.pending} pending"
+        )
+    print(
+        f"camera only {soaked.counts.camera_only}, out of order {soaked.counts.out_of_order}, "
+        f"jumps back {soaked.counts.jumps_back}, not valid {soaked.invalid}"
+    )
+    print(f"faults: {dict(soaked.faults)}\nwatchdog: {dict(soaked.levels)}")
+    print(soaked.statistics.table())
+    memory = soaked.resident_mb or [0.0]
+    print(
+        f"resident MB: first {memory[0]:.0f}, after a fifth {memory[len(memory) // 5]:.0f}, "
+        f"last {memory[-1]:.0f}, most {max(memory):.0f}"
+    )
+    if problems := soaked.problems():
+        sys.exit("; ".join(problems))
+    print("every message is accounted for")
+
+
+if __name__ == "__main__":
+    main()
