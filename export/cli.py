@@ -31,7 +31,25 @@ def export(
     with_logits: Annotated[
         bool, typer.Option("--with-logits", help="Add the class scores to the outputs.")
     ] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an older file.")] = False,
+    record_dir: Annotated[
+        Path | None,
+        typer.Option(
+            "--record",
+            metavar="DIR",
+            help="Folder for a recording of PyTorch's answers: ssdnet-verify then repeats the "
+            "comparison on the target, without PyTorch.",
+        ),
+    ] = None,
+    triton_dir: Annotated[
+        Path | None,
+        typer.Option(
+            "--triton", metavar="DIR", help="Put the file into this Triton model repository too."
+        ),
+    ] = None,
+    overwrite: Annotated[
+        bool,
+        typer.Option("--overwrite", help="Replace an older file, recording and Triton model."),
+    ] = False,
 ) -> None:
     """Export a checkpoint to one self-contained ONNX file and verify it against PyTorch."""
     if (height is None) != (width is None):
@@ -48,6 +66,8 @@ def export(
                 dynamic=dynamic,
                 opset=opset,
                 with_logits=with_logits,
+                record_dir=record_dir,
+                triton_dir=triton_dir,
                 overwrite=overwrite,
             )
     shape = f"{report.size[0]} x {report.size[1]}" + (", any size accepted" if dynamic else "")

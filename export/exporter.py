@@ -1,8 +1,9 @@
 """Checkpoint in, one verified ONNX file out."""
 
+import contextlib
 import hashlib
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -13,14 +14,16 @@ from torch import nn
 
 from export.deploy import DeployGraph
 from export.errors import ExportError
-from export.parity import HeadParity, measure_parity
+from export.parity import HeadParity, measure_parity, reference
 from export.probe_frames import ProbeFrame, probe_frames
 from export.trace import DEFAULT_OPSET, trace
-from models import Checkpoint, load_checkpoint
+from export.triton import require_replaceable, write_triton_model
+from models import Checkpoint, Network, load_checkpoint
 from runtime import Contract, InputError, OutputError, __version__
 from runtime.atomic_write import atomic_file
 from runtime.contract import MIN_SIDE, RESIZE_RULES, SCHEMA_VERSION, check_size
 from runtime.model_file import with_contract
+from runtime.recording import RecordedFrame, Recorder, Settings, record
 
 #: (height, width) if none is asked for: Cityscapes at half size, as in the paper.
 DEFAULT_SIZE = (512, 1024)
@@ -48,17 +51,21 @@ def export_checkpoint(
     dynamic: bool = False,
     opset: int = DEFAULT_OPSET,
     with_logits: bool = False,
+    record_dir: Path | str | None = None,
+    triton_dir: Path | str | None = None,
     overwrite: bool = False,
 ) -> ExportReport:
     """Write a checkpoint as one ONNX file, verified before it has its name.
 
     size: (height, width) of a fixed model; for a ``dynamic`` one, which takes any, the size it
     names as its own. None = DEFAULT_SIZE. ``with_logits`` adds the class scores to the outputs.
+    ``record_dir``: folder for a recording of what PyTorch answers to the frames it was verified on,
+    for ssdnet-verify. ``triton_dir``: a model repository of Triton to put the file into as well.
 
     Raises CheckpointError for a checkpoint that cannot be read, InputError for a size that cannot
     be, OutputError for a target that exists (without ``overwrite``) or cannot be written, and
     ExportError for weights that are not finite, or if the graph cannot be made or differs from
-    PyTorch by more than rounding. Nothing is left on disk then; an older file of that name stays.
+    PyTorch by more than rounding. Nothing is left on disk then; what is there of that name stays.
     """
     size = size or DEFAULT_SIZE
     try:
@@ -73,12 +80,29 @@ def export_checkpoint(
     model = trace(graph, size=size, dynamic=dynamic, opset=opset)
     contract = _contract(checkpoint, _digest(checkpoint_path), size=size, opset=opset)
     frames = _frames(size, dynamic=dynamic, max_depth_m=contract.max_depth_m)
-    with atomic_file(target, overwrite=overwrite, durable=True) as file:
+    if triton_dir is not None:
+        require_replaceable(Path(triton_dir) / contract.model_name, overwrite=overwrite)
+    settings = Settings("ssdnet-export", "frame" if dynamic else None, provider="torch")
+    with contextlib.ExitStack() as written:
+        file = written.enter_context(atomic_file(target, overwrite=overwrite, durable=True))
+        recorder = None
+        if record_dir is not None:
+            recorder = written.enter_context(
+                record(Path(record_dir), settings, overwrite=overwrite)
+            )
         _write(model, contract, file)
         parity = measure_parity(checkpoint.model, Path(file.name), frames, dynamic=dynamic)
         _require_parity(parity)
         figures = {head: dict(measured.figures) for head, measured in parity.items()}
         num_bytes = _write(model, replace(contract, parity=figures), file)
+        if recorder is not None:
+            _record(checkpoint.model, graph.heads, frames, recorder)
+            recorder.finish(Path(file.name))
+        if triton_dir is not None:
+            content = Path(file.name).read_bytes()
+            write_triton_model(
+                Path(triton_dir), model, content, name=contract.model_name, overwrite=overwrite
+            )
     return ExportReport(target, size, dynamic, graph.heads, parity, len(frames), num_bytes)
 
 
@@ -148,6 +172,20 @@ def _frames(size: tuple[int, int], *, dynamic: bool, max_depth_m: float) -> list
         sizes.append((max(size[0] // 2 | 1, MIN_SIDE), max(size[1] // 2 | 1, MIN_SIDE)))
         sizes.append((MIN_SIDE + 1, MIN_SIDE + 31))
     return [frame for each in sizes for frame in probe_frames(each, max_depth_m=max_depth_m)]
+
+
+def _record(
+    model: Network, heads: Sequence[str], frames: Sequence[ProbeFrame], recorder: Recorder
+) -> None:
+    """Keep what PyTorch answers to each frame: the heads that the file has."""
+    for frame in frames:
+        answers = reference(model, frame)
+        recorder.add(
+            RecordedFrame(f"{frame.name}, {frame.rgb.shape[0]} x {frame.rgb.shape[1]}"),
+            frame.rgb,
+            frame.sparse_depth,
+            {head: answers[head] for head in heads},
+        )
 
 
 def _write(model: onnx.ModelProto, contract: Contract, file: BinaryIO) -> int:

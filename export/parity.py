@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from numpy.typing import NDArray
 
@@ -13,17 +12,8 @@ from export.errors import ExportError
 from export.probe_frames import ProbeFrame
 from models import Network
 from runtime import Predictor
+from runtime.agreement import compare, limit, within, worst
 from runtime.session import open_session
-
-#: Largest difference of the depth, as a share of the depth range: 5 mm at 100 m, the step of a
-#: 16-bit depth PNG, a quarter of a LiDAR's noise. Rounding in fp32 comes to about a tenth of it.
-DEPTH_TOLERANCE = 5e-5
-#: Largest difference of a probability; a tenth of the step of an 8-bit picture.
-BOUNDARY_TOLERANCE = 4e-4
-#: Largest difference of the logits, as a share of the largest logit of the frame.
-LOGITS_TOLERANCE = 1e-4
-#: Smallest share of pixels with the same class. Rounding flips a pixel only where two classes tie.
-SEMANTIC_AGREEMENT = 0.9995
 
 
 @dataclass(frozen=True)
@@ -57,12 +47,15 @@ def measure_parity(
             bare = dict(zip(predictor.heads, session.run(predictor.heads, feed), strict=True))
             for head in predictor.heads:
                 for answer in (getattr(prediction, head), bare[head][0]):
-                    figures = _compare(head, answer, expected[head])
+                    _require_shape(head, answer, expected[head])
+                    figures = compare(head, answer, expected[head])
                     measured.setdefault(head, []).append(figures)
-    return {
-        head: _worst(head, figures, max_depth_m=model.config.max_depth_m)
-        for head, figures in measured.items()
-    }
+    parity = {}
+    for head, all_figures in measured.items():
+        largest = worst(head, all_figures)
+        tolerance = limit(head, max_depth_m=model.config.max_depth_m)
+        parity[head] = HeadParity(largest, within(head, largest, tolerance))
+    return parity
 
 
 def reference(model: Network, frame: ProbeFrame) -> dict[str, NDArray[Any]]:
@@ -81,27 +74,6 @@ def reference(model: Network, frame: ProbeFrame) -> dict[str, NDArray[Any]]:
     return {head: answer.numpy() for head, answer in answers.items()}
 
 
-def _compare(head: str, answer: NDArray[Any], expected: NDArray[Any]) -> dict[str, float]:
+def _require_shape(head: str, answer: NDArray[Any], expected: NDArray[Any]) -> None:
     if answer.shape != expected.shape:
         raise ExportError(f"{head} has the shape {answer.shape}, in PyTorch {expected.shape}")
-    if head == "semantic":
-        return {"agreement": float((answer == expected).mean())}
-    difference = np.abs(answer.astype(np.float64) - expected)  # NaN stays NaN, and fails
-    if head == "semantic_logits":
-        difference /= np.abs(expected).max()
-        return {"max_relative": float(difference.max())}
-    unit = "_m" if head == "depth" else ""
-    return {f"max_abs{unit}": float(difference.max()), f"mean_abs{unit}": float(difference.mean())}
-
-
-def _worst(head: str, figures: list[dict[str, float]], *, max_depth_m: float) -> HeadParity:
-    pick = np.min if head == "semantic" else np.max  # both let NaN through
-    worst = {name: float(pick([figure[name] for figure in figures])) for name in figures[0]}
-    if head == "semantic":
-        return HeadParity(worst, worst["agreement"] >= SEMANTIC_AGREEMENT)
-    limit = {
-        "depth": DEPTH_TOLERANCE * max_depth_m,
-        "boundary": BOUNDARY_TOLERANCE,
-        "semantic_logits": LOGITS_TOLERANCE,
-    }[head]
-    return HeadParity(worst, next(iter(worst.values())) <= limit)

@@ -25,17 +25,20 @@ from runtime.completion.predictor import CompletionPredictor
 from runtime.contract import MAX_FOCAL_PX, MIN_FOCAL_PX
 from runtime.errors import InputError, OutputError, SSDNetError
 from runtime.network_size import NetworkSize, parse_network_size
+from runtime.prediction import Prediction
 from runtime.predictor import Predictor
+from runtime.recording import RecordedFrame, Settings, record
 from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.stream.frames import (
     KITTI_DEPTH_SCALE,
     MAX_PIXELS,
+    Frame,
     FrameFiles,
     list_frames,
     read_frame,
 )
 from runtime.stream.latency_plot import draw_latency
-from runtime.stream.pipeline import OK, FrameRecord, StreamResult, run_stream
+from runtime.stream.pipeline import OK, FrameRecord, KeepFrame, StreamResult, run_stream
 from runtime.stream.process import dedicate_process
 from runtime.stream.report import (
     build_report,
@@ -49,6 +52,7 @@ from runtime.stream.run_folder import FRAMES_FILE, KINDS, LATENCY_FILE, REPORT_F
 from runtime.stream.writer import DEPTH_PNG_SCALE, HEADS, FrameWriter, encode
 
 SKIPPED, MISSED = 3, 4  # exit codes
+MAX_SHARDS = 1_000_000
 
 
 class Provider(StrEnum):
@@ -125,6 +129,14 @@ def run(
     limit: Annotated[
         int | None, typer.Option(min=1, help="Stop after so many complete frames.")
     ] = None,
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            metavar="I/N",
+            help="Run the I-th of N parts of the stream (1/N to N/N: every N-th frame, of --limit "
+            "frames if that is given): all parts together answer what one run does.",
+        ),
+    ] = None,
     warmup: Annotated[
         int, typer.Option(min=0, help="Predictions before the first frame, kept apart.")
     ] = 3,
@@ -135,10 +147,20 @@ def run(
             f"Depth and its uncertainty are 16-bit PNGs, metres x {DEPTH_PNG_SCALE}."
         ),
     ] = "all",
+    record_dir: Annotated[
+        Path | None,
+        typer.Option(
+            "--record",
+            metavar="DIR",
+            help="Folder for a recording of frames, answers and model, which ssdnet-verify holds "
+            "later runs against; about 17 bytes a pixel and frame.",
+        ),
+    ] = None,
     overwrite: Annotated[
         bool,
         typer.Option(
-            "--overwrite", help="Replace the files of an earlier run in --out, no others."
+            "--overwrite",
+            help="Replace the files of an earlier run in --out, no others, and the recording.",
         ),
     ] = False,
     as_json: Annotated[
@@ -151,6 +173,7 @@ def run(
     """
     kinds = _kinds(save)
     network_size = _network_size(size)
+    part, parts = _shard(shard)
     _require_range("--depth-scale", depth_scale, 1e-3, 1e6)
     _require_range("--deadline-ms", deadline_ms, 1e-6, 1e9)
     _require_range("--focal-length", focal_length, MIN_FOCAL_PX, MAX_FOCAL_PX)
@@ -163,6 +186,7 @@ def run(
             "--provider": provider is not Provider.cpu,
             "--size": network_size is not None,
             "--threads": threads is not None,
+            "--record": record_dir is not None,
         }
         _require_method(method, [option for option, is_given in given.items() if is_given])
     if demo and focal_length is None:
@@ -171,7 +195,7 @@ def run(
     with reported_errors("cpu"):
         rgb_dir, depth_dir = (rgb, depth) if rgb and depth else bundled_stream()
         _require_apart(out, rgb_dir, depth_dir)
-        frames = list_frames(rgb_dir, depth_dir, limit=limit)
+        frames = list_frames(rgb_dir, depth_dir, limit=limit)[part - 1 :: parts]
         predictor: Predictor | CompletionPredictor
         if method is not None:
             predictor = CompletionPredictor(method)
@@ -198,7 +222,11 @@ def run(
                 )
                 if not as_json:
                     _say(describe_predictor(predictor, frame_size), out)
-                result = _run(predictor, frames, writer, depth_scale, stop, write=bool(kinds))
+                settings = Settings("ssdnet-run", network_size, focal_length, provider.value)
+                with _recording(record_dir, settings, predictor, overwrite=overwrite) as keep:
+                    result = _run(
+                        predictor, frames, writer, depth_scale, stop, keep, write=bool(kinds)
+                    )
                 report = build_report(
                     predictor,
                     result,
@@ -208,6 +236,7 @@ def run(
                         "depth": str(depth_dir),
                         "depth_scale": depth_scale,
                         "focal_length_px": focal_length,
+                        "shard": shard,
                         "warmup": warmup,
                     },
                     output=str(out),
@@ -219,6 +248,8 @@ def run(
                     printed = _say(to_json(report).rstrip("\n"), out)
                     raise typer.Exit(_exit_code(result, deadline_ms) if printed else ERROR)
                 lines = [describe_run(result, report), f"results: {out.resolve()}"]
+                if record_dir is not None:
+                    lines.append(f"recording: {record_dir.resolve()}")
                 if "overlay" in kinds and any(record.status == OK for record in result.records):
                     lines.append(f"pictures: {(out / 'overlay').resolve()}")
                 _say("\n".join(lines), out)
@@ -302,6 +333,43 @@ def _network_size(text: str) -> NetworkSize:
         raise typer.BadParameter(str(error)) from error
 
 
+def _shard(text: str | None) -> tuple[int, int]:
+    """Read "2/4" as (2, 4); the whole is the first part of one."""
+    part, _, parts = (text or "1/1").partition("/")
+    if not (part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts) <= MAX_SHARDS):
+        raise typer.BadParameter(
+            f"--shard is I/N with 1 <= I <= N <= {MAX_SHARDS}, such as 2/4, got {text!r:.80}"
+        )
+    return int(part), int(parts)
+
+
+@contextlib.contextmanager
+def _recording(
+    folder: Path | None,
+    settings: Settings,
+    predictor: Predictor | CompletionPredictor,
+    *,
+    overwrite: bool,
+) -> Iterator[KeepFrame]:
+    """Yield what keeps each frame and its answers in a recording, which is whole after the block;
+    without a folder, or without a model's file, it keeps nothing.
+    """
+    if folder is None or predictor.model is None:
+        yield lambda name, frame, prediction: None
+        return
+    with record(folder, settings, overwrite=overwrite) as recorder:
+
+        def keep(name: str, frame: Frame, prediction: Prediction) -> None:
+            entry = RecordedFrame(
+                name, prediction.valid, prediction.degraded, prediction.latency.total_ms
+            )
+            answers = {head: getattr(prediction, head) for head in predictor.heads}
+            recorder.add(entry, frame.rgb, frame.sparse_depth, answers)
+
+        yield keep
+        recorder.finish(Path(predictor.model), sha256=predictor.digest)
+
+
 def _require_range(option: str, value: float | None, least: float, most: float) -> None:
     if value is not None and not least <= value <= most:
         raise typer.BadParameter(
@@ -334,13 +402,16 @@ def _run(
     writer: FrameWriter,
     depth_scale: float,
     stop: Callable[[], bool],
+    keep: KeepFrame,
     *,
     write: bool,
 ) -> StreamResult:
     """Run the stream, under a progress bar where stderr is a terminal."""
     save = writer.write if write else None
     if not sys.stderr.isatty():
-        return run_stream(predictor, frames, depth_scale=depth_scale, write=save, stop=stop)
+        return run_stream(
+            predictor, frames, depth_scale=depth_scale, write=save, keep=keep, stop=stop
+        )
     with typer.progressbar(length=len(frames), file=sys.stderr, label="frames") as bar:
 
         def advance(record: FrameRecord) -> None:
@@ -351,6 +422,7 @@ def _run(
             frames,
             depth_scale=depth_scale,
             write=save,
+            keep=keep,
             on_record=advance,
             stop=stop,
         )

@@ -21,6 +21,7 @@ _READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side
 _NICENESS = 10
 
 WriteFrame = Callable[[str, NDArray[np.uint8], Prediction], None]
+KeepFrame = Callable[[str, Frame, Prediction], None]
 
 
 class PredictsFrames(Protocol):
@@ -67,6 +68,7 @@ def run_stream(
     *,
     depth_scale: float,
     write: WriteFrame | None = None,
+    keep: KeepFrame = lambda name, frame, prediction: None,
     on_record: Callable[[FrameRecord], None] = lambda record: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> StreamResult:
@@ -76,12 +78,14 @@ def run_stream(
     grow. A frame that cannot be read or predicted is recorded and skipped.
 
     write: is called with (name, rgb, prediction) in the writing thread; None = nothing is written
+    keep: is called with (name, frame, prediction) right after each prediction, valid or not, and
+        no other is made meanwhile
     on_record: is called with each record when its frame is done
     stop: is asked before each frame; once it says True, what was predicted is written and the
         records so far come back. (A KeyboardInterrupt could come between a frame's writing and its
         record: it is passed on, and what was written is not known.)
 
-    Raises what `write` raises (OutputError), after the frames before it were written.
+    Raises what `write` and `keep` raise (OutputError), after the frames before it were written.
     """
     records: list[FrameRecord] = []
     reads: deque[tuple[int, FrameFiles, Future[tuple[Frame, float]]]] = deque()
@@ -107,7 +111,7 @@ def run_stream(
             read_next()
         while reads and not stop():
             index, files, reading = reads.popleft()
-            writes.append(_predict(predictor, index, files, reading, writer, write))
+            writes.append(_predict(predictor, index, files, reading, writer, write, keep))
             read_next()
             while len(writes) > _WRITE_BEHIND:
                 finish_oldest()
@@ -126,6 +130,7 @@ def _predict(
     reading: "Future[tuple[Frame, float]]",
     writer: ThreadPoolExecutor,
     write: WriteFrame | None,
+    keep: KeepFrame,
 ) -> tuple[FrameRecord, "Future[float] | None"]:
     """The record of one frame, and its answer on the way to the disk."""
     try:
@@ -133,6 +138,7 @@ def _predict(
         prediction = predictor.predict(frame.rgb, frame.sparse_depth)
     except SSDNetError as error:
         return FrameRecord(index, files.name, SKIPPED, reason=str(error)), None
+    keep(files.name, frame, prediction)
     record = FrameRecord(
         index,
         files.name,

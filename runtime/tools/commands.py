@@ -17,3 +17,11 @@ def doctor() -> None:
     from runtime.tools.doctor_cli import app
 
     app()
+
+
+def verify() -> None:
+    """`ssdnet-verify`."""
+    end_quietly()
+    from runtime.tools.verify_cli import app
+
+    app()

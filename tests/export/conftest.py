@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from export.exporter import export_checkpoint
 from export.probe_frames import probe_frames
 from models import SSDNet, SSDNetConfig, save_checkpoint
 from models.registry import NETWORKS
@@ -56,6 +57,19 @@ def lite_checkpoint(lite, tmp_path_factory):
     path = tmp_path_factory.mktemp("checkpoint") / "lite.pt"
     save_checkpoint(path, lite, training={"data": ["made-up frames"], "terms": "none"})
     return path
+
+
+@pytest.fixture(scope="session")
+def exported(lite_checkpoint, tmp_path_factory):
+    """The report of an export; beside the file lie its `recording` and a Triton `repository`."""
+    folder = tmp_path_factory.mktemp("exported")
+    return export_checkpoint(
+        lite_checkpoint,
+        folder / "lite.onnx",
+        size=SIZE,
+        record_dir=folder / "recording",
+        triton_dir=folder / "repository",
+    )
 
 
 @pytest.fixture(scope="session")

@@ -25,12 +25,6 @@ from runtime.contract import SCHEMA_VERSION
 SIZE = (64, 96)
 
 
-@pytest.fixture(scope="module")
-def exported(lite_checkpoint, tmp_path_factory):
-    path = tmp_path_factory.mktemp("exported") / "lite.onnx"
-    return export_checkpoint(lite_checkpoint, path, size=SIZE)
-
-
 def test_contract_says_where_the_file_comes_from(exported, lite_checkpoint):
     with Predictor(exported.path, warmup=0) as predictor:
         contract = predictor.contract

@@ -85,6 +85,7 @@ COMMANDS = {
     "ssdnet-info": ["ssdnet-lite"],
     "ssdnet-render": ["out", "--scenes", "1"],
     "ssdnet-run": ["--demo"],
+    "ssdnet-verify": ["none"],
     "ssdnet-train": ["none.toml", "--data", "none", "--out", "none"],
 }
 

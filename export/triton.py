@@ -1,0 +1,94 @@
+"""A model repository of NVIDIA's Triton Inference Server around an exported file.
+
+DIR/NAME/config.pbtxt names the tensors (`ModelConfig` of Triton's model_config.proto, in protobuf's
+text form), DIR/NAME/1/model.onnx is the file itself: ``tritonserver --model-repository=DIR``.
+"""
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import onnx
+
+from export.errors import ExportError
+from runtime.atomic_write import atomic_folder
+from runtime.errors import OutputError
+
+#: Frames that the server may put into one run of a model whose batch axis is free.
+MAX_BATCH_SIZE = 8
+CONFIG_FILE, MODEL_FILE = "config.pbtxt", "model.onnx"
+
+_TYPES = {onnx.TensorProto.UINT8: "TYPE_UINT8", onnx.TensorProto.FLOAT: "TYPE_FP32"}
+_FREE = -1
+_FOLDER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+def triton_config(model: onnx.ModelProto, *, name: str) -> str:
+    """Return config.pbtxt for a model: its tensors, and whether frames may be batched.
+
+    With a batch axis that is free everywhere Triton adds it itself, so that `dims` lack it. Raises
+    ExportError for a name that cannot be a folder's, and for a type of tensor that the contract
+    does not have.
+    """
+    if not _FOLDER_NAME.fullmatch(name):
+        raise ExportError(
+            f"the model's name {name!r} cannot be a folder of a Triton repository: it may hold "
+            "letters, digits, dots, dashes and underscores"
+        )
+    tensors = [*model.graph.input, *model.graph.output]
+    batched = all(_dims(tensor)[0] == _FREE for tensor in tensors)
+    return "\n".join(
+        [
+            f'name: "{name}"',
+            'backend: "onnxruntime"',
+            f'default_model_filename: "{MODEL_FILE}"',
+            f"max_batch_size: {MAX_BATCH_SIZE if batched else 0}",
+            *_entries("input", model.graph.input, batched=batched),
+            *_entries("output", model.graph.output, batched=batched),
+            "",
+        ]
+    )
+
+
+def write_triton_model(
+    repository: Path, model: onnx.ModelProto, content: bytes, *, name: str, overwrite: bool = False
+) -> Path:
+    """Write a model of the bytes `content` into a repository, and return its folder in there.
+
+    Other models of the repository are left alone. overwrite: an older one of that name is replaced.
+    Raises ExportError as `triton_config` does, and OutputError.
+    """
+    config = triton_config(model, name=name)
+    folder = repository / name
+    require_replaceable(folder, overwrite=overwrite)
+    with atomic_folder(folder, overwrite=overwrite) as temporary:
+        (temporary / "1").mkdir()
+        (temporary / "1" / MODEL_FILE).write_bytes(content)
+        (temporary / CONFIG_FILE).write_text(config)
+    return folder
+
+
+def require_replaceable(folder: Path, *, overwrite: bool) -> None:
+    """Raise OutputError if something is at `folder` that may not be replaced."""
+    if folder.exists() and not overwrite:
+        raise OutputError(f"{folder} exists: choose another repository, or ask to overwrite it")
+    if folder.exists() and not (folder / CONFIG_FILE).is_file():
+        raise OutputError(f"{folder} is no model of a Triton repository: choose another one")
+
+
+def _entries(kind: str, tensors: Iterable[onnx.ValueInfoProto], *, batched: bool) -> Iterable[str]:
+    for tensor in tensors:
+        number = tensor.type.tensor_type.elem_type
+        if number not in _TYPES:
+            raise ExportError(
+                f"{tensor.name} is {onnx.TensorProto.DataType.Name(number)}, which the contract "
+                "has not: nothing was written"
+            )
+        dims = ", ".join(map(str, _dims(tensor)[batched:]))
+        yield f'{kind} {{ name: "{tensor.name}" data_type: {_TYPES[number]} dims: [ {dims} ] }}'
+
+
+def _dims(tensor: onnx.ValueInfoProto) -> list[int]:
+    """The sides of a tensor, -1 where one is free."""
+    dims = tensor.type.tensor_type.shape.dim
+    return [dim.dim_value if dim.HasField("dim_value") else _FREE for dim in dims]

@@ -1,0 +1,60 @@
+"""ssdnet-export --record: what PyTorch answers is verified by the engine alone."""
+
+import shutil
+
+import numpy as np
+import onnx
+import pytest
+from typer.testing import CliRunner
+
+from export import exporter
+from export.errors import ExportError
+from runtime.recording import read_recording
+from runtime.tools.verify_cli import app as verify_app
+
+SIZE = (64, 96)
+
+
+def test_the_recording_holds_pytorchs_answers_and_the_file(exported):
+    recording = read_recording(exported.path.parent / "recording")
+    assert recording.settings.provider == "torch"
+    assert recording.settings.made_by == "ssdnet-export"
+    assert recording.model.read_bytes() == exported.path.read_bytes()
+    assert recording.limits.keys() == {"semantic", "depth", "boundary"}
+    assert [frame.name for frame in recording.frames][:2] == [
+        "scan lines 0, 64 x 96",
+        "scan lines 1, 64 x 96",
+    ]
+    assert len(recording.frames) == exported.num_frames
+
+
+def test_the_engine_verifies_it(exported, tmp_path):
+    result = CliRunner().invoke(verify_app, [str(exported.path.parent / "recording")])
+    assert result.exit_code == 0, result.output
+    copy = tmp_path / "copy"
+    shutil.copytree(exported.path.parent / "recording", copy)
+    path = copy / "frames" / "000003.npz"
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    np.savez(path, **{**arrays, "depth": arrays["depth"] + np.float32(0.01)})
+    result = CliRunner().invoke(verify_app, [str(copy)])
+    assert result.exit_code == 4
+    assert "full, 64 x 96: depth: max_abs_m 0.01" in result.output
+
+
+def test_an_export_that_fails_leaves_nothing(lite_checkpoint, tmp_path, monkeypatch):
+    def fail(model, path, frames, *, dynamic):
+        assert [entry.suffix for entry in tmp_path.iterdir()] == [".part", ".part"]
+        raise ExportError("differs")
+
+    monkeypatch.setattr(exporter, "trace", lambda *args, **options: onnx.ModelProto(ir_version=10))
+    monkeypatch.setattr(exporter, "measure_parity", fail)
+    with pytest.raises(ExportError, match="differs"):
+        exporter.export_checkpoint(
+            lite_checkpoint,
+            tmp_path / "lite.onnx",
+            size=SIZE,
+            record_dir=tmp_path / "recording",
+            triton_dir=tmp_path / "triton",
+        )
+    assert list(tmp_path.iterdir()) == []

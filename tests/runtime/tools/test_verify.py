@@ -1,0 +1,204 @@
+"""ssdnet-run --record, then ssdnet-verify: the same answers pass, others are told by frame."""
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from runtime.recording import read_recording
+from runtime.stream.cli import app as run_app
+from runtime.tools.verify_cli import app
+
+NAMES = ["00000", "00001", "00002"]
+
+
+def run(*arguments):
+    return CliRunner().invoke(run_app, [str(argument) for argument in arguments])
+
+
+def verify(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+@pytest.fixture
+def stream(tmp_path, make_frame) -> list[object]:
+    """Three frames of 48 x 64 as files, and the options that name them."""
+    for folder in ("rgb", "depth"):
+        (tmp_path / folder).mkdir()
+    for seed, name in enumerate(NAMES):
+        rgb, depth = make_frame(seed=seed)
+        cv2.imwrite(str(tmp_path / "rgb" / f"{name}.png"), rgb[..., ::-1])
+        cv2.imwrite(str(tmp_path / "depth" / f"{name}.png"), (depth * 256).astype(np.uint16))
+    return ["--rgb", tmp_path / "rgb", "--depth", tmp_path / "depth", "--save", "none"]
+
+
+@pytest.fixture
+def recording(tmp_path, stream, model_file) -> Path:
+    """The stream and the answers of a model made by hand."""
+    folder = tmp_path / "recording"
+    heads = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
+    model = model_file(heads=heads)
+    arguments = [*stream, "--model", model, "--out", tmp_path / "out", "--record", folder]
+    result = run(*arguments, "--size", "40x56")
+    assert result.exit_code == 0, result.output
+    assert f"recording: {folder}" in result.output.splitlines()
+    model.unlink()  # the recording holds its own
+    return folder
+
+
+def spoil(recording, index, head, change):
+    """Change an answer as if it had been recorded so."""
+    path = recording / "frames" / f"{index:06}.npz"
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    arrays[head] = change(arrays[head])
+    np.savez(path, **arrays)
+
+
+def test_what_is_recorded_is_the_frame_and_its_answers(recording):
+    read = read_recording(recording)
+    assert [frame.name for frame in read.frames] == NAMES
+    assert all(frame.predict_ms > 0 for frame in read.frames)
+    assert read.settings.size == (40, 56)
+    arrays = read.arrays(0)
+    assert arrays["rgb"].shape == (48, 64, 3)
+    assert arrays["semantic"].shape == (48, 64)
+    assert arrays["semantic_logits"].shape == (2, 48, 64)
+
+
+def test_the_same_answers_pass(recording):
+    result = verify(recording)
+    assert result.exit_code == 0, result.output
+    lines = result.output.splitlines()
+    assert lines[-1] == "the same answers"
+    assert lines[1].endswith("the recorded one")
+    assert any(line.split()[:3] == ["depth", "max_abs_m", "0"] for line in lines)
+
+
+def test_json_tells_the_same(recording):
+    document = json.loads(verify(recording, "--json").output)
+    assert document["passed"]
+    assert document["same_model"]
+    assert [frame["frame"]["name"] for frame in document["frames"]] == NAMES
+    assert document["frames"][1]["figures"]["semantic"] == {"agreement": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("head", "change", "told"),
+    [
+        ("depth", lambda values: values + np.float32(0.25), "depth: max_abs_m 0.25"),
+        ("depth_uncertainty", lambda values: values + np.float32(0.25), "max_abs_m 0.25"),
+        ("boundary", lambda values: np.maximum(values - 0.5, 0), "boundary: max_abs 0.5"),
+        ("semantic", lambda values: 1 - values, "semantic: agreement 0 "),
+        ("semantic_logits", lambda values: values * np.float32(0.5), "max_relative 1"),
+        ("depth", lambda values: values * np.nan, "depth: max_abs_m nan"),
+        ("depth", lambda values: values[:-1], "recorded was float32 (47, 64)"),
+    ],
+)
+def test_what_differs_is_told_by_its_frame(recording, head, change, told):
+    spoil(recording, 1, head, change)
+    result = verify(recording)
+    assert result.exit_code == 4
+    lines = result.output.splitlines()
+    assert lines[-1] == "1 of 3 frames differ from the recording"
+    (line,) = [line for line in lines if line.startswith("  0000")]
+    assert line.startswith("  00001: ")
+    assert told in line
+    document = json.loads(verify(recording, "--json").output)
+    assert [frame["passed"] for frame in document["frames"]] == [True, False, True]
+
+
+def test_a_tolerance_may_be_given_a_head(recording):
+    spoil(recording, 1, "depth", lambda values: values + np.float32(0.25))
+    assert verify(recording, "--tolerance", "boundary=1", "--tolerance", "depth=0.3").exit_code == 0
+    assert verify(recording, "--tolerance", "depth=0.2").exit_code == 4
+    assert verify(recording, "--tolerance", "speed=1").exit_code == 1
+    assert verify(recording, "--tolerance", "depth").exit_code == 2
+    assert verify(recording, "--tolerance", "depth=-1").exit_code == 2
+
+
+def edit_frames(recording, **changes):
+    path = recording / "recording.json"
+    document = json.loads(path.read_text())
+    for frame in document["frames"]:
+        frame.update(changes)
+    path.write_text(json.dumps(document))
+
+
+def test_times_are_compared_only_when_asked(recording):
+    edit_frames(recording, predict_ms=1e-6)
+    assert verify(recording).exit_code == 0
+    result = verify(recording, "--max-slowdown", 2)
+    assert result.exit_code == 4
+    assert result.output.splitlines()[-1].endswith("at most 2")
+    edit_frames(recording, predict_ms=1e6)
+    assert verify(recording, "--max-slowdown", 1).exit_code == 0
+    assert verify(recording, "--max-slowdown", 0).exit_code == 2
+    edit_frames(recording, predict_ms=None)
+    result = verify(recording, "--max-slowdown", 1)
+    assert (result.exit_code, "has none" in result.output) == (1, True)
+
+
+def test_other_flags_than_recorded_are_told(recording):
+    edit_frames(recording, degraded=["no_depth"])
+    result = verify(recording)
+    assert result.exit_code == 4
+    assert "  00000: degraded is nothing, recorded was no_depth" in result.output.splitlines()
+    edit_frames(recording, degraded=None)  # not known
+    assert verify(recording).exit_code == 0
+
+
+def test_another_model_is_held_against_the_recorded_answers(recording, model_file):
+    def farther(graph):
+        (offset,) = [weight for weight in graph.initializer if weight.name == "offset"]
+        offset.raw_data = np.float32(2.0).tobytes()
+
+    heads = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
+    other = model_file("other.onnx", heads=heads, edit=farther)
+    result = verify(recording, "--model", other)
+    assert result.exit_code == 4
+    assert "NOT the recorded one" in result.output
+    assert "  00002: depth: max_abs_m 0.5" in result.output
+    fewer = model_file("fewer.onnx", heads=("depth",))
+    assert (
+        "00000: answered depth, recorded was semantic, depth"
+        in verify(recording, "--model", fewer).output
+    )
+
+
+def test_another_model_in_the_recording_is_refused(recording, model_file):
+    shutil.copy(model_file("other.onnx"), recording / "model.onnx")
+    result = verify(recording)
+    assert (result.exit_code, "asked for was" in result.output) == (1, True)
+
+
+def test_a_frame_that_cannot_be_predicted_is_told(recording, model_file):
+    heads = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
+    other = model_file("other.onnx", heads=heads, only_runs_at=(100, 100))
+    result = verify(recording, "--model", other)
+    assert result.exit_code == 4
+    assert "  00000: the session failed on a frame of 40 x 56" in result.output
+
+
+def test_damage_is_an_error(recording):
+    (recording / "frames" / "000001.npz").write_bytes(b"")
+    result = verify(recording)
+    assert (result.exit_code, "damaged" in result.output) == (1, True)
+
+
+def test_a_recording_is_not_replaced_unasked(recording, stream, tmp_path):
+    result = run(*stream, "--out", tmp_path / "new", "--record", recording)
+    assert (result.exit_code, "exists" in result.output) == (1, True)
+
+
+def test_frames_without_an_answer_leave_no_trace(tmp_path, stream, model_file):
+    """A picture that cannot be read is skipped in the recording as well."""
+    (tmp_path / "rgb" / "00000.png").write_bytes(b"no picture")
+    options = ["--model", model_file(), "--out", tmp_path / "out", "--limit", 2]
+    result = run(*stream, *options, "--record", tmp_path / "recording")
+    assert result.exit_code == 3
+    assert [frame.name for frame in read_recording(tmp_path / "recording").frames] == ["00001"]
