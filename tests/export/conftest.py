@@ -60,15 +60,20 @@ def lite_checkpoint(lite, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def exported(lite_checkpoint, tmp_path_factory):
-    """The report of an export; beside the file lie its `recording` and a Triton `repository`."""
-    folder = tmp_path_factory.mktemp("exported")
+def beside(tmp_path_factory):
+    """Where the `recording` and the Triton `repository` of `exported` lie."""
+    return tmp_path_factory.mktemp("beside")
+
+
+@pytest.fixture(scope="session")
+def exported(lite_checkpoint, beside, tmp_path_factory):
+    """The report of an export."""
     return export_checkpoint(
         lite_checkpoint,
-        folder / "lite.onnx",
+        tmp_path_factory.mktemp("exported") / "lite.onnx",
         size=SIZE,
-        record_dir=folder / "recording",
-        triton_dir=folder / "repository",
+        record_dir=beside / "recording",
+        triton_dir=beside / "repository",
     )
 
 

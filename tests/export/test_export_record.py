@@ -15,8 +15,8 @@ from runtime.tools.verify_cli import app as verify_app
 SIZE = (64, 96)
 
 
-def test_the_recording_holds_pytorchs_answers_and_the_file(exported):
-    recording = read_recording(exported.path.parent / "recording")
+def test_the_recording_holds_pytorchs_answers_and_the_file(exported, beside):
+    recording = read_recording(beside / "recording")
     assert recording.settings.provider == "torch"
     assert recording.settings.made_by == "ssdnet-export"
     assert recording.model.read_bytes() == exported.path.read_bytes()
@@ -28,11 +28,11 @@ def test_the_recording_holds_pytorchs_answers_and_the_file(exported):
     assert len(recording.frames) == exported.num_frames
 
 
-def test_the_engine_verifies_it(exported, tmp_path):
-    result = CliRunner().invoke(verify_app, [str(exported.path.parent / "recording")])
+def test_the_engine_verifies_it(exported, beside, tmp_path):
+    result = CliRunner().invoke(verify_app, [str(beside / "recording")])
     assert result.exit_code == 0, result.output
     copy = tmp_path / "copy"
-    shutil.copytree(exported.path.parent / "recording", copy)
+    shutil.copytree(beside / "recording", copy)
     path = copy / "frames" / "000003.npz"
     with np.load(path) as archive:
         arrays = dict(archive)

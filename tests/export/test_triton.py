@@ -67,8 +67,8 @@ def check(config, graph):
             assert [*batch, *entry.dims] == sides(tensor)
 
 
-def test_the_config_says_what_the_file_does(exported):
-    folder = exported.path.parent / "repository" / "ssdnet-lite"
+def test_the_config_says_what_the_file_does(exported, beside):
+    folder = beside / "repository" / "ssdnet-lite"
     served = folder / "1" / "model.onnx"
     assert served.read_bytes() == exported.path.read_bytes()
     config = parse((folder / "config.pbtxt").read_text())

@@ -229,6 +229,32 @@ def test_the_depth_scale(tmp_path, run, stream):
     assert int(rows_of(tmp_path / "out")[0]["too_far"]) > 0
 
 
+@pytest.mark.parametrize("parts", [1, 3, N, N + 2])
+def test_shards_are_disjoint_and_together_the_whole(tmp_path, run, parts):
+    """Byte for byte; a part without a frame is a run of none."""
+    assert run("--out", tmp_path / "whole").exit_code == 0
+    union = {}
+    for part in range(1, parts + 1):
+        folder = tmp_path / str(part)
+        result = run("--out", folder, "--shard", f"{part}/{parts}")
+        assert result.exit_code == 0, result.output
+        files = {file for file in files_in(folder) if Path(file).parent.name in KINDS}
+        assert len(rows_of(folder)) == len(range(part - 1, N, parts))
+        assert not files & union.keys()
+        union |= {file: (folder / file).read_bytes() for file in files}
+    whole = tmp_path / "whole"
+    answers = {file for file in files_in(whole) if Path(file).parent.name in KINDS}
+    assert len(answers) == N * len(KINDS)
+    assert union == {file: (whole / file).read_bytes() for file in answers}
+
+
+def test_a_shard_is_of_the_frames_within_the_limit(tmp_path, run):
+    assert run("--limit", 5, "--shard", "2/2").exit_code == 0
+    assert [row["name"] for row in rows_of(tmp_path / "out")] == ["f1", "f3"]
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["inputs"]["shard"] == "2/2"
+
+
 def test_the_limit(tmp_path, run):
     assert run("--limit", 3).exit_code == 0
     assert len(rows_of(tmp_path / "out")) == 3
@@ -584,6 +610,12 @@ def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, monkeypatc
         ["--demo", "--method", "ip-basic", "--provider", "cuda"],
         ["--demo", "--method", "ip-basic", "--size", "frame"],
         ["--demo", "--method", "ip-basic", "--threads", "2"],
+        ["--demo", "--method", "ip-basic", "--record", "recording"],
+        ["--demo", "--shard", "0/4"],
+        ["--demo", "--shard", "5/4"],
+        ["--demo", "--shard", "1"],
+        ["--demo", "--shard", "-1/4"],
+        ["--demo", "--shard", "1/9999999"],
         ["--no-such-option"],
     ],
 )
