@@ -99,6 +99,16 @@ def test_refined_semantics_are_twice_as_fine_as_the_rest():
     assert tuple(plain.predict_coarse(*frame(64, 96)).semantic_logits.shape[2:]) == (16, 24)
 
 
+def test_semantics_may_stay_on_their_own_grid_without_the_padding():
+    model = SSDNet(small("ssdnet-lite")).eval()
+    images = frame(50, 71)
+    output = model(*images, upsample_semantic=False)
+    coarse = model.predict_coarse(*images).semantic_logits
+    assert tuple(output.semantic_logits.shape[2:]) == (25, 36)
+    assert torch.equal(output.semantic_logits, coarse[:, :, :25, :36])
+    assert tuple(output.boundary_logits.shape[2:]) == (50, 71)
+
+
 def test_refined_semantics_heed_the_boundary():
     """Where the finest side output is sure of a boundary nothing of the features gets through."""
     model = SSDNet(small("ssdnet-lite")).eval()

@@ -28,7 +28,7 @@ from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment import AugmentConfig
 from training.loop import train
-from training.losses import LossConfig
+from training.losses import LossConfig, SSDNetLoss
 from training.recipe import (
     DataRecipe,
     LoopRecipe,
@@ -570,3 +570,25 @@ def test_what_cannot_start_leaves_no_folder(data, tmp_path, changes, device, tex
     with pytest.raises(InputError, match=text):
         train(replace(recipe(), **changes), data=[data], out=tmp_path / "run", device=device)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(("grid", "size"), [("image", (64, 96)), ("head", (32, 48))])
+def test_the_recipe_says_where_semantics_are_scored(grid, size):
+    network = create_model("ssdnet-lite", num_classes=11)
+    criterion = SSDNetLoss(LossConfig(semantic_grid=grid), max_depth_m=100.0)
+    scored = []
+
+    def forward(*images, **options):
+        scored.append(network(*images, **options))
+        return scored[-1]
+
+    samples = {
+        "rgb": torch.zeros(1, 3, 64, 96, dtype=torch.uint8),
+        "sparse_depth": torch.zeros(1, 1, 64, 96),
+        "depth": torch.ones(1, 1, 64, 96),
+        "semantic": torch.zeros(1, 64, 96, dtype=torch.int64),
+        "semantic_weight": torch.ones(1),
+        "road_mask": torch.full((1, 64, 96), 255, dtype=torch.uint8),
+    }
+    loop._compute_loss(forward, criterion, samples, LoopRecipe(), torch.device("cpu"))
+    assert tuple(scored[0].semantic_logits.shape[2:]) == size

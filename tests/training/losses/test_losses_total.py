@@ -394,6 +394,9 @@ def test_semantic_logits_may_stay_on_their_own_grid():
     )
     expected = semantic_depth_loss(maps, pooled[1], depth_scale=50.0, side=2)
     assert on_grid["semantic_depth"].item() == pytest.approx(expected.item(), rel=1e-5)
+    assert expected.item() == pytest.approx(
+        semantic_depth_loss(maps, pooled[1], depth_scale=50.0).item() / 2, rel=1e-5
+    )
 
 
 def test_semantics_alone_are_scored_on_their_own_grid_of_an_odd_size():
