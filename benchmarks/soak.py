@@ -138,7 +138,8 @@ def soak(
         """Start the reader anew whenever it was killed, three frames later."""
         while go_on(reached[sensor]):
             try:
-                return read(sensor, reached[sensor])
+                read(sensor, reached[sensor])
+                break
             except ReaderKilledError:
                 reached[sensor] += 3
 

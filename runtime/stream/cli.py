@@ -124,7 +124,18 @@ def run(
         float, typer.Option(help="Units of the depth PNG a metre: KITTI 256, Virtual KITTI 100.")
     ] = KITTI_DEPTH_SCALE,
     deadline_ms: Annotated[
-        float | None, typer.Option(help="Time a prediction may take, without reading and writing.")
+        float | None,
+        typer.Option(
+            help="Time a prediction may take, without reading and writing; with --rate: from when "
+            "the frame was due until its answer is there."
+        ),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            help="Frames a second, due at fixed times as from a sensor (constant-stream); age and "
+            "jitter are then told. [default: each when the one before is done (single-stream)]"
+        ),
     ] = None,
     limit: Annotated[
         int | None, typer.Option(min=1, help="Stop after so many complete frames.")
@@ -176,6 +187,7 @@ def run(
     part, parts = _shard(shard)
     _require_range("--depth-scale", depth_scale, 1e-3, 1e6)
     _require_range("--deadline-ms", deadline_ms, 1e-6, 1e9)
+    _require_range("--rate", rate, 1e-3, 1e6)
     _require_range("--focal-length", focal_length, MIN_FOCAL_PX, MAX_FOCAL_PX)
     if demo != (rgb is None and depth is None) or (rgb is None) != (depth is None):
         raise typer.BadParameter("give either --demo, or both --rgb and --depth")
@@ -225,7 +237,13 @@ def run(
                 settings = Settings("ssdnet-run", network_size, focal_length, provider.value)
                 with _recording(record_dir, settings, predictor, overwrite=overwrite) as keep:
                     result = _run(
-                        predictor, frames, writer, depth_scale, stop, keep, write=bool(kinds)
+                        predictor,
+                        frames,
+                        depth_scale=depth_scale,
+                        rate_hz=rate,
+                        write=writer.write if kinds else None,
+                        keep=keep,
+                        stop=stop,
                     )
                 report = build_report(
                     predictor,
@@ -397,42 +415,26 @@ def _warm_up(
 
 
 def _run(
-    predictor: Predictor | CompletionPredictor,
-    frames: tuple[FrameFiles, ...],
-    writer: FrameWriter,
-    depth_scale: float,
-    stop: Callable[[], bool],
-    keep: KeepFrame,
-    *,
-    write: bool,
+    predictor: Predictor | CompletionPredictor, frames: tuple[FrameFiles, ...], **options: Any
 ) -> StreamResult:
     """Run the stream, under a progress bar where stderr is a terminal."""
-    save = writer.write if write else None
     if not sys.stderr.isatty():
-        return run_stream(
-            predictor, frames, depth_scale=depth_scale, write=save, keep=keep, stop=stop
-        )
+        return run_stream(predictor, frames, **options)
     with typer.progressbar(length=len(frames), file=sys.stderr, label="frames") as bar:
 
         def advance(record: FrameRecord) -> None:
             bar.update(1)
 
-        return run_stream(
-            predictor,
-            frames,
-            depth_scale=depth_scale,
-            write=save,
-            keep=keep,
-            on_record=advance,
-            stop=stop,
-        )
+        return run_stream(predictor, frames, on_record=advance, **options)
 
 
 def _write_summary(
     out: Path, result: StreamResult, report: dict[str, Any], deadline_ms: float | None
 ) -> None:
     latencies_ms = {
-        record.index: record.latency.total_ms for record in result.records if record.latency
+        record.index: record.response_ms
+        for record in result.records
+        if record.response_ms is not None
     }
     if latencies_ms:
         picture = draw_latency(latencies_ms, deadline_ms=deadline_ms)

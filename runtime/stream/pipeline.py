@@ -19,6 +19,7 @@ from runtime.stream.frames import Frame, FrameFiles, read_frame
 OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
 _READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side
 _NICENESS = 10
+_STOP_ASKED_S = 0.1  # so often while waiting
 
 WriteFrame = Callable[[str, NDArray[np.uint8], Prediction], None]
 KeepFrame = Callable[[str, Frame, Prediction], None]
@@ -37,6 +38,9 @@ class FrameRecord:
 
     status: "ok"; "skipped": not predicted, `reason` says why; "invalid": the answer could not be
         used and was not written, `reason` says why
+    age_ms: constant stream: from when the frame was due until its answer was there
+    jitter_ms: constant stream: by how much the age changed since the answer before, the
+        transit-time difference of RFC 3550
     """
 
     index: int
@@ -51,15 +55,28 @@ class FrameRecord:
     degraded: tuple[str, ...] = ()
     cleaned: Cleaned = field(default_factory=Cleaned)
     depth_returns: int = 0
+    age_ms: float | None = None
+    jitter_ms: float | None = None
+
+    @property
+    def response_ms(self) -> float | None:
+        """What a deadline is held against: the age, in a single stream the prediction's time."""
+        if self.age_ms is not None or self.latency is None:
+            return self.age_ms
+        return self.latency.total_ms
 
 
 @dataclass(frozen=True)
 class StreamResult:
-    """The records in order, the time from first read to last write, whether it was stopped."""
+    """The records in order, the time from first read to last write, whether it was stopped.
+
+    rate_hz: of a constant stream; None = a single stream
+    """
 
     records: tuple[FrameRecord, ...]
     wall_s: float
     interrupted: bool
+    rate_hz: float | None = None
 
 
 def run_stream(
@@ -67,6 +84,7 @@ def run_stream(
     frames: Sequence[FrameFiles],
     *,
     depth_scale: float,
+    rate_hz: float | None = None,
     write: WriteFrame | None = None,
     keep: KeepFrame = lambda name, frame, prediction: None,
     on_record: Callable[[FrameRecord], None] = lambda record: None,
@@ -77,6 +95,8 @@ def run_stream(
     One thread reads ahead and one writes behind; both hold at most two frames, so memory does not
     grow. A frame that cannot be read or predicted is recorded and skipped.
 
+    rate_hz: frames are due so often, from the start on, and none is predicted earlier: MLPerf's
+        constant stream; None = each as soon as the one before is done: its single stream
     write: is called with (name, rgb, prediction) in the writing thread; None = nothing is written
     keep: is called with (name, frame, prediction) right after each prediction, valid or not, and
         no other is made meanwhile
@@ -105,13 +125,23 @@ def run_stream(
 
     reader = ThreadPoolExecutor(1, thread_name_prefix="read", initializer=_give_way)
     writer = ThreadPoolExecutor(1, thread_name_prefix="write", initializer=_give_way)
+    last_age_ms: float | None = None
     started = time.perf_counter()
     try:
         for _ in range(_READ_AHEAD):
             read_next()
         while reads and not stop():
-            index, files, reading = reads.popleft()
-            writes.append(_predict(predictor, index, files, reading, writer, write, keep))
+            index, files, reading = reads[0]
+            due = None if rate_hz is None else started + index / rate_hz
+            if due is not None and not _wait_until(due, stop):
+                break
+            reads.popleft()
+            record, written = _predict(predictor, index, files, reading, writer, write, keep, due)
+            if record.age_ms is not None:
+                if last_age_ms is not None:
+                    record = replace(record, jitter_ms=abs(record.age_ms - last_age_ms))
+                last_age_ms = record.age_ms
+            writes.append((record, written))
             read_next()
             while len(writes) > _WRITE_BEHIND:
                 finish_oldest()
@@ -120,7 +150,17 @@ def run_stream(
     finally:
         reader.shutdown(cancel_futures=True)
         writer.shutdown(cancel_futures=True)
-    return StreamResult(tuple(records), time.perf_counter() - started, bool(reads))
+    wall_s = time.perf_counter() - started
+    return StreamResult(tuple(records), wall_s, bool(reads), rate_hz)
+
+
+def _wait_until(due: float, stop: Callable[[], bool]) -> bool:
+    """Wait for a time of `perf_counter`. Returns False as soon as it is asked to stop."""
+    while (left := due - time.perf_counter()) > 0:
+        if stop():
+            return False
+        time.sleep(min(left, _STOP_ASKED_S))
+    return True
 
 
 def _predict(
@@ -131,13 +171,18 @@ def _predict(
     writer: ThreadPoolExecutor,
     write: WriteFrame | None,
     keep: KeepFrame,
+    due: float | None,
 ) -> tuple[FrameRecord, "Future[float] | None"]:
-    """The record of one frame, and its answer on the way to the disk."""
+    """The record of one frame, and its answer on the way to the disk.
+
+    due: when the frame was, of a constant stream, by `perf_counter`
+    """
     try:
         frame, read_ms = reading.result()
         prediction = predictor.predict(frame.rgb, frame.sparse_depth)
     except SSDNetError as error:
         return FrameRecord(index, files.name, SKIPPED, reason=str(error)), None
+    age_ms = None if due is None else (time.perf_counter() - due) * 1e3
     keep(files.name, frame, prediction)
     record = FrameRecord(
         index,
@@ -151,6 +196,7 @@ def _predict(
         degraded=prediction.degraded,
         cleaned=prediction.cleaned,
         depth_returns=prediction.depth_returns,
+        age_ms=age_ms,
     )
     if write is None or not prediction.valid:
         return record, None

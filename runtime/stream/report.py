@@ -23,9 +23,9 @@ from runtime.stream.latency import (
 from runtime.stream.pipeline import SKIPPED, FrameRecord, StreamResult
 from runtime.stream.writer import DEPTH_PNG_MAX_M, DEPTH_PNG_SCALE
 
-REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.3"
+REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.4"
 
-# "predict" is Predictor.predict from end to end: what a deadline is held against.
+# "predict" is Predictor.predict from end to end; "age" and "jitter" are of constant streams.
 STAGES: dict[str, Callable[[FrameRecord], float | None]] = {
     "read": lambda record: record.read_ms,
     "preprocess": lambda record: record.latency.preprocess_ms if record.latency else None,
@@ -33,25 +33,32 @@ STAGES: dict[str, Callable[[FrameRecord], float | None]] = {
     "postprocess": lambda record: record.latency.postprocess_ms if record.latency else None,
     "predict": lambda record: record.latency.total_ms if record.latency else None,
     "write": lambda record: record.write_ms,
+    "age": lambda record: record.age_ms,
+    "jitter": lambda record: record.jitter_ms,
 }
+_CONSTANT_STREAM = ("age", "jitter")
 
 
-def stage_statistics(records: Sequence[FrameRecord]) -> dict[str, LatencyStatistics | None]:
-    """Statistics of every stage over the frames that went through it."""
+def stage_statistics(result: StreamResult) -> dict[str, LatencyStatistics | None]:
+    """Statistics of every stage of the scenario over the frames that went through it."""
+    constant = result.rate_hz is not None
     return {
         stage: latency_statistics(
-            time_ms for time_ms in map(time_of, records) if time_ms is not None
+            time_ms for time_ms in map(time_of, result.records) if time_ms is not None
         )
         for stage, time_of in STAGES.items()
+        if constant or stage not in _CONSTANT_STREAM
     }
 
 
 def missed(records: Sequence[FrameRecord], deadline_ms: float | None) -> MissedDeadlines | None:
-    """The predictions that took longer than the deadline; None without a deadline."""
+    """The answers that took longer than the deadline, by `response_ms`; None without a deadline."""
     if deadline_ms is None:
         return None
+    responses_ms = (record.response_ms for record in records)
     return missed_deadlines(
-        (record.latency.total_ms for record in records if record.latency), deadline_ms=deadline_ms
+        (response_ms for response_ms in responses_ms if response_ms is not None),
+        deadline_ms=deadline_ms,
     )
 
 
@@ -68,8 +75,8 @@ def frames_csv(records: Sequence[FrameRecord], *, deadline_ms: float | None) -> 
     for record in records:
         times = (time_of(record) for time_of in STAGES.values())
         late: int | str = ""
-        if deadline_ms is not None and record.latency:
-            late = int(record.latency.total_ms > deadline_ms)
+        if deadline_ms is not None and record.response_ms is not None:
+            late = int(record.response_ms > deadline_ms)
         writer.writerow(
             [record.index, record.name, record.status, record.reason]
             + list(record.frame_size or ("", ""))
@@ -144,11 +151,15 @@ def build_report(
             ],
         },
         "interrupted": result.interrupted,
+        "scenario": {
+            "name": "single-stream" if result.rate_hz is None else "constant-stream",
+            "rate_hz": result.rate_hz,
+        },
         "load_ms": predictor.load_ms,
         "first_inference_ms": predictor.first_inference_ms,
         "stages": {
             stage: None if statistics is None else asdict(statistics)
-            for stage, statistics in stage_statistics(records).items()
+            for stage, statistics in stage_statistics(result).items()
         },
         "wall_s": result.wall_s,
         "frames_per_second": frames_per_second(result),
@@ -200,7 +211,9 @@ def describe_run(result: StreamResult, report: dict[str, Any]) -> str:
         f"  {entry['name']}: {entry['status']}: {entry['reason']}" for entry in frames["not_ok"]
     ]
     lines += [f"  degraded: {reason}: {count}" for reason, count in frames["degraded"].items()]
-    lines += ["", latency_table(stage_statistics(result.records)), ""]
+    if result.rate_hz is not None:
+        lines.append(f"constant stream of {result.rate_hz:g} Hz")
+    lines += ["", latency_table(stage_statistics(result)), ""]
     rate = report["frames_per_second"]
     lines.append(f"frames a second, end to end: {'n/a' if rate is None else f'{rate:.1f}'}")
     first_ms = report["first_inference_ms"]

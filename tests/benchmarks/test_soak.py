@@ -1,4 +1,4 @@
-"""A soak of a second: every kind of fault, as fast as it goes, and a judge that sees what is wrong."""
+"""A short soak: every kind of fault as fast as it goes, and a judge that sees what is wrong."""
 
 import dataclasses
 

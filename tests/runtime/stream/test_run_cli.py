@@ -134,7 +134,7 @@ def test_the_rows_and_the_report_agree(tmp_path, run):
     assert {(row["height"], row["width"]) for row in rows} == {("48", "64")}
     assert {row["missed_deadline"] for row in rows} == {"0"}
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert (report["format"], report["version"]) == ("ssdnet-run", "1.3")
+    assert (report["format"], report["version"]) == ("ssdnet-run", "1.4")
     assert report["frames"]["by_status"] == {"ok": N}
     assert report["provider"]["threads"] == 1
     assert report["provider"]["nodes"]["CPUExecutionProvider"] > 5
@@ -157,6 +157,40 @@ def test_the_rows_and_the_report_agree(tmp_path, run):
         for row in rows
     ]
     assert predict == pytest.approx(parts, abs=0.01)
+
+
+def test_a_constant_stream_tells_age_and_jitter(tmp_path, run):
+    result = run("--rate", 10_000, "--deadline-ms", 1e-3)  # due long before they can be done
+    assert result.exit_code == 4
+    assert "constant stream of 10000 Hz" in result.stdout
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["scenario"] == {"name": "constant-stream", "rate_hz": 10_000}
+    rows = rows_of(tmp_path / "out")
+    ages = [float(row["age_ms"]) for row in rows]
+    assert report["stages"]["age"]["n"] == N
+    assert report["stages"]["age"]["max_ms"] == pytest.approx(max(ages), abs=1e-3)
+    assert [row["jitter_ms"] == "" for row in rows] == [True] + [False] * (N - 1)
+    assert float(rows[1]["jitter_ms"]) == pytest.approx(abs(ages[1] - ages[0]), abs=2e-3)
+    assert report["deadline"]["count"] == N
+    assert all(age > float(row["predict_ms"]) for age, row in zip(ages, rows, strict=True))
+    for stage in ("age", "jitter"):
+        assert re.search(rf"^{stage} +\d", result.stdout, re.MULTILINE)
+
+
+def test_a_single_stream_says_so_and_leaves_the_cells_empty(tmp_path, run):
+    result = run()
+    assert "constant stream" not in result.stdout
+    assert not re.search(r"^(age|jitter) ", result.stdout, re.MULTILINE)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["scenario"] == {"name": "single-stream", "rate_hz": None}
+    assert {row["age_ms"] + row["jitter_ms"] for row in rows_of(tmp_path / "out")} == {""}
+
+
+@pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf"])
+def test_a_rate_out_of_range_is_a_usage_error(run, rate):
+    result = run("--rate", rate)
+    assert result.exit_code == 2
+    assert "--rate" in result.output
 
 
 def method_arguments(stream, folder):

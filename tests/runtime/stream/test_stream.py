@@ -303,3 +303,68 @@ def test_an_error_that_is_nobodys_fault_is_not_hidden(predictor, stream_of):
 
     with pytest.raises(ZeroDivisionError):
         run(predictor, stream_of(3), write=write)
+
+
+# --- a constant stream -------------------------------------------------------------------------
+
+
+class ManualTime:
+    """Stands in for the module: only sleeping and predicting take time."""
+
+    def __init__(self):
+        self.now = 1000.0
+        self.slept = []
+
+    def perf_counter(self):
+        return self.now
+
+    def sleep(self, seconds):
+        self.slept.append(seconds)
+        self.now += seconds
+
+
+def constant_stream(predictor, folders, monkeypatch, *, takes_s, **options):
+    """Frames at 4 Hz, each of which takes its time to predict."""
+    clock = ManualTime()
+    predict, takes = predictor.predict, iter(takes_s)
+
+    def slow_predict(*frame):
+        clock.now += next(takes)
+        return predict(*frame)
+
+    monkeypatch.setattr(runtime.stream.pipeline, "time", clock)
+    monkeypatch.setattr(predictor, "predict", slow_predict)
+    return clock, run(predictor, folders, rate_hz=4, **options)
+
+
+def test_frames_of_a_constant_stream_are_predicted_when_due_and_late_ones_are_made_up(
+    predictor, stream_of, monkeypatch
+):
+    takes_s = [0.125, 0.125, 0.625, 0.125, 0.125, 0.125]
+    clock, result = constant_stream(predictor, stream_of(6), monkeypatch, takes_s=takes_s)
+    ages_ms = [record.age_ms for record in result.records]
+    # Due at 0, 250, 500, 750 ms ...; the third ends at 1125, the fourth 125 ms later.
+    assert ages_ms == pytest.approx([125, 125, 625, 500, 375, 250])
+    jitter_ms = [record.jitter_ms for record in result.records]
+    assert jitter_ms[0] is None
+    assert jitter_ms[1:] == pytest.approx([0, 500, 125, 125, 125])
+    assert [record.response_ms for record in result.records] == ages_ms
+    assert sum(clock.slept) == pytest.approx(0.125 + 0.125)
+    assert result.rate_hz == 4
+
+
+def test_a_constant_stream_is_stopped_while_it_waits(predictor, stream_of, monkeypatch):
+    asked = iter([False, False, False, True])
+    clock, result = constant_stream(
+        predictor, stream_of(3), monkeypatch, takes_s=[0.0] * 3, stop=lambda: next(asked)
+    )
+    assert result.interrupted
+    assert [record.name for record in result.records] == ["0"]
+    assert clock.slept == [0.1], "asked again every tenth of a second"
+
+
+def test_a_single_stream_has_no_age(predictor, stream_of):
+    result = run(predictor, stream_of(2))
+    assert result.rate_hz is None
+    assert [record.age_ms for record in result.records] == [None, None]
+    assert all(record.response_ms == record.latency.total_ms for record in result.records)
