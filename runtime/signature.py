@@ -89,15 +89,15 @@ def _read(session: Any, num_classes: int) -> Signature:
 
 
 def check_outputs(
-    outputs: Mapping[str, NDArray[Any]], *, size: tuple[int, int], num_classes: int
+    outputs: Mapping[str, NDArray[Any]], *, frames: int, size: tuple[int, int], num_classes: int
 ) -> None:
-    """Raise InferenceError unless each output, by its head, answers one frame of `size`."""
+    """Raise InferenceError unless each output, by its head, answers so many frames of `size`."""
     for head, values in outputs.items():
         planes = (num_classes,) if head == "semantic_logits" else ()
-        if values.shape != (1, *planes, *size):
+        if values.shape != (frames, *planes, *size):
             raise InferenceError(
                 f"the model gave {head} of the shape {values.shape}, expected was "
-                f"{(1, *planes, *size)}: export it again with ssdnet-export"
+                f"{(frames, *planes, *size)}: export it again with ssdnet-export"
             )
 
 

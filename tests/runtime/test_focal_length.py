@@ -96,7 +96,7 @@ def test_the_farthest_return_is_not_lost_by_rounding(model_file, contract, make_
         model_file(contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX))
     ) as predictor:
         run = predictor._run
-        predictor._run = lambda rgb, sparse: fed.append(sparse) or run(rgb, sparse)
+        predictor._run = lambda frames: fed.append(frames[0].sparse_depth) or run(frames)
         for focal in np.random.default_rng(0).uniform(20, 900, 50):
             limit = np.float32(80 * focal / CANONICAL_PX)
             depth[:] = 0

@@ -152,6 +152,18 @@ def test_other_flags_than_recorded_are_told(recording):
     assert verify(recording).exit_code == 0
 
 
+def test_an_answer_that_was_unusable_and_no_longer_is_is_told(recording):
+    path = recording / "frames" / "000000.npz"
+    with np.load(path) as archive:
+        inputs = {name: archive[name] for name in ("rgb", "sparse_depth")}
+    for index in range(3):
+        np.savez(path.with_name(f"{index:06}.npz"), **inputs)
+    edit_frames(recording, valid=False, degraded=None)
+    result = verify(recording)
+    assert result.exit_code == 4
+    assert "  00002: valid is True, recorded was False" in result.output.splitlines()
+
+
 def test_another_model_is_held_against_the_recorded_answers(recording, model_file):
     def farther(graph):
         (offset,) = [weight for weight in graph.initializer if weight.name == "offset"]

@@ -1,0 +1,215 @@
+"""Several cameras with one call, and one predictor in several threads."""
+
+import dataclasses
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from runtime import InferenceError, InputError, Predictor, list_bundled_models
+from runtime.stream.bundled import bundled_stream
+from runtime.stream.frames import list_frames, read_frame
+
+HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
+
+
+class CountingSession:
+    """A session that notes the batches it is given."""
+
+    def __init__(self, session):
+        self.session, self.batches = session, []
+
+    def run(self, heads, feed):
+        self.batches.append(feed["rgb"].shape[:3])
+        return self.session.run(heads, feed)
+
+
+@pytest.fixture
+def counted():
+    def count(predictor):
+        predictor._session = CountingSession(predictor._session)
+        return predictor._session.batches
+
+    return count
+
+
+def assert_same(prediction, expected):
+    for head in HEADS:
+        np.testing.assert_array_equal(getattr(prediction, head), getattr(expected, head))
+    for name in ("frame_size", "network_size", "valid", "degraded", "cleaned", "depth_returns"):
+        assert getattr(prediction, name) == getattr(expected, name)
+
+
+def only_one_frame(graph):
+    for tensor in graph.input:
+        tensor.type.tensor_type.shape.dim[0].dim_value = 1
+
+
+def test_frames_of_one_size_are_one_run(model_file, make_frame, counted):
+    frames = [make_frame(seed=seed) for seed in range(4)]
+    frames[2][1][:] = 0
+    frames[3][1][0, :3] = np.nan, np.inf, -1
+    with Predictor(model_file(heads=HEADS)) as predictor:
+        expected = [predictor.predict(rgb, depth) for rgb, depth in frames]
+        batches = counted(predictor)
+        predictions = predictor.predict_batch(frames, stamps=[3, 2, 1, 0])
+    assert batches == [(4, 48, 64)]
+    assert [item.stamp for item in predictions] == [3, 2, 1, 0]
+    for prediction, alone in zip(predictions, expected, strict=True):
+        assert_same(prediction, alone)
+    assert predictions[2].degraded == ("no_depth",)
+    assert predictions[3].cleaned.total == 3
+
+
+def test_frames_of_other_sizes_are_batches_of_their_own(model_file, make_frame, counted):
+    sizes = [(48, 64), (40, 80), (48, 64), (96, 128), (40, 80)]
+    frames = [make_frame(*size, seed=seed) for seed, size in enumerate(sizes)]
+    with Predictor(model_file(heads=HEADS)) as predictor:
+        expected = [predictor.predict(*frame) for frame in frames]
+        batches = counted(predictor)
+        predictions = predictor.predict_batch(tuple(frames))
+    assert batches == [(2, 48, 64), (2, 40, 80), (1, 96, 128)]
+    for prediction, alone in zip(predictions, expected, strict=True):
+        assert_same(prediction, alone)
+
+
+def test_cameras_that_the_network_sees_alike_are_one_batch(model_file, make_frame, counted):
+    frames = [make_frame(48, 64), make_frame(96, 128, seed=1)]
+    with Predictor(model_file(heads=HEADS), size=(40, 56)) as predictor:
+        expected = [predictor.predict(*frame) for frame in frames]
+        batches = counted(predictor)
+        predictions = predictor.predict_batch(frames)
+    assert batches == [(2, 40, 56)]
+    assert [item.frame_size for item in predictions] == [(48, 64), (96, 128)]
+    for prediction, alone in zip(predictions, expected, strict=True):
+        assert_same(prediction, alone)
+
+
+def test_a_file_of_one_frame_runs_them_one_by_one(model_file, make_frame, counted):
+    frames = [make_frame(seed=seed) for seed in range(3)]
+    with Predictor(model_file(heads=HEADS, edit=only_one_frame)) as predictor:
+        expected = [predictor.predict(*frame) for frame in frames]
+        batches = counted(predictor)
+        predictions = predictor.predict_batch(frames)
+    assert batches == [(1, 48, 64)] * 3
+    for prediction, alone in zip(predictions, expected, strict=True):
+        assert_same(prediction, alone)
+
+
+def test_each_camera_has_its_lens(model_file, make_frame, contract):
+    contract = dataclasses.replace(contract, canonical_focal_px=700.0)
+    frames = [make_frame(seed=1)] * 3
+    with Predictor(model_file(contract=contract), focal_length_px=350.0) as predictor:
+        predictions = predictor.predict_batch(frames, focal_lengths_px=[None, 700.0, 1400.0])
+        for prediction, focal in zip(predictions, (350.0, 700.0, 1400.0), strict=True):
+            alone = predictor.predict(*frames[0], focal_length_px=focal)
+            np.testing.assert_array_equal(prediction.depth, alone.depth)
+    assert not np.array_equal(predictions[0].depth, predictions[2].depth)
+
+
+@pytest.mark.parametrize("model", list_bundled_models())
+def test_a_bundled_model_answers_a_batch_as_it_does_single_frames(model):
+    listed = list_frames(*bundled_stream())[::10]
+    frames = [read_frame(files, depth_scale=256.0) for files in listed]
+    pairs = [(frame.rgb[:128, :192], frame.sparse_depth[:128, :192]) for frame in frames]
+    pairs[1] = pairs[1][0], np.zeros_like(pairs[1][1])
+    with Predictor(model) as predictor:
+        for prediction, pair in zip(predictor.predict_batch(pairs), pairs, strict=True):
+            alone = predictor.predict(*pair)
+            assert (prediction.semantic == alone.semantic).mean() > 0.999
+            np.testing.assert_allclose(prediction.depth, alone.depth, atol=5e-3)
+            np.testing.assert_allclose(prediction.boundary, alone.boundary, atol=4e-4)
+
+
+def test_the_latency_of_a_batch(model_file, make_frame):
+    with Predictor(model_file()) as predictor:
+        first, second = predictor.predict_batch([make_frame(), make_frame(seed=1)])
+    assert first.latency.inference_ms == second.latency.inference_ms > 0
+    assert first.latency.total_ms == second.latency.total_ms
+    spent = [item.latency.preprocess_ms + item.latency.postprocess_ms for item in (first, second)]
+    assert first.latency.total_ms >= sum(spent) + first.latency.inference_ms
+
+
+def test_no_frames_are_no_answers(model_file):
+    with Predictor(model_file()) as predictor:
+        assert predictor.predict_batch([]) == []
+
+
+def test_a_bad_frame_is_named_before_any_runs(model_file, make_frame, counted):
+    good = make_frame()
+    with Predictor(model_file()) as predictor:
+        batches = counted(predictor)
+        for bad, told in [
+            ((good[0], good[1][:-1]), "frame 1 of 3: sparse_depth must have the shape"),
+            ((good[0],), r"frame 1 of 3 must be \(rgb, sparse_depth\)"),
+            (None, r"frame 1 of 3 must be \(rgb, sparse_depth\)"),
+        ]:
+            with pytest.raises(InputError, match=told):
+                predictor.predict_batch([good, bad, good])
+        with pytest.raises(InputError, match="one entry for each of 2"):
+            predictor.predict_batch([good, good], stamps=[1])
+        with pytest.raises(InputError, match="frame 0 of 1: focal_length_px"):
+            predictor.predict_batch([good], focal_lengths_px=[-1.0])
+        with pytest.raises(InputError, match="must be a list"):
+            predictor.predict_batch(iter([good]))
+        assert batches == []
+
+
+def test_a_batch_that_fails_says_of_what(model_file, make_frame):
+    predictor = Predictor(model_file(only_runs_at=(100, 100)), warmup=0)
+    with pytest.raises(InferenceError, match="failed on 2 frames of 48 x 64"):
+        predictor.predict_batch([make_frame(), make_frame()])
+    predictor.close()
+    with pytest.raises(InferenceError, match="closed"):
+        predictor.predict_batch([make_frame()])
+
+
+def test_threads_that_share_a_predictor_get_their_own_answers(model_file, make_frame):
+    """Under load: eight threads at once, frames of three sizes, single and in batches."""
+    sizes = [(48, 64), (64, 96), (96, 80)]
+    frames = [make_frame(*sizes[seed % 3], seed=seed) for seed in range(12)]
+    with Predictor(model_file(heads=HEADS), size=(40, 56)) as predictor:
+        expected = [predictor.predict(*frame) for frame in frames]
+        together = threading.Barrier(8)
+
+        def work(number):
+            random = np.random.default_rng(number)
+            together.wait()
+            for _ in range(40):
+                chosen = random.integers(len(frames), size=int(random.integers(1, 4)))
+                if len(chosen) == 1:
+                    rgb, depth = frames[chosen[0]]
+                    answers = [predictor.predict(rgb, depth, stamp=chosen[0])]
+                else:
+                    batch = [frames[index] for index in chosen]
+                    answers = predictor.predict_batch(batch, stamps=chosen)
+                for index, answer in zip(chosen, answers, strict=True):
+                    assert answer.stamp == index
+                    assert_same(answer, expected[index])
+            return 40
+
+        with ThreadPoolExecutor(8) as pool:
+            assert list(pool.map(work, range(8))) == [40] * 8
+
+
+def test_closing_lets_a_call_that_is_under_way_end(model_file, make_frame):
+    predictor = Predictor(model_file())
+    rgb, depth = make_frame()
+    expected = predictor.predict(rgb, depth)
+    running, go_on = threading.Event(), threading.Event()
+    session = predictor._session
+
+    class WaitingSession:
+        def run(self, heads, feed):
+            running.set()
+            assert go_on.wait(60)
+            return session.run(heads, feed)
+
+    predictor._session = WaitingSession()
+    with ThreadPoolExecutor(1) as pool:
+        call = pool.submit(predictor.predict, rgb, depth)
+        assert running.wait(60)
+        predictor.close()
+        go_on.set()
+        np.testing.assert_array_equal(call.result(60).depth, expected.depth)
