@@ -235,6 +235,8 @@ class Predictor:
             camera alone, and a depth map for its image; in a replay by the stamps (50)
         calibration: for `push_points`, a `runtime.stream.calibration.Calibration`; its focal length
             is used where the predictor has none
+        consistency: share of the returns that is held out to see whether camera and LiDAR still fit
+            (0.05, say); every 10th frame then takes a second prediction. None = all are used
         on_result: is called with each answer in the stream's thread, instead of iterating
         on_error: is called so with each InputError or InferenceError of a frame
         on_state: is called so with each new `stream.state`: OK, WARN or ERROR and the reasons

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.prediction import Prediction
+from runtime.stream.health.consistency import Consistency
 from runtime.stream.push.stamp import Stamp
 
 
@@ -17,6 +18,8 @@ class FrameResult:
     rgb: uint8 (H, W, 3), the image
     health: what is wrong with the sensors, besides `prediction.degraded`: "image_frozen",
         "image_black", "image_overexposed", "lidar_sector_lost", "lidar_lines_lost"; () if nothing
+    consistency: running figures of how well camera and LiDAR fit; None unless the stream was asked
+        for them, and in answers from the camera alone
     image_stamp, depth_stamp: as they were pushed; depth_stamp is None where the answer comes from
         the camera alone (`prediction.degraded` then holds "no_depth")
     skew_ms: depth stamp - image stamp
@@ -31,6 +34,7 @@ class FrameResult:
     rgb: NDArray[np.uint8]
     prediction: Prediction
     health: tuple[str, ...]
+    consistency: Consistency | None
     image_stamp: Stamp
     depth_stamp: Stamp | None
     skew_ms: float | None

@@ -30,6 +30,7 @@ from runtime.errors import InferenceError, InputError, SSDNetError
 from runtime.prediction import Prediction
 from runtime.preprocess import check_rgb, check_sparse_depth
 from runtime.stream.calibration import Calibration
+from runtime.stream.health.consistency import Consistency, ConsistencyCheck
 from runtime.stream.health.image_health import ImageHealth
 from runtime.stream.health.lidar_health import LidarHealth
 from runtime.stream.push.clock import MonotonicClock
@@ -80,6 +81,7 @@ class PushStream:
         max_skew_ms: float = 20.0,
         max_wait_ms: float = 50.0,
         calibration: Calibration | None = None,
+        consistency: float | None = None,
         on_result: Callable[[FrameResult], object] | None = None,
         on_error: Callable[[SSDNetError], object] | None = None,
         on_state: Callable[[WatchdogState], object] | None = None,
@@ -96,7 +98,9 @@ class PushStream:
         self._max_wait_ns = round(_check_ms("max_wait_ms", max_wait_ms) * NS_PER_MS)
         self._predictor = predictor
         self._calibration = calibration
-        self._image_health, self._lidar_health = ImageHealth(), LidarHealth()  # the worker's
+        # These are the worker's alone.
+        self._image_health, self._lidar_health = ImageHealth(), LidarHealth()
+        self._consistency = None if consistency is None else ConsistencyCheck(consistency)
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
         self._sensor_clock = sensor_clock
         self._clock = clock or MonotonicClock()
@@ -321,7 +325,7 @@ class PushStream:
         """Predict, settle what the pair has become, and tell."""
         started_ns = self._clock.now_ns()
         try:
-            prediction, health = self._predict(pair)
+            prediction, health, consistency = self._predict(pair)
         except SSDNetError as error:
             with self._changed:
                 wiring = not isinstance(error, InferenceError)
@@ -335,7 +339,7 @@ class PushStream:
                 self._settle_pair(pair, Fate.ERROR, INFERENCE_ERROR)
             raise
         now_ns = self._clock.now_ns()
-        result = self._result(pair, prediction, health, started_ns, now_ns)
+        result = self._result(pair, prediction, health, consistency, started_ns, now_ns)
         with self._changed:
             self._answers += 1
             self._record(pair, result, now_ns)
@@ -348,7 +352,7 @@ class PushStream:
         if self._on_result is not None:
             self._on_result(result)
 
-    def _predict(self, pair: Pair) -> tuple[Prediction, tuple[str, ...]]:
+    def _predict(self, pair: Pair) -> tuple[Prediction, tuple[str, ...], Consistency | None]:
         """The answer, and what is wrong with what it was made of."""
         rgb = pair.image.data
         size = rgb.shape[:2]
@@ -359,16 +363,28 @@ class PushStream:
             sparse_depth = self._calibration.project(pair.depth.data.points, size)
         else:
             sparse_depth = pair.depth.data
-        focal_length_px = None
-        if self._calibration is not None and self._predictor.focal_length_px is None:
-            focal_length_px = self._calibration.focal_length_px
-        prediction = self._predictor.predict(
-            rgb, sparse_depth, focal_length_px=focal_length_px, stamp=pair.image.stamp
-        )
+        if self._consistency is None or pair.depth is None:
+            prediction, consistency = self._ask(rgb, sparse_depth, pair), None
+        else:
+            left, held_out = self._consistency.hold_out(sparse_depth)
+            prediction, camera_only = self._ask(rgb, left, pair), None
+            if self._consistency.scale_is_due:
+                camera_only = self._ask(rgb, np.zeros(size, np.float32), pair)
+            consistency = self._consistency.score(prediction, camera_only, sparse_depth, held_out)
         health = self._image_health.check(rgb)  # only now are they known to fit
         if pair.depth is not None:
             health += self._lidar_health.check(sparse_depth)
-        return prediction, health
+        return prediction, health, consistency
+
+    def _ask(
+        self, rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], pair: Pair
+    ) -> Prediction:
+        focal_length_px = None
+        if self._calibration is not None and self._predictor.focal_length_px is None:
+            focal_length_px = self._calibration.focal_length_px
+        return self._predictor.predict(
+            rgb, sparse_depth, focal_length_px=focal_length_px, stamp=pair.image.stamp
+        )
 
     def _tell_state(self) -> None:
         if self._on_state is None:
@@ -383,6 +399,7 @@ class PushStream:
         pair: Pair,
         prediction: Prediction,
         health: tuple[str, ...],
+        consistency: Consistency | None,
         started_ns: int,
         now_ns: int,
     ) -> FrameResult:
@@ -398,6 +415,7 @@ class PushStream:
             rgb=image.data,
             prediction=prediction,
             health=health,
+            consistency=consistency,
             image_stamp=image.stamp,
             depth_stamp=None if depth is None else depth.stamp,
             skew_ms=None if depth is None else (depth.stamp_ns - image.stamp_ns) / NS_PER_MS,

@@ -570,3 +570,19 @@ def test_bad_points_are_refused_and_counted(setup):
     assert add_up(calibrated.counts).depths.errors == {"bad_message": 4}
     with pytest.raises(InputError, match="calibration="):
         setup().stream.push_points(np.zeros((3, 3), np.float32), 0)
+
+
+def test_returns_are_held_out_where_it_was_asked_for(setup):
+    made = setup(mode="replay", consistency=0.5)
+    plain = setup(mode="replay")
+    for stream in (made.stream, plain.stream):
+        push_pair(stream, 0)
+        stream.push_image(image(1), 0.2)
+        stream.close()
+    result, camera_only = made.stream
+    assert 0.4 < result.prediction.depth_returns / (32 * 40) < 0.6
+    assert result.consistency.holdout_error == 0, "0 + 1 m where 1 m was held out"
+    assert result.consistency.scale_error == 0
+    assert camera_only.consistency is None
+    assert next(plain.stream).prediction.depth_returns == 32 * 40
+    assert next(plain.stream).consistency is None

@@ -1,0 +1,133 @@
+"""What the consistency figures of a stream say when camera and LiDAR no longer fit.
+
+    python benchmarks/consistency.py [--out docs/consistency.png] [--threads 2]
+
+The bundled stream is pushed three times over. From the second time on, each line of the plot has
+one fault: the calibration rotated by 1° about an axis of the camera, depth maps of the frame before
+(100 ms), or depths times a scale. The table has each figure's mean over the last pass, and how far
+it moved from the healthy line's in standard deviations of the healthy stream's own frames.
+"""
+
+import argparse
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime import Predictor, project_points
+from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+from runtime.stream.frames import Frame, list_frames, read_frame
+
+mpl.use("Agg")
+from matplotlib import pyplot
+
+FAULTS = (
+    "healthy",
+    "pitch 1°",
+    "yaw 1°",
+    "roll 1°",
+    "100 ms late",
+    "scale 1.1",
+    "scale 0.9",
+)
+FIGURES = ("holdout_error", "edge_agreement", "scale_error")
+PASSES = 3
+
+
+def main() -> None:
+    """Print the table and draw the plot."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, help="write the plot here")
+    parser.add_argument("--model", help="bundled name or path")
+    parser.add_argument("--threads", type=int, default=2)
+    arguments = parser.parse_args()
+    frames = [read_frame(files, depth_scale=256.0) for files in list_frames(*bundled_stream())]
+    series = {}
+    with Predictor(
+        arguments.model, threads=arguments.threads, focal_length_px=BUNDLED_FOCAL_LENGTH_PX
+    ) as predictor:
+        for fault in FAULTS:
+            series[fault] = run(predictor, frames, fault)
+    print("| fault | " + " | ".join(FIGURES) + " |\n|---|" + "---|" * len(FIGURES))
+    healthy = series["healthy"][-len(frames) :]
+    for fault, values in series.items():
+        last = values[-len(frames) :]
+        moved = (last.mean(axis=0) - healthy.mean(axis=0)) / np.maximum(healthy.std(axis=0), 1e-9)
+        cells = [
+            f"{mean:.3f} ({sigma:+.1f})"
+            for mean, sigma in zip(last.mean(axis=0), moved, strict=True)
+        ]
+        print(f"| {fault} | " + " | ".join(cells) + " |")
+    if arguments.out:
+        draw(series, len(frames), arguments.out)
+
+
+def run(predictor: Predictor, frames: list[Frame], fault: str) -> NDArray[np.float64]:
+    """The running figures after each frame, (passes * frames, figures)."""
+    values = []
+    with predictor.stream(mode="live", consistency=0.05) as stream:
+        for number in range(PASSES * len(frames)):
+            place = number % len(frames)
+            depth = frames[place].sparse_depth
+            if number >= len(frames):
+                depth = spoil(fault, frames, place)
+            stream.push_image(frames[place].rgb, number / 10)
+            stream.push_depth(depth, number / 10)
+            consistency = next(stream).consistency
+            values.append([getattr(consistency, name) for name in FIGURES])
+    return np.array(values, dtype=np.float64)
+
+
+def spoil(fault: str, frames: list[Frame], place: int) -> NDArray[np.float32]:
+    """The depth map that a LiDAR with this fault would give."""
+    depth = frames[place].sparse_depth
+    kind, _, amount = fault.partition(" ")
+    if kind == "scale":
+        return depth * np.float32(amount)
+    if kind == "100":
+        return frames[max(place - 1, 0)].sparse_depth
+    if kind in ("pitch", "yaw", "roll"):
+        return rotated(depth, ("pitch", "yaw", "roll").index(kind), degrees=1.0)
+    return depth
+
+
+def rotated(depth: NDArray[np.float32], axis: int, *, degrees: float) -> NDArray[np.float32]:
+    """The depth map of the same returns in a camera rotated about an axis of its own."""
+    height, width = depth.shape
+    focal_px = BUNDLED_FOCAL_LENGTH_PX
+    intrinsics = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1.0]])
+    row, column = np.nonzero(depth)
+    z = depth[row, column]
+    pixels = np.stack([column, row, np.ones_like(row)])
+    points = (np.linalg.inv(intrinsics) @ pixels * z).T.astype(np.float32)
+    one, other = ((1, 2), (0, 2), (0, 1))[axis]
+    rotation = np.eye(4)
+    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    rotation[[one, other], [one, other]] = cosine
+    rotation[one, other], rotation[other, one] = -sine, sine
+    return project_points(points, intrinsics, rotation, (height, width))
+
+
+def draw(series: dict[str, NDArray[np.float64]], begins: int, out: Path) -> None:
+    """A panel a figure, a line a fault."""
+    figure, panels = pyplot.subplots(1, len(FIGURES), figsize=(15, 4.2))
+    for index, (panel, name) in enumerate(zip(panels, FIGURES, strict=True)):
+        for fault, values in series.items():
+            healthy = fault == "healthy"
+            panel.plot(
+                values[:, index],
+                label=fault,
+                color="black" if healthy else None,
+                linewidth=2.5 if healthy else 1.3,
+            )
+        panel.axvline(begins, color="grey", linestyle=":")
+        panel.set_title(name)
+        panel.set_xlabel("frame (the fault begins at the dotted line)")
+    panels[0].legend(fontsize=8)
+    figure.tight_layout()
+    figure.savefig(out, dpi=80)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""Whether camera and LiDAR still tell of the same world: figures of a stream, off by default.
+
+Which figure moves depends on the fault (measured in docs/streams.md): the edges when the
+calibration is rotated or the stamps are shifted, the scale when the depths are wrong as a whole.
+The error at the returns held out hardly moves with either, since a network that completes depth
+follows the returns beside them. None has a limit of its own: what is usual depends on model, sensors and
+streets, so a stack compares them with what they were on its own healthy streams.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import InputError
+from runtime.prediction import Prediction
+
+_WEIGHT = 0.1  # of a new frame in the running means
+_SCALE_EVERY = 10  # frames: it takes a prediction of its own
+_NEIGHBOUR_PX = 8  # returns of a line or column that are compared with each other
+_JUMP = 1.25  # ratio of their depths
+_NEAR_M = 30.0  # where returns are dense enough
+_LEAST_DEPTH_M = 0.1
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """Running means over the frames of a stream; None until the first frame that has the figure.
+
+    holdout_error: mean |log(depth / return)| over the returns that the network was not given
+    edge_agreement: mean boundary probability where the depth of neighbouring returns jumps, less
+        that where it does not; it falls when the returns no longer lie on what the camera sees
+    scale_error: median log(depth / return), the depth being predicted from the camera alone, every
+        10th frame; it shifts with the LiDAR's scale, and for a model without the camera's focal
+        length it need not be near 0
+    """
+
+    holdout_error: float | None = None
+    edge_agreement: float | None = None
+    scale_error: float | None = None
+
+
+class ConsistencyCheck:
+    """Takes a share of each frame's returns away and compares the prediction with them.
+
+    share: of the returns, above 0 and at most 0.5. Raises InputError for another.
+    """
+
+    def __init__(self, share: float) -> None:
+        number = isinstance(share, int | float) and not isinstance(share, bool)
+        if not number or not 0 < share <= 0.5:
+            raise InputError(
+                f"consistency must be a share of the returns above 0 and up to 0.5, got {share!r}"
+            )
+        self._share = share
+        self._random = np.random.default_rng(0)
+        self._means = Consistency()
+        self._frames = 0
+
+    @property
+    def scale_is_due(self) -> bool:
+        """Whether `score` wants a prediction without returns this time."""
+        return self._frames % _SCALE_EVERY == 0
+
+    def hold_out(
+        self, sparse_depth: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Return what is left, a new array, and which pixels were taken away."""
+        returns = (sparse_depth > 0) & (sparse_depth < np.inf)
+        held_out = returns & (self._random.random(sparse_depth.shape) < self._share)
+        return np.where(held_out, np.float32(0), sparse_depth), held_out
+
+    def score(
+        self,
+        prediction: Prediction,
+        camera_only: Prediction | None,
+        sparse_depth: NDArray[np.float32],
+        held_out: NDArray[np.bool_],
+    ) -> Consistency:
+        """Take a frame in and return the running means.
+
+        prediction: of what was left. camera_only: without any return, None = not this time.
+        sparse_depth: all returns.
+        """
+        self._frames += 1
+        returns = (sparse_depth > 0) & (sparse_depth < np.inf)
+        holdout_error = edge_agreement = scale_error = None
+        if prediction.depth is not None and held_out.any():
+            holdout_error = float(
+                np.abs(_log_ratio(prediction.depth, sparse_depth, held_out)).mean()
+            )
+        if prediction.boundary is not None:
+            edge_agreement = _edge_agreement(
+                prediction.boundary, np.where(returns, sparse_depth, np.float32(0))
+            )
+        if camera_only is not None and camera_only.depth is not None and returns.any():
+            scale_error = float(np.median(_log_ratio(camera_only.depth, sparse_depth, returns)))
+        self._means = Consistency(
+            _running(self._means.holdout_error, holdout_error),
+            _running(self._means.edge_agreement, edge_agreement),
+            _running(self._means.scale_error, scale_error, weight=0.5),
+        )
+        return self._means
+
+
+def _log_ratio(
+    depth: NDArray[np.float32], sparse_depth: NDArray[np.float32], at: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    predicted = np.maximum(depth[at], np.float32(_LEAST_DEPTH_M))
+    return np.asarray(np.log(predicted / sparse_depth[at]), dtype=np.float32)
+
+
+def _edge_agreement(
+    boundary: NDArray[np.float32], sparse_depth: NDArray[np.float32]
+) -> float | None:
+    """The mean boundary between returns whose depths jump, less that between others."""
+    around = cv2.dilate(boundary, np.ones((3, 3), np.uint8))
+    at_jumps, elsewhere = [], []
+    for depth, values in ((sparse_depth, around), (sparse_depth.T, around.T)):
+        row, column = np.nonzero(depth)  # line after line
+        z = depth[row, column]
+        beside = (row[1:] == row[:-1]) & (column[1:] - column[:-1] < _NEIGHBOUR_PX)
+        nearer, farther = np.minimum(z[1:], z[:-1]), np.maximum(z[1:], z[:-1])
+        jump = beside & (farther > _JUMP * nearer) & (nearer < _NEAR_M)
+        between = values[row[1:], (column[1:] + column[:-1]) // 2]
+        at_jumps.append(between[jump])
+        elsewhere.append(between[beside & ~jump])
+    jumps, others = np.concatenate(at_jumps), np.concatenate(elsewhere)
+    if not jumps.size or not others.size:
+        return None
+    return float(jumps.mean() - others.mean())
+
+
+def _running(mean: float | None, value: float | None, *, weight: float = _WEIGHT) -> float | None:
+    if mean is None or value is None:
+        return value if mean is None else mean
+    return mean + weight * (value - mean)
