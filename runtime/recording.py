@@ -33,6 +33,8 @@ from runtime.network_size import NetworkSize
 RECORDING_FORMAT, RECORDING_VERSION = "ssdnet-recording", "1.0"
 RECORDING_FILE, MODEL_FILE = "recording.json", "model.onnx"
 
+MAX_FRAME_BYTES = 2**32  # of its arrays, unpacked: of the largest cameras with all heads
+
 _HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
 _INPUTS = ("rgb", "sparse_depth")
 _MAX_DOCUMENT_BYTES = 2**28
@@ -95,6 +97,9 @@ class Recording:
         path = _frame_path(self.folder, index)
         names = {*_INPUTS, *(self.limits if self.frames[index].valid else ())}
         try:
+            with zipfile.ZipFile(path) as packed:
+                if (size := sum(entry.file_size for entry in packed.infolist())) > MAX_FRAME_BYTES:
+                    raise ValueError(f"{size:,} bytes in a frame, at most {MAX_FRAME_BYTES:,}")
             with np.load(path, allow_pickle=False) as archive:
                 arrays = {name: archive[name] for name in archive.files}
         except (OSError, ValueError, EOFError, MemoryError, zipfile.BadZipFile) as error:
@@ -110,7 +115,9 @@ class Recording:
 
 
 class Recorder:
-    """Write a recording into a folder, a frame at a time, see `record`."""
+    """Write a recording into a folder, a frame at a time, see `record`, which raises OutputError
+    where there is no room.
+    """
 
     def __init__(self, folder: Path, settings: Settings) -> None:
         self._folder, self._settings = folder, settings
@@ -125,26 +132,20 @@ class Recorder:
         sparse_depth: NDArray[np.float32],
         answers: Mapping[str, NDArray[Any] | None],
     ) -> None:
-        """Keep a frame and, where it is valid, its answers, head -> array. Raises OutputError."""
+        """Keep a frame and, where it is valid, its answers, head -> array."""
         kept = {head: values for head, values in answers.items() if values is not None}
         self._heads |= kept.keys()
         path = _frame_path(self._folder, len(self._frames))
         # As `Predictor` takes them, NaN and all: only so can the same be asked again.
         arrays = {"rgb": rgb, "sparse_depth": sparse_depth, **(kept if frame.valid else {})}
-        try:
-            np.savez(path, **arrays)  # type: ignore[arg-type]  # its stub knows one array
-        except OSError as error:
-            raise OutputError(
-                f"cannot write {path.name} of the recording ({error.strerror}): make room, or "
-                "record fewer frames"
-            ) from error
+        np.savez(path, **arrays)  # type: ignore[arg-type]  # its stub knows one array
         self._frames.append(frame)
 
     def finish(self, model: Path, *, sha256: str | None = None) -> None:
         """Add the model that answered, and the document.
 
         sha256: of the file when it was loaded, since another may have its name by now.
-        Raises ContractError and OutputError.
+        Raises ContractError.
         """
         file = load_model_file(model, sha256=sha256)
         depth_m = file.contract.max_depth_m

@@ -1,7 +1,9 @@
 """A recording comes back as it was written, whole or not at all, and damage is told."""
 
+import io
 import json
 import pickle
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -118,6 +120,29 @@ def test_damaged_arrays_are_refused(recording):
         path.write_bytes(content)
         with pytest.raises(InputError, match="damaged"):
             read.arrays(0)
+
+
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused(recording, make_frame, monkeypatch):
+    rgb, depth = make_frame()
+    bomb = recording / "frames" / "000000.npz"
+    np.savez_compressed(bomb, rgb=rgb, sparse_depth=depth, depth=np.zeros(2**20, np.uint8))
+    assert bomb.stat().st_size < 2**16
+    read = read_recording(recording)
+    monkeypatch.setattr("runtime.recording.MAX_FRAME_BYTES", 2**20)
+    monkeypatch.setattr(np, "load", None)  # not even opened
+    with pytest.raises(InputError, match="bytes in a frame, at most 1,048,576"):
+        read.arrays(0)
+
+
+def test_a_header_that_asks_for_more_than_there_is_is_refused(recording):
+    header = io.BytesIO()
+    shape = {"descr": "|u1", "fortran_order": False, "shape": (10**15,)}
+    np.lib.format.write_array_header_1_0(header, shape)
+    with zipfile.ZipFile(recording / "frames" / "000000.npz", "w") as packed:
+        for name in ("rgb", "sparse_depth", "depth"):
+            packed.writestr(f"{name}.npy", header.getvalue())
+    with pytest.raises(InputError, match="damaged"):
+        read_recording(recording).arrays(0)
 
 
 def test_other_arrays_and_pickles_are_refused(recording, make_frame):

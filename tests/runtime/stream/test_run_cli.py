@@ -19,6 +19,7 @@ import runtime.stream.bundled
 import runtime.stream.cli
 import runtime.stream.pipeline
 from runtime.completion.ip_basic import IPBasic
+from runtime.recording import read_recording
 from runtime.stream.cli import app
 from runtime.stream.run_folder import KINDS
 
@@ -611,9 +612,10 @@ def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, monkeypatc
 
     before = signal.getsignal(number)
     monkeypatch.setattr(runtime.stream.cli.Predictor, "predict", interrupted)
-    result = run("--warmup", 0)
+    result = run("--warmup", 0, "--record", tmp_path / "recording")
     assert result.exit_code == 3
     assert "frames: 7 (7 ok), interrupted" in result.stdout
+    assert len(read_recording(tmp_path / "recording").frames) == 7
     report = json.loads((tmp_path / "out/report.json").read_text())
     assert report["interrupted"]
     assert len(rows_of(tmp_path / "out")) == 7

@@ -214,3 +214,14 @@ def test_frames_without_an_answer_leave_no_trace(tmp_path, stream, model_file):
     result = run(*stream, *options, "--record", tmp_path / "recording")
     assert result.exit_code == 3
     assert [frame.name for frame in read_recording(tmp_path / "recording").frames] == ["00001"]
+
+
+def test_a_recording_that_finds_no_room_is_an_error_and_leaves_nothing(
+    tmp_path, stream, model_file, mount_disk
+):
+    disk = mount_disk(128)  # each frame takes 57 kilobytes
+    result = run(
+        *stream, "--model", model_file(), "--out", tmp_path / "out", "--record", disk / "recording"
+    )
+    assert (result.exit_code, "No space left on device" in result.output) == (1, True)
+    assert list(disk.iterdir()) == []
