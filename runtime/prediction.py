@@ -1,10 +1,15 @@
 """What one call of the predictor gives back."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from runtime.point_cloud import PointCloud
 
 # Reasons in Prediction.degraded. The answer is usable, with less behind it than usual:
 NO_DEPTH = "no_depth"  # not one usable return: the answer comes from the camera alone
@@ -85,3 +90,33 @@ class Prediction:
     depth_uncertainty: NDArray[np.float32] | None = None
     semantic_logits: NDArray[np.float32] | None = None
     stamp: Any = None
+
+    def points(
+        self,
+        intrinsics: NDArray[np.floating[Any]],
+        rgb: NDArray[np.uint8] | None = None,
+        *,
+        edge_boundary: float | None = 0.5,
+    ) -> "PointCloud":
+        """Return the depth as a cloud of points in the camera's frame, labelled with `semantic`.
+
+        intrinsics: (3, 3) of the rectified camera, in pixels of the frame
+        rgb: uint8 (H, W, 3), the frame's picture, for the colours of the points
+        edge_boundary: pixels whose `boundary` is above it have no point: there depth passes from
+            one surface to the next through places where nothing is; None = all have one
+        Raises InputError for arrays that do not fit, for a model without depth, and where `valid`
+        is False.
+        """
+        if self.depth is None or not self.valid:
+            reason = ", ".join(self.degraded) if self.depth is not None else "it has no such head"
+            raise InputError(f"the prediction holds no depth that can be used: {reason}")
+        from runtime.point_cloud import to_points  # only where a cloud is asked for
+
+        return to_points(
+            self.depth,
+            intrinsics,
+            rgb=rgb,
+            semantic=self.semantic,
+            boundary=self.boundary,
+            edge_boundary=edge_boundary,
+        )

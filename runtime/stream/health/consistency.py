@@ -1,10 +1,10 @@
 """Whether camera and LiDAR still tell of the same world: figures of a stream, off by default.
 
-Which figure moves depends on the fault (measured in docs/streams.md): the edges when the
+Which of them moves depends on the fault (measured in docs/streams.md): the edges when the
 calibration is rotated or the stamps are shifted, the scale when the depths are wrong as a whole.
 The error at the returns held out hardly moves with either, since a network that completes depth
-follows the returns beside them. None has a limit of its own: what is usual depends on model, sensors and
-streets, so a stack compares them with what they were on its own healthy streams.
+follows the returns beside them. None has a limit of its own: what is usual depends on model,
+sensors and streets, so a stack compares them with what they were on its own healthy streams.
 """
 
 from dataclasses import dataclass

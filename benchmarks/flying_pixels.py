@@ -1,0 +1,77 @@
+"""How many points of a cloud fly between objects, and how many of them the boundary head removes.
+
+    python benchmarks/flying_pixels.py --data DIR [--limit 8] [--threads 2]
+
+A point flies between a near and a far surface: of the true depths within 3 pixels around it some
+are nearer and some farther, and all by more than 10 % and 0.5 m. Counted are points whose true
+depth is below 80 m, in the rendered scenes of DIR/rendered/val (`ssdnet-render`), of which the
+truth is dense.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime import Predictor
+from training.datasets.virtual_kitti import RenderedRecipe
+from training.evaluation.scoring import split_frames
+from training.lidar.split import LidarInput
+from training.loading.open_dataset import open_dataset
+
+FARTHEST_M = 80.0
+AROUND_PX = 3
+EDGES = (None, 0.9, 0.7, 0.5, 0.3)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--model", help="bundled name or path")
+    parser.add_argument("--limit", type=int, default=8, help="frames")
+    parser.add_argument("--threads", type=int, default=2)
+    arguments = parser.parse_args()
+    source = open_dataset(RenderedRecipe(path="rendered/val"), [arguments.data], classes="camvid")
+    # A frame of each street, as far as they go.
+    indices = np.linspace(0, len(source) - 1, arguments.limit).astype(int).tolist()
+    counts = {edge: np.zeros(2, dtype=np.int64) for edge in EDGES}  # points, flying
+    with Predictor(arguments.model, threads=arguments.threads) as predictor:
+        for sample, fed, _ in split_frames(source, indices, LidarInput("own")):
+            prediction = predictor.predict(sample.rgb, fed, focal_length_px=sample.focal_length_px)
+            near = (sample.depth > 0) & (sample.depth < FARTHEST_M)
+            flying = flies(prediction.depth, sample.depth)
+            for edge in EDGES:
+                cloud = prediction.points(sample.intrinsics, edge_boundary=edge)
+                counted = near[cloud.rows, cloud.columns]
+                bad = flying[cloud.rows, cloud.columns]
+                counts[edge] += np.count_nonzero(counted), np.count_nonzero(counted & bad)
+    print(f"{len(indices)} frames\n")
+    print("| edge_boundary | points | of all | flying | share of points | removed of the flying |")
+    print("|" + "---|" * 6)
+    all_points, all_flying = counts[None]
+    for edge, (points, bad) in counts.items():
+        print(
+            f"| {edge} | {points:,} | {points / all_points:.1%} | {bad:,} | {bad / points:.2%} | "
+            f"{1 - bad / all_flying:.1%} |"
+        )
+
+
+def flies(depth: NDArray[np.float32], truth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Whether each pixel lies between true depths around it, near none; 0 in the truth = sky."""
+    height, width = depth.shape
+    beyond = np.pad(np.where(truth > 0, truth, np.float32(np.inf)), AROUND_PX, mode="edge")
+    tolerance = np.maximum(np.float32(0.5), np.float32(0.1) * depth)
+    nearer, farther, touched = (np.zeros(depth.shape, dtype=np.bool_) for _ in range(3))
+    for row in range(2 * AROUND_PX + 1):
+        for column in range(2 * AROUND_PX + 1):
+            there = beyond[row : row + height, column : column + width]
+            nearer |= there < depth - tolerance
+            farther |= there > depth + tolerance
+            touched |= np.abs(there - depth) <= tolerance
+    return nearer & farther & ~touched
+
+
+if __name__ == "__main__":
+    main()

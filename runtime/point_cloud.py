@@ -1,0 +1,89 @@
+"""From a predicted depth map to a cloud of points, without the pixels that fly between objects."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import InputError
+from runtime.preprocess import check_rgb
+
+# Above this probability a pixel lies on an object's edge, where predicted depth passes from the
+# near surface to the far one through places where nothing is.
+EDGE_BOUNDARY = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points in the camera's frame: x to the right, y down, z along the optical axis.
+
+    points: float32 (N, 3) [m]
+    rgb: uint8 (N, 3), colours of the picture; None where no picture was given
+    semantic: uint8 (N,), class ids; None where the model has no such head
+    rows, columns: int32 (N,), the pixel of each point
+    """
+
+    points: NDArray[np.float32]
+    rgb: NDArray[np.uint8] | None
+    semantic: NDArray[np.uint8] | None
+    rows: NDArray[np.int32]
+    columns: NDArray[np.int32]
+
+
+def to_points(
+    depth: NDArray[np.float32],
+    intrinsics: NDArray[np.floating[Any]],
+    *,
+    rgb: NDArray[np.uint8] | None = None,
+    semantic: NDArray[np.uint8] | None = None,
+    boundary: NDArray[np.float32] | None = None,
+    edge_boundary: float | None = EDGE_BOUNDARY,
+) -> PointCloud:
+    """Return a point for each pixel that has depth, row after row.
+
+    depth: float32 (H, W) [m]; 0, negative, NaN and Inf have no point
+    intrinsics: (3, 3) of the rectified camera, in pixels of this depth map; integers are pixel
+        centres
+    boundary: pixels above `edge_boundary` have no point either; None = all stay
+    Raises InputError for arrays that do not fit.
+    """
+    _check_intrinsics(intrinsics)
+    if rgb is not None:
+        rgb = check_rgb(rgb)
+    for name, array in (("rgb", rgb), ("semantic", semantic), ("boundary", boundary)):
+        if array is not None and array.shape[:2] != depth.shape:
+            raise InputError(
+                f"{name} must have the size of the depth map, {depth.shape}, got {array.shape[:2]}"
+            )
+    kept = (depth > 0) & (depth < np.inf)
+    if boundary is not None and edge_boundary is not None:
+        kept &= boundary <= edge_boundary
+    row, column = np.nonzero(kept)
+    z = depth[row, column]
+    inverse = np.linalg.inv(intrinsics.astype(np.float64))
+    x, y, one = (
+        (line[0] * column + line[1] * row + line[2]).astype(np.float32) for line in inverse
+    )
+    return PointCloud(
+        points=np.stack([x * z, y * z, one * z], axis=1),
+        rgb=None if rgb is None else rgb[row, column],
+        semantic=None if semantic is None else semantic[row, column],
+        rows=row.astype(np.int32),
+        columns=column.astype(np.int32),
+    )
+
+
+def _check_intrinsics(intrinsics: Any) -> None:
+    if (
+        not isinstance(intrinsics, np.ndarray)
+        or intrinsics.shape != (3, 3)
+        or intrinsics.dtype.kind != "f"
+        or not np.isfinite(intrinsics).all()
+    ):
+        raise InputError("intrinsics must be a finite array of floats of the shape (3, 3)")
+    if not (intrinsics[[0, 1], [0, 1]] > 0).all() or not np.array_equal(intrinsics[2], (0, 0, 1)):
+        raise InputError(
+            "intrinsics must have positive fx and fy and the last row 0 0 1, got "
+            f"{intrinsics.tolist()}: is the matrix transposed?"
+        )

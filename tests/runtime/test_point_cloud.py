@@ -1,0 +1,93 @@
+"""Clouds against the projection: every point falls back into its own pixel."""
+
+import numpy as np
+import pytest
+
+from runtime import Predictor, project_points
+from runtime.errors import InputError
+from runtime.point_cloud import to_points
+
+K = np.array([[60.0, 0.5, 31.5], [0, 62, 20.25], [0, 0, 1]])
+SIZE = (48, 64)
+
+
+def depth_map(seed=0):
+    depth = np.random.default_rng(seed).uniform(1, 80, SIZE).astype(np.float32)
+    depth[0, :5] = 0, -1, np.nan, np.inf, -np.inf
+    return depth
+
+
+def test_points_fall_back_into_their_pixels():
+    depth = depth_map()
+    cloud = to_points(depth, K)
+    assert cloud.points.dtype == np.float32
+    assert cloud.points.shape == (48 * 64 - 5, 3)
+    assert cloud.rgb is cloud.semantic is None
+    back = project_points(cloud.points, K, np.eye(4), SIZE)
+    depth[0, :5] = 0
+    np.testing.assert_allclose(back, depth, rtol=1e-6)
+    np.testing.assert_array_equal(cloud.points[:, 2], depth[cloud.rows, cloud.columns])
+
+
+def test_a_point_by_hand():
+    depth = np.zeros(SIZE, np.float32)
+    depth[30, 40] = 10
+    (point,) = to_points(depth, np.array([[50.0, 0, 32], [0, 25, 24], [0, 0, 1]])).points
+    np.testing.assert_allclose(point, [(40 - 32) / 50 * 10, (30 - 24) / 25 * 10, 10], rtol=1e-6)
+
+
+def test_colours_and_labels_are_those_of_the_pixels_and_edges_have_no_point():
+    rng = np.random.default_rng(1)
+    rgb = rng.integers(0, 256, (*SIZE, 3), dtype=np.uint8)
+    semantic = rng.integers(0, 9, SIZE, dtype=np.uint8)
+    boundary = rng.random(SIZE, dtype=np.float32)
+    options = {"rgb": rgb, "semantic": semantic, "boundary": boundary}
+    cloud = to_points(depth_map(), K, **options)
+    at = cloud.rows, cloud.columns
+    np.testing.assert_array_equal(cloud.rgb, rgb[at])
+    np.testing.assert_array_equal(cloud.semantic, semantic[at])
+    assert (boundary[at] <= 0.5).all()
+    assert len(cloud.points) == (boundary[depth_map() > 0] <= 0.5).sum() - (
+        boundary[0, 3] <= 0.5  # infinity
+    )
+    assert len(to_points(depth_map(), K, **options, edge_boundary=None).points) == 48 * 64 - 5
+
+
+def test_a_prediction_gives_its_cloud(model_file, make_frame):
+    rgb, sparse_depth = make_frame()
+    with Predictor(model_file(), threads=1) as predictor:
+        prediction = predictor.predict(rgb, sparse_depth)
+        cloud = prediction.points(K, rgb)
+        np.testing.assert_array_equal(
+            cloud.points[:, 2], prediction.depth[prediction.boundary <= 0.5]
+        )
+        np.testing.assert_array_equal(cloud.rgb, rgb[prediction.boundary <= 0.5])
+        np.testing.assert_array_equal(
+            cloud.semantic, prediction.semantic[prediction.boundary <= 0.5]
+        )
+        assert len(prediction.points(K, edge_boundary=None).points) == 48 * 64
+        assert prediction.points(K).rgb is None
+
+        rgb[5, 5] = 0  # boundary is NaN there
+        with pytest.raises(InputError, match="boundary_not_finite"):
+            predictor.predict(rgb, sparse_depth).points(K)
+
+
+def test_without_depth_there_is_no_cloud(model_file, make_frame):
+    with Predictor(model_file(heads=("semantic",)), threads=1) as predictor:
+        prediction = predictor.predict(*make_frame())
+    with pytest.raises(InputError, match="no such head"):
+        prediction.points(K)
+
+
+@pytest.mark.parametrize(
+    "intrinsics", [None, K.tolist(), K.T, -K, K[:2], np.full((3, 3), np.nan), K.astype(int)]
+)
+def test_what_are_no_intrinsics(intrinsics):
+    with pytest.raises(InputError, match="intrinsics"):
+        to_points(depth_map(), intrinsics)
+
+
+def test_arrays_of_another_size():
+    with pytest.raises(InputError, match="rgb must have the size"):
+        to_points(depth_map(), K, rgb=np.zeros((48, 60, 3), np.uint8))
