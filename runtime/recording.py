@@ -159,14 +159,9 @@ class Recorder:
             },
             "frames": [asdict(frame) for frame in self._frames],
         }
-        try:
-            (self._folder / MODEL_FILE).write_bytes(file.content)
-            text = json.dumps(document, indent=1, allow_nan=False)
-            (self._folder / RECORDING_FILE).write_text(text)
-        except OSError as error:
-            raise OutputError(
-                f"cannot write the recording ({error.strerror}): make room"
-            ) from error
+        (self._folder / MODEL_FILE).write_bytes(file.content)
+        text = json.dumps(document, indent=1, allow_nan=False)
+        (self._folder / RECORDING_FILE).write_text(text)
 
 
 @contextlib.contextmanager
@@ -202,7 +197,7 @@ def read_recording(folder: Path) -> Recording:
         raise InputError(f"{path} is not JSON ({error}): get the recording again") from error
     try:
         return _parse(folder, document)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise InputError(
             f"{path} does not say what a recording does ({type(error).__name__}: {error}): it was "
             "changed, or is of another version; record again"

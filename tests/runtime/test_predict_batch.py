@@ -193,6 +193,20 @@ def test_threads_that_share_a_predictor_get_their_own_answers(model_file, make_f
             assert list(pool.map(work, range(8))) == [40] * 8
 
 
+def test_threads_that_share_a_bundled_model():
+    """The arithmetic of a real network, whose buffers ONNX Runtime plans for each run."""
+    frames = [read_frame(files, depth_scale=256.0) for files in list_frames(*bundled_stream())[:6]]
+    pairs = [(frame.rgb[:96, :160], frame.sparse_depth[:96, :160]) for frame in frames]
+    with Predictor() as predictor, ThreadPoolExecutor(4) as pool:
+        expected = [predictor.predict(*pair) for pair in pairs]
+        answers = pool.map(lambda index: predictor.predict(*pairs[index % 6]), range(24))
+        for index, answer in enumerate(answers):
+            alone = expected[index % 6]
+            np.testing.assert_array_equal(answer.semantic, alone.semantic)
+            np.testing.assert_array_equal(answer.depth, alone.depth)
+            np.testing.assert_array_equal(answer.boundary, alone.boundary)
+
+
 def test_closing_lets_a_call_that_is_under_way_end(model_file, make_frame):
     predictor = Predictor(model_file())
     rgb, depth = make_frame()

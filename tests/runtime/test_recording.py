@@ -81,6 +81,8 @@ def edit(folder, **changes):
         {"settings": []},
         {"model": None},
         {"limits": {"speed": 1}},
+        {"limits": None},
+        {"limits": {"depth": 10**400}},
         {"limits": {"depth": "1"}},
         {"limits": {"depth": float("nan")}},
         {"limits": {"depth": -1}},
