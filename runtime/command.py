@@ -5,12 +5,20 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from enum import StrEnum
 from types import FrameType
 
 from runtime.errors import SSDNetError
 
 ERROR, INTERRUPTED = 1, 130  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Provider(StrEnum):
+    """The providers that can be asked for."""
+
+    cpu = "cpu"
+    cuda = "cuda"
 
 
 def end_quietly() -> None:

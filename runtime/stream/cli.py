@@ -10,7 +10,6 @@ if __name__ == "__main__":  # python -m runtime.stream.cli
     main()  # ends the process
 
 from collections.abc import Callable, Iterator
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,7 +18,7 @@ import typer
 from runtime import __version__
 from runtime.atomic_write import atomic_write
 from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
-from runtime.command import ERROR, SIGNALS, end_now, reported_errors, say
+from runtime.command import ERROR, SIGNALS, Provider, end_now, reported_errors, say
 from runtime.completion.methods import METHODS
 from runtime.completion.predictor import CompletionPredictor
 from runtime.contract import MAX_FOCAL_PX, MIN_FOCAL_PX
@@ -53,13 +52,6 @@ from runtime.stream.writer import DEPTH_PNG_SCALE, HEADS, FrameWriter, encode
 
 SKIPPED, MISSED = 3, 4  # exit codes
 MAX_SHARDS = 1_000_000
-
-
-class Provider(StrEnum):
-    """The providers that can be asked for."""
-
-    cpu = "cpu"
-    cuda = "cuda"
 
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)

@@ -2,22 +2,14 @@
 
 import json
 from dataclasses import asdict
-from enum import StrEnum
 from typing import Annotated
 
 import typer
 
-from runtime.command import ERROR, reported_errors, say
+from runtime.command import ERROR, Provider, reported_errors, say
 from runtime.tools.doctor import Check, examine
 
 DOCTOR_FORMAT, DOCTOR_VERSION = "ssdnet-doctor", "1.0"
-
-
-class Provider(StrEnum):
-    """The providers that can be asked for."""
-
-    cpu = "cpu"
-    cuda = "cuda"
 
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)

@@ -9,11 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
-from runtime.command import ERROR, reported_errors, say
+from runtime.command import ERROR, Provider, reported_errors, say
 from runtime.errors import InputError
 from runtime.predictor import Predictor
 from runtime.recording import Recording, read_recording
-from runtime.tools.doctor_cli import Provider
 from runtime.tools.verify import FrameCheck, slowdown, verify, worst_figures
 
 VERIFY_FORMAT, VERIFY_VERSION = "ssdnet-verify", "1.0"
