@@ -76,6 +76,15 @@ def test_the_edges_agree_less_when_the_returns_are_shifted():
     assert found > 0.9
 
 
+def test_returns_that_are_far_apart_are_no_neighbours():
+    depth = np.zeros((60, 80), np.float32)
+    depth[::9, ::9] = 10
+    depth[::9, 9::18] = 20
+    boundary = np.zeros((60, 80), np.float32)
+    found = ConsistencyCheck(0.05).score(answer(boundary=boundary), None, depth, depth < 0)
+    assert found.edge_agreement is None
+
+
 def test_the_scale_is_due_every_tenth_frame():
     check = ConsistencyCheck(0.05)
     due = []

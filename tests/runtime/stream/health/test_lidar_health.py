@@ -51,11 +51,10 @@ def test_what_is_no_failure():
     assert LidarHealth().check(scan()[:, ::-1]) == (), "nothing is known yet"
 
 
-def test_values_that_are_no_returns_do_not_count():
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1])
+def test_values_that_are_no_returns_do_not_count(value):
     depth = scan(9)
-    depth[:, 100:160] = np.nan
-    depth[:, 160:190] = np.inf
-    depth[:, 190:200] = -1
+    depth[:, 100:160] = value
     assert learned().check(depth) == ("lidar_sector_lost",)
 
 

@@ -19,6 +19,8 @@ class ManualClock:
         self._now_ns = 0
         self._conditions = set()
         self._lock = threading.Lock()
+        self._waiting = set()  # threads
+        self._someone_waits = threading.Condition()
 
     def now_ns(self):
         return self._now_ns
@@ -27,7 +29,30 @@ class ManualClock:
         with self._lock:
             self._conditions.add(changed)
         if timeout_ns is None or timeout_ns > 0:
+            with self._someone_waits:
+                self._waiting.add(threading.get_ident())
+                self._someone_waits.notify_all()
             changed.wait(60)  # a test that hangs fails
+            with self._someone_waits:
+                self._waiting.discard(threading.get_ident())
+
+    def tell(self):
+        """Wake `holds_up`."""
+        with self._someone_waits:
+            self._someone_waits.notify_all()
+
+    def holds_up(self, thread, changed, *, still=lambda: True, ended=lambda: False):
+        """Whether `thread` comes to wait while `still` holds, instead of being `ended`."""
+        while True:
+            with self._someone_waits:
+                seen = self._someone_waits.wait_for(
+                    lambda: ended() or thread.ident in self._waiting, timeout=60
+                )
+            if not seen or ended():
+                return False
+            with changed:  # nobody is on the way: whoever was notified waits again or has moved
+                if thread.ident in self._waiting and still():
+                    return True
 
     def advance_ms(self, milliseconds):
         with self._lock:

@@ -93,25 +93,36 @@ def test_a_replay_answers_every_frame_in_order_from_two_threads(setup):
     assert counts.pushed == counts.answered == 2 * n
 
 
+def push_all(made, frames):
+    """Start a thread that pushes so many pairs. Returns it and what says that it is through."""
+    done = threading.Event()
+
+    def push():
+        for number in range(frames):
+            push_pair(made.stream, number)
+        done.set()
+        made.clock.tell()
+
+    pusher = threading.Thread(target=push)
+    pusher.start()
+    return pusher, done
+
+
 def test_a_replay_makes_the_pusher_wait_until_there_is_room(setup):
     made = setup(mode="replay")
     made.predictor.gate.clear()
-    pushed = []
-
-    def push_all():
-        for number in range(20):
-            push_pair(made.stream, number)
-            pushed.append(number)
-
-    pusher = threading.Thread(target=push_all)
-    pusher.start()
+    pusher, done = push_all(made, 20)
     made.predictor.entered.acquire()
-    with made.stream._changed:
-        assert made.stream._changed.wait_for(lambda: len(made.stream._ready) == 2, timeout=60)
-    assert len(pushed) <= 4, "one with the worker and two before it"
+    assert made.clock.holds_up(
+        pusher,
+        made.stream._changed,
+        still=lambda: len(made.stream._ready) == 2,
+        ended=done.is_set,
+    )
+    assert made.stream.counts.images.pushed == 4, "one predicted, two ready, one held up"
     made.predictor.gate.set()
     assert [next(made.stream).image_stamp for _ in range(20)] == [n / 10 for n in range(20)]
-    pusher.join()
+    pusher.join(60)
 
 
 def test_a_live_push_never_waits_and_the_newest_complete_frame_wins(setup):
@@ -339,24 +350,18 @@ def test_close_lets_go_who_waits_for_room_and_who_waits_for_answers(setup):
 
 def test_a_replay_that_nobody_reads_holds_a_bounded_number_of_answers_and_can_be_closed(setup):
     made = setup(mode="replay")
-    done = threading.Event()
-
-    def push_all():
-        for number in range(200):
-            push_pair(made.stream, number)
-        done.set()
-
-    pusher = threading.Thread(target=push_all)
-    pusher.start()
-    with made.stream._changed:
-        full = made.stream._changed.wait_for(
-            lambda: len(made.stream._results) == 8 and len(made.stream._ready) == 2, timeout=60
-        )
-    assert full
-    assert not done.is_set()
+    pusher, done = push_all(made, 200)
+    assert made.clock.holds_up(
+        pusher,
+        made.stream._changed,
+        still=lambda: len(made.stream._results) == 8 and len(made.stream._ready) == 2,
+        ended=done.is_set,
+    )
+    assert made.stream.counts.images.pushed == 8 + 2 + 1
     made.stream.close()
     pusher.join(60)
-    assert len(list(made.stream)) <= 8 + 2 + 1 + 16
+    assert [result.sequence for result in made.stream] == list(range(10))
+    assert add_up(made.stream.counts).pending == 0
 
 
 def test_on_result_is_called_in_order_and_may_close_the_stream(setup):
@@ -529,6 +534,18 @@ def test_errors_reach_the_watchdog(setup):
     push_pair(made.stream, 0)
     while ("failed",) not in told:
         assert heard.acquire(timeout=60)
+
+
+def test_stamps_that_jump_back_are_no_jitter(setup):
+    made = setup(mode="live")
+    for number in (100, 0):
+        push_pair(made.stream, number)
+        next(made.stream)
+    assert made.stream.counts.jumps_back == 1
+    assert made.stream.statistics.stages["jitter"] is None
+    push_pair(made.stream, 1)
+    next(made.stream)
+    assert made.stream.statistics.stages["jitter"].n == 1
 
 
 # --- health and calibration --------------------------------------------------------------------
