@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from importlib import import_module
 from os import PathLike
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -94,9 +95,8 @@ class Predictor:
         self.model, self.digest, self.contract = str(path), file.sha256, file.contract
         self.provider = provider
         self.threads = threads or available_cores()
-        session = open_session(
-            file.content, provider=provider, device_id=device_id, threads=self.threads
-        )
+        self._device_id = device_id
+        session = self._open_session(file.content)
         signature = read_signature(session, num_classes=len(self.contract.classes))
         self.input_size, self.heads = signature.size, signature.heads
         self.free_batch = signature.free_batch
@@ -277,6 +277,17 @@ class Predictor:
             if self.first_inference_ms is None:
                 self.first_inference_ms = latency.total_ms
 
+    def reset(self) -> None:
+        """Open the session anew from the model file, on the same provider and device.
+
+        For a provider that failed while running: `predict` raised InferenceError and goes on doing
+        so, and a stream counts errors. Other threads may go on predicting meanwhile. Raises
+        ContractError if the file is no longer the one that was opened, ProviderError if the
+        provider cannot run it any more; the old session then stays.
+        """
+        file = load_model_file(Path(self.model), sha256=self.digest)
+        self._session = self._open_session(file.content)
+
     def close(self) -> None:
         """Free the session. Predicting afterwards raises InferenceError."""
         self._session = None
@@ -291,6 +302,11 @@ class Predictor:
         traceback: TracebackType | None,
     ) -> None:
         self.close()
+
+    def _open_session(self, content: bytes) -> Any:
+        return open_session(
+            content, provider=self.provider, device_id=self._device_id, threads=self.threads
+        )
 
     def _preprocess(self, rgb: Any, sparse_depth: Any, focal_length_px: Any) -> NetworkInput:
         focal = _check_focal_length(focal_length_px)

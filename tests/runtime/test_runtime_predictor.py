@@ -4,11 +4,12 @@ import dataclasses
 import hashlib
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
 
-from runtime import InferenceError, InputError, Predictor
+from runtime import ContractError, InferenceError, InputError, Predictor
 
 DEPTH_OFFSET_M = 1.5  # of the models by hand
 
@@ -361,3 +362,51 @@ print(peak_after(400) - before)
     )
     # A leak of one answer a frame would be 400 x 540 kB.
     assert int(grown.stdout) < 20_000, "kB over 400 frames"
+
+
+class LostDevice:
+    """A session whose device fell off the bus."""
+
+    def run(self, *_):
+        raise RuntimeError("CUDA error 999")
+
+
+def test_reset_recovers_from_a_provider_that_failed(model_file, make_frame):
+    frame = make_frame()
+    with Predictor(model_file(), threads=1) as predictor:
+        expected = predictor.predict(*frame)
+        providers = predictor.providers
+        predictor._session = LostDevice()
+        for _ in range(2):
+            with pytest.raises(InferenceError, match="CUDA error 999"):
+                predictor.predict(*frame)
+        predictor.reset()
+        np.testing.assert_array_equal(predictor.predict(*frame).depth, expected.depth)
+        assert predictor.providers == tuple(predictor._session.get_providers()) == providers
+
+
+def test_reset_runs_no_other_model_than_before(model_file, make_frame):
+    frame = make_frame()
+    with Predictor(model_file(), threads=1) as predictor:
+        model_file(heads=("depth",))  # in the same place
+        with pytest.raises(ContractError):
+            predictor.reset()
+        assert predictor.predict(*frame).semantic is not None, "the old session stays"
+
+
+def test_a_stream_goes_on_after_a_reset(model_file, make_frame):
+    rgb, sparse_depth = make_frame()
+    failed = threading.Event()
+    with (
+        Predictor(model_file(), threads=1) as predictor,
+        predictor.stream(mode="replay", on_error=lambda error: failed.set()) as stream,
+    ):
+        predictor._session = LostDevice()
+        stream.push_image(rgb, 0)
+        stream.push_depth(sparse_depth, 0)
+        assert failed.wait(60)
+        predictor.reset()
+        stream.push_image(rgb, 1)
+        stream.push_depth(sparse_depth, 1)
+        assert next(stream).image_stamp == 1
+        assert stream.counts.errors == {"inference_error": 2}
