@@ -63,6 +63,12 @@ def test_classical_methods_load_no_scipy_before_one_that_needs_it_is_made():
     assert not loaded & {"scipy", "onnxruntime", "torch", "models", "training"}
 
 
+def test_the_engine_loads_nothing_of_streams_until_one_is_asked_for():
+    loaded = words_printed_by("import sys; from runtime import Predictor; print(*sys.modules)")
+    assert "runtime.predictor" in loaded
+    assert not [name for name in loaded if name.startswith("runtime.stream")]
+
+
 def test_the_command_loads_neither_torch_nor_onnx_nor_onnxruntime():
     loaded = loaded_after("import runtime.stream.cli")
     assert {"runtime", "numpy", "cv2", "typer"} <= loaded
