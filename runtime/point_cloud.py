@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.preprocess import check_rgb
 
 # Above this probability a pixel lies on an object's edge, where predicted depth passes from the
 # near surface to the far one through places where nothing is.
@@ -49,8 +48,8 @@ def to_points(
     Raises InputError for arrays that do not fit.
     """
     _check_intrinsics(intrinsics)
-    if rgb is not None:
-        rgb = check_rgb(rgb)
+    if rgb is not None and (rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3):
+        raise InputError(f"rgb must be uint8 (H, W, 3), got {rgb.dtype} {rgb.shape}")
     for name, array in (("rgb", rgb), ("semantic", semantic), ("boundary", boundary)):
         if array is not None and array.shape[:2] != depth.shape:
             raise InputError(

@@ -91,3 +91,9 @@ def test_what_are_no_intrinsics(intrinsics):
 def test_arrays_of_another_size():
     with pytest.raises(InputError, match="rgb must have the size"):
         to_points(depth_map(), K, rgb=np.zeros((48, 60, 3), np.uint8))
+
+
+@pytest.mark.parametrize("rgb", [np.zeros(SIZE, np.uint8), np.zeros((*SIZE, 3), np.float32)])
+def test_a_picture_of_another_kind(rgb):
+    with pytest.raises(InputError, match="rgb must be uint8"):
+        to_points(depth_map(), K, rgb=rgb)

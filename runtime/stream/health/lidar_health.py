@@ -2,9 +2,8 @@
 
 What a LiDAR gives depends on its make and its mounting, so each stream is compared with itself: the
 returns in 16 columns and 8 rows of cells over the picture with their running means over the frames
-that were found whole. A street changes them less than a failure does: in 60 frames of KITTI's drive
-2011_09_26, a queue at a traffic light, no cell that is looked at fell below 0.69 of its mean. What
-is missing from the first frame on is not found.
+that were found whole. A street changes them less than a failure does: none of 60 frames of KITTI's
+drive 2011_09_26 is flagged. What is missing from the first frame on is not found.
 """
 
 import numpy as np

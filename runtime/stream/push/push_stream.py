@@ -21,7 +21,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,15 +54,27 @@ from runtime.stream.push.statistics import StatisticsRecorder, StreamStatistics
 from runtime.stream.push.synchronizer import Decided, Message, Pair, Synchronizer
 from runtime.stream.push.watchdog import Watchdog, WatchdogLimits, WatchdogState
 
-if TYPE_CHECKING:
-    from runtime.predictor import Predictor
-
 LIVE, REPLAY = "live", "replay"
 _WAITING = 16  # messages a sensor that wait for their partner
 _READY = 2  # replay: pairs that wait for their turn
 _RESULTS = 8  # replay: answers that wait to be fetched
 _LONGEST_MS = 1e9
 _END = object()
+
+
+class AnswersFrames(Protocol):
+    """What a stream needs of a `Predictor`."""
+
+    focal_length_px: float | None
+
+    def predict(
+        self,
+        rgb: NDArray[np.uint8],
+        sparse_depth: NDArray[np.float32],
+        *,
+        focal_length_px: float | None = None,
+        stamp: Any = None,
+    ) -> Prediction: ...
 
 
 class PushStream:
@@ -74,7 +86,7 @@ class PushStream:
 
     def __init__(
         self,
-        predictor: "Predictor",
+        predictor: AnswersFrames,
         *,
         mode: str = LIVE,
         deadline_ms: float | None = None,
