@@ -28,7 +28,7 @@ def candidates() -> dict[str, SSDNetConfig]:
     }
     blocks = {
         f"blocks {' '.join(map(str, counts))}": replace(LITE, encoder_blocks=counts)
-        for counts in ((1, 1, 1, 1), (1, 2, 2, 2), (1, 1, 2, 2), (1, 2, 2, 3), (2, 2, 2, 1))
+        for counts in ((1, 1, 1, 1), (2, 2, 2, 2), (1, 1, 2, 2), (1, 2, 2, 3), (1, 2, 2, 1))
     }
     decoders = {
         f"decoder {' '.join(map(str, widths))}": replace(LITE, decoder_channels=widths)
@@ -37,13 +37,16 @@ def candidates() -> dict[str, SSDNetConfig]:
     return {
         "ssdnet-lite": LITE,
         "no semantic refinement": replace(LITE, semantic_refine_channels=0),
-        "no depth prior": replace(LITE, depth_prior=False),
+        "no measured surfaces": replace(LITE, depth_surfaces=False, depth_refine_channels=0),
+        "surfaces at a quarter": replace(LITE, depth_refine_channels=0),
         "no global context": replace(LITE, global_context=False),
-        "no depth decoder": replace(LITE, depth_head=False, depth_prior=False),
+        "no depth decoder": replace(
+            LITE, depth_head=False, depth_surfaces=False, depth_refine_channels=0
+        ),
         "no semantic decoder": replace(
             LITE, semantic_head=False, classes=(), semantic_refine_channels=0
         ),
-        "stem 16 32": replace(LITE, stem_channels=(16, 32)),
+        "stem 32 32": replace(LITE, stem_channels=(32, 32)),
         "boundary 8": replace(LITE, boundary_channels=8),
         **bottoms,
         **blocks,

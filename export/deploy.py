@@ -33,7 +33,8 @@ class DeployGraph(nn.Module):
         rgb: uint8 (N, H, W, 3), red first. sparse_depth: float32 (N, H, W), metres; what is no
         measurement is masked by the network. Returns, as far as the network has the head:
         semantic uint8 (N, H, W), NO_CLASS where its scores are not finite, depth float32 (N, H, W)
-        in metres, boundary float32 (N, H, W) in 0..1, semantic_logits float32 (N, C, H, W).
+        in metres, boundary float32 (N, H, W) in 0..1, depth_uncertainty float32 (N, H, W) in
+        metres, semantic_logits float32 (N, C, H, W).
         """
         config = self.model.config
         height, width = rgb.shape[1], rgb.shape[2]
@@ -49,16 +50,20 @@ class DeployGraph(nn.Module):
 
         grids: dict[int, dict[str, Tensor]] = {}
         if coarse.boundary_logits is not None:
-            grids.setdefault(config.output_stride, {})["boundary"] = coarse.boundary_logits
+            grids.setdefault(config.boundary_stride, {})["boundary"] = coarse.boundary_logits
         if coarse.depths is not None:
             metres = coarse.depths[0] * config.max_depth_m
             grids.setdefault(config.depth_stride, {})["depth"] = metres
+        if coarse.depth_uncertainty is not None:
+            metres = coarse.depth_uncertainty * config.max_depth_m
+            grids.setdefault(config.depth_stride, {})["depth_uncertainty"] = metres
         for stride, maps in grids.items():
             # One tensor for both: ONNX Runtime splits the work of a Resize by channels, so two of
             # one channel each take four times as long.
-            full = upsample(torch.cat(list(maps.values()), dim=1), factor=stride)
-            full = full[:, :, :height, :width]
-            answers |= {head: full[:, index] for index, head in enumerate(maps)}
+            if stride > 1:
+                full = upsample(torch.cat(list(maps.values()), dim=1), factor=stride)
+                maps = dict(zip(maps, full.split(1, dim=1), strict=True))
+            answers |= {head: full[:, 0, :height, :width] for head, full in maps.items()}
         if "boundary" in answers:
             answers["boundary"] = torch.sigmoid(answers["boundary"])
         return tuple(answers[head] for head in self.heads)

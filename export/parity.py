@@ -71,6 +71,9 @@ def reference(model: Network, frame: ProbeFrame) -> dict[str, NDArray[Any]]:
         answers["semantic"] = output.semantic_logits[0].argmax(dim=0).to(torch.uint8)
     if output.depths is not None:
         answers["depth"] = output.depths[0][0, 0] * model.config.max_depth_m
+    if output.depth_uncertainty is not None:
+        scale = output.depth_uncertainty[0, 0] * model.config.max_depth_m
+        answers["depth_uncertainty"] = scale
     return {head: answer.numpy() for head, answer in answers.items()}
 
 

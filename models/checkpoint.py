@@ -131,7 +131,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
         raise CheckpointError(
             f"{path}: its configuration cannot be built here: {_first_line(error)}. "
-            "It may come from a newer release."
+            "It comes from another release."
         ) from error
     try:
         check_weights(document["weights"], expected)

@@ -20,7 +20,7 @@ from runtime.contract import (
     check_stride,
 )
 
-Head = Literal["semantic", "depth", "boundary"]
+Head = Literal["semantic", "depth", "boundary", "depth_uncertainty"]
 
 
 class SSDNetOutput(NamedTuple):
@@ -35,6 +35,9 @@ class SSDNetOutput(NamedTuple):
     boundary_logits: Tensor | None = None
     #: Logits of B_i, (N, 1, h_i, w_i), finest first; () without side outputs.
     side_boundary_logits: tuple[Tensor, ...] = ()
+    #: (N, 1, H, W), normalised as the depth: the scale b of a Laplace distribution of its error,
+    #: 63 % of the errors are below b, 86 % below 2 b.
+    depth_uncertainty: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -83,12 +86,17 @@ class NetworkConfig:
 
     @property
     def output_stride(self) -> int:
-        """Ratio of the image to the finest grid of the boundaries, and of depth by default."""
+        """Ratio of the image to the finest grid of the decoders."""
         return 1
 
     @property
     def depth_stride(self) -> int:
         """Ratio of the image to the grid of the finest depth."""
+        return self.output_stride
+
+    @property
+    def boundary_stride(self) -> int:
+        """Ratio of the image to the grid of the boundary."""
         return self.output_stride
 
     @property
@@ -152,9 +160,9 @@ class Network(nn.Module):
             return upsample(x, factor=stride)[:, :, :height, :width]
 
         logits, depths, boundary = coarse.semantic_logits, coarse.depths, coarse.boundary_logits
-        stride = self.config.output_stride
+        scale, config = coarse.depth_uncertainty, self.config
         if logits is not None:
-            side = self.config.semantic_stride
+            side = config.semantic_stride
             logits = (
                 full_size(logits, side)
                 if upsample_semantic
@@ -164,19 +172,22 @@ class Network(nn.Module):
             semantic_logits=logits,
             depths=None
             if depths is None
-            else (full_size(depths[0], self.config.depth_stride), *depths[1:]),
-            boundary_logits=None if boundary is None else full_size(boundary, stride),
+            else (full_size(depths[0], config.depth_stride), *depths[1:]),
+            boundary_logits=(
+                None if boundary is None else full_size(boundary, config.boundary_stride)
+            ),
             side_boundary_logits=coarse.side_boundary_logits,
+            depth_uncertainty=None if scale is None else full_size(scale, config.depth_stride),
         )
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
         """Predict on the heads' own grids.
 
         These are 1 / ``config.semantic_stride`` of the image for the semantics, 1 /
-        ``config.depth_stride`` for the finest depth and 1 / ``config.output_stride`` for the
-        boundary. Inputs as `forward`. A
-        network that pads the image at the bottom and right to a multiple of its stride gives grids
-        that cover the padding too.
+        ``config.depth_stride`` for the finest depth and its uncertainty and 1 /
+        ``config.boundary_stride`` for the boundary. Inputs as `forward`. A network that pads the
+        image at the bottom and right to a multiple of its stride gives grids that cover the padding
+        too.
         """
         raise NotImplementedError
 

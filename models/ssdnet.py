@@ -9,12 +9,25 @@ from torch import Tensor, nn
 
 from models.blocks import ConvBNReLU, pad_to_multiple, upsample
 from models.boundary_decoder import BoundaryDecoder
-from models.depth_prior import DepthPrior, pull_push_fill
 from models.encoder import build_encoder
 from models.network import Network, SSDNetOutput, initialise
 from models.ssdnet_config import SSDNetConfig
-from models.surfaces import Surfaces, choose_surface, gather_surfaces, keep_measurements
+from models.surfaces import (
+    COARSE_CELL,
+    FINE_CELL,
+    HEAD_CHANNELS,
+    Surfaces,
+    carry_surfaces,
+    choose_surface,
+    error_scale,
+    keep_measurements,
+    refine_surfaces,
+    surface_features,
+)
 from models.task_decoder import TaskDecoder, UpBlock
+
+#: Channels of `surface_features`.
+_SURFACE_FEATURES = 6
 
 
 class SSDNet(Network):
@@ -30,8 +43,8 @@ class SSDNet(Network):
             stem.append(ConvBNReLU(width, channels, stride=2))
             width = channels
         self.stem = nn.Sequential(*stem)
-        self.prior_stem = (
-            nn.Conv2d(len(DepthPrior._fields), width, 1) if config.depth_prior else None
+        self.surface_stem = (
+            nn.Conv2d(_SURFACE_FEATURES, width, 1) if config.depth_surfaces else None
         )
         self.encoder = build_encoder(config, width)
         skips, bottom = self.encoder.skip_channels, self.encoder.bottom_channels
@@ -51,19 +64,18 @@ class SSDNet(Network):
         self.depth_decoder = self.depth_heads = self.depth_refine = None
         if config.depth_head:
             self.depth_decoder = TaskDecoder(config, skips, bottom)
+            self.depth_heads = nn.ModuleList(
+                nn.Conv2d(channels, 1, 1) for channels in reversed(config.decoder_channels)
+            )
+        if config.depth_surfaces:
+            self.surface_project = nn.Conv2d(_SURFACE_FEATURES, finest, 1)
+            width = finest
             if config.depth_refine_channels:
                 width = config.depth_refine_channels
                 self.depth_refine = UpBlock(
                     finest, config.stem_channels[0], width, config.skip_fusion
                 )
-                self.surface_features = nn.Conv2d(len(Surfaces._fields), width, 1)
-                self.surface_block = ConvBNReLU(width, width)
-                self.surface_head = nn.Conv2d(width, 4, 1)
-            self.depth_heads = nn.ModuleList(
-                # With a prior the finest head says a correction and how far to trust the prior.
-                nn.Conv2d(channels, 2 if config.depth_prior and scale == 0 else 1, 1)
-                for scale, channels in enumerate(reversed(config.decoder_channels))
-            )
+            self.surface_head = nn.Conv2d(width, HEAD_CHANNELS, 1)
         self.apply(initialise)
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
@@ -85,18 +97,15 @@ class SSDNet(Network):
         x = torch.cat(inputs, dim=1)
         if exact:
             x = pad_to_multiple(x, config.stride)
-        prior = None
         stem_features = [x]
         for layer in self.stem:
             stem_features.append(layer(stem_features[-1]))
         x_stem = stem_features[-1]
-        if self.prior_stem is not None:
-            prior = pull_push_fill(
-                x[:, -2:],  # depth and mask, padded
-                factor=config.output_stride,
-                levels=config.num_skips,
-            )
-            x_stem = x_stem + self.prior_stem(torch.cat(prior, dim=1))
+        measured, surfaces, cues = x[:, -2:], None, None
+        if self.surface_stem is not None:
+            surfaces, density = carry_surfaces(measured, levels=config.num_skips)
+            cues = surface_features(surfaces, density)
+            x_stem = x_stem + self.surface_stem(cues)
 
         skips, bottom = self.encoder(x_stem)
         boundary_logits, sides = self.boundary_decoder(skips, exact=exact)
@@ -108,39 +117,48 @@ class SSDNet(Network):
         if self.semantic_decoder is not None and self.semantic_head is not None:
             finest = self.semantic_decoder(bottom, skips, boundaries, exact=exact)[0]
             if self.semantic_refine is not None:
-                gate = None if boundaries[0] is None else upsample(boundaries[0])
-                finest = self.semantic_refine(finest, stem_features[1], gate, exact=exact)
+                finest = self.semantic_refine(finest, stem_features[1], None, exact=exact)
             semantic_logits = self.semantic_head(finest)
-        depths = None
+        depths = uncertainty = None
         if self.depth_decoder is not None and self.depth_heads is not None:
             features = self.depth_decoder(bottom, skips, boundaries, exact=exact)
-            logits = [
-                head(feature) for head, feature in zip(self.depth_heads, features, strict=True)
-            ]
-            if prior is not None:
-                logits[0] = _refine(logits[0], prior)
-            depths = tuple(torch.sigmoid(logit) for logit in logits)
-            if self.depth_refine is not None:
-                gate = None if boundaries[0] is None else upsample(boundaries[0])
-                finest = self.depth_refine(features[0], stem_features[1], gate, exact=exact)
-                depths = (self._choose_surface(finest, depths[0], x[:, -2:]), *depths)
-        return SSDNetOutput(semantic_logits, depths, boundary_logits, tuple(sides))
+            depths = tuple(
+                torch.sigmoid(head(feature))
+                for head, feature in zip(self.depth_heads, features, strict=True)
+            )
+            if surfaces is not None:
+                finest = features[0] + self.surface_project(cues)
+                if self.depth_refine is not None:
+                    finest = self.depth_refine(finest, stem_features[1], None, exact=exact)
+                depth, uncertainty, boundary_logits = self._complete_depth(
+                    self.surface_head(finest), depths[0], surfaces, measured, boundary_logits
+                )
+                depths = (depth, *depths)
+        return SSDNetOutput(semantic_logits, depths, boundary_logits, tuple(sides), uncertainty)
 
-    def _choose_surface(self, features: Tensor, regressed: Tensor, measured: Tensor) -> Tensor:
-        """Depth at full size from features (N, C, h, w) on the grid of the stem's first layer."""
-        surfaces = gather_surfaces(measured, factor=2, levels=self.config.num_skips + 1)
-        features = features + self.surface_features(surfaces.features())
-        head = self.surface_head(self.surface_block(features)).float()
-        depth = choose_surface(head, upsample(regressed.float()), surfaces)
-        return keep_measurements(upsample(depth), measured)
+    def _complete_depth(
+        self,
+        head: Tensor,
+        regressed: Tensor,
+        surfaces: Surfaces,
+        measured: Tensor,
+        boundary_logits: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Depth, its uncertainty and the boundary's logits at full size from the choice's head.
 
-
-def _refine(head: Tensor, prior: DepthPrior) -> Tensor:
-    """Logit of the depth: a correction plus the prior's logit as far as it is trusted.
-
-    Where nothing supports the prior its share is 0 and the correction alone is the answer.
-    """
-    correction, trust = head[:, :1], head[:, 1:]
-    filled = prior.filled.clamp(1e-3, 1.0 - 1e-3)
-    prior_logit = torch.log(filled / (1.0 - filled))
-    return correction + torch.sigmoid(trust) * prior.support * prior_logit
+        One upsampling for all maps of a grid: ONNX Runtime splits the work of a Resize by channels.
+        """
+        head, regressed = head.float(), regressed.float()
+        boundary_logits = boundary_logits.float()
+        stride = COARSE_CELL
+        if self.depth_refine is not None:
+            stride = FINE_CELL
+            maps = torch.cat([*surfaces, regressed, boundary_logits], dim=1)
+            maps = upsample(maps, factor=COARSE_CELL // FINE_CELL)
+            *raised, regressed, boundary_logits = maps.split(1, dim=1)
+            surfaces = refine_surfaces(Surfaces(*raised), measured)
+        depth = choose_surface(head, regressed, surfaces)
+        scale = error_scale(head, depth)
+        full = upsample(torch.cat([depth, scale, boundary_logits], dim=1), factor=stride)
+        depth = keep_measurements(full[:, :1], measured[:, :1])
+        return depth, full[:, 1:2], full[:, 2:]

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from models.network import Head, NetworkConfig
+from models.surfaces import COARSE_CELL
 
 # What can be built: far beyond any network that was.
 MAX_STAGES = 8
@@ -41,8 +42,11 @@ class SSDNetConfig(NetworkConfig):
     #: Channels of one more UpBlock of the semantic decoder, on the grid of the stem's first
     #: convolution; 0 = none. Poles and signs are thinner than a cell of the coarser grid.
     semantic_refine_channels: int = 0
-    #: Channels of one more UpBlock of the depth decoder, on the same grid, whose head chooses among
-    #: the surfaces that were measured around a pixel, see `models.surfaces`; 0 = none.
+    #: Feed the surfaces that were measured around a pixel beside the sparse depth, let the depth
+    #: head choose among them and say how sure it is, see `models.surfaces`.
+    depth_surfaces: bool = False
+    #: Channels of one more UpBlock of the depth decoder, on the same grid, for that choice; 0 =
+    #: none: the choice is made on the grid of the stem.
     depth_refine_channels: int = 0
     boundary_channels: int = 16
     #: Gate the decoders by 1 - B (Eq. 1); without it B = 0 and a BaConv is a plain convolution.
@@ -52,8 +56,6 @@ class SSDNetConfig(NetworkConfig):
     sparse_depth_gain: float = 1.0
     #: Feed the mask of measured pixels beside the sparse depth.
     valid_mask_input: bool = False
-    #: Fill the sparse depth by a masked average pyramid and let the depth head refine it.
-    depth_prior: bool = False
     #: Add the projected global mean of the bottom features to them.
     global_context: bool = False
 
@@ -76,18 +78,20 @@ class SSDNetConfig(NetworkConfig):
             self.semantic_head and len(self.stem_channels) > 1
         ):
             raise ValueError("semantic_refine_channels needs a semantic head and two stem layers")
-        if self.depth_refine_channels and not (self.depth_prior and len(self.stem_channels) > 1):
-            raise ValueError("depth_refine_channels needs depth_prior and two stem layers")
-        if self.depth_prior and not (self.depth_head and self.use_sparse_depth):
-            raise ValueError("depth_prior needs the sparse depth and a depth head")
-        if self.depth_prior and not self.valid_mask_input:
-            raise ValueError("depth_prior needs valid_mask_input")
-        if self.depth_prior and self.sparse_depth_gain != 1:
-            raise ValueError("depth_prior takes the sparse depth as it is: sparse_depth_gain is 1")
+        if self.depth_refine_channels and not self.depth_surfaces:
+            raise ValueError("depth_refine_channels needs depth_surfaces")
+        if self.depth_surfaces and not (self.depth_head and self.use_sparse_depth):
+            raise ValueError("depth_surfaces needs the sparse depth and a depth head")
+        if self.depth_surfaces and not self.valid_mask_input:
+            raise ValueError("depth_surfaces needs valid_mask_input")
+        if self.depth_surfaces and self.sparse_depth_gain != 1:
+            raise ValueError(
+                "depth_surfaces takes the sparse depth as it is: sparse_depth_gain is 1"
+            )
         if not self.sparse_depth_gain > 0:
             raise ValueError(f"sparse_depth_gain must be positive, got {self.sparse_depth_gain}")
-        if self.depth_prior and not self.stem_channels:
-            raise ValueError("depth_prior works on the grid of a strided stem")
+        if self.depth_surfaces and self.output_stride != COARSE_CELL:
+            raise ValueError(f"depth_surfaces works on a stem of stride {COARSE_CELL}")
 
     def _check_sizes(self) -> None:
         """Refuse more layers or channels than any network has, before they are made."""
@@ -113,6 +117,7 @@ class SSDNetConfig(NetworkConfig):
             "semantic": self.semantic_head,
             "depth": self.depth_head,
             "boundary": True,
+            "depth_uncertainty": self.depth_surfaces,
         }
         return tuple(head for head, there in present.items() if there)
 
@@ -130,7 +135,12 @@ class SSDNetConfig(NetworkConfig):
     @property
     def depth_stride(self) -> int:
         """Ratio of the image to the grid of the finest depth."""
-        return 1 if self.depth_refine_channels else self.output_stride
+        return 1 if self.depth_surfaces else self.output_stride
+
+    @property
+    def boundary_stride(self) -> int:
+        """Ratio of the image to the grid of the boundary: it is raised along with the depth."""
+        return self.depth_stride
 
     @property
     def semantic_stride(self) -> int:
@@ -157,17 +167,28 @@ SSDNET_SMALL = SSDNetConfig(
 
 SSDNET_LITE = SSDNetConfig(
     name="ssdnet-lite",
-    stem_channels=(32, 32),
+    stem_channels=(16, 32),
     encoder_channels=(32, 64, 128, 256),
-    encoder_blocks=(2, 2, 2, 2),
+    encoder_blocks=(1, 2, 2, 2),
     encoder_block="residual",
     decoder_channels=(64, 48, 32),
     skip_fusion="add",
     semantic_refine_channels=16,
     valid_mask_input=True,
-    depth_prior=True,
+    depth_surfaces=True,
     depth_refine_channels=16,
     global_context=True,
+)
+
+SSDNET_NANO = replace(
+    SSDNET_LITE,
+    name="ssdnet-nano",
+    stem_channels=(16, 16),
+    encoder_channels=(16, 48, 96, 160),
+    encoder_blocks=(1, 1, 2, 2),
+    decoder_channels=(32, 16, 16),
+    semantic_refine_channels=0,
+    depth_refine_channels=0,
 )
 
 
@@ -194,4 +215,5 @@ FAMILY: tuple[SSDNetConfig, ...] = (
     *_with_ablations(SSDNET),
     *_with_ablations(SSDNET_SMALL),
     SSDNET_LITE,
+    SSDNET_NANO,
 )

@@ -10,24 +10,31 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from models.depth_prior import pull_push
 from models.pooling import cell_maxima, maxima_around, means_around
+from models.pull_push import pull_push
 
+#: Pixels a side of a cell on the coarse grid, where surfaces are carried on, and on the fine one.
+COARSE_CELL, FINE_CELL = 4, 2
 #: Windows of the max-pools that carry a surface on into cells without any, one after the other:
-#: together they reach 18 cells.
-WINDOWS = (3, 3, 5, 7, 9, 15)
+#: together they reach 10 cells.
+WINDOWS = (3, 5, 7, 9)
 #: Normalised depth below which no surface lies.
 NEAREST = 1e-3
+_LOG_NEAREST = -6.907755  # log(NEAREST)
 #: A return within this share of the predicted depth is taken as it is, one beyond twice as much is
 #: not: it may show through the gap between two surfaces.
 AGREEMENT = 0.05
+#: Least and greatest log of the ratio of the error's scale to the depth.
+LOG_SCALE = (-6.0, 1.0)
+#: What `choose_surface` and `error_scale` read.
+HEAD_CHANNELS = 5
 
 
 class Surfaces(NamedTuple):
-    """Candidates of the normalised depth, each (N, 1, h, w), and where there are any.
+    """Candidates of the normalised depth, each (N, 1, h, w), NEAREST..1, and where there are any.
 
-    Where ``support`` (0 or 1) is 0 ``nearest`` and ``farthest`` say nothing, where
-    ``mean_support`` (0..1) is 0 ``mean`` does not.
+    Where ``support`` (0..1) is 0 ``nearest`` and ``farthest`` say nothing, where ``mean_support``
+    (0..1) is 0 ``mean`` does not.
     """
 
     nearest: Tensor
@@ -35,75 +42,90 @@ class Surfaces(NamedTuple):
     mean: Tensor
     support: Tensor
     mean_support: Tensor
-    #: Share of measured pixels in a cell.
-    density: Tensor
-
-    def features(self) -> Tensor:
-        """What a convolution can read of them: (N, 6, h, w), each 0..1 and 0 without support."""
-        steps = [
-            (1.0 - torch.log(depth) / _LOG_NEAREST) * known
-            for depth, known in (
-                (self.nearest, self.support),
-                (self.farthest, self.support),
-                (self.mean, self.mean_support),
-            )
-        ]
-        return torch.cat([*steps, self.support, self.mean_support, self.density], dim=1)
 
 
-_LOG_NEAREST = -6.907755  # log(NEAREST)
-
-
-def gather_surfaces(measured: Tensor, *, factor: int, levels: int) -> Surfaces:
-    """Carry what was measured on to a dense grid, ``factor`` times coarser than the input.
+def carry_surfaces(measured: Tensor, *, levels: int) -> tuple[Surfaces, Tensor]:
+    """Carry what was measured on to a dense grid of cells of COARSE_CELL pixels.
 
     measured (N, 2, H, W): the normalised depth, 0 where not measured, and the mask of measured
-    pixels, 0 or 1; height and width are multiples of ``factor * 2**levels``. The nearest surface is
-    the maximum of inverse depth, smoothed over 3 x 3 cells, the farthest the maximum of depth; the
-    mean is a pull-push pyramid (Gortler et al. 1996) of inverse depth, which reaches everywhere.
+    pixels, 0 or 1; height and width are multiples of ``COARSE_CELL * 2**levels``. The nearest
+    surface is the maximum of inverse depth, smoothed over 3 x 3 cells, the farthest the maximum of
+    depth; the mean is a pull-push pyramid of inverse depth, which reaches everywhere. Returns the
+    surfaces, and the share of measured pixels in a cell, (N, 1, h, w).
     """
     depth, mask = measured[:, :1], measured[:, 1:]
     inverse = mask / depth.clamp(min=NEAREST)
-    carried = cell_maxima(torch.cat([inverse, depth], dim=1), factor)
+    carried = cell_maxima(torch.cat([inverse, depth], dim=1), COARSE_CELL)
     for window in WINDOWS:
         carried = torch.where(carried > 0, carried, maxima_around(carried, window))
     support = (carried[:, 1:] > 0).to(depth.dtype)
     smooth = means_around(torch.cat([carried[:, :1], support], dim=1), 3)
     nearest = smooth[:, 1:].clamp(min=1e-6) / smooth[:, :1].clamp(min=1e-6)
 
-    coarse, density = pull_push(torch.cat([inverse, mask], dim=1), factor=factor, levels=levels)
-    mean = coarse[:, 1:].clamp(min=1e-6) / coarse[:, :1].clamp(min=1e-6)
-    return Surfaces(
+    mean, density = pull_push(torch.cat([inverse, mask], dim=1), factor=COARSE_CELL, levels=levels)
+    surfaces = Surfaces(
         nearest.clamp(NEAREST, 1.0),
         carried[:, 1:].clamp(NEAREST, 1.0),
-        mean.clamp(NEAREST, 1.0),
+        (mean[:, 1:].clamp(min=1e-6) / mean[:, :1].clamp(min=1e-6)).clamp(NEAREST, 1.0),
         support,
-        coarse[:, 1:],
-        density,
+        mean[:, 1:],
+    )
+    return surfaces, density
+
+
+def surface_features(surfaces: Surfaces, density: Tensor) -> Tensor:
+    """What a convolution can read of them: (N, 6, h, w), each 0..1 and 0 without support."""
+    depths = torch.cat([surfaces.nearest, surfaces.farthest, surfaces.mean], dim=1)
+    known = torch.cat([surfaces.support, surfaces.support, surfaces.mean_support], dim=1)
+    steps = (1.0 - torch.log(depths) * (1.0 / _LOG_NEAREST)) * known
+    return torch.cat([steps, surfaces.support, surfaces.mean_support, density], dim=1)
+
+
+def refine_surfaces(raised: Surfaces, measured: Tensor) -> Surfaces:
+    """Put what was measured in a cell of FINE_CELL pixels in the place of what was carried there.
+
+    raised: the coarse surfaces on the fine grid. measured: as in `carry_surfaces`.
+    """
+    depth, mask = measured[:, :1], measured[:, 1:]
+    # The nearest by the least depth: what is not measured lies beyond everything.
+    fine = cell_maxima(torch.cat([mask - depth, depth], dim=1), FINE_CELL)
+    seen = fine[:, 1:] > 0
+    return raised._replace(
+        nearest=torch.where(seen, (1.0 - fine[:, :1]).clamp(min=NEAREST), raised.nearest),
+        farthest=torch.where(seen, fine[:, 1:].clamp(min=NEAREST), raised.farthest),
     )
 
 
 def choose_surface(head: Tensor, regressed: Tensor, surfaces: Surfaces) -> Tensor:
     """Normalised depth (N, 1, h, w), NEAREST..1, from the candidates and the network's own.
 
-    head (N, 4, h, w): logits of the trust in the mean, the farthest and the nearest surface, and a
-    relative correction. Each in turn replaces what was chosen before as far as it is trusted:
-    nested sigmoids can give whatever weights a soft-max can. Without support the network's own
-    depth is the answer.
+    head (N, HEAD_CHANNELS, h, w): logits of the trust in the mean, the farthest and the nearest
+    surface, and a relative correction. Each in turn replaces what was chosen before as far as it is
+    trusted: nested sigmoids can give whatever weights a soft-max can. Without support the network's
+    own depth is the answer.
     """
     trust = torch.sigmoid(head[:, :3])
     depth = regressed + trust[:, :1] * surfaces.mean_support * (surfaces.mean - regressed)
     depth = depth + trust[:, 1:2] * surfaces.support * (surfaces.farthest - depth)
     depth = depth + trust[:, 2:3] * surfaces.support * (surfaces.nearest - depth)
-    return (depth * torch.exp(0.5 * torch.tanh(head[:, 3:]))).clamp(NEAREST, 1.0)
+    return (depth * torch.exp(0.5 * torch.tanh(head[:, 3:4]))).clamp(NEAREST, 1.0)
 
 
-def keep_measurements(depth: Tensor, measured: Tensor) -> Tensor:
-    """Take the returns that agree with a predicted depth: (N, 1, H, W), normalised.
+def error_scale(head: Tensor, depth: Tensor) -> Tensor:
+    """Scale of the error's Laplace distribution (N, 1, h, w), normalised as the depth is.
 
-    measured (N, 2, H, W) as in `gather_surfaces`, at the size of ``depth``.
+    head as in `choose_surface`: its last channel is the logit of the log of the scale's ratio to
+    the depth between the bounds of LOG_SCALE.
     """
-    returned, mask = measured[:, :1], measured[:, 1:]
-    difference = (returned - depth).abs() / depth
-    agrees = (2.0 - difference * (1.0 / AGREEMENT)).clamp(0.0, 1.0) * mask
-    return depth + agrees * (returned - depth)
+    least, greatest = LOG_SCALE
+    return depth * torch.exp(least + (greatest - least) * torch.sigmoid(head[:, 4:5]))
+
+
+def keep_measurements(depth: Tensor, returned: Tensor) -> Tensor:
+    """Take the returns that agree with a predicted depth, all (N, 1, H, W), normalised.
+
+    ``returned`` is 0 where nothing was measured.
+    """
+    step = returned - depth
+    agrees = (2.0 - step.abs() / depth * (1.0 / AGREEMENT)).clamp(0.0, 1.0)
+    return depth + agrees * step

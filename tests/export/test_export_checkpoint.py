@@ -40,7 +40,7 @@ def test_contract_says_where_the_file_comes_from(exported, lite_checkpoint):
     assert contract.versions["torch"] == torch.__version__
     digest = hashlib.sha256(lite_checkpoint.read_bytes()).hexdigest()
     assert contract.checkpoint_sha256 == digest
-    assert set(contract.parity) == {"semantic", "depth", "boundary"}
+    assert set(contract.parity) == {"semantic", "depth", "boundary", "depth_uncertainty"}
     assert contract.parity["semantic"]["agreement"] > 0.9995
     assert 0 < contract.parity["depth"]["max_abs_m"] < 0.005
 

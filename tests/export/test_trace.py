@@ -54,6 +54,7 @@ def test_tensors_are_those_of_the_contract(dynamic_session):
         "semantic": ("tensor(uint8)", free),
         "depth": ("tensor(float)", free),
         "boundary": ("tensor(float)", free),
+        "depth_uncertainty": ("tensor(float)", free),
         "semantic_logits": ("tensor(float)", ["batch", 11, "height", "width"]),
     }
 

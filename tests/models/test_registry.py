@@ -197,6 +197,7 @@ def test_every_network_keeps_the_promises_of_the_base(name):
         "semantic": output.semantic_logits,
         "depth": None if output.depths is None else output.depths[0],
         "boundary": output.boundary_logits,
+        "depth_uncertainty": output.depth_uncertainty,
     }
     heads = model.config.heads
     assert heads == tuple(head for head in answers if head in heads)

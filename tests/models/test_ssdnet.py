@@ -75,7 +75,7 @@ def test_any_size_of_32_and_more_works(name, size):
         assert output.semantic_logits is None
     if config.depth_head:
         assert output.depths[0].shape == (2, 1, *size)
-        scales = len(config.decoder_channels) + bool(config.depth_refine_channels)
+        scales = len(config.decoder_channels) + config.depth_surfaces
         assert len(output.depths) == scales
         assert all(((d >= 0) & (d <= 1)).all() for d in output.depths)
     else:
@@ -94,7 +94,7 @@ def test_refined_semantics_are_twice_as_fine_as_the_rest():
     coarse = model.predict_coarse(*frame(64, 96))
     assert tuple(coarse.semantic_logits.shape[2:]) == (32, 48)
     assert [tuple(depth.shape[2:]) for depth in coarse.depths[:2]] == [(64, 96), (16, 24)]
-    assert tuple(coarse.boundary_logits.shape[2:]) == (16, 24)
+    assert coarse.boundary_logits.shape == coarse.depth_uncertainty.shape == (1, 1, 64, 96)
     plain = SSDNet(small("ssdnet-lite", semantic_refine_channels=0)).eval()
     assert tuple(plain.predict_coarse(*frame(64, 96)).semantic_logits.shape[2:]) == (16, 24)
 
@@ -109,11 +109,12 @@ def test_semantics_may_stay_on_their_own_grid_without_the_padding():
     assert tuple(output.boundary_logits.shape[2:]) == (50, 71)
 
 
-def test_refined_semantics_heed_the_boundary():
+@pytest.mark.parametrize("decoder", ["semantic_decoder", "depth_decoder"])
+def test_decoders_heed_the_boundary(decoder):
     """Where the finest side output is sure of a boundary nothing of the features gets through."""
     model = SSDNet(small("ssdnet-lite")).eval()
     seen = {}
-    model.semantic_refine.baconv.conv.register_forward_pre_hook(
+    getattr(model, decoder).blocks[-1].baconv.conv.register_forward_pre_hook(
         lambda _, args: seen.update(x=args[0])
     )
     model.boundary_decoder.sides[0][1].bias.data.fill_(-100.0)
@@ -218,8 +219,8 @@ def test_upsampling_by_factor_equals_by_size():
         ({"max_depth_m": 1e39}, "max_depth_m must be 1 to 10000"),
         ({"name": "a\nb"}, "name must be printable"),
         ({"classes": (ClassInfo("\ud800", (0, 0, 0)),)}, r"classes\[0\].name"),
-        ({"depth_prior": True}, "valid_mask_input"),
-        ({"depth_prior": True, "valid_mask_input": True}, "strided stem"),
+        ({"depth_surfaces": True}, "valid_mask_input"),
+        ({"depth_surfaces": True, "valid_mask_input": True}, "stem of stride 4"),
     ],
 )
 def test_impossible_configurations_say_why(changes, text):

@@ -7,14 +7,23 @@ import torch
 from models import create_model
 from models.surfaces import (
     AGREEMENT,
+    COARSE_CELL,
+    FINE_CELL,
+    HEAD_CHANNELS,
+    LOG_SCALE,
     NEAREST,
     WINDOWS,
+    Surfaces,
+    carry_surfaces,
     choose_surface,
-    gather_surfaces,
+    error_scale,
     keep_measurements,
+    refine_surfaces,
+    surface_features,
 )
 
-SIZE = (96, 128)
+SIZE = (128, 192)
+GRID = (32, 48)
 
 
 def measured(**returns: float) -> torch.Tensor:
@@ -27,29 +36,35 @@ def measured(**returns: float) -> torch.Tensor:
     return maps
 
 
-def gathered(maps: torch.Tensor):
-    return gather_surfaces(maps, factor=2, levels=4)
+def carried(maps: torch.Tensor) -> Surfaces:
+    return carry_surfaces(maps, levels=4)[0]
+
+
+def head_of(**logits: float) -> torch.Tensor:
+    """Logits of trust in the mean, the farthest and the nearest, a correction and a scale."""
+    channels = ("mean", "farthest", "nearest", "correction", "scale")
+    assert len(channels) == HEAD_CHANNELS
+    values = [logits.get(name, -30.0 if name in channels[:3] else 0.0) for name in channels]
+    return torch.tensor(values).view(1, -1, 1, 1).expand(1, -1, *GRID)
 
 
 def test_two_surfaces_in_one_cell_are_kept_apart():
     """5 m and 80 m: the mean of depths, 42.5 m, is a surface that is nowhere."""
-    found = gathered(measured(r40c40=0.05, r41c41=0.8))
-    cell = (0, 0, 20, 20)
+    found, density = carry_surfaces(measured(r40c40=0.05, r41c41=0.8), levels=4)
+    cell = (0, 0, 10, 10)
     assert found.nearest[cell].item() == pytest.approx(0.05, rel=1e-4)
     assert found.farthest[cell].item() == pytest.approx(0.8, rel=1e-4)
     # Two returns of inverse depth 20 and 1.25, and next to nothing of the coarser levels.
     assert found.mean[cell].item() == pytest.approx(1 / 10.625, rel=1e-3)
-    assert found.density[cell].item() == pytest.approx(0.5)
+    assert density[cell].item() == pytest.approx(2 / COARSE_CELL**2)
 
 
 def test_a_surface_is_carried_as_far_as_the_windows_reach_and_no_further():
-    found = gathered(measured(r48c64=0.3))
+    found = carried(measured(r64c96=0.3))
     reach = sum(window // 2 for window in WINDOWS)
-    row, columns = found.support[0, 0, 24], found.nearest[0, 0, 24]
-    assert [int(index) for index in torch.nonzero(row).flatten()[[0, -1]]] == [
-        max(0, 32 - reach),
-        min(63, 32 + reach),
-    ]
+    row, columns = found.support[0, 0, 16], found.nearest[0, 0, 16]
+    ends = [int(index) for index in torch.nonzero(row).flatten()[[0, -1]]]
+    assert ends == [24 - reach, 24 + reach]
     inside = columns[row > 0]
     assert inside.min().item() == pytest.approx(0.3, rel=1e-4)
     assert inside.max().item() == pytest.approx(0.3, rel=1e-4)
@@ -58,86 +73,116 @@ def test_a_surface_is_carried_as_far_as_the_windows_reach_and_no_further():
 def test_the_nearest_surface_is_the_nearest_of_a_plain_loop_before_smoothing():
     rng = np.random.default_rng(0)
     maps = torch.zeros(1, 2, *SIZE)
-    taken = torch.from_numpy(rng.random(SIZE) < 0.3)
+    taken = torch.from_numpy(rng.random(SIZE) < 0.1)
     maps[0, 1] = taken.float()
     maps[0, 0] = torch.from_numpy(rng.uniform(0.02, 0.9, SIZE).astype(np.float32)) * taken
-    found = gathered(maps)
-    depth = maps[0, 0].numpy()
-    for row, column in ((5, 7), (20, 33), (40, 60)):
+    found = carried(maps)
+    depth, side = maps[0, 0].numpy(), COARSE_CELL
+    for row, column in ((5, 7), (20, 33), (25, 40)):
         cells = []
         for r in range(row - 1, row + 2):
             for c in range(column - 1, column + 2):
-                cell = depth[2 * r : 2 * r + 2, 2 * c : 2 * c + 2]
-                if cell.any():
-                    cells.append(1 / cell[cell > 0].min())
-                else:  # filled from the 3 x 3 cells around it
-                    around = depth[2 * r - 2 : 2 * r + 4, 2 * c - 2 : 2 * c + 4]
-                    assert around.any()
-                    cells.append(1 / around[around > 0].min())
+                cell = depth[side * r : side * (r + 1), side * c : side * (c + 1)]
+                if not cell.any():  # filled from the 3 x 3 cells around it
+                    cell = depth[side * (r - 1) : side * (r + 2), side * (c - 1) : side * (c + 2)]
+                assert cell.any()
+                cells.append(1 / cell[cell > 0].min())
         assert found.nearest[0, 0, row, column].item() == pytest.approx(
             1 / np.mean(cells), rel=1e-4
         )
 
 
 def test_nothing_measured_supports_nothing():
-    found = gathered(measured())
+    found, density = carry_surfaces(measured(), levels=4)
     assert not found.support.any()
     assert not found.mean_support.any()
-    assert not found.features().any()
-    head = torch.full((1, 4, 48, 64), 30.0)
-    head[:, 3] = 0.0
-    own = torch.full((1, 1, 48, 64), 0.4)
-    assert torch.allclose(choose_surface(head, own, found), own)
+    assert not surface_features(found, density).any()
+    own = torch.full((1, 1, *GRID), 0.4)
+    trusting = head_of(mean=30.0, farthest=30.0, nearest=30.0)
+    assert torch.allclose(choose_surface(trusting, own, found), own)
 
 
-@pytest.mark.parametrize(("trusted", "expected"), [(0, "mean"), (1, "farthest"), (2, "nearest")])
-def test_a_trusted_candidate_is_the_answer(trusted, expected):
-    found = gathered(measured(r40c40=0.05, r41c41=0.8))
-    head = torch.full((1, 4, 48, 64), -30.0)
-    head[:, trusted] = 30.0
-    head[:, 3] = 0.0
-    own = torch.full((1, 1, 48, 64), 0.4)
-    chosen = choose_surface(head, own, found)[0, 0, 20, 20]
-    assert chosen.item() == pytest.approx(getattr(found, expected)[0, 0, 20, 20].item(), rel=1e-3)
-    head[:, 3] = 30.0  # the largest correction
-    corrected = choose_surface(head, own, found)[0, 0, 20, 20]
+@pytest.mark.parametrize("trusted", ["mean", "farthest", "nearest"])
+def test_a_trusted_candidate_is_the_answer(trusted):
+    found = carried(measured(r40c40=0.05, r41c41=0.8))
+    own = torch.full((1, 1, *GRID), 0.4)
+    chosen = choose_surface(head_of(**{trusted: 30.0}), own, found)[0, 0, 10, 10]
+    share = found.mean_support[0, 0, 10, 10].item() if trusted == "mean" else 1.0
+    assert share > 0.99
+    expected = 0.4 + share * (getattr(found, trusted)[0, 0, 10, 10].item() - 0.4)
+    assert chosen.item() == pytest.approx(expected, rel=1e-3)
+    largest = head_of(**{trusted: 30.0}, correction=30.0)
+    corrected = choose_surface(largest, own, found)[0, 0, 10, 10]
     assert corrected.item() == pytest.approx(min(1.0, chosen.item() * np.exp(0.5)), rel=1e-3)
+
+
+def test_a_fine_cell_with_a_return_holds_it_alone():
+    maps = measured(r40c40=0.05, r41c41=0.8, r42c42=0.2, r60c60=1.0)
+    shape = (1, 1, SIZE[0] // FINE_CELL, SIZE[1] // FINE_CELL)
+    raised = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.6, 0.4, 1.0, 0.9)))
+    fine = refine_surfaces(raised, maps)
+    expected = {(20, 20): (0.05, 0.8), (21, 21): (0.2, 0.2), (30, 30): (1.0, 1.0)}
+    for (row, column), (nearest, farthest) in expected.items():
+        assert fine.nearest[0, 0, row, column].item() == pytest.approx(nearest, rel=1e-4)
+        assert fine.farthest[0, 0, row, column].item() == pytest.approx(farthest, rel=1e-4)
+        fine.nearest[0, 0, row, column], fine.farthest[0, 0, row, column] = 0.3, 0.6
+    assert all(torch.equal(one, other) for one, other in zip(fine, raised, strict=True))
 
 
 def test_features_lie_in_0_1():
     maps = measured(r0c0=NEAREST / 10, r10c90=1.0, r50c50=0.2)
-    features = gathered(maps).features()
+    features = surface_features(*carry_surfaces(maps, levels=4))
     assert features.min() >= -1e-6
     assert features.max() <= 1 + 1e-6
+
+
+def test_the_scale_of_the_error_is_a_bounded_share_of_the_depth():
+    depth = torch.full((1, 1, *GRID), 0.5)
+    scales = [error_scale(head_of(scale=logit), depth)[0, 0, 0, 0].item() for logit in (-99, 0, 99)]
+    middle = sum(LOG_SCALE) / 2
+    assert scales == pytest.approx(
+        [0.5 * np.exp(log) for log in (LOG_SCALE[0], middle, LOG_SCALE[1])], rel=1e-4
+    )
 
 
 def test_returns_that_agree_are_kept_and_others_are_not():
     depth = torch.full((1, 1, *SIZE), 0.5)
     near, far, close = 0.5 * (1 - 0.9 * AGREEMENT), 0.8, 0.5 * (1 + 1.5 * AGREEMENT)
-    kept = keep_measurements(depth, measured(r1c1=near, r2c2=far, r3c3=close))[0, 0]
+    returns = measured(r1c1=near, r2c2=far, r3c3=close)[:, :1]
+    kept = keep_measurements(depth, returns)[0, 0]
     assert kept[1, 1].item() == pytest.approx(near)
     assert kept[2, 2].item() == pytest.approx(0.5)
-    assert 0.5 < kept[3, 3].item() < close
+    assert kept[3, 3].item() == pytest.approx((0.5 + close) / 2)
     kept[1, 1] = kept[3, 3] = 0.5
     assert torch.equal(kept, depth[0, 0])
 
 
-def test_a_network_with_it_answers_at_full_size_and_keeps_the_coarser_depths():
-    network = create_model("ssdnet-lite", depth_refine_channels=16).eval()
+@pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])
+def test_a_network_with_it_answers_at_full_size_and_keeps_the_coarser_depths(name):
+    network = create_model(name).eval()
     rgb = torch.rand(1, 3, 70, 101) * 255
     with torch.no_grad():
-        found = network(rgb, torch.full((1, 1, 70, 101), 12.0)).depths
-        none = network(rgb, torch.zeros(1, 1, 70, 101)).depths
-    assert [tuple(depth.shape[2:]) for depth in found] == [(70, 101), (24, 32), (12, 16), (6, 8)]
-    assert none[0].isfinite().all()
-    assert found[0].min() >= NEAREST
-    assert found[0].max() <= 1.0
+        found = network(rgb, torch.full((1, 1, 70, 101), 12.0))
+        none = network(rgb, torch.zeros(1, 1, 70, 101))
+    sizes = [tuple(depth.shape[2:]) for depth in found.depths]
+    assert sizes == [(70, 101), (24, 32), (12, 16), (6, 8)]
+    assert found.depth_uncertainty.shape == found.boundary_logits.shape == (1, 1, 70, 101)
+    for answer in (found, none):
+        assert answer.depths[0].isfinite().all()
+        assert NEAREST <= answer.depths[0].min() <= answer.depths[0].max() <= 1.0
+        assert answer.depth_uncertainty.min() > 0
 
 
-def test_it_needs_the_prior_and_two_stem_layers():
-    for changes in (
-        {"depth_prior": False},
-        {"stem_channels": (32,), "semantic_refine_channels": 0},
-    ):
-        with pytest.raises(ValueError, match="depth_refine_channels"):
-            create_model("ssdnet-lite", depth_refine_channels=16, **changes)
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"depth_surfaces": False}, "depth_refine_channels needs depth_surfaces"),
+        ({"stem_channels": (16, 32, 32)}, "a stem of stride 4"),
+        ({"valid_mask_input": False}, "valid_mask_input"),
+        ({"sparse_depth_gain": 2.0}, "sparse_depth_gain is 1"),
+        ({"use_sparse_depth": False}, "sparse depth and a depth head"),
+    ],
+)
+def test_it_needs_the_sparse_depth_as_it_is_and_a_stem_of_a_quarter(changes, message):
+    with pytest.raises(ValueError, match=message):
+        create_model("ssdnet-lite", **changes)

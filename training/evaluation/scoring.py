@@ -62,14 +62,16 @@ def torch_predict(network: Network) -> Predict:
             torch.from_numpy(rgb).to(device).permute(2, 0, 1)[None].float(),
             torch.from_numpy(sparse_depth).to(device)[None, None] * factor,
         )
-        semantic = depth = boundary = None
+        semantic = depth = boundary = uncertainty = None
         if output.semantic_logits is not None:
             semantic = output.semantic_logits[0].argmax(0).to(torch.uint8).cpu().numpy()
         if output.depths is not None:
             depth = (output.depths[0][0, 0].float() * unit_m).cpu().numpy()
         if output.boundary_logits is not None:
             boundary = torch.sigmoid(output.boundary_logits)[0, 0].cpu().numpy()
-        return Answer(semantic, depth, boundary)
+        if output.depth_uncertainty is not None:
+            uncertainty = (output.depth_uncertainty[0, 0].float() * unit_m).cpu().numpy()
+        return Answer(semantic, depth, boundary, uncertainty)
 
     return predict
 

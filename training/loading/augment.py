@@ -160,9 +160,12 @@ def canonical_depth(sample: Sample, focal_px: float) -> Sample:
 def far_sky(sample: Sample, sky: int, max_depth_m: float) -> Sample:
     """Put the depth target of the class ``sky`` at the far end of the range.
 
-    Pixels where anything was measured keep what they have: labels made by a network err. Only
-    after the LiDAR was drawn, which sees no sky.
+    Pixels where anything was measured keep what they have: labels made by a network err. A picture
+    without any depth stays so: it would teach that all is far where there is no LiDAR. Only after
+    the LiDAR was drawn, which sees no sky.
     """
+    if not sample.depth.any():
+        return sample
     unmeasured = sample.depth == 0
     if sample.sparse_depth is not None:
         unmeasured &= sample.sparse_depth == 0

@@ -45,10 +45,12 @@ from training.losses.semantic import (
     soft_iou_loss,
     soft_overlap,
 )
+from training.losses.uncertainty import laplace_loss
 
 #: The terms, each with a weight "<name>_weight" in `LossConfig`, and the heads that each needs.
 TERMS: Mapping[str, frozenset[Head]] = {
     "depth": frozenset({"depth"}),
+    "depth_uncertainty": frozenset({"depth", "depth_uncertainty"}),
     "semantic": frozenset({"semantic"}),
     "semantic_iou": frozenset({"semantic"}),
     "lovasz": frozenset({"semantic"}),
@@ -83,6 +85,8 @@ class LossConfig:
     lovasz_weight: float = 0.0
     #: The class "road" against masks of it, where a set has no other labels; not the paper's.
     road_weight: float = 0.0
+    #: Likelihood of the depth's errors under the scale that a network gives, if it gives one.
+    depth_uncertainty_weight: float = 0.1
 
     #: "fixed": the weights above, as in the paper. "uncertainty": each is multiplied by a factor
     #: that is learned along with the network (Kendall et al. 2018, the paper's reference 35).
@@ -189,11 +193,11 @@ class SSDNetLoss(nn.Module):
 
         `semantic` int64 (N, H, W), 255 = none. `depth` float32 (N, 1, H, W) [m]; 0, not finite
         or beyond `max_depth_m` = none. `semantic_weight` float (N,): how much each sample's labels
-        count in Eq. 5 and 6, below 1 for labels made by a network. `road_mask` uint8 (N, H,
-        W), see `road_loss`; None = nothing known. Samples may lack any target altogether. Names:
-        those of `TERMS`; those of weight 0, and those that need a head that the network lacks, are
-        left out. Computed in float32 whatever the network was
-        computed in. Raises ValueError on targets of another size.
+        count in Eq. 5 and 6, below 1 for labels made by a network. `road_mask` uint8 (N, H, W),
+        see `road_loss`; None = nothing known. Samples may lack any target altogether. Names: those
+        of `TERMS`; those of weight 0, and those that need a head that the network lacks, are left
+        out. Computed in float32 whatever the network was computed in. Raises ValueError on targets
+        of another size.
         """
         answer = _any_answer(output)
         height, width = semantic.shape[-2:]
@@ -254,7 +258,7 @@ class SSDNetLoss(nn.Module):
 
     def _depth_terms(self, output: SSDNetOutput, depth: Tensor) -> dict[str, Tensor]:
         config = self.config
-        if output.depths is None or not config.depth_weight:
+        if output.depths is None or not (config.depth_weight or config.depth_uncertainty_weight):
             return {}
         if config.depth_form == "metric":
             criterion = partial(
@@ -269,7 +273,18 @@ class SSDNetLoss(nn.Module):
             )
         scales = output.depths if config.depth_scales == "mean" else output.depths[:1]
         target, valid = normalise_depth(depth, self.max_depth_m)
-        return {"depth": multi_scale_depth_loss(scales, target, valid, criterion)}
+        terms = {}
+        if config.depth_weight:
+            terms["depth"] = multi_scale_depth_loss(scales, target, valid, criterion)
+        if config.depth_uncertainty_weight and output.depth_uncertainty is not None:
+            terms["depth_uncertainty"] = laplace_loss(
+                output.depth_uncertainty.float(),
+                output.depths[0].float(),
+                target,
+                valid,
+                max_depth_m=self.max_depth_m,
+            )
+        return terms
 
     def _road_terms(self, output: SSDNetOutput, road_mask: Tensor | None) -> dict[str, Tensor]:
         logits = output.semantic_logits

@@ -377,6 +377,14 @@ def test_sky_is_far_where_nothing_was_measured():
     ]
 
 
+def test_a_picture_without_any_depth_teaches_nothing_about_the_sky():
+    """It would teach that all is far where there is no LiDAR."""
+    semantic = np.full((2, 2), 4, np.uint8)
+    nothing = np.zeros((2, 2), np.float32)
+    sample = Sample(np.zeros((2, 2, 3), np.uint8), nothing, semantic, None, "sky")
+    assert not far_sky(sample, 4, 80.0).depth.any()
+
+
 def rendered(height=48, width=64):
     """The plane's dense truth, and a scan of it whose lines are known, 0.5 m too far."""
     scan = recorded(height, width)

@@ -27,6 +27,7 @@ from training.losses.semantic import (
 
 ALL_OFF = {
     "depth_weight": 0.0,
+    "depth_uncertainty_weight": 0.0,
     "semantic_weight": 0.0,
     "boundary_weight": 0.0,
     "semantic_boundary_weight": 0.0,
@@ -311,8 +312,9 @@ def test_learned_weighting_by_hand():
     fixed = LossConfig(semantic_weight=2.0, depth_weight=0.5)
     plain = SSDNetLoss(fixed, max_depth_m=100.0)(answer(parts), semantic, depth)
     criterion = SSDNetLoss(replace(fixed, weighting="uncertainty"), max_depth_m=100.0)
-    assert set(criterion.log_variances) == set(plain) - {"total"}
-    values = {name: 0.3 * index - 0.5 for index, name in enumerate(criterion.log_variances)}
+    names = [name for name in plain if name != "total"]
+    assert set(criterion.log_variances) == {*names, "depth_uncertainty"}
+    values = {name: 0.3 * index - 0.5 for index, name in enumerate(names)}
     for name, value in values.items():
         criterion.log_variances[name].data.fill_(value)
     terms = criterion(answer(parts), semantic, depth)

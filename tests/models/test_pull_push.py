@@ -1,8 +1,24 @@
 """The pull-push fill on cases that can be worked out by hand."""
 
+from typing import NamedTuple
+
 import torch
 
-from models.depth_prior import pull_push_fill
+from models.pull_push import pull_push
+
+
+class Filled(NamedTuple):
+    """The weighted mean, its support and the share of measured pixels."""
+
+    filled: torch.Tensor
+    support: torch.Tensor
+    density: torch.Tensor
+
+
+def pull_push_fill(measured, *, factor, levels):
+    carried, density = pull_push(measured, factor=factor, levels=levels)
+    weighted, support = carried[:, :1], carried[:, 1:]
+    return Filled(weighted / support.clamp(min=1e-6), support, density)
 
 
 def fill(depth, **options):
