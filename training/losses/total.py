@@ -281,7 +281,7 @@ class SSDNetLoss(nn.Module):
                 output.depth_uncertainty.float(),
                 output.depths[0].float(),
                 target,
-                valid,
+                valid & (target < 1.0),  # the sky, at the far end, is no measurement
                 max_depth_m=self.max_depth_m,
             )
         return terms
