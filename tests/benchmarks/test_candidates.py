@@ -3,8 +3,10 @@
 import sys
 
 import pytest
+import torch
 
 import candidates
+from models import SSDNet
 
 
 def test_an_unknown_candidate_is_named_with_those_that_are_known(monkeypatch, capsys):
@@ -16,3 +18,9 @@ def test_an_unknown_candidate_is_named_with_those_that_are_known(monkeypatch, ca
     assert error.value.code == 2
     said = capsys.readouterr().err
     assert "--only 'stem 1': no such candidate; known: ssdnet-lite, other\n" in said
+
+
+@pytest.mark.parametrize("name", candidates.candidates())
+def test_every_candidate_can_be_built(name):
+    with torch.device("meta"):
+        SSDNet(candidates.candidates()[name])

@@ -216,13 +216,15 @@ def test_a_network_of_canonical_depth_sees_it_and_answers_in_metres():
 
         def forward(self, rgb, sparse_depth):
             self.fed = sparse_depth
-            return SSDNetOutput(depths=(sparse_depth / 100,))
+            metres = sparse_depth / 100
+            return SSDNetOutput(depths=(metres,), depth_uncertainty=metres / 10)
 
     network, truth = Copy(), sample()
     for focal, factor in ((300.0, 1.5), (900.0, 0.5), (None, 1.0)):
         answer = torch_predict(network)(truth.rgb, truth.depth, focal)
         np.testing.assert_allclose(network.fed[0, 0], truth.depth * np.float32(factor))
         np.testing.assert_allclose(answer.depth, truth.depth, rtol=1e-6)
+        np.testing.assert_allclose(answer.depth_uncertainty, truth.depth / 10, rtol=1e-6)
     network.config = replace(network.config, canonical_focal_px=None)
     torch_predict(network)(truth.rgb, truth.depth, 300.0)
     np.testing.assert_array_equal(network.fed[0, 0], truth.depth)
