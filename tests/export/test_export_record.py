@@ -20,7 +20,7 @@ def test_the_recording_holds_pytorchs_answers_and_the_file(exported, beside):
     assert recording.settings.provider == "torch"
     assert recording.settings.made_by == "ssdnet-export"
     assert recording.model.read_bytes() == exported.path.read_bytes()
-    assert recording.limits.keys() == {"semantic", "depth", "boundary"}
+    assert recording.limits.keys() == {"semantic", "depth", "boundary", "depth_uncertainty"}
     assert [frame.name for frame in recording.frames][:2] == [
         "scan lines 0, 64 x 96",
         "scan lines 1, 64 x 96",

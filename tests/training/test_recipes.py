@@ -47,7 +47,7 @@ def data(tmp_path_factory):
     kitti_depth.write_selection(root / "kitti_depth", magnify=8)
     # The recipes validate on frames 50 to 59.
     kitti_stream.write_stream(root / "kitti_stream", frames=52, labelled=52, magnify=5)
-    kitti_streets.write_streets(root / "kitti_streets", (2, 69, 70, 98), magnify=5)
+    kitti_streets.write_streets(root / "kitti_streets", (2, 69, 70, 98), magnify=5, road=True)
     for path in ("train", "rendered/train", "rendered/kitti", "rendered/varied"):
         variant = virtual_kitti.write_second_edition(root / path, magnify=5)
         virtual_kitti.write_scans(variant)
@@ -117,6 +117,8 @@ def expected_terms(loss, config):
         terms -= {"semantic", "semantic_iou", "lovasz", "semantic_boundary", "semantic_depth"}
     if not config.depth_head:
         terms -= {"depth", "semantic_depth"}
+    if not config.depth_surfaces:
+        terms -= {"depth_uncertainty"}
     return terms
 
 
@@ -168,8 +170,13 @@ def test_shipped_recipe_trains(path, data, tmp_path):
     shown = read_scalars(tmp_path / "run" / "tensorboard")
     terms = expected_terms(recipe.loss, config)
     assert shown["loss"].keys() == terms | {"total"}
-    assert all(0 < value < math.inf for value in shown["loss"].values())
-    learned = terms if recipe.loss.weighting == "uncertainty" else set()
+    assert all(
+        0 < value < math.inf
+        for name, value in shown["loss"].items()
+        if name != "depth_uncertainty"  # the log of a density
+    )
+    assert math.isfinite(shown["loss"].get("depth_uncertainty", 0.0))
+    learned = terms - {"depth_uncertainty"} if recipe.loss.weighting == "uncertainty" else set()
     assert shown["log_variance"].keys() == learned
     assert shown["validation"].keys() == {
         f"{item.name}/{score}" for item in recipe.validation.source for score in SCORES[item.kind]

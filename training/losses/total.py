@@ -172,9 +172,14 @@ class SSDNetLoss(nn.Module):
         self.road = road
         self.max_depth_m = max_depth_m
         self.register_buffer("class_weights", class_weights, persistent=False)
-        learned = tuple(TERMS) if config.weighting == "uncertainty" else ()
+        # A likelihood may be negative, and its best weight would then be infinite.
+        learned = set(TERMS) - {"depth_uncertainty"} if config.weighting == "uncertainty" else set()
         self.log_variances = nn.ParameterDict(
-            {name: nn.Parameter(torch.zeros(())) for name in learned if self._weight(name)}
+            {
+                name: nn.Parameter(torch.zeros(()))
+                for name in TERMS
+                if name in learned and self._weight(name)
+            }
         )
 
     def forward(

@@ -23,10 +23,11 @@ def seen_at(u, v, depth):
 LINES = [[seen_at(6, v, 10.0), seen_at(2, v, 10.0), seen_at(12, v, 10.0)] for v in (1, 3, 5, 7)]
 
 
-def write_streets(root, numbers=(2, 3, 7), *, suffix=".jpg", magnify=1):
+def write_streets(root, numbers=(2, 3, 7), *, suffix=".jpg", magnify=1, road=False):
     """Frames with four lines at 10 m, and a truth of 10 m in the left half, unknown in the right.
 
-    The picture of the first one is red, as JPEG or as PNG.
+    The picture of the first one is red, as JPEG or as PNG. With ``road`` the right half is masked
+    as road.
     """
     disparity = np.zeros((HEIGHT, WIDTH), np.uint16)
     disparity[:, : WIDTH // 2] = 4 * 256
@@ -36,7 +37,13 @@ def write_streets(root, numbers=(2, 3, 7), *, suffix=".jpg", magnify=1):
     focal, cx, cy = 10 * magnify, 8 * magnify, 4 * magnify
     camera = f"P2: {focal} 0 {cx} 0 0 {focal} {cy} 0 0 0 1 0"
     (root / "calib.txt").write_text("\n".join([camera, *CALIBRATION.splitlines()[1:], ""]))
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    mask[:, WIDTH // 2 :] = 1
+    if road:
+        (root / "road_mask").mkdir(exist_ok=True)
     for number in numbers:
+        if road:
+            write(root / "road_mask" / f"{number:06d}.png", mask, magnify)
         image = np.full((HEIGHT, WIDTH, 3), (200, 20, 40), np.uint8)
         write(root / "image_02" / f"{number:06d}{suffix}", image, magnify)
         write(root / "disp_occ_0" / f"{number:06d}.png", disparity, magnify)
