@@ -417,6 +417,6 @@ def test_a_depth_alone_has_the_overlays_colours_at_its_own_size(contract, answer
     ids[:, 40:] = 0
     alone = overlay.paint_depth(prediction.depth, ids)
     panel, _ = depth_panels(overlay, answered, semantic=ids)
-    np.testing.assert_array_equal(alone[20:], panel[20:])  # without the words
+    np.testing.assert_array_equal(alone[24:], panel[24:])  # without the words
     assert (alone[:, :40] == 110).all()
     assert not (overlay.paint_depth(prediction.depth) == 110).all(axis=-1).any()
