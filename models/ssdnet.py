@@ -14,6 +14,7 @@ from models.network import Network, SSDNetOutput, initialise
 from models.ssdnet_config import SSDNetConfig
 from models.surfaces import (
     COARSE_CELL,
+    FEATURE_CHANNELS,
     FINE_CELL,
     HEAD_CHANNELS,
     Surfaces,
@@ -25,9 +26,6 @@ from models.surfaces import (
     surface_features,
 )
 from models.task_decoder import TaskDecoder, UpBlock
-
-#: Channels of `surface_features`.
-_SURFACE_FEATURES = 6
 
 
 class SSDNet(Network):
@@ -43,9 +41,7 @@ class SSDNet(Network):
             stem.append(ConvBNReLU(width, channels, stride=2))
             width = channels
         self.stem = nn.Sequential(*stem)
-        self.surface_stem = (
-            nn.Conv2d(_SURFACE_FEATURES, width, 1) if config.depth_surfaces else None
-        )
+        self.surface_stem = nn.Conv2d(FEATURE_CHANNELS, width, 1) if config.depth_surfaces else None
         self.encoder = build_encoder(config, width)
         skips, bottom = self.encoder.skip_channels, self.encoder.bottom_channels
         self.boundary_decoder = BoundaryDecoder(skips, config.boundary_channels)
@@ -68,7 +64,7 @@ class SSDNet(Network):
                 nn.Conv2d(channels, 1, 1) for channels in reversed(config.decoder_channels)
             )
         if config.depth_surfaces:
-            self.surface_project = nn.Conv2d(_SURFACE_FEATURES, finest, 1)
+            self.surface_project = nn.Conv2d(FEATURE_CHANNELS, finest, 1)
             width = finest
             if config.depth_refine_channels:
                 width = config.depth_refine_channels

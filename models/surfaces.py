@@ -26,6 +26,8 @@ _LOG_NEAREST = -6.907755  # log(NEAREST)
 AGREEMENT = 0.05
 #: Least and greatest log of the ratio of the error's scale to the depth.
 LOG_SCALE = (-6.0, 1.0)
+#: What `surface_features` gives.
+FEATURE_CHANNELS = 6
 #: What `choose_surface` and `error_scale` read.
 HEAD_CHANNELS = 5
 
@@ -74,7 +76,7 @@ def carry_surfaces(measured: Tensor, *, levels: int) -> tuple[Surfaces, Tensor]:
 
 
 def surface_features(surfaces: Surfaces, density: Tensor) -> Tensor:
-    """What a convolution can read of them: (N, 6, h, w), each 0..1 and 0 without support."""
+    """What a convolution reads: (N, FEATURE_CHANNELS, h, w), each 0..1 and 0 without support."""
     depths = torch.cat([surfaces.nearest, surfaces.farthest, surfaces.mean], dim=1)
     known = torch.cat([surfaces.support, surfaces.support, surfaces.mean_support], dim=1)
     steps = (1.0 - torch.log(depths) * (1.0 / _LOG_NEAREST)) * known

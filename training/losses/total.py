@@ -173,13 +173,11 @@ class SSDNetLoss(nn.Module):
         self.max_depth_m = max_depth_m
         self.register_buffer("class_weights", class_weights, persistent=False)
         # A likelihood may be negative, and its best weight would then be infinite.
-        learned = set(TERMS) - {"depth_uncertainty"} if config.weighting == "uncertainty" else set()
+        learned = [name for name in TERMS if self._weight(name) and name != "depth_uncertainty"]
+        if config.weighting == "fixed":
+            learned = []
         self.log_variances = nn.ParameterDict(
-            {
-                name: nn.Parameter(torch.zeros(()))
-                for name in TERMS
-                if name in learned and self._weight(name)
-            }
+            {name: nn.Parameter(torch.zeros(())) for name in learned}
         )
 
     def forward(
