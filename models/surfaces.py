@@ -24,6 +24,8 @@ _LOG_NEAREST = -6.907755  # log(NEAREST)
 #: A return within this share of the predicted depth is taken as it is, one beyond twice as much is
 #: not: it may show through the gap between two surfaces.
 AGREEMENT = 0.05
+#: A return up to this many times as far as a surface, or as near, lies on it.
+SAME_SURFACE = 1.25
 #: Least and greatest log of the ratio of the error's scale to the depth.
 LOG_SCALE = (-6.0, 1.0)
 #: What `surface_features` gives.
@@ -86,15 +88,22 @@ def surface_features(surfaces: Surfaces, density: Tensor) -> Tensor:
 def refine_surfaces(raised: Surfaces, measured: Tensor) -> Surfaces:
     """Put what was measured in a cell of FINE_CELL pixels in the place of what was carried there.
 
+    A return takes the place of the surface that it lies on and leaves the other as it was: a LiDAR
+    beside the camera sees past near edges, and what returns from behind one would tear it.
     raised: the coarse surfaces on the fine grid. measured: as in `carry_surfaces`.
     """
     depth, mask = measured[:, :1], measured[:, 1:]
     # The nearest by the least depth: what is not measured lies beyond everything.
     fine = cell_maxima(torch.cat([mask - depth, depth], dim=1), FINE_CELL)
     seen = fine[:, 1:] > 0
+    nearest = (1.0 - fine[:, :1]).clamp(min=NEAREST)
+    farthest = fine[:, 1:].clamp(min=NEAREST)
+    between = torch.sqrt(raised.nearest * raised.farthest)
+    on_near = nearest < torch.maximum(between, SAME_SURFACE * raised.nearest)
+    on_far = farthest > torch.minimum(between, raised.farthest * (1.0 / SAME_SURFACE))
     return raised._replace(
-        nearest=torch.where(seen, (1.0 - fine[:, :1]).clamp(min=NEAREST), raised.nearest),
-        farthest=torch.where(seen, fine[:, 1:].clamp(min=NEAREST), raised.farthest),
+        nearest=torch.where(seen & on_near, nearest, raised.nearest),
+        farthest=torch.where(seen & on_far, farthest, raised.farthest),
     )
 
 

@@ -116,17 +116,27 @@ def test_a_trusted_candidate_is_the_answer(trusted):
     assert corrected.item() == pytest.approx(min(1.0, chosen.item() * np.exp(0.5)), rel=1e-3)
 
 
-def test_a_fine_cell_with_a_return_holds_it_alone():
+def test_a_return_takes_the_place_of_the_surface_that_it_lies_on():
     maps = measured(r40c40=0.05, r41c41=0.8, r42c42=0.2, r60c60=1.0)
     shape = (1, 1, SIZE[0] // FINE_CELL, SIZE[1] // FINE_CELL)
     raised = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.6, 0.4, 1.0, 0.9)))
     fine = refine_surfaces(raised, maps)
-    expected = {(20, 20): (0.05, 0.8), (21, 21): (0.2, 0.2), (30, 30): (1.0, 1.0)}
+    # Of 0.3 and 0.6, 0.2 lies on the nearer surface, 1.0 on the farther.
+    expected = {(20, 20): (0.05, 0.8), (21, 21): (0.2, 0.6), (30, 30): (0.3, 1.0)}
     for (row, column), (nearest, farthest) in expected.items():
         assert fine.nearest[0, 0, row, column].item() == pytest.approx(nearest, rel=1e-4)
         assert fine.farthest[0, 0, row, column].item() == pytest.approx(farthest, rel=1e-4)
         fine.nearest[0, 0, row, column], fine.farthest[0, 0, row, column] = 0.3, 0.6
     assert all(torch.equal(one, other) for one, other in zip(fine, raised, strict=True))
+
+
+def test_a_return_on_the_one_surface_there_is_stands_for_both():
+    maps = measured(r40c40=0.33)
+    shape = (1, 1, SIZE[0] // FINE_CELL, SIZE[1] // FINE_CELL)
+    raised = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.36, 0.33, 1.0, 0.9)))
+    fine = refine_surfaces(raised, maps)
+    for surface in (fine.nearest, fine.farthest):
+        assert surface[0, 0, 20, 20].item() == pytest.approx(0.33, rel=1e-4)
 
 
 def test_features_lie_in_0_1():

@@ -31,6 +31,9 @@ from training.limits import (
 #: Share of the pixels whose depth is known, from which on a LiDAR can be drawn from it; measured
 #: truth has a fifth, rendered streets under a wide sky a third.
 _DENSE_SHARE = 0.3
+#: Sky this near to another label teaches no depth: where it was labelled by hand or rendered, and
+#: where a network did it.
+SKY_MARGIN_PX, PSEUDO_SKY_MARGIN_PX = 2, 10
 #: RGB that fills what lies beyond the image: the networks' mean colour.
 _FILL_RGB = (124, 116, 104)
 
@@ -160,16 +163,20 @@ def canonical_depth(sample: Sample, focal_px: float) -> Sample:
 def far_sky(sample: Sample, sky: int, max_depth_m: float) -> Sample:
     """Put the depth target of the class ``sky`` at the far end of the range.
 
-    Pixels where anything was measured keep what they have: labels made by a network err. A picture
-    without any depth stays so: it would teach that all is far where there is no LiDAR. Only after
-    the LiDAR was drawn, which sees no sky.
+    Pixels where anything was measured keep what they have, and so do those close to another label,
+    since leaves and wires before the sky are labelled sky: within `SKY_MARGIN_PX`, where a network
+    made the labels within `PSEUDO_SKY_MARGIN_PX`. A picture without any depth stays so: it would
+    teach that all is far where there is no LiDAR. Only after the LiDAR was drawn, which sees none.
     """
     if not sample.depth.any():
         return sample
     unmeasured = sample.depth == 0
     if sample.sparse_depth is not None:
         unmeasured &= sample.sparse_depth == 0
-    is_sky = unmeasured & (sample.semantic == sky)
+    margin = SKY_MARGIN_PX if sample.semantic_weight == 1 else PSEUDO_SKY_MARGIN_PX
+    window = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
+    inner = cv2.erode((sample.semantic == sky).astype(np.uint8), window) > 0
+    is_sky = unmeasured & inner
     return replace(sample, depth=np.where(is_sky, np.float32(max_depth_m), sample.depth))
 
 

@@ -9,6 +9,8 @@ import pytest
 from runtime.resize import move_returns, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample
 from training.loading.augment import (
+    PSEUDO_SKY_MARGIN_PX,
+    SKY_MARGIN_PX,
     AugmentConfig,
     augment,
     canonical_depth,
@@ -363,18 +365,26 @@ def test_the_lidar_is_drawn_in_metres_whatever_the_canonical_camera():
 
 
 def test_sky_is_far_where_nothing_was_measured():
-    depth = np.array([[0, 0, 7, 0, 0]], np.float32)
-    fed = np.array([[0, 0, 0, 5, 0]], np.float32)
-    semantic = np.array([[4, 4, 4, 4, 3]], np.uint8)
-    sample = Sample(np.zeros((1, 5, 3), np.uint8), depth, semantic, None, "sky", fed)
+    depth, fed = np.zeros((2, 3, 40), np.float32)
+    depth[1, 2], fed[1, 3] = 7, 5
+    semantic = np.full((3, 40), 4, np.uint8)
+    semantic[:, 30:] = 3
+    sample = Sample(np.zeros((3, 40, 3), np.uint8), depth, semantic, None, "sky", fed)
+
+    def sky_columns(sample):
+        """Columns of the middle row whose depth is the sky's."""
+        return set(np.flatnonzero(far_sky(sample, 4, 80.0).depth[1] == 80))
+
+    inner = set(range(30 - SKY_MARGIN_PX))
+    assert sky_columns(sample) == inner - {2, 3}
+    assert sky_columns(replace(sample, sparse_depth=None)) == inner - {2}
+    made_by_a_network = replace(sample, semantic_weight=0.2)
+    assert sky_columns(made_by_a_network) == set(range(30 - PSEUDO_SKY_MARGIN_PX)) - {2, 3}
     out = far_sky(sample, 4, 80.0)
-    assert out.depth.tolist() == [[80, 80, 7, 0, 0]]
     assert out.depth.dtype == np.float32
+    assert out.depth[1, 2] == 7
     assert out.sparse_depth is fed
-    assert depth.tolist() == [[0, 0, 7, 0, 0]]
-    assert far_sky(replace(sample, sparse_depth=None), 4, 80.0).depth.tolist() == [
-        [80, 80, 7, 80, 0]
-    ]
+    assert (depth == 80).sum() == 0
 
 
 def test_a_picture_without_any_depth_teaches_nothing_about_the_sky():
