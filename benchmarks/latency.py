@@ -35,11 +35,11 @@ from runtime.bundled_models import find_model, list_bundled_models
 from runtime.resize import move_returns
 from runtime.stream.bundled import bundled_stream
 from runtime.stream.frames import FrameFiles, list_frames, read_frame
+from runtime.stream.outputs.frame_writer import FrameWriter
 from runtime.stream.pipeline import run_stream
 from runtime.stream.process import dedicate_process
 from runtime.stream.report import cpu_name
 from runtime.stream.run_folder import KINDS
-from runtime.stream.writer import FrameWriter
 
 SIZES = ("125x414", "375x1242", "512x1024")
 

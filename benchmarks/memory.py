@@ -15,10 +15,10 @@ import psutil
 from runtime import Predictor
 from runtime.stream.bundled import bundled_stream
 from runtime.stream.frames import list_frames, read_frame
+from runtime.stream.outputs.frame_writer import FrameWriter
 from runtime.stream.pipeline import run_stream
 from runtime.stream.process import dedicate_process
 from runtime.stream.run_folder import KINDS
-from runtime.stream.writer import FrameWriter
 
 
 def main() -> None:

@@ -37,6 +37,7 @@ from runtime.stream.frames import (
     read_frame,
 )
 from runtime.stream.latency_plot import draw_latency
+from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, HEADS, FrameWriter, encode
 from runtime.stream.pipeline import OK, FrameRecord, KeepFrame, StreamResult, run_stream
 from runtime.stream.process import dedicate_process
 from runtime.stream.report import (
@@ -48,7 +49,6 @@ from runtime.stream.report import (
     to_json,
 )
 from runtime.stream.run_folder import FRAMES_FILE, KINDS, LATENCY_FILE, REPORT_FILE
-from runtime.stream.writer import DEPTH_PNG_SCALE, HEADS, FrameWriter, encode
 
 SKIPPED, MISSED = 3, 4  # exit codes
 MAX_SHARDS = 1_000_000

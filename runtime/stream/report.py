@@ -20,8 +20,8 @@ from runtime.stream.latency import (
     latency_table,
     missed_deadlines,
 )
+from runtime.stream.outputs.frame_writer import DEPTH_PNG_MAX_M, DEPTH_PNG_SCALE
 from runtime.stream.pipeline import SKIPPED, FrameRecord, StreamResult
-from runtime.stream.writer import DEPTH_PNG_MAX_M, DEPTH_PNG_SCALE
 
 REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.4"
 

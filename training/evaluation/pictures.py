@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models import NetworkConfig
-from runtime.stream.overlay import Overlay
+from runtime.drawing.overlay import Overlay
 from training.datasets.sample import IGNORE, SampleSource
 from training.evaluation.scoring import Answer, Predict, split_frames
 from training.lidar.split import LidarInput
@@ -25,7 +25,7 @@ def draw_pictures(
 
     Each picture is uint8 (H', W', 3), RGB: left what the network says, right the labels and the
     depth as far as they are known (unknown classes are drawn black), as
-    `runtime.stream.overlay` draws both. Raises InputError for a LiDAR that the set cannot give.
+    `runtime.drawing.overlay` draws both. Raises InputError for a LiDAR that the set cannot give.
     """
     overlay = Overlay(config.classes, config.max_depth_m)
     indices = np.unique(np.linspace(0, len(source) - 1, count).round().astype(int))

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contract import ClassInfo
-from runtime.stream.color_scale import NO_VALUE_COLOR, ColorScale
-from runtime.stream.picture_text import text_width, write_text
+from runtime.drawing.color_scale import NO_VALUE_COLOR, ColorScale
+from runtime.drawing.picture_text import text_width, write_text
 
 # Larger frames are shrunk by a whole number until they fit: a JPEG side has at most 65500 pixels.
 _PANEL_WIDTH, _PANEL_HEIGHT = 640, 4096

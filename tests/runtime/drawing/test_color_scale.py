@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime.stream.color_scale import NO_VALUE_COLOR, ColorScale
+from runtime.drawing.color_scale import NO_VALUE_COLOR, ColorScale
 
 DEPTH = ColorScale("depth", "m", 3.0, 100.0, cv2.COLORMAP_MAGMA, bright_low=True)
 PERCENT = ColorScale("uncertainty", "%", 1.0, 100.0, cv2.COLORMAP_VIRIDIS)
@@ -70,7 +70,7 @@ def test_the_bar_has_the_colours_of_its_values(width):
 def test_the_values_on_the_bar(monkeypatch):
     written = []
     monkeypatch.setattr(
-        "runtime.stream.color_scale.write_text", lambda bar, text, at: written.append((at, text))
+        "runtime.drawing.color_scale.write_text", lambda bar, text, at: written.append((at, text))
     )
     DEPTH.draw_bar(1242, 22)
     places, texts = zip(*sorted(written), strict=True)

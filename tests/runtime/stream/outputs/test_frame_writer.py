@@ -10,9 +10,14 @@ import pytest
 
 from runtime import OutputError, Predictor
 from runtime.atomic_write import atomic_file
-from runtime.stream.overlay import Overlay
+from runtime.drawing.overlay import Overlay
+from runtime.stream.outputs.frame_writer import (
+    FrameWriter,
+    encode_boundary,
+    encode_metres,
+    encode_semantic,
+)
 from runtime.stream.run_folder import KINDS
-from runtime.stream.writer import FrameWriter, encode_boundary, encode_metres, encode_semantic
 
 
 @pytest.fixture
@@ -310,7 +315,7 @@ def depth_panels(overlay, answered, **changes):
 def test_the_sky_has_no_depth(contract, answered, monkeypatch):
     titles = []
     monkeypatch.setattr(
-        "runtime.stream.overlay.write_text", lambda picture, text, at: titles.append(text)
+        "runtime.drawing.overlay.write_text", lambda picture, text, at: titles.append(text)
     )
     grey = [110, 110, 110]
     ids = np.zeros((60, 80), np.uint8)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from runtime.atomic_write import atomic_write
 from runtime.contract import Contract
+from runtime.drawing.overlay import Overlay
 from runtime.errors import OutputError
 from runtime.prediction import Prediction
-from runtime.stream.overlay import Overlay
 from runtime.stream.run_folder import KINDS, SUFFIXES, RunFolder
 
 #: Kind of answer that is one head's -> the field of `Prediction` that holds it.

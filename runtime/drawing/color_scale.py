@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.stream.picture_text import text_width, write_text
+from runtime.drawing.picture_text import text_width, write_text
 
 NO_VALUE_COLOR = (110, 110, 110)
 _NO_VALUE = 255  # its place among the colours

@@ -1,0 +1,1 @@
+"""Where the answers of a run go, a file an output."""

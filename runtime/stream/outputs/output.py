@@ -1,0 +1,35 @@
+"""What every output of a run is: it takes the answers, one frame after another."""
+
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import OutputError
+from runtime.prediction import Prediction
+
+
+class Output(Protocol):
+    """Where the answers of a run go.
+
+    An output is a context manager that yields this: what it makes has its name, whole, when the
+    block ends, and is gone after an error there.
+    """
+
+    def write(self, name: str, rgb: NDArray[np.uint8], prediction: Prediction) -> None:
+        """Take a frame whose answer is valid; always from one thread. Raises OutputError.
+
+        name: of the frame, as frames.csv has it
+        rgb: uint8 (H, W, 3), red first
+        """
+
+
+def require_free(path: Path, *, overwrite: bool) -> None:
+    """Raise OutputError unless a file may be made at `path`: before a run, not after it."""
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder: name a file to write")
+    if path.exists() and not overwrite:
+        raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
+    if not path.parent.is_dir():
+        raise OutputError(f"the folder {path.parent} of {path.name} does not exist: make it first")
