@@ -20,6 +20,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -137,7 +138,12 @@ def measure(
             out = Path(tempfile.mkdtemp(dir=scratch))
             writer = FrameWriter(out, predictor.contract, kinds=KINDS)
             return _timed(
-                lambda: run_stream(predictor, pairs, depth_scale=256.0, write=writer.write)
+                lambda: run_stream(
+                    predictor,
+                    pairs,
+                    read=partial(read_frame, depth_scale=256.0),
+                    write=writer.write,
+                )
             )
 
         ways = (

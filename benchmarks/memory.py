@@ -8,6 +8,7 @@ the resident size every tenth of the way.
 
 import argparse
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import psutil
@@ -53,7 +54,9 @@ def main() -> None:
             print(f"| {done} | {resident_mb():.1f} |", flush=True)
             if done < arguments.frames:
                 pairs = [files[index % len(files)] for index in range(part)]
-                run_stream(engine, pairs, depth_scale=256.0, write=writer.write)
+                run_stream(
+                    engine, pairs, read=partial(read_frame, depth_scale=256.0), write=writer.write
+                )
 
 
 if __name__ == "__main__":

@@ -9,7 +9,8 @@ if __name__ == "__main__":  # python -m runtime.stream.cli
 
     main()  # ends the process
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,13 +33,12 @@ from runtime.stream.frames import (
     KITTI_DEPTH_SCALE,
     MAX_PIXELS,
     Frame,
-    FrameFiles,
     list_frames,
     read_frame,
 )
 from runtime.stream.latency_plot import draw_latency
 from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, HEADS, FrameWriter, encode
-from runtime.stream.pipeline import OK, FrameRecord, KeepFrame, StreamResult, run_stream
+from runtime.stream.pipeline import OK, FrameRecord, KeepFrame, Listed, StreamResult, run_stream
 from runtime.stream.process import dedicate_process
 from runtime.stream.report import (
     build_report,
@@ -200,6 +200,7 @@ def run(
         rgb_dir, depth_dir = (rgb, depth) if rgb and depth else bundled_stream()
         _require_apart(out, rgb_dir, depth_dir)
         frames = list_frames(rgb_dir, depth_dir, limit=limit)[part - 1 :: parts]
+        read = partial(read_frame, depth_scale=depth_scale)
         predictor: Predictor | CompletionPredictor
         if method is not None:
             predictor = CompletionPredictor(method)
@@ -215,7 +216,7 @@ def run(
             )
         with predictor:
             kinds = _answered(kinds, predictor, everything=save == "all")
-            frame_size = _warm_up(predictor, frames, depth_scale, runs=warmup)
+            frame_size = _warm_up(predictor, frames, read, runs=warmup)
             with _stop_asked() as stop:  # only now: until here nothing was written
                 writer = FrameWriter(
                     out,
@@ -231,7 +232,7 @@ def run(
                     result = _run(
                         predictor,
                         frames,
-                        depth_scale=depth_scale,
+                        read=read,
                         rate_hz=rate,
                         write=writer.write if kinds else None,
                         keep=keep,
@@ -389,15 +390,15 @@ def _require_range(option: str, value: float | None, least: float, most: float) 
 
 def _warm_up(
     predictor: Predictor | CompletionPredictor,
-    frames: tuple[FrameFiles, ...],
-    depth_scale: float,
+    frames: Sequence[Listed],
+    read: Callable[[Listed], Frame],
     *,
     runs: int,
 ) -> tuple[int, int] | None:
     """Warm up at the size of the first frame that can be predicted, and give back its size."""
-    for files in frames:
+    for listed in frames:
         try:
-            frame = read_frame(files, depth_scale=depth_scale)
+            frame = read(listed)
             height, width = frame.rgb.shape[:2]
             predictor.warm_up((height, width), runs=runs)
         except SSDNetError:
@@ -407,7 +408,7 @@ def _warm_up(
 
 
 def _run(
-    predictor: Predictor | CompletionPredictor, frames: tuple[FrameFiles, ...], **options: Any
+    predictor: Predictor | CompletionPredictor, frames: Sequence[Listed], **options: Any
 ) -> StreamResult:
     """Run the stream, under a progress bar where stderr is a terminal."""
     if not sys.stderr.isatty():

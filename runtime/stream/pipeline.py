@@ -7,14 +7,14 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import SSDNetError
 from runtime.prediction import Cleaned, Latency, Prediction
-from runtime.stream.frames import Frame, FrameFiles, read_frame
+from runtime.stream.frames import Frame
 
 OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
 _READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side
@@ -23,6 +23,17 @@ _STOP_ASKED_S = 0.1  # so often while waiting
 
 WriteFrame = Callable[[str, NDArray[np.uint8], Prediction], None]
 KeepFrame = Callable[[str, Frame, Prediction], None]
+
+
+class ListedFrame(Protocol):
+    """A frame that is known of, but not read yet."""
+
+    @property
+    def name(self) -> str:
+        """Of the frame and of its answers' files."""
+
+
+Listed = TypeVar("Listed", bound=ListedFrame)
 
 
 class PredictsFrames(Protocol):
@@ -81,9 +92,9 @@ class StreamResult:
 
 def run_stream(
     predictor: PredictsFrames,
-    frames: Sequence[FrameFiles],
+    frames: Sequence[Listed],
     *,
-    depth_scale: float,
+    read: Callable[[Listed], Frame],
     rate_hz: float | None = None,
     write: WriteFrame | None = None,
     keep: KeepFrame = lambda name, frame, prediction: None,
@@ -95,6 +106,8 @@ def run_stream(
     One thread reads ahead and one writes behind; both hold at most two frames, so memory does not
     grow. A frame that cannot be read or predicted is recorded and skipped.
 
+    read: is called with each of `frames`, in order, in the reading thread; an SSDNetError says why
+        a frame cannot be read
     rate_hz: frames are due so often, from the start on, and none is predicted earlier: MLPerf's
         constant stream; None = each as soon as the one before is done: its single stream
     write: is called with (name, rgb, prediction) in the writing thread; None = nothing is written
@@ -108,13 +121,13 @@ def run_stream(
     Raises what `write` and `keep` raise (OutputError), after the frames before it were written.
     """
     records: list[FrameRecord] = []
-    reads: deque[tuple[int, FrameFiles, Future[tuple[Frame, float]]]] = deque()
+    reads: deque[tuple[int, str, Future[tuple[Frame, float]]]] = deque()
     writes: deque[tuple[FrameRecord, Future[float] | None]] = deque()
     waiting = iter(enumerate(frames))
 
     def read_next() -> None:
-        for index, files in waiting:
-            reads.append((index, files, reader.submit(_timed_read, files, depth_scale)))
+        for index, listed in waiting:
+            reads.append((index, listed.name, reader.submit(_timed_read, read, listed)))
             return
 
     def finish_oldest() -> None:
@@ -131,12 +144,12 @@ def run_stream(
         for _ in range(_READ_AHEAD):
             read_next()
         while reads and not stop():
-            index, files, reading = reads[0]
+            index, name, reading = reads[0]
             due = None if rate_hz is None else started + index / rate_hz
             if due is not None and not _wait_until(due, stop):
                 break
             reads.popleft()
-            record, written = _predict(predictor, index, files, reading, writer, write, keep, due)
+            record, written = _predict(predictor, index, name, reading, writer, write, keep, due)
             if record.age_ms is not None:
                 if last_age_ms is not None:
                     record = replace(record, jitter_ms=abs(record.age_ms - last_age_ms))
@@ -166,7 +179,7 @@ def _wait_until(due: float, stop: Callable[[], bool]) -> bool:
 def _predict(
     predictor: PredictsFrames,
     index: int,
-    files: FrameFiles,
+    name: str,
     reading: "Future[tuple[Frame, float]]",
     writer: ThreadPoolExecutor,
     write: WriteFrame | None,
@@ -181,12 +194,12 @@ def _predict(
         frame, read_ms = reading.result()
         prediction = predictor.predict(frame.rgb, frame.sparse_depth)
     except SSDNetError as error:
-        return FrameRecord(index, files.name, SKIPPED, reason=str(error)), None
+        return FrameRecord(index, name, SKIPPED, reason=str(error)), None
     age_ms = None if due is None else (time.perf_counter() - due) * 1e3
-    keep(files.name, frame, prediction)
+    keep(name, frame, prediction)
     record = FrameRecord(
         index,
-        files.name,
+        name,
         OK if prediction.valid else INVALID,
         reason="" if prediction.valid else ", ".join(prediction.degraded),
         frame_size=prediction.frame_size,
@@ -200,7 +213,7 @@ def _predict(
     )
     if write is None or not prediction.valid:
         return record, None
-    return record, writer.submit(_timed_write, write, files.name, frame.rgb, prediction)
+    return record, writer.submit(_timed_write, write, name, frame.rgb, prediction)
 
 
 def _give_way() -> None:
@@ -213,9 +226,9 @@ def _give_way() -> None:
         os.nice(_NICENESS)
 
 
-def _timed_read(files: FrameFiles, depth_scale: float) -> tuple[Frame, float]:
+def _timed_read(read: Callable[[Listed], Frame], listed: Listed) -> tuple[Frame, float]:
     started = time.perf_counter()
-    frame = read_frame(files, depth_scale=depth_scale)
+    frame = read(listed)
     return frame, (time.perf_counter() - started) * 1e3
 
 

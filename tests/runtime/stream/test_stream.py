@@ -4,6 +4,7 @@ import os
 import re
 import sys
 import threading
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,7 +15,7 @@ import pytest
 import runtime.stream.frames
 import runtime.stream.pipeline
 from runtime import OutputError, Predictor
-from runtime.stream.frames import list_frames
+from runtime.stream.frames import list_frames, read_frame
 from runtime.stream.pipeline import run_stream
 
 
@@ -42,7 +43,8 @@ def predictor(model_file):
 
 
 def run(predictor, folders, **options):
-    return run_stream(predictor, list_frames(*folders), depth_scale=256, **options)
+    options.setdefault("read", partial(read_frame, depth_scale=256))
+    return run_stream(predictor, list_frames(*folders), **options)
 
 
 def test_every_frame_is_predicted_and_written_in_order(predictor, stream_of, make_frame):
@@ -83,11 +85,11 @@ def test_reading_and_writing_overlap_with_inference(predictor, stream_of, monkey
     read_of = [threading.Event() for _ in range(6)]
     predicted_of = [threading.Event() for _ in range(6)]
     met: list[str] = []
-    read, predict = runtime.stream.pipeline.read_frame, predictor.predict
+    predict = predictor.predict
     count = iter(range(6))
 
-    def read_and_tell(files, **options):
-        frame = read(files, **options)
+    def read_and_tell(files):
+        frame = read_frame(files, depth_scale=256)
         read_of[int(files.name)].set()
         return frame
 
@@ -104,9 +106,8 @@ def test_reading_and_writing_overlap_with_inference(predictor, stream_of, monkey
         if int(name) < 5 and predicted_of[int(name) + 1].wait(5):
             met.append(f"written {name}")
 
-    monkeypatch.setattr(runtime.stream.pipeline, "read_frame", read_and_tell)
     monkeypatch.setattr(predictor, "predict", predict_when_others_work)
-    run(predictor, folders, write=write)
+    run(predictor, folders, read=read_and_tell, write=write)
     assert sorted(met) == sorted(
         [f"read {i}" for i in range(1, 6)] + [f"written {i}" for i in range(5)]
     )
@@ -260,7 +261,7 @@ def test_a_full_disk_stops_the_run_and_keeps_what_was_finished(predictor, stream
 
 
 def reread(folders: tuple[Path, Path]):
-    frame = runtime.stream.pipeline.read_frame(list_frames(*folders)[0], depth_scale=256)
+    frame = read_frame(list_frames(*folders)[0], depth_scale=256)
     return frame.rgb, frame.sparse_depth
 
 
