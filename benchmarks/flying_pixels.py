@@ -43,7 +43,7 @@ def main() -> None:
             near = (sample.depth > 0) & (sample.depth < FARTHEST_M)
             flying = flies(prediction.depth, sample.depth)
             for edge in EDGES:
-                cloud = prediction.points(sample.intrinsics, edge_boundary=edge)
+                cloud = prediction.points(sample.intrinsics, edge_boundary=edge, keep_sky=True)
                 counted = near[cloud.rows, cloud.columns]
                 bad = flying[cloud.rows, cloud.columns]
                 counts[edge] += np.count_nonzero(counted), np.count_nonzero(counted & bad)

@@ -100,6 +100,11 @@ class Contract:
     canonical_focal_px: float | None = None
     content: Content | None = None
 
+    @property
+    def sky(self) -> int | None:
+        """The id of the class that has no depth; None = there is none."""
+        return find_sky(self.classes)
+
     def to_json(self) -> str:
         """The document as it is stored under METADATA_KEY.
 
@@ -243,6 +248,11 @@ def check_classes(classes: Sequence[ClassInfo]) -> tuple[ClassInfo, ...]:
     if len(set(names)) < len(names):
         raise ValueError(f"classes must have different names, got {names!r:.80}")
     return tuple(classes)
+
+
+def find_sky(classes: Sequence[ClassInfo]) -> int | None:
+    """The id of the class "sky", in any case of its letters; None = there is none."""
+    return next((i for i, info in enumerate(classes) if info.name.lower() == "sky"), None)
 
 
 def _wrong(name: str, expected: str, found: object) -> ContractError:

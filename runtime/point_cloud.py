@@ -38,6 +38,7 @@ def to_points(
     semantic: NDArray[np.uint8] | None = None,
     boundary: NDArray[np.float32] | None = None,
     edge_boundary: float | None = EDGE_BOUNDARY,
+    sky: int | None = None,
 ) -> PointCloud:
     """Return a point for each pixel that has depth, row after row.
 
@@ -45,6 +46,7 @@ def to_points(
     intrinsics: (3, 3) of the rectified camera, in pixels of this depth map; integers are pixel
         centres
     boundary: pixels above `edge_boundary` have no point either; None = all stay
+    sky: class id whose pixels have no point either; None = there is none
     Raises InputError for arrays that do not fit.
     """
     _check_intrinsics(intrinsics)
@@ -58,6 +60,8 @@ def to_points(
     kept = (depth > 0) & (depth < np.inf)
     if boundary is not None and edge_boundary is not None:
         kept &= boundary <= edge_boundary
+    if semantic is not None and sky is not None:
+        kept &= semantic != sky
     row, column = np.nonzero(kept)
     z = depth[row, column]
     inverse = np.linalg.inv(intrinsics.astype(np.float64))

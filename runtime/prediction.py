@@ -1,6 +1,7 @@
 """What one call of the predictor gives back."""
 
 from dataclasses import dataclass, field
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from runtime.errors import InputError
 
 if TYPE_CHECKING:
+    from runtime.contract import Contract
     from runtime.point_cloud import PointCloud
 
 # Reasons in Prediction.degraded. The answer is usable, with less behind it than usual:
@@ -75,6 +77,8 @@ class Prediction:
     cleaned: depth pixels that were treated as no measurement
     depth_returns: number of depth pixels used
     stamp: what was handed to `predict`, untouched
+    contract: of the model that answered: its classes, their colours, the depth's range; None in a
+        prediction made by hand
     """
 
     semantic: NDArray[np.uint8] | None
@@ -90,6 +94,42 @@ class Prediction:
     depth_uncertainty: NDArray[np.float32] | None = None
     semantic_logits: NDArray[np.float32] | None = None
     stamp: Any = None
+    contract: "Contract | None" = field(default=None, repr=False)
+
+    def draw(self, rgb: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
+        """Return one picture of the frame and its answers, to look at.
+
+        rgb: uint8 (H, W, 3), the frame's picture, red first; None = answers alone
+        Returns uint8 (H', W', 3), red first: panels of picture, classes, depth, its uncertainty
+            and boundary, shrunk by a whole number where the frame is large, over a legend; see
+            `runtime.drawing.overlay.Overlay`. Answers with `valid` False are drawn, too.
+        Raises InputError for a picture that is not the frame's, and where `contract` is None.
+        """
+        from runtime.drawing.draw_prediction import draw_prediction  # only who looks needs it
+
+        return draw_prediction(self, rgb)
+
+    def save(
+        self,
+        path: "str | PathLike[str]",
+        rgb: NDArray[np.uint8] | None = None,
+        *,
+        intrinsics: NDArray[np.floating[Any]] | None = None,
+    ) -> None:
+        """Write a file, whole or not at all; its ending says of what.
+
+        path: ``.png``, ``.jpg``, ``.jpeg``: the picture of `draw`. ``.npz``: all arrays by their
+            names here, with `valid` and `degraded`. ``.ply``: the cloud of `points`, binary, with
+            colours where `rgb` is given and class ids as ``label``. A file that is there is
+            replaced.
+        rgb: uint8 (H, W, 3), the frame's picture, red first
+        intrinsics: (3, 3) of the rectified camera, in pixels of the frame; for ``.ply``
+        Raises InputError for another ending and for what `draw` and `points` do, OutputError if
+            the file cannot be written.
+        """
+        from runtime.drawing.draw_prediction import save_prediction  # only who looks needs it
+
+        save_prediction(self, path, rgb, intrinsics=intrinsics)
 
     def points(
         self,
@@ -97,6 +137,7 @@ class Prediction:
         rgb: NDArray[np.uint8] | None = None,
         *,
         edge_boundary: float | None = 0.5,
+        keep_sky: bool = False,
     ) -> "PointCloud":
         """Return the depth as a cloud of points in the camera's frame, labelled with `semantic`.
 
@@ -104,6 +145,8 @@ class Prediction:
         rgb: uint8 (H, W, 3), the frame's picture, for the colours of the points
         edge_boundary: pixels whose `boundary` is above it have no point: there depth passes from
             one surface to the next through places where nothing is; None = all have one
+        keep_sky: pixels of the class "sky", if there is one, have points, too: of a depth that
+            means nothing
         Raises InputError for arrays that do not fit, for a model without depth, and where `valid`
         is False.
         """
@@ -119,4 +162,5 @@ class Prediction:
             semantic=self.semantic,
             boundary=self.boundary,
             edge_boundary=edge_boundary,
+            sky=None if keep_sky or self.contract is None else self.contract.sky,
         )

@@ -145,7 +145,7 @@ class Predictor:
             postprocess_ms=(finished - inferred) * 1e3,
             total_ms=(finished - started) * 1e3,
         )
-        return _prediction(answers, frame, latency, stamp)
+        return _prediction(answers, frame, latency, stamp, self.contract)
 
     def predict_batch(
         self,
@@ -211,6 +211,7 @@ class Predictor:
                 ready,
                 Latency(preprocess_ms[index], inference_ms[index], postprocess_ms[index], total_ms),
                 stamps[index],
+                self.contract,
             )
             for index, ready in enumerate(prepared)
         ]
@@ -366,7 +367,9 @@ def _one_each(name: str, values: Any, frames: Any) -> list[Any]:
     return given
 
 
-def _prediction(answers: Answers, frame: NetworkInput, latency: Latency, stamp: Any) -> Prediction:
+def _prediction(
+    answers: Answers, frame: NetworkInput, latency: Latency, stamp: Any, contract: Contract
+) -> Prediction:
     return Prediction(
         semantic=answers.heads.get("semantic"),
         depth=answers.heads.get("depth"),
@@ -381,6 +384,7 @@ def _prediction(answers: Answers, frame: NetworkInput, latency: Latency, stamp: 
         cleaned=frame.cleaned,
         depth_returns=frame.depth_returns,
         stamp=stamp,
+        contract=contract,
     )
 
 

@@ -108,6 +108,7 @@ class CompletionPredictor:
             cleaned=frame.cleaned,
             depth_returns=frame.depth_returns,
             stamp=stamp,
+            contract=self.contract,
         )
 
     def network_size(self, frame_size: tuple[int, int]) -> tuple[int, int]:

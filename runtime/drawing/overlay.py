@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.contract import ClassInfo
+from runtime.contract import ClassInfo, find_sky
 from runtime.drawing.color_scale import NO_VALUE_COLOR, ColorScale
 from runtime.drawing.picture_text import text_width, write_text
 
@@ -18,7 +18,6 @@ _STACK_ASPECT = 2.0  # panels wider than this stand below one another
 _STACKED_WIDTH = 960
 _CLASS_OPACITY = 0.7
 _LEGEND_LINE = 22  # pixels
-_SKY = "sky"  # the class that has no depth, in any case of its letters
 _NO_DEPTH = ClassInfo("no depth", NO_VALUE_COLOR)  # as the legend has it
 _NEAREST_M = 3.0  # what is nearer is in front of the bonnet
 _UNCERTAINTY_PERCENT = (1.0, 100.0)
@@ -56,7 +55,7 @@ class Overlay:
 
     def __init__(self, classes: Sequence[ClassInfo], max_depth_m: float) -> None:
         self._classes = tuple(classes)
-        self._sky = next((i for i, info in enumerate(classes) if info.name.lower() == _SKY), None)
+        self._sky = find_sky(classes)
         nearest_m = min(_NEAREST_M, max_depth_m / 10)
         self._depth_scale = ColorScale(
             "depth", "m", nearest_m, max_depth_m, cv2.COLORMAP_MAGMA, bright_low=True
@@ -66,26 +65,27 @@ class Overlay:
         )
         self._legends: dict[tuple[int, tuple[ColorScale, ...]], NDArray[np.uint8]] = {}
 
-    def draw(self, rgb: NDArray[np.uint8], prediction: Answers) -> NDArray[np.uint8]:
+    def draw(self, rgb: NDArray[np.uint8] | None, prediction: Answers) -> NDArray[np.uint8]:
         """Draw one frame.
 
-        rgb: uint8 (H, W, 3), red first.
+        rgb: uint8 (H, W, 3), red first; None = answers alone
         Returns uint8, blue first, as OpenCV writes it.
         """
-        height, width = rgb.shape[:2]
+        heads = (prediction.semantic, prediction.depth, prediction.boundary)
+        height, width = next(array.shape[:2] for array in (rgb, *heads) if array is not None)
         stacked = width >= _STACK_ASPECT * height
         widest = _STACKED_WIDTH if stacked else _PANEL_WIDTH
         step = max(-(-width // widest), -(-height // _PANEL_HEIGHT))
         step = min(step, height, width)  # at least a line of a very long frame is left
-        image = cv2.cvtColor(_shrink(rgb, step), cv2.COLOR_RGB2BGR)
-        panels: dict[str, NDArray[Any]] = {"image": image}
+        image = None if rgb is None else cv2.cvtColor(_shrink(rgb, step), cv2.COLOR_RGB2BGR)
+        panels: dict[str, NDArray[Any]] = {} if image is None else {"image": image}
         ids = None
         if prediction.semantic is not None:
             ids = _shrink_nearest(prediction.semantic, step)
             classes = cv2.applyColorMap(ids, self._class_colors)
-            panels["classes"] = cv2.addWeighted(
-                classes, _CLASS_OPACITY, image, 1 - _CLASS_OPACITY, 0
-            )
+            if image is not None:
+                classes = cv2.addWeighted(classes, _CLASS_OPACITY, image, 1 - _CLASS_OPACITY, 0)
+            panels["classes"] = classes
         if prediction.depth is not None:
             panels |= self._depth_panels(prediction.depth, prediction.depth_uncertainty, ids, step)
         if prediction.boundary is not None:

@@ -1,5 +1,7 @@
 """Clouds against the projection: every point falls back into its own pixel."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -97,3 +99,16 @@ def test_arrays_of_another_size():
 def test_a_picture_of_another_kind(rgb):
     with pytest.raises(InputError, match="rgb must be uint8"):
         to_points(depth_map(), K, rgb=rgb)
+
+
+def test_the_sky_has_no_points_unless_asked_for(model_file, make_frame, contract):
+    sky = dataclasses.replace(
+        contract,
+        classes=(contract.classes[0], dataclasses.replace(contract.classes[1], name="Sky")),
+    )
+    with Predictor(model_file(contract=sky), threads=1) as predictor:
+        prediction = predictor.predict(*make_frame())
+    edges = prediction.boundary <= 0.5
+    assert 0 < (prediction.semantic[edges] == 1).sum() < edges.sum()
+    assert len(prediction.points(K).points) == (edges & (prediction.semantic == 0)).sum()
+    assert len(prediction.points(K, keep_sky=True).points) == edges.sum()

@@ -1,0 +1,91 @@
+"""What `Prediction.draw` and `Prediction.save` do, for whoever wants to look at an answer."""
+
+import io
+from collections.abc import Sequence
+from functools import lru_cache
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.atomic_write import atomic_write
+from runtime.contract import ClassInfo
+from runtime.drawing.overlay import Overlay
+from runtime.errors import InputError, OutputError
+from runtime.ply import encode_ply
+from runtime.prediction import Prediction
+
+_PICTURES, _ARRAYS, _CLOUD = (".png", ".jpg", ".jpeg"), ".npz", ".ply"
+_HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
+
+
+def draw_prediction(
+    prediction: Prediction, rgb: NDArray[np.uint8] | None = None
+) -> NDArray[np.uint8]:
+    """Return the picture of `Prediction.draw`, uint8 (H', W', 3), red first. Raises InputError."""
+    contract = prediction.contract
+    if contract is None:
+        raise InputError(
+            "the prediction holds no contract, which names the classes and their colours: draw "
+            "what Predictor.predict gives, or make it with contract=predictor.contract"
+        )
+    size = prediction.frame_size
+    if rgb is not None:
+        given = f"{rgb.dtype} {rgb.shape}" if isinstance(rgb, np.ndarray) else type(rgb).__name__
+        if given != f"uint8 {(*size, 3)}":
+            raise InputError(f"rgb must be the frame's picture, uint8 {(*size, 3)}, got {given}")
+    overlay = _overlay(tuple(contract.classes), contract.max_depth_m)
+    return cv2.cvtColor(overlay.draw(rgb, prediction), cv2.COLOR_BGR2RGB)  # type: ignore[return-value]
+
+
+def save_prediction(
+    prediction: Prediction,
+    path: str | PathLike[str],
+    rgb: NDArray[np.uint8] | None = None,
+    *,
+    intrinsics: NDArray[np.floating[Any]] | None = None,
+) -> None:
+    """Write the file of `Prediction.save`. Raises InputError and OutputError."""
+    path = Path(path)
+    suffix = path.suffix.lower()
+    content: bytes | memoryview
+    if suffix in _PICTURES:
+        drawn = cv2.cvtColor(draw_prediction(prediction, rgb), cv2.COLOR_RGB2BGR)
+        done, encoded = cv2.imencode(suffix, drawn)
+        if not done:
+            raise OutputError(f"{path}: {drawn.shape[0]} x {drawn.shape[1]} is too large for it")
+        content = encoded.ravel().data
+    elif suffix == _ARRAYS:
+        content = _npz(prediction)
+    elif suffix == _CLOUD:
+        if intrinsics is None:
+            raise InputError(
+                f"{path.name} is a cloud of points: give intrinsics=, the camera's 3 x 3 matrix in "
+                "pixels of the frame"
+            )
+        classes = prediction.contract.classes if prediction.contract is not None else ()
+        content = encode_ply(prediction.points(intrinsics, rgb), classes)
+    else:
+        known = ", ".join((*_PICTURES, _ARRAYS, _CLOUD))
+        raise InputError(f"{path.name} must end in one of {known}: it says what is saved")
+    atomic_write(path, content)
+
+
+def _npz(prediction: Prediction) -> memoryview:
+    """All arrays by their heads' names, and whether they may be used."""
+    heads = {head: getattr(prediction, head) for head in _HEADS}
+    arrays: dict[str, Any] = {name: values for name, values in heads.items() if values is not None}
+    arrays["valid"] = np.bool_(prediction.valid)
+    arrays["degraded"] = np.array(prediction.degraded, dtype=np.str_)
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    return file.getbuffer()
+
+
+@lru_cache(maxsize=8)
+def _overlay(classes: Sequence[ClassInfo], max_depth_m: float) -> Overlay:
+    """One for all frames of a model: it keeps what it draws below each."""
+    return Overlay(classes, max_depth_m)

@@ -1,0 +1,160 @@
+"""A prediction draws and saves itself, in a line each, and loads nothing for it before."""
+
+import dataclasses
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from runtime import InputError, OutputError, Predictor
+from runtime.completion.predictor import CompletionPredictor
+from runtime.drawing.overlay import Overlay
+
+K = np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]])
+
+
+@pytest.fixture
+def answered(model_file, make_frame):
+    """(rgb, prediction) of a frame of 48 x 64."""
+    rgb, depth = make_frame()
+    rgb[..., 1] = rgb[..., 2] // 2
+    heads = ("semantic", "depth", "boundary", "depth_uncertainty")
+    with Predictor(model_file(heads=heads), threads=1) as predictor:
+        return rgb, predictor.predict(rgb, depth)
+
+
+def read_ply(path):
+    """Whatever a PLY file of one element holds: (lines of the header, structured array)."""
+    header, content = path.read_bytes().split(b"end_header\n", 1)
+    lines = header.decode("ascii").splitlines()
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    (count,) = [int(line.split()[2]) for line in lines if line.startswith("element vertex")]
+    types = {"float": "<f4", "uchar": "u1"}
+    properties = [line.split()[1:] for line in lines if line.startswith("property")]
+    points = np.frombuffer(content, [(name, types[kind]) for kind, name in properties])
+    assert len(points) == count
+    return lines, points
+
+
+def test_the_picture_is_the_overlay_red_first(contract, answered):
+    rgb, prediction = answered
+    drawn = prediction.draw(rgb)
+    expected = Overlay(contract.classes, contract.max_depth_m).draw(rgb, prediction)
+    np.testing.assert_array_equal(drawn[..., ::-1], expected)
+    assert drawn.dtype == np.uint8
+    np.testing.assert_array_equal(drawn[24:48, :64], rgb[24:48])  # its first panel
+
+
+def test_without_the_picture_the_answers_alone_are_drawn(contract, answered):
+    rgb, prediction = answered
+    drawn = prediction.draw()
+    assert drawn.shape[1] == prediction.draw(rgb).shape[1] - 64
+    classes = drawn[24:48, :64]
+    for index, info in enumerate(contract.classes):
+        assert (classes[prediction.semantic[24:48] == index] == info.color).all()
+
+
+def test_an_answer_that_cannot_be_used_is_drawn(answered):
+    rgb, prediction = answered
+    depth = prediction.depth.copy()
+    depth[30:] = np.nan
+    broken = dataclasses.replace(prediction, depth=depth, valid=False)
+    drawn = broken.draw(rgb)
+    assert (drawn[30:48, 2 * 64 : 3 * 64] == 110).all(), "no depth there"
+
+
+def test_a_classical_method_draws_itself(make_frame):
+    rgb, depth = make_frame()
+    prediction = CompletionPredictor("nearest").predict(rgb, depth)
+    assert prediction.draw(rgb).shape[1] == 2 * 64
+
+
+@pytest.mark.parametrize("rgb", [np.zeros((48, 63, 3), np.uint8), np.zeros((48, 64, 3)), "x"])
+def test_a_picture_of_another_frame_is_refused(answered, rgb):
+    with pytest.raises(InputError, match=r"uint8 \(48, 64, 3\), got "):
+        answered[1].draw(rgb)
+
+
+def test_a_prediction_of_no_model_says_what_it_lacks(answered):
+    with pytest.raises(InputError, match=r"contract=predictor\.contract"):
+        dataclasses.replace(answered[1], contract=None).draw()
+
+
+@pytest.mark.parametrize(("suffix", "worst"), [(".png", 0), (".JPG", 90), (".jpeg", 90)])
+def test_a_picture_is_saved(tmp_path, answered, suffix, worst):
+    rgb, prediction = answered
+    prediction.save(tmp_path / f"a{suffix}", rgb)
+    read = cv2.imread(str(tmp_path / f"a{suffix}"), cv2.IMREAD_COLOR_RGB)
+    drawn = prediction.draw(rgb)
+    assert read.shape == drawn.shape
+    assert abs(read.astype(int) - drawn).mean() <= worst / 3
+
+
+def test_all_arrays_are_saved(tmp_path, answered):
+    _, prediction = answered
+    prediction = dataclasses.replace(prediction, boundary=None, degraded=("no_depth", "b"))
+    prediction.save(str(tmp_path / "a.npz"))
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
+        heads = {"semantic", "depth", "depth_uncertainty"}
+        assert set(arrays) == {*heads, "valid", "degraded"}
+        for head in heads:
+            assert arrays[head].dtype == getattr(prediction, head).dtype
+            np.testing.assert_array_equal(arrays[head], getattr(prediction, head))
+        assert arrays["valid"]
+        assert arrays["degraded"].tolist() == ["no_depth", "b"]
+
+
+def test_a_cloud_is_saved_with_colours_and_labels(tmp_path, answered, contract):
+    rgb, prediction = answered
+    prediction.save(tmp_path / "a.ply", rgb, intrinsics=K)
+    lines, points = read_ply(tmp_path / "a.ply")
+    cloud = prediction.points(K, rgb)
+    assert 0 < len(points) == len(cloud.points)
+    for axis, name in enumerate("xyz"):
+        np.testing.assert_array_equal(points[name], cloud.points[:, axis])
+    for channel, name in enumerate(("red", "green", "blue")):
+        np.testing.assert_array_equal(points[name], cloud.rgb[:, channel])
+    np.testing.assert_array_equal(points["label"], cloud.semantic)
+    assert "comment label 1 red 200 30 30" in lines
+
+
+def test_a_cloud_without_picture_and_classes_is_points_alone(tmp_path, answered):
+    prediction = dataclasses.replace(answered[1], semantic=None, contract=None)
+    prediction.save(tmp_path / "a.ply", intrinsics=K)
+    lines, points = read_ply(tmp_path / "a.ply")
+    assert points.dtype.names == ("x", "y", "z")
+    assert not [line for line in lines if "label" in line]
+
+
+def test_a_name_of_a_class_does_not_break_the_header(tmp_path, answered, contract):
+    names = ("Straße", "a\nelement vertex 9")
+    classes = tuple(dataclasses.replace(contract.classes[0], name=name) for name in names)
+    spoiled = dataclasses.replace(contract, classes=classes)
+    dataclasses.replace(answered[1], contract=spoiled).save(tmp_path / "a.ply", intrinsics=K)
+    lines, _ = read_ply(tmp_path / "a.ply")
+    assert "comment label 1 a element vertex 9 0 0 128" in lines
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "text"),
+    [
+        ("a.ply", InputError, "give intrinsics="),
+        ("a.tiff", InputError, r"must end in one of \.png, \.jpg, \.jpeg, \.npz, \.ply"),
+        ("a", InputError, "must end in"),
+        ("none/a.png", OutputError, "cannot write"),
+    ],
+)
+def test_what_cannot_be_saved_leaves_nothing(tmp_path, answered, name, error, text):
+    with pytest.raises(error, match=text):
+        answered[1].save(tmp_path / name)
+    assert not [path for path in tmp_path.iterdir() if path.name != "model.onnx"]
+
+
+def test_the_engine_loads_nothing_that_draws():
+    program = "import sys; from runtime import Predictor; print(*sys.modules)"
+    command = [sys.executable, "-c", program]
+    loaded = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    assert "runtime.prediction" in loaded
+    assert not [name for name in loaded if name.startswith("runtime.drawing")]
