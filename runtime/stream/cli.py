@@ -38,7 +38,7 @@ from runtime.stream.frames import (
 )
 from runtime.stream.latency_plot import draw_latency
 from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, HEADS, FrameWriter, encode
-from runtime.stream.pipeline import OK, FrameRecord, KeepFrame, Listed, StreamResult, run_stream
+from runtime.stream.pipeline import OK, FrameRecord, Listed, StreamResult, TakeFrame, run_stream
 from runtime.stream.process import dedicate_process
 from runtime.stream.report import (
     build_report,
@@ -361,7 +361,7 @@ def _recording(
     predictor: Predictor | CompletionPredictor,
     *,
     overwrite: bool,
-) -> Iterator[KeepFrame]:
+) -> Iterator[TakeFrame]:
     """Yield what keeps each frame and its answers in a recording, which is whole after the block;
     without a folder, or without a model's file, it keeps nothing.
     """

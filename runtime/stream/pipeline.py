@@ -21,8 +21,7 @@ _READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side
 _NICENESS = 10
 _STOP_ASKED_S = 0.1  # so often while waiting
 
-WriteFrame = Callable[[str, NDArray[np.uint8], Prediction], None]
-KeepFrame = Callable[[str, Frame, Prediction], None]
+TakeFrame = Callable[[str, Frame, Prediction], None]
 
 
 class ListedFrame(Protocol):
@@ -96,8 +95,8 @@ def run_stream(
     *,
     read: Callable[[Listed], Frame],
     rate_hz: float | None = None,
-    write: WriteFrame | None = None,
-    keep: KeepFrame = lambda name, frame, prediction: None,
+    write: TakeFrame | None = None,
+    keep: TakeFrame = lambda name, frame, prediction: None,
     on_record: Callable[[FrameRecord], None] = lambda record: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> StreamResult:
@@ -110,7 +109,7 @@ def run_stream(
         a frame cannot be read
     rate_hz: frames are due so often, from the start on, and none is predicted earlier: MLPerf's
         constant stream; None = each as soon as the one before is done: its single stream
-    write: is called with (name, rgb, prediction) in the writing thread; None = nothing is written
+    write: is called with (name, frame, prediction) in the writing thread; None = nothing is written
     keep: is called with (name, frame, prediction) right after each prediction, valid or not, and
         no other is made meanwhile
     on_record: is called with each record when its frame is done
@@ -182,8 +181,8 @@ def _predict(
     name: str,
     reading: "Future[tuple[Frame, float]]",
     writer: ThreadPoolExecutor,
-    write: WriteFrame | None,
-    keep: KeepFrame,
+    write: TakeFrame | None,
+    keep: TakeFrame,
     due: float | None,
 ) -> tuple[FrameRecord, "Future[float] | None"]:
     """The record of one frame, and its answer on the way to the disk.
@@ -213,7 +212,7 @@ def _predict(
     )
     if write is None or not prediction.valid:
         return record, None
-    return record, writer.submit(_timed_write, write, name, frame.rgb, prediction)
+    return record, writer.submit(_timed_write, write, name, frame, prediction)
 
 
 def _give_way() -> None:
@@ -232,9 +231,7 @@ def _timed_read(read: Callable[[Listed], Frame], listed: Listed) -> tuple[Frame,
     return frame, (time.perf_counter() - started) * 1e3
 
 
-def _timed_write(
-    write: WriteFrame, name: str, rgb: NDArray[np.uint8], prediction: Prediction
-) -> float:
+def _timed_write(write: TakeFrame, name: str, frame: Frame, prediction: Prediction) -> float:
     started = time.perf_counter()
-    write(name, rgb, prediction)
+    write(name, frame, prediction)
     return (time.perf_counter() - started) * 1e3

@@ -14,6 +14,7 @@ from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
 from runtime.errors import OutputError
 from runtime.prediction import Prediction
+from runtime.stream.frames import Frame
 from runtime.stream.run_folder import KINDS, SUFFIXES, RunFolder
 
 #: Kind of answer that is one head's -> the field of `Prediction` that holds it.
@@ -64,7 +65,7 @@ class FrameWriter:
         self._overlay = Overlay(contract.classes, contract.max_depth_m)
         self._folder = RunFolder(folder, kinds=kinds, names=names, overwrite=overwrite)
 
-    def write(self, name: str, rgb: NDArray[np.uint8], prediction: Prediction) -> None:
+    def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
         """Write what was asked for of one frame: all of it, or, on an error, none.
 
         Raises OutputError.
@@ -74,7 +75,7 @@ class FrameWriter:
         try:
             for kind, folder in self._folder.subfolders.items():
                 path = folder / (name + SUFFIXES[kind])
-                content = self._encode(kind, rgb, prediction, path)
+                content = self._encode(kind, frame, prediction, path)
                 if content is not None:
                     atomic_write(path, content)
                     written.append(path)
@@ -85,15 +86,15 @@ class FrameWriter:
             raise
 
     def _encode(
-        self, kind: str, rgb: NDArray[np.uint8], prediction: Prediction, path: Path
+        self, kind: str, frame: Frame, prediction: Prediction, path: Path
     ) -> memoryview | None:
         try:
             if kind == "overlay":
-                return encode(".jpg", self._overlay.draw(rgb, prediction), _JPEG)
+                return encode(".jpg", self._overlay.draw(frame.rgb, prediction), _JPEG)
             values = getattr(prediction, HEADS[kind])
             return None if values is None else _ENCODERS[kind](values)
         except (cv2.error, ValueError) as error:
-            height, width = rgb.shape[:2]
+            height, width = frame.rgb.shape[:2]
             raise OutputError(
                 f"cannot encode {path} of a frame of {height} x {width} ({error}): leave out "
                 f"{kind} with --save"

@@ -3,11 +3,9 @@
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from runtime.errors import OutputError
 from runtime.prediction import Prediction
+from runtime.stream.frames import Frame
 
 
 class Output(Protocol):
@@ -17,11 +15,10 @@ class Output(Protocol):
     block ends, and is gone after an error there.
     """
 
-    def write(self, name: str, rgb: NDArray[np.uint8], prediction: Prediction) -> None:
+    def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
         """Take a frame whose answer is valid; always from one thread. Raises OutputError.
 
         name: of the frame, as frames.csv has it
-        rgb: uint8 (H, W, 3), red first
         """
 
 

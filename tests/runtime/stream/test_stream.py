@@ -53,7 +53,7 @@ def test_every_frame_is_predicted_and_written_in_order(predictor, stream_of, mak
     result = run(
         predictor,
         stream_of(12),
-        write=lambda name, rgb, prediction: written.append((name, rgb, prediction)),
+        write=lambda name, frame, prediction: written.append((name, frame.rgb, prediction)),
         on_record=lambda record: seen.append(record.index),
     )
     names = [str(index) for index in range(12)]
@@ -101,7 +101,7 @@ def test_reading_and_writing_overlap_with_inference(predictor, stream_of, monkey
         predicted_of[index].set()
         return prediction
 
-    def write(name, rgb, prediction):
+    def write(name, frame, prediction):
         # Ends only when the next frame was predicted: without overlap it would wait in vain.
         if int(name) < 5 and predicted_of[int(name) + 1].wait(5):
             met.append(f"written {name}")
@@ -246,7 +246,7 @@ def test_what_was_cleaned_is_recorded(predictor, stream_of):
 def test_a_full_disk_stops_the_run_and_keeps_what_was_finished(predictor, stream_of):
     written = []
 
-    def write(name, rgb, prediction):
+    def write(name, frame, prediction):
         if name == "3":
             raise OutputError("No space left on device")
         written.append(name)
@@ -299,7 +299,7 @@ def test_an_interrupt_is_passed_on_and_leaves_no_thread(predictor, stream_of, mo
 
 
 def test_an_error_that_is_nobodys_fault_is_not_hidden(predictor, stream_of):
-    def write(name, rgb, prediction):
+    def write(name, frame, prediction):
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
