@@ -65,6 +65,8 @@ class SSDNet(Network):
             )
         if config.depth_surfaces:
             self.surface_project = nn.Conv2d(FEATURE_CHANNELS, finest, 1)
+            # What is a car has a roof and windows where the LiDAR saw none.
+            self.surface_semantics = nn.Conv2d(finest, finest, 1) if config.semantic_head else None
             width = finest
             if config.depth_refine_channels:
                 width = config.depth_refine_channels
@@ -73,6 +75,9 @@ class SSDNet(Network):
                 )
             self.surface_head = nn.Conv2d(width, HEAD_CHANNELS, 1)
         self.apply(initialise)
+        if config.depth_surfaces and self.surface_semantics is not None:
+            # An older network's weights go on as they were.
+            nn.init.zeros_(self.surface_semantics.weight)
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
         """Predict on the heads' own grids, see `Network.predict_coarse`.
@@ -109,9 +114,9 @@ class SSDNet(Network):
         if config.boundary_gating:
             boundaries = [torch.sigmoid(side) for side in sides]
 
-        semantic_logits = None
+        semantic_logits = semantics = None
         if self.semantic_decoder is not None and self.semantic_head is not None:
-            finest = self.semantic_decoder(bottom, skips, boundaries, exact=exact)[0]
+            semantics = finest = self.semantic_decoder(bottom, skips, boundaries, exact=exact)[0]
             if self.semantic_refine is not None:
                 finest = self.semantic_refine(finest, stem_features[1], None, exact=exact)
             semantic_logits = self.semantic_head(finest)
@@ -124,6 +129,8 @@ class SSDNet(Network):
             )
             if surfaces is not None:
                 finest = features[0] + self.surface_project(cues)
+                if self.surface_semantics is not None:
+                    finest = finest + self.surface_semantics(semantics)
                 if self.depth_refine is not None:
                     finest = self.depth_refine(finest, stem_features[1], None, exact=exact)
                 depth, uncertainty, boundary_logits = self._complete_depth(

@@ -196,3 +196,17 @@ def test_a_network_with_it_answers_at_full_size_and_keeps_the_coarser_depths(nam
 def test_it_needs_the_sparse_depth_as_it_is_and_a_stem_of_a_quarter(changes, message):
     with pytest.raises(ValueError, match=message):
         create_model("ssdnet-lite", **changes)
+
+
+def test_the_choice_reads_what_the_classes_are_told_by():
+    """Nothing of it at first, so that weights without it go on as they were; then it is learned."""
+    network = create_model("ssdnet-nano").eval()
+    rgb, sparse = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
+    sparse[..., ::4, ::4] = 12.0
+    before = network(rgb, sparse).depths[0]
+    before.sum().backward()
+    assert network.surface_semantics.weight.grad.abs().max() > 0
+    with torch.no_grad():
+        network.surface_semantics.weight.fill_(0.5)
+        changed = network(rgb, sparse).depths[0]
+    assert (changed - before).abs().max() > 1e-3
