@@ -100,6 +100,33 @@ def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
                 os.close(handle)
 
 
+@contextlib.contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Name a file for a library that opens files by itself, by their name and its ending.
+
+    Yields a path of the same name in a hidden folder beside it. What lies there when the block ends
+    takes its place at `path`, and what stood there goes, also where the block left nothing; after
+    an error the new one is gone and the old one stays.
+
+    Raises OutputError as `atomic_file` does.
+    """
+    temporary = _temporary(path)
+    with _as_output_error(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle = _create(temporary, _new_folder)
+        try:
+            made = temporary / path.name
+            yield made
+            if made.exists():
+                os.replace(made, path)
+            else:
+                path.unlink(missing_ok=True)
+        finally:
+            _discard(temporary)
+            if handle != _NO_HANDLE:
+                os.close(handle)
+
+
 def remove_leftover(path: Path) -> None:
     """Remove what a killed process left of writing `path`; a file still being written stays."""
     with contextlib.suppress(OSError):

@@ -71,10 +71,30 @@ class Overlay:
         rgb: uint8 (H, W, 3), red first; None = answers alone
         Returns uint8, blue first, as OpenCV writes it.
         """
-        heads = (prediction.semantic, prediction.depth, prediction.boundary)
-        height, width = next(array.shape[:2] for array in (rgb, *heads) if array is not None)
+        panels = self.panels(rgb, prediction)
+        height, width = _size(rgb, prediction)
         stacked = width >= _STACK_ASPECT * height
-        widest = _STACKED_WIDTH if stacked else _PANEL_WIDTH
+        for title, panel in panels.items():
+            write_text(panel, title, (6, 16))
+        strip = (cv2.vconcat if stacked else cv2.hconcat)(list(panels.values()))
+        bars: tuple[ColorScale, ...] = ()
+        if prediction.depth is not None:
+            bars += (self._depth_scale,)
+            if prediction.depth_uncertainty is not None:
+                bars += (self._uncertainty_scale,)
+        return cv2.vconcat([strip, self._legend(strip.shape[1], bars)])  # type: ignore[return-value]
+
+    def panels(
+        self, rgb: NDArray[np.uint8] | None, prediction: Answers, *, widest: int | None = None
+    ) -> dict[str, NDArray[np.uint8]]:
+        """Draw what `draw` puts together: title -> panel, without words, all of one size.
+
+        widest: columns of a panel, at most; None = those of `draw`
+        """
+        height, width = _size(rgb, prediction)
+        if widest is None:
+            stacked = width >= _STACK_ASPECT * height
+            widest = _STACKED_WIDTH if stacked else _PANEL_WIDTH
         step = max(-(-width // widest), -(-height // _PANEL_HEIGHT))
         step = min(step, height, width)  # at least a line of a very long frame is left
         image = None if rgb is None else cv2.cvtColor(_shrink(rgb, step), cv2.COLOR_RGB2BGR)
@@ -91,15 +111,7 @@ class Overlay:
         if prediction.boundary is not None:
             boundary = cv2.convertScaleAbs(_shrink(prediction.boundary, step), alpha=255)
             panels["boundary"] = cv2.cvtColor(boundary, cv2.COLOR_GRAY2BGR)
-        for title, panel in panels.items():
-            write_text(panel, title, (6, 16))
-        strip = (cv2.vconcat if stacked else cv2.hconcat)(list(panels.values()))
-        bars: tuple[ColorScale, ...] = ()
-        if prediction.depth is not None:
-            bars += (self._depth_scale,)
-            if prediction.depth_uncertainty is not None:
-                bars += (self._uncertainty_scale,)
-        return cv2.vconcat([strip, self._legend(strip.shape[1], bars)])  # type: ignore[return-value]
+        return panels
 
     def paint_depth(
         self, depth: NDArray[np.float32], semantic: NDArray[np.uint8] | None = None
@@ -159,6 +171,12 @@ class Overlay:
             lines += [scale.draw_bar(width, _LEGEND_LINE) for scale in scales]
             self._legends[key] = np.vstack([np.zeros((0, width, 3), np.uint8), *lines])
         return self._legends[key]
+
+
+def _size(rgb: NDArray[np.uint8] | None, prediction: Answers) -> tuple[int, int]:
+    """(height, width) of the frame."""
+    heads = (prediction.semantic, prediction.depth, prediction.boundary)
+    return next(array.shape[:2] for array in (rgb, *heads) if array is not None)
 
 
 def _class_lines(swatches: Sequence[ClassInfo], width: int) -> list[NDArray[np.uint8]]:

@@ -38,6 +38,8 @@ from runtime.stream.frames import (
 )
 from runtime.stream.latency_plot import draw_latency
 from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, HEADS, FrameWriter, encode
+from runtime.stream.outputs.output import Output, require_free, write_to
+from runtime.stream.outputs.video import DEFAULT_RATE_HZ, VIDEO_SUFFIX, open_video
 from runtime.stream.pipeline import OK, FrameRecord, Listed, StreamResult, TakeFrame, run_stream
 from runtime.stream.process import dedicate_process
 from runtime.stream.report import (
@@ -52,6 +54,8 @@ from runtime.stream.run_folder import FRAMES_FILE, KINDS, LATENCY_FILE, REPORT_F
 
 SKIPPED, MISSED = 3, 4  # exit codes
 MAX_SHARDS = 1_000_000
+
+NamedFiles = dict[str, tuple[Path | None, str]]  # option -> file asked for, its ending
 
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -159,11 +163,19 @@ def run(
             "later runs against; about 17 bytes a pixel and frame.",
         ),
     ] = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            metavar=f"FILE{VIDEO_SUFFIX}",
+            help=f"Write the overlays as a video, too; at --rate, or {DEFAULT_RATE_HZ:g} Hz.",
+        ),
+    ] = None,
     overwrite: Annotated[
         bool,
         typer.Option(
             "--overwrite",
-            help="Replace the files of an earlier run in --out, no others, and the recording.",
+            help="Replace the files of an earlier run in --out, no others, and the recording and "
+            "other files that were asked for by name.",
         ),
     ] = False,
     as_json: Annotated[
@@ -181,6 +193,8 @@ def run(
     _require_range("--deadline-ms", deadline_ms, 1e-6, 1e9)
     _require_range("--rate", rate, 1e-3, 1e6)
     _require_range("--focal-length", focal_length, MIN_FOCAL_PX, MAX_FOCAL_PX)
+    files = {"--video": (video, VIDEO_SUFFIX)}
+    _require_suffixes(files)
     if demo != (rgb is None and depth is None) or (rgb is None) != (depth is None):
         raise typer.BadParameter("give either --demo, or both --rgb and --depth")
     if method is not None:
@@ -217,6 +231,9 @@ def run(
         with predictor:
             kinds = _answered(kinds, predictor, everything=save == "all")
             frame_size = _warm_up(predictor, frames, read, runs=warmup)
+            for path, _ in files.values():
+                if path is not None:
+                    require_free(path, overwrite=overwrite)
             with _stop_asked() as stop:  # only now: until here nothing was written
                 writer = FrameWriter(
                     out,
@@ -228,13 +245,20 @@ def run(
                 if not as_json:
                     _say(describe_predictor(predictor, frame_size), out)
                 settings = Settings("ssdnet-run", network_size, focal_length, provider.value)
-                with _recording(record_dir, settings, predictor, overwrite=overwrite) as keep:
+                with contextlib.ExitStack() as whole:  # has its name when all frames are in it
+                    keep = whole.enter_context(
+                        _recording(record_dir, settings, predictor, overwrite=overwrite)
+                    )
+                    outputs: list[Output] = [writer] if kinds else []
+                    if video is not None:
+                        opened = open_video(video, predictor.contract, rate_hz=rate)
+                        outputs.append(whole.enter_context(opened))
                     result = _run(
                         predictor,
                         frames,
                         read=read,
                         rate_hz=rate,
-                        write=writer.write if kinds else None,
+                        write=write_to(outputs),
                         keep=keep,
                         stop=stop,
                     )
@@ -261,6 +285,7 @@ def run(
                 lines = [describe_run(result, report), f"results: {out.resolve()}"]
                 if record_dir is not None:
                     lines.append(f"recording: {record_dir.resolve()}")
+                lines += _made(files)
                 if "overlay" in kinds and any(record.status == OK for record in result.records):
                     lines.append(f"pictures: {(out / 'overlay').resolve()}")
                 _say("\n".join(lines), out)
@@ -352,6 +377,22 @@ def _shard(text: str | None) -> tuple[int, int]:
             f"--shard is I/N with 1 <= I <= N <= {MAX_SHARDS}, such as 2/4, got {text!r:.80}"
         )
     return int(part), int(parts)
+
+
+def _require_suffixes(files: NamedFiles) -> None:
+    """Raise BadParameter for a file of another kind than its option writes."""
+    for option, (path, suffix) in files.items():
+        if path is not None and path.suffix.lower() != suffix:
+            raise typer.BadParameter(f"{option} writes {suffix} files, got {path}")
+
+
+def _made(files: NamedFiles) -> list[str]:
+    """Lines that say where the files that were asked for by name are."""
+    return [
+        f"{option.removeprefix('--')}: {path.resolve()}"
+        for option, (path, _) in files.items()
+        if path is not None and path.exists()
+    ]
 
 
 @contextlib.contextmanager

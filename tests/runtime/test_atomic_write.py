@@ -11,7 +11,13 @@ import pytest
 
 import runtime.atomic_write
 from runtime import OutputError
-from runtime.atomic_write import atomic_file, atomic_folder, atomic_write, remove_leftover
+from runtime.atomic_write import (
+    atomic_file,
+    atomic_folder,
+    atomic_path,
+    atomic_write,
+    remove_leftover,
+)
 
 posix = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX locks and signals")
 
@@ -37,6 +43,7 @@ def writer_in_another_process():
         fill = {
             "atomic_file": "target.write(b'half'); target.flush()",
             "atomic_folder": "(target / 'half').touch()",
+            "atomic_path": "target.write_bytes(b'half')",
         }
         program = (
             "import sys; from pathlib import Path; from runtime.atomic_write import *\n"
@@ -200,7 +207,7 @@ def test_a_folder_that_is_none(tmp_path):
 
 
 @posix
-@pytest.mark.parametrize("call", ["atomic_file(path)", "atomic_folder(path)"])
+@pytest.mark.parametrize("call", ["atomic_file(path)", "atomic_folder(path)", "atomic_path(path)"])
 def test_what_a_killed_process_left_is_removed_by_the_next_write(
     tmp_path, writer_in_another_process, call
 ):
@@ -233,7 +240,7 @@ def test_what_a_killed_process_left_can_be_removed_without_a_write(
 
 
 @posix
-@pytest.mark.parametrize("call", ["atomic_file(path)", "atomic_folder(path)"])
+@pytest.mark.parametrize("call", ["atomic_file(path)", "atomic_folder(path)", "atomic_path(path)"])
 def test_what_another_process_is_writing_stays(tmp_path, writer_in_another_process, call):
     path = tmp_path / "a"
     process = writer_in_another_process(path, call)
@@ -395,3 +402,41 @@ def test_a_signal_that_is_caught_leaves_no_trace(tmp_path, writer_in_another_pro
     process.send_signal(signal.SIGINT)
     process.wait()
     assert names_in(tmp_path) == []
+
+
+# --- files of libraries that open them by name --------------------------------------------------
+
+
+def test_a_named_file_has_its_place_only_when_it_is_whole(tmp_path):
+    path = tmp_path / "deep" / "a.mp4"
+    with atomic_path(path) as made:
+        assert made.name == "a.mp4"
+        made.write_bytes(b"half")
+        assert not path.exists()
+        made.write_bytes(b"new")
+    assert path.read_bytes() == b"new"
+    assert names_in(path.parent) == ["a.mp4"]
+
+
+def test_a_named_file_that_was_not_made_takes_the_old_one_along(tmp_path):
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"old")
+    with atomic_path(path):
+        pass
+    assert names_in(tmp_path) == []
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_an_error_leaves_the_old_named_file_and_no_trace(tmp_path, error):
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"old")
+
+    def fail():
+        with atomic_path(path) as made:
+            made.write_bytes(b"half")
+            raise error
+
+    with pytest.raises(OutputError if isinstance(error, OSError) else KeyboardInterrupt):
+        fail()
+    assert path.read_bytes() == b"old"
+    assert names_in(tmp_path) == ["a.mp4"]

@@ -1,11 +1,13 @@
 """What every output of a run is: it takes the answers, one frame after another."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
 from runtime.errors import OutputError
 from runtime.prediction import Prediction
 from runtime.stream.frames import Frame
+from runtime.stream.pipeline import TakeFrame
 
 
 class Output(Protocol):
@@ -28,5 +30,15 @@ def require_free(path: Path, *, overwrite: bool) -> None:
         raise OutputError(f"{path} is a folder: name a file to write")
     if path.exists() and not overwrite:
         raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
-    if not path.parent.is_dir():
-        raise OutputError(f"the folder {path.parent} of {path.name} does not exist: make it first")
+
+
+def write_to(outputs: Sequence[Output]) -> TakeFrame | None:
+    """What hands a frame to all outputs, in their order; None where there is none."""
+    if not outputs:
+        return None
+
+    def write(name: str, frame: Frame, prediction: Prediction) -> None:
+        for output in outputs:
+            output.write(name, frame, prediction)
+
+    return write

@@ -647,6 +647,7 @@ def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, monkeypatc
         ["--demo", "--method", "ip-basic", "--size", "frame"],
         ["--demo", "--method", "ip-basic", "--threads", "2"],
         ["--demo", "--method", "ip-basic", "--record", "recording"],
+        ["--demo", "--video", "out.avi"],
         ["--demo", "--shard", "0/4"],
         ["--demo", "--shard", "5/4"],
         ["--demo", "--shard", "1"],

@@ -8,10 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime import OutputError, Predictor
+from runtime import OutputError
 from runtime.atomic_write import atomic_file
 from runtime.drawing.overlay import Overlay
-from runtime.stream.frames import Frame
 from runtime.stream.outputs.frame_writer import (
     FrameWriter,
     encode_boundary,
@@ -19,15 +18,6 @@ from runtime.stream.outputs.frame_writer import (
     encode_semantic,
 )
 from runtime.stream.run_folder import KINDS
-
-
-@pytest.fixture
-def answered(model_file, make_frame):
-    """(frame, prediction)."""
-    rgb, depth = make_frame(60, 80)
-    rgb[..., 1] = rgb[..., 2] // 2  # boundary = green / blue stays within 0..1
-    heads = ("semantic", "depth", "boundary", "depth_uncertainty")
-    return Frame(rgb, depth), Predictor(model_file(heads=heads)).predict(rgb, depth)
 
 
 def decode(content: bytes):
