@@ -68,6 +68,16 @@ class Calibration:
         project_points(sliced, self.intrinsics, self.extrinsics, (1, 1))
 
     @classmethod
+    def from_file(cls, path: Path | str, *, camera: int = 2) -> "Calibration":
+        """Read a TOML file (`from_toml`), or, of any other name, KITTI's (`from_kitti`).
+
+        Raises InputError as they do.
+        """
+        if Path(path).suffix.lower() == ".toml":
+            return cls.from_toml(path)
+        return cls.from_kitti(path, camera=camera)
+
+    @classmethod
     def from_kitti(cls, path: Path | str, *, camera: int = 2) -> "Calibration":
         """Read KITTI's calibration.
 

@@ -10,7 +10,6 @@ if __name__ == "__main__":  # python -m runtime.stream.cli
     main()  # ends the process
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,13 +28,7 @@ from runtime.prediction import Prediction
 from runtime.predictor import Predictor
 from runtime.recording import RecordedFrame, Settings, record
 from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.stream.frames import (
-    KITTI_DEPTH_SCALE,
-    MAX_PIXELS,
-    Frame,
-    list_frames,
-    read_frame,
-)
+from runtime.stream.frames import KITTI_DEPTH_SCALE, MAX_PIXELS, Frame
 from runtime.stream.latency_plot import draw_latency
 from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, HEADS, FrameWriter, encode
 from runtime.stream.outputs.output import Output, require_free, write_to
@@ -51,6 +44,9 @@ from runtime.stream.report import (
     to_json,
 )
 from runtime.stream.run_folder import FRAMES_FILE, KINDS, LATENCY_FILE, REPORT_FILE
+from runtime.stream.sources.registry import SOURCES, choose_source
+from runtime.stream.sources.source import Source
+from runtime.stream.sources.stamp_matching import MAX_SKEW_MS
 
 SKIPPED, MISSED = 3, 4  # exit codes
 MAX_SHARDS = 1_000_000
@@ -74,7 +70,18 @@ def run(
         ),
     ] = None,
     depth: Annotated[
-        Path | None, typer.Option(help="Folder of the sparse depth maps (16-bit PNG).")
+        Path | None,
+        typer.Option(
+            help="Folder of the sparse depth maps (16-bit PNG). [default: the camera alone]"
+        ),
+    ] = None,
+    source: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND:PATH",
+            help=f"Where frames come from: {', '.join(SOURCES)}; --rgb DIR is folders:DIR. See "
+            "docs/streams.md.",
+        ),
     ] = None,
     demo: Annotated[bool, typer.Option("--demo", help="Run the bundled stream.")] = False,
     model: Annotated[
@@ -110,15 +117,42 @@ def run(
         typer.Option(
             help="Focal length of the camera (fx) in pixels of the pictures: a model that knows a "
             "canonical focal length then fits any camera; others do not heed it. "
-            "[default: not known; that of the bundled stream with --demo]",
+            "[default: that of the source's calibration, else not known]",
         ),
     ] = None,
     threads: Annotated[
         int | None, typer.Option(min=1, help="Threads of inference. [default: physical cores]")
     ] = None,
     depth_scale: Annotated[
-        float, typer.Option(help="Units of the depth PNG a metre: KITTI 256, Virtual KITTI 100.")
-    ] = KITTI_DEPTH_SCALE,
+        float | None,
+        typer.Option(
+            help="Units of the depth PNG a metre: KITTI 256, Virtual KITTI 100. "
+            f"[default: {KITTI_DEPTH_SCALE:g}]"
+        ),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            help="Calibration of camera and LiDAR: TOML, or KITTI's file or folder. "
+            "[default: what the source holds]"
+        ),
+    ] = None,
+    camera: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            max=3,
+            help="Which camera of kitti-raw (2 left, 3 right) or vkitti (0 left, 1 right). "
+            "[default: left]",
+        ),
+    ] = None,
+    max_skew_ms: Annotated[
+        float | None,
+        typer.Option(
+            help="How far the stamps of an image and its depth may lie apart, where a source has "
+            f"stamps of both. [default: {MAX_SKEW_MS:g}]"
+        ),
+    ] = None,
     deadline_ms: Annotated[
         float | None,
         typer.Option(
@@ -184,7 +218,7 @@ def run(
 ) -> None:
     """Predict classes, depth and boundaries of every frame of a stream, with the latency of each.
 
-    Frames are pairs of files with the same stem, in natural order.
+    Frames are pairs of files with the same stem, in natural order, or what another --source has.
     """
     kinds = _kinds(save)
     network_size = _network_size(size)
@@ -195,8 +229,9 @@ def run(
     _require_range("--focal-length", focal_length, MIN_FOCAL_PX, MAX_FOCAL_PX)
     files = {"--video": (video, VIDEO_SUFFIX)}
     _require_suffixes(files)
-    if demo != (rgb is None and depth is None) or (rgb is None) != (depth is None):
-        raise typer.BadParameter("give either --demo, or both --rgb and --depth")
+    _require_range("--max-skew-ms", max_skew_ms, 0, 1e6)
+    if demo + (rgb is not None) + (source is not None) != 1 or (demo and depth is not None):
+        raise typer.BadParameter("give one of --demo, --rgb (with --depth) and --source")
     if method is not None:
         given = {
             "--model": model is not None,
@@ -209,12 +244,24 @@ def run(
         _require_method(method, [option for option, is_given in given.items() if is_given])
     if demo and focal_length is None:
         focal_length = BUNDLED_FOCAL_LENGTH_PX
-    dedicate_process()
     with reported_errors("cpu"):
-        rgb_dir, depth_dir = (rgb, depth) if rgb and depth else bundled_stream()
-        _require_apart(out, rgb_dir, depth_dir)
-        frames = list_frames(rgb_dir, depth_dir, limit=limit)[part - 1 :: parts]
-        read = partial(read_frame, depth_scale=depth_scale)
+        if demo:
+            rgb, depth = bundled_stream()
+    source = source or f"folders:{rgb}"
+    open_source = _source(
+        source,
+        depth=depth,
+        depth_scale=depth_scale,
+        calibration=calibration,
+        camera=camera,
+        max_skew_ms=max_skew_ms,
+    )
+    dedicate_process()
+    with reported_errors("cpu"), open_source() as origin:
+        _require_apart(out, *origin.folders)
+        frames = origin.list_frames(limit=limit)[part - 1 :: parts]
+        if focal_length is None and origin.calibration is not None:
+            focal_length = origin.calibration.focal_length_px
         predictor: Predictor | CompletionPredictor
         if method is not None:
             predictor = CompletionPredictor(method)
@@ -230,7 +277,7 @@ def run(
             )
         with predictor:
             kinds = _answered(kinds, predictor, everything=save == "all")
-            frame_size = _warm_up(predictor, frames, read, runs=warmup)
+            frame_size = _warm_up(predictor, frames, origin.read, runs=warmup)
             for path, _ in files.values():
                 if path is not None:
                     require_free(path, overwrite=overwrite)
@@ -239,11 +286,11 @@ def run(
                     out,
                     predictor.contract,
                     kinds=kinds,
-                    names=[files.name for files in frames],
+                    names=[listed.name for listed in frames],
                     overwrite=overwrite,
                 )
                 if not as_json:
-                    _say(describe_predictor(predictor, frame_size), out)
+                    _say("\n".join([*origin.notes, describe_predictor(predictor, frame_size)]), out)
                 settings = Settings("ssdnet-run", network_size, focal_length, provider.value)
                 with contextlib.ExitStack() as whole:  # has its name when all frames are in it
                     keep = whole.enter_context(
@@ -256,7 +303,7 @@ def run(
                     result = _run(
                         predictor,
                         frames,
-                        read=read,
+                        read=origin.read,
                         rate_hz=rate,
                         write=write_to(outputs),
                         keep=keep,
@@ -267,9 +314,8 @@ def run(
                     result,
                     version=__version__,
                     inputs={
-                        "rgb": str(rgb_dir),
-                        "depth": str(depth_dir),
-                        "depth_scale": depth_scale,
+                        "source": source,
+                        **origin.inputs,
                         "focal_length_px": focal_length,
                         "shard": shard,
                         "warmup": warmup,
@@ -336,6 +382,14 @@ def _kinds(save: str) -> tuple[str, ...]:
     if unknown:
         raise typer.BadParameter(f"--save knows {', '.join(KINDS)}, all and none, not {unknown}")
     return tuple(kind for kind in KINDS if kind in asked)
+
+
+def _source(text: str, **options: Any) -> Callable[[], Source]:
+    """What opens the source. Raises BadParameter for a kind or an option that it does not know."""
+    try:
+        return choose_source(text, **options)
+    except InputError as error:
+        raise typer.BadParameter(str(error)) from error
 
 
 def _require_method(name: str, others: list[str]) -> None:

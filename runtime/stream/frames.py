@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
+from runtime.stream.calibration import Calibration
 from runtime.stream.picture_size import picture_size
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -37,10 +38,18 @@ class FrameFiles:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What one pair of files holds: uint8 (H, W, 3) and float32 (H, W) [m]."""
+    """A picture, uint8 (H, W, 3), and its sparse depth map, float32 (H, W) [m], 0 = no return.
+
+    image_stamp_ns, depth_stamp_ns: when the sensors took them, by their own clock [ns]; None where
+        that is not known, and where there is no depth
+    calibration: of the camera, and of the LiDAR to it; None = not known
+    """
 
     rgb: NDArray[np.uint8]
     sparse_depth: NDArray[np.float32]
+    image_stamp_ns: int | None = None
+    depth_stamp_ns: int | None = None
+    calibration: Calibration | None = None
 
 
 def list_frames(
@@ -54,8 +63,8 @@ def list_frames(
     Raises InputError if a folder is missing or has no pictures, if a stem occurs twice in a
     folder, or if no name occurs in both.
     """
-    rgb = _pictures(rgb_dir, RGB_SUFFIXES)
-    depth = _pictures(depth_dir, DEPTH_SUFFIXES)
+    rgb = list_pictures(rgb_dir, RGB_SUFFIXES)
+    depth = list_pictures(depth_dir, DEPTH_SUFFIXES)
     if not rgb.keys() & depth.keys():
         raise InputError(
             f"no name occurs in both folders: {rgb_dir} has {_few(rgb)}, {depth_dir} has "
@@ -63,7 +72,7 @@ def list_frames(
         )
     frames: list[FrameFiles] = []
     complete = 0
-    for name in sorted(rgb.keys() | depth.keys(), key=_natural):
+    for name in sorted(rgb.keys() | depth.keys(), key=natural_order):
         if limit is not None and complete == limit:
             break
         frames.append(FrameFiles(name, rgb.get(name), depth.get(name)))
@@ -130,16 +139,16 @@ def decode(path: Path, flags: int) -> NDArray[Any]:
     Raises InputError if the file cannot be read, is larger than MAX_FILE_BYTES, holds more than
     MAX_PIXELS, is of another format, or is truncated or damaged.
     """
-    content = _read(path)
-    damaged = f"{path} is empty, truncated or damaged, or no PNG or JPEG ({len(content)} bytes)"
+    return decode_content(read_file(path), flags, name=str(path))
+
+
+def decode_content(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
+    """Decode the content of a PNG or JPEG file as `decode` does; `name` is for the errors."""
+    damaged = f"{name} is empty, truncated or damaged, or no PNG or JPEG ({len(content)} bytes)"
     size = picture_size(content)
     if size is None:
         raise InputError(damaged)
-    if size[0] * size[1] > MAX_PIXELS:
-        raise InputError(
-            f"{path} says that it has {size[0]} x {size[1]} pixels, expected at most "
-            f"{MAX_PIXELS:,}: is it damaged?"
-        )
+    require_pixels(size, name=name)
     try:
         image: NDArray[Any] | None = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     except cv2.error:
@@ -149,8 +158,17 @@ def decode(path: Path, flags: int) -> NDArray[Any]:
     return image
 
 
-def _read(path: Path) -> bytes:
-    """The content of a regular file of a picture's size. Raises InputError."""
+def require_pixels(size: tuple[int, int], *, name: str) -> None:
+    """Raise InputError for a picture of (height, width) that has more than MAX_PIXELS."""
+    if size[0] * size[1] > MAX_PIXELS:
+        raise InputError(
+            f"{name} says that it has {size[0]} x {size[1]} pixels, expected at most "
+            f"{MAX_PIXELS:,}: is it damaged?"
+        )
+
+
+def read_file(path: Path) -> bytes:
+    """The content of a regular file of at most MAX_FILE_BYTES. Raises InputError."""
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):  # reading a pipe would wait for ever
@@ -165,8 +183,11 @@ def _read(path: Path) -> bytes:
         raise InputError(f"cannot read {path} ({error.strerror})") from error
 
 
-def _pictures(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
-    """Stem -> path of the pictures in a folder."""
+def list_pictures(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[str, Path]:
+    """Stem -> path of the files of a folder that end in one of `suffixes`, hidden ones apart.
+
+    Raises InputError if there is none, if the folder cannot be listed, or if a stem occurs twice.
+    """
     try:
         paths = sorted(folder.iterdir())
     except OSError as error:
@@ -189,12 +210,12 @@ def _pictures(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
     return pictures
 
 
-def _natural(name: str) -> tuple[list[str | int], str]:
+def natural_order(name: str) -> tuple[list[str | int], str]:
     """Sort key: runs of digits count as numbers."""
     parts = re.split(r"([0-9]+)", name)  # text at even places, digits at odd ones
     return [int(part) if index % 2 else part for index, part in enumerate(parts)], name
 
 
 def _few(names: dict[str, Path]) -> str:
-    shown = ", ".join(sorted(names, key=_natural)[:3])
+    shown = ", ".join(sorted(names, key=natural_order)[:3])
     return f"{shown} …" if len(names) > 3 else shown

@@ -48,6 +48,7 @@ class FrameRecord:
 
     status: "ok"; "skipped": not predicted, `reason` says why; "invalid": the answer could not be
         used and was not written, `reason` says why
+    image_stamp_ns, depth_stamp_ns: when the sensors took it, by their own clock; None = not known
     age_ms: constant stream: from when the frame was due until its answer was there
     jitter_ms: constant stream: by how much the age changed since the answer before, the
         transit-time difference of RFC 3550
@@ -65,6 +66,8 @@ class FrameRecord:
     degraded: tuple[str, ...] = ()
     cleaned: Cleaned = field(default_factory=Cleaned)
     depth_returns: int = 0
+    image_stamp_ns: int | None = None
+    depth_stamp_ns: int | None = None
     age_ms: float | None = None
     jitter_ms: float | None = None
 
@@ -208,6 +211,8 @@ def _predict(
         degraded=prediction.degraded,
         cleaned=prediction.cleaned,
         depth_returns=prediction.depth_returns,
+        image_stamp_ns=frame.image_stamp_ns,
+        depth_stamp_ns=frame.depth_stamp_ns,
         age_ms=age_ms,
     )
     if write is None or not prediction.valid:

@@ -23,7 +23,7 @@ from runtime.stream.latency import (
 from runtime.stream.outputs.frame_writer import DEPTH_PNG_MAX_M, DEPTH_PNG_SCALE
 from runtime.stream.pipeline import SKIPPED, FrameRecord, StreamResult
 
-REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.4"
+REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.5"
 
 # "predict" is Predictor.predict from end to end; "age" and "jitter" are of constant streams.
 STAGES: dict[str, Callable[[FrameRecord], float | None]] = {
@@ -71,6 +71,7 @@ def frames_csv(records: Sequence[FrameRecord], *, deadline_ms: float | None) -> 
         + [f"{stage}_ms" for stage in STAGES]
         + ["missed_deadline", "degraded", "nan", "infinite", "negative", "too_far"]
         + ["depth_returns", "network_height", "network_width"]
+        + ["image_stamp_ns", "depth_stamp_ns"]
     )
     for record in records:
         times = (time_of(record) for time_of in STAGES.values())
@@ -84,6 +85,7 @@ def frames_csv(records: Sequence[FrameRecord], *, deadline_ms: float | None) -> 
             + [late, ";".join(record.degraded)]
             + [*asdict(record.cleaned).values(), record.depth_returns]
             + list(record.network_size or ("", ""))
+            + [record.image_stamp_ns, record.depth_stamp_ns]
         )
     return text.getvalue()
 

@@ -135,7 +135,7 @@ def test_the_rows_and_the_report_agree(tmp_path, run):
     assert {(row["height"], row["width"]) for row in rows} == {("48", "64")}
     assert {row["missed_deadline"] for row in rows} == {"0"}
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert (report["format"], report["version"]) == ("ssdnet-run", "1.4")
+    assert (report["format"], report["version"]) == ("ssdnet-run", "1.5")
     assert report["frames"]["by_status"] == {"ok": N}
     assert report["provider"]["threads"] == 1
     assert report["provider"]["nodes"]["CPUExecutionProvider"] > 5
@@ -627,7 +627,10 @@ def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, monkeypatc
     "arguments",
     [
         [],
-        ["--rgb", "somewhere"],
+        ["--depth", "somewhere"],
+        ["--demo", "--depth", "somewhere"],
+        ["--rgb", "somewhere", "--source", "folders:somewhere"],
+        ["--demo", "--max-skew-ms", "-1"],
         ["--demo", "--rgb", "somewhere"],
         ["--demo", "--save", "everything"],
         ["--demo", "--save", "depth,all"],
