@@ -32,6 +32,7 @@ from runtime.stream.frames import KITTI_DEPTH_SCALE, MAX_PIXELS, Frame
 from runtime.stream.latency_plot import draw_latency
 from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, HEADS, FrameWriter, encode
 from runtime.stream.outputs.output import Output, require_free, write_to
+from runtime.stream.outputs.report_page.run_page import PAGE_SUFFIX, RunPage
 from runtime.stream.outputs.video import DEFAULT_RATE_HZ, VIDEO_SUFFIX, open_video
 from runtime.stream.pipeline import OK, FrameRecord, Listed, StreamResult, TakeFrame, run_stream
 from runtime.stream.process import dedicate_process
@@ -204,6 +205,15 @@ def run(
             help=f"Write the overlays as a video, too; at --rate, or {DEFAULT_RATE_HZ:g} Hz.",
         ),
     ] = None,
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            "--report",
+            metavar=f"FILE{PAGE_SUFFIX}",
+            help="Write one page to look at: latency over time, stages, health, sample pictures "
+            "and the facts of the run.",
+        ),
+    ] = None,
     overwrite: Annotated[
         bool,
         typer.Option(
@@ -227,7 +237,7 @@ def run(
     _require_range("--deadline-ms", deadline_ms, 1e-6, 1e9)
     _require_range("--rate", rate, 1e-3, 1e6)
     _require_range("--focal-length", focal_length, MIN_FOCAL_PX, MAX_FOCAL_PX)
-    files = {"--video": (video, VIDEO_SUFFIX)}
+    files = {"--video": (video, VIDEO_SUFFIX), "--report": (page, PAGE_SUFFIX)}
     _require_suffixes(files)
     _require_range("--max-skew-ms", max_skew_ms, 0, 1e6)
     if demo + (rgb is not None) + (source is not None) != 1 or (demo and depth is not None):
@@ -297,6 +307,9 @@ def run(
                         _recording(record_dir, settings, predictor, overwrite=overwrite)
                     )
                     outputs: list[Output] = [writer] if kinds else []
+                    run_page = RunPage(predictor.contract)
+                    if page is not None:
+                        outputs.append(run_page)
                     if video is not None:
                         opened = open_video(video, predictor.contract, rate_hz=rate)
                         outputs.append(whole.enter_context(opened))
@@ -324,6 +337,8 @@ def run(
                     kinds=kinds,
                     deadline_ms=deadline_ms,
                 )
+                if page is not None:
+                    run_page.finish(page, result, report)
                 _write_summary(out, result, report, deadline_ms)
                 if as_json:
                     printed = _say(to_json(report).rstrip("\n"), out)

@@ -1,0 +1,163 @@
+"""The page of a run over a stream of frames."""
+
+import shlex
+import sys
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from runtime.atomic_write import atomic_path
+from runtime.contract import Contract
+from runtime.prediction import Prediction
+from runtime.stream.frames import Frame
+from runtime.stream.health.image_health import ImageHealth
+from runtime.stream.health.lidar_health import LidarHealth
+from runtime.stream.latency import LatencyStatistics, MissedDeadlines, latency_statistics
+from runtime.stream.outputs.report_page.charts import LATE
+from runtime.stream.outputs.report_page.page import PageContent, Problem, render_page
+from runtime.stream.outputs.report_page.samples import SampleKeeper
+from runtime.stream.outputs.report_page.timeline import Moment, Timeline
+from runtime.stream.pipeline import OK, FrameRecord, StreamResult
+
+PAGE_SUFFIX = ".html"
+_LIBRARIES = {"onnxruntime": "ONNX Runtime", "cv2": "OpenCV", "numpy": "NumPy"}
+
+
+class RunPage:
+    """Looks at the frames of a run while they are written, and makes its page at the end."""
+
+    def __init__(self, contract: Contract) -> None:
+        self._contract = contract
+        self._started = datetime.now(UTC)
+        self._samples = SampleKeeper(contract)
+        self._image, self._lidar = ImageHealth(), LidarHealth()
+        self._health: dict[str, tuple[str, ...]] = {}  # of frames where anything is wrong
+
+    def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
+        """Look at a frame and its answer; nothing is written yet."""
+        health = (*self._image.check(frame.rgb), *self._lidar.check(frame.sparse_depth))
+        if health:
+            self._health[name] = health
+        self._samples.look(name, frame.rgb, prediction, health)
+
+    def finish(self, path: Path, result: StreamResult, report: Mapping[str, Any]) -> None:
+        """Write the page. Raises OutputError.
+
+        report: of the same run, as `build_report` makes it
+        """
+        deadline = report["deadline"]
+        deadline_ms = deadline["deadline_ms"] if deadline else None
+        timeline = Timeline()
+        for record in result.records:
+            timeline.add(self._moment(record, deadline_ms))
+        responses_ms = (record.response_ms for record in result.records)
+        content = PageContent(
+            title=f"Run of {self._contract.model_name}",
+            command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+            interrupted=result.interrupted,
+            contract=self._contract,
+            timeline=timeline,
+            response="prediction" if result.rate_hz is None else "age",
+            responses=latency_statistics(each for each in responses_ms if each is not None),
+            stages={
+                stage: LatencyStatistics(**figures) if figures else None
+                for stage, figures in report["stages"].items()
+            },
+            deadline_ms=deadline_ms,
+            missed=MissedDeadlines(deadline["count"], deadline["longest_run"])
+            if deadline
+            else None,
+            frames=report["frames"]["by_status"],
+            frames_per_second=report["frames_per_second"],
+            problems=[Problem(**entry) for entry in report["frames"]["not_ok"]],
+            samples=self._samples.samples(),
+            facts=self._facts(report),
+        )
+        with atomic_path(path) as made:
+            made.write_bytes(render_page(content))
+
+    def _moment(self, record: FrameRecord, deadline_ms: float | None) -> Moment:
+        marks = [*record.degraded, *self._health.get(record.name, ())]
+        if record.status != OK:
+            marks.insert(0, record.status)
+        response_ms = record.response_ms
+        if deadline_ms is not None and response_ms is not None and response_ms > deadline_ms:
+            marks.append(LATE)
+        return Moment(
+            record.name,
+            response_ms=response_ms,
+            marks=tuple(marks),
+            returns=None if record.latency is None else record.depth_returns,
+        )
+
+    def _facts(self, report: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+        model, provider, machine = report["model"], report["provider"], report["machine"]
+        scenario, first_ms = report["scenario"], report["first_inference_ms"]
+        canonical = model["canonical_focal_px"]
+        nodes = provider["nodes"] or {}
+        return {
+            "Model": _known(
+                {
+                    "name": model["name"],
+                    "file": model["path"],
+                    "SHA-256": model["sha256"],
+                    "answers": ", ".join(model["heads"]),
+                    "precision": model["precision"],
+                    "depth range": f"{model['max_depth_m']:g} m",
+                    "trained height": model["trained_height"],
+                    "canonical focal length": canonical and f"{canonical:g} px",
+                    "ran at": _counts(report["frames"]["by_network_size"]),
+                }
+            ),
+            "Run": _known(
+                {
+                    "started": f"{self._started:%Y-%m-%d %H:%M:%S} UTC",
+                    "took": f"{report['wall_s']:.1f} s",
+                    "scenario": scenario["name"]
+                    + (f", {scenario['rate_hz']:g} Hz" if scenario["rate_hz"] else ""),
+                    **{name.replace("_", " "): value for name, value in report["inputs"].items()},
+                    "output": report["output"],
+                    "saved": ", ".join(report["saved"]) or "nothing",
+                }
+            ),
+            "Engine": _known(
+                {
+                    "asked for": provider["asked"],
+                    "runs on": ", ".join(
+                        name + (f" ({nodes[name]} nodes)" if name in nodes else "")
+                        for name in provider["running"]
+                    ),
+                    "threads": provider["threads"],
+                    "load": f"{report['load_ms']:.0f} ms",
+                    "first inference": first_ms and f"{first_ms:.1f} ms",
+                }
+            ),
+            "Machine and versions": _known(
+                {
+                    "processor": machine["cpu"],
+                    "logical cores": machine["logical_cores"],
+                    "system": machine["system"],
+                    "ssdnet": report["ssdnet"],
+                    **_versions(),
+                    "Python": machine["python"],
+                }
+            ),
+        }
+
+
+def _versions() -> dict[str, str | None]:
+    """Of what this process has loaded."""
+    return {
+        title: getattr(sys.modules.get(name), "__version__", None)
+        for name, title in _LIBRARIES.items()
+    }
+
+
+def _counts(counted: Mapping[str, int]) -> str:
+    return ", ".join(f"{what} ({count})" for what, count in counted.items())
+
+
+def _known(facts: Mapping[str, Any]) -> dict[str, str]:
+    """Those that are known, as text."""
+    return {name: str(value) for name, value in facts.items() if value not in (None, "")}

@@ -1,0 +1,86 @@
+"""Pictures of a few frames of a run: evenly spread, the slowest, the first that were not well."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.contract import Contract
+from runtime.drawing.overlay import Overlay
+from runtime.prediction import Prediction
+
+_EVEN, _UNWELL = 6, 3  # at most
+_PANELS, _WIDEST = 3, 480  # the picture and the first two heads; columns
+_JPEG = (cv2.IMWRITE_JPEG_QUALITY, 82)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One frame: its number and name, its time [ms], what was not well, title -> JPEG."""
+
+    index: int
+    name: str
+    predict_ms: float
+    marks: tuple[str, ...]
+    panels: tuple[tuple[str, bytes], ...]
+    slowest: bool = False
+
+
+class SampleKeeper:
+    """Looks at one answered frame after another and keeps a few pictures, however many come."""
+
+    def __init__(self, contract: Contract) -> None:
+        self._overlay = Overlay(contract.classes, contract.max_depth_m)
+        self._seen = 0
+        self._step = 1
+        self._even: list[Sample] = []
+        self._unwell: dict[tuple[str, ...], Sample] = {}  # the first of each kind
+        self._slowest: Sample | None = None
+
+    def look(
+        self,
+        name: str,
+        rgb: NDArray[np.uint8],
+        prediction: Prediction,
+        marks: Sequence[str] = (),
+    ) -> None:
+        """Take a frame in; it is drawn only where it is kept.
+
+        marks: what was not well, besides `prediction.degraded`
+        """
+        index, self._seen = self._seen, self._seen + 1
+        reasons = (*prediction.degraded, *marks)
+        time_ms = prediction.latency.total_ms
+        even = index % self._step == 0
+        slowest = self._slowest is None or time_ms > self._slowest.predict_ms
+        unwell = bool(reasons) and reasons not in self._unwell and len(self._unwell) < _UNWELL
+        if not (even or slowest or unwell):
+            return
+        sample = Sample(index, name, time_ms, reasons, self._draw(rgb, prediction))
+        if slowest:
+            self._slowest = sample
+        if unwell:
+            self._unwell[reasons] = sample
+        if even:
+            self._even.append(sample)
+            if len(self._even) > _EVEN:
+                self._even = self._even[::2]
+                self._step *= 2
+
+    def samples(self) -> list[Sample]:
+        """Those that were kept, in their order."""
+        kept = {sample.index: sample for sample in (*self._even, *self._unwell.values())}
+        if self._slowest is not None:
+            kept[self._slowest.index] = replace(self._slowest, slowest=self._seen > 1)
+        return [kept[index] for index in sorted(kept)]
+
+    def _draw(
+        self, rgb: NDArray[np.uint8], prediction: Prediction
+    ) -> tuple[tuple[str, bytes], ...]:
+        panels = self._overlay.panels(rgb, prediction, widest=_WIDEST)
+        return tuple(
+            (title, cv2.imencode(".jpg", panel, _JPEG)[1].tobytes())
+            for title, panel in list(panels.items())[:_PANELS]
+        )

@@ -1,0 +1,127 @@
+"""What became of the frames of a run, one after another, in memory that does not grow."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+_MOST_SPANS = 2048  # more than a screen has columns
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What became of one frame.
+
+    response_ms: what a deadline is held against; None = there was no answer
+    marks: what was out of order: its status, "late", reasons of `Prediction.degraded`, of health
+    returns: LiDAR returns that were used; None = not known
+    """
+
+    name: str
+    response_ms: float | None = None
+    marks: tuple[str, ...] = ()
+    returns: int | None = None
+
+
+@dataclass
+class Span:
+    """Frames that follow one another; the times are those of the answered ones among them [ms].
+
+    first, last: numbers of the frames, from 0
+    name: of the frame where it is one
+    marks: mark -> frames that have it
+    """
+
+    first: int
+    last: int
+    name: str
+    answered: int = 0
+    low_ms: float = float("inf")
+    high_ms: float = 0.0
+    sum_ms: float = 0.0
+    marks: Counter[str] = field(default_factory=Counter)
+    returns: int = 0
+    returns_known: int = 0
+
+    @property
+    def frames(self) -> int:
+        """How many it holds."""
+        return self.last - self.first + 1
+
+    @property
+    def middle(self) -> float:
+        """Its place among the frames."""
+        return (self.first + self.last) / 2
+
+    @property
+    def mean_ms(self) -> float:
+        """Of at least one answered frame."""
+        return self.sum_ms / self.answered
+
+    @property
+    def mean_returns(self) -> float | None:
+        """None where no frame says them."""
+        return self.returns / self.returns_known if self.returns_known else None
+
+
+class Timeline:
+    """Gathers moments; once there are many, several frames share a span."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.marks: Counter[str] = Counter()  # mark -> frames that have it
+        self.flagged = 0  # frames with any mark
+        self._spans: list[Span] = []
+        self._width = 1  # frames to a span
+
+    def add(self, moment: Moment) -> None:
+        """Take the next frame in."""
+        response = moment.response_ms
+        span = Span(
+            self.frames,
+            self.frames,
+            moment.name,
+            answered=response is not None,
+            low_ms=float("inf") if response is None else response,
+            high_ms=response or 0.0,
+            sum_ms=response or 0.0,
+            marks=Counter(set(moment.marks)),
+            returns=moment.returns or 0,
+            returns_known=moment.returns is not None,
+        )
+        self.marks.update(span.marks)
+        self.flagged += bool(span.marks)
+        if self._spans and self._spans[-1].frames < self._width:
+            self._spans[-1] = _joined([self._spans[-1], span])
+        else:
+            self._spans.append(span)
+        self.frames += 1
+        if len(self._spans) > _MOST_SPANS:
+            self._spans = _by(self._spans, 2)
+            self._width *= 2
+
+    def spans(self, at_most: int = _MOST_SPANS) -> list[Span]:
+        """The spans in order, joined until there are few enough."""
+        return _by(self._spans, -(-len(self._spans) // at_most) or 1)
+
+
+def _by(spans: list[Span], several: int) -> list[Span]:
+    if several == 1:
+        return list(spans)
+    return [_joined(spans[at : at + several]) for at in range(0, len(spans), several)]
+
+
+def _joined(spans: list[Span]) -> Span:
+    marks: Counter[str] = Counter()
+    for span in spans:
+        marks.update(span.marks)
+    return Span(
+        spans[0].first,
+        spans[-1].last,
+        spans[0].name if len(spans) == 1 else "",
+        answered=sum(span.answered for span in spans),
+        low_ms=min(span.low_ms for span in spans),
+        high_ms=max(span.high_ms for span in spans),
+        sum_ms=sum(span.sum_ms for span in spans),
+        marks=marks,
+        returns=sum(span.returns for span in spans),
+        returns_known=sum(span.returns_known for span in spans),
+    )
