@@ -31,9 +31,10 @@ from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.stream.frames import KITTI_DEPTH_SCALE, MAX_PIXELS, Frame
 from runtime.stream.latency_plot import draw_latency
 from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, HEADS, FrameWriter, encode
-from runtime.stream.outputs.output import Output, require_free, write_to
+from runtime.stream.outputs.mcap import MCAP_SUFFIX, open_mcap
+from runtime.stream.outputs.output import DEFAULT_RATE_HZ, Output, require_free, write_to
 from runtime.stream.outputs.report_page.run_page import PAGE_SUFFIX, RunPage
-from runtime.stream.outputs.video import DEFAULT_RATE_HZ, VIDEO_SUFFIX, open_video
+from runtime.stream.outputs.video import VIDEO_SUFFIX, open_video
 from runtime.stream.pipeline import OK, FrameRecord, Listed, StreamResult, TakeFrame, run_stream
 from runtime.stream.process import dedicate_process
 from runtime.stream.report import (
@@ -214,6 +215,14 @@ def run(
             "and the facts of the run.",
         ),
     ] = None,
+    mcap: Annotated[
+        Path | None,
+        typer.Option(
+            metavar=f"FILE{MCAP_SUFFIX}",
+            help="Write the answers as ROS 2's standard messages, too (extra bag), with the "
+            "stamps of the camera; where there are none, at --rate.",
+        ),
+    ] = None,
     overwrite: Annotated[
         bool,
         typer.Option(
@@ -237,7 +246,11 @@ def run(
     _require_range("--deadline-ms", deadline_ms, 1e-6, 1e9)
     _require_range("--rate", rate, 1e-3, 1e6)
     _require_range("--focal-length", focal_length, MIN_FOCAL_PX, MAX_FOCAL_PX)
-    files = {"--video": (video, VIDEO_SUFFIX), "--report": (page, PAGE_SUFFIX)}
+    files = {
+        "--video": (video, VIDEO_SUFFIX),
+        "--report": (page, PAGE_SUFFIX),
+        "--mcap": (mcap, MCAP_SUFFIX),
+    }
     _require_suffixes(files)
     _require_range("--max-skew-ms", max_skew_ms, 0, 1e6)
     if demo + (rgb is not None) + (source is not None) != 1 or (demo and depth is not None):
@@ -313,6 +326,9 @@ def run(
                     if video is not None:
                         opened = open_video(video, predictor.contract, rate_hz=rate)
                         outputs.append(whole.enter_context(opened))
+                    if mcap is not None:
+                        bag = open_mcap(mcap, predictor.contract, rate_hz=rate)
+                        outputs.append(whole.enter_context(bag))
                     result = _run(
                         predictor,
                         frames,

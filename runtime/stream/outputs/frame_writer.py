@@ -90,7 +90,7 @@ class FrameWriter:
     ) -> memoryview | None:
         try:
             if kind == "overlay":
-                return encode(".jpg", self._overlay.draw(frame.rgb, prediction), _JPEG)
+                return encode_overlay(self._overlay.draw(frame.rgb, prediction))
             values = getattr(prediction, HEADS[kind])
             return None if values is None else _ENCODERS[kind](values)
         except (cv2.error, ValueError) as error:
@@ -116,6 +116,11 @@ def encode_metres(metres: NDArray[np.float32]) -> memoryview:
 def encode_boundary(boundary: NDArray[np.float32]) -> memoryview:
     """PNG of 8 bits, probability x 255 rounded."""
     return encode(".png", cv2.convertScaleAbs(boundary, alpha=255), _PNG_STORED)
+
+
+def encode_overlay(picture: NDArray[np.uint8]) -> memoryview:
+    """JPEG of what `Overlay` draws. Raises ValueError if the format cannot hold it."""
+    return encode(".jpg", picture, _JPEG)
 
 
 _ENCODERS: dict[str, Callable[[NDArray[Any]], memoryview]] = {

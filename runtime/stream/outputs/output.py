@@ -9,6 +9,8 @@ from runtime.prediction import Prediction
 from runtime.stream.frames import Frame
 from runtime.stream.pipeline import TakeFrame
 
+DEFAULT_RATE_HZ = 10.0  # of frames that nobody knows the time of: a LiDAR's
+
 
 class Output(Protocol):
     """Where the answers of a run go.

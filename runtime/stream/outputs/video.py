@@ -14,9 +14,9 @@ from runtime.drawing.overlay import Overlay
 from runtime.errors import OutputError
 from runtime.prediction import Prediction
 from runtime.stream.frames import Frame
+from runtime.stream.outputs.output import DEFAULT_RATE_HZ
 
 VIDEO_SUFFIX = ".mp4"
-DEFAULT_RATE_HZ = 10.0  # a LiDAR's
 _CODEC = "mp4v"  # MPEG-4 part 2: what OpenCV's wheels encode on every system, without licences
 _LARGEST_SIDE = 4096  # pixels: what players decode
 
