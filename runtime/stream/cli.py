@@ -30,7 +30,7 @@ from runtime.recording import RecordedFrame, Settings, record
 from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.stream.frames import KITTI_DEPTH_SCALE, MAX_PIXELS, Frame
 from runtime.stream.latency_plot import draw_latency
-from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, HEADS, FrameWriter, encode
+from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, NEEDED_HEADS, FrameWriter, encode
 from runtime.stream.outputs.mcap import MCAP_SUFFIX, open_mcap
 from runtime.stream.outputs.output import DEFAULT_RATE_HZ, Output, require_free, write_to
 from runtime.stream.outputs.report_page.run_page import PAGE_SUFFIX, RunPage
@@ -45,7 +45,7 @@ from runtime.stream.report import (
     missed,
     to_json,
 )
-from runtime.stream.run_folder import FRAMES_FILE, KINDS, LATENCY_FILE, REPORT_FILE
+from runtime.stream.run_folder import CLOUD, FRAMES_FILE, KINDS, LATENCY_FILE, REPORT_FILE, SUFFIXES
 from runtime.stream.sources.registry import SOURCES, choose_source
 from runtime.stream.sources.source import Source
 from runtime.stream.sources.stamp_matching import MAX_SKEW_MS
@@ -186,8 +186,10 @@ def run(
     save: Annotated[
         str,
         typer.Option(
-            help=f"What to write: {', '.join(KINDS)}; or all that the model answers, or none. "
-            f"Depth and its uncertainty are 16-bit PNGs, metres x {DEPTH_PNG_SCALE}."
+            help=f"What to write: {', '.join(SUFFIXES)}; or all that the model answers but the "
+            "cloud, or none. Depth and its uncertainty are 16-bit PNGs, metres x "
+            f"{DEPTH_PNG_SCALE}; a cloud is a PLY file with colours and class ids, 16 bytes a "
+            "pixel, and needs the camera: --calibration, or --focal-length."
         ),
     ] = "all",
     record_dir: Annotated[
@@ -300,6 +302,10 @@ def run(
             )
         with predictor:
             kinds = _answered(kinds, predictor, everything=save == "all")
+            if CLOUD in kinds and focal_length is None:
+                raise InputError(
+                    "--save cloud needs to know the camera: give --calibration, or --focal-length"
+                )
             frame_size = _warm_up(predictor, frames, origin.read, runs=warmup)
             for path, _ in files.values():
                 if path is not None:
@@ -311,6 +317,7 @@ def run(
                     kinds=kinds,
                     names=[listed.name for listed in frames],
                     overwrite=overwrite,
+                    focal_length_px=focal_length,
                 )
                 if not as_json:
                     _say("\n".join([*origin.notes, describe_predictor(predictor, frame_size)]), out)
@@ -397,7 +404,7 @@ def _stop_asked() -> Iterator[Callable[[], bool]]:
 
 def _require_apart(out: Path, *inputs: Path) -> None:
     """Raise OutputError if frames are read from where answers are written."""
-    answers = {(out / kind).resolve() for kind in KINDS}
+    answers = {(out / kind).resolve() for kind in SUFFIXES}
     for folder in inputs:
         if folder.resolve() in answers:
             raise OutputError(
@@ -409,10 +416,10 @@ def _kinds(save: str) -> tuple[str, ...]:
     if save in ("all", "none"):
         return KINDS if save == "all" else ()
     asked = [kind.strip() for kind in save.split(",")]
-    unknown = [kind for kind in asked if kind not in KINDS]
+    unknown = [kind for kind in asked if kind not in SUFFIXES]
     if unknown:
-        raise typer.BadParameter(f"--save knows {', '.join(KINDS)}, all and none, not {unknown}")
-    return tuple(kind for kind in KINDS if kind in asked)
+        raise typer.BadParameter(f"--save knows {', '.join(SUFFIXES)}, all and none, not {unknown}")
+    return tuple(kind for kind in SUFFIXES if kind in asked)
 
 
 def _source(text: str, **options: Any) -> Callable[[], Source]:
@@ -438,7 +445,9 @@ def _answered(
     kinds: tuple[str, ...], predictor: Predictor | CompletionPredictor, *, everything: bool
 ) -> tuple[str, ...]:
     """Return the kinds that the model answers. Raises InputError if one was asked for by name."""
-    missing = [kind for kind in kinds if kind in HEADS and HEADS[kind] not in predictor.heads]
+    missing = [
+        kind for kind in kinds if kind in NEEDED_HEADS and NEEDED_HEADS[kind] not in predictor.heads
+    ]
     if missing and not everything:
         raise InputError(
             f"--save asks for {', '.join(missing)}, the model {predictor.contract.model_name} "

@@ -16,8 +16,11 @@ SUFFIXES = {
     "uncertainty": ".png",
     "boundary": ".png",
     "overlay": ".jpg",
+    "cloud": ".ply",
 }
-KINDS = tuple(SUFFIXES)
+CLOUD = "cloud"
+#: What is written unless something else is asked for; the others are large.
+KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
 FRAMES_FILE, REPORT_FILE, LATENCY_FILE = "frames.csv", "report.json", "latency.png"
 _MARKER = ".ssdnet-run"
 _MARKER_TEXT = (
@@ -32,7 +35,7 @@ class RunFolder:
     path: is made, with a subfolder for each kind. One that exists must be empty, or, with
         `overwrite`, made by an earlier run, whose own files are then removed and nothing else: a
         hidden file says which they are.
-    kinds: the kinds of answers, of KINDS, that will be written
+    kinds: the kinds of answers, of SUFFIXES, that will be written
     names: the frames they will be written of
 
     Raises OutputError if the folder cannot be used, or if writing there would replace somebody

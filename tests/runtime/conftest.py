@@ -160,3 +160,21 @@ def make_frame() -> Callable[..., Frame]:
         return rgb, depth
 
     return make
+
+
+@pytest.fixture
+def read_ply() -> Callable[[Path], tuple[list[str], np.ndarray]]:
+    """Read whatever a PLY file of one element holds: (lines of the header, structured array)."""
+
+    def read(path: Path) -> tuple[list[str], np.ndarray]:
+        header, content = path.read_bytes().split(b"end_header\n", 1)
+        lines = header.decode("ascii").splitlines()
+        assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+        (count,) = [int(line.split()[2]) for line in lines if line.startswith("element vertex")]
+        types = {"float": "<f4", "uchar": "u1"}
+        properties = [line.split()[1:] for line in lines if line.startswith("property")]
+        points = np.frombuffer(content, [(name, types[kind]) for kind, name in properties])
+        assert len(points) == count
+        return lines, points
+
+    return read

@@ -13,9 +13,11 @@ from runtime.atomic_write import atomic_write
 from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
 from runtime.errors import OutputError
+from runtime.ply import encode_ply
 from runtime.prediction import Prediction
 from runtime.stream.frames import Frame
-from runtime.stream.run_folder import KINDS, SUFFIXES, RunFolder
+from runtime.stream.outputs.intrinsics import intrinsics_of
+from runtime.stream.run_folder import CLOUD, KINDS, SUFFIXES, RunFolder
 
 #: Kind of answer that is one head's -> the field of `Prediction` that holds it.
 HEADS = {
@@ -24,6 +26,8 @@ HEADS = {
     "uncertainty": "depth_uncertainty",
     "boundary": "boundary",
 }
+#: Kind of answer -> the head it cannot do without.
+NEEDED_HEADS = {**HEADS, CLOUD: "depth"}
 DEPTH_PNG_SCALE = 256  # units a metre, as KITTI's
 UINT16_MAX = 65535
 DEPTH_PNG_MAX_M = UINT16_MAX / DEPTH_PNG_SCALE
@@ -49,7 +53,8 @@ class FrameWriter:
     """Write each frame's answers into a folder of `RunFolder`, one subfolder a kind.
 
     folder, names, overwrite: as `RunFolder` takes them
-    kinds: which of KINDS to write; a head that the model lacks is left out
+    kinds: which of SUFFIXES to write; a head that the model lacks is left out
+    focal_length_px: for clouds of frames without a calibration, see `intrinsics_of`
     Raises OutputError if the folder cannot be used.
     """
 
@@ -61,14 +66,16 @@ class FrameWriter:
         kinds: Sequence[str] = KINDS,
         names: Collection[str] = (),
         overwrite: bool = False,
+        focal_length_px: float | None = None,
     ) -> None:
+        self._classes, self._focal_length_px = contract.classes, focal_length_px
         self._overlay = Overlay(contract.classes, contract.max_depth_m)
         self._folder = RunFolder(folder, kinds=kinds, names=names, overwrite=overwrite)
 
     def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
         """Write what was asked for of one frame: all of it, or, on an error, none.
 
-        Raises OutputError.
+        Raises OutputError, and InputError for a cloud where the camera is not known.
         """
         written: list[Path] = []
         self._folder.note(name)
@@ -87,7 +94,10 @@ class FrameWriter:
 
     def _encode(
         self, kind: str, frame: Frame, prediction: Prediction, path: Path
-    ) -> memoryview | None:
+    ) -> bytes | memoryview | None:
+        if kind == CLOUD:
+            intrinsics = intrinsics_of(frame, self._focal_length_px)
+            return encode_ply(prediction.points(intrinsics, frame.rgb), self._classes)
         try:
             if kind == "overlay":
                 return encode_overlay(self._overlay.draw(frame.rgb, prediction))

@@ -25,19 +25,6 @@ def answered(model_file, make_frame):
         return rgb, predictor.predict(rgb, depth)
 
 
-def read_ply(path):
-    """Whatever a PLY file of one element holds: (lines of the header, structured array)."""
-    header, content = path.read_bytes().split(b"end_header\n", 1)
-    lines = header.decode("ascii").splitlines()
-    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
-    (count,) = [int(line.split()[2]) for line in lines if line.startswith("element vertex")]
-    types = {"float": "<f4", "uchar": "u1"}
-    properties = [line.split()[1:] for line in lines if line.startswith("property")]
-    points = np.frombuffer(content, [(name, types[kind]) for kind, name in properties])
-    assert len(points) == count
-    return lines, points
-
-
 def test_the_picture_is_the_overlay_red_first(contract, answered):
     rgb, prediction = answered
     drawn = prediction.draw(rgb)
@@ -106,7 +93,7 @@ def test_all_arrays_are_saved(tmp_path, answered):
         assert arrays["degraded"].tolist() == ["no_depth", "b"]
 
 
-def test_a_cloud_is_saved_with_colours_and_labels(tmp_path, answered, contract):
+def test_a_cloud_is_saved_with_colours_and_labels(tmp_path, answered, read_ply, contract):
     rgb, prediction = answered
     prediction.save(tmp_path / "a.ply", rgb, intrinsics=K)
     lines, points = read_ply(tmp_path / "a.ply")
@@ -120,7 +107,7 @@ def test_a_cloud_is_saved_with_colours_and_labels(tmp_path, answered, contract):
     assert "comment label 1 red 200 30 30" in lines
 
 
-def test_a_cloud_without_picture_and_classes_is_points_alone(tmp_path, answered):
+def test_a_cloud_without_picture_and_classes_is_points_alone(tmp_path, answered, read_ply):
     prediction = dataclasses.replace(answered[1], semantic=None, contract=None)
     prediction.save(tmp_path / "a.ply", intrinsics=K)
     lines, points = read_ply(tmp_path / "a.ply")
@@ -128,7 +115,7 @@ def test_a_cloud_without_picture_and_classes_is_points_alone(tmp_path, answered)
     assert not [line for line in lines if "label" in line]
 
 
-def test_a_name_of_a_class_does_not_break_the_header(tmp_path, answered, contract):
+def test_a_name_of_a_class_does_not_break_the_header(tmp_path, answered, read_ply, contract):
     names = ("Straße", "a\nelement vertex 9")
     classes = tuple(dataclasses.replace(contract.classes[0], name=name) for name in names)
     spoiled = dataclasses.replace(contract, classes=classes)
