@@ -26,8 +26,9 @@ from runtime import Predictor
 from runtime.stream.bundled import bundled_stream
 from runtime.stream.frames import list_frames, read_frame
 from runtime.stream.pipeline import run_stream
-from runtime.stream.ray_data import predict_folders
+from runtime.stream.ray_data import predict_source
 from runtime.stream.report import cpu_name
+from runtime.stream.sources.registry import choose_source
 
 
 def main() -> None:
@@ -62,7 +63,12 @@ def main() -> None:
             "plain run": partial(_plain, folders, arguments.model)
         }
         for actors in arguments.actors:
-            dataset = partial(predict_folders, *folders, model=arguments.model, actors=actors)
+            dataset = partial(
+                predict_source,
+                choose_source(f"folders:{folders[0]}", depth=folders[1]),
+                model=arguments.model,
+                actors=actors,
+            )
             ways[f"{actors} actor" + "s" * (actors > 1)] = partial(_rate, dataset)
         turns: dict[str, list[tuple[float, float]]] = {way: [] for way in ways}
         for _ in range(arguments.rounds):

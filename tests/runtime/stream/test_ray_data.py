@@ -16,6 +16,7 @@ from runtime.stream.bundled import bundled_stream
 from runtime.stream.cli import app
 from runtime.stream.frames import list_frames, read_frame
 from runtime.stream.outputs.frame_writer import encode_boundary, encode_metres, encode_semantic
+from runtime.stream.sources.registry import choose_source
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("ray") is None, reason="the extra ray is not installed"
@@ -42,12 +43,16 @@ def cluster():
     os.environ.update(before)
 
 
+def folders_of(rgb, depth):
+    return choose_source(f"folders:{rgb}", depth=depth)
+
+
 def rows_of(dataset):
     return sorted(dataset.iter_rows(), key=lambda row: row["index"])
 
 
 def test_rows_are_the_files_of_a_plain_run(cluster, tmp_path):
-    from runtime.stream.ray_data import COLUMNS, predict_folders
+    from runtime.stream.ray_data import COLUMNS, predict_source
 
     frames = list_frames(*bundled_stream())
     folders = tmp_path / "rgb", tmp_path / "depth"
@@ -66,7 +71,7 @@ def test_rows_are_the_files_of_a_plain_run(cluster, tmp_path):
         ["--rgb", folders[0], "--depth", folders[1], "--out", out, "--threads", "1"],
     )
     assert said.exit_code == 3, said.output
-    rows = rows_of(predict_folders(*folders, actors=2))
+    rows = rows_of(predict_source(folders_of(*folders), actors=2))
     assert [row["name"] for row in rows] == [str(number) for number in range(len(frames))]
     assert [row["status"] for row in rows] == ["ok"] * 3 + ["skipped"] + ["ok"] * (len(rows) - 4)
     heads = {"semantic", "depth", "boundary", "depth_uncertainty"}
@@ -77,6 +82,7 @@ def test_rows_are_the_files_of_a_plain_run(cluster, tmp_path):
             assert all(row[head].size == 0 for head in heads)
             continue
         assert row["latency_ms"] > 0
+        assert row["image_stamp_ns"] is row["depth_stamp_ns"] is None
         for kind, head, encode in (
             ("semantic", "semantic", encode_semantic),
             ("depth", "depth", encode_metres),
@@ -98,7 +104,7 @@ def actor_processes():
 
 
 def test_a_killed_actor_loses_no_frame(cluster, tmp_path):
-    from runtime.stream.ray_data import predict_folders
+    from runtime.stream.ray_data import predict_source
 
     frames = list_frames(*bundled_stream())
     folders = tmp_path / "rgb", tmp_path / "depth"
@@ -110,7 +116,7 @@ def test_a_killed_actor_loses_no_frame(cluster, tmp_path):
         (folders[1] / f"{number}.png").symlink_to(files.sparse_depth)
     psutil.wait_procs(actor_processes(), timeout=60)  # those of other tests
     rows, killed, seen = [], [], set()
-    for row in predict_folders(*folders, heads=["semantic"]).iter_rows():
+    for row in predict_source(folders_of(*folders), heads=["semantic"]).iter_rows():
         rows.append(row)
         if not killed:  # at the first row: the actor has just begun
             (actor,) = actor_processes()
@@ -129,20 +135,20 @@ def test_a_killed_actor_loses_no_frame(cluster, tmp_path):
 
 
 def test_what_cannot_run_is_said_before_anything_starts(cluster, tmp_path):
-    from runtime.stream.ray_data import predict_folders
+    from runtime.stream.ray_data import predict_source
 
     with pytest.raises(InputError, match="cannot list the folder"):
-        predict_folders(tmp_path / "none", tmp_path)
+        predict_source(folders_of(tmp_path / "none", tmp_path))
     with pytest.raises(ContractError, match="no bundled model"):
-        predict_folders(*bundled_stream(), model="unknown")
+        predict_source(folders_of(*bundled_stream()), model="unknown")
     with pytest.raises(ContractError, match="SHA-256"):
-        predict_folders(*bundled_stream(), sha256="0" * 64)
+        predict_source(folders_of(*bundled_stream()), sha256="0" * 64)
     with pytest.raises(InputError, match="actors must be"):
-        predict_folders(*bundled_stream(), actors=0)
+        predict_source(folders_of(*bundled_stream()), actors=0)
 
 
 def test_an_actor_that_cannot_start_says_why(cluster):
-    from runtime.stream.ray_data import predict_folders
+    from runtime.stream.ray_data import predict_source
 
     with pytest.raises(cluster.exceptions.RayError, match="heads asks for colour, the model"):
-        list(predict_folders(*bundled_stream(), heads=["colour"]).iter_rows())
+        list(predict_source(folders_of(*bundled_stream()), heads=["colour"]).iter_rows())
