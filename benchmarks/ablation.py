@@ -59,7 +59,7 @@ PLOTTED = ("miou", "boundary_f", "mae_m", "rmse_m")
 _INPUT = LidarInput("random", share=0.05)
 
 
-def main() -> None:
+def main(argv: Sequence[str] | None = None) -> None:
     """Train what is missing, seed by seed, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, required=True)
@@ -71,7 +71,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2, help="of the processor")
     parser.add_argument("--markdown", type=Path, help="write the table here, too")
     parser.add_argument("--plot", type=Path, help="draw the rows here")
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(argv)
     torch.set_num_threads(arguments.threads)
 
     results: dict[str, list[dict[str, float]]] = {row: [] for row in arguments.rows}

@@ -25,37 +25,23 @@ said at the end.
 """
 
 import argparse
-import hashlib
 import json
-import re
-import tomllib
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import torch
-from pydantic.dataclasses import dataclass
 
-from export.exporter import export_checkpoint
+from plan import Candidate, Plan, Sets, find_or_make, find_or_score, read_plan
 from runtime.atomic_write import atomic_file, atomic_write
-from runtime.bundled_models import find_model
+from runtime.command import INTERRUPTED
 from runtime.errors import InputError, SSDNetError
-from runtime.model_file import load_model_file
 from speed import load_network, parse_size
-from timing import Size, describe, figures, machine, measure, open_timed
+from timing import Model, Size, describe, figures, machine, measure, open_timed
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.source import SourceRecipe
-from training.evaluation.evaluate import evaluate
-from training.initial_weights import find_weights
-from training.lidar.split import LidarInput
-from training.limits import STRICT
-from training.loop import train
-from training.recipe import Recipe, build, read_recipe
-from training.recipe_files import find_recipe
-from training.run_folder import FINAL, RECIPE, name_weights, require_same
 from training.stop_signal import StopSignal
 
 mpl.use("Agg")
@@ -63,8 +49,6 @@ import matplotlib.pyplot as plt
 
 STREETS_FIRST, STREETS_LAST = 83, 98
 LIDARS = ("64", "16")
-INTERRUPTED = 130
-ONNX, SCORES = "model.onnx", "front_scores.json"
 
 #: Figure -> its title, factor, and whether more is better.
 FIGURES = {
@@ -78,36 +62,12 @@ FIGURES = {
 PLOTTED = ("miou", "mae_64", "mae_16")
 
 
-@dataclass(frozen=True, config=STRICT)
-class Candidate:
-    """What is compared: trained by the recipe with its changes, or an ONNX file."""
-
-    name: str
-    set: tuple[str, ...] = ()
-    init: str | None = None
-    onnx: str | None = None
-
-    @property
-    def folder(self) -> str:
-        """Its name as that of a folder."""
-        return re.sub(r"[^\w.-]+", "-", self.name)
-
-
-@dataclass(frozen=True, config=STRICT)
-class Plan:
-    """The file of the candidates."""
-
-    recipe: str | None = None
-    set: tuple[str, ...] = ()
-    candidates: tuple[Candidate, ...] = ()
-
-
 def main() -> None:
     """Do what is missing, then time, print and draw."""
     arguments = parse_arguments()
     torch.set_num_threads(arguments.threads)
     try:
-        plan = read_plan(arguments.plan, arguments.set, arguments.onnx, arguments.only)
+        plan = read_plan(arguments.plan, arguments.set, arguments.only, onnx=arguments.onnx)
         peers = {name: load_network(name) for name in arguments.peers}
         with StopSignal() as stop:
             done, failed = prepare_all(plan, arguments, stop)
@@ -151,33 +111,6 @@ def parse_arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def read_plan(
-    path: Path, changes: Sequence[str], onnx: Sequence[str], only: Sequence[str] | None
-) -> Plan:
-    """Read the file; add changes for all and ONNX files. Raises InputError."""
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-        own = [build(Candidate, item) for item in table.pop("candidate", [])]
-        plan = build(Plan, table)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}.") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    candidates = [*own, *(Candidate(Path(text).stem, onnx=text) for text in onnx)]
-    folders = [item.folder for item in candidates]
-    twice = sorted({name for name in folders if folders.count(name) > 1})
-    if twice:
-        raise InputError(f"{path}: two candidates are called {twice[0]!r}; give each its name.")
-    unknown = sorted(set(only or ()) - {item.name for item in candidates})
-    if unknown:
-        known = ", ".join(item.name for item in candidates)
-        raise InputError(f"--only {unknown[0]!r}: no such candidate; known: {known}.")
-    chosen = tuple(item for item in candidates if only is None or item.name in only)
-    if plan.recipe is None and any(item.onnx is None for item in chosen):
-        raise InputError(f"{path}: names no recipe to train its candidates by.")
-    return Plan(plan.recipe, (*plan.set, *changes), chosen)
-
-
 def prepare_all(
     plan: Plan, arguments: argparse.Namespace, stop: StopSignal
 ) -> tuple[dict[str, tuple[bytes, dict[str, float]]], list[str]]:
@@ -188,7 +121,7 @@ def prepare_all(
             path = find_or_make(candidate, plan, arguments, stop)
             if path is None:
                 break
-            figures_of = find_or_score(candidate, path, arguments)
+            figures_of = score(candidate, path, arguments)
             done[candidate.name] = (path.read_bytes(), figures_of)
             shown = {key: round(value, 4) for key, value in figures_of.items()}
             print(candidate.name, shown, flush=True)
@@ -198,87 +131,30 @@ def prepare_all(
     return done, failed
 
 
-def find_or_make(
-    candidate: Candidate, plan: Plan, arguments: argparse.Namespace, stop: StopSignal
-) -> Path | None:
-    """Return a candidate's ONNX file, trained and exported if it is not there; None if stopped."""
-    if candidate.onnx is not None:
-        return find_model(candidate.onnx)
-    assert plan.recipe is not None  # read_plan saw to it
-    recipe = read_recipe(find_recipe(plan.recipe), [*plan.set, *candidate.set])
-    init = None if candidate.init is None else find_weights(candidate.init)
-    out = arguments.runs / candidate.folder
-    if (out / FINAL).is_file():
-        _require_same(recipe, init, out)
-        checkpoint = out / FINAL
-    else:
-        checkpoint = train(
-            recipe, data=arguments.data, out=out, init=init, device=arguments.device, stop=stop
-        )
-    if stop():
-        print(f"stopped; the same command goes on from {checkpoint}")
-        return None
-    onnx, digest = out / ONNX, hashlib.sha256(checkpoint.read_bytes()).hexdigest()
-    if not onnx.is_file() or load_model_file(onnx).contract.checkpoint_sha256 != digest:
-        export_checkpoint(checkpoint, onnx, dynamic=True, overwrite=True)
-    return onnx
-
-
-def _require_same(recipe: Recipe, init: Path | None, out: Path) -> None:
-    """Raise InputError if a finished run was of another recipe: a front mixes no settings."""
-    before = json.loads((out / RECIPE).read_text(encoding="utf-8"))
-    now = {"recipe": asdict(recipe), "init": None if init is None else name_weights(init)}
-    require_same(before, now, out / RECIPE)
-
-
-def find_or_score(
-    candidate: Candidate, onnx: Path, arguments: argparse.Namespace
-) -> dict[str, float]:
+def score(candidate: Candidate, onnx: Path, arguments: argparse.Namespace) -> dict[str, float]:
     """Return a file's figures, as far as the sets are there; kept beside its run."""
     sets = find_sets(arguments.data)
-    settings = {
-        "sha256": load_model_file(onnx).sha256,
-        "sets": [[asdict(recipe), list(lidars)] for recipe, lidars in sets],
-        "limit": arguments.limit,
-    }
-    settings = json.loads(json.dumps(settings))  # as it is read back
-    path = arguments.runs / candidate.folder / SCORES
-    if path.is_file():
-        known = json.loads(path.read_text(encoding="utf-8"))
-        if known["settings"] == settings:
-            return dict(known["figures"])
+    out = arguments.runs / candidate.folder
     result: dict[str, float] = {}
-    for recipe, lidars in sets:
-        rows = evaluate(
-            [onnx],
-            [recipe],
-            lidars=[LidarInput.parse(lidar) for lidar in lidars],
-            faults=["none"],
-            threads=arguments.threads,
-            limit=arguments.limit,
-        )
-        for row in rows:
-            result |= {key: row.figures[key] for key in ("miou", "road_iou") if key in row.figures}
-            if "mae_m" in row.figures:
-                result[f"mae_{row.lidar}"] = row.figures["mae_m"]
-                result[f"rmse_{row.lidar}"] = row.figures["rmse_m"]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    document = {"settings": settings, "figures": result}
-    atomic_write(path, json.dumps(document, indent=2).encode())
+    for place, values in find_or_score(out, sets, arguments, onnx=onnx).items():
+        lidar = place.rpartition(" ")[2]
+        result |= {key: values[key] for key in ("miou", "road_iou") if key in values}
+        if "mae_m" in values:
+            result |= {f"mae_{lidar}": values["mae_m"], f"rmse_{lidar}": values["rmse_m"]}
     return result
 
 
-def find_sets(roots: Sequence[Path]) -> list[tuple[SourceRecipe, tuple[str, ...]]]:
+def find_sets(roots: Sequence[Path]) -> Sets:
     """Return the sets that are below the folders, each with its LiDARs. Raises InputError."""
-    sets: list[tuple[SourceRecipe, tuple[str, ...]]] = []
+    sets: dict[str, tuple[SourceRecipe, Sequence[str]]] = {}
     for root in roots:
         if (root / "camvid").is_dir():
-            sets.append((CamVidRecipe(path=str(root / "camvid"), split="val"), ("none",)))
+            sets["camvid"] = (CamVidRecipe(path=str(root / "camvid"), split="val"), ("none",))
         if (root / "kitti_streets").is_dir():
             streets = KittiStreetsRecipe(
                 path=str(root / "kitti_streets"), first=STREETS_FIRST, last=STREETS_LAST
             )
-            sets.append((streets, LIDARS))
+            sets["streets"] = (streets, LIDARS)
     if not sets:
         raise InputError(
             f"below {', '.join(map(str, roots))} is neither camvid nor kitti_streets: nothing to "
@@ -289,13 +165,14 @@ def find_sets(roots: Sequence[Path]) -> list[tuple[SourceRecipe, tuple[str, ...]
 
 def time_all(
     done: dict[str, tuple[bytes, dict[str, float]]],
-    peers: dict[str, bytes],
+    peers: dict[str, Model],
     arguments: argparse.Namespace,
 ) -> dict[str, Any]:
     """Time all in one interleaved run; the whole result as plain values."""
     size: Size = arguments.size
     where = machine(threads=arguments.threads, rounds=arguments.rounds)
-    models = {name: model for name, (model, _) in done.items()} | peers
+    models: dict[str, Model] = {name: model for name, (model, _) in done.items()}
+    models |= peers
     opened = [
         open_timed(name, model, size, threads=arguments.threads) for name, model in models.items()
     ]

@@ -9,6 +9,7 @@ A network is, in this order:
 - an ONNX file or a bundled model by its name, as `Predictor` takes it (a file of fixed size is left
   out at other sizes);
 - a checkpoint (*.pt), exported here;
+- a classical method of depth completion (ip-basic), which takes one thread, whatever is asked for;
 - a name of `models.list_models()` with random weights, which run as fast as trained ones;
   "random:NAME" where a bundled model is called so, too.
 
@@ -30,10 +31,13 @@ from models import SSDNet, create_model, list_models, load_checkpoint
 from models.registry import NETWORKS
 from runtime.atomic_write import atomic_write
 from runtime.bundled_models import find_model, list_bundled_models
+from runtime.completion.methods import METHODS
+from runtime.completion.predictor import CompletionPredictor
 from runtime.errors import ContractError, InputError, SSDNetError
 from runtime.model_file import load_model_file
 from timing import (
     LogitsGraph,
+    Model,
     Size,
     describe,
     export_graph,
@@ -48,7 +52,7 @@ SIZES = [(125, 414), (375, 1242), (512, 1024)]
 #: Classes of Cityscapes, for which the others' networks were published.
 NUM_CLASSES = 19
 #: The graph takes any size; it is traced at this one.
-_TRACED_AT = (128, 416)
+TRACED_AT = (128, 416)
 _RANDOM = "random:"
 
 
@@ -86,11 +90,13 @@ def parse_size(text: str) -> Size:
     return height, width
 
 
-def load_network(name: str) -> bytes:
-    """Return the ONNX file of a network, see the top. Raises SSDNetError."""
+def load_network(name: str) -> Model:
+    """Return the ONNX file of a network, or a method, see the top. Raises SSDNetError."""
+    if name in METHODS:
+        return CompletionPredictor(name)
     if name.endswith(".pt"):
         return export_graph(
-            DeployGraph(load_checkpoint(name).model.eval()), _TRACED_AT, dynamic=True
+            DeployGraph(load_checkpoint(name).model.eval()), TRACED_AT, dynamic=True
         )
     known = name.removeprefix(_RANDOM)
     if known in NETWORKS and name not in list_bundled_models():
@@ -109,11 +115,11 @@ def export_random(name: str) -> bytes:
         graph = DeployGraph(create_model(name).eval())
     else:
         graph = LogitsGraph(create_model(name, num_classes=NUM_CLASSES).eval())
-    return export_graph(graph, _TRACED_AT, dynamic=True)
+    return export_graph(graph, TRACED_AT, dynamic=True)
 
 
 def compare(
-    models: dict[str, bytes], reference: str, sizes: list[Size], threads: int, rounds: int
+    models: dict[str, Model], reference: str, sizes: list[Size], threads: int, rounds: int
 ) -> dict[str, Any]:
     """Time all models at every size. Raises InputError for a size the reference does not take."""
     document: dict[str, Any] = {

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,11 +26,14 @@ from export.deploy import DeployGraph
 from export.trace import trace
 from models import Network
 from models.blocks import upsample
+from runtime.completion.predictor import CompletionPredictor
 from runtime.session import open_session
 from runtime.stream.report import cpu_name
 
 Size = tuple[int, int]  # (height, width)
 Frame = dict[str, NDArray[Any]]
+#: What can be timed: an ONNX file, or a classical method of depth completion.
+Model = bytes | CompletionPredictor
 
 _WARM_UP = 2
 
@@ -94,11 +98,26 @@ def random_frame(size: Size) -> Frame:
     }
 
 
-def open_timed(name: str, model: bytes, size: Size, *, threads: int) -> Timed | None:
+class _MethodSession:
+    """A classical method with the face of a session."""
+
+    def __init__(self, method: CompletionPredictor) -> None:
+        self._method = method
+
+    def get_inputs(self) -> list[SimpleNamespace]:
+        return [SimpleNamespace(name=name) for name in ("rgb", "sparse_depth")]
+
+    def run(self, _: None, inputs: Frame) -> None:
+        self._method.predict(inputs["rgb"][0], inputs["sparse_depth"][0])
+
+
+def open_timed(name: str, model: Model, size: Size, *, threads: int) -> Timed | None:
     """Open a model's session as the engine does, and count what it costs at `size`.
 
-    None for a file of another, fixed size.
+    None for a file of another, fixed size. A classical method costs time alone.
     """
+    if isinstance(model, CompletionPredictor):
+        return Timed(name, Cost(0.0, 0.0), _MethodSession(model))
     session = open_session(model, provider="cpu", device_id=0, threads=threads)
     sides = session.get_inputs()[0].shape[1:3]
     if any(isinstance(side, int) and side != want for side, want in zip(sides, size, strict=True)):

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from comparison import Entry
 from models import create_model
-from models.registry import NETWORKS, Entry
+from models.registry import NETWORKS
+from models.registry import Entry as Registered
+from plan import read_candidate, read_plan
 from runtime.completion.methods import METHODS
 from runtime.completion.predictor import CompletionPredictor
 from training.network import build_network
@@ -38,18 +41,22 @@ def blocks(language):
 
 def test_the_network_is_built_by_its_name_and_recipe(run_block, tmp_path, monkeypatch):
     module = run_block(0)
-    entry = Entry(module.TwoLayers, module.TwoLayersConfig())
+    entry = Registered(module.TwoLayers, module.TwoLayersConfig())
     monkeypatch.setitem(NETWORKS, "two-layers", entry)
     assert '"two-layers": Entry(TwoLayers, TwoLayersConfig()),' in PAGE.read_text()
     output = create_model("two-layers").eval()(torch.zeros(1, 3, 40, 50), torch.ones(1, 1, 40, 50))
     assert output.depths[0].shape == (1, 1, 40, 50)
     assert output.semantic_logits is None
 
-    (recipe_text,) = blocks("toml")
+    recipe_text, entry_text = blocks("toml")
     (tmp_path / "two-layers.toml").write_text(recipe_text)
     recipe = read_recipe(tmp_path / "two-layers.toml")
     assert recipe.schedule.steps == 20000
     assert build_network(recipe.model, None).config.channels == 32
+    (tmp_path / "plan.toml").write_text(entry_text)
+    plan = read_plan(tmp_path / "plan.toml", [], None, kind=Entry)
+    model = read_candidate(plan.candidates[0], plan).model
+    assert build_network(model, None).config == build_network(recipe.model, None).config
 
 
 def test_the_method_is_run_by_its_name(run_block, monkeypatch):

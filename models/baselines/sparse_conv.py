@@ -53,7 +53,10 @@ class SparseConvNet(Network):
 
 
 class SparseConv(nn.Module):
-    """A convolution over what was measured: its sum over the count of measured pixels, plus bias.
+    """A convolution over what was measured: its sum over the share of measured pixels, plus bias.
+
+    The paper divides by their count, which is the same but for a factor in the weights: with it
+    weights of the usual size neither grow nor shrink what goes through six layers.
 
     Shapes: x (N, C, H, W), mask (N, 1, H, W), 0 or 1; returns (N, C', H, W) and the mask of
     windows that hold a measurement.
@@ -67,8 +70,7 @@ class SparseConv(nn.Module):
 
     def forward(self, x: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """Convolve and grow the mask."""
-        area = self.kernel**2
-        counted = F.avg_pool2d(mask, self.kernel, 1, self.kernel // 2) * area
-        # An empty window sums to 0 over 1: exact where the paper adds a small number to the count.
-        out = self.conv(x * mask) / counted.clamp(min=1.0) + self.bias
+        share = F.avg_pool2d(mask, self.kernel, 1, self.kernel // 2)
+        # An empty window sums to 0 over 1 pixel: exact where the paper adds a small number.
+        out = self.conv(x * mask) / share.clamp(min=1 / self.kernel**2) + self.bias
         return out, F.max_pool2d(mask, self.kernel, 1, self.kernel // 2)

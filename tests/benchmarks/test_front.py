@@ -1,117 +1,33 @@
-"""The front: what is done once, what is refused, and who is on it."""
+"""The front: a run from the command line, and who is on it."""
 
-import hashlib
 import json
 import sys
-from dataclasses import asdict
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 import front
+import plan as plan_module
 from layouts import camvid, kitti_streets
+from plan import read_candidate
 from runtime.bundled_models import find_model
 from runtime.errors import InputError
 from training.network import build_network
-from training.recipe import read_recipe
-from training.recipe_files import find_recipe
-from training.run_folder import to_text
-
-PLAN = """
-recipe = "lite"
-set = ["schedule.steps = 7"]
-[[candidate]]
-name = "thin one"
-set = ["model.config.boundary_channels = 8"]
-[[candidate]]
-name = "shipped"
-onnx = "ssdnet-lite"
-"""
 
 
-def write_plan(folder, text=PLAN):
+def write_plan(folder, text):
     path = folder / "front.toml"
     path.write_text(text)
     return path
 
 
-def test_a_plan_is_read_whole(tmp_path):
-    plan = front.read_plan(write_plan(tmp_path), ["loop.ema_decay = 0.5"], ["x/mine.onnx"], None)
-    assert plan.recipe == "lite"
-    assert plan.set == ("schedule.steps = 7", "loop.ema_decay = 0.5")
-    assert [item.name for item in plan.candidates] == ["thin one", "shipped", "mine"]
-    assert [item.folder for item in plan.candidates] == ["thin-one", "shipped", "mine"]
-    assert plan.candidates[0].set == ("model.config.boundary_channels = 8",)
-    assert plan.candidates[2].onnx == "x/mine.onnx"
-    only = front.read_plan(write_plan(tmp_path), [], [], ["shipped"])
-    assert [item.name for item in only.candidates] == ["shipped"]
-
-
-@pytest.mark.parametrize(
-    ("text", "onnx", "only", "said"),
-    [
-        (PLAN.replace("set =", "sets =", 1), [], None, "unknown key sets"),
-        (PLAN.replace("onnx =", "onyx ="), [], None, "unknown key onyx"),
-        (PLAN.replace('recipe = "lite"', ""), [], None, "names no recipe"),
-        (PLAN.replace("shipped", "thin:one"), [], None, "two candidates are called 'thin-one'"),
-        (PLAN, ["a/shipped.onnx"], None, "two candidates are called 'shipped'"),
-        (PLAN, [], ["thin"], "--only 'thin': no such candidate; known: thin one, shipped"),
-        ("recipe =", [], None, "cannot be read"),
-    ],
-)
-def test_a_bad_plan_is_refused(tmp_path, text, onnx, only, said):
-    with pytest.raises(InputError, match=said):
-        front.read_plan(write_plan(tmp_path, text), [], onnx, only)
-
-
 def test_the_plan_that_ships_is_one_whose_recipes_can_be_read():
-    plan = front.read_plan(Path(front.__file__).with_suffix(".toml"), [], [], None)
+    plan = front.read_plan(Path(front.__file__).with_suffix(".toml"), [], None)
     for item in plan.candidates:
         if item.onnx is None:
-            recipe = read_recipe(find_recipe(plan.recipe), [*plan.set, *item.set])
-            build_network(recipe.model, None)
-
-
-def test_a_candidate_is_trained_once_and_exported_when_its_weights_change(tmp_path, monkeypatch):
-    calls = []
-
-    def train(recipe, *, data, out, init, device, stop):
-        calls.append("train")
-        out.mkdir(parents=True)
-        (out / front.RECIPE).write_text(to_text({"recipe": asdict(recipe)}))
-        (out / front.FINAL).write_bytes(b"weights")
-        return out / front.FINAL
-
-    def export(checkpoint, onnx, *, dynamic, overwrite):
-        calls.append("export")
-        onnx.write_bytes(hashlib.sha256(checkpoint.read_bytes()).hexdigest().encode())
-
-    def contract_of(path):
-        return SimpleNamespace(contract=SimpleNamespace(checkpoint_sha256=path.read_text()))
-
-    monkeypatch.setattr(front, "train", train)
-    monkeypatch.setattr(front, "export_checkpoint", export)
-    monkeypatch.setattr(front, "load_model_file", contract_of)
-    arguments = SimpleNamespace(runs=tmp_path / "runs", data=[tmp_path], device="cpu")
-    plan = front.read_plan(write_plan(tmp_path), [], [], ["thin one"])
-
-    def make(plan, stopped=False):
-        return front.find_or_make(plan.candidates[0], plan, arguments, lambda: stopped)
-
-    onnx = make(plan)
-    assert onnx == tmp_path / "runs/thin-one/model.onnx"
-    assert make(plan) == onnx
-    assert calls == ["train", "export"]
-    (onnx.parent / front.FINAL).write_bytes(b"other weights")
-    make(plan)
-    assert calls == ["train", "export", "export"]
-    assert make(plan, stopped=True) is None
-    other = front.read_plan(write_plan(tmp_path), ["schedule.steps = 8"], [], ["thin one"])
-    with pytest.raises(InputError, match=r"schedule\.steps was 7, now it is 8"):
-        make(other)
+            build_network(read_candidate(item, plan).model, None)
 
 
 def test_a_run_scores_once_times_draws_and_says_who_failed(tmp_path, monkeypatch, capsys):
@@ -140,7 +56,7 @@ def test_a_run_scores_once_times_draws_and_says_who_failed(tmp_path, monkeypatch
     def score_again(*args, **kwargs):
         raise InputError("scored again")
 
-    monkeypatch.setattr(front, "evaluate", score_again)
+    monkeypatch.setattr(plan_module, "evaluate", score_again)
     with pytest.raises(SystemExit, match="1 left out: not-there"):
         front.main()
     capsys.readouterr()
