@@ -148,6 +148,21 @@ def run(
             "[default: left]",
         ),
     ] = None,
+    image_topic: Annotated[
+        str | None,
+        typer.Option(help="Topic of a bag's pictures. [default: the only one]"),
+    ] = None,
+    depth_topic: Annotated[
+        str | None,
+        typer.Option(
+            help="Topic of a bag's point clouds or depth images; none: the camera alone. "
+            "[default: the only one]"
+        ),
+    ] = None,
+    info_topic: Annotated[
+        str | None,
+        typer.Option(help="Topic of the camera's CameraInfo. [default: the one beside the images]"),
+    ] = None,
     max_skew_ms: Annotated[
         float | None,
         typer.Option(
@@ -279,6 +294,9 @@ def run(
         depth_scale=depth_scale,
         calibration=calibration,
         camera=camera,
+        image_topic=image_topic,
+        depth_topic=depth_topic,
+        info_topic=info_topic,
         max_skew_ms=max_skew_ms,
     )
     dedicate_process()

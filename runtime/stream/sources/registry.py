@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from runtime.errors import InputError
+from runtime.stream.sources.bag import BagSource
 from runtime.stream.sources.folders import FolderSource
 from runtime.stream.sources.kitti_raw import KittiRawSource
 from runtime.stream.sources.source import Source
@@ -19,6 +20,7 @@ SOURCES: dict[str, Callable[..., Source]] = {
     "kitti-raw": KittiRawSource,
     "vkitti": VirtualKittiSource,
     "video": VideoSource,
+    "bag": BagSource,
 }
 
 

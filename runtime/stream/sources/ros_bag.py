@@ -1,0 +1,119 @@
+"""Bags of ROS 1 and ROS 2 and MCAP files: topics and messages, through `rosbags` (extra `bag`)."""
+
+import contextlib
+import struct
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from runtime.errors import InputError, SSDNetError
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+
+class RecordedMessage(NamedTuple):
+    """A message as it lies in the bag; recorded_ns: when it was recorded."""
+
+    topic: str
+    recorded_ns: int
+    raw: bytes
+
+
+class RosBag:
+    """An open bag; `types` is the message type of each topic, by the names of ROS 2.
+
+    path: ROS 1 bag (.bag), ROS 2 bag (folder with metadata.yaml, or .db3), or .mcap
+    Raises InputError where `rosbags` is not installed and for what is no bag or is damaged; so does
+    every method, and nothing else.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._reader = _open(path)
+        with self._reading():
+            self.types = {
+                topic: info.msgtype or "several types"
+                for topic, info in self._reader.topics.items()
+            }
+
+    def messages(self, topics: Collection[str]) -> Iterator[RecordedMessage]:
+        """Yield the messages of the topics in the order in which they were recorded."""
+        with self._reading():
+            connections = [c for c in self._reader.connections if c.topic in topics]
+            if connections:  # rosbags takes none for all
+                for connection, recorded_ns, raw in self._reader.messages(connections):
+                    yield RecordedMessage(connection.topic, recorded_ns, raw)
+
+    def decoded(self, topic: str) -> Iterator[Any]:
+        """Yield the messages of a topic with their fields."""
+        return (self.decode(message) for message in self.messages([topic]))
+
+    def decode(self, message: RecordedMessage) -> Any:
+        """Return a message with its fields."""
+        try:
+            return self._reader.deserialize(message.raw, self.types[message.topic])
+        except Exception as error:  # whatever rubbish makes its parser raise
+            raise InputError(
+                f"a message of {message.topic} in {self.path} is damaged ({_told(error)})"
+            ) from error
+
+    def stamp_ns(self, message: RecordedMessage) -> int | None:
+        """The stamp of a message that starts with a std_msgs/Header, 0 = none was set [ns].
+
+        None for a message that is too short. It is read without the rest of the message: in both
+        formats it stands at byte 4, after `seq` in ROS 1, after what tells the byte order in CDR.
+        """
+        is_cdr = self._reader.is2
+        try:
+            order = ">" if is_cdr and not message.raw[1] & 1 else "<"
+            stamp = struct.unpack_from(f"{order}{'i' if is_cdr else 'I'}I", message.raw, 4)
+        except (IndexError, struct.error):
+            return None
+        seconds, nanoseconds = stamp
+        return int(seconds) * 10**9 + int(nanoseconds)
+
+    def close(self) -> None:
+        """Let go of the files. May be called again."""
+        with contextlib.suppress(Exception):  # it was closed before
+            self._reader.close()
+
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[None]:
+        with reading(self.path):
+            yield
+
+
+def _open(path: Path) -> "AnyReader":
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise InputError(
+            f'rosbags is not installed ({error}), which reads bags: pip install "ssdnet[bag]"'
+        ) from error
+    if not path.exists():
+        raise InputError(f"cannot read the bag {path}: there is no such file or folder")
+    with reading(path):
+        # Bags before ROS 2 Iron do not hold the definitions of their messages.
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+    return reader
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn into InputError whatever a damaged bag makes the libraries below raise."""
+    try:
+        yield
+    except SSDNetError:
+        raise
+    except Exception as error:
+        raise InputError(
+            f"cannot read the bag {path} ({_told(error)}): it is truncated, damaged or no bag. "
+            "rosbag reindex, ros2 bag reindex or mcap recover may mend it"
+        ) from error
+
+
+def _told(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"[:200]
