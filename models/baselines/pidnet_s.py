@@ -48,9 +48,8 @@ class PIDNetS(Network):
         self.stage2 = basic_stage(w, 2 * w, stride=2)
         self.context3 = basic_stage(2 * w, 4 * w, count=3, stride=2)
         self.context4 = basic_stage(4 * w, 8 * w, count=3, stride=2)
-        self.context5 = nn.Sequential(
-            Bottleneck(8 * w, 8 * w, stride=2), nn.ReLU(), Bottleneck(16 * w, 8 * w)
-        )
+        # Without a ReLU between, as the authors' code has it; their figures do not tell.
+        self.context5 = nn.Sequential(Bottleneck(8 * w, 8 * w, stride=2), Bottleneck(16 * w, 8 * w))
         self.pyramid = ParallelPyramidContext(16 * w, _CONTEXT, 4 * w)
         self.detail3 = basic_stage(2 * w, 2 * w)
         self.detail4 = basic_stage(2 * w, 2 * w)
