@@ -1,9 +1,11 @@
 """ENet: semantic segmentation from RGB alone.
 
 Paper: Paszke, Chaurasia, Kim, Culurciello, "ENet: A Deep Neural Network Architecture for Real-Time
-Semantic Segmentation", 2016, Table 1 and Figure 2. What they leave open is as in the implementations
-of 0.35M parameters: a bottleneck works on a quarter of its input's channels, and those that go up on
-transposed convolutions of 2x2. The authors' code has a quarter of the output's, and 3x3.
+Semantic Segmentation", 2016, Table 1 and Figure 2.
+
+What they leave open is as in the implementations of 0.35M parameters: a bottleneck works on a
+quarter of its input's channels, and those that go up on transposed convolutions of 2x2. The
+authors' code has a quarter of the output's, and 3x3.
 """
 
 from dataclasses import dataclass
