@@ -4,11 +4,13 @@ No test sleeps: the clock is moved by hand, and a prediction lasts until its gat
 """
 
 import threading
+from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from runtime.errors import InferenceError, InputError
 from runtime.predictor import Predictor
@@ -410,69 +412,134 @@ def test_an_error_of_the_block_is_not_hidden_by_one_of_the_callback(setup):
 
 # --- any sequence, with threads ----------------------------------------------------------------
 
-bad_images = st.sampled_from(
-    [None, "picture", np.zeros((32, 40), np.uint8), np.zeros((3, 32, 40), np.uint8),
-     np.zeros((8, 8, 3), np.uint8), np.zeros((32, 40, 3), np.int16), np.zeros((0, 0, 3), np.uint8),
-     np.ma.zeros((32, 40, 3), np.uint8), image(1), image(2)]
-)  # fmt: skip
-bad_depths = st.sampled_from(
-    [None, 3.0, np.zeros((32, 40), np.uint16), np.zeros((0, 0), np.float32), np.float32(1),
-     np.zeros((32, 40, 1), np.float32), np.full((32, 40), np.nan, np.float32),
-     np.full((32, 40), -np.inf, np.float32), np.ones((40, 32), np.float32), depth(1), depth(2)]
-)  # fmt: skip
-bad_stamps = st.one_of(
-    st.sampled_from([None, "now", True, 2**70, 1j, np.zeros(2)]),
+
+def arrays(*good):
+    """Any shape and type, some of the shapes that are right with another type, and what is good."""
+    shapes = st.one_of(
+        hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=40),
+        st.sampled_from([(32, 40), (32, 40, 3), (1, 1, 3), (0, 3), (5, 3), (5, 4), (5, 2), (8, 8)]),
+    )
+    types = st.one_of(
+        st.sampled_from([np.uint8, np.uint16, np.int16, np.float16, np.float32, np.float64]),
+        st.sampled_from([bool, object, complex, "U3", "M8[ns]", [("x", "f4")], ">f4"]),
+    )
+    return st.one_of(
+        st.builds(np.zeros, shapes, types),
+        st.builds(np.ma.zeros, shapes, types),
+        st.sampled_from([None, "picture", b"1", 3.0, [], [[[1, 2, 3]]], np.float32(1), *good]),
+    )
+
+
+def flawed_depth(value):
+    return np.full((32, 40), value, np.float32)
+
+
+images = arrays(image(1), image(2), np.zeros((32, 40, 3), np.uint8), image(3)[:, ::-1])
+depths = arrays(depth(1), depth(2), depth().T, *map(flawed_depth, (np.nan, -np.inf, -1, 1e30, 0)))
+scans = arrays(*(np.full((9, 4), value, np.float32) for value in (1, np.nan, np.inf, 1e30, -1)))
+stamps = st.one_of(
+    st.sampled_from([None, "now", True, 2**70, 1j, np.zeros(2), np.float32(0.5), np.uint64(7)]),
     st.floats(),
     st.integers(-(2**64), 2**64),
     st.floats(0, 3),
     st.floats(0, 3),
 )
-bad_messages = st.lists(
+messages_of_all_sensors = st.lists(
     st.one_of(
-        st.tuples(st.just("push_image"), bad_images, bad_stamps),
-        st.tuples(st.just("push_depth"), bad_depths, bad_stamps),
+        st.tuples(st.just("push_image"), images, stamps),
+        st.tuples(st.just("push_depth"), depths, stamps),
+        st.tuples(st.just("push_points"), scans, stamps),
     ),
     min_size=100,
     max_size=150,
 )
 
 
-@settings(max_examples=100, deadline=None)
-@given(messages=bad_messages, live=st.booleans(), threads=st.integers(1, 3))
-def test_bad_messages_are_refused_or_flagged_and_accounted_for(
-    checked_predictor, messages, live, threads
-):
-    """Over 10,000 messages in all."""
-    refused, answers = [], []
-    stream = PushStream(
-        checked_predictor(),
-        mode="live" if live else "replay",
-        max_wait_ms=0,
-        on_result=answers.append,
+def is_stamp(stamp):
+    """Seconds or nanoseconds that 64 bits of nanoseconds hold, said without the code's help."""
+    if isinstance(stamp, float | np.floating):
+        return bool(abs(stamp) * 1e9 < 2**63)
+    return type(stamp) in (int, np.uint64) and -(2**63) <= stamp < 2**63
+
+
+def is_message(method, data):
+    if type(data) is not np.ndarray:
+        return False
+    if method == "push_image":
+        return data.dtype == "=u1" and data.shape[2:] == (3,) and min(data.shape[:2]) >= 32
+    return data.dtype == "=f4" and data.ndim == 2 and (method == "push_depth" or data.shape[1] > 2)
+
+
+def test_10_000_bad_messages_are_refused_or_flagged_and_accounted_for(checked_predictor):
+    bad = Counter()
+
+    @settings(
+        # Always the same messages; shrinking lists of so many takes minutes.
+        max_examples=100,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        phases=[Phase.generate],
     )
+    @given(messages=messages_of_all_sensors, live=st.booleans(), threads=st.integers(1, 3))
+    def push_them(messages, live, threads):
+        wrong, answers = [], []
+        stream = PushStream(
+            checked_predictor(),
+            mode="live" if live else "replay",
+            max_wait_ms=0,
+            calibration=Calibration(np.eye(3), np.eye(4)),
+            on_result=answers.append,
+        )
 
-    def push(part):
-        for method, data, stamp in part:
-            try:
-                getattr(stream, method)(data, stamp)
-            except InputError as error:
-                refused.append(str(error))
+        def push(part):
+            for method, data, stamp in part:
+                expected = None
+                if not is_message(method, data):
+                    expected = "must"
+                if not is_stamp(stamp):
+                    expected = "stamp must"
+                try:
+                    getattr(stream, method)(data, stamp)
+                    said = None
+                except InputError as error:
+                    said = str(error)
+                if (said is None) != (expected is None) or (said and expected not in said):
+                    wrong.append((method, data, stamp, said))
 
-    pushers = [threading.Thread(target=push, args=(messages[k::threads],)) for k in range(threads)]
-    for pusher in pushers:
-        pusher.start()
-    for pusher in pushers:
-        pusher.join(60)
-        assert not pusher.is_alive()
-    stream.close()
-    counts = add_up(stream.counts)
-    assert counts.pushed == len(messages)
-    assert counts.pending == 0
-    assert counts.images.answered == len(answers)
-    at_push = sum(counts.errors.get(reason, 0) for reason in ("bad_stamp", "bad_message"))
-    assert at_push == len(refused)
-    for result in answers:
-        assert np.isfinite(result.prediction.depth).all()
+        pushers = [
+            threading.Thread(target=push, args=(messages[k::threads],)) for k in range(threads)
+        ]
+        for pusher in pushers:
+            pusher.start()
+        for pusher in pushers:
+            pusher.join(60)
+            assert not pusher.is_alive()
+        stream.close()
+        assert wrong == []
+        counts = add_up(stream.counts)
+        assert counts.pushed == len(messages)
+        assert counts.pending == 0
+        assert counts.images.answered == len(answers)
+        no_stamp = sum(not is_stamp(stamp) for _, _, stamp in messages)
+        refused = sum(
+            not (is_stamp(stamp) and is_message(method, data)) for method, data, stamp in messages
+        )
+        assert counts.errors.get("bad_stamp", 0) == no_stamp
+        assert counts.errors.get("bad_message", 0) == refused - no_stamp
+        bad["refused"] += refused
+        for result in answers:
+            prediction = result.prediction
+            assert np.isfinite(prediction.depth).all()
+            if not result.rgb.any():
+                assert "image_black" in result.health
+                bad["black"] += 1
+            if not prediction.depth_returns:
+                assert "no_depth" in prediction.degraded
+
+    push_them()
+    assert bad["refused"] >= 10_000
+    assert bad["black"] > 0, "some of the bad ones come through and are flagged"
 
 
 # --- statistics and the watchdog ---------------------------------------------------------------
