@@ -32,8 +32,21 @@ from runtime.stream.frames import KITTI_DEPTH_SCALE, MAX_PIXELS, Frame
 from runtime.stream.latency_plot import draw_latency
 from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, NEEDED_HEADS, FrameWriter, encode
 from runtime.stream.outputs.mcap import MCAP_SUFFIX, open_mcap
-from runtime.stream.outputs.output import DEFAULT_RATE_HZ, Output, require_free, write_to
+from runtime.stream.outputs.output import (
+    DEFAULT_RATE_HZ,
+    Output,
+    require_free,
+    require_package,
+    write_to,
+)
 from runtime.stream.outputs.report_page.run_page import PAGE_SUFFIX, RunPage
+from runtime.stream.outputs.rerun_log import (
+    LIVE,
+    RERUN_SUFFIX,
+    is_file,
+    is_viewer,
+    open_rerun,
+)
 from runtime.stream.outputs.video import VIDEO_SUFFIX, open_video
 from runtime.stream.pipeline import OK, FrameRecord, Listed, StreamResult, TakeFrame, run_stream
 from runtime.stream.process import dedicate_process
@@ -240,6 +253,15 @@ def run(
             "stamps of the camera; where there are none, at --rate.",
         ),
     ] = None,
+    rerun: Annotated[
+        str | None,
+        typer.Option(
+            metavar=f"FILE{RERUN_SUFFIX}|{LIVE}|URL",
+            help="Log the run for the viewer Rerun (extra rerun), too: to a file, to the viewer on "
+            "this machine, or to one at an address rerun+http://HOST:PORT/proxy. The cloud needs "
+            "the camera, as --save cloud does.",
+        ),
+    ] = None,
     overwrite: Annotated[
         bool,
         typer.Option(
@@ -267,8 +289,14 @@ def run(
         "--video": (video, VIDEO_SUFFIX),
         "--report": (page, PAGE_SUFFIX),
         "--mcap": (mcap, MCAP_SUFFIX),
+        "--rerun": (Path(rerun) if rerun and is_file(rerun) else None, RERUN_SUFFIX),
     }
     _require_suffixes(files)
+    if rerun is not None and not (is_file(rerun) or is_viewer(rerun)):
+        raise typer.BadParameter(
+            f"--rerun takes a file that ends in {RERUN_SUFFIX}, {LIVE}, or a viewer's "
+            f"rerun+http://HOST:PORT/proxy, got {rerun!r:.80}"
+        )
     _require_range("--max-skew-ms", max_skew_ms, 0, 1e6)
     if demo + (rgb is not None) + (source is not None) != 1 or (demo and depth is not None):
         raise typer.BadParameter("give one of --demo, --rgb (with --depth) and --source")
@@ -325,6 +353,8 @@ def run(
                     "--save cloud needs to know the camera: give --calibration, or --focal-length"
                 )
             frame_size = _warm_up(predictor, frames, origin.read, runs=warmup)
+            if rerun is not None:
+                require_package("--rerun", "rerun", extra="rerun")
             for path, _ in files.values():
                 if path is not None:
                     require_free(path, overwrite=overwrite)
@@ -354,6 +384,9 @@ def run(
                     if mcap is not None:
                         bag = open_mcap(mcap, predictor.contract, rate_hz=rate)
                         outputs.append(whole.enter_context(bag))
+                    if rerun is not None:
+                        logger = open_rerun(rerun, predictor.contract, focal_length_px=focal_length)
+                        outputs.append(whole.enter_context(logger))
                     result = _run(
                         predictor,
                         frames,

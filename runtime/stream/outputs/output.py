@@ -1,5 +1,6 @@
 """What every output of a run is: it takes the answers, one frame after another."""
 
+import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
@@ -32,6 +33,15 @@ def require_free(path: Path, *, overwrite: bool) -> None:
         raise OutputError(f"{path} is a folder: name a file to write")
     if path.exists() and not overwrite:
         raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
+
+
+def require_package(option: str, package: str, *, extra: str) -> None:
+    """Raise OutputError unless a package that an option needs is installed."""
+    if importlib.util.find_spec(package) is None:
+        raise OutputError(
+            f"{option} needs the package {package}, which is not installed: "
+            f'pip install "ssdnet[{extra}]"'
+        )
 
 
 def write_to(outputs: Sequence[Output]) -> TakeFrame | None:
