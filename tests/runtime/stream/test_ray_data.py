@@ -1,8 +1,6 @@
 """Answers of a local Ray of two processors: those of a plain run, also where an actor is killed."""
 
-import importlib.util
 import os
-import secrets
 
 import cv2
 import numpy as np
@@ -17,30 +15,6 @@ from runtime.stream.cli import app
 from runtime.stream.frames import list_frames, read_frame
 from runtime.stream.outputs.frame_writer import encode_boundary, encode_metres, encode_semantic
 from runtime.stream.sources.registry import choose_source
-
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("ray") is None, reason="the extra ray is not installed"
-)
-
-
-@pytest.fixture(scope="module")
-def cluster():
-    """A local Ray that reports to nobody and leaves nothing in the home."""
-    before = dict(os.environ)
-    os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
-    import ray
-
-    ray.init(
-        num_cpus=2,
-        object_store_memory=128 << 20,
-        include_dashboard=False,
-        log_to_driver=False,
-        logging_level="ERROR",
-    )
-    yield ray
-    ray.shutdown()
-    os.environ.clear()
-    os.environ.update(before)
 
 
 def folders_of(rgb, depth):
