@@ -1,10 +1,11 @@
 """Whether camera and LiDAR still tell of the same world: figures of a stream, off by default.
 
-Which of them moves depends on the fault (measured in docs/streams.md): the edges when the
-calibration is rotated or the stamps are shifted, the scale when the depths are wrong as a whole.
-The error at the returns held out hardly moves with either, since a network that completes depth
-follows the returns beside them. None has a limit of its own: what is usual depends on model,
-sensors and streets, so a stack compares them with what they were on its own healthy streams.
+Which of them moves depends on the fault (measured in docs/streams.md): the edges and the error at
+the returns held out when the calibration is rotated or the stamps are shifted, the scale when the
+depths are wrong as a whole. Returns are held out in squares: between returns that are left a
+network that completes depth follows them, whatever the camera sees. None has a limit of its own:
+what is usual depends on model, sensors and streets, so a stack compares them with what they were on
+its own healthy streams.
 """
 
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from runtime.prediction import Prediction
 
 _WEIGHT = 0.1  # of a new frame in the running means
 _SCALE_EVERY = 10  # frames: it takes a prediction of its own
+_SQUARES = 8  # over the picture's height: how large those are that are held out
 _NEIGHBOUR_PX = 8  # returns of a line or column that are compared with each other
 _JUMP = 1.25  # ratio of their depths
 _NEAR_M = 30.0  # where returns are dense enough
@@ -67,8 +69,11 @@ class ConsistencyCheck:
         self, sparse_depth: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Return what is left, a new array, and which pixels were taken away."""
-        returns = (sparse_depth > 0) & (sparse_depth < np.inf)
-        held_out = returns & (self._random.random(sparse_depth.shape) < self._share)
+        height, width = sparse_depth.shape
+        side = max(height // _SQUARES, 1)
+        squares = self._random.random((-(-height // side), -(-width // side))) < self._share
+        taken = squares.repeat(side, axis=0).repeat(side, axis=1)[:height, :width]
+        held_out = (sparse_depth > 0) & (sparse_depth < np.inf) & taken
         return np.where(held_out, np.float32(0), sparse_depth), held_out
 
     def score(

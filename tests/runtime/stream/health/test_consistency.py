@@ -38,6 +38,20 @@ def test_a_share_of_the_returns_is_held_out_and_others_each_time():
     assert (check.hold_out(depth)[1] != held_out).any()
 
 
+def test_returns_are_held_out_in_squares_of_an_eighth_of_the_height():
+    _, held_out = ConsistencyCheck(0.3).hold_out(np.ones((80, 95), np.float32))
+    for row in range(0, 80, 10):
+        for column in range(0, 95, 10):
+            square = held_out[row : row + 10, column : column + 10]
+            assert square.all() or not square.any()
+    assert 0.2 < held_out.mean() < 0.4
+
+
+def test_a_picture_of_few_rows_has_squares_of_a_pixel():
+    _, held_out = ConsistencyCheck(0.5).hold_out(np.ones((5, 400), np.float32))
+    assert 0.4 < held_out.mean() < 0.6
+
+
 def test_the_figures_by_hand_and_their_running_means():
     check = ConsistencyCheck(0.5)
     depth = scan()
