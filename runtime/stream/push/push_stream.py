@@ -20,19 +20,17 @@ notified at each change. What always holds:
 import threading
 from collections import Counter, deque
 from collections.abc import Callable
+from functools import partial
 from types import TracebackType
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InferenceError, InputError, SSDNetError
-from runtime.prediction import Prediction
-from runtime.preprocess import check_rgb, check_sparse_depth
+from runtime.preprocess import check_rgb
 from runtime.stream.calibration import Calibration
-from runtime.stream.health.consistency import Consistency, ConsistencyCheck
-from runtime.stream.health.image_health import ImageHealth
-from runtime.stream.health.lidar_health import LidarHealth
+from runtime.stream.push.answerer import Answer, Answerer, AnswersFrames
 from runtime.stream.push.clock import MonotonicClock
 from runtime.stream.push.counts import (
     BAD_MESSAGE,
@@ -49,6 +47,7 @@ from runtime.stream.push.counts import (
     StreamCounts,
 )
 from runtime.stream.push.frame_result import FrameResult
+from runtime.stream.push.payload import check_depth, check_points
 from runtime.stream.push.stamp import NS_PER_MS, Stamp, stamp_ns
 from runtime.stream.push.statistics import StatisticsRecorder, StreamStatistics
 from runtime.stream.push.synchronizer import Decided, Message, Pair, Synchronizer
@@ -60,21 +59,6 @@ _READY = 2  # replay: pairs that wait for their turn
 _RESULTS = 8  # replay: answers that wait to be fetched
 _LONGEST_MS = 1e9
 _END = object()
-
-
-class AnswersFrames(Protocol):
-    """What a stream needs of a `Predictor`."""
-
-    focal_length_px: float | None
-
-    def predict(
-        self,
-        rgb: NDArray[np.uint8],
-        sparse_depth: NDArray[np.float32],
-        *,
-        focal_length_px: float | None = None,
-        stamp: Any = None,
-    ) -> Prediction: ...
 
 
 class PushStream:
@@ -108,11 +92,8 @@ class PushStream:
             None if deadline_ms is None else _check_ms("deadline_ms", deadline_ms, least=1e-6)
         )
         self._max_wait_ns = round(_check_ms("max_wait_ms", max_wait_ms) * NS_PER_MS)
-        self._predictor = predictor
         self._calibration = calibration
-        # These are the worker's alone.
-        self._image_health, self._lidar_health = ImageHealth(), LidarHealth()
-        self._consistency = None if consistency is None else ConsistencyCheck(consistency)
+        self._answerer = Answerer(predictor, calibration, consistency)  # the worker's alone
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
         self._sensor_clock = sensor_clock
         self._clock = clock or MonotonicClock()
@@ -152,22 +133,15 @@ class PushStream:
 
     def push_depth(self, sparse_depth: NDArray[np.float32], stamp: Stamp) -> None:
         """Push a sparse depth map, float32 (H, W) [m], of the picture's size; as `push_image`."""
-        self._push(Sensor.DEPTH, _check_depth, sparse_depth, stamp)
+        self._push(Sensor.DEPTH, check_depth, sparse_depth, stamp)
 
     def push_points(self, points: NDArray[np.float32], stamp: Stamp) -> None:
         """Push a scan, float32 (N, 3) or wider: x, y, z [m] in the LiDAR's frame; as `push_depth`.
 
         Raises InputError also for a stream without `calibration`.
         """
-        self._push(Sensor.DEPTH, self._check_points, points, stamp)
-
-    def _check_points(self, points: Any) -> "_Points":
-        if self._calibration is None:
-            raise InputError(
-                "push_points needs to know where the LiDAR is: make the stream with calibration="
-            )
-        self._calibration.check(points)
-        return _Points(points)
+        check = partial(check_points, calibration=self._calibration)
+        self._push(Sensor.DEPTH, check, points, stamp)
 
     def _push(self, sensor: Sensor, check: Callable[[Any], Any], data: Any, stamp: Any) -> None:
         reason = BAD_STAMP
@@ -337,7 +311,7 @@ class PushStream:
         """Predict, settle what the pair has become, and tell."""
         started_ns = self._clock.now_ns()
         try:
-            prediction, health, consistency = self._predict(pair)
+            answer = self._answerer.answer(pair)
         except SSDNetError as error:
             with self._changed:
                 wiring = not isinstance(error, InferenceError)
@@ -351,7 +325,7 @@ class PushStream:
                 self._settle_pair(pair, Fate.ERROR, INFERENCE_ERROR)
             raise
         now_ns = self._clock.now_ns()
-        result = self._result(pair, prediction, health, consistency, started_ns, now_ns)
+        result = self._result(pair, answer, started_ns, now_ns)
         with self._changed:
             self._answers += 1
             self._record(pair, result, now_ns)
@@ -364,40 +338,6 @@ class PushStream:
         if self._on_result is not None:
             self._on_result(result)
 
-    def _predict(self, pair: Pair) -> tuple[Prediction, tuple[str, ...], Consistency | None]:
-        """The answer, and what is wrong with what it was made of."""
-        rgb = pair.image.data
-        size = rgb.shape[:2]
-        if pair.depth is None:
-            sparse_depth = np.zeros(size, np.float32)
-        elif isinstance(pair.depth.data, _Points):
-            assert self._calibration is not None  # push_points asked for it
-            sparse_depth = self._calibration.project(pair.depth.data.points, size)
-        else:
-            sparse_depth = pair.depth.data
-        if self._consistency is None or pair.depth is None:
-            prediction, consistency = self._ask(rgb, sparse_depth, pair), None
-        else:
-            left, held_out = self._consistency.hold_out(sparse_depth)
-            prediction, camera_only = self._ask(rgb, left, pair), None
-            if self._consistency.scale_is_due:
-                camera_only = self._ask(rgb, np.zeros(size, np.float32), pair)
-            consistency = self._consistency.score(prediction, camera_only, sparse_depth, held_out)
-        health = self._image_health.check(rgb)  # only now are they known to fit
-        if pair.depth is not None:
-            health += self._lidar_health.check(sparse_depth)
-        return prediction, health, consistency
-
-    def _ask(
-        self, rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], pair: Pair
-    ) -> Prediction:
-        focal_length_px = None
-        if self._calibration is not None and self._predictor.focal_length_px is None:
-            focal_length_px = self._calibration.focal_length_px
-        return self._predictor.predict(
-            rgb, sparse_depth, focal_length_px=focal_length_px, stamp=pair.image.stamp
-        )
-
     def _tell_state(self) -> None:
         if self._on_state is None:
             return
@@ -406,15 +346,7 @@ class PushStream:
             self._told = state
             self._on_state(state)
 
-    def _result(
-        self,
-        pair: Pair,
-        prediction: Prediction,
-        health: tuple[str, ...],
-        consistency: Consistency | None,
-        started_ns: int,
-        now_ns: int,
-    ) -> FrameResult:
+    def _result(self, pair: Pair, answer: Answer, started_ns: int, now_ns: int) -> FrameResult:
         image, depth = pair
         latency_ms = (now_ns - (image.arrived_ns if self._live else started_ns)) / NS_PER_MS
         age_ms = None
@@ -425,9 +357,9 @@ class PushStream:
         return FrameResult(
             sequence=self._answers,
             rgb=image.data,
-            prediction=prediction,
-            health=health,
-            consistency=consistency,
+            prediction=answer.prediction,
+            health=answer.health,
+            consistency=answer.consistency,
             image_stamp=image.stamp,
             depth_stamp=None if depth is None else depth.stamp,
             skew_ms=None if depth is None else (depth.stamp_ns - image.stamp_ns) / NS_PER_MS,
@@ -489,26 +421,8 @@ class PushStream:
             self._ledger.camera_only -= 1
 
 
-class _Points(NamedTuple):
-    """A scan that waits for its image."""
-
-    points: NDArray[np.float32]
-
-    def copy(self) -> "_Points":
-        return _Points(self.points.copy())
-
-
 def _earliest(*times_ns: int | None) -> int | None:
     return min((time_ns for time_ns in times_ns if time_ns is not None), default=None)
-
-
-def _check_depth(sparse_depth: Any) -> NDArray[np.float32]:
-    """Check what can be checked without the picture."""
-    if isinstance(sparse_depth, np.ndarray) and sparse_depth.ndim == 2:
-        size = sparse_depth.shape
-    else:
-        size = (0, 0)  # of which no array is
-    return check_sparse_depth(sparse_depth, size=size)
 
 
 def _check_ms(name: str, value: Any, *, least: float = 0.0) -> float:

@@ -4,7 +4,6 @@ import os
 
 import cv2
 import numpy as np
-import psutil
 import pytest
 from typer.testing import CliRunner
 
@@ -68,6 +67,8 @@ def test_rows_are_the_files_of_a_plain_run(cluster, tmp_path):
 
 def actor_processes():
     """Of the cluster that this process started."""
+    import psutil
+
     found = []
     for process in psutil.process_iter(["cmdline"]):
         if any("MapWorker" in word for word in process.info["cmdline"] or ()) and any(
@@ -78,6 +79,8 @@ def actor_processes():
 
 
 def test_a_killed_actor_loses_no_frame(cluster, tmp_path):
+    import psutil
+
     from runtime.stream.ray_data import predict_source
 
     frames = list_frames(*bundled_stream())
