@@ -72,6 +72,13 @@ class FrameRecord:
     jitter_ms: float | None = None
 
     @property
+    def skew_ms(self) -> float | None:
+        """By how much the stamps of the two sensors lie apart; None where one is not known."""
+        if self.image_stamp_ns is None or self.depth_stamp_ns is None:
+            return None
+        return abs(self.depth_stamp_ns - self.image_stamp_ns) / 1e6
+
+    @property
     def response_ms(self) -> float | None:
         """What a deadline is held against: the age, in a single stream the prediction's time."""
         if self.age_ms is not None or self.latency is None:

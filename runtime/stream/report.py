@@ -23,9 +23,10 @@ from runtime.stream.latency import (
 from runtime.stream.outputs.frame_writer import DEPTH_PNG_MAX_M, DEPTH_PNG_SCALE
 from runtime.stream.pipeline import SKIPPED, FrameRecord, StreamResult
 
-REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.5"
+REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.6"
 
-# "predict" is Predictor.predict from end to end; "age" and "jitter" are of constant streams.
+# "predict" is Predictor.predict from end to end; "age" and "jitter" are of constant streams, "skew"
+# of sources whose sensors both have stamps.
 STAGES: dict[str, Callable[[FrameRecord], float | None]] = {
     "read": lambda record: record.read_ms,
     "preprocess": lambda record: record.latency.preprocess_ms if record.latency else None,
@@ -35,19 +36,22 @@ STAGES: dict[str, Callable[[FrameRecord], float | None]] = {
     "write": lambda record: record.write_ms,
     "age": lambda record: record.age_ms,
     "jitter": lambda record: record.jitter_ms,
+    "skew": lambda record: record.skew_ms,
 }
 _CONSTANT_STREAM = ("age", "jitter")
 
 
 def stage_statistics(result: StreamResult) -> dict[str, LatencyStatistics | None]:
     """Statistics of every stage of the scenario over the frames that went through it."""
-    constant = result.rate_hz is not None
+    left_out: tuple[str, ...] = () if result.rate_hz is not None else _CONSTANT_STREAM
+    if all(record.skew_ms is None for record in result.records):
+        left_out += ("skew",)
     return {
         stage: latency_statistics(
             time_ms for time_ms in map(time_of, result.records) if time_ms is not None
         )
         for stage, time_of in STAGES.items()
-        if constant or stage not in _CONSTANT_STREAM
+        if stage not in left_out
     }
 
 
