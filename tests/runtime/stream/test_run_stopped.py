@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import cv2
@@ -155,37 +154,3 @@ def test_from_another_process(tmp_path, command, signals):
     assert (process.returncode, stderr) == (3, "")
     assert "interrupted" in stdout
     assert len(require_consistent(tmp_path / "out")) < 6000
-
-
-@pytest.mark.parametrize("after_s", [0.0, 0.05, 0.2, 0.5])
-def test_killed_at_any_moment_no_half_file_has_its_final_name(tmp_path, command, after_s):
-    """SIGKILL, which nobody can answer; the next run tidies up and is whole."""
-    pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
-    n = 400
-    for folder in ("cam", "lidar"):
-        for index in range(N, n):
-            os.link(tmp_path / folder / f"f{index % N}.png", tmp_path / folder / f"f{index}.png")
-    out = tmp_path / "out"
-    made = {"--video": "a.mp4", "--mcap": "a.mcap", "--report": "a.html", "--record": "rec"}
-    options = [text for name, file in made.items() for text in (name, str(tmp_path / file))]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "runtime.stream", *command, *options],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout.readline().startswith("by-hand sha256:")
-    time.sleep(after_s)
-    process.kill()
-    process.communicate()
-    assert process.returncode == -signal.SIGKILL
-    assert not [file for file in made.values() if (tmp_path / file).exists()], "it was not through"
-    assert not (out / "report.json").exists()
-    for kind in KINDS:
-        for path in (out / kind).glob("[!.]*"):
-            assert path.read_bytes().endswith((b"IEND\xaeB`\x82", b"\xff\xd9")), path
-    again = CliRunner().invoke(app, [*command, *options, "--overwrite", "--limit", str(N)])
-    assert again.exit_code == 0, again.output
-    assert require_consistent(out) == [f"f{index}" for index in range(N)]
-    assert not list(tmp_path.glob(".*")), "what the killed run left is gone"
-    assert all((tmp_path / file).exists() for file in made.values())
