@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.projection import OcclusionFilter, project_points
+from runtime.stream.kitti_calibration import NumbersFile, chain
 
 _TOML_KEYS = {"intrinsics", "extrinsics", "size"}
 
@@ -87,29 +88,23 @@ class Calibration:
         Raises InputError for a missing file, a missing name or a wrong count of numbers.
         """
         path = Path(path)
-        size, rectify = None, np.eye(4)
+        size, rectify = None, np.eye(3)
         if path.is_dir():
-            cameras = _NumbersFile(path / "calib_cam_to_cam.txt")
-            scanner = _NumbersFile(path / "calib_velo_to_cam.txt")
+            cameras = NumbersFile(path / "calib_cam_to_cam.txt")
+            scanner = NumbersFile(path / "calib_velo_to_cam.txt")
             projection = cameras.matrix(f"P_rect_{camera:02d}", 3, 4)
-            rectify[:3, :3] = cameras.matrix("R_rect_00", 3, 3)
+            rectify = cameras.matrix("R_rect_00", 3, 3)
             to_camera = np.hstack([scanner.matrix("R", 3, 3), scanner.matrix("T", 3, 1)])
             width, height = cameras.matrix(f"S_rect_{camera:02d}", 2, 1)[:, 0]
             size = (int(height), int(width))
         else:
-            numbers = _NumbersFile(path)
+            numbers = NumbersFile(path)
             projection = numbers.matrix(f"P{camera}", 3, 4)
             odometry = "Tr" in numbers
             if not odometry:
-                rectify[:3, :3] = numbers.matrix("R0_rect", 3, 3)
+                rectify = numbers.matrix("R0_rect", 3, 3)
             to_camera = numbers.matrix("Tr" if odometry else "Tr_velo_to_cam", 3, 4)
-        intrinsics = projection[:, :3]
-        beside = np.eye(4)
-        try:  # P = K [I | t]: the camera sits beside the one that the scanner is measured to
-            beside[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
-        except np.linalg.LinAlgError as error:
-            raise InputError(f"{path}: P is no projection of a camera: {error}") from error
-        return cls(intrinsics, beside @ rectify @ np.vstack([to_camera, np.eye(4)[3]]), size)
+        return cls(*chain(projection, rectify, to_camera), size)
 
     @classmethod
     def from_camera_info(cls, info: Mapping[str, Any], extrinsics: Any) -> "Calibration":
@@ -161,30 +156,6 @@ class Calibration:
             _matrix(f"extrinsics of {path}", keys["extrinsics"], 4, 4),
             tuple(size) if isinstance(size, list) else size,
         )
-
-
-class _NumbersFile:
-    """A text file of `name: numbers` lines."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        try:
-            lines = path.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"cannot read the calibration {path}: {error}") from error
-        entries = (line.partition(":") for line in lines if not line.lstrip().startswith("#"))
-        self._entries = {name.strip(): numbers for name, colon, numbers in entries if colon}
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._entries
-
-    def matrix(self, name: str, rows: int, columns: int) -> NDArray[np.float64]:
-        """The numbers under a name. Raises InputError."""
-        if name not in self:
-            raise InputError(
-                f"{self._path} has no line '{name}:', it has {', '.join(self._entries) or 'none'}"
-            )
-        return _matrix(f"{name} in {self._path}", self._entries[name].split(), rows, columns)
 
 
 def _matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:

@@ -11,9 +11,10 @@ from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
 from runtime.projection import OcclusionFilter
+from runtime.stream.calibration import Calibration
 from training.datasets.class_mapping import ClassTable
 from training.datasets.image_files import read_rgb, require_folder
-from training.datasets.kitti_calibration import Calibration, read_points, read_raw_calibration
+from training.datasets.kitti_calibration import read_points, read_raw_calibration
 from training.datasets.sample import IGNORE, Sample
 from training.datasets.source import Names, SourceRecipe
 from training.datasets.virtual_kitti import require_partners
@@ -105,10 +106,11 @@ class KittiRaw:
         path = drive / f"image_{camera:02d}" / "data" / f"{number}.png"
         rgb = read_rgb(path)
         size = (rgb.shape[0], rgb.shape[1])
-        if size != calibration.size:
+        expected = calibration.size or size
+        if size != expected:
             raise DatasetError(
                 f"{path}: its size {size[0]}x{size[1]} differs from the calibration's "
-                f"{calibration.size[0]}x{calibration.size[1]} (height x width). Give the "
+                f"{expected[0]}x{expected[1]} (height x width). Give the "
                 "rectified (synced) images of this date."
             )
         points = read_points(drive / "velodyne_points" / "data" / f"{number}.bin")

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
+from runtime.stream.calibration import Calibration
 from training.datasets.class_mapping import ClassTable
 from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
-from training.datasets.kitti_calibration import CalibrationFile, chain, read_points
+from training.datasets.kitti_calibration import CalibrationFile, dataset_errors, read_points
 from training.datasets.sample import IGNORE, Sample
 from training.datasets.source import SourceRecipe
 from training.datasets.virtual_kitti import require_partners
@@ -122,11 +123,9 @@ def _to_depth(stored: NDArray[np.uint16], focal_baseline: float) -> NDArray[np.f
 
 def _read_calibration(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Intrinsics (3, 3), extrinsics (4, 4) from the LiDAR to the camera, and px m."""
-    numbers = CalibrationFile(path)
-    rectify, velo_to_cam = np.eye(4), np.eye(4)
-    rectify[:3, :3] = numbers.matrix("R0_rect", 3, 3)
-    velo_to_cam[:3] = numbers.matrix("Tr_velo_to_cam", 3, 4)
-    focal_baseline = float(numbers.matrix("fb_disp", 1)[0])
+    focal_baseline = float(CalibrationFile(path).matrix("fb_disp", 1, 1)[0, 0])
     if not focal_baseline > 0:
         raise DatasetError(f"{path}: fb_disp is {focal_baseline}, expected a positive number.")
-    return *chain(numbers.matrix("P2", 3, 4), rectify, velo_to_cam), focal_baseline
+    with dataset_errors():
+        calibration = Calibration.from_kitti(path)
+    return calibration.intrinsics, calibration.extrinsics, focal_baseline

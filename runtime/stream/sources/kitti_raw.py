@@ -6,17 +6,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from runtime.errors import InputError
 from runtime.stream.calibration import Calibration
-from runtime.stream.frames import RGB_SUFFIXES, Frame, list_pictures, read_file, read_rgb
+from runtime.stream.frames import RGB_SUFFIXES, Frame, list_pictures, read_rgb
+from runtime.stream.kitti_scan import read_scan
 from runtime.stream.push.counts import NO_IMAGE, Sensor
 from runtime.stream.sources.source import ListedFrame, Source, no_depth, up_to
 from runtime.stream.sources.stamp_matching import MAX_SKEW_MS, left_out_note, match_by_stamp
-
-_RECORD_BYTES = 16  # x, y, z, reflectance
 
 
 class KittiRawSource(Source):
@@ -122,21 +118,6 @@ class KittiRawSource(Source):
     def notes(self) -> tuple[str, ...]:
         """See `Source.notes`."""
         return left_out_note(self._left_out)
-
-
-def read_scan(path: Path) -> NDArray[np.float32]:
-    """Read a Velodyne scan: float32 (N, 4) of x, y, z [m] in the LiDAR's frame and reflectance.
-
-    Raises InputError if the file cannot be read or is not whole records of four float32.
-    """
-    content = read_file(path)
-    if len(content) % _RECORD_BYTES:
-        raise InputError(
-            f"{path} has {len(content)} bytes, expected a multiple of {_RECORD_BYTES} (x, y, z, "
-            "reflectance as float32): the file is truncated or of another format"
-        )
-    points = np.frombuffer(content, "<f4").reshape(-1, 4)
-    return points.astype(np.float32, copy=False)
 
 
 def _by_number(paths: dict[str, Path]) -> dict[int, Path]:

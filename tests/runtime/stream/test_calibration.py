@@ -128,8 +128,10 @@ def test_damaged_toml(tmp_path, text, said):
     ("change", "said"),
     [
         (lambda raw: (raw / "calib_velo_to_cam.txt").unlink(), "cannot read"),
-        (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("R: 1 2 3"), "3 x 3"),
+        (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("R: 1 2 3"), "'R' has 3 numbers"),
         (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("T: 1 2 3"), "no line 'R:'"),
+        (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("R: a"), "something not a number"),
+        (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("R: nan" + " 0" * 8), "holds NaN"),
         (lambda raw: (raw / "calib_velo_to_cam.txt").write_bytes(b"\xff"), "cannot read"),
     ],
 )

@@ -1,0 +1,69 @@
+"""KITTI's calibration files (Geiger et al. 2013): matrices by name, and what they say together."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import InputError
+
+
+class NumbersFile:
+    """A text file of `name: numbers` lines. Raises InputError if it cannot be read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"cannot read the calibration {path}: {error}") from error
+        entries = (line.partition(":") for line in lines if not line.lstrip().startswith("#"))
+        self._entries = {name.strip(): numbers for name, colon, numbers in entries if colon}
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._entries
+
+    def matrix(self, name: str, rows: int, columns: int) -> NDArray[np.float64]:
+        """The numbers under a name, float64 (rows, columns).
+
+        Raises InputError if they are missing, not as many, or not finite.
+        """
+        count = rows * columns
+        if name not in self:
+            raise InputError(
+                f"{self.path} has no line '{name}:'; expected {count} numbers under it, it has "
+                f"{', '.join(self._entries) or 'no lines'}"
+            )
+        try:
+            numbers = np.array(self._entries[name].split(), dtype=np.float64)
+        except ValueError as error:
+            raise InputError(f"{self.path}: '{name}' holds something not a number") from error
+        if numbers.size != count:
+            raise InputError(f"{self.path}: '{name}' has {numbers.size} numbers, expected {count}")
+        if not np.isfinite(numbers).all():
+            raise InputError(f"{self.path}: '{name}' holds NaN or infinity")
+        return numbers.reshape(rows, columns)
+
+
+def chain(
+    projection: NDArray[np.float64],
+    rectify: NDArray[np.float64],
+    to_camera: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the camera's intrinsics (3, 3) and the extrinsics (4, 4) from the LiDAR to it.
+
+    projection: P_rect (3, 4). rectify: R_rect (3, 3). to_camera: R and T of the LiDAR (3, 4).
+    Raises InputError for a projection that is none of a rectified camera.
+    """
+    intrinsics = projection[:, :3]
+    focal = intrinsics[[0, 1], [0, 1]]
+    if not ((focal > 0).all() and np.array_equal(intrinsics[2], (0, 0, 1))):
+        raise InputError(
+            f"P of KITTI's calibration is {projection.tolist()}, expected positive focal lengths "
+            "and a last row that starts with 0 0 1: restore the calibration"
+        )
+    beside, rectified = np.eye(4), np.eye(4)
+    # P = K [I | t]: the camera sits beside the one that the LiDAR is measured to.
+    beside[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
+    rectified[:3, :3] = rectify
+    return intrinsics, beside @ rectified @ np.vstack([to_camera, np.eye(4)[3]])
