@@ -10,6 +10,9 @@ from runtime.errors import InputError, SSDNetError
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
+    from rosbags.typesys.store import Typestore
+
+_TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
 
 
 class RecordedMessage(NamedTuple):
@@ -30,7 +33,7 @@ class RosBag:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._reader = _open(path)
+        self._reader, self._definitions = _open(path)
         with self._reading():
             self.types = {
                 topic: info.msgtype or "several types"
@@ -50,9 +53,11 @@ class RosBag:
         return (self.decode(message) for message in self.messages([topic]))
 
     def decode(self, message: RecordedMessage) -> Any:
-        """Return a message with its fields."""
+        """Return a message of a type that ROS itself defines, with its fields."""
         try:
-            return self._reader.deserialize(message.raw, self.types[message.topic])
+            if self._reader.is2:
+                return self._definitions.deserialize_cdr(message.raw, self.types[message.topic])
+            return self._definitions.deserialize_ros1(message.raw, self.types[message.topic])
         except Exception as error:  # whatever rubbish makes its parser raise
             raise InputError(
                 f"a message of {message.topic} in {self.path} is damaged ({_told(error)})"
@@ -84,21 +89,27 @@ class RosBag:
             yield
 
 
-def _open(path: Path) -> "AnyReader":
+def _open(path: Path) -> "tuple[AnyReader, Typestore]":
+    """The open bag, and the definitions of ROS's own messages: those in the bag may be damaged."""
     try:
         from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
         raise InputError(
             f'rosbags is not installed ({error}), which reads bags: pip install "ssdnet[bag]"'
         ) from error
     if not path.exists():
         raise InputError(f"cannot read the bag {path}: there is no such file or folder")
+    is_ros1 = path.suffix == ".bag"
+    definitions = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
+    if is_ros1:
+        for name in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
+            definitions.register(get_types_from_msg(_TRANSFORMS, name))
     with reading(path):
-        # Bags before ROS 2 Iron do not hold the definitions of their messages.
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        # Bags before ROS 2 Iron hold no definitions.
+        reader = AnyReader([path], default_typestore=definitions)
         reader.open()
-    return reader
+    return reader, definitions
 
 
 @contextlib.contextmanager

@@ -31,7 +31,7 @@ class Answers:
         self.exit_code, self.text, self._out = result.exit_code, result.output, out
         if (out / "report.json").exists():
             self.report = json.loads((out / "report.json").read_text())
-            self.rows = list(csv.DictReader((out / "frames.csv").open()))
+            self.rows = list(csv.DictReader((out / "frames.csv").read_text().splitlines()))
             self.names = [row["name"] for row in self.rows]
 
     def fed_depth(self, name):

@@ -363,6 +363,20 @@ def test_a_bag_without_definitions_is_read_by_those_of_ros_2(make_bag, make_fram
     assert answers.exit_code == 0, answers.text
 
 
+def test_definitions_that_are_damaged_in_the_bag_do_not_matter(make_bag, make_frame, make_scan):
+    bag = make_bag("mcap")
+    add_camera(bag, make_frame)
+    add_lidar(bag, make_scan)
+    add_tree(bag)
+    path = bag.write()
+    content = path.read_bytes()
+    assert content.count(b"[] transforms") > 0
+    path.write_bytes(content.replace(b"[] transforms", b"[] tranzforms"))
+    with BagSource(path) as source:
+        read = source.read(source.list_frames()[0])
+    assert np.count_nonzero(read.sparse_depth) > 100
+
+
 def test_without_rosbags_the_line_that_installs_it_is_told(recorded, run, monkeypatch):
     import builtins
 
