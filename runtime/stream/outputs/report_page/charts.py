@@ -96,8 +96,7 @@ def latency_chart(
         at = y(deadline_ms)
         parts.append(
             f'<line class="deadline" x1="{_LEFT}" x2="{width - _RIGHT}" y1="{at:.1f}" '
-            f'y2="{at:.1f}"/><text class="deadline" x="{width - _RIGHT}" y="{at - 6:.1f}" '
-            f'text-anchor="end">deadline {deadline_ms:g} ms</text>'
+            f'y2="{at:.1f}"/>'
         )
     sparse = len(spans) <= inner / _POINT_WIDTH
     for span in answered:
@@ -109,6 +108,11 @@ def latency_chart(
         parts.append(
             f'<circle class="{"late" if late else "point"}" cx="{x(span.middle):.1f}" '
             f'cy="{at:.1f}" r="{3.5 if late else 2.5}"><title>{escape(text)}</title></circle>'
+        )
+    if deadline_ms is not None:  # its words are above the points
+        parts.append(
+            f'<text class="deadline" x="{width - _RIGHT}" y="{y(deadline_ms) - 6:.1f}" '
+            f'text-anchor="end">deadline {deadline_ms:g} ms</text>'
         )
     return "".join([*parts, "</svg>"])
 
@@ -131,7 +135,7 @@ def mark_strip(spans: Sequence[Span], mark: str) -> str:
                 blocks.append([span.first, span.last + 1, share])
     drawn = "".join(
         f'<rect x="{start * scale:.2f}" y="0" width="{max((end - start) * scale, 2.5):.2f}" '
-        f'height="10" fill-opacity="{0.35 + 0.65 * share:.2f}"/>'
+        f'height="10" fill-opacity="{0.6 + 0.4 * share:.2f}"/>'
         for start, end, share in blocks
     )
     return _strip(drawn, 10)

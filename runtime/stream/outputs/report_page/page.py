@@ -28,7 +28,7 @@ from runtime.stream.outputs.report_page.timeline import Timeline
 _CHARTS = ((1040, 300), (640, 270), (380, 230))
 _PARTS = ("preprocess", "inference", "postprocess")  # of a prediction
 _BAD = (SKIPPED, INVALID, LATE)
-_MOST_PROBLEMS = 100
+_FEW_PROBLEMS, _MOST_PROBLEMS = 10, 200
 _BAR_WIDTH = 640
 #: Mark -> what it says.
 _MEANINGS = {
@@ -119,7 +119,7 @@ def render_page(content: PageContent) -> bytes:
 
 def _tiles(content: PageContent) -> str:
     total = content.timeline.frames
-    counts = ", ".join(f"{count} {status}" for status, count in content.frames.items())
+    counts = ", ".join(f"{count:,} {status}" for status, count in content.frames.items())
     tiles = [("frames", f"{total:,}", counts or "none", "")]
     times = content.responses
     if times is not None:
@@ -251,17 +251,23 @@ def _health(content: PageContent) -> str:
 def _problems(problems: Sequence[Problem]) -> str:
     if not problems:
         return ""
+    shown = _problem_table(problems[:_FEW_PROBLEMS])
+    if rest := problems[_FEW_PROBLEMS:_MOST_PROBLEMS]:
+        shown += f"<details><summary>{len(rest)} more</summary>{_problem_table(rest)}</details>"
+    if (beyond := len(problems) - _MOST_PROBLEMS) > 0:
+        shown += f'<p class="note">and {beyond:,} more, see frames.csv</p>'
+    return _section("Frames without an answer", shown)
+
+
+def _problem_table(problems: Sequence[Problem]) -> str:
     rows = "".join(
         f"<tr><td>{escape(each.name)}</td><td>{escape(each.status)}</td>"
         f"<td>{escape(each.reason)}</td></tr>"
-        for each in problems[:_MOST_PROBLEMS]
+        for each in problems
     )
-    rest = len(problems) - _MOST_PROBLEMS
-    more = f'<p class="note">and {rest:,} more, see frames.csv</p>' if rest > 0 else ""
-    return _section(
-        "Frames without an answer",
+    return (
         '<div class="scroll"><table class="problems"><thead><tr><th>frame</th><th>status</th>'
-        f"<th>why</th></tr></thead><tbody>{rows}</tbody></table></div>{more}",
+        f"<th>why</th></tr></thead><tbody>{rows}</tbody></table></div>"
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import runtime.stream.cli
+from runtime.stream.outputs.report_page.page import Problem, _problems
 
 CHROMIUM = next(
     (
@@ -136,6 +137,16 @@ def test_a_run_without_an_answer_has_a_page(page_of, stream):
     assert result.exit_code == 3
     assert "No frame was answered." in page.texts
     assert page.after("skipped") == "12 of 12"
+
+
+@pytest.mark.parametrize(
+    ("n", "texts"), [(10, []), (11, ["1 more"]), (205, ["190 more", "and 5 more, see frames.csv"])]
+)
+def test_many_problems_do_not_fill_the_page(n, texts):
+    text = _problems([Problem(f"f{index}", "skipped", "why") for index in range(n)])
+    page = Page(text)
+    assert [each for each in page.texts if "more" in each] == texts
+    assert text.count("<tr><td>f") == min(n, 200)
 
 
 def test_an_empty_shard_has_a_page(page_of):
