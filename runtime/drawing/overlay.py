@@ -173,6 +173,22 @@ class Overlay:
         return self._legends[key]
 
 
+class SharedOverlay(Overlay):
+    """An overlay for several that look at one frame after another: each frame is drawn once.
+
+    What `draw` gives belongs to all of them.
+    """
+
+    _of: tuple[NDArray[np.uint8] | None, Answers] | None = None
+    _drawn: NDArray[np.uint8]
+
+    def draw(self, rgb: NDArray[np.uint8] | None, prediction: Answers) -> NDArray[np.uint8]:
+        """Draw a frame, or give back what was drawn of it last."""
+        if self._of is None or self._of[0] is not rgb or self._of[1] is not prediction:
+            self._of, self._drawn = (rgb, prediction), super().draw(rgb, prediction)
+        return self._drawn
+
+
 def _size(rgb: NDArray[np.uint8] | None, prediction: Answers) -> tuple[int, int]:
     """(height, width) of the frame."""
     heads = (prediction.semantic, prediction.depth, prediction.boundary)

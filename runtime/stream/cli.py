@@ -22,6 +22,7 @@ from runtime.command import ERROR, SIGNALS, Provider, end_now, reported_errors, 
 from runtime.completion.methods import METHODS
 from runtime.completion.predictor import CompletionPredictor
 from runtime.contract import MAX_FOCAL_PX, MIN_FOCAL_PX
+from runtime.drawing.overlay import SharedOverlay
 from runtime.errors import InputError, OutputError, SSDNetError
 from runtime.network_size import NetworkSize, parse_network_size
 from runtime.prediction import Prediction
@@ -359,6 +360,7 @@ def run(
                 if path is not None:
                     require_free(path, overwrite=overwrite)
             with _stop_asked() as stop:  # only now: until here nothing was written
+                overlay = SharedOverlay(predictor.contract.classes, predictor.contract.max_depth_m)
                 writer = FrameWriter(
                     out,
                     predictor.contract,
@@ -366,6 +368,7 @@ def run(
                     names=[listed.name for listed in frames],
                     overwrite=overwrite,
                     focal_length_px=focal_length,
+                    overlay=overlay,
                 )
                 if not as_json:
                     _say("\n".join([*origin.notes, describe_predictor(predictor, frame_size)]), out)
@@ -379,10 +382,10 @@ def run(
                     if page is not None:
                         outputs.append(run_page)
                     if video is not None:
-                        opened = open_video(video, predictor.contract, rate_hz=rate)
+                        opened = open_video(video, overlay, rate_hz=rate)
                         outputs.append(whole.enter_context(opened))
                     if mcap is not None:
-                        bag = open_mcap(mcap, predictor.contract, rate_hz=rate)
+                        bag = open_mcap(mcap, predictor.contract, overlay, rate_hz=rate)
                         outputs.append(whole.enter_context(bag))
                     if rerun is not None:
                         logger = open_rerun(rerun, predictor.contract, focal_length_px=focal_length)

@@ -55,6 +55,7 @@ class FrameWriter:
     folder, names, overwrite: as `RunFolder` takes them
     kinds: which of SUFFIXES to write; a head that the model lacks is left out
     focal_length_px: for clouds of frames without a calibration, see `intrinsics_of`
+    overlay: that draws; None = one of its own
     Raises OutputError if the folder cannot be used.
     """
 
@@ -67,9 +68,10 @@ class FrameWriter:
         names: Collection[str] = (),
         overwrite: bool = False,
         focal_length_px: float | None = None,
+        overlay: Overlay | None = None,
     ) -> None:
         self._classes, self._focal_length_px = contract.classes, focal_length_px
-        self._overlay = Overlay(contract.classes, contract.max_depth_m)
+        self._overlay = overlay or Overlay(contract.classes, contract.max_depth_m)
         self._folder = RunFolder(folder, kinds=kinds, names=names, overwrite=overwrite)
 
     def write(self, name: str, frame: Frame, prediction: Prediction) -> None:

@@ -37,13 +37,13 @@ _LAST_NS = 2**31 * _S  # builtin_interfaces/msg/Time has 32 bits for the seconds
 class McapWriter:
     """Append the messages of each frame; see `open_mcap`."""
 
-    def __init__(self, bag: Any, contract: Contract, rate_hz: float) -> None:
+    def __init__(self, bag: Any, contract: Contract, overlay: Overlay, rate_hz: float) -> None:
         from rosbags.typesys import Stores, get_typestore
 
         self._bag, self._contract, self._rate_hz = bag, contract, rate_hz
         self._typestore = get_typestore(Stores.ROS2_JAZZY)
         self._types = self._typestore.types
-        self._overlay = Overlay(contract.classes, contract.max_depth_m)
+        self._overlay = overlay
         self._connections: dict[str, Any] = {}
         self._frames = 0
 
@@ -128,11 +128,12 @@ class McapWriter:
 
 @contextlib.contextmanager
 def open_mcap(
-    path: Path, contract: Contract, *, rate_hz: float | None = None
+    path: Path, contract: Contract, overlay: Overlay, *, rate_hz: float | None = None
 ) -> Iterator[McapWriter]:
     """Make an MCAP file that gets its name when the block ends; after an error there it is gone.
 
     path: ends in MCAP_SUFFIX; is replaced; a run without a frame leaves no file
+    overlay: that draws the frames
     rate_hz: of frames without stamps, the first of which is at 0; None = DEFAULT_RATE_HZ
     Raises OutputError, also where `rosbags` is not installed.
     """
@@ -147,7 +148,7 @@ def open_mcap(
         bag = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
         bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         with bag:
-            writer = McapWriter(bag, contract, rate_hz or DEFAULT_RATE_HZ)
+            writer = McapWriter(bag, contract, overlay, rate_hz or DEFAULT_RATE_HZ)
             yield writer
         if writer._frames:
             os.replace(folder / f"{folder.name}{MCAP_SUFFIX}", temporary)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.atomic_write import atomic_path
-from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
 from runtime.errors import OutputError
 from runtime.prediction import Prediction
@@ -24,9 +23,8 @@ _LARGEST_SIDE = 4096  # pixels: what players decode
 class VideoWriter:
     """Append the overlay of each frame to a video; see `open_video`."""
 
-    def __init__(self, path: Path, contract: Contract, rate_hz: float) -> None:
-        self._path, self._rate_hz = path, rate_hz
-        self._overlay = Overlay(contract.classes, contract.max_depth_m)
+    def __init__(self, path: Path, overlay: Overlay, rate_hz: float) -> None:
+        self._path, self._overlay, self._rate_hz = path, overlay, rate_hz
         self._file: cv2.VideoWriter | None = None
         self._size = (0, 0)
         self._frames = 0
@@ -74,16 +72,17 @@ class VideoWriter:
 
 @contextlib.contextmanager
 def open_video(
-    path: Path, contract: Contract, *, rate_hz: float | None = None
+    path: Path, overlay: Overlay, *, rate_hz: float | None = None
 ) -> Iterator[VideoWriter]:
     """Make a video that gets its name when the block ends; after an error there it is gone.
 
     path: ends in VIDEO_SUFFIX; is replaced; a run without a frame leaves no file
+    overlay: that draws the frames
     rate_hz: frames a second; None = DEFAULT_RATE_HZ
     Raises OutputError.
     """
     with atomic_path(path) as temporary:
-        writer = VideoWriter(temporary, contract, rate_hz or DEFAULT_RATE_HZ)
+        writer = VideoWriter(temporary, overlay, rate_hz or DEFAULT_RATE_HZ)
         yield writer
         writer.finish()
 

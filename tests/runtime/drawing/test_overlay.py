@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from runtime import Predictor
-from runtime.drawing.overlay import Overlay
+from runtime.drawing.overlay import Overlay, SharedOverlay
 
 
 @pytest.fixture
@@ -193,3 +193,14 @@ def test_a_depth_alone_has_the_overlays_colours_at_its_own_size(contract, answer
     np.testing.assert_array_equal(alone[24:], panel[24:])  # without the words
     assert (alone[:, :40] == 110).all()
     assert not (overlay.paint_depth(prediction.depth) == 110).all(axis=-1).any()
+
+
+def test_a_frame_that_several_show_is_drawn_once(contract, answered):
+    rgb, prediction = answered
+    shared = SharedOverlay(contract.classes, contract.max_depth_m)
+    first = shared.draw(rgb, prediction)
+    assert shared.draw(rgb, prediction) is first
+    other = dataclasses.replace(prediction, depth=prediction.depth + 9)
+    plain = Overlay(contract.classes, contract.max_depth_m)
+    assert np.array_equal(shared.draw(rgb, other), plain.draw(rgb, other))
+    assert np.array_equal(shared.draw(rgb, prediction), first)

@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from runtime import Predictor
+from runtime.drawing.overlay import SharedOverlay
 from runtime.stream.cli import app
 from runtime.stream.frames import Frame
 
@@ -19,6 +20,12 @@ def answered(model_file, make_frame):
     rgb[..., 1] = rgb[..., 2] // 2  # boundary = green / blue stays within 0..1
     heads = ("semantic", "depth", "boundary", "depth_uncertainty")
     return Frame(rgb, depth), Predictor(model_file(heads=heads)).predict(rgb, depth)
+
+
+@pytest.fixture
+def overlay(contract):
+    """What draws the frames of a run."""
+    return SharedOverlay(contract.classes, contract.max_depth_m)
 
 
 @pytest.fixture

@@ -32,10 +32,12 @@ def read_mcap(path):
     return found
 
 
-def test_the_answers_are_read_back_with_the_stamps_of_the_camera(tmp_path, contract, answered):
+def test_the_answers_are_read_back_with_the_stamps_of_the_camera(
+    tmp_path, contract, answered, overlay
+):
     frame, prediction = answered
     path = tmp_path / "deep" / "a.mcap"
-    with open_mcap(path, contract) as mcap:
+    with open_mcap(path, contract, overlay) as mcap:
         for number in range(3):
             stamp_ns = STAMP_NS + number * 100_000_000
             mcap.write(f"f{number}", Frame(frame.rgb, frame.sparse_depth, stamp_ns), prediction)
@@ -65,11 +67,11 @@ def test_the_answers_are_read_back_with_the_stamps_of_the_camera(tmp_path, contr
     assert float(values["total_ms"]) == pytest.approx(prediction.latency.total_ms, abs=1e-3)
 
 
-def test_what_is_degraded_is_a_warning(tmp_path, contract, answered, model_file):
+def test_what_is_degraded_is_a_warning(tmp_path, contract, answered, model_file, overlay):
     frame, _ = answered
     with runtime.Predictor(model_file()) as predictor:
         camera_only = predictor.predict(frame.rgb, np.zeros_like(frame.sparse_depth))
-    with open_mcap(tmp_path / "a.mcap", contract) as mcap:
+    with open_mcap(tmp_path / "a.mcap", contract, overlay) as mcap:
         mcap.write("x", frame, camera_only)
     topics = read_mcap(tmp_path / "a.mcap")
     ((_, diagnostics),) = topics["/diagnostics"]
@@ -85,12 +87,14 @@ def test_frames_without_stamps_come_at_the_rate(tmp_path, run):
 
 
 @pytest.mark.parametrize("stamp_ns", [-1, 2**31 * 10**9])
-def test_a_stamp_that_ros_cannot_hold_leaves_no_file(tmp_path, contract, answered, stamp_ns):
+def test_a_stamp_that_ros_cannot_hold_leaves_no_file(
+    tmp_path, contract, answered, stamp_ns, overlay
+):
     frame, prediction = answered
     path = tmp_path / "made" / "a.mcap"
 
     def fail():
-        with open_mcap(path, contract) as mcap:
+        with open_mcap(path, contract, overlay) as mcap:
             mcap.write("x", frame, prediction)
             mcap.write("y", Frame(frame.rgb, frame.sparse_depth, stamp_ns), prediction)
 
@@ -128,10 +132,10 @@ def test_what_is_there_is_replaced_only_when_asked_and_another_ending_is_refused
     assert run("--mcap", tmp_path / "a.bag").exit_code == 2
 
 
-def test_without_the_extra_it_says_what_to_install(tmp_path, contract, monkeypatch):
+def test_without_the_extra_it_says_what_to_install(tmp_path, contract, monkeypatch, overlay):
     monkeypatch.setitem(__import__("sys").modules, "rosbags.rosbag2", None)
     with (
         pytest.raises(OutputError, match=r"pip install 'ssdnet\[bag\]'"),
-        open_mcap(tmp_path / "a.mcap", contract),
+        open_mcap(tmp_path / "a.mcap", contract, overlay),
     ):
         pass

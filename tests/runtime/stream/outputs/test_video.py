@@ -9,7 +9,6 @@ import pytest
 
 import runtime.stream.cli
 from runtime import OutputError
-from runtime.drawing.overlay import Overlay
 from runtime.stream.frames import Frame
 from runtime.stream.outputs.video import open_video
 
@@ -29,10 +28,10 @@ def mean_difference(one, other):
     return abs(one.astype(int) - other).mean()
 
 
-def test_it_shows_the_overlays_in_their_order(tmp_path, contract, answered):
+def test_it_shows_the_overlays_in_their_order(tmp_path, overlay, answered):
     frame, prediction = answered
-    overlay, expected = Overlay(contract.classes, contract.max_depth_m), []
-    with open_video(tmp_path / "deep" / "a.mp4", contract) as video:
+    expected = []
+    with open_video(tmp_path / "deep" / "a.mp4", overlay) as video:
         for brightness in (40, 120, 200):
             frame = Frame(np.full_like(frame.rgb, brightness), frame.sparse_depth)
             video.write("x", frame, prediction)
@@ -49,7 +48,7 @@ def test_it_shows_the_overlays_in_their_order(tmp_path, contract, answered):
 
 
 @pytest.mark.parametrize("size", [(48, 64), (61, 81), (200, 300), (30, 400), (480, 31)])
-def test_frames_of_other_sizes_are_fitted_into_the_first(tmp_path, contract, answered, size):
+def test_frames_of_other_sizes_are_fitted_into_the_first(tmp_path, overlay, answered, size):
     frame, prediction = answered
     other = cv2.resize(frame.rgb, size[::-1])
     resized = {
@@ -57,7 +56,7 @@ def test_frames_of_other_sizes_are_fitted_into_the_first(tmp_path, contract, ans
         for head in ("semantic", "depth", "boundary", "depth_uncertainty")
     }
     answer = type("Answers", (), resized)
-    with open_video(tmp_path / "a.mp4", contract, rate_hz=30) as video:
+    with open_video(tmp_path / "a.mp4", overlay, rate_hz=30) as video:
         video.write("x", frame, prediction)
         video.write("y", Frame(other, frame.sparse_depth), answer)
     rate_hz, pictures = read_video(tmp_path / "a.mp4")
@@ -67,16 +66,16 @@ def test_frames_of_other_sizes_are_fitted_into_the_first(tmp_path, contract, ans
     assert pictures[1].mean() > 5
 
 
-def test_a_run_without_frames_has_no_video(tmp_path, contract):
+def test_a_run_without_frames_has_no_video(tmp_path, overlay):
     (tmp_path / "a.mp4").write_text("of before")
-    with open_video(tmp_path / "a.mp4", contract):
+    with open_video(tmp_path / "a.mp4", overlay):
         pass
     assert not list(tmp_path.iterdir())
 
 
-def test_an_error_leaves_no_video(tmp_path, contract, answered):
+def test_an_error_leaves_no_video(tmp_path, overlay, answered):
     def fail():
-        with open_video(tmp_path / "a.mp4", contract) as video:
+        with open_video(tmp_path / "a.mp4", overlay) as video:
             video.write("x", *answered)
             raise ZeroDivisionError
 
@@ -85,12 +84,12 @@ def test_an_error_leaves_no_video(tmp_path, contract, answered):
     assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]
 
 
-def test_a_full_disk_is_an_output_error(mount_disk, contract, answered):
+def test_a_full_disk_is_an_output_error(mount_disk, overlay, answered):
     folder = mount_disk(64)
     noise = np.random.default_rng(0)
 
     def fill():
-        with open_video(folder / "a.mp4", contract) as video:
+        with open_video(folder / "a.mp4", overlay) as video:
             for _ in range(200):
                 rgb = noise.integers(0, 255, answered[0].rgb.shape, dtype=np.uint8)
                 video.write("x", Frame(rgb, answered[0].sparse_depth), answered[1])
@@ -100,11 +99,11 @@ def test_a_full_disk_is_an_output_error(mount_disk, contract, answered):
     assert not list(folder.iterdir())
 
 
-def test_what_cannot_be_encoded_is_an_output_error(tmp_path, contract, answered, monkeypatch):
+def test_what_cannot_be_encoded_is_an_output_error(tmp_path, overlay, answered, monkeypatch):
     monkeypatch.setattr("runtime.stream.outputs.video._CODEC", "none")
 
     def fail():
-        with open_video(tmp_path / "a.mp4", contract) as video:
+        with open_video(tmp_path / "a.mp4", overlay) as video:
             video.write("x", *answered)
 
     with pytest.raises(OutputError, match="no such encoder"):
