@@ -97,13 +97,18 @@ class Entry(Candidate):
         return not (self.onnx or self.network or self.method)
 
 
+#: What each entry answers, in the order of the file.
+Heads = Mapping[Entry, Sequence[str]]
+
+
 def main(argv: Sequence[str] | None = None) -> None:
     """Do what the command line asks for."""
     arguments = parse_arguments(argv)
     torch.set_num_threads(arguments.threads)
     try:
         plan = read_plan(arguments.plan, arguments.set, arguments.only, kind=Entry)
-        heads = {item.name: heads_of(item, plan) for item in plan.candidates}  # all can be built
+        # All can be built, before the first is trained.
+        heads = {item: heads_of(item, plan) for item in plan.candidates if isinstance(item, Entry)}
         arguments.run(plan, heads, arguments)
     except SSDNetError as error:
         raise SystemExit(f"error: {error}") from error
@@ -136,9 +141,8 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def heads_of(entry: Candidate, plan: Plan) -> tuple[str, ...]:
+def heads_of(entry: Entry, plan: Plan) -> tuple[str, ...]:
     """Return what an entry answers. Raises InputError for what cannot be built."""
-    assert isinstance(entry, Entry)
     if entry.method is not None:
         CompletionPredictor(entry.method)
         return ("depth",)
@@ -152,15 +156,13 @@ def heads_of(entry: Candidate, plan: Plan) -> tuple[str, ...]:
     return build_network(read_candidate(entry, plan).model, None).config.heads
 
 
-def train_all(
-    plan: Plan, heads: Mapping[str, Sequence[str]], arguments: argparse.Namespace
-) -> None:
+def train_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
     """Train, export and score what is missing. Raises SystemExit if stopped or if any failed."""
     failed = []
     with StopSignal() as stop:
-        for entry in plan.candidates:
+        for entry, answers in heads.items():
             try:
-                if not finish(entry, plan, heads[entry.name], arguments, stop):
+                if not finish(entry, plan, answers, arguments, stop):
                     raise SystemExit(INTERRUPTED)
             except SSDNetError as error:
                 print(f"{entry.name}: left out: {error}", flush=True)
@@ -174,14 +176,13 @@ def train_all(
 
 
 def finish(
-    entry: Candidate,
+    entry: Entry,
     plan: Plan,
     heads: Sequence[str],
     arguments: argparse.Namespace,
     stop: StopSignal,
 ) -> bool:
     """Train, export and score an entry, and say what it scored; False if stopped."""
-    assert isinstance(entry, Entry)
     if entry.network is not None:
         return True
     out = arguments.runs / entry.folder
@@ -222,19 +223,18 @@ def find_sets(heads: Sequence[str], roots: Sequence[Path]) -> Sets:
     return found
 
 
-def time_all(plan: Plan, heads: Mapping[str, Sequence[str]], arguments: argparse.Namespace) -> None:
+def time_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
     """Time all entries in one interleaved run and keep the figures with the runs."""
-    models = {item.name: open_entry(item, plan, arguments.runs) for item in plan.candidates}
+    models = {entry.name: open_entry(entry, plan, arguments.runs) for entry in heads}
     reference = next(iter(models))
     document = compare(models, reference, arguments.sizes, arguments.threads, arguments.rounds)
     arguments.runs.mkdir(parents=True, exist_ok=True)
     atomic_write(arguments.runs / TIMES, json.dumps(document, indent=2).encode())
-    print(to_tables(plan, heads, arguments.runs))
+    print(to_tables(heads, arguments.runs))
 
 
-def open_entry(entry: Candidate, plan: Plan, runs: Path) -> Model:
+def open_entry(entry: Entry, plan: Plan, runs: Path) -> Model:
     """Return what is timed: the exported file, random weights in its place, or a method."""
-    assert isinstance(entry, Entry)
     if entry.method is not None:
         return CompletionPredictor(entry.method)
     path = find_model(entry.onnx) if entry.onnx is not None else runs / entry.folder / ONNX
@@ -247,15 +247,15 @@ def open_entry(entry: Candidate, plan: Plan, runs: Path) -> Model:
     return export_graph(DeployGraph(network.eval()), TRACED_AT, dynamic=True)
 
 
-def show(plan: Plan, heads: Mapping[str, Sequence[str]], arguments: argparse.Namespace) -> None:
+def show(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
     """Print the tables of what there is, and write them."""
-    text = to_tables(plan, heads, arguments.runs)
+    text = to_tables(heads, arguments.runs)
     print(text)
     if arguments.markdown:
         atomic_write(arguments.markdown, text.encode())
 
 
-def to_tables(plan: Plan, heads: Mapping[str, Sequence[str]], runs: Path) -> str:
+def to_tables(heads: Heads, runs: Path) -> str:
     """A table a task; a figure that is not there is an empty cell."""
     times = read_json(runs / TIMES)
     parts = []
@@ -266,8 +266,8 @@ def to_tables(plan: Plan, heads: Mapping[str, Sequence[str]], runs: Path) -> str
         columns = ["network", "trained", *columns, "params M", "GMACs"]
         columns += [f"ms, {_name(part['size'])}" for part in times.get("sizes", [])]
         lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
-        for entry in plan.candidates:
-            if head in heads[entry.name]:
+        for entry, answers in heads.items():
+            if head in answers:
                 lines.append(f"| {' | '.join(_row(entry, head, runs, times))} |")
         parts.append(f"**{title}**\n\n" + "\n".join(lines))
     if times:
@@ -275,8 +275,7 @@ def to_tables(plan: Plan, heads: Mapping[str, Sequence[str]], runs: Path) -> str
     return "\n\n".join(parts) + "\n"
 
 
-def _row(entry: Candidate, head: str, runs: Path, times: Mapping[str, Any]) -> list[str]:
-    assert isinstance(entry, Entry)
+def _row(entry: Entry, head: str, runs: Path, times: Mapping[str, Any]) -> list[str]:
     scores = read_json(runs / entry.folder / SCORES).get("figures", {})
     cells = [entry.name, _describe_training(entry, runs)]
     if head == "semantic":
@@ -287,13 +286,13 @@ def _row(entry: Candidate, head: str, runs: Path, times: Mapping[str, Any]) -> l
         for place in DEPTH_COLUMNS:
             errors = [scores.get(place, {}).get(key) for key in ("mae_m", "rmse_m")]
             cells.append("" if None in errors else " / ".join(f"{1e3 * m:.0f}" for m in errors))
-    timed = [
+    timed: list[dict[str, Any]] = [
         next((row for row in part["rows"] if row["network"] == entry.name), {})
         for part in times.get("sizes", [])
     ]
     counted = timed[0] if timed and entry.method is None else {}
     cells += [f"{counted[key]:.3g}" if key in counted else "" for key in ("params_m", "gmacs")]
-    return [*cells, *(f"{row['median_ms']:.3g}" if row else "" for row in timed)]
+    return [*cells, *(_round(row["median_ms"]) if row else "" for row in timed)]
 
 
 def _describe_training(entry: Entry, runs: Path) -> str:
@@ -310,6 +309,10 @@ def _describe_training(entry: Entry, runs: Path) -> str:
         recipe["schedule"]["steps"] * recipe["data"]["batch_size"] * recipe["loop"]["accumulate"]
     )
     return f"{samples} samples"
+
+
+def _round(ms: float) -> str:
+    return f"{ms:.1f}" if ms < 100 else f"{ms:.0f}"
 
 
 def _name(size: Sequence[int]) -> str:

@@ -17,6 +17,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import onnx
 import onnxruntime
 import torch
 from numpy.typing import NDArray
@@ -36,6 +37,8 @@ Frame = dict[str, NDArray[Any]]
 Model = bytes | CompletionPredictor
 
 _WARM_UP = 2
+#: Operators that are counted.
+_COUNTED = ("Conv", "ConvTranspose", "Gemm", "MatMul")
 
 
 class LogitsGraph(DeployGraph):
@@ -138,18 +141,17 @@ def count_cost(model: bytes, size: Size) -> Cost:
         session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
         session.run(None, _inputs_of(session, random_frame(size)))
         events = json.loads(Path(session.end_profiling()).read_text())
-    params, macs = 0, 0
+    macs = 0
     for event in events:
         arguments = event.get("args", {})
-        if arguments.get("op_name") not in ("Conv", "ConvTranspose", "Gemm", "MatMul"):
+        if arguments.get("op_name") not in _COUNTED:
             continue
         if "output_type_shape" not in arguments:
             continue
-        (taken, weight, *bias), (given,) = (
+        (taken, weight, *_), (given,) = (
             [next(iter(tensor.values())) for tensor in arguments[key]]
             for key in ("input_type_shape", "output_type_shape")
         )
-        params += np.prod(weight) + sum(np.prod(values) for values in bias)
         match arguments["op_name"]:
             case "Conv":
                 macs += np.prod(given) * np.prod(weight[1:])
@@ -157,7 +159,14 @@ def count_cost(model: bytes, size: Size) -> Cost:
                 macs += np.prod(taken) * np.prod(weight[1:])
             case _:
                 macs += np.prod(given) * taken[-1]
-    return Cost(float(params) / 1e6, float(macs) / 1e9)
+    return Cost(_count_params(model) / 1e6, float(macs) / 1e9)
+
+
+def _count_params(model: bytes) -> float:
+    """Constants of the operators that are counted, each once however often it is used."""
+    graph = onnx.load_from_string(model).graph
+    used = {name for node in graph.node if node.op_type in _COUNTED for name in node.input}
+    return float(sum(np.prod(item.dims) for item in graph.initializer if item.name in used))
 
 
 def measure(timed: Sequence[Timed], size: Size, *, rounds: int) -> None:

@@ -18,6 +18,7 @@ def test_a_name_is_a_bundled_file_before_a_network_of_random_weights(monkeypatch
     assert speed.load_network("random:ssdnet-lite") == b"random"
     assert speed.load_network("fast-scnn") == b"random"
     assert exported == ["ssdnet-lite", "fast-scnn"]
+    assert speed.load_network("ip-basic").contract.model_name == "ip-basic"
 
 
 def test_an_unknown_name_lists_all_that_are_known():

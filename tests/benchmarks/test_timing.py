@@ -6,6 +6,7 @@ import torch
 
 import timing
 from models import create_model
+from runtime.completion.predictor import CompletionPredictor
 from timing import LogitsGraph, Timed, count_cost, figures, measure, open_timed, to_markdown
 
 SIZE = (32, 48)
@@ -17,6 +18,26 @@ def test_costs_are_those_by_hand(small_model):
     assert cost.params_m == pytest.approx((8 * 3 * 9 + 8 + 8 * 5 * 4) / 1e6)
     half = (SIZE[0] // 2) * (SIZE[1] // 2)
     assert cost.gmacs == pytest.approx((half * 8 * 3 * 9 + half * 8 * 5 * 4) / 1e9)
+
+
+def test_weights_that_are_used_twice_are_counted_once(small_model):
+    model = onnx.load_from_string(small_model())
+    again = onnx.helper.make_node(
+        "Conv", ["y", "w1"], ["z2"], kernel_shape=[3, 3], strides=[2, 2], pads=[1] * 4
+    )
+    model.graph.node.insert(3, again)
+    once, twice = (count_cost(m, SIZE) for m in (small_model(), model.SerializeToString()))
+    assert twice.params_m == once.params_m
+    assert twice.gmacs == once.gmacs + (SIZE[0] // 2) * (SIZE[1] // 2) * 8 * 3 * 9 / 1e9
+
+
+def test_a_classical_method_is_timed_beside_the_files(small_model):
+    models = {"small": small_model(), "filling": CompletionPredictor("nearest")}
+    items = [open_timed(name, model, SIZE, threads=1) for name, model in models.items()]
+    measure(items, SIZE, rounds=2)
+    filling = figures(items, items[0])[1]
+    assert filling["median_ms"] > 0
+    assert (filling["params_m"], filling["gmacs"]) == (0, 0)
 
 
 def test_a_file_of_fixed_size_is_not_timed_at_another(small_model):
