@@ -20,7 +20,11 @@ recipe = "comparison-semantics"
 set = ["data.batch_size = 2", "data.augment.crop = [32, 64]", "schedule.warmup_steps = 0"]
 [[candidate]]
 name = "semantic"
-set = ["model.config = { encoder_channels = [8, 8, 8, 8], decoder_channels = [8, 8, 8, 8] }"]
+set = [
+    "model.config.encoder_channels = [8]",
+    "model.config.encoder_blocks = [1]",
+    "model.config.decoder_channels = [8]",
+]
 published_miou = 51.0
 [[candidate]]
 name = "depth"
@@ -31,7 +35,7 @@ set = [
 ]
 [[candidate]]
 name = "big"
-network = "sparse-to-dense"
+network = "sparse-conv"
 [[candidate]]
 name = "filling"
 method = "nearest"
@@ -102,7 +106,7 @@ def test_the_queue_trains_scores_times_and_shows(trained, tmp_path, monkeypatch)
     assert stream == rendered == ""
     assert float(params) == pytest.approx(0.0256, rel=0.01)
     assert rows["| big"][1:6] == ["not trained here", "", "", "", ""]
-    assert float(rows["| big"][6]) > 10
+    assert rows["| big"][6] == params
     assert rows["| filling"][1] == "no training"
     assert rows["| filling"][6:8] == ["", ""]
 
@@ -141,8 +145,8 @@ def test_a_stopped_queue_says_so_and_the_ablation_comes_last(data, plan_file, mo
 def test_bad_names_are_refused_before_anything_is_trained(data, plan_file):
     for change, said in (
         (("nearest", "furthest"), "furthest"),
-        (("to-dense", "to-tense"), "no network 'sparse-to-tense'; known: .*enet"),
-        (("sparse-conv", "sparse"), "sparse"),
+        (('network = "sparse', 'network = "dense'), "no network 'dense-conv'; known: .*enet"),
+        (('name = "sparse-conv"', 'name = "sparse"'), "sparse"),
     ):
         plan_file.write_text(PLAN.replace(*change))
         with pytest.raises(SystemExit, match=said):
