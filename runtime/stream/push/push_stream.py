@@ -4,7 +4,7 @@ One worker thread predicts. All state is guarded by the lock of one condition, `
 notified at each change. What always holds:
 
 1. A message that was accepted is in one place: with the synchronizer, in `_ready`, with the worker
-   (`_take` to `_finish`), or its fate is in the ledger. Whoever moves it holds the lock.
+   (`_take` to `_answer`), or its fate is in the ledger. Whoever moves it holds the lock.
 2. The lock is not held while predicting, copying or calling a callback: so who pushes into a live
    stream waits for a few comparisons at most, and a callback may call anything here.
 3. Live, `_ready` and `_results` hold one item at most and the synchronizer `_WAITING` a sensor;
@@ -312,6 +312,8 @@ class PushStream:
         started_ns = self._clock.now_ns()
         try:
             answer = self._answerer.answer(pair)
+            now_ns = self._clock.now_ns()
+            result = self._result(pair, answer, started_ns, now_ns)
         except SSDNetError as error:
             with self._changed:
                 wiring = not isinstance(error, InferenceError)
@@ -324,8 +326,6 @@ class PushStream:
             with self._changed:
                 self._settle_pair(pair, Fate.ERROR, INFERENCE_ERROR)
             raise
-        now_ns = self._clock.now_ns()
-        result = self._result(pair, answer, started_ns, now_ns)
         with self._changed:
             self._answers += 1
             self._record(pair, result, now_ns)

@@ -397,6 +397,27 @@ def test_an_error_of_the_callback_ends_the_stream_and_comes_out_at_close(setup):
     assert add_up(made.stream.counts).pending == 0
 
 
+def test_an_error_of_the_sensors_clock_ends_the_stream_and_its_frame_is_counted(setup):
+    made = setup(mode="replay", sensor_clock=lambda: 1 / 0)
+    for number in range(30):
+        push_pair(made.stream, number)
+    with pytest.raises(ZeroDivisionError):
+        made.stream.close()
+    counts = add_up(made.stream.counts)
+    assert (counts.pending, counts.answered) == (0, 0)
+    assert counts.errors == {"inference_error": 2}
+
+
+def test_a_sensors_clock_that_tells_no_time_is_an_error_of_each_frame(setup):
+    told = []
+    made = setup(mode="replay", sensor_clock=lambda: float("nan"), on_error=told.append)
+    for number in range(3):
+        push_pair(made.stream, number)
+    made.stream.close()
+    assert [str(error)[:13] for error in told] == ["stamp must be"] * 3
+    assert add_up(made.stream.counts).errors == {"input_error": 6}
+
+
 def test_an_error_of_the_block_is_not_hidden_by_one_of_the_callback(setup):
     def fail(result):
         raise ZeroDivisionError
