@@ -30,6 +30,7 @@ OVERFLOW = "overflow"  # live: more messages than can wait
 DUPLICATE = "duplicate"  # a stamp of this sensor that was there before
 LATE = "late"  # older than an image that was already decided
 CLOSED = "closed"  # pushed after the stream was closed
+INTERRUPTED = "interrupted"  # replay: Ctrl-C came while the push waited for room
 # Reasons of UNMATCHED:
 NO_IMAGE = "no_image"  # depth: no image within max_skew_ms
 CLOCK_JUMP = "clock_jump"  # depth: it waited when the stamps jumped back

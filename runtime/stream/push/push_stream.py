@@ -39,6 +39,7 @@ from runtime.stream.push.counts import (
     INCOMPLETE,
     INFERENCE_ERROR,
     INPUT_ERROR,
+    INTERRUPTED,
     OVERTAKEN,
     UNREAD,
     Fate,
@@ -157,7 +158,11 @@ class PushStream:
         with self._changed:
             self._ledger.push(sensor)
             if not self._live:
-                self._wait_for_room(sensor)
+                try:
+                    self._wait_for_room(sensor)
+                except BaseException:
+                    self._ledger.settle(sensor, Fate.DROPPED, INTERRUPTED)
+                    raise
             if self._closed:
                 self._ledger.settle(sensor, Fate.DROPPED, CLOSED)
                 return
@@ -179,8 +184,10 @@ class PushStream:
                 return
             self._held[sensor] += full
             self._changed.notify_all()
-            self._clock.wait(self._changed, None)
-            self._held[sensor] -= full
+            try:
+                self._clock.wait(self._changed, None)
+            finally:
+                self._held[sensor] -= full
 
     # --- what the stack calls ------------------------------------------------------------------
 

@@ -350,6 +350,32 @@ def test_close_lets_go_who_waits_for_room_and_who_waits_for_answers(setup):
     assert counts.images.answered == len(results) >= 1
 
 
+def test_ctrl_c_in_a_push_that_waits_loses_no_message_and_holds_nobody_up(setup):
+    made = setup(mode="replay")
+    made.predictor.gate.clear()
+    wait, here = made.clock.wait, threading.get_ident()
+
+    def interrupted(changed, timeout_ns):
+        if threading.get_ident() == here:
+            raise KeyboardInterrupt
+        wait(changed, timeout_ns)
+
+    def push_many():
+        for number in range(30):
+            push_pair(made.stream, number)
+
+    made.clock.wait = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        push_many()
+    made.clock.wait = wait
+    made.predictor.gate.set()
+    made.stream.close()
+    counts = add_up(made.stream.counts)
+    assert (counts.pending, counts.dropped) == (0, {"interrupted": 1})
+    assert counts.images.answered == len(list(made.stream)) >= 1
+    assert not any(made.stream._held.values())
+
+
 def test_a_replay_that_nobody_reads_holds_a_bounded_number_of_answers_and_can_be_closed(setup):
     made = setup(mode="replay")
     pusher, done = push_all(made, 200)
