@@ -109,11 +109,6 @@ def latency_chart(
             f'<circle class="{"late" if late else "point"}" cx="{x(span.middle):.1f}" '
             f'cy="{at:.1f}" r="{3.5 if late else 2.5}"><title>{escape(text)}</title></circle>'
         )
-    if deadline_ms is not None:  # its words are above the points
-        parts.append(
-            f'<text class="deadline" x="{width - _RIGHT}" y="{y(deadline_ms) - 6:.1f}" '
-            f'text-anchor="end">deadline {deadline_ms:g} ms</text>'
-        )
     return "".join([*parts, "</svg>"])
 
 

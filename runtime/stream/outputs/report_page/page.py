@@ -166,7 +166,7 @@ def _latency(content: PageContent) -> str:
     if shared:
         keys.append('<span class="key range"></span>from the least to the most of the frames there')
     if content.deadline_ms is not None:
-        keys.append('<span class="key dash"></span>deadline')
+        keys.append(f'<span class="key dash"></span>deadline {content.deadline_ms:g} ms')
     if marks[LATE]:
         keys.append(f'<span class="key dot red"></span>late ({marks[LATE]:,})')
     if dropped := marks[SKIPPED] + marks[INVALID]:
