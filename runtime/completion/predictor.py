@@ -1,7 +1,6 @@
 """Classical completion with the engine's face: where a `Predictor` can stand, it can stand."""
 
 import time
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -131,12 +130,7 @@ class CompletionPredictor:
     def __enter__(self) -> "CompletionPredictor":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
