@@ -115,6 +115,42 @@ def build_report(
         "format": REPORT_FORMAT,
         "version": REPORT_VERSION,
         "ssdnet": version,
+        **describe_engine(predictor),
+        "inputs": inputs,
+        "output": output,
+        "saved": kinds,
+        "depth_png": {"units_per_metre": DEPTH_PNG_SCALE, "max_m": DEPTH_PNG_MAX_M},
+        "frames": {
+            "total": len(records),
+            "by_status": dict(Counter(record.status for record in records)),
+            "degraded": dict(Counter(reason for record in records for reason in record.degraded)),
+            "by_network_size": dict(
+                Counter(_size(record.network_size) for record in records if record.network_size)
+            ),
+            "not_ok": [
+                {"name": record.name, "status": record.status, "reason": record.reason}
+                for record in records
+                if record.reason
+            ],
+        },
+        "interrupted": result.interrupted,
+        "scenario": {
+            "name": "single-stream" if result.rate_hz is None else "constant-stream",
+            "rate_hz": result.rate_hz,
+        },
+        "stages": {
+            stage: None if statistics is None else asdict(statistics)
+            for stage, statistics in stage_statistics(result).items()
+        },
+        "wall_s": result.wall_s,
+        "frames_per_second": frames_per_second(result),
+        "deadline": None if late is None else {"deadline_ms": deadline_ms, **asdict(late)},
+    }
+
+
+def describe_engine(predictor: Predictor | CompletionPredictor) -> dict[str, Any]:
+    """What a report says of the model and of what runs it, ready for `json.dumps`."""
+    return {
         "model": {
             "name": predictor.contract.model_name,
             "path": predictor.model,
@@ -139,37 +175,8 @@ def build_report(
             "system": platform.platform(),
             "python": platform.python_version(),
         },
-        "inputs": inputs,
-        "output": output,
-        "saved": kinds,
-        "depth_png": {"units_per_metre": DEPTH_PNG_SCALE, "max_m": DEPTH_PNG_MAX_M},
-        "frames": {
-            "total": len(records),
-            "by_status": dict(Counter(record.status for record in records)),
-            "degraded": dict(Counter(reason for record in records for reason in record.degraded)),
-            "by_network_size": dict(
-                Counter(_size(record.network_size) for record in records if record.network_size)
-            ),
-            "not_ok": [
-                {"name": record.name, "status": record.status, "reason": record.reason}
-                for record in records
-                if record.reason
-            ],
-        },
-        "interrupted": result.interrupted,
-        "scenario": {
-            "name": "single-stream" if result.rate_hz is None else "constant-stream",
-            "rate_hz": result.rate_hz,
-        },
         "load_ms": predictor.load_ms,
         "first_inference_ms": predictor.first_inference_ms,
-        "stages": {
-            stage: None if statistics is None else asdict(statistics)
-            for stage, statistics in stage_statistics(result).items()
-        },
-        "wall_s": result.wall_s,
-        "frames_per_second": frames_per_second(result),
-        "deadline": None if late is None else {"deadline_ms": deadline_ms, **asdict(late)},
     }
 
 

@@ -15,13 +15,13 @@ from runtime.stream.health.image_health import ImageHealth
 from runtime.stream.health.lidar_health import LidarHealth
 from runtime.stream.latency import LatencyStatistics, MissedDeadlines, latency_statistics
 from runtime.stream.outputs.report_page.charts import LATE
+from runtime.stream.outputs.report_page.facts import collect_facts
 from runtime.stream.outputs.report_page.page import PageContent, Problem, render_page
 from runtime.stream.outputs.report_page.samples import SampleKeeper
 from runtime.stream.outputs.report_page.timeline import Moment, Timeline
 from runtime.stream.pipeline import OK, FrameRecord, StreamResult
 
 PAGE_SUFFIX = ".html"
-_LIBRARIES = {"onnxruntime": "ONNX Runtime", "cv2": "OpenCV", "numpy": "NumPy"}
 
 
 class RunPage:
@@ -72,7 +72,7 @@ class RunPage:
             frames_per_second=report["frames_per_second"],
             problems=[Problem(**entry) for entry in report["frames"]["not_ok"]],
             samples=self._samples.samples(),
-            facts=self._facts(report),
+            facts=collect_facts(report, "Run", _run_facts(report, self._started)),
         )
         with atomic_path(path) as made:
             made.write_bytes(render_page(content))
@@ -91,73 +91,17 @@ class RunPage:
             returns=None if record.latency is None else record.depth_returns,
         )
 
-    def _facts(self, report: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-        model, provider, machine = report["model"], report["provider"], report["machine"]
-        scenario, first_ms = report["scenario"], report["first_inference_ms"]
-        canonical = model["canonical_focal_px"]
-        nodes = provider["nodes"] or {}
-        return {
-            "Model": _known(
-                {
-                    "name": model["name"],
-                    "file": model["path"],
-                    "SHA-256": model["sha256"],
-                    "answers": ", ".join(model["heads"]),
-                    "precision": model["precision"],
-                    "depth range": f"{model['max_depth_m']:g} m",
-                    "trained height": model["trained_height"],
-                    "canonical focal length": canonical and f"{canonical:g} px",
-                    "ran at": _counts(report["frames"]["by_network_size"]),
-                }
-            ),
-            "Run": _known(
-                {
-                    "started": f"{self._started:%Y-%m-%d %H:%M:%S} UTC",
-                    "took": f"{report['wall_s']:.1f} s",
-                    "scenario": scenario["name"]
-                    + (f", {scenario['rate_hz']:g} Hz" if scenario["rate_hz"] else ""),
-                    **{name.replace("_", " "): value for name, value in report["inputs"].items()},
-                    "output": report["output"],
-                    "saved": ", ".join(report["saved"]) or "nothing",
-                }
-            ),
-            "Engine": _known(
-                {
-                    "asked for": provider["asked"],
-                    "runs on": ", ".join(
-                        name + (f" ({nodes[name]} nodes)" if name in nodes else "")
-                        for name in provider["running"]
-                    ),
-                    "threads": provider["threads"],
-                    "load": f"{report['load_ms']:.0f} ms",
-                    "first inference": first_ms and f"{first_ms:.1f} ms",
-                }
-            ),
-            "Machine and versions": _known(
-                {
-                    "processor": machine["cpu"],
-                    "logical cores": machine["logical_cores"],
-                    "system": machine["system"],
-                    "ssdnet": report["ssdnet"],
-                    **_versions(),
-                    "Python": machine["python"],
-                }
-            ),
-        }
 
-
-def _versions() -> dict[str, str | None]:
-    """Of what this process has loaded."""
+def _run_facts(report: Mapping[str, Any], started: datetime) -> dict[str, Any]:
+    scenario = report["scenario"]
+    rate = f", {scenario['rate_hz']:g} Hz" if scenario["rate_hz"] else ""
+    sizes = report["frames"]["by_network_size"].items()
     return {
-        title: getattr(sys.modules.get(name), "__version__", None)
-        for name, title in _LIBRARIES.items()
+        "started": f"{started:%Y-%m-%d %H:%M:%S} UTC",
+        "took": f"{report['wall_s']:.1f} s",
+        "scenario": scenario["name"] + rate,
+        **{name.replace("_", " "): value for name, value in report["inputs"].items()},
+        "network ran at": ", ".join(f"{size} ({count})" for size, count in sizes),
+        "output": report["output"],
+        "saved": ", ".join(report["saved"]) or "nothing",
     }
-
-
-def _counts(counted: Mapping[str, int]) -> str:
-    return ", ".join(f"{what} ({count})" for what, count in counted.items())
-
-
-def _known(facts: Mapping[str, Any]) -> dict[str, str]:
-    """Those that are known, as text."""
-    return {name: str(value) for name, value in facts.items() if value not in (None, "")}

@@ -4,7 +4,6 @@ import re
 import shutil
 import signal
 import subprocess
-from html.parser import HTMLParser
 
 import cv2
 import numpy as np
@@ -23,46 +22,15 @@ CHROMIUM = next(
 )
 
 
-class Page(HTMLParser):
-    """Texts of a page, and whatever it would load."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.texts, self.links, self.tags = [], [], []
-        self.feed(text)
-        assert self.tags == [], "every tag is closed"
-
-    def handle_starttag(self, tag, attributes):
-        if tag not in ("meta", "link", "img", "br"):
-            self.tags.append(tag)
-        for name, value in attributes:
-            if name in ("src", "href", "srcset", "data", "xlink:href", "action"):
-                self.links.append(value)
-
-    def handle_startendtag(self, tag, attributes):
-        pass
-
-    def handle_endtag(self, tag):
-        assert self.tags.pop() == tag
-
-    def handle_data(self, data):
-        if text := data.strip():
-            self.texts.append(text)
-
-    def after(self, label):
-        """The text that follows a label."""
-        return self.texts[self.texts.index(label) + 1]
-
-
 @pytest.fixture
-def page_of(tmp_path, run):
+def page_of(tmp_path, run, read_page):
     """Run with --report and these arguments; give (click's result, page, its source)."""
 
     def make(*arguments):
         path = tmp_path / "deep" / "report.html"
         result = run("--report", path, *arguments)
         text = path.read_text()
-        return result, Page(text), text
+        return result, read_page(text), text
 
     return make
 
@@ -142,9 +110,9 @@ def test_a_run_without_an_answer_has_a_page(page_of, stream):
 @pytest.mark.parametrize(
     ("n", "texts"), [(10, []), (11, ["1 more"]), (205, ["190 more", "and 5 more, see frames.csv"])]
 )
-def test_many_problems_do_not_fill_the_page(n, texts):
+def test_many_problems_do_not_fill_the_page(n, texts, read_page):
     text = _problems([Problem(f"f{index}", "skipped", "why") for index in range(n)])
-    page = Page(text)
+    page = read_page(text)
     assert [each for each in page.texts if "more" in each] == texts
     assert text.count("<tr><td>f") == min(n, 200)
 
