@@ -40,10 +40,15 @@ def main() -> None:
     parser.add_argument("--model", help="bundled name or path")
     arguments = parser.parse_args()
     # It reports to nobody, and leaves no token in the home.
-    os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
+    os.environ |= {
+        "RAY_USAGE_STATS_ENABLED": "0",
+        "RAY_AUTH_TOKEN": secrets.token_hex(32),
+        "RAY_worker_niceness": "0",  # as the plain run
+    }
     import ray
 
     ray.init(
+        address="local",
         num_cpus=max(arguments.actors),
         object_store_memory=512 << 20,
         include_dashboard=False,
