@@ -109,6 +109,19 @@ def test_a_skew_that_is_too_small_leaves_the_camera_alone(drive, run):
     assert answers.report["inputs"]["left_out"] == {"depth: no_image": 6}
 
 
+def test_a_long_drive_is_matched_in_the_order_of_time(tmp_path):
+    for sensor, suffix in (("image_02", "png"), ("velodyne_points", "bin")):
+        (tmp_path / sensor / "data").mkdir(parents=True)
+        for number in range(300):
+            (tmp_path / sensor / f"data/{number:010d}.{suffix}").touch()
+        (tmp_path / sensor / "timestamps.txt").write_text(stamps(range(0, 30_000, 100)))
+    (tmp_path / "calib_cam_to_cam.txt").write_text(CAMERAS)
+    (tmp_path / "calib_velo_to_cam.txt").write_text(SCANNER)
+    frames = KittiRawSource(tmp_path).list_frames()
+    assert [frame.image.stem for frame in frames] == [f"{number:010d}" for number in range(300)]
+    assert all(frame.depth.stem == frame.image.stem for frame in frames)
+
+
 @pytest.mark.parametrize("sensor", ["image_02", "velodyne_points"])
 def test_without_stamps_numbers_decide(drive, run, sensor):
     (drive / sensor / "timestamps.txt").unlink()

@@ -29,11 +29,11 @@ QUARTER = (0, 0, np.sqrt(0.5), np.sqrt(0.5))  # about z, x to y
 def test_a_point_goes_up_to_the_common_frame_and_down_again():
     between = tree(
         stamped("base", "roof", QUARTER, (1, 2, 3)),
-        stamped("roof", "lidar", shift=(0, 0, 0.5)),
+        stamped("roof", "lidar", shift=(4, 0, 0.5)),
         stamped("map", "base", shift=(100, 0, 0)),
         stamped("base", "camera", QUARTER, (0, 0, 1)),
     ).between("lidar", "/camera")
-    in_base = np.array([1 - 20, 2 + 10, 3 + 30.5])  # (10, 20, 30) turned, and moved
+    in_base = np.array([1 - 20, 2 + 14, 3 + 30.5])  # (10, 20, 30) turned, and moved
     in_camera = np.array([in_base[1], -in_base[0], in_base[2] - 1])
     assert np.allclose(between @ (10, 20, 30, 1), (*in_camera, 1))
     assert between[3].tolist() == [0, 0, 0, 1]

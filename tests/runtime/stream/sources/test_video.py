@@ -121,6 +121,17 @@ def test_a_video_that_ends_early_is_answered_up_to_there(tmp_path, run):
     assert "ends or is damaged before its frame 7" in answers.column("reason")[7]
 
 
+def test_frames_that_no_header_counts_are_counted(tmp_path):
+    """Pictures one after the other, as some cameras write them."""
+    pictures = [np.full((48, 64, 3), (90, 60, red_of(index)), np.uint8) for index in range(N)]
+    content = b"".join(cv2.imencode(".jpg", picture)[1].tobytes() for picture in pictures)
+    (tmp_path / "drive.mjpeg").write_bytes(content)
+    with VideoSource(tmp_path / "drive.mjpeg") as source:
+        frames = source.list_frames()
+        reds = [source.read(frame).rgb[..., 0].mean() for frame in frames]
+    assert np.allclose(reds, [red_of(index) for index in range(N)], atol=6)
+
+
 def test_a_depth_map_without_a_number_is_told(video, depth_maps, run):
     (depth_maps / "depth_003.png").rename(depth_maps / "first.png")
     answers = run("--source", f"video:{video}", "--depth", depth_maps)
