@@ -73,6 +73,7 @@ def test_the_command_loads_neither_torch_nor_onnx_nor_onnxruntime():
     loaded = loaded_after("import runtime.stream.cli")
     assert {"runtime", "numpy", "cv2", "typer"} <= loaded
     assert not loaded & {"torch", "onnx", "onnxruntime", "models", "training", "export", "scipy"}
+    assert not loaded & {"rosbags", "ruamel", "apsw"}
 
 
 def test_the_doctor_loads_nothing_that_it_looks_at():
