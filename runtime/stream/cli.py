@@ -40,7 +40,7 @@ from runtime.stream.outputs.output import (
     require_package,
     write_to,
 )
-from runtime.stream.outputs.report_page.run_page import PAGE_SUFFIX, RunPage
+from runtime.stream.outputs.report_page import PAGE_SUFFIX
 from runtime.stream.outputs.rerun_log import (
     LIVE,
     RERUN_SUFFIX,
@@ -378,8 +378,10 @@ def run(
                         _recording(record_dir, settings, predictor, overwrite=overwrite)
                     )
                     outputs: list[Output] = [writer] if kinds else []
-                    run_page = RunPage(predictor.contract)
                     if page is not None:
+                        from runtime.stream.outputs.report_page.run_page import RunPage
+
+                        run_page = RunPage(predictor.contract)
                         outputs.append(run_page)
                     if video is not None:
                         opened = open_video(video, overlay, rate_hz=rate)

@@ -76,6 +76,12 @@ def test_the_command_loads_neither_torch_nor_onnx_nor_onnxruntime():
     assert not loaded & {"rosbags", "ruamel", "apsw"}
 
 
+def test_the_command_loads_no_output_that_was_not_asked_for():
+    loaded = words_printed_by("import sys; import runtime.stream.cli; print(*sys.modules)")
+    assert "runtime.stream.outputs.output" in loaded
+    assert not {"rerun", "rosbags", "runtime.stream.outputs.report_page.page"} & set(loaded)
+
+
 def test_the_doctor_loads_nothing_that_it_looks_at():
     loaded = loaded_after("import runtime.tools.doctor_cli")
     assert {"runtime", "typer"} <= loaded

@@ -21,8 +21,6 @@ from runtime.stream.outputs.report_page.samples import SampleKeeper
 from runtime.stream.outputs.report_page.timeline import Moment, Timeline
 from runtime.stream.pipeline import OK, FrameRecord, StreamResult
 
-PAGE_SUFFIX = ".html"
-
 
 class RunPage:
     """Looks at the frames of a run while they are written, and makes its page at the end."""
