@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -116,7 +117,8 @@ def open_rerun(
                 temporary = made.enter_context(atomic_path(Path(target)))
                 log.save(temporary, default_blueprint=_blueprint())
             elif target == LIVE:
-                log.spawn(default_blueprint=_blueprint())
+                with _scripts_on_path():
+                    log.spawn(default_blueprint=_blueprint())
             else:
                 log.connect_grpc(target, default_blueprint=_blueprint())
         except (RuntimeError, ValueError) as error:
@@ -127,6 +129,17 @@ def open_rerun(
             closed = _close(log)
         if not closed or (temporary is not None and not _is_whole(temporary)):
             raise OutputError(f"{target} did not take all frames: {_REMEDY}")
+
+
+@contextlib.contextmanager
+def _scripts_on_path() -> Iterator[None]:
+    """Let the viewer of this environment be found, also where it was not activated."""
+    before = os.environ.get("PATH", os.defpath)
+    os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), before])
+    try:
+        yield
+    finally:
+        os.environ["PATH"] = before
 
 
 def _close(log: Any) -> bool:

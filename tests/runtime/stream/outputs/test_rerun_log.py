@@ -1,5 +1,6 @@
 """What is logged for Rerun is what was predicted, read back by its own reader."""
 
+import importlib.util
 import os
 import shutil
 import signal
@@ -150,9 +151,23 @@ def test_a_viewer_that_is_not_there_is_an_output_error(contract, calm, monkeypat
         log_to_nobody()
 
 
+def test_the_viewer_of_an_environment_that_is_not_active_is_found(contract, calm, monkeypatch):
+    found = []
+    monkeypatch.setattr(
+        rerun.RecordingStream,
+        "spawn",
+        lambda self, **options: found.append(shutil.which("rerun")),
+    )
+    monkeypatch.setenv("PATH", "/nowhere")
+    with open_rerun("live", contract) as log:
+        log.write("x", *calm)
+    assert found == [str(Path(sys.executable).with_name("rerun"))]
+    assert os.environ["PATH"] == "/nowhere"
+
+
 def test_a_viewer_gets_every_frame(tmp_path, run):
     """A viewer without a window: it keeps what comes."""
-    command = shutil.which("rerun") or Path(sys.executable).with_name("rerun")
+    command = Path(importlib.util.find_spec("rerun_cli").origin).with_name("rerun")
     port, kept = free_port(), tmp_path / "kept.rrd"
     viewer = subprocess.Popen(
         [command, "--port", str(port), "--save", kept],
@@ -172,7 +187,7 @@ def test_a_viewer_gets_every_frame(tmp_path, run):
         while time.monotonic() < until and size != (size := os.path.getsize(kept)):
             time.sleep(0.5)
     finally:
-        viewer.send_signal(signal.SIGINT)
+        viewer.terminate()
         viewer.wait(20)
     assert read_log(kept)["/latency/total"]["frame"] == list(range(12))
 
