@@ -82,6 +82,8 @@ def predict_source(
     for name, count in (("actors", actors), ("threads", threads)):
         if not isinstance(count, int) or isinstance(count, bool) or count < 1:
             raise InputError(f"{name} must be a whole number of at least 1, got {count!r:.40}")
+    if options.get("provider") == "cuda" and not gpus > 0:
+        raise InputError("provider cuda needs gpus=, of each actor: Ray hides them from others")
     path = find_model(model)
     options = {
         **options,

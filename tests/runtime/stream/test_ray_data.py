@@ -120,6 +120,8 @@ def test_what_cannot_run_is_said_before_anything_starts(cluster, tmp_path):
         predict_source(folders_of(*bundled_stream()), model="unknown")
     with pytest.raises(ContractError, match="SHA-256"):
         predict_source(folders_of(*bundled_stream()), sha256="0" * 64)
+    with pytest.raises(InputError, match="cuda needs gpus="):
+        predict_source(folders_of(*bundled_stream()), provider="cuda")
     with pytest.raises(InputError, match="actors must be"):
         predict_source(folders_of(*bundled_stream()), actors=0)
 
