@@ -61,8 +61,7 @@ from runtime.stream.report import (
 )
 from runtime.stream.run_folder import CLOUD, FRAMES_FILE, KINDS, LATENCY_FILE, REPORT_FILE, SUFFIXES
 from runtime.stream.sources.registry import SOURCES, choose_source
-from runtime.stream.sources.source import Source
-from runtime.stream.sources.stamp_matching import MAX_SKEW_MS
+from runtime.stream.sources.source import MAX_SKEW_MS, Source
 
 SKIPPED, MISSED = 3, 4  # exit codes
 MAX_SHARDS = 1_000_000

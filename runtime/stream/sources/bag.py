@@ -21,8 +21,8 @@ from runtime.stream.sources.ros_messages import (
     is_depth_encoding,
 )
 from runtime.stream.sources.ros_transforms import TransformTree
-from runtime.stream.sources.source import ListedFrame, Source, no_depth, up_to
-from runtime.stream.sources.stamp_matching import MAX_SKEW_MS, left_out_note, match_by_stamp
+from runtime.stream.sources.source import MAX_SKEW_MS, ListedFrame, Source, no_depth, up_to
+from runtime.stream.sources.stamp_matching import left_out_note, match_by_stamp
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"

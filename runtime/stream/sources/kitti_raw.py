@@ -11,8 +11,8 @@ from runtime.stream.calibration import Calibration
 from runtime.stream.frames import RGB_SUFFIXES, Frame, list_pictures, read_rgb
 from runtime.stream.kitti_scan import read_scan
 from runtime.stream.push.counts import NO_IMAGE, Sensor
-from runtime.stream.sources.source import ListedFrame, Source, no_depth, up_to
-from runtime.stream.sources.stamp_matching import MAX_SKEW_MS, left_out_note, match_by_stamp
+from runtime.stream.sources.source import MAX_SKEW_MS, ListedFrame, Source, no_depth, up_to
+from runtime.stream.sources.stamp_matching import left_out_note, match_by_stamp
 
 
 class KittiRawSource(Source):

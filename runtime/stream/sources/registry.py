@@ -3,24 +3,21 @@
 import inspect
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from runtime.errors import InputError
-from runtime.stream.sources.bag import BagSource
-from runtime.stream.sources.folders import FolderSource
-from runtime.stream.sources.kitti_raw import KittiRawSource
 from runtime.stream.sources.source import Source
-from runtime.stream.sources.video import VideoSource
-from runtime.stream.sources.virtual_kitti import VirtualKittiSource
 
-#: Kind -> what makes a source of a path; its keyword parameters are the options of the kind.
-SOURCES: dict[str, Callable[..., Source]] = {
-    "folders": FolderSource,
-    "kitti-raw": KittiRawSource,
-    "vkitti": VirtualKittiSource,
-    "video": VideoSource,
-    "bag": BagSource,
+#: Kind -> file and class of the source, which is loaded when it is asked for. The class takes a
+#: path; its keyword parameters are the options of the kind.
+SOURCES = {
+    "folders": ("folders", "FolderSource"),
+    "kitti-raw": ("kitti_raw", "KittiRawSource"),
+    "vkitti": ("virtual_kitti", "VirtualKittiSource"),
+    "video": ("video", "VideoSource"),
+    "bag": ("bag", "BagSource"),
 }
 
 
@@ -36,7 +33,9 @@ def choose_source(text: str, **options: Any) -> Callable[[], Source]:
         raise InputError(
             f"a source is KIND:PATH with one of the kinds {', '.join(SOURCES)}, got {text!r:.80}"
         )
-    parameters = inspect.signature(SOURCES[kind]).parameters.values()
+    module, name = SOURCES[kind]
+    make: Callable[..., Source] = getattr(import_module(f"{__package__}.{module}"), name)
+    parameters = inspect.signature(make).parameters.values()
     known = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
     given = {name: value for name, value in options.items() if value is not None}
     foreign = [name for name in given if name not in known]
@@ -44,7 +43,7 @@ def choose_source(text: str, **options: Any) -> Callable[[], Source]:
         raise InputError(
             f"a source of the kind {kind} takes {_as_options(known)}, not {_as_options(foreign)}"
         )
-    return partial(SOURCES[kind], Path(path), **given)
+    return partial(make, Path(path), **given)
 
 
 def open_source(text: str, **options: Any) -> Source:

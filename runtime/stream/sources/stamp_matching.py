@@ -9,8 +9,6 @@ from runtime.stream.push.counts import Sensor
 from runtime.stream.push.stamp import NS_PER_MS
 from runtime.stream.push.synchronizer import Message, Pair, Synchronizer
 
-#: Half the period of a LiDAR of 10 Hz: then each scan has its picture.
-MAX_SKEW_MS = 50.0
 _MAX_WAIT_NS = 50 * NS_PER_MS  # by stamps: how late a sensor's messages may come in its own order
 _WAITING = 64  # messages a sensor; more, and one of them is far ahead or the other is silent
 
