@@ -357,7 +357,7 @@ def run(
                 require_package("--rerun", "rerun", extra="rerun")
             for path, _ in files.values():
                 if path is not None:
-                    require_free(path, overwrite=overwrite)
+                    require_free(path, overwrite=overwrite, inputs=origin.recordings)
             with _stop_asked() as stop:  # only now: until here nothing was written
                 overlay = SharedOverlay(predictor.contract.classes, predictor.contract.max_depth_m)
                 writer = FrameWriter(
@@ -415,9 +415,9 @@ def run(
                     kinds=kinds,
                     deadline_ms=deadline_ms,
                 )
+                _write_summary(out, result, report, deadline_ms)
                 if page is not None:
                     run_page.finish(page, result, report)
-                _write_summary(out, result, report, deadline_ms)
                 if as_json:
                     printed = _say(to_json(report).rstrip("\n"), out)
                     raise typer.Exit(_exit_code(result, deadline_ms) if printed else ERROR)

@@ -1,7 +1,8 @@
 """What every output of a run is: it takes the answers, one frame after another."""
 
 import importlib.util
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -27,12 +28,26 @@ class Output(Protocol):
         """
 
 
-def require_free(path: Path, *, overwrite: bool) -> None:
-    """Raise OutputError unless a file may be made at `path`: before a run, not after it."""
+def require_free(path: Path, *, overwrite: bool, inputs: Collection[Path] = ()) -> None:
+    """Raise OutputError unless a file can be made at `path`: before a run, not after it.
+
+    inputs: what is read: a file, or a folder, of which no file is replaced
+    """
     if path.is_dir():
         raise OutputError(f"{path} is a folder: name a file to write")
     if path.exists() and not overwrite:
         raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
+    target = path.resolve()
+    if path.exists() and any(read.resolve() in (target, target.parent) for read in inputs):
+        raise OutputError(f"{path} is what the run reads: choose another name")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise OutputError(
+            f"cannot write {path} ({error.strerror}): choose another place"
+        ) from error
 
 
 def require_package(option: str, package: str, *, extra: str) -> None:

@@ -62,6 +62,7 @@ class BagSource(Source):
     ) -> None:
         self._max_skew_ms, self._calibration_path = max_skew_ms, calibration
         self.folders = (path if path.is_dir() else path.resolve().parent,)
+        self.recordings = (path,)
         self._left_out: Counter[str] = Counter()
         self._guessed: list[str] = []
         self._bag = RosBag(path)

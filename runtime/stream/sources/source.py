@@ -47,6 +47,8 @@ class Source(ABC):
     calibration: Calibration | None = None
     #: Folders that frames are read from: no answers may be written there.
     folders: tuple[Path, ...] = ()
+    #: Recordings, files or whole folders: no output may take their place or a file's in them.
+    recordings: tuple[Path, ...] = ()
 
     @abstractmethod
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:

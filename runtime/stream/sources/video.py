@@ -46,6 +46,7 @@ class VideoSource(Source):
             raise InputError(f"cannot read the video {path}: there is no such file")
         self._path, self._depth, self._depth_scale = path, depth, depth_scale
         self.folders = (path.resolve().parent,) if depth is None else (path.resolve().parent, depth)
+        self.recordings = (path,)
         if calibration is not None:
             self.calibration = Calibration.from_file(calibration)
         self._video = _open(path)

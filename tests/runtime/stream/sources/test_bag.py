@@ -235,6 +235,19 @@ def test_a_recording_of_a_loop_answers_every_turn(make_bag, make_frame):
     assert names[80] == f"{names[0]}-2"
 
 
+def test_no_output_takes_the_place_of_a_bag_that_is_read(make_bag, make_frame, run):
+    bag = make_bag("mcap")
+    add_camera(bag, make_frame)
+    file = bag.write()
+    before = file.read_bytes()
+    for path in (file, file.parent):  # the file alone, and the folder that holds it
+        source = ["--source", f"bag:{path}", "--depth-topic", "none"]
+        answers = run(*source, "--mcap", file, "--overwrite")
+        assert answers.exit_code == 1
+        assert f"{file} is what the run reads: choose another name" in answers.text
+        assert file.read_bytes() == before
+
+
 def test_the_camera_alone_on_purpose(recorded, run):
     answers = run("--source", f"bag:{recorded}", "--depth-topic", "none", "--limit", 2)
     assert answers.exit_code == 0

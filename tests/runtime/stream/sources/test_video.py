@@ -70,6 +70,16 @@ def test_without_depth_maps_the_camera_alone_is_answered(video, run):
     assert set(answers.column("degraded")) == {"no_depth"}
 
 
+def test_no_output_takes_the_place_of_the_video_that_is_read(video, run):
+    before = video.read_bytes()
+    answers = run("--source", f"video:{video}", "--video", video, "--overwrite")
+    assert answers.exit_code == 1
+    assert "drive.mp4 is what the run reads: choose another name" in answers.text
+    assert video.read_bytes() == before
+    answers = run("--source", f"video:{video}", "--video", video.with_name("answers.mp4"))
+    assert answers.exit_code == 0, answers.text
+
+
 def test_frames_and_depth_maps_without_a_partner_are_counted(video, depth_maps, run):
     (depth_maps / "depth_003.png").unlink()
     (depth_maps / "depth_000.png").rename(depth_maps / f"depth_{N + 3:03d}.png")

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 import runtime.stream.cli
+from runtime import OutputError
 from runtime.stream.outputs.report_page.page import Problem, _problems
+from runtime.stream.outputs.report_page.run_page import RunPage
 
 CHROMIUM = next(
     (
@@ -162,6 +164,25 @@ def test_the_page_is_replaced_only_when_told(tmp_path, run):
     assert path.read_text() == "mine"
     assert not (tmp_path / "out").exists()
     assert run("--report", tmp_path / "report.pdf").exit_code == 2
+
+
+def test_a_place_that_cannot_be_written_is_told_before_the_run(tmp_path, run):
+    (tmp_path / "file").write_text("")
+    result = run("--report", tmp_path / "file" / "report.html")
+    assert result.exit_code == 1
+    assert "report.html" in result.stderr
+    assert "choose another place" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_page_that_cannot_be_written_costs_no_other_result(tmp_path, run, monkeypatch):
+    def full(*arguments):
+        raise OutputError("no room")
+
+    monkeypatch.setattr(RunPage, "finish", full)
+    assert run("--report", tmp_path / "report.html").exit_code == 1
+    for name in ("frames.csv", "report.json", "latency.png"):
+        assert (tmp_path / "out" / name).exists()
 
 
 def screenshot(page, picture, *, width, dark=False):
