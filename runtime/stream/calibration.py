@@ -144,7 +144,11 @@ class Calibration:
         try:
             keys = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise InputError(f"cannot read the calibration {path}: {error}") from error
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(
+                f"cannot read the calibration {path} ({reason}): give a TOML file of intrinsics, "
+                "extrinsics and optionally size"
+            ) from error
         if not {"intrinsics", "extrinsics"} <= keys.keys() <= _TOML_KEYS:
             raise InputError(
                 f"{path} has the keys {', '.join(sorted(keys)) or 'none'}, expected intrinsics, "

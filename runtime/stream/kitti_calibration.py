@@ -16,7 +16,10 @@ class NumbersFile:
         try:
             lines = path.read_text(encoding="utf-8").splitlines()
         except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"cannot read the calibration {path}: {error}") from error
+            reason = getattr(error, "strerror", None) or error  # its path is told already
+            raise InputError(
+                f"cannot read the calibration {path} ({reason}): restore it, or give another"
+            ) from error
         entries = (line.partition(":") for line in lines if not line.lstrip().startswith("#"))
         self._entries = {name.strip(): numbers for name, colon, numbers in entries if colon}
 

@@ -41,13 +41,18 @@ class KittiRawSource(Source):
             if not folder.is_dir():
                 raise InputError(
                     f"{drive} is no drive of KITTI raw data, {folder} is missing: give a folder "
-                    "like 2011_09_26/2011_09_26_drive_0001_sync"
+                    "like 2011_09_26/2011_09_26_drive_0001_sync, or another --camera"
                 )
         self.folders = (images / "data", scans / "data")
         self._drive, self._camera, self._max_skew_ms = drive, camera, max_skew_ms
         if calibration is None:
             own = (drive / "calib_cam_to_cam.txt").exists()
             calibration = drive if own else drive.resolve().parent
+            if not (calibration / "calib_cam_to_cam.txt").exists():
+                raise InputError(
+                    f"neither {drive} nor {calibration} has KITTI's calib_cam_to_cam.txt and "
+                    "calib_velo_to_cam.txt: put the day's there, or give --calibration"
+                )
         self._calibration_path = calibration
         self.calibration: Calibration = Calibration.from_file(calibration, camera=camera)
         self._images = _by_number(list_pictures(images / "data", RGB_SUFFIXES))

@@ -31,7 +31,7 @@ class VirtualKittiSource(Source):
             if not folder.is_dir():
                 raise InputError(
                     f"{variant} is no variant of a Virtual KITTI 2 scene, {folder} is missing: "
-                    "give a folder like Scene01/clone"
+                    "give a folder like Scene01/clone, or another --camera"
                 )
         self.folders = (rgb, depth)
         intrinsics = variant / "intrinsic.txt"

@@ -175,8 +175,18 @@ def cut_stamps(drive):
     [
         (spoil_stamps, r"line 1 of .*image_02/timestamps.txt is 'yesterday', expected a time"),
         (cut_stamps, r"has 2 lines, 0000000005.bin is number 5"),
-        (lambda d: (d.parent / "calib_velo_to_cam.txt").unlink(), "cannot read the calibration"),
-        (lambda d: (d / "image_02").rename(d / "images"), "is no drive of KITTI raw data"),
+        (
+            lambda d: (d.parent / "calib_velo_to_cam.txt").unlink(),
+            r"cannot read the calibration \S+calib_velo_to_cam.txt \(No such file or directory\): ",
+        ),
+        (
+            lambda d: (d.parent / "calib_cam_to_cam.txt").unlink(),
+            r"neither \S+ nor \S+ has KITTI's calib_cam_to_cam.txt .* or give --calibration",
+        ),
+        (
+            lambda d: (d / "image_02").rename(d / "images"),
+            "is no drive of KITTI raw data.* --camera",
+        ),
         (
             lambda d: (d / "image_02/data/left.png").write_bytes(b""),
             "must have a number for a name",
