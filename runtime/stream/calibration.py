@@ -14,6 +14,7 @@ from runtime.projection import OcclusionFilter, project_points
 from runtime.stream.kitti_calibration import NumbersFile, chain
 
 _TOML_KEYS = {"intrinsics", "extrinsics", "size"}
+_RAW_FILES = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +98,8 @@ class Calibration:
             to_camera = np.hstack([scanner.matrix("R", 3, 3), scanner.matrix("T", 3, 1)])
             width, height = cameras.matrix(f"S_rect_{camera:02d}", 2, 1)[:, 0]
             size = (int(height), int(width))
+        elif path.name in _RAW_FILES:
+            raise InputError(f"{path} is one of two, {' and '.join(_RAW_FILES)}: give their folder")
         else:
             numbers = NumbersFile(path)
             projection = numbers.matrix(f"P{camera}", 3, 4)

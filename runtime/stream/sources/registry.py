@@ -1,6 +1,7 @@
 """The kinds of sources that are known. A new one: its file, and a line here."""
 
 import inspect
+import os
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
@@ -43,7 +44,8 @@ def choose_source(text: str, **options: Any) -> Callable[[], Source]:
         raise InputError(
             f"a source of the kind {kind} takes {_as_options(known)}, not {_as_options(foreign)}"
         )
-    return partial(make, Path(path), **given)
+    # Of KIND:~/PATH no shell expands the home.
+    return partial(make, Path(os.path.expanduser(path)), **given)
 
 
 def open_source(text: str, **options: Any) -> Source:

@@ -59,6 +59,12 @@ def test_kitti_raw(raw):
     assert calibration.focal_length_px == 700
 
 
+@pytest.mark.parametrize("name", ["calib_cam_to_cam.txt", "calib_velo_to_cam.txt"])
+def test_one_of_the_two_files_of_kitti_raw_is_told_to_be_one(raw, name):
+    with pytest.raises(InputError, match=f"{name} is one of two, .*: give their folder"):
+        Calibration.from_file(raw / name)
+
+
 def test_kitti_object_and_odometry(tmp_path):
     to_camera = np.hstack([R, T[:, None]])
     (tmp_path / "object.txt").write_text(

@@ -21,6 +21,11 @@ def test_a_path_may_hold_a_colon():
     assert source.folders == (Path("a:b"), Path("c"))
 
 
+def test_a_path_may_start_at_home(monkeypatch):
+    monkeypatch.setenv("HOME", "/home/driver")
+    assert open_source("folders:~/drive").folders == (Path("/home/driver/drive"),)
+
+
 @pytest.mark.parametrize("kind", SOURCES)
 def test_options_of_another_kind_are_refused_by_name(kind):
     with pytest.raises(InputError, match=rf"kind {kind} takes --.*, not --no-such$"):
