@@ -57,8 +57,8 @@ class Calibration:
         """
         if self.size not in (None, size):
             raise InputError(
-                f"the calibration is of images of {self.size} pixels, got one of {size}: scale the "
-                "intrinsics with the image"
+                f"the calibration is of images of {self.size} (height, width), got one of {size}: "
+                "scale the intrinsics with the image"
             )
         return project_points(
             points, self.intrinsics, self.extrinsics, size, occlusion=self.occlusion

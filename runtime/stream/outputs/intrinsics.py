@@ -18,8 +18,8 @@ def intrinsics_of(frame: Frame, focal_length_px: float | None) -> NDArray[np.flo
     if (calibration := frame.calibration) is not None:
         if calibration.size not in (None, (height, width)):
             raise InputError(
-                f"the calibration is of pictures of {calibration.size}, got one of "
-                f"{(height, width)}: scale its intrinsics with the pictures"
+                f"the calibration is of pictures of {calibration.size} (height, width), got "
+                f"one of {(height, width)}: scale its intrinsics with the pictures"
             )
         return calibration.intrinsics
     if focal_length_px is None:

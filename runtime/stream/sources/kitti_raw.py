@@ -161,6 +161,8 @@ def _nanoseconds(text: str, where: str) -> int:
     """Nanoseconds since 1970 of "2011-09-26 13:02:25.964389445", taken as UTC."""
     whole, _, fraction = text.strip().partition(".")
     try:
+        if not (fraction or "0").isdecimal():  # int() takes signs and underscores
+            raise ValueError(fraction)
         seconds = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
         return int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0"))
     except ValueError as error:

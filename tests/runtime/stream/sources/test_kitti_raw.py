@@ -166,6 +166,10 @@ def spoil_stamps(drive):
     (drive / "image_02/timestamps.txt").write_text("yesterday\n" * 6)
 
 
+def sign_stamps(drive):
+    (drive / "image_02/timestamps.txt").write_text("2011-09-26 13:02:25.-1234567\n" * 6)
+
+
 def cut_stamps(drive):
     (drive / "velodyne_points/timestamps.txt").write_text(stamps([87, 187]))
 
@@ -174,6 +178,7 @@ def cut_stamps(drive):
     ("spoil", "text"),
     [
         (spoil_stamps, r"line 1 of .*image_02/timestamps.txt is 'yesterday', expected a time"),
+        (sign_stamps, r"line 1 of .* is '2011-09-26 13:02:25.-1234567', expected a time"),
         (cut_stamps, r"has 2 lines, 0000000005.bin is number 5"),
         (
             lambda d: (d.parent / "calib_velo_to_cam.txt").unlink(),
