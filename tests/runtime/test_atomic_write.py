@@ -46,7 +46,9 @@ def writer_in_another_process():
             "atomic_path": "target.write_bytes(b'half')",
         }
         program = (
-            "import sys; from pathlib import Path; from runtime.atomic_write import *\n"
+            "import signal, sys; from pathlib import Path; from runtime.atomic_write import *\n"
+            # A shell starts what runs in its background with Ctrl-C ignored.
+            "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
             f"path = Path({str(path)!r})\n"
             f"with {call} as target:\n"
             f"    {fill[call.partition('(')[0]]}; print('half', flush=True); sys.stdin.readline()\n"
