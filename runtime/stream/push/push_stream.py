@@ -1,7 +1,8 @@
 """A stream that is pushed into: images and depth maps in from any thread, answers out.
 
-One worker thread predicts. All state is guarded by the lock of one condition, `_changed`, which is
-notified at each change. What always holds:
+One worker thread predicts. All state is guarded by one lock. Who waits for an answer waits for
+`_answered`, so that he is not woken in vain beside a prediction; all others wait for `_changed`,
+which is notified at each other change. What always holds:
 
 1. A message that was accepted is in one place: with the synchronizer, in `_ready`, with the worker
    (`_take` to `_answer`), or its fate is in the ledger. Whoever moves it holds the lock.
@@ -100,7 +101,8 @@ class PushStream:
         self._clock = clock or MonotonicClock()
         self._live = mode == LIVE
 
-        self._changed = threading.Condition()
+        lock = threading.RLock()
+        self._changed, self._answered = threading.Condition(lock), threading.Condition(lock)
         self._synchronizer = Synchronizer(
             live=self._live,
             max_skew_ns=round(_check_ms("max_skew_ms", max_skew_ms) * NS_PER_MS),
@@ -252,7 +254,7 @@ class PushStream:
         """Wait for the next answer. StopIteration after the last one of a closed stream."""
         with self._changed:
             while not self._results and not self._ended:
-                self._clock.wait(self._changed, None)
+                self._clock.wait(self._answered, None)
             if self._results:
                 result = self._results.popleft()
                 self._changed.notify_all()
@@ -284,7 +286,8 @@ class PushStream:
         finally:
             with self._changed:
                 self._ended = True
-                self._changed.notify_all()
+                self._changed.notify_all()  # after a failure: who waits for room
+                self._answered.notify_all()
 
     def _take(self) -> Any:
         """Wait for the next pair; None = the state has changed; _END = closed and all done."""
@@ -341,7 +344,7 @@ class PushStream:
                 if self._live and self._results:
                     self._drop_unread(self._results.popleft())
                 self._results.append(result)
-            self._changed.notify_all()
+                self._answered.notify_all()
         if self._on_result is not None:
             self._on_result(result)
 

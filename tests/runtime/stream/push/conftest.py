@@ -32,7 +32,7 @@ class ManualClock:
             with self._someone_waits:
                 self._waiting.add(threading.get_ident())
                 self._someone_waits.notify_all()
-            changed.wait(60)  # a test that hangs fails
+            assert changed.wait(60), "a test that hangs fails"
             with self._someone_waits:
                 self._waiting.discard(threading.get_ident())
 

@@ -127,6 +127,25 @@ def test_a_replay_makes_the_pusher_wait_until_there_is_room(setup):
     pusher.join(60)
 
 
+@pytest.mark.parametrize("mode", ["live", "replay"])
+def test_who_waits_for_an_answer_is_woken_once(setup, mode):
+    made = setup(mode=mode)
+    waits = Counter()
+    wait = made.clock.wait
+
+    def count(changed, timeout_ns):
+        waits[threading.current_thread().name] += 1
+        wait(changed, timeout_ns)
+
+    made.clock.wait = count
+    reader = threading.Thread(target=lambda: next(made.stream), name="reader")
+    reader.start()
+    assert made.clock.holds_up(reader, made.stream._answered)
+    push_pair(made.stream, 0)
+    reader.join(60)
+    assert waits["reader"] == 1
+
+
 def test_a_live_push_never_waits_and_the_newest_complete_frame_wins(setup):
     made = setup(mode="live")
     made.predictor.gate.clear()
@@ -420,6 +439,19 @@ def test_an_error_of_the_callback_ends_the_stream_and_comes_out_at_close(setup):
     with pytest.raises(ZeroDivisionError):
         made.stream.close()
     made.stream.close()
+    assert add_up(made.stream.counts).pending == 0
+
+
+def test_an_error_of_the_callback_lets_go_who_waits_for_room(setup):
+    made = setup(mode="replay", on_result=lambda result: 1 / 0)
+    made.predictor.gate.clear()
+    pusher, done = push_all(made, 20)
+    assert made.clock.holds_up(pusher, made.stream._changed, ended=done.is_set)
+    made.predictor.gate.set()
+    pusher.join(20)
+    assert not pusher.is_alive()
+    with pytest.raises(ZeroDivisionError):
+        made.stream.close()
     assert add_up(made.stream.counts).pending == 0
 
 
