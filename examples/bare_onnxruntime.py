@@ -67,6 +67,8 @@ def resize(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def main() -> None:
     """Answer one frame of files, KITTI's depth PNG."""
+    if len(sys.argv) not in (4, 5):
+        raise SystemExit(__doc__)
     session, contract = open_model(sys.argv[1])
     rgb = cv2.imread(sys.argv[2], cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
     sparse_depth = cv2.imread(sys.argv[3], cv2.IMREAD_UNCHANGED) / np.float32(256)

@@ -55,14 +55,18 @@ class Calibration:
 
         size: (height, width) of the image. Raises InputError if it is not the calibration's.
         """
+        self.require_size(size)
+        return project_points(
+            points, self.intrinsics, self.extrinsics, size, occlusion=self.occlusion
+        )
+
+    def require_size(self, size: tuple[int, ...]) -> None:
+        """Raise InputError unless images of this (height, width) are the calibration's."""
         if self.size not in (None, size):
             raise InputError(
                 f"the calibration is of images of {self.size} (height, width), got one of {size}: "
                 "scale the intrinsics with the image"
             )
-        return project_points(
-            points, self.intrinsics, self.extrinsics, size, occlusion=self.occlusion
-        )
 
     def check(self, points: Any) -> None:
         """Raise InputError unless `points` is a scan, float32 (N, 3) or wider [m]."""

@@ -24,14 +24,24 @@ from runtime.completion.predictor import CompletionPredictor
 from runtime.contract import MAX_FOCAL_PX, MIN_FOCAL_PX
 from runtime.drawing.overlay import SharedOverlay
 from runtime.errors import InputError, OutputError, SSDNetError
-from runtime.network_size import NetworkSize, parse_network_size
 from runtime.prediction import Prediction
 from runtime.predictor import Predictor
 from runtime.recording import RecordedFrame, Settings, record
 from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.stream.frames import KITTI_DEPTH_SCALE, MAX_PIXELS, Frame
 from runtime.stream.latency_plot import draw_latency
-from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, NEEDED_HEADS, FrameWriter, encode
+from runtime.stream.options import (
+    NamedFiles,
+    answered_kinds,
+    parse_kinds,
+    parse_shard,
+    parse_size,
+    parse_source,
+    require_method,
+    require_range,
+    require_suffixes,
+)
+from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, FrameWriter, encode
 from runtime.stream.outputs.mcap import MCAP_SUFFIX, open_mcap
 from runtime.stream.outputs.output import (
     DEFAULT_RATE_HZ,
@@ -59,14 +69,12 @@ from runtime.stream.report import (
     missed,
     to_json,
 )
-from runtime.stream.run_folder import CLOUD, FRAMES_FILE, KINDS, LATENCY_FILE, REPORT_FILE, SUFFIXES
-from runtime.stream.sources.registry import SOURCES, choose_source
-from runtime.stream.sources.source import MAX_SKEW_MS, Source
+from runtime.stream.run_folder import CLOUD, FRAMES_FILE, LATENCY_FILE, REPORT_FILE, SUFFIXES
+from runtime.stream.sources.registry import SOURCES
+from runtime.stream.sources.source import MAX_SKEW_MS
 
 SKIPPED, MISSED = 3, 4  # exit codes
-MAX_SHARDS = 1_000_000
-
-NamedFiles = dict[str, tuple[Path | None, str]]  # option -> file asked for, its ending
+_WARM_UP_FRAMES = 16  # that are read to find one
 
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -278,26 +286,26 @@ def run(
 
     Frames are pairs of files with the same stem, in natural order, or what another --source has.
     """
-    kinds = _kinds(save)
-    network_size = _network_size(size)
-    part, parts = _shard(shard)
-    _require_range("--depth-scale", depth_scale, 1e-3, 1e6)
-    _require_range("--deadline-ms", deadline_ms, 1e-6, 1e9)
-    _require_range("--rate", rate, 1e-3, 1e6)
-    _require_range("--focal-length", focal_length, MIN_FOCAL_PX, MAX_FOCAL_PX)
+    kinds = parse_kinds(save)
+    network_size = parse_size(size)
+    part, parts = parse_shard(shard)
+    require_range("--depth-scale", depth_scale, 1e-3, 1e6)
+    require_range("--deadline-ms", deadline_ms, 1e-6, 1e9)
+    require_range("--rate", rate, 1e-3, 1e6)
+    require_range("--focal-length", focal_length, MIN_FOCAL_PX, MAX_FOCAL_PX)
     files = {
         "--video": (video, VIDEO_SUFFIX),
         "--report": (page, PAGE_SUFFIX),
         "--mcap": (mcap, MCAP_SUFFIX),
         "--rerun": (Path(rerun) if rerun and is_file(rerun) else None, RERUN_SUFFIX),
     }
-    _require_suffixes(files)
+    require_suffixes(files)
     if rerun is not None and not (is_file(rerun) or is_viewer(rerun)):
         raise typer.BadParameter(
             f"--rerun takes a file that ends in {RERUN_SUFFIX}, {LIVE}, or a viewer's "
             f"rerun+http://HOST:PORT/proxy, got {rerun!r:.80}"
         )
-    _require_range("--max-skew-ms", max_skew_ms, 0, 1e6)
+    require_range("--max-skew-ms", max_skew_ms, 0, 1e6)
     if demo + (rgb is not None) + (source is not None) != 1 or (demo and depth is not None):
         raise typer.BadParameter("give one of --demo, --rgb (with --depth) and --source")
     if method is not None:
@@ -309,14 +317,14 @@ def run(
             "--threads": threads is not None,
             "--record": record_dir is not None,
         }
-        _require_method(method, [option for option, is_given in given.items() if is_given])
+        require_method(method, [option for option, is_given in given.items() if is_given])
     if demo and focal_length is None:
         focal_length = BUNDLED_FOCAL_LENGTH_PX
     with reported_errors("cpu"):
         if demo:
             rgb, depth = bundled_stream()
     source = source or f"folders:{rgb}"
-    open_source = _source(
+    open_source = parse_source(
         source,
         depth=depth,
         depth_scale=depth_scale,
@@ -347,7 +355,7 @@ def run(
                 warmup=0,
             )
         with predictor:
-            kinds = _answered(kinds, predictor, everything=save == "all")
+            kinds = answered_kinds(kinds, predictor, everything=save == "all")
             if CLOUD in kinds and focal_length is None:
                 raise InputError(
                     "--save cloud needs to know the camera: give --calibration, or --focal-length"
@@ -360,22 +368,23 @@ def run(
                     require_free(path, overwrite=overwrite, inputs=origin.recordings)
             with _stop_asked() as stop:  # only now: until here nothing was written
                 overlay = SharedOverlay(predictor.contract.classes, predictor.contract.max_depth_m)
-                writer = FrameWriter(
-                    out,
-                    predictor.contract,
-                    kinds=kinds,
-                    names=[listed.name for listed in frames],
-                    overwrite=overwrite,
-                    focal_length_px=focal_length,
-                    overlay=overlay,
-                )
-                if not as_json:
-                    _say("\n".join([*origin.notes, describe_predictor(predictor, frame_size)]), out)
                 settings = Settings("ssdnet-run", network_size, focal_length, provider.value)
                 with contextlib.ExitStack() as whole:  # has its name when all frames are in it
                     keep = whole.enter_context(
                         _recording(record_dir, settings, predictor, overwrite=overwrite)
                     )
+                    writer = FrameWriter(
+                        out,
+                        predictor.contract,
+                        kinds=kinds,
+                        names=[listed.name for listed in frames],
+                        overwrite=overwrite,
+                        focal_length_px=focal_length,
+                        overlay=overlay,
+                    )
+                    if not as_json:
+                        about = [*origin.notes, describe_predictor(predictor, frame_size)]
+                        _say("\n".join(about), out)
                     outputs: list[Output] = [writer] if kinds else []
                     if page is not None:
                         from runtime.stream.outputs.report_page.run_page import RunPage
@@ -467,74 +476,6 @@ def _require_apart(out: Path, *inputs: Path) -> None:
             )
 
 
-def _kinds(save: str) -> tuple[str, ...]:
-    if save in ("all", "none"):
-        return KINDS if save == "all" else ()
-    asked = [kind.strip() for kind in save.split(",")]
-    unknown = [kind for kind in asked if kind not in SUFFIXES]
-    if unknown:
-        raise typer.BadParameter(f"--save knows {', '.join(SUFFIXES)}, all and none, not {unknown}")
-    return tuple(kind for kind in SUFFIXES if kind in asked)
-
-
-def _source(text: str, **options: Any) -> Callable[[], Source]:
-    """What opens the source. Raises BadParameter for a kind or an option that it does not know."""
-    try:
-        return choose_source(text, **options)
-    except InputError as error:
-        raise typer.BadParameter(str(error)) from error
-
-
-def _require_method(name: str, others: list[str]) -> None:
-    """Raise BadParameter for an unknown method, and for options that are about models alone."""
-    if name not in METHODS:
-        raise typer.BadParameter(f"--method knows {', '.join(METHODS)}, not {name!r:.80}")
-    if others:
-        raise typer.BadParameter(
-            f"{', '.join(others)}: a --method has no file and runs at the frame's size on one "
-            "thread of the processor; leave it out"
-        )
-
-
-def _answered(
-    kinds: tuple[str, ...], predictor: Predictor | CompletionPredictor, *, everything: bool
-) -> tuple[str, ...]:
-    """Return the kinds that the model answers. Raises InputError if one was asked for by name."""
-    missing = [
-        kind for kind in kinds if kind in NEEDED_HEADS and NEEDED_HEADS[kind] not in predictor.heads
-    ]
-    if missing and not everything:
-        raise InputError(
-            f"--save asks for {', '.join(missing)}, the model {predictor.contract.model_name} "
-            f"answers {', '.join(predictor.heads)}: leave it out, or choose another --model"
-        )
-    return tuple(kind for kind in kinds if kind not in missing)
-
-
-def _network_size(text: str) -> NetworkSize:
-    try:
-        return parse_network_size(text)
-    except InputError as error:
-        raise typer.BadParameter(str(error)) from error
-
-
-def _shard(text: str | None) -> tuple[int, int]:
-    """Read "2/4" as (2, 4); the whole is the first part of one."""
-    part, _, parts = (text or "1/1").partition("/")
-    if not (part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts) <= MAX_SHARDS):
-        raise typer.BadParameter(
-            f"--shard is I/N with 1 <= I <= N <= {MAX_SHARDS}, such as 2/4, got {text!r:.80}"
-        )
-    return int(part), int(parts)
-
-
-def _require_suffixes(files: NamedFiles) -> None:
-    """Raise BadParameter for a file of another kind than its option writes."""
-    for option, (path, suffix) in files.items():
-        if path is not None and path.suffix.lower() != suffix:
-            raise typer.BadParameter(f"{option} writes {suffix} files, got {path}")
-
-
 def _made(files: NamedFiles) -> list[str]:
     """Lines that say where the files that were asked for by name are."""
     return [
@@ -571,13 +512,6 @@ def _recording(
         recorder.finish(Path(predictor.model), sha256=predictor.digest)
 
 
-def _require_range(option: str, value: float | None, least: float, most: float) -> None:
-    if value is not None and not least <= value <= most:
-        raise typer.BadParameter(
-            f"{option} must be a number from {least:g} to {most:g}, got {value}"
-        )
-
-
 def _warm_up(
     predictor: Predictor | CompletionPredictor,
     frames: Sequence[Listed],
@@ -585,14 +519,16 @@ def _warm_up(
     *,
     runs: int,
 ) -> tuple[int, int] | None:
-    """Warm up at the size of the first frame that can be predicted, and give back its size."""
-    for listed in frames:
+    """Warm up at the size of the first frame that can be predicted, and give back its size; None
+    if none of the first few can: the run itself will say why.
+    """
+    for listed in frames[:_WARM_UP_FRAMES]:
         try:
             frame = read(listed)
             height, width = frame.rgb.shape[:2]
             predictor.warm_up((height, width), runs=runs)
         except SSDNetError:
-            continue  # the run itself will flag it
+            continue
         return height, width
     return None
 

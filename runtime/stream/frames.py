@@ -43,6 +43,7 @@ class Frame:
     image_stamp_ns, depth_stamp_ns: when the sensors took them, by their own clock [ns]; None where
         that is not known, and where there is no depth
     calibration: of the camera, and of the LiDAR to it; None = not known
+    Raises InputError for a calibration of pictures of another size.
     """
 
     rgb: NDArray[np.uint8]
@@ -50,6 +51,11 @@ class Frame:
     image_stamp_ns: int | None = None
     depth_stamp_ns: int | None = None
     calibration: Calibration | None = None
+
+    def __post_init__(self) -> None:
+        """Check what a cloud and the focal length would silently get wrong."""
+        if self.calibration is not None:
+            self.calibration.require_size(self.rgb.shape[:2])
 
 
 def list_frames(

@@ -11,22 +11,16 @@ def intrinsics_of(frame: Frame, focal_length_px: float | None) -> NDArray[np.flo
     """Return the camera's 3 x 3 matrix in pixels of the frame.
 
     It is that of the frame's calibration; of a frame without, the pinhole of the focal length whose
-    axis goes through the middle of the picture. Raises InputError where neither is known, and for a
-    calibration of pictures of another size.
+    axis goes through the middle of the picture. Raises InputError where neither is known.
     """
-    height, width = frame.rgb.shape[:2]
-    if (calibration := frame.calibration) is not None:
-        if calibration.size not in (None, (height, width)):
-            raise InputError(
-                f"the calibration is of pictures of {calibration.size} (height, width), got "
-                f"one of {(height, width)}: scale its intrinsics with the pictures"
-            )
-        return calibration.intrinsics
+    if frame.calibration is not None:
+        return frame.calibration.intrinsics
     if focal_length_px is None:
         raise InputError(
             "where the points of a cloud lie is a matter of the camera: give --calibration, or "
             "--focal-length"
         )
+    height, width = frame.rgb.shape[:2]
     return np.array(
         [
             [focal_length_px, 0, (width - 1) / 2],

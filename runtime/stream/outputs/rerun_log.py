@@ -52,7 +52,7 @@ class RerunLogger:
     def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
         """Log a frame and its answers; the cloud only where the camera is known.
 
-        Raises OutputError, and InputError for a calibration of pictures of another size.
+        Raises OutputError.
         """
         rerun, log, contract = self._rerun, self._log, self._contract
         log.set_time(FRAME_TIME, sequence=self._frames)

@@ -18,7 +18,9 @@ from typer.testing import CliRunner
 import runtime.stream.bundled
 import runtime.stream.cli
 import runtime.stream.pipeline
+import runtime.stream.sources.folders
 from runtime.completion.ip_basic import IPBasic
+from runtime.errors import OutputError
 from runtime.recording import read_recording
 from runtime.stream.cli import app
 from runtime.stream.run_folder import KINDS
@@ -423,6 +425,48 @@ def test_a_first_frame_that_is_damaged_does_not_matter_to_the_warm_up(run, strea
     result = run()
     assert result.exit_code == 3
     assert "11 ok" in result.stdout
+
+
+def test_only_the_first_few_frames_are_read_to_warm_up(tmp_path, run, stream, monkeypatch):
+    for picture in stream[0].iterdir():
+        picture.write_bytes(b"")
+    read = []
+    read_frame = runtime.stream.sources.folders.read_frame
+
+    def count(files, **options):
+        read.append(files)
+        return read_frame(files, **options)
+
+    def start(*given, **options):
+        raise OutputError(f"{len(read)} were read")
+
+    monkeypatch.setattr(runtime.stream.sources.folders, "read_frame", count)
+    monkeypatch.setattr(runtime.stream.cli, "_WARM_UP_FRAMES", 3)
+    monkeypatch.setattr(runtime.stream.cli, "_run", start)
+    assert "3 were read" in run().output
+
+
+def test_a_recording_that_cannot_be_is_told_before_anything_is_made(tmp_path, run):
+    (tmp_path / "taken").mkdir()
+    result = run("--record", tmp_path / "taken")
+    assert result.exit_code == 1
+    assert "choose another folder" in result.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_picture_of_another_size_than_the_calibrations_is_skipped(tmp_path, run, stream):
+    size = "size = [48, 64]"
+    matrices = f"intrinsics = {[[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]}\nextrinsics = "
+    calibration = tmp_path / "camera.toml"
+    calibration.write_text(f"{size}\n{matrices}{np.eye(4).tolist()}\n")
+    cv2.imwrite(str(stream[0] / "f3.png"), np.full((50, 64, 3), 90, np.uint8))
+    cv2.imwrite(str(stream[1] / "f3.png"), np.full((50, 64), 2560, np.uint16))
+    result = run("--calibration", calibration, "--save", "depth,cloud")
+    assert result.exit_code == 3, result.output
+    skipped = [row for row in rows_of(tmp_path / "out") if row["status"] == "skipped"]
+    assert [row["name"] for row in skipped] == ["f3"]
+    assert "of images of (48, 64)" in skipped[0]["reason"]
+    assert len(list((tmp_path / "out/cloud").iterdir())) == N - 1
 
 
 def test_empty_lidar_frames_are_counted(tmp_path, run, stream):

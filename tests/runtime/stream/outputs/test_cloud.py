@@ -33,9 +33,9 @@ def test_a_frames_own_calibration_comes_first():
             frame.rgb, frame.sparse_depth, calibration=Calibration(K, np.eye(4), size)
         )
         np.testing.assert_array_equal(intrinsics_of(calibrated, 50.0), K)
-    other = Frame(frame.rgb, frame.sparse_depth, calibration=Calibration(K, np.eye(4), (60, 81)))
+    other = Calibration(K, np.eye(4), (60, 81))
     with pytest.raises(InputError, match=r"of \(60, 81\) \(height, width\), got one of \(60, 80\)"):
-        intrinsics_of(other, 50.0)
+        Frame(frame.rgb, frame.sparse_depth, calibration=other)
 
 
 def test_the_cloud_of_a_frame(tmp_path, contract, answered, read_ply):
