@@ -5,7 +5,8 @@
 The bundled stream is pushed three times over. From the second time on, each line of the plot has
 one fault: the calibration rotated by 1° about an axis of the camera, depth maps of the frame before
 (100 ms), or depths times a scale. The table has each figure's mean over the last pass, and how far
-it moved from the healthy line's in standard deviations of the healthy stream's own frames.
+it moved from the healthy line's in standard deviations of the healthy stream's own frames; the
+scale, which is looked at twice a pass, by how much.
 """
 
 import argparse
@@ -53,10 +54,11 @@ def main() -> None:
     healthy = series["healthy"][-len(frames) :]
     for fault, values in series.items():
         last = values[-len(frames) :]
-        moved = (last.mean(axis=0) - healthy.mean(axis=0)) / np.maximum(healthy.std(axis=0), 1e-9)
+        moved = last.mean(axis=0) - healthy.mean(axis=0)
+        sigmas = moved / np.maximum(healthy.std(axis=0), 1e-9)
         cells = [
-            f"{mean:.3f} ({sigma:+.1f})"
-            for mean, sigma in zip(last.mean(axis=0), moved, strict=True)
+            f"{mean:.3f} ({by:+.3f})" if name == "scale_error" else f"{mean:.3f} ({sigma:+.1f})"
+            for name, mean, by, sigma in zip(FIGURES, last.mean(axis=0), moved, sigmas, strict=True)
         ]
         print(f"| {fault} | " + " | ".join(cells) + " |")
     if arguments.out:
