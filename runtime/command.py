@@ -4,7 +4,7 @@ import contextlib
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import StrEnum
 from types import FrameType
 
@@ -56,6 +56,27 @@ def interruptible() -> Iterator[None]:
         yield
     finally:
         for number, handler in before.items():
+            signal.signal(number, handler or signal.SIG_DFL)
+
+
+@contextlib.contextmanager
+def stop_asked() -> Iterator[Callable[[], bool]]:
+    """Yield what says whether Ctrl-C or SIGTERM came, which do nothing else in the block.
+
+    An exception could come between the writing of a frame and its line in the table. What is left
+    to do after a signal is three frames and the report: whoever stops a service wants it, too.
+    """
+    came: list[int] = []
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:  # as a shell starts what runs in its background
+            signal.signal(number, lambda number, frame: came.append(number))
+    try:
+        yield lambda: bool(came)
+    finally:
+        for number, handler in before.items():
+            if handler is end_now:  # the command is done: nothing is left to stop
+                handler = signal.SIG_IGN
             signal.signal(number, handler or signal.SIG_DFL)
 
 

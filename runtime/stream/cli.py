@@ -1,7 +1,6 @@
 """`ssdnet-run`: a stream of frames in, pictures, tables and latencies out."""
 
 import contextlib
-import signal
 import sys
 
 if __name__ == "__main__":  # python -m runtime.stream.cli
@@ -9,29 +8,25 @@ if __name__ == "__main__":  # python -m runtime.stream.cli
 
     main()  # ends the process
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from runtime import __version__
-from runtime.atomic_write import atomic_write
 from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
-from runtime.command import ERROR, SIGNALS, Provider, end_now, reported_errors, say
+from runtime.command import ERROR, Provider, reported_errors, say, stop_asked
 from runtime.completion.methods import METHODS
 from runtime.completion.predictor import CompletionPredictor
 from runtime.contract import MAX_FOCAL_PX, MIN_FOCAL_PX
 from runtime.drawing.overlay import SharedOverlay
 from runtime.errors import InputError, OutputError, SSDNetError
-from runtime.prediction import Prediction
 from runtime.predictor import Predictor
-from runtime.recording import RecordedFrame, Settings, record
+from runtime.recording import Settings
 from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.stream.frames import KITTI_DEPTH_SCALE, MAX_PIXELS, Frame
-from runtime.stream.latency_plot import draw_latency
 from runtime.stream.options import (
-    NamedFiles,
     answered_kinds,
     parse_kinds,
     parse_shard,
@@ -39,9 +34,10 @@ from runtime.stream.options import (
     parse_source,
     require_method,
     require_range,
+    require_rerun_target,
     require_suffixes,
 )
-from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, FrameWriter, encode
+from runtime.stream.outputs.frame_writer import DEPTH_PNG_SCALE, FrameWriter
 from runtime.stream.outputs.mcap import MCAP_SUFFIX, open_mcap
 from runtime.stream.outputs.output import (
     DEFAULT_RATE_HZ,
@@ -50,30 +46,18 @@ from runtime.stream.outputs.output import (
     require_package,
     write_to,
 )
+from runtime.stream.outputs.recording import open_recording
 from runtime.stream.outputs.report_page import PAGE_SUFFIX
-from runtime.stream.outputs.rerun_log import (
-    LIVE,
-    RERUN_SUFFIX,
-    is_file,
-    is_viewer,
-    open_rerun,
-)
+from runtime.stream.outputs.rerun_log import LIVE, RERUN_SUFFIX, is_file, open_rerun
 from runtime.stream.outputs.video import VIDEO_SUFFIX, open_video
-from runtime.stream.pipeline import OK, FrameRecord, Listed, StreamResult, TakeFrame, run_stream
+from runtime.stream.pipeline import OK, FrameRecord, Listed, StreamResult, run_stream
 from runtime.stream.process import dedicate_process
-from runtime.stream.report import (
-    build_report,
-    describe_predictor,
-    describe_run,
-    frames_csv,
-    missed,
-    to_json,
-)
-from runtime.stream.run_folder import CLOUD, FRAMES_FILE, LATENCY_FILE, REPORT_FILE, SUFFIXES
+from runtime.stream.report import build_report, describe_predictor, describe_run, to_json
+from runtime.stream.run_folder import CLOUD, SUFFIXES
 from runtime.stream.sources.registry import SOURCES
 from runtime.stream.sources.source import MAX_SKEW_MS
+from runtime.stream.summary import exit_code, made_files, write_summary
 
-SKIPPED, MISSED = 3, 4  # exit codes
 _WARM_UP_FRAMES = 16  # that are read to find one
 
 
@@ -300,11 +284,8 @@ def run(
         "--rerun": (Path(rerun) if rerun and is_file(rerun) else None, RERUN_SUFFIX),
     }
     require_suffixes(files)
-    if rerun is not None and not (is_file(rerun) or is_viewer(rerun)):
-        raise typer.BadParameter(
-            f"--rerun takes a file that ends in {RERUN_SUFFIX}, {LIVE}, or a viewer's "
-            f"rerun+http://HOST:PORT/proxy, got {rerun!r:.80}"
-        )
+    if rerun is not None:
+        require_rerun_target(rerun)
     require_range("--max-skew-ms", max_skew_ms, 0, 1e6)
     if demo + (rgb is not None) + (source is not None) != 1 or (demo and depth is not None):
         raise typer.BadParameter("give one of --demo, --rgb (with --depth) and --source")
@@ -366,12 +347,12 @@ def run(
             for path, _ in files.values():
                 if path is not None:
                     require_free(path, overwrite=overwrite, inputs=origin.recordings)
-            with _stop_asked() as stop:  # only now: until here nothing was written
+            with stop_asked() as stop:  # only now: until here nothing was written
                 overlay = SharedOverlay(predictor.contract.classes, predictor.contract.max_depth_m)
                 settings = Settings("ssdnet-run", network_size, focal_length, provider.value)
                 with contextlib.ExitStack() as whole:  # has its name when all frames are in it
                     keep = whole.enter_context(
-                        _recording(record_dir, settings, predictor, overwrite=overwrite)
+                        open_recording(record_dir, settings, predictor, overwrite=overwrite)
                     )
                     writer = FrameWriter(
                         out,
@@ -424,46 +405,25 @@ def run(
                     kinds=kinds,
                     deadline_ms=deadline_ms,
                 )
-                _write_summary(out, result, report, deadline_ms)
+                write_summary(out, result, report, deadline_ms)
                 if page is not None:
                     run_page.finish(page, result, report)
                 if as_json:
                     printed = _say(to_json(report).rstrip("\n"), out)
-                    raise typer.Exit(_exit_code(result, deadline_ms) if printed else ERROR)
+                    raise typer.Exit(exit_code(result, deadline_ms) if printed else ERROR)
                 lines = [describe_run(result, report), f"results: {out.resolve()}"]
                 if record_dir is not None:
                     lines.append(f"recording: {record_dir.resolve()}")
-                lines += _made(files)
+                lines += made_files(files)
                 if "overlay" in kinds and any(record.status == OK for record in result.records):
                     lines.append(f"pictures: {(out / 'overlay').resolve()}")
                 _say("\n".join(lines), out)
-                raise typer.Exit(_exit_code(result, deadline_ms))
+                raise typer.Exit(exit_code(result, deadline_ms))
 
 
 def _say(text: str, out: Path) -> bool:
     """Print, or say why not: the results on disk matter more. Returns whether it was printed."""
     return say(text, otherwise=f": see {out}")
-
-
-@contextlib.contextmanager
-def _stop_asked() -> Iterator[Callable[[], bool]]:
-    """Yield what says whether Ctrl-C or SIGTERM came, which do nothing else in the block.
-
-    An exception could come between the writing of a frame and its line in the table. What is left
-    to do after a signal is three frames and the report: whoever stops a service wants it, too.
-    """
-    came: list[int] = []
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    for number, handler in before.items():
-        if handler is not signal.SIG_IGN:  # as a shell starts what runs in its background
-            signal.signal(number, lambda number, frame: came.append(number))
-    try:
-        yield lambda: bool(came)
-    finally:
-        for number, handler in before.items():
-            if handler is end_now:  # the command is done: nothing is left to stop
-                handler = signal.SIG_IGN
-            signal.signal(number, handler or signal.SIG_DFL)
 
 
 def _require_apart(out: Path, *inputs: Path) -> None:
@@ -474,42 +434,6 @@ def _require_apart(out: Path, *inputs: Path) -> None:
             raise OutputError(
                 f"{folder} is where --out {out} writes its own pictures: choose another --out"
             )
-
-
-def _made(files: NamedFiles) -> list[str]:
-    """Lines that say where the files that were asked for by name are."""
-    return [
-        f"{option.removeprefix('--')}: {path.resolve()}"
-        for option, (path, _) in files.items()
-        if path is not None and path.exists()
-    ]
-
-
-@contextlib.contextmanager
-def _recording(
-    folder: Path | None,
-    settings: Settings,
-    predictor: Predictor | CompletionPredictor,
-    *,
-    overwrite: bool,
-) -> Iterator[TakeFrame]:
-    """Yield what keeps each frame and its answers in a recording, which is whole after the block;
-    without a folder, or without a model's file, it keeps nothing.
-    """
-    if folder is None or predictor.model is None:
-        yield lambda name, frame, prediction: None
-        return
-    with record(folder, settings, overwrite=overwrite) as recorder:
-
-        def keep(name: str, frame: Frame, prediction: Prediction) -> None:
-            entry = RecordedFrame(
-                name, prediction.valid, prediction.degraded, prediction.latency.total_ms
-            )
-            answers = {head: getattr(prediction, head) for head in predictor.heads}
-            recorder.add(entry, frame.rgb, frame.sparse_depth, answers)
-
-        yield keep
-        recorder.finish(Path(predictor.model), sha256=predictor.digest)
 
 
 def _warm_up(
@@ -545,29 +469,3 @@ def _run(
             bar.update(1)
 
         return run_stream(predictor, frames, on_record=advance, **options)
-
-
-def _write_summary(
-    out: Path, result: StreamResult, report: dict[str, Any], deadline_ms: float | None
-) -> None:
-    latencies_ms = {
-        record.index: record.response_ms
-        for record in result.records
-        if record.response_ms is not None
-    }
-    if latencies_ms:
-        picture = draw_latency(latencies_ms, deadline_ms=deadline_ms)
-        atomic_write(out / LATENCY_FILE, encode(".png", picture, ()))
-    table = frames_csv(result.records, deadline_ms=deadline_ms)
-    # As the file system has them: a name need not be valid text.
-    atomic_write(out / FRAMES_FILE, table.encode(errors="surrogateescape"))
-    atomic_write(out / REPORT_FILE, to_json(report).encode())  # last: a run with a report is whole
-
-
-def _exit_code(result: StreamResult, deadline_ms: float | None) -> int:
-    late = missed(result.records, deadline_ms)
-    if late is not None and late.count:
-        return MISSED  # the gate was asked for: it outranks skipped frames
-    if result.interrupted or any(record.status != OK for record in result.records):
-        return SKIPPED
-    return 0

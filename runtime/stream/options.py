@@ -12,6 +12,7 @@ from runtime.errors import InputError
 from runtime.network_size import NetworkSize, parse_network_size
 from runtime.predictor import Predictor
 from runtime.stream.outputs.frame_writer import NEEDED_HEADS
+from runtime.stream.outputs.rerun_log import LIVE, RERUN_SUFFIX, is_file, is_viewer
 from runtime.stream.run_folder import KINDS, SUFFIXES
 from runtime.stream.sources.registry import choose_source
 from runtime.stream.sources.source import Source
@@ -92,6 +93,15 @@ def require_suffixes(files: NamedFiles) -> None:
     for option, (path, suffix) in files.items():
         if path is not None and path.suffix.lower() != suffix:
             raise typer.BadParameter(f"{option} writes {suffix} files, got {path}")
+
+
+def require_rerun_target(target: str) -> None:
+    """Raise BadParameter for what --rerun cannot log to."""
+    if not (is_file(target) or is_viewer(target)):
+        raise typer.BadParameter(
+            f"--rerun takes a file that ends in {RERUN_SUFFIX}, {LIVE}, or a viewer's "
+            f"rerun+http://HOST:PORT/proxy, got {target!r:.80}"
+        )
 
 
 def require_range(option: str, value: float | None, least: float, most: float) -> None:

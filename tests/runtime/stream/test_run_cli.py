@@ -19,6 +19,7 @@ import runtime.stream.bundled
 import runtime.stream.cli
 import runtime.stream.pipeline
 import runtime.stream.sources.folders
+import runtime.stream.summary
 from runtime.completion.ip_basic import IPBasic
 from runtime.errors import OutputError
 from runtime.recording import read_recording
@@ -386,13 +387,13 @@ def test_a_missing_bundled_stream_is_an_error(tmp_path, model_file, monkeypatch)
 def test_skipped_frames_are_counted_named_and_exit_code_3(tmp_path, run, stream, monkeypatch):
     rgb, depth = stream
     drawn: dict[int, float] = {}
-    draw = runtime.stream.cli.draw_latency
+    draw = runtime.stream.summary.draw_latency
 
     def spy(latencies_ms, **options):
         drawn.update(latencies_ms)
         return draw(latencies_ms, **options)
 
-    monkeypatch.setattr(runtime.stream.cli, "draw_latency", spy)
+    monkeypatch.setattr(runtime.stream.summary, "draw_latency", spy)
     (depth / "f1.png").unlink()
     (rgb / "f2.png").unlink()
     picture = rgb / "f4.png"
