@@ -138,7 +138,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     except ValueError as error:
         raise CheckpointError(
             f"{path}: its weights do not fit its own configuration {config.name!r}: {error}. "
-            "Give a file that ssdnet-train wrote."
+            "The file was changed, or is of another release: use it with that one, or train anew."
         ) from error
     model = kinds[kind].network(config)
     model.load_state_dict(document["weights"], strict=True)

@@ -6,6 +6,7 @@ Sensors 2020. One encoder, a boundary decoder and two task decoders of boundary-
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from models.blocks import ConvBNReLU, pad_to_multiple, upsample
 from models.boundary_decoder import BoundaryDecoder
@@ -21,9 +22,12 @@ from models.surfaces import (
     carry_surfaces,
     choose_surface,
     error_scale,
-    keep_measurements,
     refine_surfaces,
+    return_trust,
+    sharpen_scale,
+    spread_returns,
     surface_features,
+    take_returns,
 )
 from models.task_decoder import TaskDecoder, UpBlock
 
@@ -162,6 +166,11 @@ class SSDNet(Network):
             surfaces = refine_surfaces(Surfaces(*raised), measured)
         depth = choose_surface(head, regressed, surfaces)
         scale = error_scale(head, depth)
-        full = upsample(torch.cat([depth, scale, boundary_logits], dim=1), factor=stride)
-        depth = keep_measurements(full[:, :1], measured[:, :1])
-        return depth, full[:, 1:2], full[:, 2:]
+        maps = upsample(torch.cat([depth, scale, boundary_logits], dim=1), factor=stride)
+        depth, scale, boundary_logits = maps.split(1, dim=1)
+        # A share a cell will do: the returns say where an edge is.
+        trust = F.interpolate(return_trust(head), scale_factor=float(stride), mode="nearest")
+        before, behind, surer = trust.split(1, dim=1)
+        returns = spread_returns(measured)
+        depth = take_returns(depth, returns, before, behind)
+        return depth, sharpen_scale(scale, returns, surer), boundary_logits

@@ -2,7 +2,8 @@
 
 A mean of 5 m and 80 m is a surface that is nowhere. What was measured around a pixel is kept apart
 instead, as the nearest surface, the farthest and the mean of inverse depth, and the network says
-which of them a pixel shows.
+which of them a pixel shows. That is done on a grid; at the picture's own size a return then takes
+the place of what was chosen for the pixels around it, as far as the network trusts it there.
 """
 
 from typing import NamedTuple
@@ -30,8 +31,24 @@ SAME_SURFACE = 1.25
 LOG_SCALE = (-6.0, 1.0)
 #: What `surface_features` gives.
 FEATURE_CHANNELS = 6
-#: What `choose_surface` and `error_scale` read.
-HEAD_CHANNELS = 5
+#: Pixels, in squares around it, that a return may stand for.
+RETURN_REACH = 2
+#: Share of the error's scale that a return beside a pixel can take away.
+MOST_SURER = 0.9
+#: What `choose_surface`, `error_scale` and `return_trust` read.
+HEAD_CHANNELS = 8
+
+
+class Returns(NamedTuple):
+    """The returns around each pixel, all (N, 1, H, W).
+
+    Normalised depth of the nearest one, of several as near of the one in front; 1 where it is
+    within RETURN_REACH (elsewhere the depth says nothing); 1 where it is at the pixel itself.
+    """
+
+    depth: Tensor
+    near: Tensor
+    here: Tensor
 
 
 class Surfaces(NamedTuple):
@@ -57,8 +74,7 @@ def carry_surfaces(measured: Tensor, *, levels: int) -> tuple[Surfaces, Tensor]:
     depth; the mean is a pull-push pyramid of inverse depth, which reaches everywhere. Returns the
     surfaces, and the share of measured pixels in a cell, (N, 1, h, w).
     """
-    depth, mask = measured[:, :1], measured[:, 1:]
-    inverse = mask / depth.clamp(min=NEAREST)
+    depth, mask, inverse = measured[:, :1], measured[:, 1:], _inverse(measured)
     carried = cell_maxima(torch.cat([inverse, depth], dim=1), COARSE_CELL)
     for window in WINDOWS:
         carried = torch.where(carried > 0, carried, maxima_around(carried, window))
@@ -111,9 +127,9 @@ def choose_surface(head: Tensor, regressed: Tensor, surfaces: Surfaces) -> Tenso
     """Normalised depth (N, 1, h, w), NEAREST..1, from the candidates and the network's own.
 
     head (N, HEAD_CHANNELS, h, w): logits of the trust in the mean, the farthest and the nearest
-    surface, and a relative correction. Each in turn replaces what was chosen before as far as it is
-    trusted: nested sigmoids can give whatever weights a soft-max can. Without support the network's
-    own depth is the answer.
+    surface, and a relative correction; the rest is for others. Each in turn replaces what was
+    chosen before as far as it is trusted: nested sigmoids can give whatever weights a soft-max can.
+    Without support the network's own depth is the answer.
     """
     trust = torch.sigmoid(head[:, :3])
     depth = regressed + trust[:, :1] * surfaces.mean_support * (surfaces.mean - regressed)
@@ -125,18 +141,52 @@ def choose_surface(head: Tensor, regressed: Tensor, surfaces: Surfaces) -> Tenso
 def error_scale(head: Tensor, depth: Tensor) -> Tensor:
     """Scale of the error's Laplace distribution (N, 1, h, w), normalised as the depth is.
 
-    head as in `choose_surface`: its last channel is the logit of the log of the scale's ratio to
+    head as in `choose_surface`: its fifth channel is the logit of the log of the scale's ratio to
     the depth between the bounds of LOG_SCALE.
     """
     least, greatest = LOG_SCALE
     return depth * torch.exp(least + (greatest - least) * torch.sigmoid(head[:, 4:5]))
 
 
-def keep_measurements(depth: Tensor, returned: Tensor) -> Tensor:
-    """Take the returns that agree with a predicted depth, all (N, 1, H, W), normalised.
+def return_trust(head: Tensor) -> Tensor:
+    """What the head says of the returns beside a pixel, (N, 3, h, w), 0..1: its last channels.
 
-    ``returned`` is 0 where nothing was measured.
+    The trust in a return before the predicted depth and in one behind it, see `take_returns`, and
+    how much surer it makes, see `sharpen_scale`.
     """
-    step = returned - depth
-    agrees = (2.0 - step.abs() / depth * (1.0 / AGREEMENT)).clamp(0.0, 1.0)
-    return depth + agrees * step
+    return torch.sigmoid(head[:, 5:8])
+
+
+def spread_returns(measured: Tensor) -> Returns:
+    """Spread what was measured over the pixels around it; measured: as in `carry_surfaces`."""
+    inverse = _inverse(measured)
+    for _ in range(RETURN_REACH):
+        inverse = torch.where(inverse > 0, inverse, maxima_around(inverse, 3))
+    near = (inverse > 0).to(inverse.dtype)
+    return Returns(1.0 / inverse.clamp(min=1.0), near, measured[:, 1:])
+
+
+def take_returns(depth: Tensor, returns: Returns, before: Tensor, behind: Tensor) -> Tensor:
+    """Put the nearest return in the place of a pixel's predicted depth as far as it is trusted.
+
+    What a coarser grid chose is a ramp at an edge; a return has its pixels on one side of it. A
+    LiDAR beside the camera sees past near edges, so what lies behind the predicted depth is another
+    matter than what lies before it. A return at the pixel itself that agrees is taken as it is.
+
+    All (N, 1, H, W), depth normalised; before, behind: 0..1, the trust in a return before the
+    predicted depth, and in one behind it.
+    """
+    step = (returns.depth - depth) * returns.near
+    taken = before * step.clamp(max=0.0) + behind * step.clamp(min=0.0)
+    agrees = (2.0 - step.abs() / depth * (1.0 / AGREEMENT)).clamp(0.0, 1.0) * returns.here
+    return depth + taken + agrees * (step - taken)
+
+
+def sharpen_scale(scale: Tensor, returns: Returns, surer: Tensor) -> Tensor:
+    """Lessen the error's scale near returns, all (N, 1, H, W); surer: 0..1, 1 = by MOST_SURER."""
+    return scale * (1.0 - MOST_SURER * surer * returns.near)
+
+
+def _inverse(measured: Tensor) -> Tensor:
+    """Inverse of the normalised depth, 1..1/NEAREST, 0 where not measured."""
+    return measured[:, 1:] / measured[:, :1].clamp(min=NEAREST)

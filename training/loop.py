@@ -32,7 +32,7 @@ from training.evaluation.scoring import require_lidar, score_sources, torch_pred
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import count_pixels, open_dataset, open_mixture
 from training.losses import SSDNetLoss, class_weights
-from training.network import adjust_logits, build_network, train_parts
+from training.network import adjust_logits, build_network, class_offsets, train_parts
 from training.optimizer import build_optimizer, exponential_average, learning_rate
 from training.recipe import LoopRecipe, Recipe
 from training.run_folder import (
@@ -120,6 +120,7 @@ def _train(
     weights = None
     if "semantic" in heads and recipe.loss.weighs_classes:
         weights = _weigh_classes(recipe, sources, network.config.num_classes)
+    offsets = class_offsets(network, recipe.loop.logit_offsets)
     if processes.is_first:
         prepare_folder(out, resolved)  # only now: what cannot start leaves no folder behind
     processes.wait()
@@ -188,7 +189,7 @@ def _train(
             path,
             network,
             training={**training_info, "step": step},
-            state_dict=adjust_logits(averaged.state_dict(), weights, share),
+            state_dict=adjust_logits(averaged.state_dict(), weights, share, offsets),
         )
 
     scores = ScoreTable(out / SCORES, step) if processes.is_first else None

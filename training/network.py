@@ -1,6 +1,6 @@
 """The network of a recipe, with random or known weights."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,18 +74,43 @@ def train_parts(network: Network, only: tuple[str, ...]) -> None:
             part.eval()
 
 
+def class_offsets(network: Network, offsets: Sequence[tuple[str, float]]) -> Tensor | None:
+    """What is added to the logit of each class, (num_classes,); None where that is nothing.
+
+    Raises InputError for a class that the network does not tell, or that is named twice.
+    """
+    if not offsets:
+        return None
+    names = [info.name for info in network.config.classes or ()]
+    values = torch.zeros(len(names))
+    for index, (name, offset) in enumerate(offsets):
+        if name not in names or name in dict(offsets[:index]):
+            raise InputError(
+                f"loop.logit_offsets: {name!r:.80} is named twice or no class of the network; it "
+                f"has {', '.join(names) or 'none'}."
+            )
+        values[names.index(name)] = offset
+    return values
+
+
 def adjust_logits(
-    state_dict: Mapping[str, Tensor], weights: Tensor | None, share: float
+    state_dict: Mapping[str, Tensor],
+    weights: Tensor | None,
+    share: float,
+    offsets: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """Return the weights of a network whose semantic bias is lowered by share * log(class weight).
 
-    A network trained with class weights w answers with the odds of w * p; taking the log of them
-    off the logits gives p back (Menon et al. 2021), a share of it lies between. Nothing changes
-    without class weights.
+    ``offsets`` (num_classes,) are added to it. A network trained with class weights w answers with
+    the odds of w * p; taking the log of them off the logits gives p back (Menon et al. 2021), a
+    share of it lies between. Nothing changes without class weights and offsets.
     """
     adjusted = dict(state_dict)
     if weights is not None and share:
         bias = adjusted["semantic_head.bias"]
         logs = torch.where(weights > 0, weights, 1.0).log()  # a class without weight stays
         adjusted["semantic_head.bias"] = bias - share * logs.to(bias)
+    if offsets is not None:
+        bias = adjusted["semantic_head.bias"]
+        adjusted["semantic_head.bias"] = bias + offsets.to(bias)
     return adjusted

@@ -23,6 +23,7 @@ from training.limits import (
     Count,
     DepthRange,
     FocalLength,
+    Logit,
     NotNegative,
     Positive,
     Seed,
@@ -192,6 +193,9 @@ class LoopRecipe:
     #: Share of the log class weights that model.pt's semantic bias gives back (Menon et al. 2021):
     #: weighted training finds rare classes too often. 0 = none, 1 = all.
     logit_adjustment: Share = 0.0
+    #: (class, what is added to its logit) in model.pt, where training frames say that a class is
+    #: found too often or too seldom; benchmarks/logit_offsets.py finds them.
+    logit_offsets: Annotated[tuple[tuple[str, Logit], ...], Field(max_length=255)] = ()
     #: Batches, of each process, whose gradients are averaged for one step; batch normalisation
     #: sees each of them alone.
     accumulate: BatchSize = 1

@@ -11,15 +11,20 @@ from models.surfaces import (
     FINE_CELL,
     HEAD_CHANNELS,
     LOG_SCALE,
+    MOST_SURER,
     NEAREST,
+    RETURN_REACH,
     WINDOWS,
     Surfaces,
     carry_surfaces,
     choose_surface,
     error_scale,
-    keep_measurements,
     refine_surfaces,
+    return_trust,
+    sharpen_scale,
+    spread_returns,
     surface_features,
+    take_returns,
 )
 
 SIZE = (128, 192)
@@ -41,8 +46,8 @@ def carried(maps: torch.Tensor) -> Surfaces:
 
 
 def head_of(**logits: float) -> torch.Tensor:
-    """Logits of trust in the mean, the farthest and the nearest, a correction and a scale."""
-    channels = ("mean", "farthest", "nearest", "correction", "scale")
+    """Logits of trust in three surfaces, a correction, a scale and trust in returns."""
+    channels = ("mean", "farthest", "nearest", "correction", "scale", "before", "behind", "surer")
     assert len(channels) == HEAD_CHANNELS
     values = [logits.get(name, -30.0 if name in channels[:3] else 0.0) for name in channels]
     return torch.tensor(values).view(1, -1, 1, 1).expand(1, -1, *GRID)
@@ -155,16 +160,78 @@ def test_the_scale_of_the_error_is_a_bounded_share_of_the_depth():
     )
 
 
-def test_returns_that_agree_are_kept_and_others_are_not():
+def test_the_nearest_return_is_that_of_a_plain_loop():
+    rng = np.random.default_rng(1)
+    taken = torch.from_numpy(rng.random(SIZE) < 0.03)
+    maps = torch.zeros(1, 2, *SIZE)
+    maps[0, 0] = torch.from_numpy(rng.uniform(0.02, 0.99, SIZE).astype(np.float32)) * taken
+    maps[0, 1] = taken.float()
+    spread, near, here = (maps[0, 0].numpy() for maps in spread_returns(maps))
+    depth = maps[0, 0].numpy()
+    assert np.array_equal(here > 0, depth > 0)
+    found = 0
+    for row in range(0, SIZE[0], 3):
+        for column in range(0, SIZE[1], 3):
+            expected = 0.0
+            for reach in range(RETURN_REACH + 1):  # the smallest square with a return in it
+                rows = slice(max(0, row - reach), row + reach + 1)
+                square = depth[rows, max(0, column - reach) : column + reach + 1]
+                if square.any():
+                    expected = square[square > 0].min()
+                    break
+            assert near[row, column] == (expected > 0)
+            if expected:
+                assert spread[row, column] == pytest.approx(expected, rel=1e-5)
+            found += expected > 0
+    assert 0.3 < found / (43 * 64) < 0.7
+
+
+def test_the_trust_in_returns_is_the_sigmoid_of_its_own_channels():
+    trust = return_trust(head_of(before=30.0, behind=-30.0, mean=30.0, scale=30.0))
+    assert trust.shape == (1, 3, *GRID)
+    assert torch.allclose(trust[0, :, 3, 5], torch.tensor([1.0, 0.0, 0.5]))
+
+
+@pytest.mark.parametrize(("returned", "channel"), [(0.05, 0), (0.9, 1)])
+def test_a_trusted_return_is_taken_beside_it_and_nowhere_else(returned, channel):
+    """A return before the predicted depth is trusted by one channel, one behind it by the other."""
+    depth, returns = torch.full((1, 1, *SIZE), 0.5), spread_returns(measured(r40c40=returned))
+    for share, expected in ((1.0, returned), (0.5, (0.5 + returned) / 2), (0.0, 0.5)):
+        trust = [torch.zeros_like(depth), torch.zeros_like(depth)]
+        trust[channel] += share
+        taken = take_returns(depth, returns, *trust)[0, 0]
+        assert torch.allclose(taken[38:43, 38:43], torch.tensor(expected))
+        taken[38:43, 38:43] = 0.5
+        assert torch.equal(taken, depth[0, 0])
+
+
+def test_nothing_measured_is_nothing_taken():
+    depth = torch.full((1, 1, *SIZE), 0.5)
+    returns, fully = spread_returns(measured()), torch.ones_like(depth)
+    assert torch.equal(take_returns(depth, returns, fully, fully), depth)
+    assert torch.equal(sharpen_scale(depth, returns, fully), depth)
+
+
+def test_the_error_is_surer_near_returns_alone():
+    scale = torch.full((1, 1, *SIZE), 0.5)
+    surer = torch.full_like(scale, 0.4)
+    sharpened = sharpen_scale(scale, spread_returns(measured(r40c40=0.05)), surer)[0, 0]
+    assert torch.allclose(sharpened[38:43, 38:43], torch.tensor(0.5 * (1 - 0.4 * MOST_SURER)))
+    sharpened[38:43, 38:43] = 0.5
+    assert torch.equal(sharpened, scale[0, 0])
+
+
+def test_returns_that_agree_are_taken_without_trust_and_others_are_not():
     depth = torch.full((1, 1, *SIZE), 0.5)
     near, far, close = 0.5 * (1 - 0.9 * AGREEMENT), 0.8, 0.5 * (1 + 1.5 * AGREEMENT)
-    returns = measured(r1c1=near, r2c2=far, r3c3=close)[:, :1]
-    kept = keep_measurements(depth, returns)[0, 0]
+    returns = measured(r1c1=near, r2c20=far, r3c40=close)
+    untrusted = torch.zeros_like(depth)
+    kept = take_returns(depth, spread_returns(returns), untrusted, untrusted)[0, 0]
     assert kept[1, 1].item() == pytest.approx(near)
-    assert kept[2, 2].item() == pytest.approx(0.5)
-    assert kept[3, 3].item() == pytest.approx((0.5 + close) / 2)
-    kept[1, 1] = kept[3, 3] = 0.5
-    assert torch.equal(kept, depth[0, 0])
+    assert kept[2, 20].item() == pytest.approx(0.5)
+    assert kept[3, 40].item() == pytest.approx((0.5 + close) / 2)
+    kept[1, 1] = kept[3, 40] = 0.5
+    assert torch.allclose(kept, depth[0, 0])  # beside it agreement is not enough
 
 
 @pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])

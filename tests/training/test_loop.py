@@ -552,9 +552,14 @@ def test_command_reports_bad_recipes_and_data(data, tmp_path):
 def test_final_checkpoint_is_adjusted_and_the_resumable_one_is_not(data, tmp_path):
     plain = replace(recipe(steps=2), loss=replace(INDEPENDENT, class_weighting="median"))
     adjusted = replace(plain, loop=replace(plain.loop, logit_adjustment=1.0))
+    moved = replace(plain, loop=replace(plain.loop, logit_offsets=(("sky", 3.0),)))
     a = train(plain, data=[data], out=tmp_path / "a")
     b = train(adjusted, data=[data], out=tmp_path / "b")
+    c = train(moved, data=[data], out=tmp_path / "c")
     bias = "semantic_head.bias"
+    assert torch.equal(weights(a.parent / "last.pt")[bias], weights(c.parent / "last.pt")[bias])
+    steps = weights(c)[bias] - weights(a)[bias]
+    torch.testing.assert_close(steps, torch.tensor([3.0] + [0.0] * (len(steps) - 1)))
     assert torch.equal(weights(a.parent / "last.pt")[bias], weights(b.parent / "last.pt")[bias])
     assert not torch.equal(weights(a)[bias], weights(b)[bias])
 

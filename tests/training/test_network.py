@@ -9,7 +9,7 @@ import torch
 from models import CLASS_TABLES, create_model, load_checkpoint, save_checkpoint
 from models.ssdnet_config import SSDNetConfig
 from runtime.errors import InputError
-from training.network import adjust_logits, build_network, train_parts
+from training.network import adjust_logits, build_network, class_offsets, train_parts
 from training.recipe import ModelRecipe
 
 
@@ -25,6 +25,25 @@ def test_logit_adjustment_gives_the_class_weights_back():
         adjust_logits(state, None, 1.0)["semantic_head.bias"], state["semantic_head.bias"]
     )
     assert torch.equal(whole["other"], state["other"])
+
+
+def test_offsets_are_added_to_the_logits_of_their_classes():
+    network = create_model("ssdnet-lite")
+    names = [info.name for info in network.config.classes]
+    state = network.state_dict()
+    offsets = class_offsets(network, [("road", -0.5), ("pole", 1.0)])
+    moved = adjust_logits(state, None, 0.0, offsets)["semantic_head.bias"]
+    steps = dict(zip(names, (moved - state["semantic_head.bias"]).tolist(), strict=True))
+    assert {name: step for name, step in steps.items() if step} == pytest.approx(
+        {"road": -0.5, "pole": 1.0}
+    )
+    assert class_offsets(network, ()) is None
+
+
+@pytest.mark.parametrize("offsets", [[("roads", 1.0)], [("road", 1.0), ("road", 2.0)]])
+def test_offsets_of_what_is_no_class_or_named_twice_are_refused(offsets):
+    with pytest.raises(InputError, match=r"loop\.logit_offsets: 'roads?' .* it has sky, building"):
+        class_offsets(create_model("ssdnet-lite"), offsets)
 
 
 def test_init_does_not_take_one_class_for_another(tmp_path, capsys):

@@ -386,6 +386,8 @@ def test_the_score_of_the_best_weights_is_of_a_validation_set(base):
         "loop.clip_norm = -1.0",
         "loop.ema_decay = 3.0",
         "loop.logit_adjustment = -3.0",
+        "loop.logit_offsets = [['road', 1e9]]",
+        "loop.logit_offsets = [['road']]",
         "data.augment.flip = 7.0",
         "data.augment.scale = [0.0, 1.0]",
         "data.augment.scale = [2.0, 1.0]",
@@ -397,7 +399,7 @@ def test_the_score_of_the_best_weights_is_of_a_validation_set(base):
 )
 def test_values_out_of_range_are_refused_by_name(base, change):
     key = change.split(" = ")[0].split(".")[-1]
-    with pytest.raises(InputError, match=rf"{key}(\[\d\])? = "):
+    with pytest.raises(InputError, match=rf"{key}(\[\d\])* = "):
         read_recipe(base / "base.toml", [change])
 
 

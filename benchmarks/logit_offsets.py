@@ -1,0 +1,134 @@
+"""What a trained network's logits lack: a step a class that makes its training frames score best.
+
+    python benchmarks/logit_offsets.py CHECKPOINT --data DIR [--every 6] [--threads 1]
+
+Climbs, class by class in steps of 0.5 and then of 0.25, the sum of the mIoU on CamVid's training
+frames and half of the road's IoU on the training streets of KITTI (64 lines), every n-th frame of
+both; the validation frames only tell what came of it. The last line is what a recipe takes as
+`loop.logit_offsets`. Scored in PyTorch, where the logits are.
+"""
+
+import argparse
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from models import Network, load_checkpoint
+from training.datasets.camvid import CamVidRecipe
+from training.datasets.kitti_streets import KittiStreetsRecipe
+from training.datasets.sample import IGNORE
+from training.datasets.source import SourceRecipe
+from training.lidar.split import LidarInput, frame_generator, split_lidar
+from training.loading.open_dataset import open_dataset
+
+#: The streets that the recipes train on, and the others.
+TRAIN_STREETS, VAL_STREETS = (2, 69), (70, 98)
+ROAD_SHARE = 0.5
+FARTHEST, STEPS = 1.5, (0.5, 0.25)
+LEAST_GAIN = 2e-4
+
+#: Logits (C, H, W), labels (H, W).
+Frames = list[tuple[NDArray[np.float16], NDArray[np.uint8]]]
+
+
+def main() -> None:
+    """Parse the command line, climb, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("checkpoint", type=Path)
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--every", type=int, default=6)
+    parser.add_argument("--threads", type=int, default=1)
+    arguments = parser.parse_args()
+    torch.set_num_threads(arguments.threads)
+    network = load_checkpoint(arguments.checkpoint).model
+    names = [info.name for info in network.config.classes or ()]
+    sets = {}
+    for name, split, (first, last) in (
+        ("training frames", "train", TRAIN_STREETS),
+        ("validation frames", "val", VAL_STREETS),
+    ):
+        recipes = (
+            CamVidRecipe(path="camvid", split=split),
+            KittiStreetsRecipe(path="kitti_streets", first=first, last=last),
+        )
+        every = arguments.every if split == "train" else 1
+        sets[name] = [list(predict(network, item, arguments.data, every)) for item in recipes]
+
+    def score(offsets: NDArray[np.float32]) -> float:
+        miou, road = rate(*sets["training frames"], offsets, names.index("road"))
+        return miou + ROAD_SHARE * road
+
+    fitted = climb(score, np.zeros(len(names), np.float32))
+    for name, (camvid, streets) in sets.items():
+        for title, offsets in (("before", np.zeros_like(fitted)), ("after", fitted)):
+            miou, road = rate(camvid, streets, offsets, names.index("road"))
+            print(f"{name}, {title}: CamVid mIoU {miou:.4f}, streets' road IoU {road:.4f}")
+    pairs = [[name, float(step)] for name, step in zip(names, fitted, strict=True) if step]
+    print(f"logit_offsets = {pairs}".replace("'", '"'))
+
+
+def predict(
+    network: Network, recipe: SourceRecipe, data: Path, every: int
+) -> Iterator[tuple[NDArray[np.float16], NDArray[np.uint8]]]:
+    """Logits and labels of every n-th frame; of streets the labels are the road masks."""
+    source = open_dataset(recipe, [data], classes="camvid")
+    for index in range(0, len(source), every):
+        sample = source[index]
+        split = split_lidar(sample, LidarInput.parse("64"), frame_generator(index))
+        fed = np.zeros(sample.size, np.float32) if split is None else split.fed
+        canonical = network.config.canonical_focal_px
+        if canonical is not None and sample.focal_length_px is not None:
+            fed = fed * np.float32(canonical / sample.focal_length_px)
+        with torch.no_grad():
+            rgb = torch.from_numpy(sample.rgb).permute(2, 0, 1)[None].float()
+            logits = network(rgb, torch.from_numpy(fed)[None, None]).semantic_logits
+        assert logits is not None
+        labels = sample.semantic if sample.road_mask is None else sample.road_mask
+        yield logits[0].half().numpy(), labels
+
+
+def rate(
+    camvid: Frames, streets: Frames, offsets: NDArray[np.float32], road: int
+) -> tuple[float, float]:
+    """Return the mIoU and the road's IoU with the offsets added, each 0..1."""
+    count = len(offsets)
+    confusion = np.zeros((count, count), np.int64)
+    for logits, labels in camvid:
+        known = labels != IGNORE
+        found = (logits + offsets[:, None, None]).argmax(0)[known]
+        pairs = labels[known].astype(np.int64) * count + found
+        confusion += np.bincount(pairs, minlength=count**2).reshape(count, count)
+    right = np.diag(confusion)
+    miou = float(np.mean(right / (confusion.sum(0) + confusion.sum(1) - right)))
+    both = either = 0
+    for logits, mask in streets:
+        known = mask != IGNORE
+        found = (logits + offsets[:, None, None]).argmax(0)[known] == road
+        both += int(np.sum(found & (mask[known] == 1)))
+        either += int(np.sum(found | (mask[known] == 1)))
+    return miou, both / either
+
+
+def climb(
+    score: Callable[[NDArray[np.float32]], float], offsets: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """Move one offset after another as long as the score rises."""
+    best = score(offsets)
+    for step in STEPS:
+        for index in range(len(offsets)):
+            for change in (-step, step):
+                while abs(offsets[index] + change) <= FARTHEST:
+                    moved = offsets.copy()
+                    moved[index] += change
+                    reached = score(moved)
+                    if reached <= best + LEAST_GAIN:
+                        break
+                    offsets, best = moved, reached
+    return offsets
+
+
+if __name__ == "__main__":
+    main()
