@@ -17,10 +17,11 @@ import torch
 from numpy.typing import NDArray
 
 from models import Network, load_checkpoint
+from runtime.canonical_focal import canonical_factor
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
-from training.datasets.sample import IGNORE
 from training.datasets.source import SourceRecipe
+from training.evaluation.metrics import RoadScores, SemanticScores
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
 
@@ -58,7 +59,8 @@ def main() -> None:
         sets[name] = [list(predict(network, item, arguments.data, every)) for item in recipes]
 
     def score(offsets: NDArray[np.float32]) -> float:
-        miou, road = rate(*sets["training frames"], offsets, names.index("road"))
+        camvid, streets = sets["training frames"]
+        miou, road = rate(camvid, streets, offsets, names.index("road"))
         return miou + ROAD_SHARE * road
 
     fitted = climb(score, np.zeros(len(names), np.float32))
@@ -79,12 +81,10 @@ def predict(
         sample = source[index]
         split = split_lidar(sample, LidarInput.parse("64"), frame_generator(index))
         fed = np.zeros(sample.size, np.float32) if split is None else split.fed
-        canonical = network.config.canonical_focal_px
-        if canonical is not None and sample.focal_length_px is not None:
-            fed = fed * np.float32(canonical / sample.focal_length_px)
-        with torch.no_grad():
+        factor = canonical_factor(network.config.canonical_focal_px, sample.focal_length_px)
+        with torch.inference_mode():
             rgb = torch.from_numpy(sample.rgb).permute(2, 0, 1)[None].float()
-            logits = network(rgb, torch.from_numpy(fed)[None, None]).semantic_logits
+            logits = network(rgb, torch.from_numpy(fed)[None, None] * factor).semantic_logits
         assert logits is not None
         labels = sample.semantic if sample.road_mask is None else sample.road_mask
         yield logits[0].half().numpy(), labels
@@ -94,22 +94,11 @@ def rate(
     camvid: Frames, streets: Frames, offsets: NDArray[np.float32], road: int
 ) -> tuple[float, float]:
     """Return the mIoU and the road's IoU with the offsets added, each 0..1."""
-    count = len(offsets)
-    confusion = np.zeros((count, count), np.int64)
-    for logits, labels in camvid:
-        known = labels != IGNORE
-        found = (logits + offsets[:, None, None]).argmax(0)[known]
-        pairs = labels[known].astype(np.int64) * count + found
-        confusion += np.bincount(pairs, minlength=count**2).reshape(count, count)
-    right = np.diag(confusion)
-    miou = float(np.mean(right / (confusion.sum(0) + confusion.sum(1) - right)))
-    both = either = 0
-    for logits, mask in streets:
-        known = mask != IGNORE
-        found = (logits + offsets[:, None, None]).argmax(0)[known] == road
-        both += int(np.sum(found & (mask[known] == 1)))
-        either += int(np.sum(found | (mask[known] == 1)))
-    return miou, both / either
+    semantic, roads = SemanticScores(len(offsets)), RoadScores(len(offsets))
+    for frames, scores in ((camvid, semantic), (streets, roads)):
+        for logits, labels in frames:
+            scores.update((logits + offsets[:, None, None]).argmax(0).astype(np.uint8), labels)
+    return semantic.compute().mean_iou, roads.compute(road)
 
 
 def climb(

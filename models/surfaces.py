@@ -22,8 +22,8 @@ WINDOWS = (3, 5, 7, 9)
 #: Normalised depth below which no surface lies.
 NEAREST = 1e-3
 _LOG_NEAREST = -6.907755  # log(NEAREST)
-#: A return within this share of the predicted depth is taken as it is, one beyond twice as much is
-#: not: it may show through the gap between two surfaces.
+#: A return within this share of the predicted depth is taken as it is, whatever the trust; beyond
+#: twice as much the trust alone decides: it may show through the gap between two surfaces.
 AGREEMENT = 0.05
 #: A return up to this many times as far as a surface, or as near, lies on it.
 SAME_SURFACE = 1.25

@@ -386,8 +386,6 @@ def test_the_score_of_the_best_weights_is_of_a_validation_set(base):
         "loop.clip_norm = -1.0",
         "loop.ema_decay = 3.0",
         "loop.logit_adjustment = -3.0",
-        "loop.logit_offsets = [['road', 1e9]]",
-        "loop.logit_offsets = [['road']]",
         "data.augment.flip = 7.0",
         "data.augment.scale = [0.0, 1.0]",
         "data.augment.scale = [2.0, 1.0]",
@@ -399,8 +397,17 @@ def test_the_score_of_the_best_weights_is_of_a_validation_set(base):
 )
 def test_values_out_of_range_are_refused_by_name(base, change):
     key = change.split(" = ")[0].split(".")[-1]
-    with pytest.raises(InputError, match=rf"{key}(\[\d\])* = "):
+    with pytest.raises(InputError, match=rf"{key}(\[\d\])? = "):
         read_recipe(base / "base.toml", [change])
+
+
+@pytest.mark.parametrize(
+    ("offsets", "place"),
+    [("[['road', 1e9]]", r"\[0\]\[1\] = 1000000000"), ("[['road']]", r"\[0\]")],
+)
+def test_offsets_out_of_range_or_without_a_number_are_refused_by_name(base, offsets, place):
+    with pytest.raises(InputError, match=rf"loop\.logit_offsets{place}"):
+        read_recipe(base / "base.toml", [f"loop.logit_offsets = {offsets}"])
 
 
 def test_sky_needs_a_class_of_that_name(tmp_path):
