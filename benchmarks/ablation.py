@@ -21,8 +21,8 @@ import matplotlib as mpl
 import torch
 
 from models import load_checkpoint
-from runtime.atomic_write import atomic_file, atomic_write
 from runtime.errors import InputError
+from runtime.io.atomic_write import atomic_file, atomic_write
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.scoring import score, split_frames, torch_predict
 from training.lidar.split import LidarInput

@@ -16,12 +16,12 @@ from pathlib import Path
 from tqdm import tqdm
 
 from runtime import Predictor
-from runtime.atomic_write import atomic_write
+from runtime.io.atomic_write import atomic_write
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.sample import SampleSource
 from training.datasets.virtual_kitti import RenderedRecipe
-from training.evaluation.model_file import engine_predict, open_method
+from training.evaluation.exported_model import engine_predict, open_method
 from training.evaluation.scoring import Predict, Scores, score, split_frames
 from training.lidar.split import LidarInput, LidarSplit
 from training.loading.open_dataset import open_dataset

@@ -46,11 +46,11 @@ from plan import (
     read_plan,
 )
 from runtime import Predictor
-from runtime.atomic_write import atomic_write
 from runtime.bundled_models import find_model
 from runtime.command import INTERRUPTED
 from runtime.completion.predictor import CompletionPredictor
 from runtime.errors import InputError, SSDNetError
+from runtime.io.atomic_write import atomic_write
 from runtime.model_file import load_model_file
 from speed import TRACED_AT, compare, parse_size
 from timing import Model, Size, describe, export_graph

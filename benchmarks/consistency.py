@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import Predictor, project_points
-from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.stream.frames import Frame, list_frames, read_frame
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+from runtime.sources.frames import Frame, list_frames, read_frame
 
 mpl.use("Agg")
 from matplotlib import pyplot

@@ -19,11 +19,11 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from runtime.atomic_write import atomic_write
 from runtime.completion.methods import METHODS
 from runtime.completion.predictor import CompletionPredictor
-from runtime.stream.process import dedicate_process
-from runtime.stream.report import cpu_name
+from runtime.io.atomic_write import atomic_write
+from runtime.run.process import dedicate_process
+from runtime.run.run_report import cpu_name
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.sample import SampleSource

@@ -34,9 +34,9 @@ import matplotlib as mpl
 import torch
 
 from plan import Candidate, Plan, Sets, find_or_make, find_or_score, read_plan
-from runtime.atomic_write import atomic_file, atomic_write
 from runtime.command import INTERRUPTED
 from runtime.errors import InputError, SSDNetError
+from runtime.io.atomic_write import atomic_file, atomic_write
 from speed import load_network, parse_size
 from timing import Model, Size, describe, figures, machine, measure, open_timed
 from training.datasets.camvid import CamVidRecipe

@@ -31,16 +31,16 @@ from numpy.typing import NDArray
 from export.exporter import export_checkpoint
 from models import create_model, save_checkpoint
 from runtime import Predictor
-from runtime.atomic_write import atomic_write
 from runtime.bundled_models import find_model, list_bundled_models
+from runtime.io.atomic_write import atomic_write
 from runtime.resize import move_returns
-from runtime.stream.bundled import bundled_stream
-from runtime.stream.frames import FrameFiles, list_frames, read_frame
-from runtime.stream.outputs.frame_writer import FrameWriter
-from runtime.stream.pipeline import run_stream
-from runtime.stream.process import dedicate_process
-from runtime.stream.report import cpu_name
-from runtime.stream.run_folder import KINDS
+from runtime.run.outputs.frame_writer import FrameWriter
+from runtime.run.pipeline import run_stream
+from runtime.run.process import dedicate_process
+from runtime.run.run_folder import KINDS
+from runtime.run.run_report import cpu_name
+from runtime.sources.bundled_stream import bundled_stream
+from runtime.sources.frames import FrameFiles, list_frames, read_frame
 
 SIZES = ("125x414", "375x1242", "512x1024")
 

@@ -14,12 +14,12 @@ from pathlib import Path
 import psutil
 
 from runtime import Predictor
-from runtime.stream.bundled import bundled_stream
-from runtime.stream.frames import list_frames, read_frame
-from runtime.stream.outputs.frame_writer import FrameWriter
-from runtime.stream.pipeline import run_stream
-from runtime.stream.process import dedicate_process
-from runtime.stream.run_folder import KINDS
+from runtime.run.outputs.frame_writer import FrameWriter
+from runtime.run.pipeline import run_stream
+from runtime.run.process import dedicate_process
+from runtime.run.run_folder import KINDS
+from runtime.sources.bundled_stream import bundled_stream
+from runtime.sources.frames import list_frames, read_frame
 
 
 def main() -> None:

@@ -16,9 +16,9 @@ from typing import Any
 from pydantic.dataclasses import dataclass
 
 from export.exporter import export_checkpoint
-from runtime.atomic_write import atomic_write
 from runtime.bundled_models import find_model
 from runtime.errors import InputError
+from runtime.io.atomic_write import atomic_write
 from runtime.model_file import load_model_file
 from training.datasets.source import SourceRecipe
 from training.evaluation.evaluate import evaluate

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import OcclusionFilter, project_points
-from runtime.stream.process import dedicate_process
+from runtime.run.process import dedicate_process
 
 SIZE = (375, 1242)
 INTRINSICS = np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]])

@@ -21,10 +21,10 @@ import numpy as np
 
 from runtime import Predictor
 from runtime.resize import move_returns
-from runtime.stream.bundled import bundled_stream
-from runtime.stream.frames import Frame, list_frames, read_frame
-from runtime.stream.process import dedicate_process
-from runtime.stream.report import cpu_name
+from runtime.run.process import dedicate_process
+from runtime.run.run_report import cpu_name
+from runtime.sources.bundled_stream import bundled_stream
+from runtime.sources.frames import Frame, list_frames, read_frame
 
 SIZES = ("125x414", "375x1242")
 

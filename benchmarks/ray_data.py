@@ -23,12 +23,12 @@ from pathlib import Path
 from typing import Any
 
 from runtime import Predictor
-from runtime.stream.bundled import bundled_stream
-from runtime.stream.frames import list_frames, read_frame
-from runtime.stream.pipeline import run_stream
-from runtime.stream.ray_data import predict_source
-from runtime.stream.report import cpu_name
-from runtime.stream.sources.registry import choose_source
+from runtime.run.pipeline import run_stream
+from runtime.run.ray_data import predict_source
+from runtime.run.run_report import cpu_name
+from runtime.sources.bundled_stream import bundled_stream
+from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.registry import choose_source
 
 
 def main() -> None:

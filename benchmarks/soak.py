@@ -26,12 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import InputError, Predictor
+from runtime.live.stream_statistics import StreamStatistics
 from runtime.resize import move_returns
-from runtime.stream.bundled import bundled_stream
-from runtime.stream.frames import Frame, list_frames, read_frame
-from runtime.stream.process import dedicate_process
-from runtime.stream.push.counts import StreamCounts
-from runtime.stream.push.statistics import StreamStatistics
+from runtime.run.process import dedicate_process
+from runtime.sources.bundled_stream import bundled_stream
+from runtime.sources.frames import Frame, list_frames, read_frame
+from runtime.sync.message_counts import StreamCounts
 
 _LARGEST_GROWTH_MB = 64
 _FAULTY = 0.1  # share of the messages

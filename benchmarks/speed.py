@@ -29,11 +29,11 @@ import torch
 from export.deploy import DeployGraph
 from models import SSDNet, create_model, list_models, load_checkpoint
 from models.registry import NETWORKS
-from runtime.atomic_write import atomic_write
 from runtime.bundled_models import find_model, list_bundled_models
 from runtime.completion.methods import METHODS
 from runtime.completion.predictor import CompletionPredictor
 from runtime.errors import ContractError, InputError, SSDNetError
+from runtime.io.atomic_write import atomic_write
 from runtime.model_file import load_model_file
 from timing import (
     LogitsGraph,

@@ -28,8 +28,8 @@ from export.trace import trace
 from models import Network
 from models.blocks import upsample
 from runtime.completion.predictor import CompletionPredictor
+from runtime.run.run_report import cpu_name
 from runtime.session import open_session
-from runtime.stream.report import cpu_name
 
 Size = tuple[int, int]  # (height, width)
 Frame = dict[str, NDArray[Any]]

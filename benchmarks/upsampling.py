@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from runtime import Predictor
 from runtime.resize import resize_nearest
-from runtime.stream.report import cpu_name
+from runtime.run.run_report import cpu_name
 from training.datasets.kitti_streets import KittiStreets
 from training.datasets.sample import Sample
 from training.loading.augment import resize

@@ -11,9 +11,9 @@ import threading
 import time
 
 from runtime import Predictor
-from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.stream.frames import list_frames, read_frame
-from runtime.stream.push.frame_result import FrameResult
+from runtime.live.frame_result import FrameResult
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+from runtime.sources.frames import list_frames, read_frame
 
 DEADLINE_MS = 80.0
 LIDAR_LATE_S = 0.01  # its stamps, against the camera's

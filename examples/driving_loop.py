@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from runtime import InputError, Predictor
-from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.stream.frames import list_frames, read_frame
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+from runtime.sources.frames import list_frames, read_frame
 
 PERIOD_S = 0.1
 DEADLINE_MS = 80.0

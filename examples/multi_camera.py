@@ -13,8 +13,8 @@ import numpy as np
 
 from runtime import Predictor
 from runtime.resize import move_returns
-from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.stream.frames import list_frames, read_frame
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+from runtime.sources.frames import list_frames, read_frame
 
 FRAMES_APART = 3
 SMALLER = (192, 624)  # (height, width) of the last camera: three quarters

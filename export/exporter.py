@@ -20,10 +20,10 @@ from export.trace import DEFAULT_OPSET, trace
 from export.triton import require_replaceable, write_triton_model
 from models import Checkpoint, Network, load_checkpoint
 from runtime import Contract, InputError, OutputError, __version__
-from runtime.atomic_write import atomic_file
 from runtime.contract import MIN_SIDE, RESIZE_RULES, SCHEMA_VERSION, check_size
+from runtime.io.atomic_write import atomic_file
+from runtime.io.recording import RecordedFrame, Recorder, Settings, record
 from runtime.model_file import with_contract
-from runtime.recording import RecordedFrame, Recorder, Settings, record
 
 #: (height, width) if none is asked for: Cityscapes at half size, as in the paper.
 DEFAULT_SIZE = (512, 1024)

@@ -12,7 +12,7 @@ from export.errors import ExportError
 from export.probe_frames import ProbeFrame
 from models import Network
 from runtime import Predictor
-from runtime.agreement import compare, limit, within, worst
+from runtime.io.agreement import compare, limit, within, worst
 from runtime.session import open_session
 
 

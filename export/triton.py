@@ -11,8 +11,8 @@ from pathlib import Path
 import onnx
 
 from export.errors import ExportError
-from runtime.atomic_write import atomic_folder
 from runtime.errors import OutputError
+from runtime.io.atomic_write import atomic_folder
 
 #: Frames that the server may put into one run of a model whose batch axis is free.
 MAX_BATCH_SIZE = 8

@@ -10,9 +10,9 @@ import torch
 from models.checkpoint_checks import check_archive, check_weights
 from models.network import Network
 from models.registry import NETWORKS
-from runtime.atomic_write import atomic_file
 from runtime.contract import check_side
 from runtime.errors import CheckpointError, OutputError
+from runtime.io.atomic_write import atomic_file
 
 FORMAT = "ssdnet-checkpoint"
 VERSION = 1

@@ -233,7 +233,7 @@ class Predictor:
         max_skew_ms: how far the stamps of an image and its depth map may lie apart (20)
         max_wait_ms: how long an image waits for its depth map before it is answered from the
             camera alone, and a depth map for its image; in a replay by the stamps (50)
-        calibration: for `push_points`, a `runtime.stream.calibration.Calibration`; its focal length
+        calibration: for `push_points`, a `runtime.io.calibration.Calibration`; its focal length
             is used where the predictor has none
         consistency: share of the returns that is held out to see whether camera and LiDAR still fit
             (0.05, say); every 10th frame then takes a second prediction. None = all are used
@@ -245,7 +245,7 @@ class Predictor:
 
         Raises InputError for options out of range.
         """
-        return import_module("runtime.stream.push.push_stream").PushStream(self, **options)
+        return import_module("runtime.live.push_stream").PushStream(self, **options)
 
     def network_size(self, frame_size: tuple[int, int]) -> tuple[int, int]:
         """Return the (height, width) at which the network runs for a frame of such a size.

@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from runtime.atomic_write import atomic_write
 from runtime.errors import InputError, SSDNetError
+from runtime.io.atomic_write import atomic_write
 from training.distributed import Processes
 from training.recipe import Recipe, build
 

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from runtime.atomic_write import atomic_write
 from runtime.errors import InputError
+from runtime.io.atomic_write import atomic_write
 
 #: What progress and TensorBoard show of a set's figures.
 SHOWN = ("miou", "mae_m", "rmse_m", "boundary_f")

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.atomic_write import atomic_write
 from runtime.contract import ClassInfo
 from runtime.drawing.overlay import Overlay
 from runtime.errors import InputError, OutputError
-from runtime.ply import encode_ply
+from runtime.io.atomic_write import atomic_write
+from runtime.io.ply import encode_ply
 from runtime.prediction import Prediction
 
 _PICTURES, _ARRAYS, _CLOUD = (".png", ".jpg", ".jpeg"), ".npz", ".ply"

@@ -165,8 +165,8 @@ def _predict_bundled(provider: str, seconds: float) -> tuple[list[float], float]
     import numpy as np
 
     from runtime.predictor import Predictor
-    from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-    from runtime.stream.frames import KITTI_DEPTH_SCALE, list_frames, read_frame
+    from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+    from runtime.sources.frames import KITTI_DEPTH_SCALE, list_frames, read_frame
 
     times_ms, errors = [], []
     with Predictor(provider=provider, focal_length_px=BUNDLED_FOCAL_LENGTH_PX) as predictor:

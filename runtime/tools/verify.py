@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from runtime.agreement import compare, within, worst
 from runtime.errors import InferenceError
+from runtime.io.agreement import compare, within, worst
+from runtime.io.recording import RecordedFrame, Recording
 from runtime.predictor import Predictor
-from runtime.recording import RecordedFrame, Recording
 
 
 @dataclass(frozen=True)
 class FrameCheck:
     """What became of one recorded frame.
 
-    figures: head -> how far its answer is from the recorded one, see `runtime.agreement.compare`
+    figures: head -> how far its answer is from the recorded one, see `runtime.io.agreement.compare`
     failed: the heads whose answers are farther than their limits allow
     faults: what else differs, in words; the figures of such a head are missing
     predict_ms: time it took now; None = no answer

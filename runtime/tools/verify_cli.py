@@ -11,8 +11,8 @@ import typer
 
 from runtime.command import ERROR, Provider, reported_errors, say
 from runtime.errors import InputError
+from runtime.io.recording import Recording, read_recording
 from runtime.predictor import Predictor
-from runtime.recording import Recording, read_recording
 from runtime.tools.verify import FrameCheck, slowdown, verify, worst_figures
 
 VERIFY_FORMAT, VERIFY_VERSION = "ssdnet-verify", "1.0"

@@ -1,180 +1,34 @@
-"""Small ONNX models that keep the contract and whose right answers can be worked out by hand."""
+"""A cluster of this machine, for what runs on one."""
 
-import dataclasses
-from collections.abc import Callable
-from pathlib import Path
+import importlib.util
+import os
+import secrets
 
-import numpy as np
-import onnx
 import pytest
-from onnx import TensorProto, helper, numpy_helper
-
-from runtime.contract import METADATA_KEY, SCHEMA_VERSION, ClassInfo, Contract
-from runtime.model_file import with_contract
-
-MAX_DEPTH_M = 80.0
-DEPTH_OFFSET_M = 1.5
-
-CONTRACT = Contract(
-    schema_version=SCHEMA_VERSION,
-    model_name="by-hand",
-    classes=(ClassInfo("dark", (0, 0, 128)), ClassInfo("red", (200, 30, 30))),
-    max_depth_m=MAX_DEPTH_M,
-    native_size=(48, 64),
-    stride=1,
-    resize={
-        "rgb": "bilinear",
-        "sparse_depth": "nearest",
-        "semantic": "nearest",
-        "depth": "nearest",
-        "boundary": "bilinear",
-    },
-    precision="fp32",
-    training={"data": [], "terms": "none"},
-    versions={"opset": "20"},
-    parity={},
-    checkpoint_sha256="0" * 64,
-)
 
 
-def make_model(
-    *,
-    size: tuple[int, int] | None = None,
-    heads: tuple[str, ...] = ("semantic", "depth", "boundary"),
-    rgb_type: int = TensorProto.UINT8,
-    opset: int = 20,
-    only_runs_at: tuple[int, int] | None = None,
-) -> onnx.ModelProto:
-    """A model of fixed `size` (height, width) or of any, with
-
-    semantic = 1 where red >= 128, else 0
-    depth = sparse_depth + DEPTH_OFFSET_M, without cleaning: a NaN in would be a NaN out
-    boundary = green / blue, NaN where both are 0
-    depth_uncertainty = depth / 16
-    semantic_logits = (red, -red)
-
-    only_runs_at: the graph fails for frames of another size.
-    """
-    height, width = size or ("H", "W")
-    initializers = {
-        "red_at": np.array(0),
-        "green_at": np.array(1),
-        "blue_at": np.array(2),
-        "half": np.float32(128),
-        "offset": np.float32(DEPTH_OFFSET_M),
-        "sixteenth": np.float32(1 / 16),
-        "channel_axis": np.array([1]),
+@pytest.fixture(scope="session")
+def cluster():
+    """A local Ray of its own, that reports to nobody and leaves nothing in the home."""
+    if importlib.util.find_spec("ray") is None:
+        pytest.skip("the extra ray is not installed")
+    before = dict(os.environ)
+    os.environ |= {
+        "RAY_USAGE_STATS_ENABLED": "0",
+        "RAY_AUTH_TOKEN": secrets.token_hex(32),
+        "RAY_worker_niceness": "0",  # by default others go first
     }
-    nodes = [
-        helper.make_node("Cast", ["rgb"], ["colors"], to=TensorProto.FLOAT),
-        *(
-            helper.make_node("Gather", ["colors", f"{color}_at"], [color], axis=3)
-            for color in ("red", "green", "blue")
-        ),
-        helper.make_node("GreaterOrEqual", ["red", "half"], ["is_red"]),
-        helper.make_node("Cast", ["is_red"], ["semantic"], to=TensorProto.UINT8),
-        helper.make_node("Div", ["green", "blue"], ["boundary"]),
-        helper.make_node("Unsqueeze", ["red", "channel_axis"], ["logit"]),
-        helper.make_node("Neg", ["logit"], ["minus"]),
-        helper.make_node("Concat", ["logit", "minus"], ["semantic_logits"], axis=1),
-    ]
-    depth = "sparse_depth"
-    if only_runs_at is not None:
-        initializers["plane"] = np.zeros((1, *only_runs_at), np.float32)
-        nodes.append(helper.make_node("Add", [depth, "plane"], ["same_depth"]))
-        depth = "same_depth"
-    nodes.append(helper.make_node("Add", [depth, "offset"], ["depth"]))
-    nodes.append(helper.make_node("Mul", ["depth", "sixteenth"], ["depth_uncertainty"]))
-    plane = ["N", height, width]
-    outputs = {
-        "semantic": (TensorProto.UINT8, plane),
-        "depth": (TensorProto.FLOAT, plane),
-        "boundary": (TensorProto.FLOAT, plane),
-        "depth_uncertainty": (TensorProto.FLOAT, plane),
-        "semantic_logits": (TensorProto.FLOAT, ["N", 2, height, width]),
-    }
-    graph = helper.make_graph(
-        nodes,
-        "by_hand",
-        [
-            helper.make_tensor_value_info("rgb", rgb_type, ["N", height, width, 3]),
-            helper.make_tensor_value_info("sparse_depth", TensorProto.FLOAT, plane),
-        ],
-        [helper.make_tensor_value_info(head, *outputs[head]) for head in heads],
-        [numpy_helper.from_array(np.asarray(v), name) for name, v in initializers.items()],
+    import ray
+
+    ray.init(
+        address="local",
+        num_cpus=2,
+        object_store_memory=128 << 20,
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level="ERROR",
     )
-    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=10)
-
-
-ModelFile = Callable[..., Path]
-
-
-@pytest.fixture
-def model_file(tmp_path: Path) -> ModelFile:
-    """Write a model made by `make_model` (same arguments) and give back its path.
-
-    edit: changes the model's graph before it is written
-    contract: what is written as its metadata; None = `metadata` as it is, or nothing
-    """
-
-    def write(
-        name: str = "model.onnx",
-        *,
-        contract: Contract | None = CONTRACT,
-        metadata: str | None = None,
-        edit: Callable[[onnx.GraphProto], object] = lambda graph: None,
-        **options: object,
-    ) -> Path:
-        model = make_model(**options)
-        edit(model.graph)
-        path = tmp_path / name
-        if contract is not None:
-            path.write_bytes(with_contract(model.SerializeToString(), contract))
-            return path
-        if metadata is not None:
-            helper.set_model_props(model, {METADATA_KEY: metadata})
-        path.write_bytes(model.SerializeToString())
-        return path
-
-    return write
-
-
-@pytest.fixture
-def contract() -> Contract:
-    return dataclasses.replace(CONTRACT)
-
-
-Frame = tuple[np.ndarray, np.ndarray]
-
-
-@pytest.fixture
-def make_frame() -> Callable[..., Frame]:
-    """Give (rgb, sparse_depth): random colours, 0 < green <= blue, and 5 % random returns."""
-
-    def make(height: int = 48, width: int = 64, seed: int = 0) -> Frame:
-        random = np.random.default_rng(seed)
-        rgb = random.integers(1, 256, (height, width, 3), dtype=np.uint8)
-        rgb[..., 1] = np.minimum(rgb[..., 1], rgb[..., 2])  # green / blue is a probability
-        depth = random.uniform(1, MAX_DEPTH_M - DEPTH_OFFSET_M, (height, width)).astype(np.float32)
-        depth[random.random((height, width)) > 0.05] = 0
-        return rgb, depth
-
-    return make
-
-
-@pytest.fixture
-def read_ply() -> Callable[[Path], tuple[list[str], np.ndarray]]:
-    """Read whatever a PLY file of one element holds: (lines of the header, structured array)."""
-
-    def read(path: Path) -> tuple[list[str], np.ndarray]:
-        header, content = path.read_bytes().split(b"end_header\n", 1)
-        lines = header.decode("ascii").splitlines()
-        assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
-        (count,) = [int(line.split()[2]) for line in lines if line.startswith("element vertex")]
-        types = {"float": "<f4", "uchar": "u1"}
-        properties = [line.split()[1:] for line in lines if line.startswith("property")]
-        points = np.frombuffer(content, [(name, types[kind]) for kind, name in properties])
-        assert len(points) == count
-        return lines, points
-
-    return read
+    yield ray
+    ray.shutdown()
+    os.environ.clear()
+    os.environ.update(before)

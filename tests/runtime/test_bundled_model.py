@@ -7,9 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from runtime import Predictor, list_bundled_models
-from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.stream.cli import app
-from runtime.stream.frames import list_frames, read_frame
+from runtime.run.cli import app
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+from runtime.sources.frames import list_frames, read_frame
 
 pytest.importorskip("onnxruntime")
 

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from runtime import Prediction, Predictor, list_bundled_models
-from runtime.stream.bundled import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.stream.frames import list_frames, read_frame
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+from runtime.sources.frames import list_frames, read_frame
 
 REFERENCES = Path(__file__).parent / "replay"
 #: Every so many rows and columns of a head.

@@ -117,7 +117,7 @@ import numpy as np, onnx
 from onnx import numpy_helper
 from runtime import Predictor, SSDNetError
 from runtime.model_file import with_contract
-from tests.runtime.conftest import CONTRACT
+from tests.conftest import CONTRACT
 
 resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
 path, seed = pathlib.Path(sys.argv[1]), int(sys.argv[2])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from runtime import InferenceError, InputError, Predictor, list_bundled_models
-from runtime.stream.bundled import bundled_stream
-from runtime.stream.frames import list_frames, read_frame
+from runtime.sources.bundled_stream import bundled_stream
+from runtime.sources.frames import list_frames, read_frame
 
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
 

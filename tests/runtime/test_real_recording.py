@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 from runtime import project_points
 from runtime.preprocess import covers_little
 from runtime.resize import move_returns
-from runtime.stream.cli import app
-from runtime.stream.frames import list_frames, read_frame
+from runtime.run.cli import app
+from runtime.sources.frames import list_frames, read_frame
 
 DATA = os.environ.get("SSDNET_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")

@@ -15,7 +15,7 @@ from layouts import camvid
 from models import load_checkpoint
 from runtime import Predictor
 from runtime.errors import InputError
-from runtime.stream.bundled import bundled_stream
+from runtime.sources.bundled_stream import bundled_stream
 from training import cli
 from training.initial_weights import find_weights, list_weights
 from training.recipe import read_recipe

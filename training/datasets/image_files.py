@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import DatasetError, InputError
-from runtime.stream import frames
+from runtime.sources import frames
 
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:

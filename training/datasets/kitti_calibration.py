@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from runtime.errors import DatasetError, InputError
-from runtime.stream.calibration import Calibration
-from runtime.stream.kitti_calibration import NumbersFile, chain
-from runtime.stream.kitti_scan import read_scan
+from runtime.io.calibration import Calibration
+from runtime.io.kitti_calibration import NumbersFile, chain
+from runtime.io.kitti_scan import read_scan
 
 
 @contextmanager

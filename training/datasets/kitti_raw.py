@@ -10,8 +10,8 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
+from runtime.io.calibration import Calibration
 from runtime.projection import OcclusionFilter
-from runtime.stream.calibration import Calibration
 from training.datasets.class_mapping import ClassTable
 from training.datasets.image_files import read_rgb, require_folder
 from training.datasets.kitti_calibration import read_points, read_raw_calibration

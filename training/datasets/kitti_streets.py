@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
-from runtime.stream.calibration import Calibration
+from runtime.io.calibration import Calibration
 from training.datasets.class_mapping import ClassTable
 from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
 from training.datasets.kitti_calibration import CalibrationFile, dataset_errors, read_points

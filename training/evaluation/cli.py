@@ -17,7 +17,7 @@ from runtime.errors import ContractError, InputError
 
 if TYPE_CHECKING:
     from training.datasets.source import SourceRecipe
-    from training.evaluation.report import Row
+    from training.evaluation.score_report import Row
 
 _BASELINES = ("nearest", "ip-basic")  # the fast methods
 
@@ -74,7 +74,7 @@ def evaluate(
         # Heavy imports here, so that --help answers at once.
         from runtime.network_size import parse_network_size
         from training.evaluation.evaluate import evaluate as run
-        from training.evaluation.report import (
+        from training.evaluation.score_report import (
             draw_lidar_quality,
             format_table,
             require_writable,

@@ -12,8 +12,8 @@ from runtime.errors import InputError
 from runtime.network_size import NetworkSize
 from training.datasets.sample import SampleSource
 from training.datasets.source import SourceRecipe
-from training.evaluation.model_file import ScoredModel, open_method, open_model
-from training.evaluation.report import Row
+from training.evaluation.exported_model import ScoredModel, open_method, open_model
+from training.evaluation.score_report import Row
 from training.evaluation.scoring import Answer, Scores
 from training.lidar.faults import Fault, add_fault
 from training.lidar.split import LidarInput, frame_generator, split_lidar

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.atomic_write import atomic_folder
 from runtime.errors import OutputError
+from runtime.io.atomic_write import atomic_folder
 from training.scenes.arrays import Floats
 from training.scenes.classes import CLASS_TABLE, class_colors
 from training.scenes.rendering.lidar_scan import LidarScan

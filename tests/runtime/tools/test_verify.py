@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from runtime.recording import read_recording
-from runtime.stream.cli import app as run_app
+from runtime.io.recording import read_recording
+from runtime.run.cli import app as run_app
 from runtime.tools.verify_cli import app
 
 NAMES = ["00000", "00001", "00002"]

@@ -18,8 +18,8 @@ from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.evaluation.cli import app, parse_source
 from training.evaluation.evaluate import short_names
-from training.evaluation.model_file import ScoredModel, engine_predict
-from training.evaluation.report import Row, format_table
+from training.evaluation.exported_model import ScoredModel, engine_predict
+from training.evaluation.score_report import Row, format_table
 
 
 @pytest.fixture(scope="module")

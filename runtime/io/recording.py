@@ -1,0 +1,253 @@
+"""A recording: frames and the answers that were given, kept to be held against later ones.
+
+A folder that needs nothing else:
+
+| file | |
+|---|---|
+| `recording.json` | what made it, settings, limits a head, and a line a frame; see `Recording` |
+| `model.onnx` | the model that answered, byte for byte |
+| `frames/000000.npz` ... | a frame's `rgb`, `sparse_depth` and its answers, an array a head |
+
+Arrays are stored as they are, not packed (about 17 bytes a pixel with three heads): a recording
+run keeps its pace, and numpy's archive has a checksum of every array.
+"""
+
+import contextlib
+import json
+import math
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import InputError, OutputError
+from runtime.io.agreement import limit
+from runtime.io.atomic_write import atomic_folder
+from runtime.model_file import load_model_file
+from runtime.network_size import NetworkSize
+
+RECORDING_FORMAT, RECORDING_VERSION = "ssdnet-recording", "1.0"
+RECORDING_FILE, MODEL_FILE = "recording.json", "model.onnx"
+
+MAX_FRAME_BYTES = 2**32  # of its arrays, unpacked: of the largest cameras with all heads
+
+_HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
+_INPUTS = ("rgb", "sparse_depth")
+_MAX_DOCUMENT_BYTES = 2**28
+
+
+@dataclass(frozen=True)
+class RecordedFrame:
+    """What is known of a frame beside its arrays.
+
+    name: of the frame, for people
+    valid: whether the answers could be used; if not, none are kept
+    degraded: reasons of `Prediction.degraded`; None = not known (PyTorch answered)
+    predict_ms: time of `Predictor.predict`; None = not known
+    """
+
+    name: str
+    valid: bool = True
+    degraded: tuple[str, ...] | None = None
+    predict_ms: float | None = None
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How the answers came about: what a `Predictor` needs to give them again.
+
+    made_by: the command
+    size: as `Predictor` takes it
+    focal_length_px: as `Predictor` takes it
+    provider: "cpu" or "cuda"; "torch" where PyTorch answered
+    """
+
+    made_by: str
+    size: NetworkSize = None
+    focal_length_px: float | None = None
+    provider: str = "cpu"
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording on disk; its arrays are read a frame at a time.
+
+    model_sha256: digest of the model that answered
+    limits: head -> limit of its first figure, see `runtime.io.agreement`
+    """
+
+    folder: Path
+    settings: Settings
+    model_name: str
+    model_sha256: str
+    limits: Mapping[str, float]
+    frames: tuple[RecordedFrame, ...]
+
+    @property
+    def model(self) -> Path:
+        """The model's file."""
+        return self.folder / MODEL_FILE
+
+    def arrays(self, index: int) -> dict[str, NDArray[Any]]:
+        """Read "rgb", "sparse_depth" and the answers of one frame. Raises InputError."""
+        path = _frame_path(self.folder, index)
+        names = {*_INPUTS, *(self.limits if self.frames[index].valid else ())}
+        try:
+            with zipfile.ZipFile(path) as packed:
+                if (size := sum(entry.file_size for entry in packed.infolist())) > MAX_FRAME_BYTES:
+                    raise ValueError(f"{size:,} bytes in a frame, at most {MAX_FRAME_BYTES:,}")
+            with np.load(path, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+        except (OSError, ValueError, EOFError, MemoryError, zipfile.BadZipFile) as error:
+            raise InputError(
+                f"cannot read {path} ({error}): the recording is damaged, get it again"
+            ) from error
+        if arrays.keys() != names:
+            raise InputError(
+                f"{path} holds {sorted(arrays)}, expected {sorted(names)}: the recording is "
+                "damaged, get it again"
+            )
+        return arrays
+
+
+class Recorder:
+    """Write a recording into a folder, a frame at a time, see `record`, which raises OutputError
+    where there is no room.
+    """
+
+    def __init__(self, folder: Path, settings: Settings) -> None:
+        self._folder, self._settings = folder, settings
+        self._frames: list[RecordedFrame] = []
+        self._heads: set[str] = set()
+        (folder / "frames").mkdir()
+
+    def add(
+        self,
+        frame: RecordedFrame,
+        rgb: NDArray[np.uint8],
+        sparse_depth: NDArray[np.float32],
+        answers: Mapping[str, NDArray[Any] | None],
+    ) -> None:
+        """Keep a frame and, where it is valid, its answers, head -> array."""
+        kept = {head: values for head, values in answers.items() if values is not None}
+        self._heads |= kept.keys()
+        path = _frame_path(self._folder, len(self._frames))
+        # As `Predictor` takes them, NaN and all: only so can the same be asked again.
+        arrays = {"rgb": rgb, "sparse_depth": sparse_depth, **(kept if frame.valid else {})}
+        np.savez(path, **arrays)  # type: ignore[arg-type]  # its stub knows one array
+        self._frames.append(frame)
+
+    def finish(self, model: Path, *, sha256: str | None = None) -> None:
+        """Add the model that answered, and the document.
+
+        sha256: of the file when it was loaded, since another may have its name by now.
+        Raises ContractError.
+        """
+        file = load_model_file(model, sha256=sha256)
+        depth_m = file.contract.max_depth_m
+        document = {
+            "format": RECORDING_FORMAT,
+            "version": RECORDING_VERSION,
+            "settings": asdict(self._settings),
+            "model": {"name": file.contract.model_name, "sha256": file.sha256},
+            "limits": {
+                head: limit(head, max_depth_m=depth_m) for head in _HEADS if head in self._heads
+            },
+            "frames": [asdict(frame) for frame in self._frames],
+        }
+        (self._folder / MODEL_FILE).write_bytes(file.content)
+        text = json.dumps(document, indent=1, allow_nan=False)
+        (self._folder / RECORDING_FILE).write_text(text)
+
+
+@contextlib.contextmanager
+def record(path: Path, settings: Settings, *, overwrite: bool = False) -> Iterator[Recorder]:
+    """Make a recording that gets its name when the block ends; after an error there it is gone.
+
+    overwrite: an older recording at `path` is replaced; nothing else ever is.
+    The block adds frames and calls `Recorder.finish`. Raises OutputError.
+    """
+    if path.exists() and overwrite and not (path / RECORDING_FILE).is_file():
+        raise OutputError(
+            f"{path} is no recording, and only recordings are replaced: choose another folder"
+        )
+    if path.exists() and not overwrite:
+        raise OutputError(f"{path} exists: choose another folder, or ask to overwrite it")
+    with atomic_folder(path, overwrite=overwrite) as folder:
+        yield Recorder(folder, settings)
+
+
+def read_recording(folder: Path) -> Recording:
+    """Read what a recording says of itself. Raises InputError where it is none, or damaged."""
+    path = folder / RECORDING_FILE
+    try:
+        if path.stat().st_size > _MAX_DOCUMENT_BYTES:
+            raise InputError(f"{path} is too large to be a recording's: get it again")
+        document = json.loads(path.read_bytes())
+    except OSError as error:
+        raise InputError(
+            f"cannot read {path} ({error.strerror}): give a folder made by ssdnet-run --record or "
+            "ssdnet-export --record"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path} is not JSON ({error}): get the recording again") from error
+    try:
+        return _parse(folder, document)
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path} does not say what a recording does ({type(error).__name__}: {error}): it was "
+            "changed, or is of another version; record again"
+        ) from error
+
+
+def _parse(folder: Path, document: Any) -> Recording:
+    if document["format"] != RECORDING_FORMAT:
+        raise ValueError(f"format is {document['format']!r:.80}, expected {RECORDING_FORMAT!r}")
+    major = str(document["version"]).partition(".")[0]
+    if major != RECORDING_VERSION.partition(".")[0]:
+        raise ValueError(f"version is {document['version']!r:.80}, this one reads {major}.x")
+    settings = document["settings"]
+    size, focal_px = settings["size"], settings["focal_length_px"]
+    return Recording(
+        folder=folder,
+        settings=Settings(
+            made_by=str(settings["made_by"]),
+            size=tuple(size) if isinstance(size, list) else size,
+            focal_length_px=None if focal_px is None else float(focal_px),
+            provider=str(settings["provider"]),
+        ),
+        model_name=str(document["model"]["name"]),
+        model_sha256=str(document["model"]["sha256"]),
+        limits={_head(name): _finite(value) for name, value in document["limits"].items()},
+        frames=tuple(_frame(entry) for entry in document["frames"]),
+    )
+
+
+def _frame(entry: Any) -> RecordedFrame:
+    degraded, predict_ms = entry["degraded"], entry["predict_ms"]
+    return RecordedFrame(
+        name=str(entry["name"]),
+        valid=bool(entry["valid"]),
+        degraded=None if degraded is None else tuple(map(str, degraded)),
+        predict_ms=None if predict_ms is None else _finite(predict_ms),
+    )
+
+
+def _head(name: str) -> str:
+    if name not in _HEADS:
+        raise ValueError(f"unknown head {name!r:.80}")
+    return name
+
+
+def _finite(value: Any) -> float:
+    if isinstance(value, bool) or not math.isfinite(value) or value < 0:
+        raise ValueError(f"{value!r:.80} is no limit or time")
+    return float(value)
+
+
+def _frame_path(folder: Path, index: int) -> Path:
+    return folder / "frames" / f"{index:06}.npz"

@@ -1,0 +1,86 @@
+"""From an image and its depth to an answer, and what is wrong with what it was made of."""
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.health.consistency import Consistency, ConsistencyCheck
+from runtime.health.image_health import ImageHealth
+from runtime.health.lidar_health import LidarHealth
+from runtime.io.calibration import Calibration
+from runtime.live.payload import Points
+from runtime.prediction import Prediction
+from runtime.sync.synchronizer import Pair
+
+
+class AnswersFrames(Protocol):
+    """What a stream needs of a `Predictor`."""
+
+    focal_length_px: float | None
+
+    def predict(
+        self,
+        rgb: NDArray[np.uint8],
+        sparse_depth: NDArray[np.float32],
+        *,
+        focal_length_px: float | None = None,
+        stamp: Any = None,
+    ) -> Prediction: ...
+
+
+class Answer(NamedTuple):
+    """What is known of a frame, see `FrameResult`."""
+
+    prediction: Prediction
+    health: tuple[str, ...]
+    consistency: Consistency | None
+
+
+class Answerer:
+    """Projects, predicts and checks, a frame of the stream after the other.
+
+    Not for several threads at a time: it remembers the frames before. Raises InputError for a
+    `consistency` that is no share.
+    """
+
+    def __init__(
+        self, predictor: AnswersFrames, calibration: Calibration | None, consistency: float | None
+    ) -> None:
+        self._predictor, self._calibration = predictor, calibration
+        self._image_health, self._lidar_health = ImageHealth(), LidarHealth()
+        self._consistency = None if consistency is None else ConsistencyCheck(consistency)
+
+    def answer(self, pair: Pair) -> Answer:
+        """Answer a frame. Raises what `Predictor.predict` raises."""
+        rgb = pair.image.data
+        size = rgb.shape[:2]
+        if pair.depth is None:
+            sparse_depth = np.zeros(size, np.float32)
+        elif isinstance(pair.depth.data, Points):
+            assert self._calibration is not None  # push_points asked for it
+            sparse_depth = self._calibration.project(pair.depth.data.points, size)
+        else:
+            sparse_depth = pair.depth.data
+        if self._consistency is None or pair.depth is None:
+            prediction, consistency = self._predict(rgb, sparse_depth, pair), None
+        else:
+            left, held_out = self._consistency.hold_out(sparse_depth)
+            prediction, camera_only = self._predict(rgb, left, pair), None
+            if self._consistency.scale_is_due:
+                camera_only = self._predict(rgb, np.zeros(size, np.float32), pair)
+            consistency = self._consistency.score(prediction, camera_only, sparse_depth, held_out)
+        health = self._image_health.check(rgb)  # only now are they known to fit
+        if pair.depth is not None:
+            health += self._lidar_health.check(sparse_depth)
+        return Answer(prediction, health, consistency)
+
+    def _predict(
+        self, rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], pair: Pair
+    ) -> Prediction:
+        focal_length_px = None
+        if self._calibration is not None and self._predictor.focal_length_px is None:
+            focal_length_px = self._calibration.focal_length_px
+        return self._predictor.predict(
+            rgb, sparse_depth, focal_length_px=focal_length_px, stamp=pair.image.stamp
+        )

@@ -1,0 +1,117 @@
+"""The page of a stream of pushed frames."""
+
+import threading
+from datetime import UTC, datetime
+from os import PathLike
+from pathlib import Path
+
+from runtime import __version__
+from runtime.completion.predictor import CompletionPredictor
+from runtime.drawing.report_page.charts import INVALID, LATE
+from runtime.drawing.report_page.facts import collect_facts
+from runtime.drawing.report_page.page import PageContent, render_page
+from runtime.drawing.report_page.samples import SampleKeeper
+from runtime.drawing.report_page.timeline import Moment, Timeline
+from runtime.io.atomic_write import atomic_path
+from runtime.live.frame_result import FrameResult
+from runtime.live.push_stream import PushStream
+from runtime.predictor import Predictor
+from runtime.run.run_report import describe_engine
+from runtime.sync.message_counts import SensorCounts
+
+
+class StreamPage:
+    """Gathers the answers of a stream, in memory that does not grow, and makes its page.
+
+    ```python
+    page = StreamPage(predictor)
+    with predictor.stream(mode="live", deadline_ms=50) as stream:
+        for result in stream:
+            page.add(result)
+    page.write("report.html", stream)
+    ```
+
+    `add` costs a picture now and then. Both may be called from any thread, and `write` as often as
+    wanted, also while the stream runs.
+    """
+
+    def __init__(self, predictor: Predictor | CompletionPredictor) -> None:
+        self._predictor = predictor
+        self._started = datetime.now(UTC)
+        self._lock = threading.Lock()
+        self._timeline = Timeline()
+        self._samples = SampleKeeper(predictor.contract)
+        self._invalid = 0
+
+    def add(self, result: FrameResult) -> None:
+        """Take the next answer in."""
+        prediction = result.prediction
+        marks = [*prediction.degraded, *result.health]
+        if not prediction.valid:
+            marks.append(INVALID)
+        if result.deadline_met is False:
+            marks.append(LATE)
+        moment = Moment(
+            f"answer {result.sequence}",
+            response_ms=result.latency_ms,
+            marks=tuple(marks),
+            returns=prediction.depth_returns,
+        )
+        with self._lock:
+            self._timeline.add(moment)
+            self._invalid += not prediction.valid
+            self._samples.look(moment.name, result.rgb, prediction, result.health)
+
+    def write(self, path: str | PathLike[str], stream: PushStream) -> None:
+        """Write the page of what was added so far; a file that is there is replaced.
+
+        stream: that gave the answers, open or closed: its statistics and counts stand on the page
+        Raises OutputError.
+        """
+        statistics, counts, state = stream.statistics, stream.counts, stream.state
+        engine = {"ssdnet": __version__, **describe_engine(self._predictor)}
+        about = {
+            "started": f"{self._started:%Y-%m-%d %H:%M:%S} UTC",
+            "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC",
+            "state": ", ".join([state.level, *state.reasons]),
+            "images": _fates(counts.images),
+            "depth maps": _fates(counts.depths),
+            "answered from the camera alone": counts.camera_only,
+            "out of order": counts.out_of_order,
+            "stamps that jumped back": counts.jumps_back,
+        }
+        with self._lock:
+            valid = self._timeline.frames - self._invalid
+            content = PageContent(
+                title=f"Stream of {self._predictor.contract.model_name}",
+                command="",
+                interrupted=False,
+                contract=self._predictor.contract,
+                timeline=self._timeline,
+                response="latency",
+                responses=statistics.stages["latency"],
+                stages=statistics.stages,
+                deadline_ms=statistics.deadline_ms,
+                missed=statistics.missed,
+                frames={"ok": valid, **({INVALID: self._invalid} if self._invalid else {})},
+                frames_per_second=None,
+                problems=(),
+                samples=self._samples.samples(),
+                facts=collect_facts(engine, "Stream", about),
+            )
+            page = render_page(content)
+        with atomic_path(Path(path)) as made:
+            made.write_bytes(page)
+
+
+def _fates(counts: SensorCounts) -> str:
+    """What became of a sensor's messages, in words."""
+    parts = [f"{counts.pushed:,} pushed", f"{counts.answered:,} answered"]
+    for fate in ("dropped", "unmatched", "errors"):
+        reasons = getattr(counts, fate)
+        if reasons:
+            words = ", ".join(f"{reason} {count:,}" for reason, count in reasons.items())
+            parts.append(f"{sum(reasons.values()):,} {fate} ({words})")
+    if counts.pending:
+        parts.append(f"{counts.pending:,} pending")
+    return "; ".join(parts)

@@ -1,0 +1,103 @@
+"""How a stream keeps its time: latency, age, skew, jitter and missed deadlines, however long."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from runtime.sync.histogram import DurationHistogram
+from runtime.sync.latency import LatencyStatistics, MissedDeadlines, latency_table
+
+# A name a figure of FrameResult; "jitter" lies between two of them.
+_FIGURES = ("preprocess", "inference", "postprocess", "predict", "latency", "age", "skew", "jitter")
+
+
+@dataclass(frozen=True)
+class StreamStatistics:
+    """Statistics of all answers of a stream so far.
+
+    stages: figure -> statistics over n answers [ms], None where there is none. preprocess,
+        inference, postprocess and predict: of `Prediction.latency`. latency and age: of
+        `FrameResult`. skew: its absolute value. jitter: |(t2 - t1) - (s2 - s1)| of two successive
+        answers at t with the image stamps s, the transit-time difference of RFC 3550
+    deadline_ms: as asked for
+    missed: late answers and the longest run of them; None without a deadline
+    """
+
+    stages: dict[str, LatencyStatistics | None]
+    deadline_ms: float | None
+    missed: MissedDeadlines | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what report.json says of a run's stages and deadline, ready for `json.dumps`."""
+        return {
+            "stages": {
+                name: None if figures is None else asdict(figures)
+                for name, figures in self.stages.items()
+            },
+            "deadline": None
+            if self.missed is None
+            else {"deadline_ms": self.deadline_ms, **asdict(self.missed)},
+        }
+
+    def table(self) -> str:
+        """A text table, a line a figure."""
+        lines = [latency_table(self.stages)]
+        if self.missed is not None:
+            lines.append(
+                f"missed deadlines of {self.deadline_ms:g} ms: {self.missed.count}, "
+                f"longest run {self.missed.longest_run}"
+            )
+        return "\n".join(lines)
+
+
+class StatisticsRecorder:
+    """Gathers the figures of one answer after another, in memory that does not grow.
+
+    Not for several threads at a time: the stream guards it with its lock.
+    """
+
+    def __init__(self, deadline_ms: float | None) -> None:
+        self._deadline_ms = deadline_ms
+        self._histograms = {name: DurationHistogram() for name in _FIGURES}
+        self._missed = self._run = self._longest_run = 0
+        self._last: tuple[int, int] | None = None
+
+    def record(
+        self,
+        figures_ms: dict[str, float | None],
+        *,
+        image_ns: int,
+        answered_ns: int,
+        deadline_met: bool | None,
+    ) -> None:
+        """Take the figures of one answer in.
+
+        figures_ms: name -> ms, None = there is none
+        image_ns, answered_ns: stamp of the image and time of the answer, each by its own clock
+        """
+        jitter_ms = None
+        if self._last is not None:
+            before_image_ns, before_answered_ns = self._last
+            transit_ns = (answered_ns - before_answered_ns) - (image_ns - before_image_ns)
+            jitter_ms = abs(transit_ns) / 1e6
+        self._last = image_ns, answered_ns
+        for name, value_ms in {**figures_ms, "jitter": jitter_ms}.items():
+            if value_ms is not None:
+                self._histograms[name].record(value_ms)
+        if deadline_met is not None:
+            self._run = 0 if deadline_met else self._run + 1
+            self._missed += not deadline_met
+            self._longest_run = max(self._longest_run, self._run)
+
+    def forget_last(self) -> None:
+        """The stamps jumped: the next answer has no jitter."""
+        self._last = None
+
+    def statistics(self) -> StreamStatistics:
+        """The state."""
+        return StreamStatistics(
+            stages={name: each.statistics() for name, each in self._histograms.items()},
+            deadline_ms=self._deadline_ms,
+            missed=None
+            if self._deadline_ms is None
+            else MissedDeadlines(self._missed, self._longest_run),
+        )

@@ -1,0 +1,119 @@
+"""Whether a stream is fit to be trusted: OK, WARN or ERROR, and why."""
+
+from dataclasses import dataclass, fields
+from enum import StrEnum
+
+from runtime.errors import InputError
+from runtime.sync.stamp import NS_PER_MS
+
+Limits = tuple[float | None, float | None]  # from when on WARN, from when on ERROR; None = never
+
+
+class Level(StrEnum):
+    """How a stream is doing."""
+
+    NOT_YET = "n/a"  # nothing has come yet
+    OK = "OK"
+    WARN = "WARN"
+    ERROR = "ERROR"
+
+
+@dataclass(frozen=True)
+class WatchdogLimits:
+    """When to warn, and when it is an error: a pair of limits each, None = never.
+
+    late: answers in a row that missed the deadline
+    degraded: answers in a row of which `Prediction.degraded` or `FrameResult.health` holds a reason
+    failed: frames in a row that were an error or whose answer is not valid
+    silence_ms: time since the last answer, or since the first message; live streams alone
+    Raises InputError for limits that are no such pairs.
+    """
+
+    late: Limits = (1, 5)
+    degraded: Limits = (1, None)
+    failed: Limits = (1, 3)
+    silence_ms: Limits = (500, 2000)
+
+    def __post_init__(self) -> None:
+        """Refuse limits that cannot be."""
+        for field in fields(self):
+            pair = getattr(self, field.name)
+            if not isinstance(pair, tuple) or len(pair) != 2 or not all(map(_is_limit, pair)):
+                raise InputError(
+                    f"{field.name} must be a pair (warn, error) of positive numbers or None, got "
+                    f"{pair!r:.60}"
+                )
+
+
+@dataclass(frozen=True)
+class WatchdogState:
+    """level: the worst of all; reasons: the names of the limits that were reached."""
+
+    level: Level
+    reasons: tuple[str, ...] = ()
+
+
+class Watchdog:
+    """Counts what is wrong in a row. Times are handed in [ns].
+
+    Not for several threads at a time: the stream guards it with its lock.
+    """
+
+    def __init__(self, limits: WatchdogLimits, *, live: bool) -> None:
+        self._limits, self._live = limits, live
+        self._runs = {"late": 0, "degraded": 0, "failed": 0}
+        self._heard_ns: int | None = None
+
+    def start(self, now_ns: int) -> None:
+        """A message has come; the first of them ends "n/a"."""
+        if self._heard_ns is None:
+            self._heard_ns = now_ns
+
+    def answered(self, now_ns: int, *, late: bool, degraded: bool, valid: bool) -> None:
+        """A frame was answered."""
+        self._heard_ns = now_ns
+        self._count("late", late)
+        self._count("degraded", degraded)
+        self._count("failed", not valid)
+
+    def failed(self) -> None:
+        """A frame was an error: there is no answer."""
+        self._count("failed", True)
+
+    def state(self, now_ns: int) -> WatchdogState:
+        """How the stream is doing at this moment."""
+        if self._heard_ns is None:
+            return WatchdogState(Level.NOT_YET)
+        figures: dict[str, float] = dict(self._runs)
+        if self._live:
+            figures["silence_ms"] = (now_ns - self._heard_ns) / NS_PER_MS
+        level, reasons = Level.OK, []
+        for name, figure in figures.items():
+            warn, error = getattr(self._limits, name)
+            if error is not None and figure >= error:
+                level = Level.ERROR
+                reasons.append(name)
+            elif warn is not None and figure >= warn:
+                level = Level.WARN if level is Level.OK else level
+                reasons.append(name)
+        return WatchdogState(level, tuple(reasons))
+
+    def due_ns(self, now_ns: int) -> int | None:
+        """When silence alone will change the state next; None = never."""
+        if self._heard_ns is None or not self._live:
+            return None
+        limits_ns = [
+            self._heard_ns + round(limit * NS_PER_MS)
+            for limit in self._limits.silence_ms
+            if limit is not None
+        ]
+        return min((limit_ns for limit_ns in limits_ns if limit_ns > now_ns), default=None)
+
+    def _count(self, name: str, wrong: bool) -> None:
+        self._runs[name] = self._runs[name] + 1 if wrong else 0
+
+
+def _is_limit(limit: object) -> bool:
+    if limit is None:
+        return True
+    return isinstance(limit, int | float) and not isinstance(limit, bool) and limit > 0

@@ -1,0 +1,154 @@
+"""The answers of a run as an MCAP file of ROS 2's standard messages (extra `bag`)."""
+
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.contract import Contract
+from runtime.drawing.overlay import Overlay
+from runtime.errors import OutputError
+from runtime.io.atomic_write import atomic_path
+from runtime.prediction import Prediction
+from runtime.run.outputs.frame_writer import encode_overlay
+from runtime.run.outputs.output import DEFAULT_RATE_HZ
+from runtime.sources.frames import Frame
+
+MCAP_SUFFIX = ".mcap"
+#: Topics of `sensor_msgs/msg/Image`: field of `Prediction` -> topic, encoding.
+IMAGES = {
+    "semantic": ("/ssdnet/semantic", "mono8"),
+    "depth": ("/ssdnet/depth", "32FC1"),
+    "depth_uncertainty": ("/ssdnet/depth_uncertainty", "32FC1"),
+    "boundary": ("/ssdnet/boundary", "32FC1"),
+}
+OVERLAY, CLASSES, DIAGNOSTICS = "/ssdnet/overlay/compressed", "/ssdnet/classes", "/diagnostics"
+FRAME_ID = "camera"
+_S = 1_000_000_000  # nanoseconds
+_LAST_NS = 2**31 * _S  # builtin_interfaces/msg/Time has 32 bits for the seconds
+
+
+class McapWriter:
+    """Append the messages of each frame; see `open_mcap`."""
+
+    def __init__(self, bag: Any, contract: Contract, overlay: Overlay, rate_hz: float) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        self._bag, self._contract, self._rate_hz = bag, contract, rate_hz
+        self._typestore = get_typestore(Stores.ROS2_JAZZY)
+        self._types = self._typestore.types
+        self._overlay = overlay
+        self._connections: dict[str, Any] = {}
+        self._frames = 0
+
+    def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
+        """Append what a frame was answered. Raises OutputError for a stamp that ROS cannot hold."""
+        stamp_ns = frame.image_stamp_ns
+        if stamp_ns is None:
+            stamp_ns = round(self._frames / self._rate_hz * _S)
+        if not 0 <= stamp_ns < _LAST_NS:
+            raise OutputError(
+                f"{name} has the stamp {stamp_ns} ns; ROS holds those from 0 to {_LAST_NS - 1}: "
+                "leave out --mcap, or mend the stamps of the source"
+            )
+        if not self._frames:
+            names = {index: info.name for index, info in enumerate(self._contract.classes)}
+            self._add(CLASSES, "std_msgs/msg/String", stamp_ns, data=json.dumps(names))
+        self._frames += 1
+        time = self._types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, _S))
+        header = self._types["std_msgs/msg/Header"](time, FRAME_ID)
+        for head, (topic, encoding) in IMAGES.items():
+            image: NDArray[Any] | None = getattr(prediction, head)
+            if image is not None:
+                self._add(
+                    topic,
+                    "sensor_msgs/msg/Image",
+                    stamp_ns,
+                    header=header,
+                    height=image.shape[0],
+                    width=image.shape[1],
+                    encoding=encoding,
+                    is_bigendian=int(sys.byteorder == "big"),
+                    step=image.shape[1] * image.itemsize,
+                    data=np.ascontiguousarray(image).reshape(-1).view(np.uint8),
+                )
+        overlay = encode_overlay(self._overlay.draw(frame.rgb, prediction))
+        self._add(
+            OVERLAY,
+            "sensor_msgs/msg/CompressedImage",
+            stamp_ns,
+            header=header,
+            format="jpeg",
+            data=np.frombuffer(overlay, np.uint8),
+        )
+        self._add(
+            DIAGNOSTICS,
+            "diagnostic_msgs/msg/DiagnosticArray",
+            stamp_ns,
+            header=header,
+            status=[self._status(name, prediction)],
+        )
+
+    def _status(self, name: str, prediction: Prediction) -> Any:
+        of_type: Any = self._types["diagnostic_msgs/msg/DiagnosticStatus"]
+        latency = prediction.latency
+        values = {
+            "frame": name,
+            "preprocess_ms": f"{latency.preprocess_ms:.3f}",
+            "inference_ms": f"{latency.inference_ms:.3f}",
+            "postprocess_ms": f"{latency.postprocess_ms:.3f}",
+            "total_ms": f"{latency.total_ms:.3f}",
+            "depth_returns": str(prediction.depth_returns),
+            "depth_cleaned": str(prediction.cleaned.total),
+        }
+        key_value = self._types["diagnostic_msgs/msg/KeyValue"]
+        return of_type(
+            level=of_type.WARN if prediction.degraded else of_type.OK,
+            name="ssdnet",
+            message=", ".join(prediction.degraded) or "ok",
+            hardware_id=self._contract.model_name,
+            values=[key_value(key, value) for key, value in values.items()],
+        )
+
+    def _add(self, topic: str, of_type: str, stamp_ns: int, **fields: Any) -> None:
+        if topic not in self._connections:
+            self._connections[topic] = self._bag.add_connection(
+                topic, of_type, typestore=self._typestore
+            )
+        message = self._types[of_type](**fields)
+        content = self._typestore.serialize_cdr(message, of_type)
+        self._bag.write(self._connections[topic], stamp_ns, content)
+
+
+@contextlib.contextmanager
+def open_mcap(
+    path: Path, contract: Contract, overlay: Overlay, *, rate_hz: float | None = None
+) -> Iterator[McapWriter]:
+    """Make an MCAP file that gets its name when the block ends; after an error there it is gone.
+
+    path: ends in MCAP_SUFFIX; is replaced; a run without a frame leaves no file
+    overlay: that draws the frames
+    rate_hz: of frames without stamps, the first of which is at 0; None = DEFAULT_RATE_HZ
+    Raises OutputError, also where `rosbags` is not installed.
+    """
+    try:
+        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+    except ImportError as error:
+        raise OutputError(
+            f"an MCAP file needs the package rosbags ({error}): pip install 'ssdnet[bag]'"
+        ) from error
+    with atomic_path(path) as temporary:
+        folder = temporary.with_suffix("")
+        bag = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+        bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        with bag:
+            writer = McapWriter(bag, contract, overlay, rate_hz or DEFAULT_RATE_HZ)
+            yield writer
+        if writer._frames:
+            os.replace(folder / f"{folder.name}{MCAP_SUFFIX}", temporary)

@@ -1,0 +1,193 @@
+"""The answers of a run for the viewer Rerun (rerun.io; extra `rerun`)."""
+
+import contextlib
+import os
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from runtime.contract import Contract
+from runtime.errors import OutputError
+from runtime.io.atomic_write import atomic_path
+from runtime.prediction import Prediction
+from runtime.run.outputs.intrinsics import intrinsics_of
+from runtime.sources.frames import Frame
+
+RERUN_SUFFIX = ".rrd"
+LIVE = "live"
+#: Entities, and the timelines they are logged on.
+IMAGE, CLASSES, DEPTH = "camera/image", "camera/classes", "camera/depth"
+CLOUD, LATENCY, HEALTH = "cloud", "latency", "health"
+FRAME_TIME, SENSOR_TIME = "frame", "sensor"
+_STAGES = ("preprocess_ms", "inference_ms", "postprocess_ms", "total_ms")
+_JPEG = (cv2.IMWRITE_JPEG_QUALITY, 85)
+_PATIENCE_S = 20.0  # for a disk or a viewer to take what is logged
+_FOOTER = b"RRF2FOOT"
+_REMEDY = "make room, choose another place, or see that the viewer is open"
+
+
+class RerunLogger:
+    """Log each frame; see `open_rerun`."""
+
+    def __init__(
+        self, log: Any, contract: Contract, focal_length_px: float | None, target: str
+    ) -> None:
+        import rerun
+
+        self._rerun, self._log, self._contract = rerun, log, contract
+        self._focal_length_px, self._target = focal_length_px, target
+        self._frames = 0
+        classes = [(index, info.name, info.color) for index, info in enumerate(contract.classes)]
+        log.log("/", rerun.AnnotationContext(classes), static=True)
+        log.log(CLOUD, rerun.ViewCoordinates.RDF, static=True)  # x right, y down, z forward
+        for stage in _STAGES:
+            name = stage.removesuffix("_ms")
+            log.log(f"{LATENCY}/{name}", rerun.SeriesLines(names=f"{name}, ms"), static=True)
+
+    def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
+        """Log a frame and its answers; the cloud only where the camera is known.
+
+        Raises OutputError.
+        """
+        rerun, log, contract = self._rerun, self._log, self._contract
+        log.set_time(FRAME_TIME, sequence=self._frames)
+        self._frames += 1
+        if frame.image_stamp_ns is None:
+            log.disable_timeline(SENSOR_TIME)
+        else:  # of a clock that nobody knows the start of
+            log.set_time(SENSOR_TIME, duration=np.timedelta64(frame.image_stamp_ns, "ns"))
+        picture = cv2.imencode(".jpg", cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR), _JPEG)[1]
+        log.log(IMAGE, rerun.EncodedImage(contents=picture.tobytes(), media_type="image/jpeg"))
+        if prediction.semantic is not None:
+            log.log(CLASSES, rerun.SegmentationImage(prediction.semantic))
+        if (depth := prediction.depth) is not None:
+            if prediction.semantic is not None and contract.sky is not None:
+                depth = np.where(prediction.semantic == contract.sky, np.float32(0), depth)
+            reach = (0.0, contract.max_depth_m)
+            log.log(DEPTH, rerun.DepthImage(depth, meter=1.0, depth_range=reach))
+            if frame.calibration is not None or self._focal_length_px is not None:
+                intrinsics = intrinsics_of(frame, self._focal_length_px)
+                cloud = prediction.points(intrinsics, frame.rgb)
+                points = rerun.Points3D(
+                    cloud.points, colors=cloud.rgb, class_ids=cloud.semantic, radii=-1.5
+                )
+                log.log(CLOUD, points)
+        for stage in _STAGES:
+            time_ms = getattr(prediction.latency, stage)
+            log.log(f"{LATENCY}/{stage.removesuffix('_ms')}", rerun.Scalars(time_ms))
+        if prediction.degraded:
+            text = f"{name}: {', '.join(prediction.degraded)}"
+            log.log(HEALTH, rerun.TextLog(text, level=rerun.TextLogLevel.WARN))
+        try:
+            log.flush(timeout_sec=_PATIENCE_S)  # what waits would take memory
+        except RuntimeError as error:
+            raise OutputError(
+                f"{self._target} does not take {name} ({error}): {_REMEDY}"
+            ) from error
+
+
+@contextlib.contextmanager
+def open_rerun(
+    target: str, contract: Contract, *, focal_length_px: float | None = None
+) -> Iterator[RerunLogger]:
+    """Log a run to a file, which gets its name when the block ends and after an error there is
+    gone, or to a viewer.
+
+    target: a path that ends in RERUN_SUFFIX, which is replaced; LIVE, the viewer on this machine,
+        which is started unless one is open; or a viewer's address, rerun+http://HOST:PORT/proxy
+    focal_length_px: for the clouds of frames without a calibration, see `intrinsics_of`
+    Raises OutputError, also where `rerun-sdk` is not installed and where there is no viewer.
+    """
+    try:
+        import rerun
+    except ImportError as error:
+        raise OutputError(
+            f"Rerun needs the package rerun-sdk ({error}): pip install 'ssdnet[rerun]'"
+        ) from error
+    log = rerun.RecordingStream("ssdnet")
+    with contextlib.ExitStack() as made:
+        temporary = None
+        try:
+            if is_file(target):
+                temporary = made.enter_context(atomic_path(Path(target)))
+                log.save(temporary, default_blueprint=_blueprint())
+            elif target == LIVE:
+                with _scripts_on_path():
+                    log.spawn(default_blueprint=_blueprint())
+            else:
+                log.connect_grpc(target, default_blueprint=_blueprint())
+        except (RuntimeError, ValueError) as error:
+            raise OutputError(f"cannot log to {target}: {error}") from error
+        try:
+            yield RerunLogger(log, contract, focal_length_px, target)
+        finally:
+            closed = _close(log)
+        if not closed or (temporary is not None and not _is_whole(temporary)):
+            raise OutputError(f"{target} did not take all frames: {_REMEDY}")
+
+
+@contextlib.contextmanager
+def _scripts_on_path() -> Iterator[None]:
+    """Let the viewer of this environment be found, also where it was not activated."""
+    before = os.environ.get("PATH", os.defpath)
+    os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), before])
+    try:
+        yield
+    finally:
+        os.environ["PATH"] = before
+
+
+def _close(log: Any) -> bool:
+    """Disconnect; returns whether all that was logged has left.
+
+    Where its file has no room or its viewer is gone, the SDK would wait for ever, also when the
+    interpreter ends.
+    """
+    import rerun
+
+    closing = threading.Thread(target=log.disconnect, daemon=True)
+    closing.start()
+    closing.join(_PATIENCE_S)
+    if closing.is_alive():
+        rerun.unregister_shutdown()
+    return not closing.is_alive()
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a file has its footer: where there is no room, the SDK only prints so."""
+    with path.open("rb") as file:
+        file.seek(0, os.SEEK_END)
+        file.seek(max(file.tell() - len(_FOOTER) - 8, 0))
+        return _FOOTER in file.read()
+
+
+def _blueprint() -> Any:
+    """What the viewer shows at first: pictures on the left, cloud and times on the right."""
+    import rerun.blueprint as views
+
+    pictures = (
+        views.Spatial2DView(origin="camera", contents=["/" + IMAGE], name="image"),
+        views.Spatial2DView(origin="camera", contents=["/" + IMAGE, "/" + CLASSES], name="classes"),
+        views.Spatial2DView(origin="camera", contents=["/" + DEPTH], name="depth"),
+    )
+    figures = (
+        views.Spatial3DView(origin=CLOUD, name="cloud"),
+        views.TimeSeriesView(origin=LATENCY, name="latency, ms"),
+    )
+    columns = (views.Vertical(*pictures), views.Vertical(*figures))
+    return views.Blueprint(views.Horizontal(*columns), collapse_panels=True)
+
+
+def is_file(target: str) -> bool:
+    """Whether a run is logged to a file, not to a viewer."""
+    return target.lower().endswith(RERUN_SUFFIX)
+
+
+def is_viewer(target: str) -> bool:
+    """Whether a run is logged to a viewer."""
+    return target == LIVE or target.startswith(("rerun://", "rerun+http://", "rerun+https://"))

@@ -1,0 +1,108 @@
+"""The overlays of a run as a video."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.drawing.overlay import Overlay
+from runtime.errors import OutputError
+from runtime.io.atomic_write import atomic_path
+from runtime.prediction import Prediction
+from runtime.run.outputs.output import DEFAULT_RATE_HZ
+from runtime.sources.frames import Frame
+
+VIDEO_SUFFIX = ".mp4"
+_CODEC = "mp4v"  # MPEG-4 part 2: what OpenCV's wheels encode on every system, without licences
+_LARGEST_SIDE = 4096  # pixels: what players decode
+
+
+class VideoWriter:
+    """Append the overlay of each frame to a video; see `open_video`."""
+
+    def __init__(self, path: Path, overlay: Overlay, rate_hz: float) -> None:
+        self._path, self._overlay, self._rate_hz = path, overlay, rate_hz
+        self._file: cv2.VideoWriter | None = None
+        self._size = (0, 0)
+        self._frames = 0
+
+    def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
+        """Draw a frame and append it. The first one gives the size: others are fitted into it.
+
+        Raises OutputError.
+        """
+        picture = self._overlay.draw(frame.rgb, prediction)
+        if self._file is None:
+            self._size = _video_size(*picture.shape[:2])
+            self._file = self._open()
+        self._file.write(_fit(picture, self._size))
+        self._frames += 1
+
+    def finish(self) -> None:
+        """Write the index. Raises OutputError if the file does not hold all frames then."""
+        if self._file is None:
+            return
+        self._file.release()
+        self._file = None
+        written = cv2.VideoCapture(str(self._path))  # the encoder tells nobody that a disk is full
+        frames = int(written.get(cv2.CAP_PROP_FRAME_COUNT))
+        written.release()
+        if frames != self._frames:
+            raise OutputError(
+                f"{self._path.name} holds {frames} of {self._frames} frames: make room or choose "
+                "another place"
+            )
+
+    def _open(self) -> cv2.VideoWriter:
+        height, width = self._size
+        codec = cv2.VideoWriter.fourcc(*_CODEC)
+        file = cv2.VideoWriter(
+            str(self._path), cv2.CAP_FFMPEG, codec, self._rate_hz, (width, height)
+        )
+        if not file.isOpened():
+            raise OutputError(
+                f"cannot encode {self._path.name} of {height} x {width} at {self._rate_hz:g} Hz: "
+                "this OpenCV has no such encoder, or there is no room"
+            )
+        return file
+
+
+@contextlib.contextmanager
+def open_video(
+    path: Path, overlay: Overlay, *, rate_hz: float | None = None
+) -> Iterator[VideoWriter]:
+    """Make a video that gets its name when the block ends; after an error there it is gone.
+
+    path: ends in VIDEO_SUFFIX; is replaced; a run without a frame leaves no file
+    overlay: that draws the frames
+    rate_hz: frames a second; None = DEFAULT_RATE_HZ
+    Raises OutputError.
+    """
+    with atomic_path(path) as temporary:
+        writer = VideoWriter(temporary, overlay, rate_hz or DEFAULT_RATE_HZ)
+        yield writer
+        writer.finish()
+
+
+def _video_size(height: int, width: int) -> tuple[int, int]:
+    """The size for a picture: at most _LARGEST_SIDE, and even, as the colours are halved."""
+    shrunk = min(1.0, _LARGEST_SIDE / max(height, width))
+    return max(round(height * shrunk / 2) * 2, 2), max(round(width * shrunk / 2) * 2, 2)
+
+
+def _fit(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+    """A picture in the middle of a black one of `size`, shrunk where it is larger."""
+    height, width = picture.shape[:2]
+    if (height, width) == size:
+        return picture
+    scale = min(size[0] / height, size[1] / width, 1.0)
+    if scale < 1:
+        height, width = max(round(height * scale), 1), max(round(width * scale), 1)
+        shrunk = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+        picture = shrunk  # type: ignore[assignment]
+    top, left = (size[0] - height) // 2, (size[1] - width) // 2
+    bottom, right = size[0] - height - top, size[1] - width - left
+    return cv2.copyMakeBorder(picture, top, bottom, left, right, cv2.BORDER_CONSTANT)  # type: ignore[return-value]

@@ -1,0 +1,160 @@
+"""Answer a log on a cluster: `Predictor` as a stateful actor of Ray Data (extra `ray`).
+
+    from runtime.run.ray_data import predict_source
+    from runtime.sources.registry import choose_source
+
+    log = choose_source("kitti-raw:/logs/2011_09_26_drive_0001_sync")  # any source
+    answers = predict_source(log, actors=8)  # nothing runs yet
+    answers.write_parquet("answers")  # or iter_rows(), map(), ...
+
+Only the numbers of the frames travel to the actors, which open the log and the model themselves:
+both must lie at the same absolute paths on every node. Ray starts an actor that died anew and
+repeats what it had not handed over, so each frame is answered once, whatever is killed.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.bundled_models import find_model
+from runtime.errors import InputError, SSDNetError
+from runtime.model_file import load_model_file
+from runtime.predictor import Predictor
+from runtime.run.pipeline import INVALID, OK, SKIPPED
+from runtime.run.process import dedicate_process
+from runtime.sources.source import Source
+
+#: What a row holds besides an array a head.
+COLUMNS = (
+    "index",
+    "name",
+    "status",
+    "reason",
+    "degraded",
+    "latency_ms",
+    "image_stamp_ns",
+    "depth_stamp_ns",
+)
+_TASK_FRAMES = 8  # that an actor takes at a time: what is repeated when it dies
+_DTYPES = {"semantic": np.uint8}  # of a head; all others are float32
+_RANKS = {"semantic_logits": 3}  # all others are pictures
+
+
+def predict_source(
+    open_source: Callable[[], Source],
+    *,
+    model: str | PathLike[str] | None = None,
+    heads: Sequence[str] | None = None,
+    limit: int | None = None,
+    actors: int = 1,
+    threads: int = 1,
+    gpus: float = 0,
+    **options: Any,
+) -> Any:
+    """Return a `ray.data.Dataset` of the answers to every frame of a source, a row a frame.
+
+    open_source: what `choose_source` gives, or anything that can be pickled and opens a `Source`
+    heads: of the model, which of them the rows hold; None = all
+    limit: as of `Source.list_frames`
+    actors: how many predict at a time, each in a process of its own; give as many as the cluster
+        has `threads` processors for
+    threads: of an actor, which Ray counts as its processors
+    gpus: of an actor, with provider="cuda": 1, or 0.5 if two share one
+    options: further ones of `Predictor`; the focal length is that of the source's calibration,
+        where there is one and no other is given
+
+    A row: index (in the list of frames), name, status ("ok"; "skipped": could not be read or
+    predicted; "invalid": the answer cannot be used), reason (of the other two), degraded (as
+    `Prediction.degraded`, joined with commas), latency_ms (NaN where skipped), the stamps of both
+    sensors (None where not known), and an array a head as `Prediction` has it, without an element
+    unless the status is "ok". Rows come in any order.
+
+    Raises InputError for a source without frames and for what Ray cannot take, ContractError for a
+    model that cannot be read. That the answers come from the same model file everywhere is checked
+    by its digest; what an actor raises when it starts comes out of Ray as its own error.
+    """
+    import ray.data
+
+    for name, count in (("actors", actors), ("threads", threads)):
+        if not isinstance(count, int) or isinstance(count, bool) or count < 1:
+            raise InputError(f"{name} must be a whole number of at least 1, got {count!r:.40}")
+    if options.get("provider") == "cuda" and not gpus > 0:
+        raise InputError("provider cuda needs gpus=, of each actor: Ray hides them from others")
+    path = find_model(model)
+    options = {
+        **options,
+        "model": model if model is None else str(path.resolve()),
+        "sha256": load_model_file(path, sha256=options.get("sha256")).sha256,
+        "threads": threads,
+    }
+    with open_source() as source:
+        frames = source.list_frames(limit=limit)
+    if not frames:
+        raise InputError("the source has no frames")
+    rows = [{"index": index, "name": listed.name} for index, listed in enumerate(frames)]
+    dataset = ray.data.from_items(rows, override_num_blocks=math.ceil(len(rows) / _TASK_FRAMES))
+    return dataset.map(
+        FramePredictor,
+        fn_constructor_args=(open_source, limit, None if heads is None else tuple(heads), options),
+        compute=ray.data.ActorPoolStrategy(size=actors),
+        num_cpus=threads,
+        num_gpus=gpus,
+    )
+
+
+class FramePredictor:
+    """The actor: a `Predictor` that reads and answers the frames it is given the numbers of."""
+
+    def __init__(
+        self,
+        open_source: Callable[[], Source],
+        limit: int | None,
+        heads: tuple[str, ...] | None,
+        options: dict[str, Any],
+    ) -> None:
+        """Open source and model. Raises InputError for a head that the model lacks."""
+        dedicate_process()
+        self._source = open_source()
+        self._frames = self._source.list_frames(limit=limit)
+        if options.get("focal_length_px") is None and self._source.calibration is not None:
+            options = {**options, "focal_length_px": self._source.calibration.focal_length_px}
+        self._predictor = Predictor(**options)
+        self._heads = self._predictor.heads if heads is None else heads
+        if missing := set(self._heads) - set(self._predictor.heads):
+            raise InputError(
+                f"heads asks for {', '.join(sorted(missing))}, the model "
+                f"{self._predictor.contract.model_name} answers {', '.join(self._predictor.heads)}"
+            )
+
+    def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
+        """Answer the frame of a row; see `predict_source`."""
+        index, name = int(row["index"]), str(row["name"])
+        answer: dict[str, Any] = dict.fromkeys(COLUMNS, "")
+        answer |= {"index": index, "name": name, "latency_ms": math.nan}
+        answer |= {"image_stamp_ns": None, "depth_stamp_ns": None}
+        answer |= {head: _nothing(head) for head in self._heads}
+        try:
+            if index >= len(self._frames) or self._frames[index].name != name:
+                raise InputError(f"{name} is not frame {index} here: another log than at first?")
+            frame = self._source.read(self._frames[index])
+            prediction = self._predictor.predict(frame.rgb, frame.sparse_depth)
+        except SSDNetError as error:
+            return answer | {"status": SKIPPED, "reason": str(error)}
+        answer |= {
+            "degraded": ",".join(prediction.degraded),
+            "latency_ms": prediction.latency.total_ms,
+            "image_stamp_ns": frame.image_stamp_ns,
+            "depth_stamp_ns": frame.depth_stamp_ns,
+        }
+        if not prediction.valid:
+            return answer | {"status": INVALID, "reason": ", ".join(prediction.degraded)}
+        return answer | {"status": OK} | {head: getattr(prediction, head) for head in self._heads}
+
+
+def _nothing(head: str) -> NDArray[Any]:
+    """An array without an element, of the type of a head: a column holds one rank and type."""
+    return np.zeros((0,) * _RANKS.get(head, 2), _DTYPES.get(head, np.float32))

@@ -1,0 +1,166 @@
+"""The folder of a run: known to be ours, and replaced without touching what others put there."""
+
+import json
+import os
+import weakref
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from runtime.errors import OutputError
+from runtime.io.atomic_write import atomic_write, remove_leftover
+
+#: Kind of answer -> ending of its files, one subfolder a kind.
+SUFFIXES = {
+    "semantic": ".png",
+    "depth": ".png",
+    "uncertainty": ".png",
+    "boundary": ".png",
+    "overlay": ".jpg",
+    "cloud": ".ply",
+}
+CLOUD = "cloud"
+#: What is written unless something else is asked for; the others are large.
+KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
+FRAMES_FILE, REPORT_FILE, LATENCY_FILE = "frames.csv", "report.json", "latency.png"
+_MARKER = ".ssdnet-run"
+_MARKER_TEXT = (
+    "Made by ssdnet-run, which may replace its own files here when told --overwrite: "
+    "those of the frames below.\n"
+)
+
+
+class RunFolder:
+    """A folder that is empty, or whose earlier run may be replaced.
+
+    path: is made, with a subfolder for each kind. One that exists must be empty, or, with
+        `overwrite`, made by an earlier run, whose own files are then removed and nothing else: a
+        hidden file says which they are.
+    kinds: the kinds of answers, of SUFFIXES, that will be written
+    names: the frames they will be written of
+
+    Raises OutputError if the folder cannot be used, or if writing there would replace somebody
+    else's file or follow a link out of the folder; the earlier run is then untouched.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        kinds: Sequence[str] = KINDS,
+        names: Collection[str] = (),
+        overwrite: bool = False,
+    ) -> None:
+        self.path = path
+        self._marker = path / _MARKER
+        _make(path)
+        used = any(path.iterdir())
+        if used and not overwrite:
+            raise OutputError(
+                f"the output folder {path} is not empty: choose another --out, or replace an "
+                "earlier run with --overwrite"
+            )
+        if used and not self._marker.is_file():
+            raise OutputError(
+                f"the output folder {path} holds files that ssdnet-run did not make: it "
+                "replaces nothing but its own runs, choose another --out"
+            )
+        if used:
+            earlier = _read_names(self._marker)
+            for kind in kinds:
+                _require_free(path / kind, SUFFIXES[kind], names, earlier)
+            self._remove_run(earlier)
+        self.subfolders = {kind: path / kind for kind in kinds}
+        for folder in self.subfolders.values():
+            _make(folder)
+        atomic_write(self._marker, _MARKER_TEXT.encode())
+        try:
+            # Kept open: writing competes with inference for the processor.
+            self._names = os.open(self._marker, os.O_WRONLY | os.O_APPEND)
+        except OSError as error:
+            raise OutputError(
+                f"cannot write {self._marker} ({error.strerror}): choose another --out"
+            ) from error
+        weakref.finalize(self, os.close, self._names)
+
+    def note(self, name: str) -> None:
+        """Remember, on disk, that files of the frame `name` are ours. Raises OutputError."""
+        try:
+            os.write(self._names, (json.dumps(name) + "\n").encode())  # names may hold a line's end
+        except OSError as error:
+            raise OutputError(
+                f"cannot write {self._marker} ({error.strerror}): make room or choose another "
+                "--out; what was finished before is kept"
+            ) from error
+
+    def _remove_run(self, names: Collection[str]) -> None:
+        """Remove what an earlier run wrote; the report first, since it says that a run is whole."""
+        try:
+            for file in (REPORT_FILE, FRAMES_FILE, LATENCY_FILE):
+                _remove(self.path / file)
+            for kind, suffix in SUFFIXES.items():
+                folder = self.path / kind
+                if folder.is_symlink():  # its files lie elsewhere
+                    continue
+                for name in names:
+                    _remove(folder / (name + suffix))
+        except OSError as error:
+            raise OutputError(
+                f"cannot remove the earlier run in {self.path} ({error}): choose another --out"
+            ) from error
+
+
+def _make(folder: Path) -> None:
+    """Make a folder that can be listed. Raises OutputError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        next(folder.iterdir(), None)
+    except OSError as error:
+        raise OutputError(
+            f"cannot make the output folder {folder} ({error.strerror}): choose another --out"
+        ) from error
+
+
+def _require_free(folder: Path, suffix: str, names: Collection[str], ours: Collection[str]) -> None:
+    """Raise OutputError if files of `names` in `folder` would not be ours alone."""
+    if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        raise OutputError(
+            f"{folder} is a link or a file in the place of the run's own folder: remove it, or "
+            "choose another --out"
+        )
+    for name in names:
+        file = folder / (name + suffix)
+        if os.path.lexists(file) and (name not in ours or not _removable(file)):
+            raise OutputError(
+                f"{file} is not of the earlier run, and would be replaced: move it away, or choose "
+                "another --out"
+            )
+
+
+def _read_names(marker: Path) -> set[str]:
+    """The frames whose files are ours. Raises OutputError."""
+    names = set()
+    try:
+        lines = marker.read_text(encoding="ascii", errors="replace").splitlines()[1:]
+    except OSError as error:
+        raise OutputError(
+            f"cannot read {marker} ({error.strerror}): choose another --out"
+        ) from error
+    for line in lines:
+        try:
+            name = json.loads(line)
+        except ValueError:  # the line was cut off
+            continue
+        if isinstance(name, str) and Path(name).name == name:
+            names.add(name)
+    return names
+
+
+def _remove(path: Path) -> None:
+    """Remove a file and what a killed run left of it; a folder of that name is not ours."""
+    if _removable(path):
+        path.unlink()
+    remove_leftover(path)
+
+
+def _removable(path: Path) -> bool:
+    return path.is_file() or path.is_symlink()

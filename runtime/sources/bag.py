@@ -1,0 +1,307 @@
+"""A camera and a LiDAR or depth camera in a bag of ROS 1 or ROS 2 or an MCAP file."""
+
+import contextlib
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from runtime.errors import InputError
+from runtime.io.calibration import Calibration
+from runtime.sources.frames import Frame
+from runtime.sources.ros_bag import RecordedMessage, RosBag
+from runtime.sources.ros_messages import (
+    decode_compressed_image,
+    decode_depth_image,
+    decode_image,
+    decode_points,
+    is_depth_encoding,
+)
+from runtime.sources.ros_transforms import TransformTree
+from runtime.sources.source import MAX_SKEW_MS, ListedFrame, Source, no_depth, up_to
+from runtime.sync.message_counts import BAD_STAMP, Sensor
+from runtime.sync.stamp_matching import left_out_note, match_by_stamp
+
+IMAGE = "sensor_msgs/msg/Image"
+COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+#: As depth_topic: the camera alone, on purpose.
+NO_TOPIC = "none"
+
+
+class BagSource(Source):
+    """Images and, matched with them by the stamps in their headers, point clouds or depth images.
+
+    path: as `RosBag` takes it
+    image_topic: of Image or CompressedImage; None = the only one there is
+    depth_topic: of PointCloud2, or of Image in 16UC1 [mm] or 32FC1 [m], which must be of the
+        picture's size; "none" = the camera alone; None = the only one there is
+    info_topic: of CameraInfo; None = the one beside the images
+    calibration: as `Calibration.from_file`, in place of CameraInfo and /tf_static
+    max_skew_ms: an image and a depth message whose stamps lie further apart do not belong together
+
+    A header without a stamp has the time at which it was recorded. An image without depth is a
+    frame of the camera alone; depth without an image is left out. Listing reads the bag once.
+    Raises InputError where `rosbags` is not installed, for what is no bag or is damaged, for topics
+    that are not there or not told apart, and for clouds without a calibration.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        image_topic: str | None = None,
+        depth_topic: str | None = None,
+        info_topic: str | None = None,
+        calibration: Path | None = None,
+        max_skew_ms: float = MAX_SKEW_MS,
+    ) -> None:
+        self._max_skew_ms, self._calibration_path = max_skew_ms, calibration
+        self.folders = (path if path.is_dir() else path.resolve().parent,)
+        self.recordings = (path,)
+        self._left_out: Counter[str] = Counter()
+        self._guessed: list[str] = []
+        self._bag = RosBag(path)
+        try:
+            self._image_topic, self._depth_topic = self._find_topics(image_topic, depth_topic)
+            self._info_topic = self._find_info(info_topic)
+            self.calibration = self._calibrate()
+        except BaseException:
+            self.close()
+            raise
+        # The frames that messages belong to by their place in the bag; what was read for later.
+        self._owners: dict[int, int] = {}
+        self._kept: dict[int, RecordedMessage] = {}
+        self._messages: Iterator[RecordedMessage] = iter(())
+        self._next_place = 0
+
+    # --- what is in the bag ----------------------------------------------------------------------
+
+    def _find_topics(
+        self, image_topic: str | None, depth_topic: str | None
+    ) -> tuple[str, str | None]:
+        """The topics of pictures and of depth, as asked for or guessed."""
+        pictures, depths = [], []
+        for topic, kind in self._bag.types.items():
+            if kind == POINT_CLOUD:
+                depths.append(topic)
+            elif kind == COMPRESSED_IMAGE and not topic.endswith("/compressedDepth"):
+                pictures.append(topic)
+            elif kind == IMAGE:
+                for message in self._bag.decoded(topic):
+                    (depths if is_depth_encoding(message.encoding) else pictures).append(topic)
+                    break
+        twice = {f"{topic}/compressed" for topic in pictures}  # the same camera's
+        image = self._choose(
+            "image_topic", image_topic, pictures, [t for t in pictures if t not in twice]
+        )
+        if depth_topic == NO_TOPIC:
+            return image, None
+        return image, self._choose("depth_topic", depth_topic, depths, depths)
+
+    def _choose(
+        self, name: str, asked: str | None, fitting: list[str], candidates: list[str]
+    ) -> str:
+        """The topic asked for, or the only candidate. Raises InputError."""
+        if asked is not None and asked in fitting:
+            return asked
+        if asked is None and len(candidates) == 1:
+            self._guessed.append(f"{name.replace('_', ' ')} {candidates[0]}")
+            return candidates[0]
+        what = "pictures" if name == "image_topic" else "point clouds or depth images"
+        option, path = f"--{name.replace('_', '-')}", self._bag.path
+        if asked is not None:
+            problem = f"{option} {asked} is no topic of {what} in {path}"
+        elif candidates:
+            problem = f"{path} has {len(candidates)} topics of {what}, choose one by {option}"
+        else:
+            problem = f"{path} has no topic of {what}"
+            if name == "depth_topic":
+                problem += f"; for the camera alone give {option} {NO_TOPIC}"
+        topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(self._bag.types.items()))
+        raise InputError(f"{problem}. It has the topics {topics or '(none)'}")
+
+    def _find_info(self, asked: str | None) -> str | None:
+        """The topic of the camera's CameraInfo; None if there is none beside the images."""
+        infos = [topic for topic, kind in self._bag.types.items() if kind == CAMERA_INFO]
+        if asked is not None:
+            if asked not in infos:
+                raise InputError(
+                    f"--info-topic {asked} is no topic of CameraInfo in {self._bag.path}, it has "
+                    f"{', '.join(infos) or 'none'}"
+                )
+            return asked
+        namespace = self._image_topic
+        while namespace:
+            namespace = namespace.rpartition("/")[0]
+            if f"{namespace}/camera_info" in infos:
+                return f"{namespace}/camera_info"
+        return None
+
+    def _calibrate(self) -> Calibration | None:
+        """The calibration that was given, or that of CameraInfo and /tf_static."""
+        if self._calibration_path is not None:
+            return Calibration.from_file(self._calibration_path)
+        info = None if self._info_topic is None else self._first(self._info_topic)
+        if self._depth_topic is None or self._bag.types[self._depth_topic] != POINT_CLOUD:
+            # Nothing is projected: it only tells the focal length, if it can.
+            with contextlib.suppress(InputError):
+                return None if info is None else Calibration.from_camera_info(_fields(info), _EYE)
+            return None
+        if info is None:
+            raise InputError(
+                f"{self._bag.path} has no CameraInfo beside {self._image_topic}, by which to "
+                f"project {self._depth_topic}: give --info-topic or --calibration"
+            )
+        fields = _fields(info)
+        if np.any(fields.get("d", ())) and "rect" not in self._image_topic:
+            raise InputError(
+                f"{self._info_topic} tells of distortion, and the name {self._image_topic} not "
+                "that its images are rectified: rectify them (image_proc), or, if they are, give "
+                "their --calibration"
+            )
+        camera = self._first(self._image_topic).header.frame_id or info.header.frame_id
+        lidar = self._first(self._depth_topic).header.frame_id
+        tree = TransformTree(
+            message
+            for topic, kind in self._bag.types.items()
+            if kind in TRANSFORMS and topic.endswith("tf_static")
+            for message in self._bag.decoded(topic)
+        )
+        return Calibration.from_camera_info(fields, tree.between(lidar, camera))
+
+    def _first(self, topic: str) -> Any:
+        """The first message of a topic. Raises InputError if there is none."""
+        for message in self._bag.decoded(topic):
+            return message
+        raise InputError(f"the topic {topic} of {self._bag.path} has no messages")
+
+    # --- its frames ------------------------------------------------------------------------------
+
+    def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
+        """See `Source.list_frames`."""
+        self._left_out.clear()
+        frames = up_to(self._match(), limit)
+        if not frames:
+            raise InputError(
+                f"the topic {self._image_topic} of {self._bag.path} has no messages with a stamp"
+            )
+        self._owners = {
+            place: frame.sequence
+            for frame in frames
+            for place in (frame.image, frame.depth)
+            if place is not None
+        }
+        return frames
+
+    def _match(self) -> Iterator[ListedFrame]:
+        """The frames; the places of their two messages among those of both topics."""
+
+        def stamped() -> Iterator[tuple[Sensor, int, int]]:
+            for place, message in enumerate(self._recorded()):
+                sensor = Sensor.IMAGE if message.topic == self._image_topic else Sensor.DEPTH
+                stamp_ns = self._bag.stamp_ns(message)
+                if stamp_ns is None:
+                    self._left_out[f"{sensor}: {BAD_STAMP}"] += 1
+                else:
+                    yield sensor, stamp_ns or message.recorded_ns, place
+
+        names: Counter[str] = Counter()
+        pairs = match_by_stamp(stamped(), max_skew_ms=self._max_skew_ms, left_out=self._left_out)
+        for sequence, (image, depth) in enumerate(pairs):
+            name = str(image.stamp_ns)
+            names[name] += 1
+            yield ListedFrame(
+                sequence,
+                name if names[name] == 1 else f"{name}-{names[name]}",  # it was played in a loop
+                image.data,
+                None if depth is None else depth.data,
+                image.stamp_ns,
+                None if depth is None else depth.stamp_ns,
+                complete=depth is not None or self._depth_topic is None,
+            )
+
+    def _recorded(self) -> Iterator[RecordedMessage]:
+        """The messages of both topics, the same in each turn."""
+        topics = (self._image_topic, self._depth_topic)
+        return self._bag.messages([topic for topic in topics if topic is not None])
+
+    def read(self, frame: ListedFrame) -> Frame:
+        """See `Source.read`."""
+        messages = self._take(frame)
+        image = self._bag.decode(messages[frame.image])
+        is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE
+        rgb = decode_compressed_image(image) if is_compressed else decode_image(image)
+        if frame.depth is None:
+            sparse_depth = no_depth(rgb)
+        else:
+            depth = self._bag.decode(messages[frame.depth])
+            if self._bag.types[messages[frame.depth].topic] != POINT_CLOUD:
+                sparse_depth = decode_depth_image(depth)
+            else:
+                assert self.calibration is not None  # `_calibrate` saw to it
+                height, width = rgb.shape[:2]
+                sparse_depth = self.calibration.project(decode_points(depth), (height, width))
+        return Frame(
+            rgb, sparse_depth, frame.image_stamp_ns, frame.depth_stamp_ns, self.calibration
+        )
+
+    def _take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
+        """The messages of a frame, by place. On the way to them those of later frames are kept."""
+
+        def is_wanted(place: int) -> bool:
+            return self._owners.get(place, -1) >= frame.sequence
+
+        places = {place for place in (frame.image, frame.depth) if place is not None}
+        self._kept = {place: kept for place, kept in self._kept.items() if is_wanted(place)}
+        missing = places - self._kept.keys()
+        if missing and min(missing) < self._next_place:
+            self._next_place = 0
+        if self._next_place == 0:
+            self._messages = self._recorded()
+        while missing:
+            message = next(self._messages, None)
+            if message is None:
+                raise InputError(f"{self._bag.path} ends before {frame.name}: was it replaced?")
+            if is_wanted(self._next_place):
+                self._kept[self._next_place] = message
+            missing.discard(self._next_place)
+            self._next_place += 1
+        return {place: self._kept.pop(place) for place in places}
+
+    @property
+    def inputs(self) -> dict[str, Any]:
+        """See `Source.inputs`."""
+        calibration = self._calibration_path
+        return {
+            "bag": str(self._bag.path),
+            "image_topic": self._image_topic,
+            "depth_topic": self._depth_topic,
+            "info_topic": self._info_topic,
+            "calibration": None if calibration is None else str(calibration),
+            "max_skew_ms": self._max_skew_ms,
+            "left_out": dict(self._left_out),
+        }
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """See `Source.notes`."""
+        guessed = (f"guessed: {', '.join(self._guessed)}",) if self._guessed else ()
+        return guessed + left_out_note(self._left_out)
+
+    def close(self) -> None:
+        """See `Source.close`."""
+        self._bag.close()
+
+
+_EYE = np.eye(4)
+
+
+def _fields(info: Any) -> Mapping[str, Any]:
+    """The fields of a CameraInfo, whose names ROS 1 wrote in capitals."""
+    names = ("height", "width", "D", "K", "P", "d", "k", "p")
+    return {name.lower(): getattr(info, name) for name in names if hasattr(info, name)}

@@ -1,0 +1,191 @@
+"""Arrays of ROS sensor messages, whoever deserialised them; layouts are those of sensor_msgs.
+
+Every function takes a message with the fields of its type and raises InputError where it says
+something that cannot be, before memory is taken for it.
+"""
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import InputError
+from runtime.sources.frames import decode_content, require_pixels
+
+#: Encoding of a picture -> channels and the conversion to RGB.
+_PICTURES: dict[str, tuple[int, int | None]] = {
+    "rgb8": (3, None),
+    "bgr8": (3, cv2.COLOR_BGR2RGB),
+    "rgba8": (4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "mono8": (1, cv2.COLOR_GRAY2RGB),
+}
+#: Encoding of a depth map -> type and units a metre (REP 118).
+_DEPTHS: dict[str, tuple[str, float]] = {"16UC1": ("u2", 1000.0), "32FC1": ("f4", 1.0)}
+#: Datatypes of a PointField that a coordinate may have.
+_FLOATS = {7: "f4", 8: "f8"}
+_DATATYPE_NAMES = {1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6: "uint32"}
+
+
+def is_depth_encoding(encoding: str) -> bool:
+    """Whether an Image of this encoding is a depth map rather than a picture."""
+    return encoding in _DEPTHS
+
+
+def decode_image(message: Any) -> NDArray[np.uint8]:
+    """Return the picture of an Image: uint8 (H, W, 3), red first.
+
+    Raises InputError for encodings other than rgb8, bgr8, rgba8, bgra8 and mono8, and for fields
+    that contradict each other.
+    """
+    encoding = message.encoding
+    if encoding not in _PICTURES:
+        hint = "expected one of " + ", ".join(_PICTURES)
+        if str(encoding).startswith("bayer_"):
+            hint = "debayer it first (image_proc), or choose a topic of its colours"
+        elif encoding in _DEPTHS:
+            hint = "that is a depth map: name it with --depth-topic"
+        raise InputError(f"an Image has the encoding {encoding!r:.40}: {hint}")
+    channels, conversion = _PICTURES[encoding]
+    pixels = _pixels(message, np.dtype("u1"), channels)
+    if conversion is None:
+        return np.ascontiguousarray(pixels)
+    rgb: NDArray[np.uint8] = np.asarray(
+        cv2.cvtColor(np.ascontiguousarray(pixels), conversion), np.uint8
+    )
+    return rgb
+
+
+def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
+    """Return the picture of a CompressedImage, JPEG or PNG of 8 bits: uint8 (H, W, 3), red first.
+
+    Raises InputError for other formats and damaged content.
+    """
+    if "compressedDepth" in str(message.format):
+        raise InputError(
+            f"a CompressedImage has the format {message.format!r:.60}, a depth map as "
+            "compressed_depth_image_transport packs it: republish it as raw"
+        )
+    flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    content = bytes(memoryview(message.data))
+    image = decode_content(content, flags, name=f"a CompressedImage ({message.format!r:.40})")
+    if image.dtype != np.uint8:
+        raise InputError(
+            f"a CompressedImage must hold 8 bits a channel, got {image.dtype.itemsize * 8}"
+        )
+    return image
+
+
+def decode_depth_image(message: Any) -> NDArray[np.float32]:
+    """Return the depth map of an Image: float32 (H, W) [m]; 0 and NaN = no measurement.
+
+    Raises InputError for encodings other than 16UC1 [mm] and 32FC1 [m], and for fields that
+    contradict each other.
+    """
+    encoding = message.encoding
+    if encoding not in _DEPTHS:
+        raise InputError(
+            f"a depth Image has the encoding {encoding!r:.40}: expected 16UC1 (millimetres) or "
+            "32FC1 (metres)"
+        )
+    kind, units_a_metre = _DEPTHS[encoding]
+    order = ">" if message.is_bigendian else "<"
+    pixels = _pixels(message, np.dtype(order + kind), 1)
+    depth: NDArray[np.float32] = np.divide(pixels, np.float32(units_a_metre), dtype=np.float32)
+    return depth
+
+
+def decode_points(message: Any) -> NDArray[np.float32]:
+    """Return the points of a PointCloud2: float32 (N, 3), x, y, z [m]; NaN = no return.
+
+    Raises InputError where x, y or z is missing, twice there or not of float32 or float64, and
+    where offsets, steps and the length of the data contradict each other.
+    """
+    height, width = _count("height", message.height), _count("width", message.width)
+    point_step, row_step = (
+        _count(name, getattr(message, name)) for name in ("point_step", "row_step")
+    )
+    order = ">" if message.is_bigendian else "<"
+    offsets, formats = [], []
+    for axis in "xyz":
+        found = [field for field in message.fields if field.name == axis]
+        if len(found) != 1:
+            names = ", ".join(str(field.name) for field in message.fields)
+            raise InputError(
+                f"a PointCloud2 must have one field {axis}, it has {names or 'none':.200}"
+            )
+        (field,) = found
+        if field.datatype not in _FLOATS or field.count not in (0, 1):  # some drivers say 0
+            name = _DATATYPE_NAMES.get(field.datatype, field.datatype)
+            raise InputError(
+                f"the field {axis} of a PointCloud2 is {field.count} of the datatype {name}, "
+                "expected one float32 or float64"
+            )
+        offset, size = _count("offset", field.offset), int(_FLOATS[field.datatype][1])
+        if offset + size > point_step:
+            raise InputError(
+                f"the field {axis} of a PointCloud2 ends at byte {offset + size} of a point, which "
+                f"has point_step {point_step}"
+            )
+        offsets.append(offset)
+        formats.append(order + _FLOATS[field.datatype])
+    if height == 0 or width == 0:
+        return np.zeros((0, 3), np.float32)
+    if height > 1 and row_step < width * point_step:
+        raise InputError(
+            f"a PointCloud2 of {width} points of {point_step} bytes a row has row_step {row_step}"
+        )
+    data = _bytes(message.data)
+    needed = row_step * (height - 1) + width * point_step
+    if len(data) < needed:
+        raise InputError(
+            f"a PointCloud2 of {height} x {width} points has {len(data)} bytes, expected {needed}: "
+            "it is truncated"
+        )
+    layout = np.dtype(
+        {"names": list("xyz"), "formats": formats, "offsets": offsets, "itemsize": point_step}
+    )
+    cloud: NDArray[Any] = np.ndarray(
+        (height, width), layout, data, strides=(row_step if height > 1 else needed, point_step)
+    )
+    points = np.empty((height, width, 3), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # float64 beyond float32 is no return
+        for column, axis in enumerate("xyz"):
+            points[..., column] = cloud[axis]
+    return points.reshape(-1, 3)
+
+
+def _pixels(message: Any, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
+    """A view of an Image's data, (H, W) or (H, W, channels)."""
+    height, width = _count("height", message.height), _count("width", message.width)
+    step = _count("step", message.step)
+    what = f"an Image of {height} x {width} pixels of {message.encoding}"
+    if height == 0 or width == 0:
+        raise InputError(f"{what} is empty")
+    require_pixels((height, width), name=what)
+    pixel = dtype.itemsize * channels
+    if step < width * pixel:
+        raise InputError(f"{what} has step {step}, expected at least {width * pixel}")
+    data = _bytes(message.data)
+    needed = step * (height - 1) + width * pixel
+    if len(data) < needed:
+        raise InputError(f"{what} has {len(data)} bytes, expected {needed}: it is truncated")
+    if channels == 1:
+        return np.ndarray((height, width), dtype, data, strides=(step, pixel))
+    strides = (step, pixel, dtype.itemsize)
+    return np.ndarray((height, width, channels), dtype, data, strides=strides)
+
+
+def _bytes(data: Any) -> NDArray[np.uint8]:
+    """The data of a message as bytes in a row, not copied."""
+    if isinstance(data, np.ndarray):
+        return np.ascontiguousarray(data).reshape(-1).view(np.uint8)
+    return np.frombuffer(data, np.uint8)
+
+
+def _count(name: str, value: Any) -> int:
+    """A field that counts something. Raises InputError."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+        raise InputError(f"the field {name} of a message must be a count, got {value!r:.40}")
+    return int(value)

@@ -1,0 +1,173 @@
+"""A video file, with depth maps in a folder beside it."""
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import InputError
+from runtime.io.calibration import Calibration
+from runtime.sources.frames import (
+    DEPTH_SUFFIXES,
+    KITTI_DEPTH_SCALE,
+    Frame,
+    list_pictures,
+    read_sparse_depth,
+    require_pixels,
+)
+from runtime.sources.source import ListedFrame, Source, no_depth, up_to
+
+
+class VideoSource(Source):
+    """The frames of a video, numbered from 0, and the depth maps with those numbers.
+
+    path: whatever OpenCV's FFmpeg decodes
+    depth: folder of 16-bit PNGs whose names end in the frame's number (7.png, depth_0007.png);
+        None = the camera alone, on purpose
+    depth_scale: their units a metre
+    calibration: TOML or KITTI file, see `Calibration.from_file`
+
+    A frame's stamp is its presentation time in the video.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        depth: Path | None = None,
+        depth_scale: float = KITTI_DEPTH_SCALE,
+        calibration: Path | None = None,
+    ) -> None:
+        if not path.is_file():
+            raise InputError(f"cannot read the video {path}: there is no such file")
+        self._path, self._depth, self._depth_scale = path, depth, depth_scale
+        self.folders = (path.resolve().parent,) if depth is None else (path.resolve().parent, depth)
+        self.recordings = (path,)
+        if calibration is not None:
+            self.calibration = Calibration.from_file(calibration)
+        self._video = _open(path)
+        self._next = 0  # the frame that the video gives next
+        height, width = (
+            int(self._video.get(side))
+            for side in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
+        )
+        require_pixels((height, width), name=str(path))
+
+    def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
+        """See `Source.list_frames`. A frame without a depth map is listed too, and the reverse."""
+        count = self._count()
+        maps = {} if self._depth is None else _by_number(self._depth)
+        if maps and count in maps and 0 not in maps:
+            raise InputError(
+                f"{maps[count]} has the number {count}, but {self._path} has {count} frames, which "
+                "are numbered from 0: number the depth maps from 0 (ffmpeg -start_number 0)"
+            )
+        numbers = sorted(set(range(count)) | maps.keys())
+        digits = max(6, len(str(numbers[-1])))
+        return up_to(
+            (
+                ListedFrame(
+                    i,
+                    f"{number:0{digits}d}",
+                    number if number < count else None,
+                    maps.get(number),
+                    complete=number < count and (self._depth is None or number in maps),
+                )
+                for i, number in enumerate(numbers)
+            ),
+            limit,
+        )
+
+    def read(self, frame: ListedFrame) -> Frame:
+        """See `Source.read`. Raises InputError also where the picture or depth map is missing."""
+        if frame.image is None:
+            raise InputError(f"{frame.name} has a depth map, but the video no such frame")
+        if frame.depth is None and self._depth is not None:
+            raise InputError(f"{frame.name} is in the video, but has no depth map")
+        rgb, stamp_ns = self._decode(frame.image)
+        if frame.depth is None:
+            sparse_depth = no_depth(rgb)
+        else:
+            sparse_depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
+        return Frame(rgb, sparse_depth, stamp_ns, None, self.calibration)
+
+    def _decode(self, number: int) -> tuple[NDArray[np.uint8], int | None]:
+        """A frame, uint8 (H, W, 3), red first, and its time [ns]."""
+        if number < self._next:
+            self._rewind()
+        grabbed = False
+        while self._next <= number:
+            grabbed = self._video.grab()
+            if not grabbed:
+                break
+            self._next += 1
+        done, image = self._video.retrieve() if grabbed else (False, None)
+        if not done or image is None:
+            raise InputError(
+                f"{self._path} ends or is damaged before its frame {number}: what was decoded "
+                "before is answered"
+            )
+        if image.dtype != np.uint8 or image.ndim != 3:
+            raise InputError(f"{self._path} holds {image.dtype} pictures, expected 8 bits of RGB")
+        rgb = np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+        milliseconds = self._video.get(cv2.CAP_PROP_POS_MSEC)
+        return rgb, round(milliseconds * 1e6) if math.isfinite(milliseconds) else None
+
+    def _count(self) -> int:
+        """How many frames the video has: as its header says it, or else counted."""
+        told = self._video.get(cv2.CAP_PROP_FRAME_COUNT)
+        count = int(told) if 0 < told <= self._path.stat().st_size else 0
+        if count == 0:
+            self._rewind()
+            while self._video.grab():
+                count += 1
+            self._rewind()
+        if count == 0:
+            raise InputError(f"{self._path} has no frames: it is empty, truncated or damaged")
+        return count
+
+    def _rewind(self) -> None:
+        self._video.release()
+        self._video, self._next = _open(self._path), 0
+
+    @property
+    def inputs(self) -> dict[str, Any]:
+        """See `Source.inputs`."""
+        depth = None if self._depth is None else str(self._depth)
+        return {"video": str(self._path), "depth": depth, "depth_scale": self._depth_scale}
+
+    def close(self) -> None:
+        """See `Source.close`."""
+        self._video.release()
+
+
+def _open(path: Path) -> cv2.VideoCapture:
+    """Raises InputError unless it is a video that OpenCV can decode."""
+    # In the thread that reads, which gives way to inference; decoders' own threads would not.
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+    if not video.isOpened():
+        raise InputError(
+            f"cannot read the video {path}: it is truncated, damaged, or of a format that OpenCV "
+            "does not decode"
+        )
+    # As for pictures: pixels stay where the sensor has them.
+    video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+    return video
+
+
+def _by_number(folder: Path) -> dict[int, Path]:
+    """Depth maps by the number that their stem ends in. Raises InputError."""
+    maps: dict[int, Path] = {}
+    for stem, path in list_pictures(folder, DEPTH_SUFFIXES).items():
+        digits = re.search("[0-9]+$", stem)
+        if digits is None:
+            raise InputError(f"the name of {path} must end in the number of its frame, from 0 on")
+        number = int(digits.group())
+        if number in maps:
+            raise InputError(f"{maps[number]} and {path} have the same number: remove one")
+        maps[number] = path
+    return maps

@@ -1,0 +1,1 @@
+"""Time stamps, the matching of two sensors by them, and latency statistics."""

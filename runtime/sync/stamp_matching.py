@@ -1,0 +1,51 @@
+"""Match the recorded messages of two sensors by their stamps, as a replayed stream does."""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from runtime.errors import InputError
+from runtime.sync.message_counts import Sensor
+from runtime.sync.stamp import NS_PER_MS
+from runtime.sync.synchronizer import Message, Pair, Synchronizer
+
+_MAX_WAIT_NS = 50 * NS_PER_MS  # by stamps: how late a sensor's messages may come in its own order
+_WAITING = 64  # messages a sensor; more, and one of them is far ahead or the other is silent
+
+
+def match_by_stamp(
+    messages: Iterable[tuple[Sensor, int, Any]], *, max_skew_ms: float, left_out: Counter[str]
+) -> Iterator[Pair]:
+    """Yield each image with its depth map or None, in the order of the images' stamps.
+
+    messages: (sensor, stamp [ns], data) in the order in which they were recorded
+    left_out: is told of each message that comes into no pair: "image: duplicate", and so on
+    Raises InputError for a skew that cannot be one.
+    """
+    if not 0 <= max_skew_ms <= 1e6:
+        raise InputError(f"max_skew_ms must be a number from 0 to 1e6, got {max_skew_ms}")
+    synchronizer = Synchronizer(
+        live=False,
+        max_skew_ns=round(max_skew_ms * NS_PER_MS),
+        max_wait_ns=_MAX_WAIT_NS,
+        capacity=_WAITING,
+    )
+
+    def steps() -> Iterator[Any]:
+        for sensor, stamp_ns, data in messages:
+            if synchronizer.full(sensor):
+                yield synchronizer.release_oldest(sensor, now_ns=0)
+            yield synchronizer.add(sensor, Message(stamp_ns, stamp_ns, 0, data), now_ns=0)
+        yield synchronizer.flush()
+
+    for decided in steps():
+        left_out.update(f"{gone.sensor}: {gone.reason}" for gone in decided.discarded)
+        yield from decided.pairs
+
+
+def left_out_note(left_out: Counter[str]) -> tuple[str, ...]:
+    """The line that tells people of messages that came into no frame; none if there are none."""
+    if not left_out:
+        return ()
+    counts = ", ".join(f"{reason} {count}" for reason, count in sorted(left_out.items()))
+    return (f"left out: {counts}",)

@@ -1,0 +1,265 @@
+"""Which image and which depth map belong together, by the sensors' own stamps.
+
+No thread, no clock and no array is known here: times are handed in, so that every sequence of
+messages can be played to it exactly.
+
+An image is matched with the depth map nearest to it within `max_skew_ns`, a depth map with the
+image nearest to it. Who is nearest is certain once nothing that can still come would be nearer:
+stamps of a sensor are taken to rise, those of a live one by no less than they lately did (the
+"inter-message lower bound" of ROS's approximate time policy, learned), so that a frame of regular
+sensors does not wait for the next one. What is not certain waits. Live: until `max_wait_ns` after
+it arrived; then an image is decided with what is there, and a depth map is unmatched. Replayed:
+without a partner until the other sensor's stamps are `max_skew_ns + max_wait_ns` ahead, with one
+until it is certain, so that the same messages give the same pairs however the threads that push
+them take turns.
+"""
+
+from bisect import insort
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from runtime.sync.message_counts import (
+    CLOCK_JUMP,
+    DUPLICATE,
+    LATE,
+    NO_IMAGE,
+    OVERFLOW,
+    OVERTAKEN,
+    Fate,
+    Sensor,
+)
+
+JUMP_BACK_NS = 1_000_000_000  # further back than this, a sensor's clock was set anew
+_REMEMBERED = 64  # stamps a sensor, to know a duplicate by
+_INTERVALS = 16  # of a sensor, the least of which is taken for what it keeps to
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """One push. stamp: as it was given; arrived_ns: by the stream's clock."""
+
+    stamp: Any
+    stamp_ns: int
+    arrived_ns: int
+    data: Any = None
+
+
+class Pair(NamedTuple):
+    """An image and its depth map, None = none was near enough in time."""
+
+    image: Message
+    depth: Message | None
+
+
+class Discarded(NamedTuple):
+    """A message that will not be answered, and why."""
+
+    sensor: Sensor
+    message: Message
+    fate: Fate
+    reason: str
+
+
+@dataclass
+class Decided:
+    """What is known now: pairs in the order of their images, and discarded messages."""
+
+    pairs: list[Pair] = field(default_factory=list)
+    discarded: list[Discarded] = field(default_factory=list)
+
+
+class Synchronizer:
+    """Holds what waits for its partner, at most `capacity` messages a sensor.
+
+    live: older images give way to a newer one that is decided; waiting goes by the clock. Else
+        every image is decided, in the order of the stamps; waiting goes by the stamps.
+    """
+
+    def __init__(self, *, live: bool, max_skew_ns: int, max_wait_ns: int, capacity: int) -> None:
+        self._live = live
+        self._max_skew_ns, self._max_wait_ns = max_skew_ns, max_wait_ns
+        self._capacity = capacity
+        self._sensors = {sensor: _Waiting() for sensor in Sensor}
+        self._decided_ns: int | None = None  # the newest image that was decided
+        self.out_of_order = 0
+        self.jumps_back = 0
+
+    def full(self, sensor: Sensor) -> bool:
+        """Whether another message of `sensor` would be one too many."""
+        return len(self._sensors[sensor].messages) >= self._capacity
+
+    def add(self, sensor: Sensor, message: Message, now_ns: int) -> Decided:
+        """Take a message in, and tell what can be decided with it."""
+        decided = Decided()
+        waiting = self._sensors[sensor]
+        if message.stamp_ns in waiting.remembered:
+            decided.discarded.append(Discarded(sensor, message, Fate.DROPPED, DUPLICATE))
+            return decided
+        if waiting.newest_ns is not None and message.stamp_ns < waiting.newest_ns:
+            self.out_of_order += 1
+            if message.stamp_ns < waiting.newest_ns - JUMP_BACK_NS:
+                self.jumps_back += 1
+                self._flush(decided, CLOCK_JUMP)
+                self._sensors = {sensor: _Waiting() for sensor in Sensor}
+                self._decided_ns = None
+                waiting = self._sensors[sensor]
+        if sensor is Sensor.IMAGE and self._is_late(message):
+            decided.discarded.append(Discarded(sensor, message, Fate.DROPPED, LATE))
+            return decided
+        waiting.add(message)
+        self._decide(decided, now_ns)
+        if len(waiting.messages) > self._capacity:  # live; who replays asks `full` first
+            oldest = waiting.messages.pop(0)
+            decided.discarded.append(Discarded(sensor, oldest, Fate.DROPPED, OVERFLOW))
+        return decided
+
+    def advance(self, now_ns: int) -> Decided:
+        """Tell what can be decided because time has passed."""
+        decided = Decided()
+        self._decide(decided, now_ns)
+        return decided
+
+    def due_ns(self) -> int | None:
+        """When `advance` will decide something next, by the clock; None = only a message will."""
+        if not self._live:
+            return None
+        # A depth map near a waiting image is decided with it.
+        waiting = [*self._images, *(depth for depth in self._depths if not self._near(depth))]
+        arrived_ns = min((message.arrived_ns for message in waiting), default=None)
+        return None if arrived_ns is None else arrived_ns + self._max_wait_ns
+
+    def release_oldest(self, sensor: Sensor, now_ns: int) -> Decided:
+        """Decide the oldest message of `sensor` with what is there."""
+        decided = Decided()
+        if sensor is Sensor.IMAGE:
+            self._decide_image(decided, self._images[0])
+        else:
+            self._discard_depth(decided, self._depths[0], NO_IMAGE)
+        self._decide(decided, now_ns)
+        return decided
+
+    def flush(self) -> Decided:
+        """Decide everything with what is there: no more messages will come."""
+        decided = Decided()
+        self._flush(decided, NO_IMAGE)
+        return decided
+
+    @property
+    def _images(self) -> list[Message]:
+        return self._sensors[Sensor.IMAGE].messages
+
+    @property
+    def _depths(self) -> list[Message]:
+        return self._sensors[Sensor.DEPTH].messages
+
+    def _is_late(self, image: Message) -> bool:
+        return self._decided_ns is not None and image.stamp_ns <= self._decided_ns
+
+    def _decide(self, decided: Decided, now_ns: int) -> None:
+        while (image := self._next_decidable(now_ns)) is not None:
+            self._decide_image(decided, image)
+        for depth in list(self._depths):
+            if self._is_over(depth, Sensor.IMAGE, now_ns) and not self._near(depth):
+                self._discard_depth(decided, depth, NO_IMAGE)
+
+    def _next_decidable(self, now_ns: int) -> Message | None:
+        """The image to decide next: live the newest of those that can be, else only the oldest."""
+        candidates = reversed(self._images) if self._live else self._images[:1]
+        for image in candidates:
+            depth = self._partner(image)
+            if depth is not None and self._is_certain(image, depth):
+                return image
+            # In a replay an image with a partner waits for the images that might be nearer to it.
+            if (self._live or depth is None) and self._is_over(image, Sensor.DEPTH, now_ns):
+                return image
+        return None
+
+    def _decide_image(self, decided: Decided, image: Message) -> None:
+        depth = self._partner(image)
+        self._decided_ns = image.stamp_ns
+        for older in list(self._images):
+            if older.stamp_ns < image.stamp_ns:  # live alone
+                self._images.remove(older)
+                decided.discarded.append(Discarded(Sensor.IMAGE, older, Fate.DROPPED, OVERTAKEN))
+        self._images.remove(image)
+        if depth is not None:
+            self._depths.remove(depth)
+        decided.pairs.append(Pair(image, depth))
+        for dead in list(self._depths):
+            if dead.stamp_ns < image.stamp_ns - self._max_skew_ns:  # images to come are newer
+                self._discard_depth(decided, dead, NO_IMAGE)
+
+    def _discard_depth(self, decided: Decided, depth: Message, reason: str) -> None:
+        self._depths.remove(depth)
+        decided.discarded.append(Discarded(Sensor.DEPTH, depth, Fate.UNMATCHED, reason))
+
+    def _flush(self, decided: Decided, reason: str) -> None:
+        if self._live:
+            for image in reversed(self._images):  # the newest that has depth, else the newest
+                if self._partner(image) is not None:
+                    self._decide_image(decided, image)
+                    break
+        while self._images:
+            self._decide_image(decided, self._images[-1 if self._live else 0])
+        for depth in list(self._depths):
+            self._discard_depth(decided, depth, reason)
+
+    def _partner(self, image: Message) -> Message | None:
+        """The nearest depth map to which no other image is nearer; the older of two as near."""
+        own = (
+            depth
+            for depth in self._depths
+            if _distance(image, depth) <= self._max_skew_ns
+            and not any(_distance(other, depth) < _distance(image, depth) for other in self._images)
+        )
+        return min(own, key=lambda depth: _distance(image, depth), default=None)
+
+    def _is_certain(self, image: Message, depth: Message) -> bool:
+        """Whether no message to come would be nearer to one of two partners."""
+        skew = _distance(image, depth)
+        next_depth_ns = self._sensors[Sensor.DEPTH].next_ns(self._live)
+        next_image_ns = self._sensors[Sensor.IMAGE].next_ns(self._live)
+        return (
+            next_depth_ns - image.stamp_ns >= skew
+            and next_image_ns - depth.stamp_ns >= depth.stamp_ns - image.stamp_ns
+        )
+
+    def _is_over(self, message: Message, other: Sensor, now_ns: int) -> bool:
+        """Whether a message has waited long enough for one of the `other` sensor."""
+        if self._live:
+            return now_ns - message.arrived_ns >= self._max_wait_ns
+        ahead_ns = self._sensors[other].newest_ns
+        wait_ns = self._max_skew_ns + self._max_wait_ns
+        return ahead_ns is not None and ahead_ns > message.stamp_ns + wait_ns
+
+    def _near(self, depth: Message) -> bool:
+        """Whether an image waits that may yet take this depth map."""
+        return any(_distance(image, depth) <= self._max_skew_ns for image in self._images)
+
+
+class _Waiting:
+    """What waits of one sensor, and what is known of its stamps."""
+
+    def __init__(self) -> None:
+        self.messages: list[Message] = []  # by stamp
+        self.remembered: deque[int] = deque(maxlen=_REMEMBERED)
+        self.newest_ns: int | None = None
+        self._intervals: deque[int] = deque(maxlen=_INTERVALS)
+
+    def add(self, message: Message) -> None:
+        insort(self.messages, message, key=lambda item: item.stamp_ns)
+        self.remembered.append(message.stamp_ns)
+        if self.newest_ns is None or message.stamp_ns > self.newest_ns:
+            if self.newest_ns is not None:
+                self._intervals.append(message.stamp_ns - self.newest_ns)
+            self.newest_ns = message.stamp_ns
+
+    def next_ns(self, live: bool) -> int:
+        """No message to come is stamped earlier; asked only where there was one."""
+        assert self.newest_ns is not None
+        return self.newest_ns + (min(self._intervals, default=0) if live else 0)
+
+
+def _distance(one: Message, other: Message) -> int:
+    return abs(one.stamp_ns - other.stamp_ns)

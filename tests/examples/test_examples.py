@@ -1,0 +1,67 @@
+"""Each example runs and says what it is there to say."""
+
+import re
+import runpy
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+from runtime.sources.bundled_stream import bundled_stream
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+TESTED = {"bare_onnxruntime.py", "callbacks.py", "driving_loop.py", "multi_camera.py"}
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run an example as a program, and give the lines that it prints."""
+
+    def invoke(name, *arguments):
+        monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out.splitlines()
+
+    return invoke
+
+
+def test_no_example_is_left_out():
+    assert {path.name for path in EXAMPLES.glob("*.py")} == TESTED
+
+
+def test_the_driving_loop(run, tmp_path):
+    """Half a second of it."""
+    for folder in bundled_stream():
+        (tmp_path / folder.name).mkdir()
+        for path in sorted(folder.iterdir())[:5]:
+            shutil.copy(path, tmp_path / folder.name)
+    lines = run("driving_loop.py", "--rgb", tmp_path / "rgb", "--depth", tmp_path / "depth")
+    assert 1 <= len(lines) <= 5
+    for line in lines:
+        assert re.match(r"frame \d: nearest road user ahead +(none|[0-9.]+ m.*), age +", line), line
+
+
+def test_several_cameras(run):
+    lines = run("multi_camera.py", "--cameras", 3, "--moments", 2)
+    assert len(lines) == 8
+    told = [
+        (moment, camera, size)
+        for moment in (0, 1)
+        for camera, size in enumerate(["256 x 832", "256 x 832", "192 x 624"])
+    ]
+    cameras = [line for line in lines if not line.startswith("  all of them in ")]
+    for line, (moment, camera, size) in zip(cameras, told, strict=True):
+        pattern = rf"moment {moment}, camera {camera}, {size}: +[0-9.]+ m ahead at the median"
+        assert re.fullmatch(pattern, line), line
+
+
+def test_callbacks(run):
+    """Every message is pushed in its thread and accounted for, whatever the machine's speed."""
+    *answers, image, depth = run("callbacks.py", "--frames", 4, "--period-s", 0.04)
+    counted = r"(image|depth): 4 pushed, (\d) answered, (\d) not"
+    for line in (image, depth):
+        answered, others = map(int, re.fullmatch(counted, line).groups()[1:])
+        assert answered + others == 4
+    assert len(answers) == int(re.fullmatch(counted, image)[2]) >= 1
+    assert all(re.match(r"0\.\d\d s: \d+ ms, (skew 10 ms|no depth)", line) for line in answers)

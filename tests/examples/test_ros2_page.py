@@ -1,0 +1,107 @@
+"""The node of docs/ros2.md runs, with stand-ins for the modules of ROS."""
+
+import re
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+
+from runtime.sources.bundled_stream import bundled_stream
+from runtime.sources.frames import list_frames, read_frame
+
+PAGE = Path(__file__).parents[2] / "docs" / "ros2.md"
+SECONDS, NANOSECONDS = 1_700_000_000, 123_456_789
+
+
+def stamped(**fields):
+    stamp = SimpleNamespace(sec=SECONDS, nanosec=NANOSECONDS)
+    return SimpleNamespace(header=SimpleNamespace(stamp=stamp, frame_id=""), **fields)
+
+
+class Node:
+    """What the node on the page needs of rclpy's."""
+
+    def __init__(self, name):
+        self.name, self.sent, self.callbacks, self.said = name, {}, {}, []
+
+    def create_publisher(self, kind, topic, qos):
+        return SimpleNamespace(publish=lambda message: self.sent.update({topic: message}))
+
+    def create_subscription(self, kind, topic, callback, qos):
+        self.callbacks[topic] = callback
+
+    def get_logger(self):
+        def say(text, throttle_duration_sec=None):
+            self.said.append(text)
+
+        return SimpleNamespace(error=say, info=say, warn=say)
+
+    def destroy_node(self):
+        self.destroyed = True
+
+
+class CvBridge:
+    def imgmsg_to_cv2(self, message, encoding):
+        assert encoding == "rgb8"
+        return message.image
+
+    def cv2_to_imgmsg(self, values, encoding):
+        return stamped(values=values, encoding=encoding)
+
+
+@pytest.fixture
+def spun(monkeypatch):
+    """Run the page's main; spin with what is given, and give back the node."""
+
+    def run(messages):
+        nodes = []
+
+        def spin(node):
+            nodes.append(node)
+            for topic, message in messages:
+                node.callbacks[topic](message)
+
+        modules = {
+            "rclpy": {"init": lambda: None, "spin": spin, "try_shutdown": lambda: None},
+            "rclpy.node": {"Node": Node},
+            "rclpy.qos": {"qos_profile_sensor_data": object()},
+            "cv_bridge": {"CvBridge": CvBridge},
+            "sensor_msgs": {},
+            "sensor_msgs.msg": {"Image": object, "PointCloud2": object},
+            "sensor_msgs_py": {
+                "point_cloud2": SimpleNamespace(
+                    read_points_numpy=lambda message, fields, skip_nans: message.points
+                )
+            },
+        }
+        for name, members in modules.items():
+            module = ModuleType(name)
+            vars(module).update(members)
+            monkeypatch.setitem(sys.modules, name, module)
+        (code,) = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), flags=re.M | re.S)
+        exec(compile(code, str(PAGE), "exec"), {"__name__": "__main__"})
+        return nodes[0]
+
+    return run
+
+
+def test_an_image_and_a_scan_are_answered(spun):
+    frame = read_frame(list_frames(*bundled_stream())[0], depth_scale=256.0)
+    random = np.random.default_rng(0)
+    points = random.uniform([4, -8, -1.5], [40, 8, 1], (5000, 3))  # x ahead, y left, z up
+    node = spun([("image", stamped(image=frame.rgb)), ("points", stamped(points=points))])
+    depth, semantic = node.sent["~/depth"], node.sent["~/semantic"]
+    assert (depth.encoding, semantic.encoding) == ("32FC1", "mono8")
+    assert depth.values.shape == semantic.values.shape == (256, 832)
+    assert (depth.header.stamp.sec, depth.header.stamp.nanosec) == (SECONDS, NANOSECONDS)
+    assert node.destroyed
+    assert node.stream.counts.depths.answered == 1
+    assert not [text for text in node.said if "must" in text], node.said
+
+
+def test_a_scan_of_the_wrong_shape_is_an_error_that_the_node_outlives(spun):
+    node = spun([("points", stamped(points=np.zeros((5, 2))))])
+    assert any("points must" in text for text in node.said), node.said
+    assert node.destroyed

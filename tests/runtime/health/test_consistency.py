@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+
+from runtime.errors import InputError
+from runtime.health.consistency import ConsistencyCheck
+from runtime.prediction import Latency, Prediction
+
+
+def answer(depth=None, boundary=None):
+    return Prediction(
+        semantic=None,
+        depth=depth,
+        boundary=boundary,
+        frame_size=(60, 80),
+        network_size=(60, 80),
+        latency=Latency(0, 0, 0, 0),
+    )
+
+
+def scan():
+    """Every other pixel of every other line; left of column 40 at 10 m, right of it at 20 m."""
+    depth = np.zeros((60, 80), np.float32)
+    depth[::2, :40:2], depth[::2, 40::2] = 10, 20
+    return depth
+
+
+def test_a_share_of_the_returns_is_held_out_and_others_each_time():
+    check = ConsistencyCheck(0.05)
+    depth = scan()
+    depth[1, :3] = np.nan, np.inf, -1
+    before = depth.copy()
+    left, held_out = check.hold_out(depth)
+    np.testing.assert_array_equal(depth, before)
+    assert 30 <= held_out.sum() <= 90, "5 % of 1200"
+    assert (left[held_out] == 0).all()
+    np.testing.assert_array_equal(left[~held_out], depth[~held_out])
+    assert not held_out[1].any(), "what is no return cannot be held out"
+    assert (check.hold_out(depth)[1] != held_out).any()
+
+
+def test_returns_are_held_out_in_squares_of_an_eighth_of_the_height():
+    _, held_out = ConsistencyCheck(0.3).hold_out(np.ones((80, 95), np.float32))
+    for row in range(0, 80, 10):
+        for column in range(0, 95, 10):
+            square = held_out[row : row + 10, column : column + 10]
+            assert square.all() or not square.any()
+    assert 0.2 < held_out.mean() < 0.4
+
+
+def test_a_picture_of_few_rows_has_squares_of_a_pixel():
+    _, held_out = ConsistencyCheck(0.5).hold_out(np.ones((5, 400), np.float32))
+    assert 0.4 < held_out.mean() < 0.6
+
+
+def test_the_figures_by_hand_and_their_running_means():
+    check = ConsistencyCheck(0.5)
+    depth = scan()
+    held_out = np.zeros_like(depth, dtype=bool)
+    held_out[0, [0, 40]] = True
+    predicted = np.full_like(depth, 20)  # twice what was held out on the left, right on the right
+    boundary = np.full_like(depth, 0.1)
+    boundary[:, 38:41] = 0.7
+    camera_only = answer(depth=np.full_like(depth, 40))
+    found = check.score(answer(predicted, boundary), camera_only, depth, held_out)
+    assert found.holdout_error == pytest.approx(np.log(2) / 2)
+    assert found.scale_error == pytest.approx((np.log(4) + np.log(2)) / 2)
+    # 30 jumps; the others are 0.7 where a boundary pixel is beside what lies between the returns.
+    assert 0.7 - 0.2 < found.edge_agreement < 0.7 - 0.1
+
+    again = check.score(answer(depth.copy(), 0 * boundary), None, depth, held_out)
+    assert again.holdout_error == pytest.approx(0.9 * found.holdout_error)
+    assert again.edge_agreement == pytest.approx(0.9 * found.edge_agreement)
+    assert again.scale_error == found.scale_error, "not due this time"
+
+
+def test_the_edges_agree_less_when_the_returns_are_shifted():
+    boundary = np.zeros((60, 80), np.float32)
+    boundary[:, 39:41] = 1
+    nothing = np.zeros((60, 80), dtype=bool)
+    upright, shifted, turned = (ConsistencyCheck(0.05) for _ in range(3))
+    fits = upright.score(answer(boundary=boundary), None, scan(), nothing).edge_agreement
+    moved = np.roll(scan(), 12, axis=1)
+    off = shifted.score(answer(boundary=boundary), None, moved, nothing).edge_agreement
+    assert fits > 0.9
+    assert off < 0.1
+    lines = np.ascontiguousarray(scan().T[:60])  # a horizontal edge counts as well
+    across = np.zeros((60, 60), np.float32)
+    across[39:41] = 1
+    found = turned.score(answer(boundary=across), None, lines, nothing[:, :60]).edge_agreement
+    assert found > 0.9
+
+
+def test_returns_that_are_far_apart_are_no_neighbours():
+    depth = np.zeros((60, 80), np.float32)
+    depth[::9, ::9] = 10
+    depth[::9, 9::18] = 20
+    boundary = np.zeros((60, 80), np.float32)
+    found = ConsistencyCheck(0.05).score(answer(boundary=boundary), None, depth, depth < 0)
+    assert found.edge_agreement is None
+
+
+def test_the_scale_is_due_every_tenth_frame():
+    check = ConsistencyCheck(0.05)
+    due = []
+    for _ in range(21):
+        due.append(check.scale_is_due)
+        check.score(answer(), None, scan(), np.zeros((60, 80), dtype=bool))
+    assert [number for number, is_due in enumerate(due) if is_due] == [0, 10, 20]
+
+
+def test_what_a_model_does_not_answer_or_a_scan_does_not_hold_has_no_figure():
+    empty = np.zeros((60, 80), np.float32)
+    full = answer(empty + 1, empty)
+    found = ConsistencyCheck(0.05).score(full, full, empty, empty > 0)
+    assert found.holdout_error is found.edge_agreement is found.scale_error is None
+    found = ConsistencyCheck(0.05).score(answer(), answer(), scan(), scan() > 0)
+    assert found.holdout_error is found.edge_agreement is found.scale_error is None
+
+
+@pytest.mark.parametrize("share", [0, -0.1, 0.6, float("nan"), True, "5 %"])
+def test_a_share_that_is_none(share):
+    with pytest.raises(InputError, match="share of the returns"):
+        ConsistencyCheck(share)

@@ -1,0 +1,69 @@
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from runtime.health.lidar_health import LidarHealth
+from runtime.sources.frames import read_sparse_depth
+
+SIZE = (128, 416)
+
+
+def scan(seed=0):
+    """64 lines in the lower two thirds, a return in every third column, a tenth missing."""
+    rng = np.random.default_rng(seed)
+    depth = np.zeros(SIZE, np.float32)
+    depth[44:128:2, ::3] = rng.uniform(2, 80, (42, 139))
+    depth[rng.random(SIZE) < 0.1] = 0
+    return depth
+
+
+def learned():
+    health = LidarHealth()
+    assert [health.check(scan(seed)) for seed in range(8)] == [()] * 8
+    return health
+
+
+def test_a_lost_sector():
+    depth = scan(9)
+    depth[:, 100:160] = 0
+    health = learned()
+    assert [health.check(depth) for _ in range(50)] == [("lidar_sector_lost",)] * 50, "not learned"
+    assert health.check(scan(10)) == ()
+
+
+def test_lost_lines_at_an_edge_and_between_others():
+    depth = scan(9)
+    depth[100:] = 0
+    assert learned().check(depth) == ("lidar_lines_lost",)
+    depth = scan(9)
+    depth[44:128:4] = 0
+    assert learned().check(depth) == ("lidar_lines_lost",)
+
+
+def test_what_is_no_failure():
+    health = learned()
+    assert health.check(np.zeros(SIZE, np.float32)) == (), "told by degraded: no_depth"
+    depth = scan(9)
+    depth[60:100, 200:215] = 0  # a dark car
+    assert health.check(depth) == ()
+    assert LidarHealth().check(scan()[:, ::-1]) == (), "nothing is known yet"
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1])
+def test_values_that_are_no_returns_do_not_count(value):
+    depth = scan(9)
+    depth[:, 100:160] = value
+    assert learned().check(depth) == ("lidar_sector_lost",)
+
+
+@pytest.mark.skipif("SSDNET_DATA" not in os.environ, reason="needs SSDNET_DATA/kitti_stream")
+def test_a_recorded_drive_is_healthy_until_something_is_lost():
+    health = LidarHealth()
+    folder = Path(os.environ["SSDNET_DATA"]) / "kitti_stream" / "sparse_depth_02"
+    depths = [read_sparse_depth(path) for path in sorted(folder.iterdir())]
+    assert [health.check(depth) for depth in depths] == [()] * 60
+    blind = depths[-1].copy()
+    blind[:, 300:450] = 0
+    assert health.check(blind) == ("lidar_sector_lost",)

@@ -1,0 +1,45 @@
+"""Figures and limits of each head, worked out by hand."""
+
+import numpy as np
+import pytest
+
+from runtime.io.agreement import compare, limit, within, worst
+
+
+def test_classes_are_counted():
+    answer, expected = np.array([[1, 2], [3, 4]], np.uint8), np.array([[1, 2], [3, 5]], np.uint8)
+    assert compare("semantic", answer, expected) == {"agreement": 0.75}
+
+
+@pytest.mark.parametrize(
+    ("head", "names"),
+    [
+        ("depth", ["max_abs_m", "mean_abs_m"]),
+        ("depth_uncertainty", ["max_abs_m", "mean_abs_m"]),
+        ("boundary", ["max_abs", "mean_abs"]),
+    ],
+)
+def test_differences_are_measured(head, names):
+    answer, expected = np.float32([[1, 2], [3, 4]]), np.float32([[1, 2.5], [3, 3]])
+    assert compare(head, answer, expected) == dict(zip(names, [1.0, 0.375], strict=True))
+
+
+def test_scores_count_as_a_share_of_the_largest():
+    answer, expected = np.float32([[[1.0, -3.0]]]), np.float32([[[1.0, -4.0]]])
+    assert compare("semantic_logits", answer, expected) == {"max_relative": 0.25}
+
+
+def test_the_worst_is_the_least_agreement_and_the_largest_difference():
+    assert worst("semantic", [{"agreement": 0.9}, {"agreement": 0.8}]) == {"agreement": 0.8}
+    figures = [{"max_abs": 1.0, "mean_abs": 0.5}, {"max_abs": 0.5, "mean_abs": 0.7}]
+    assert worst("boundary", figures) == {"max_abs": 1.0, "mean_abs": 0.7}
+
+
+def test_limits_hold_on_their_side_and_nan_never_does():
+    assert limit("depth", max_depth_m=80) == pytest.approx(0.004)
+    assert within("depth", {"max_abs_m": 0.004}, 0.004)
+    assert not within("depth", {"max_abs_m": 0.0041}, 0.004)
+    assert within("semantic", {"agreement": 0.9995}, limit("semantic", max_depth_m=80))
+    assert not within("semantic", {"agreement": 0.9994}, limit("semantic", max_depth_m=80))
+    nothing = compare("boundary", np.float32([[np.nan, 1]]), np.float32([[0, 1]]))
+    assert not within("boundary", worst("boundary", [{"max_abs": 0.0}, nothing]), 1.0)

@@ -1,0 +1,444 @@
+"""Files and folders are whole or not there, whatever happens while they are written."""
+
+import os
+import signal
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import runtime.io.atomic_write
+from runtime import OutputError
+from runtime.io.atomic_write import (
+    atomic_file,
+    atomic_folder,
+    atomic_path,
+    atomic_write,
+    remove_leftover,
+)
+
+posix = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX locks and signals")
+
+
+def names_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.fixture
+def with_umask():
+    """Set the umask; the one before comes back."""
+    before = os.umask(0o022)
+    yield os.umask
+    os.umask(before)
+
+
+@pytest.fixture
+def writer_in_another_process():
+    """Start a process that has written half of a file (or folder) and waits for a line."""
+    started = []
+
+    def start(path, call="atomic_file(path)"):
+        fill = {
+            "atomic_file": "target.write(b'half'); target.flush()",
+            "atomic_folder": "(target / 'half').touch()",
+            "atomic_path": "target.write_bytes(b'half')",
+        }
+        program = (
+            "import signal, sys; from pathlib import Path; from runtime.io.atomic_write import *\n"
+            # A shell starts what runs in its background with Ctrl-C ignored.
+            "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+            f"path = Path({str(path)!r})\n"
+            f"with {call} as target:\n"
+            f"    {fill[call.partition('(')[0]]}; print('half', flush=True); sys.stdin.readline()\n"
+            "print('whole', flush=True)"
+        )
+        process = subprocess.Popen(
+            [sys.executable, "-c", program],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        assert process.stdout.readline() == "half\n"
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_a_file_is_written_and_replaced(tmp_path):
+    path = tmp_path / "a.bin"
+    atomic_write(path, b"old")
+    atomic_write(path, memoryview(b"new"), durable=True)
+    assert path.read_bytes() == b"new"
+    assert names_in(tmp_path) == ["a.bin"]
+
+
+def test_a_file_has_its_name_only_when_it_is_whole(tmp_path):
+    path = tmp_path / "a.bin"
+    atomic_write(path, b"old")
+    with atomic_file(path) as file:
+        file.write(b"half")
+        file.flush()
+        assert path.read_bytes() == b"old"
+        with open(file.name, "rb") as other:  # as who verifies it before it is published
+            assert other.read() == b"half"
+        file.seek(0)
+        file.truncate()
+        file.write(b"new")
+    assert path.read_bytes() == b"new"
+
+
+@posix
+@pytest.mark.parametrize("umask", [0o022, 0o077, 0o002])
+def test_permissions_are_what_the_umask_leaves(tmp_path, with_umask, umask):
+    path = tmp_path / "a.bin"
+    path.touch(0o600)
+    with_umask(umask)
+    atomic_write(path, b"content")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~umask
+
+
+@pytest.mark.parametrize("length", [1, 40, 41, 251])
+def test_names_of_any_length(tmp_path, length):
+    first, second = (tmp_path / ("n" * (length - 1) + letter + ".png") for letter in "ab")
+    with atomic_file(first) as one, atomic_file(second) as other:
+        one.write(b"1")
+        other.write(b"2")
+    assert (first.read_bytes(), second.read_bytes()) == (b"1", b"2")
+    assert names_in(tmp_path) == [first.name, second.name]
+
+
+def test_a_link_is_replaced_and_not_followed(tmp_path):
+    (tmp_path / "elsewhere").write_bytes(b"foreign")
+    (tmp_path / "a.bin").symlink_to(tmp_path / "elsewhere")
+    atomic_write(tmp_path / "a.bin", b"content")
+    assert (tmp_path / "elsewhere").read_bytes() == b"foreign"
+    assert not (tmp_path / "a.bin").is_symlink()
+
+
+def temporary_of(path):
+    """The name of what is written for `path`."""
+    with atomic_file(path) as file:
+        name = Path(file.name)
+    path.unlink()
+    return name
+
+
+@posix
+def test_a_link_in_the_temporarys_place_is_not_followed(tmp_path):
+    path = tmp_path / "a.bin"
+    temporary = temporary_of(path)
+    (tmp_path / "elsewhere").write_bytes(b"foreign")
+    temporary.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(OutputError, match=r"\.part is in the way"):
+        atomic_write(path, b"content")
+    assert (tmp_path / "elsewhere").read_bytes() == b"foreign"
+    assert not path.exists()
+
+
+@posix
+def test_a_pipe_in_the_temporarys_place_is_not_waited_for(tmp_path):
+    path = tmp_path / "a.bin"
+    os.mkfifo(temporary_of(path))
+    atomic_write(path, b"content")
+    assert names_in(tmp_path) == ["a.bin"]
+
+
+# --- what goes wrong ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt])
+def test_an_error_in_the_block_leaves_no_trace_and_the_old_file(tmp_path, error):
+    path = tmp_path / "a.bin"
+    atomic_write(path, b"old")
+
+    def fail():
+        with atomic_file(path) as file:
+            file.write(b"half")
+            raise error
+
+    with pytest.raises(error):
+        fail()
+    assert path.read_bytes() == b"old"
+    assert names_in(tmp_path) == ["a.bin"]
+    atomic_write(path, b"new")
+    assert path.read_bytes() == b"new"
+
+
+@pytest.mark.parametrize("content", [b"n" * 100_000, b"n" * 70_000])
+def test_a_full_disk_leaves_the_old_file_and_no_trace(mount_disk, content):
+    path = mount_disk(64) / "a.bin"
+    atomic_write(path, b"old")
+    with pytest.raises(OutputError, match=r"No space left on device.*is kept"):
+        atomic_write(path, content)
+    assert path.read_bytes() == b"old"
+    assert names_in(path.parent) == ["a.bin"]
+
+
+@posix
+def test_the_largest_file_allowed_leaves_the_old_file_and_no_trace(tmp_path):
+    path = tmp_path / "a.bin"
+    program = (
+        "import resource, sys; from pathlib import Path\n"
+        "from runtime import OutputError; from runtime.io.atomic_write import atomic_write\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+        "path = Path(sys.argv[1]); atomic_write(path, b'old')\n"
+        "try: atomic_write(path, bytes(2000))\n"
+        "except OutputError as error: print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program, path], capture_output=True, text=True)
+    assert "File too large" in done.stdout, done.stderr
+    assert path.read_bytes() == b"old"
+    assert names_in(tmp_path) == ["a.bin"]
+
+
+def test_a_folder_that_is_none(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match=r"cannot write .*Not a directory"):
+        atomic_write(tmp_path / "file" / "a.bin", b"content")
+    with pytest.raises(OutputError, match=r"cannot write .*No such file"):
+        atomic_write(tmp_path / "none" / "a.bin", b"content")
+
+
+# --- processes that are killed, and those that are not -----------------------------------------
+
+
+@posix
+@pytest.mark.parametrize("call", ["atomic_file(path)", "atomic_folder(path)", "atomic_path(path)"])
+def test_what_a_killed_process_left_is_removed_by_the_next_write(
+    tmp_path, writer_in_another_process, call
+):
+    path = tmp_path / "a"
+    process = writer_in_another_process(path, call)
+    process.kill()
+    process.wait()
+    (left,) = tmp_path.iterdir()
+    assert left.name.startswith(".a.")
+    if "folder" in call:
+        with atomic_folder(path):
+            pass
+    else:
+        atomic_write(path, b"content")
+    assert names_in(tmp_path) == ["a"]
+
+
+@posix
+def test_what_a_killed_process_left_can_be_removed_without_a_write(
+    tmp_path, writer_in_another_process
+):
+    process = writer_in_another_process(tmp_path / "a")
+    process.kill()
+    process.wait()
+    assert names_in(tmp_path) != []
+    remove_leftover(tmp_path / "b")
+    assert names_in(tmp_path) != []
+    remove_leftover(tmp_path / "a")
+    assert names_in(tmp_path) == []
+
+
+@posix
+@pytest.mark.parametrize("call", ["atomic_file(path)", "atomic_folder(path)", "atomic_path(path)"])
+def test_what_another_process_is_writing_stays(tmp_path, writer_in_another_process, call):
+    path = tmp_path / "a"
+    process = writer_in_another_process(path, call)
+    remove_leftover(path)
+    with pytest.raises(OutputError, match="another process is writing it at this moment"):
+        atomic_write(path, b"content")
+    assert process.communicate("go on\n")[0] == "whole\n"
+    assert names_in(tmp_path) == ["a"]
+    assert path.is_dir() if "folder" in call else path.read_bytes() == b"half"
+
+
+@posix
+def test_a_temporary_that_is_taken_for_a_leftover_before_its_lock_is_made_anew(
+    tmp_path, monkeypatch
+):
+    path = tmp_path / "a.bin"
+    make, made = runtime.io.atomic_write._new_file, []
+
+    def make_and_lose(temporary):
+        made.append(make(temporary))
+        if len(made) == 1:
+            remove_leftover(path)
+        return made[-1]
+
+    monkeypatch.setattr(runtime.io.atomic_write, "_new_file", make_and_lose)
+    atomic_write(path, b"content")
+    assert len(made) == 2
+    assert path.read_bytes() == b"content"
+
+
+@posix
+def test_a_leftover_that_gave_way_to_a_living_file_meanwhile_is_not_removed(tmp_path, monkeypatch):
+    path = tmp_path / "a.bin"
+    temporary = temporary_of(path)
+    temporary.touch()
+    open_existing = runtime.io.atomic_write._open_existing
+
+    def open_and_be_overtaken(temporary):
+        handle = open_existing(temporary)
+        temporary.unlink()
+        temporary.write_text("another's")
+        return handle
+
+    monkeypatch.setattr(runtime.io.atomic_write, "_open_existing", open_and_be_overtaken)
+    remove_leftover(path)
+    assert temporary.read_text() == "another's"
+
+
+# --- without overwriting -----------------------------------------------------------------------
+
+
+def test_without_overwriting_what_is_there_stays(tmp_path):
+    path = tmp_path / "a.bin"
+    atomic_write(path, b"first", overwrite=False)
+    with pytest.raises(OutputError, match=r"a\.bin exists"):
+        atomic_write(path, b"second", overwrite=False)
+    assert path.read_bytes() == b"first"
+    assert names_in(tmp_path) == ["a.bin"]
+
+
+@pytest.mark.parametrize("hard_links", [True, False])
+def test_without_overwriting_a_file_that_came_meanwhile_stays(tmp_path, monkeypatch, hard_links):
+    path = tmp_path / "a.bin"
+    if not hard_links:
+        monkeypatch.setattr(runtime.io.atomic_write, "_link", lambda temporary, path: False)
+
+    def overtaken():
+        with atomic_file(path, overwrite=False) as file:
+            file.write(b"second")
+            path.write_bytes(b"first")
+
+    with pytest.raises(OutputError, match=r"a\.bin exists"):
+        overtaken()
+    assert path.read_bytes() == b"first"
+    path.unlink()
+    atomic_write(path, b"third", overwrite=False)
+    assert path.read_bytes() == b"third"
+    assert names_in(tmp_path) == ["a.bin"]
+
+
+@posix
+def test_of_many_racers_one_succeeds(tmp_path):
+    """All wait for one pipe to close, then write the same path."""
+    program = (
+        "import sys; from pathlib import Path\n"
+        "from runtime import OutputError; from runtime.io.atomic_write import atomic_write\n"
+        "print('ready', flush=True); sys.stdin.readline()\n"
+        "won = 0\n"
+        "for name in range(200):\n"
+        "    try: atomic_write(Path(sys.argv[1]) / str(name), sys.argv[2].encode(),"
+        " overwrite=False); won += 1\n"
+        "    except OutputError: pass\n"
+        "print(won)"
+    )
+    gate, opener = os.pipe()
+    racers = [
+        subprocess.Popen(
+            [sys.executable, "-c", program, tmp_path, racer],
+            stdin=gate,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for racer in "abc"
+    ]
+    os.close(gate)
+    for racer in racers:
+        assert racer.stdout.readline() == "ready\n"
+    os.close(opener)
+    wins = [int(racer.communicate()[0]) for racer in racers]
+    assert sum(wins) == 200
+    assert names_in(tmp_path) == sorted(str(name) for name in range(200))
+    content = [path.read_text() for path in tmp_path.iterdir()]
+    assert wins == [content.count(racer) for racer in "abc"]
+
+
+# --- folders -----------------------------------------------------------------------------------
+
+
+def test_a_folder_has_its_name_only_when_it_is_whole(tmp_path):
+    path = tmp_path / "deep" / "a"
+    with atomic_folder(path) as folder:
+        (folder / "file").write_text("new")
+        assert not path.exists()
+    assert names_in(path) == ["file"]
+    assert names_in(path.parent) == ["a"]
+
+
+def test_a_folder_is_replaced_only_when_asked(tmp_path):
+    path = tmp_path / "a"
+    path.mkdir()
+    (path / "old").touch()
+
+    def write(**options):
+        with atomic_folder(path, **options) as folder:
+            (folder / "new").touch()
+
+    with pytest.raises(OutputError, match="exists"):
+        write()
+    assert names_in(path) == ["old"]
+    assert names_in(tmp_path) == ["a"]
+    write(overwrite=True)
+    assert names_in(path) == ["new"]
+
+
+def test_an_error_in_the_block_leaves_no_folder(tmp_path):
+    def fail():
+        with atomic_folder(tmp_path / "a") as folder:
+            (folder / "file").touch()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert names_in(tmp_path) == []
+
+
+@posix
+def test_a_signal_that_is_caught_leaves_no_trace(tmp_path, writer_in_another_process):
+    process = writer_in_another_process(tmp_path / "a")
+    process.send_signal(signal.SIGINT)
+    process.wait()
+    assert names_in(tmp_path) == []
+
+
+# --- files of libraries that open them by name --------------------------------------------------
+
+
+def test_a_named_file_has_its_place_only_when_it_is_whole(tmp_path):
+    path = tmp_path / "deep" / "a.mp4"
+    with atomic_path(path) as made:
+        assert made.name == "a.mp4"
+        made.write_bytes(b"half")
+        assert not path.exists()
+        made.write_bytes(b"new")
+    assert path.read_bytes() == b"new"
+    assert names_in(path.parent) == ["a.mp4"]
+
+
+def test_a_named_file_that_was_not_made_takes_the_old_one_along(tmp_path):
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"old")
+    with atomic_path(path):
+        pass
+    assert names_in(tmp_path) == []
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_an_error_leaves_the_old_named_file_and_no_trace(tmp_path, error):
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"old")
+
+    def fail():
+        with atomic_path(path) as made:
+            made.write_bytes(b"half")
+            raise error
+
+    with pytest.raises(OutputError if isinstance(error, OSError) else KeyboardInterrupt):
+        fail()
+    assert path.read_bytes() == b"old"
+    assert names_in(tmp_path) == ["a.mp4"]

@@ -1,0 +1,168 @@
+"""Calibrations from every kind of file come to the same pixels."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from runtime.errors import InputError
+from runtime.io.calibration import Calibration
+from runtime.projection import OcclusionFilter, project_points
+
+K = np.array([[700.0, 0, 320], [0, 710, 120], [0, 0, 1]])
+P2 = np.hstack([K, K @ [[0.06], [-0.01], [0.002]]])
+RECTIFY = np.array([[0.99995, 0.01, 0], [-0.01, 0.99995, 0], [0, 0, 1]])
+R = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+T = np.array([-0.004, -0.076, -0.27])
+SIZE = (240, 640)
+
+
+def by_hand(rectify=RECTIFY, shift=(0.06, -0.01, 0.002)):
+    """The chain, one point at a time: LiDAR, camera 0, rectified, beside, pixel."""
+
+    def pixel(point):
+        seen = rectify @ (R @ point + T) + shift
+        u, v, w = K @ seen
+        return u / w, v / w, w
+
+    return pixel
+
+
+def numbers(values):
+    return " ".join(f"{value:.17g}" for value in np.ravel(values))
+
+
+@pytest.fixture
+def raw(tmp_path):
+    (tmp_path / "calib_cam_to_cam.txt").write_text(
+        f"calib_time: 09-Jan-2012\nS_rect_02: {numbers(SIZE[::-1])}\n"
+        f"R_rect_00: {numbers(RECTIFY)}\nP_rect_02: {numbers(P2)}\n"
+    )
+    (tmp_path / "calib_velo_to_cam.txt").write_text(f"R: {numbers(R)}\nT: {numbers(T)}\n")
+    return tmp_path
+
+
+def matches(calibration, pixel):
+    points = np.random.default_rng(0).uniform([5, -4, -1], [40, 4, 1], (50, 3)).astype(np.float32)
+    found = (
+        calibration.intrinsics @ (calibration.extrinsics @ np.vstack([points.T, np.ones(50)]))[:3]
+    )
+    expected = np.array([pixel(point) for point in points])
+    np.testing.assert_allclose((found[:2] / found[2]).T, expected[:, :2], atol=1e-6)
+    np.testing.assert_allclose(found[2], expected[:, 2], rtol=1e-9)
+
+
+def test_kitti_raw(raw):
+    calibration = Calibration.from_kitti(raw)
+    matches(calibration, by_hand())
+    assert calibration.size == SIZE
+    assert calibration.focal_length_px == 700
+
+
+@pytest.mark.parametrize("name", ["calib_cam_to_cam.txt", "calib_velo_to_cam.txt"])
+def test_one_of_the_two_files_of_kitti_raw_is_told_to_be_one(raw, name):
+    with pytest.raises(InputError, match=f"{name} is one of two, .*: give their folder"):
+        Calibration.from_file(raw / name)
+
+
+def test_kitti_object_and_odometry(tmp_path):
+    to_camera = np.hstack([R, T[:, None]])
+    (tmp_path / "object.txt").write_text(
+        f"P2: {numbers(P2)}\nR0_rect: {numbers(RECTIFY)}\nTr_velo_to_cam: {numbers(to_camera)}\n"
+    )
+    matches(Calibration.from_kitti(tmp_path / "object.txt"), by_hand())
+    (tmp_path / "odometry.txt").write_text(f"P2: {numbers(P2)}\nTr: {numbers(to_camera)}\n")
+    matches(Calibration.from_kitti(tmp_path / "odometry.txt"), by_hand(rectify=np.eye(3)))
+
+
+def extrinsics():
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = R, T
+    return matrix
+
+
+@pytest.mark.parametrize("upper", [False, True], ids=["ROS 2", "ROS 1"])
+def test_camera_info(upper):
+    projection = np.hstack([K, [[700 * 0.12], [0], [0]]])  # the right camera of two
+    info = {"k": (K * 2).ravel(), "d": [0.1] * 5, "p": projection.ravel().tolist(), "height": 240,
+            "width": 640}  # fmt: skip
+    if upper:
+        info = {key.upper() if len(key) == 1 else key: value for key, value in info.items()}
+    calibration = Calibration.from_camera_info(info, extrinsics())
+    matches(calibration, by_hand(rectify=np.eye(3), shift=(0.12, 0, 0)))
+    assert calibration.size == SIZE
+
+
+def test_camera_info_of_a_camera_that_was_never_rectified():
+    info = {"k": K.ravel(), "p": [0.0] * 12, "d": [0.0] * 5, "height": 0, "width": 0}
+    calibration = Calibration.from_camera_info(info, extrinsics())
+    matches(calibration, by_hand(rectify=np.eye(3), shift=(0, 0, 0)))
+    assert calibration.size is None
+    with pytest.raises(InputError, match="rectify the images"):
+        Calibration.from_camera_info({**info, "d": [0.1]}, extrinsics())
+
+
+def test_toml(tmp_path):
+    path = tmp_path / "camera.toml"
+    path.write_text(
+        f"intrinsics = {K.tolist()}\nextrinsics = {extrinsics().tolist()}\nsize = [240, 640]\n"
+    )
+    calibration = Calibration.from_toml(path)
+    matches(calibration, by_hand(rectify=np.eye(3), shift=(0, 0, 0)))
+    assert calibration.size == SIZE
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "has the keys none"),
+        ("intrinsics = 1", "has the keys intrinsics"),
+        ("intrinsics = 1\nextrinsics = 2\ncolour = 3", "has the keys colour"),
+        ("intrinsics = 1\nextrinsics = 2", "3 x 3 finite numbers, got 1"),
+        ("intrinsics = [[nan]]", "has the keys intrinsics"),
+        ("=", "cannot read"),
+    ],
+)
+def test_damaged_toml(tmp_path, text, said):
+    path = tmp_path / "camera.toml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=said):
+        Calibration.from_toml(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda raw: (raw / "calib_velo_to_cam.txt").unlink(), "cannot read"),
+        (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("R: 1 2 3"), "'R' has 3 numbers"),
+        (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("T: 1 2 3"), "no line 'R:'"),
+        (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("R: a"), "something not a number"),
+        (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("R: nan" + " 0" * 8), "holds NaN"),
+        (lambda raw: (raw / "calib_velo_to_cam.txt").write_bytes(b"\xff"), "cannot read"),
+    ],
+)
+def test_damaged_kitti(raw, change, said):
+    change(raw)
+    with pytest.raises(InputError, match=said):
+        Calibration.from_kitti(raw)
+
+
+def test_what_is_no_calibration():
+    with pytest.raises(InputError, match="positive focal lengths"):
+        Calibration(np.diag([-1.0, 1, 1]), np.eye(4))
+    with pytest.raises(InputError, match="transposed"):
+        Calibration(K, extrinsics().T.copy())
+    with pytest.raises(InputError, match="neither p nor k"):
+        Calibration.from_camera_info({}, np.eye(4))
+
+
+def test_projection_is_project_points_and_minds_the_size():
+    points = np.random.default_rng(0).uniform([5, -4, -1], [40, 4, 1], (99, 3)).astype(np.float32)
+    calibration = Calibration(K, extrinsics(), SIZE)
+    expected = project_points(points, K, extrinsics(), SIZE)
+    np.testing.assert_array_equal(calibration.project(points, SIZE), expected)
+    assert np.count_nonzero(expected) > 50
+    filtered = dataclasses.replace(calibration, occlusion=OcclusionFilter(window=(81, 81)))
+    assert np.count_nonzero(filtered.project(points, SIZE)) < np.count_nonzero(expected)
+    with pytest.raises(InputError, match="scale the intrinsics"):
+        calibration.project(points, (120, 320))

@@ -1,0 +1,127 @@
+"""A clock that stands still until a test moves it, and a predictor whose answers are known."""
+
+import threading
+from types import SimpleNamespace
+
+import pytest
+
+from runtime.live.push_stream import PushStream
+from runtime.prediction import Latency, Prediction
+from runtime.preprocess import preprocess
+
+MS = 1_000_000
+
+
+class ManualClock:
+    """Moved by the test alone. Who waits for a time is woken when it has come."""
+
+    def __init__(self):
+        self._now_ns = 0
+        self._conditions = set()
+        self._lock = threading.Lock()
+        self._waiting = set()  # threads
+        self._someone_waits = threading.Condition()
+
+    def now_ns(self):
+        return self._now_ns
+
+    def wait(self, changed, timeout_ns):
+        with self._lock:
+            self._conditions.add(changed)
+        if timeout_ns is None or timeout_ns > 0:
+            with self._someone_waits:
+                self._waiting.add(threading.get_ident())
+                self._someone_waits.notify_all()
+            assert changed.wait(60), "a test that hangs fails"
+            with self._someone_waits:
+                self._waiting.discard(threading.get_ident())
+
+    def tell(self):
+        """Wake `holds_up`."""
+        with self._someone_waits:
+            self._someone_waits.notify_all()
+
+    def holds_up(self, thread, changed, *, still=lambda: True, ended=lambda: False):
+        """Whether `thread` comes to wait while `still` holds, instead of being `ended`."""
+        while True:
+            with self._someone_waits:
+                seen = self._someone_waits.wait_for(
+                    lambda: ended() or thread.ident in self._waiting, timeout=60
+                )
+            if not seen or ended():
+                return False
+            with changed:  # nobody is on the way: whoever was notified waits again or has moved
+                if thread.ident in self._waiting and still():
+                    return True
+
+    def advance_ms(self, milliseconds):
+        with self._lock:
+            conditions = list(self._conditions)
+            self._now_ns += round(milliseconds * MS)
+        for changed in conditions:
+            with changed:
+                changed.notify_all()
+
+
+class CheckedPredictor:
+    """Checks a frame as the engine does and answers depth + 1.
+
+    gate: is asked for leave before each prediction; hold it with `gate.clear()`
+    """
+
+    focal_length_px = None
+
+    def __init__(self):
+        self.gate = threading.Event()
+        self.gate.set()
+        self.entered = threading.Semaphore(0)
+        self.clock = None
+        self.takes_ms = 0
+        self.fail_with = None
+        self.focal_lengths_px = []
+
+    def predict(self, rgb, sparse_depth, *, stamp=None, focal_length_px=None):
+        self.focal_lengths_px.append(focal_length_px)
+        self.entered.release()
+        assert self.gate.wait(60)
+        if self.fail_with is not None:
+            raise self.fail_with
+        frame = preprocess(rgb, sparse_depth, max_depth_m=80, size_for=lambda size: size)
+        if self.takes_ms:
+            self.clock.advance_ms(self.takes_ms)
+        return Prediction(
+            semantic=None,
+            depth=frame.sparse_depth + 1,
+            boundary=None,
+            frame_size=frame.frame_size,
+            network_size=frame.network_size,
+            latency=Latency(0, 0, 0, 0),
+            degraded=frame.degraded,
+            depth_returns=frame.depth_returns,
+            stamp=stamp,
+        )
+
+
+@pytest.fixture(scope="session")
+def checked_predictor():
+    """The class."""
+    return CheckedPredictor
+
+
+@pytest.fixture
+def setup():
+    """Make a stream on a manual clock: `.stream`, `.clock`, `.predictor`. Closed at the end."""
+    made = []
+
+    def make(**options):
+        clock, predictor = ManualClock(), CheckedPredictor()
+        predictor.clock = clock
+        stream = PushStream(predictor, clock=clock, **options)
+        made.append((stream, predictor))
+        return SimpleNamespace(stream=stream, clock=clock, predictor=predictor)
+
+    yield make
+    for stream, predictor in made:
+        predictor.gate.set()
+        stream.close()
+        assert not stream._worker.is_alive()

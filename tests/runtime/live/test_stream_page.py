@@ -1,0 +1,66 @@
+"""A stream of pushed frames has the same page, made of its statistics and counts."""
+
+import pytest
+
+from runtime import OutputError, Predictor
+from runtime.live.stream_page import StreamPage
+
+N = 9
+
+
+@pytest.fixture
+def streamed(model_file, make_frame):
+    """(page, stream) after N frames, one without depth, one that stands still, and a lone depth."""
+    with Predictor(model_file(), threads=1) as predictor:
+        page = StreamPage(predictor)
+        with predictor.stream(mode="replay", deadline_ms=1e-3, on_result=page.add) as stream:
+            for index in range(N):
+                rgb, depth = make_frame(seed=index - (index == 5))
+                stream.push_image(rgb, 0.1 * index)
+                if index != 3:
+                    stream.push_depth(depth, 0.1 * index)
+            stream.push_depth(depth, 9.0)
+        yield page, stream
+
+
+def test_the_page_tells_of_the_stream(tmp_path, streamed, read_page):
+    page, stream = streamed
+    path = tmp_path / "deep" / "report.html"
+    page.write(str(path), stream)
+    text = path.read_text()
+    read = read_page(text)
+    assert "Stream of by-hand" in read.texts
+    assert read.after("frames") == str(N)
+    assert read.after("missed deadlines") == str(N)
+    assert read.after("late") == f"{N} of {N}"
+    assert read.after("no_depth") == f"1 of {N}"
+    assert read.after("image_frozen") == f"1 of {N}"
+    assert read.after("images") == f"{N} pushed; {N} answered"
+    assert read.after("depth maps") == f"{N} pushed; {N - 1} answered; 1 unmatched (no_image 1)"
+    assert read.after("state").split(", ") == [stream.state.level, *stream.state.reasons]
+    assert text.count('<circle class="late"') == 3 * N
+    assert text.count("<figure>") >= 3
+    for stage, figures in stream.statistics.stages.items():
+        assert (figures is None) == (stage not in read.texts)
+    assert all(link.startswith("data:") for link in read.links)
+
+
+def test_it_is_written_as_often_as_wanted_and_while_the_stream_runs(
+    tmp_path, model_file, make_frame, read_page
+):
+    path = tmp_path / "report.html"
+    with Predictor(model_file(), threads=1) as predictor:
+        page = StreamPage(predictor)
+        with predictor.stream(mode="replay", max_wait_ms=0, on_result=page.add) as stream:
+            page.write(path, stream)
+            assert read_page(path.read_text()).after("frames") == "0"
+            stream.push_image(make_frame()[0], 0.0)
+        page.write(path, stream)
+    assert read_page(path.read_text()).after("frames") == "1"
+
+
+def test_a_place_that_cannot_be_written_is_an_output_error(tmp_path, streamed):
+    page, stream = streamed
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot write"):
+        page.write(tmp_path / "file" / "a.html", stream)

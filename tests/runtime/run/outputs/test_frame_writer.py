@@ -1,0 +1,239 @@
+"""What is written is what was predicted, whole or not at all, and only in a folder of our own."""
+
+import dataclasses
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from runtime import OutputError
+from runtime.drawing.overlay import Overlay
+from runtime.io.atomic_write import atomic_file
+from runtime.run.outputs.frame_writer import (
+    FrameWriter,
+    encode_boundary,
+    encode_metres,
+    encode_semantic,
+)
+from runtime.run.run_folder import KINDS
+
+
+def decode(content: bytes):
+    return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
+def files_in(folder: Path) -> set[str]:
+    return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+
+
+def test_metres_are_rounded_and_clipped_and_zero_stays_none():
+    depth = np.array([[0, 1, 80.001, 1.5 / 256, 2.4 / 256, 255.999, 300, 1e9]], np.float32)
+    image = decode(encode_metres(depth))
+    assert image.dtype == np.uint16
+    assert image.tolist() == [[0, 256, 20480, 2, 2, 65535, 65535, 65535]]
+
+
+def test_boundary_and_semantic():
+    boundary = np.array([[0, 0.5, 1, 0.2]], np.float32)
+    assert decode(encode_boundary(boundary)).tolist() == [[0, 128, 255, 51]]
+    semantic = np.random.default_rng(0).integers(0, 255, (37, 41), dtype=np.uint8)
+    assert np.array_equal(decode(encode_semantic(semantic)), semantic)
+
+
+def test_a_frame_is_written(tmp_path, contract, answered):
+    frame, prediction = answered
+    out = tmp_path / "deep" / "out"
+    FrameWriter(out, contract, kinds=KINDS).write("0007", frame, prediction)
+    assert files_in(out) == {
+        ".ssdnet-run",
+        "semantic/0007.png",
+        "depth/0007.png",
+        "uncertainty/0007.png",
+        "boundary/0007.png",
+        "overlay/0007.jpg",
+    }
+    semantic = cv2.imread(str(out / "semantic/0007.png"), cv2.IMREAD_UNCHANGED)
+    assert np.array_equal(semantic, prediction.semantic)
+    depth = cv2.imread(str(out / "depth/0007.png"), cv2.IMREAD_UNCHANGED) / 256
+    assert abs(depth - prediction.depth).max() <= 0.5 / 256 + 1e-6
+    uncertainty = cv2.imread(str(out / "uncertainty/0007.png"), cv2.IMREAD_UNCHANGED) / 256
+    assert abs(uncertainty - prediction.depth / 16).max() <= 0.5 / 256 + 1e-6
+    boundary = cv2.imread(str(out / "boundary/0007.png"), cv2.IMREAD_UNCHANGED) / 255
+    assert abs(boundary - prediction.boundary).max() <= 0.5 / 255 + 1e-6
+
+
+def test_only_what_was_asked_for_and_what_the_model_has(tmp_path, contract, answered):
+    frame, prediction = answered
+    prediction = dataclasses.replace(prediction, boundary=None, depth_uncertainty=None)
+    kinds = ("semantic", "boundary", "uncertainty")
+    writer = FrameWriter(tmp_path / "out", contract, kinds=kinds)
+    writer.write("a", frame, prediction)
+    assert files_in(tmp_path / "out") == {".ssdnet-run", "semantic/a.png"}
+
+
+def test_what_a_format_cannot_hold_is_an_output_error(tmp_path, contract, answered, monkeypatch):
+    monkeypatch.setattr(Overlay, "draw", lambda *_: np.zeros((8, 65600, 3), np.uint8))
+    writer = FrameWriter(tmp_path / "out", contract, kinds=KINDS)
+    with pytest.raises(OutputError, match=r"cannot encode .*a\.jpg.*leave out overlay"):
+        writer.write("a", *answered)
+    assert files_in(tmp_path / "out") == {".ssdnet-run"}
+
+
+# --- the folder --------------------------------------------------------------------------------
+
+
+def test_an_empty_folder_may_be_used(tmp_path, contract):
+    FrameWriter(tmp_path, contract, kinds=("depth",))
+    assert (tmp_path / "depth").is_dir()
+
+
+def test_a_used_folder_is_refused(tmp_path, contract, answered):
+    FrameWriter(tmp_path / "out", contract, kinds=KINDS).write("a", *answered)
+    before = files_in(tmp_path)
+    with pytest.raises(OutputError, match=r"not empty.*--overwrite"):
+        FrameWriter(tmp_path / "out", contract, kinds=KINDS)
+    assert files_in(tmp_path) == before
+
+
+def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, contract, answered):
+    out = tmp_path / "out"
+    names = ("old", "two\nlines", "g\udcff1")
+    writer = FrameWriter(out, contract, kinds=KINDS)
+    for name in names:
+        writer.write(name, *answered)
+    with atomic_file(out / "depth" / "old.png") as file:
+        leftover = str(Path(file.name).relative_to(out))
+    mine = {"mine.txt", "depth/mine.png", "overlay/holiday.jpg", "semantic/.mine.png.part"}
+    for name in ("frames.csv", "report.json", "latency.png", leftover, *mine):
+        (out / name).write_text("x")
+    (out / "boundary" / "old.png").unlink()
+    (out / "boundary" / "old.png").mkdir()  # a folder is not ours, whatever its name
+    FrameWriter(out, contract, kinds=("depth",), overwrite=True).write("new", *answered)
+    assert files_in(out) == {".ssdnet-run", "depth/new.png", *mine}
+    assert (out / "boundary" / "old.png").is_dir()
+    FrameWriter(out, contract, kinds=(), overwrite=True)
+    assert files_in(out) == {".ssdnet-run", *mine}
+
+
+@pytest.fixture
+def earlier_run(tmp_path, contract, answered):
+    """A folder with a run of the frame "a", whose report was written."""
+    FrameWriter(tmp_path / "out", contract, kinds=KINDS).write("a", *answered)
+    (tmp_path / "out" / "report.json").write_text("{}")
+    return tmp_path / "out"
+
+
+def refuse_to_overwrite(out, contract, text, **options):
+    """Check that nothing was touched, there or elsewhere."""
+    before = {name: (out.parent / name).read_bytes() for name in files_in(out.parent)}
+    with pytest.raises(OutputError, match=text):
+        FrameWriter(out, contract, overwrite=True, **options)
+    assert before == {name: (out.parent / name).read_bytes() for name in files_in(out.parent)}
+
+
+def test_overwrite_writes_nothing_through_a_link(tmp_path, contract, earlier_run):
+    (earlier_run / "depth").rename(tmp_path / "pictures")
+    (earlier_run / "depth").symlink_to(tmp_path / "pictures")
+    text = r"out/depth is a link or a file in the place"
+    refuse_to_overwrite(earlier_run, contract, text, kinds=("semantic", "depth"))
+    (earlier_run / "depth").unlink()
+    (earlier_run / "depth").symlink_to(tmp_path / "none")
+    refuse_to_overwrite(earlier_run, contract, text, kinds=("depth",))
+    (earlier_run / "depth").unlink()
+    (earlier_run / "depth").touch()
+    refuse_to_overwrite(earlier_run, contract, text, kinds=("depth",))
+    FrameWriter(earlier_run, contract, kinds=("semantic",), overwrite=True)
+
+
+def test_overwrite_replaces_no_file_of_another(tmp_path, contract, earlier_run, answered):
+    foreign = earlier_run / "depth" / "b.png"
+    foreign.write_text("mine")
+    text = r"out/depth/b\.png is not of the earlier run"
+    refuse_to_overwrite(earlier_run, contract, text, names=("a", "b"))
+    foreign.unlink()
+    foreign.symlink_to(tmp_path / "none")
+    refuse_to_overwrite(earlier_run, contract, text, names=("a", "b"))
+    FrameWriter(earlier_run, contract, kinds=("semantic",), names=("a", "b"), overwrite=True)
+    assert foreign.is_symlink()
+
+
+def test_overwrite_replaces_no_folder_of_another(contract, earlier_run):
+    (earlier_run / "depth" / "a.png").unlink()
+    (earlier_run / "depth" / "a.png").mkdir()
+    text = r"out/depth/a\.png is not of the earlier run"
+    refuse_to_overwrite(earlier_run, contract, text, names=("a",))
+
+
+def test_overwrite_does_not_follow_links_out_of_the_folder(tmp_path, contract, answered):
+    out, pictures = tmp_path / "out", tmp_path / "pictures"
+    FrameWriter(out, contract, kinds=("semantic",)).write("a", *answered)
+    (out / "semantic").rename(pictures)
+    (out / "semantic").symlink_to(pictures)
+    FrameWriter(out, contract, kinds=("depth",), overwrite=True)
+    assert files_in(pictures) == {"a.png"}
+
+
+def test_overwrite_says_what_it_could_not_remove(contract, earlier_run, read_only):
+    read_only(earlier_run / "depth")
+    with pytest.raises(OutputError, match=r"cannot remove the earlier run.*depth/a\.png"):
+        FrameWriter(earlier_run, contract, kinds=KINDS, overwrite=True)
+    assert not (earlier_run / "report.json").exists(), "a run with a report is whole"
+
+
+def test_overwrite_never_touches_a_folder_that_is_not_ours(tmp_path, contract):
+    (tmp_path / "depth").mkdir()
+    (tmp_path / "depth" / "0001.png").write_text("a data set")
+    with pytest.raises(OutputError, match="did not make"):
+        FrameWriter(tmp_path, contract, kinds=KINDS, overwrite=True)
+    assert files_in(tmp_path) == {"depth/0001.png"}
+
+
+def test_a_folder_that_cannot_be_made(tmp_path, contract):
+    (tmp_path / "file").touch()
+    for out in (tmp_path / "file", tmp_path / "file" / "out", Path("/proc/none/out")):
+        with pytest.raises(OutputError, match="cannot make the output folder"):
+            FrameWriter(out, contract, kinds=KINDS)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_without_permission(tmp_path, contract):
+    tmp_path.chmod(0o500)
+    with pytest.raises(OutputError, match="Permission denied"):
+        FrameWriter(tmp_path / "out", contract, kinds=KINDS)
+
+
+# --- whole or not at all -----------------------------------------------------------------------
+
+
+def test_a_frame_that_fails_half_way_leaves_none_of_its_files(tmp_path, contract, answered):
+    out = tmp_path / "out"
+    writer = FrameWriter(out, contract, kinds=KINDS)
+    writer.write("good", *answered)
+    before = files_in(out)
+    (out / KINDS[-1]).rename(tmp_path / "away")
+    (out / KINDS[-1]).touch()  # in the place of its folder
+    with pytest.raises(OutputError, match=r"Not a directory.*is kept"):
+        writer.write("bad", *answered)
+    (out / KINDS[-1]).unlink()
+    (tmp_path / "away").rename(out / KINDS[-1])
+    assert files_in(out) == before
+
+
+def test_a_disk_that_is_really_full(mount_disk, contract, answered):
+    tiny_disk = mount_disk(64)
+    writer = FrameWriter(tiny_disk / "out", contract, kinds=KINDS)
+    finished: list[str] = []
+
+    def write_frames():
+        for index in range(100):
+            writer.write(str(index), *answered)
+            finished.append(str(index))
+
+    with pytest.raises(OutputError, match="No space left on device"):
+        write_frames()
+    assert 0 < len(finished) < 100
+    for kind in KINDS:
+        written = {path.stem for path in (tiny_disk / "out" / kind).iterdir()}
+        assert written == set(finished), "whole frames only, nothing temporary"

@@ -1,0 +1,141 @@
+"""The MCAP file holds every answer as standard messages, and is whole or not there."""
+
+import json
+import signal
+
+import cv2
+import numpy as np
+import pytest
+
+import runtime.run.cli
+from runtime import OutputError
+from runtime.drawing.overlay import Overlay
+from runtime.run.outputs.mcap import open_mcap
+from runtime.sources.frames import Frame
+
+rosbags = pytest.importorskip("rosbags", reason="the extra bag is not installed")
+
+from rosbags.highlevel import AnyReader  # noqa: E402
+
+STAMP_NS = 1_317_046_451_072_943_872
+HEADS = {"semantic": np.uint8, "depth": np.float32, "depth_uncertainty": np.float32,
+         "boundary": np.float32}  # fmt: skip
+
+
+def read_mcap(path):
+    """Topic -> [(time, message)], as rosbags' own reader has them."""
+    found = {}
+    with AnyReader([path]) as reader:
+        for connection, time_ns, content in reader.messages():
+            message = reader.deserialize(content, connection.msgtype)
+            found.setdefault(connection.topic, []).append((time_ns, message))
+    return found
+
+
+def test_the_answers_are_read_back_with_the_stamps_of_the_camera(
+    tmp_path, contract, answered, overlay
+):
+    frame, prediction = answered
+    path = tmp_path / "deep" / "a.mcap"
+    with open_mcap(path, contract, overlay) as mcap:
+        for number in range(3):
+            stamp_ns = STAMP_NS + number * 100_000_000
+            mcap.write(f"f{number}", Frame(frame.rgb, frame.sparse_depth, stamp_ns), prediction)
+        assert not path.exists()
+    topics = read_mcap(path)
+    for head, dtype in HEADS.items():
+        for number, (time_ns, image) in enumerate(topics[f"/ssdnet/{head}"]):
+            stamp = image.header.stamp
+            assert time_ns == stamp.sec * 10**9 + stamp.nanosec == STAMP_NS + number * 10**8
+            assert image.header.frame_id == "camera"
+            assert image.encoding == ("mono8" if head == "semantic" else "32FC1")
+            assert image.step * image.height == image.data.size
+            values = image.data.view(dtype).reshape(image.height, image.width)
+            np.testing.assert_array_equal(values, getattr(prediction, head), strict=True)
+        assert number == 2
+    (_, overlay), *_ = topics["/ssdnet/overlay/compressed"]
+    drawn = Overlay(contract.classes, contract.max_depth_m).draw(frame.rgb, prediction)
+    assert overlay.format == "jpeg"
+    assert abs(cv2.imdecode(overlay.data, cv2.IMREAD_COLOR).astype(int) - drawn).mean() < 12
+    ((_, classes),) = topics["/ssdnet/classes"]
+    assert json.loads(classes.data) == {"0": "dark", "1": "red"}
+    (_, diagnostics), *_ = topics["/diagnostics"]
+    (status,) = diagnostics.status
+    assert (status.name, status.level, status.message) == ("ssdnet", 0, "ok")
+    values = {entry.key: entry.value for entry in status.values}
+    assert values["frame"] == "f0"
+    assert float(values["total_ms"]) == pytest.approx(prediction.latency.total_ms, abs=1e-3)
+
+
+def test_what_is_degraded_is_a_warning(tmp_path, contract, answered, model_file, overlay):
+    frame, _ = answered
+    with runtime.Predictor(model_file()) as predictor:
+        camera_only = predictor.predict(frame.rgb, np.zeros_like(frame.sparse_depth))
+    with open_mcap(tmp_path / "a.mcap", contract, overlay) as mcap:
+        mcap.write("x", frame, camera_only)
+    topics = read_mcap(tmp_path / "a.mcap")
+    ((_, diagnostics),) = topics["/diagnostics"]
+    assert (diagnostics.status[0].level, diagnostics.status[0].message) == (1, "no_depth")
+    assert "/ssdnet/depth_uncertainty" not in topics, "the model has no such head"
+
+
+def test_frames_without_stamps_come_at_the_rate(tmp_path, run):
+    assert run("--save", "none", "--mcap", tmp_path / "a.mcap", "--rate", 1000).exit_code == 0
+    times_ns = [time_ns for time_ns, _ in read_mcap(tmp_path / "a.mcap")["/ssdnet/depth"]]
+    assert times_ns == [number * 1_000_000 for number in range(len(times_ns))]
+    assert len(times_ns) == 12
+
+
+@pytest.mark.parametrize("stamp_ns", [-1, 2**31 * 10**9])
+def test_a_stamp_that_ros_cannot_hold_leaves_no_file(
+    tmp_path, contract, answered, stamp_ns, overlay
+):
+    frame, prediction = answered
+    path = tmp_path / "made" / "a.mcap"
+
+    def fail():
+        with open_mcap(path, contract, overlay) as mcap:
+            mcap.write("x", frame, prediction)
+            mcap.write("y", Frame(frame.rgb, frame.sparse_depth, stamp_ns), prediction)
+
+    with pytest.raises(OutputError, match="has the stamp"):
+        fail()
+    assert list(path.parent.iterdir()) == []
+
+
+def test_a_run_that_is_stopped_leaves_a_whole_file(tmp_path, run, monkeypatch):
+    written = []
+
+    class Stopping(runtime.run.outputs.mcap.McapWriter):
+        def write(self, name, frame, prediction):
+            super().write(name, frame, prediction)
+            written.append(name)
+            if len(written) == 3:
+                signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(runtime.run.outputs.mcap, "McapWriter", Stopping)
+    assert run("--save", "none", "--mcap", tmp_path / "a.mcap").exit_code == 3
+    topics = read_mcap(tmp_path / "a.mcap")
+    names = [message.status[0].values[0].value for _, message in topics["/diagnostics"]]
+    assert names == written
+    assert 3 <= len(names) < 12
+
+
+def test_what_is_there_is_replaced_only_when_asked_and_another_ending_is_refused(tmp_path, run):
+    (tmp_path / "a.mcap").write_bytes(b"mine")
+    said = run("--save", "none", "--mcap", tmp_path / "a.mcap")
+    assert said.exit_code == 1
+    assert "--overwrite" in said.output
+    assert (tmp_path / "a.mcap").read_bytes() == b"mine"
+    assert run("--save", "none", "--overwrite", "--mcap", tmp_path / "a.mcap").exit_code == 0
+    assert len(read_mcap(tmp_path / "a.mcap")["/ssdnet/depth"]) == 12
+    assert run("--mcap", tmp_path / "a.bag").exit_code == 2
+
+
+def test_without_the_extra_it_says_what_to_install(tmp_path, contract, monkeypatch, overlay):
+    monkeypatch.setitem(__import__("sys").modules, "rosbags.rosbag2", None)
+    with (
+        pytest.raises(OutputError, match=r"pip install 'ssdnet\[bag\]'"),
+        open_mcap(tmp_path / "a.mcap", contract, overlay),
+    ):
+        pass

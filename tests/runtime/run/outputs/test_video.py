@@ -1,0 +1,148 @@
+"""The video holds the overlay of every frame that was written, and is whole or not there."""
+
+import csv
+import signal
+
+import cv2
+import numpy as np
+import pytest
+
+import runtime.run.cli
+from runtime import OutputError
+from runtime.run.outputs.video import open_video
+from runtime.sources.frames import Frame
+
+
+def read_video(path):
+    """(frames a second, pictures)."""
+    file = cv2.VideoCapture(str(path))
+    pictures = []
+    while True:
+        done, picture = file.read()
+        if not done:
+            return file.get(cv2.CAP_PROP_FPS), pictures
+        pictures.append(picture)
+
+
+def mean_difference(one, other):
+    return abs(one.astype(int) - other).mean()
+
+
+def test_it_shows_the_overlays_in_their_order(tmp_path, overlay, answered):
+    frame, prediction = answered
+    expected = []
+    with open_video(tmp_path / "deep" / "a.mp4", overlay) as video:
+        for brightness in (40, 120, 200):
+            frame = Frame(np.full_like(frame.rgb, brightness), frame.sparse_depth)
+            video.write("x", frame, prediction)
+            expected.append(overlay.draw(frame.rgb, prediction))
+        assert not (tmp_path / "deep" / "a.mp4").exists()
+    rate_hz, pictures = read_video(tmp_path / "deep" / "a.mp4")
+    assert rate_hz == 10
+    assert len(pictures) == 3
+    for picture, drawn in zip(pictures, expected, strict=True):
+        height, width = drawn.shape[:2]
+        assert picture.shape == (height + height % 2, width + width % 2, 3)
+        assert mean_difference(picture[:height, :width], drawn) < 12, "noise is hard to encode"
+    assert mean_difference(pictures[0], pictures[1]) > 10
+
+
+@pytest.mark.parametrize("size", [(48, 64), (61, 81), (200, 300), (30, 400), (480, 31)])
+def test_frames_of_other_sizes_are_fitted_into_the_first(tmp_path, overlay, answered, size):
+    frame, prediction = answered
+    other = cv2.resize(frame.rgb, size[::-1])
+    resized = {
+        head: cv2.resize(getattr(prediction, head), size[::-1])
+        for head in ("semantic", "depth", "boundary", "depth_uncertainty")
+    }
+    answer = type("Answers", (), resized)
+    with open_video(tmp_path / "a.mp4", overlay, rate_hz=30) as video:
+        video.write("x", frame, prediction)
+        video.write("y", Frame(other, frame.sparse_depth), answer)
+    rate_hz, pictures = read_video(tmp_path / "a.mp4")
+    assert rate_hz == 30
+    assert len(pictures) == 2
+    assert pictures[0].shape == pictures[1].shape
+    assert pictures[1].mean() > 5
+
+
+def test_a_run_without_frames_has_no_video(tmp_path, overlay):
+    (tmp_path / "a.mp4").write_text("of before")
+    with open_video(tmp_path / "a.mp4", overlay):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_error_leaves_no_video(tmp_path, overlay, answered):
+    def fail():
+        with open_video(tmp_path / "a.mp4", overlay) as video:
+            video.write("x", *answered)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]
+
+
+def test_a_full_disk_is_an_output_error(mount_disk, overlay, answered):
+    folder = mount_disk(64)
+    noise = np.random.default_rng(0)
+
+    def fill():
+        with open_video(folder / "a.mp4", overlay) as video:
+            for _ in range(200):
+                rgb = noise.integers(0, 255, answered[0].rgb.shape, dtype=np.uint8)
+                video.write("x", Frame(rgb, answered[0].sparse_depth), answered[1])
+
+    with pytest.raises(OutputError, match="make room or choose another place"):
+        fill()
+    assert not list(folder.iterdir())
+
+
+def test_what_cannot_be_encoded_is_an_output_error(tmp_path, overlay, answered, monkeypatch):
+    monkeypatch.setattr("runtime.run.outputs.video._CODEC", "none")
+
+    def fail():
+        with open_video(tmp_path / "a.mp4", overlay) as video:
+            video.write("x", *answered)
+
+    with pytest.raises(OutputError, match="no such encoder"):
+        fail()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_after_a_signal_its_frames_are_those_of_the_table(tmp_path, run, monkeypatch, number):
+    predict = runtime.run.cli.Predictor.predict
+    count = iter(range(100))
+
+    def interrupted(self, *frame, **options):
+        if next(count) == 6:
+            signal.raise_signal(number)
+        return predict(self, *frame, **options)
+
+    monkeypatch.setattr(runtime.run.cli.Predictor, "predict", interrupted)
+    video = tmp_path / "out" / "run.mp4"
+    result = run("--warmup", 0, "--video", video, "--save", "none")
+    assert result.exit_code == 3, result.output
+    with (tmp_path / "out/frames.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 7
+    assert len(read_video(video)[1]) == 7
+    assert f"video: {video}" in result.stdout
+
+
+def test_the_command_replaces_a_video_only_when_told(tmp_path, run):
+    video = tmp_path / "run.mp4"
+    assert run("--video", video, "--limit", 2).exit_code == 0
+    before = video.read_bytes()
+    result = run("--out", tmp_path / "other", "--video", video)
+    assert result.exit_code == 1
+    assert "run.mp4 exists: choose another name, or replace it with --overwrite" in result.stderr
+    assert video.read_bytes() == before
+    assert not (tmp_path / "other").exists()
+    assert run("--video", video, "--rate", 100, "--limit", 3, "--overwrite").exit_code == 0
+    rate_hz, pictures = read_video(video)
+    assert (rate_hz, len(pictures)) == (100, 3)
+    assert run("--video", tmp_path, "--overwrite").exit_code == 2
+    (tmp_path / "folder.mp4").mkdir()
+    result = run("--video", tmp_path / "folder.mp4", "--overwrite")
+    assert "is a folder: name a file" in result.stderr

@@ -1,0 +1,371 @@
+"""A run of a stream: order, overlap, bad frames, full disks and Ctrl-C."""
+
+import os
+import re
+import sys
+import threading
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+import runtime.run.pipeline
+import runtime.sources.frames
+from runtime import OutputError, Predictor
+from runtime.run.pipeline import run_stream
+from runtime.sources.frames import list_frames, read_frame
+
+
+@pytest.fixture
+def stream_of(tmp_path, make_frame):
+    """Write a stream of n frames and give (rgb folder, depth folder)."""
+
+    def make(n, *, height=48, width=64):
+        for folder in ("rgb", "depth"):
+            (tmp_path / folder).mkdir()
+        for index in range(n):
+            rgb, depth = make_frame(height, width, seed=index)
+            assert cv2.imwrite(str(tmp_path / f"rgb/{index}.png"), rgb[..., ::-1])
+            image = np.rint(depth * 256).astype(np.uint16)
+            assert cv2.imwrite(str(tmp_path / f"depth/{index}.png"), image)
+        return tmp_path / "rgb", tmp_path / "depth"
+
+    return make
+
+
+@pytest.fixture
+def predictor(model_file):
+    with Predictor(model_file(), threads=1) as predictor:
+        yield predictor
+
+
+def run(predictor, folders, **options):
+    options.setdefault("read", partial(read_frame, depth_scale=256))
+    return run_stream(predictor, list_frames(*folders), **options)
+
+
+def test_every_frame_is_predicted_and_written_in_order(predictor, stream_of, make_frame):
+    written = []
+    seen = []
+    result = run(
+        predictor,
+        stream_of(12),
+        write=lambda name, frame, prediction: written.append((name, frame.rgb, prediction)),
+        on_record=lambda record: seen.append(record.index),
+    )
+    names = [str(index) for index in range(12)]
+    assert [record.name for record in result.records] == names
+    assert [name for name, _, _ in written] == names
+    assert seen == list(range(12))
+    assert not result.interrupted
+    for index, (_, rgb, prediction) in enumerate(written):
+        expected_rgb, expected_depth = make_frame(seed=index)
+        assert np.array_equal(rgb, expected_rgb)
+        expected = np.rint(expected_depth * 256) / 256 + 1.5
+        np.testing.assert_allclose(prediction.depth, expected, rtol=1e-6)
+    for record in result.records:
+        assert record.status == "ok"
+        assert record.frame_size == (48, 64)
+        assert record.read_ms > 0
+        assert record.write_ms is not None
+        assert record.latency.total_ms >= record.latency.inference_ms > 0
+
+
+def test_without_writing_there_are_no_write_times(predictor, stream_of):
+    result = run(predictor, stream_of(3))
+    assert [record.write_ms for record in result.records] == [None] * 3
+
+
+def test_reading_and_writing_overlap_with_inference(predictor, stream_of, monkeypatch):
+    """While frame 2 is predicted, frame 3 is read and frame 1 is being written."""
+    folders = stream_of(6)
+    read_of = [threading.Event() for _ in range(6)]
+    predicted_of = [threading.Event() for _ in range(6)]
+    met: list[str] = []
+    predict = predictor.predict
+    count = iter(range(6))
+
+    def read_and_tell(files):
+        frame = read_frame(files, depth_scale=256)
+        read_of[int(files.name)].set()
+        return frame
+
+    def predict_when_others_work(rgb, depth):
+        index = next(count)
+        if index < 5 and read_of[index + 1].wait(5):
+            met.append(f"read {index + 1}")
+        prediction = predict(rgb, depth)
+        predicted_of[index].set()
+        return prediction
+
+    def write(name, frame, prediction):
+        # Ends only when the next frame was predicted: without overlap it would wait in vain.
+        if int(name) < 5 and predicted_of[int(name) + 1].wait(5):
+            met.append(f"written {name}")
+
+    monkeypatch.setattr(predictor, "predict", predict_when_others_work)
+    run(predictor, folders, read=read_and_tell, write=write)
+    assert sorted(met) == sorted(
+        [f"read {i}" for i in range(1, 6)] + [f"written {i}" for i in range(5)]
+    )
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere threads have no niceness")
+def test_reading_and_writing_give_way_to_inference(predictor, stream_of):
+    before = os.nice(0)
+    during = []
+    run(predictor, stream_of(1), write=lambda *_: during.append(os.nice(0)))
+    assert during == [min(before + 10, 19)]
+    assert os.nice(0) == before, "inference was slowed down as well"
+
+
+class WhenAwaited:
+    """An executor as slow as can be: it does nothing until somebody waits for it."""
+
+    def __init__(self, *_, **__) -> None:
+        pass
+
+    def submit(self, call, *arguments):
+        return SimpleNamespace(result=lambda: call(*arguments))
+
+    def shutdown(self, **_) -> None:
+        pass
+
+
+def test_a_slow_disk_holds_the_stream_back_instead_of_filling_the_memory(
+    predictor, stream_of, monkeypatch
+):
+    monkeypatch.setattr(runtime.run.pipeline, "ThreadPoolExecutor", WhenAwaited)
+    done: list[str] = []
+    ahead = []
+    predict = predictor.predict
+    count = iter(range(12))
+
+    def counted(*frame):
+        ahead.append(next(count) - len(done))
+        return predict(*frame)
+
+    monkeypatch.setattr(predictor, "predict", counted)
+    run(predictor, stream_of(12), write=lambda name, *_: done.append(name))
+    assert ahead == [0, 1] + [2] * 10
+    assert done == [str(index) for index in range(12)]
+
+
+# --- frames that go wrong ----------------------------------------------------------------------
+
+
+def spoil(folders, index, kind):
+    rgb, depth = (folder / f"{index}.png" for folder in folders)
+    if kind == "truncated picture":
+        rgb.write_bytes(rgb.read_bytes()[:500])
+    elif kind == "truncated depth":
+        depth.write_bytes(depth.read_bytes()[:300])
+    elif kind == "8-bit depth":
+        cv2.imwrite(str(depth), np.zeros((48, 64), np.uint8))
+    elif kind == "other size":
+        cv2.imwrite(str(depth), np.zeros((48, 60), np.uint16))
+    elif kind == "too small":
+        cv2.imwrite(str(rgb), np.zeros((20, 20, 3), np.uint8))
+        cv2.imwrite(str(depth), np.zeros((20, 20), np.uint16))
+    elif kind == "no depth":
+        depth.unlink()
+    elif kind == "no picture":
+        rgb.unlink()
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"),
+    [
+        ("truncated picture", "truncated"),
+        ("truncated depth", "truncated"),
+        ("8-bit depth", "16 bits"),
+        ("other size", r"shape \(H, W\) of rgb"),
+        ("too small", "at least 32"),
+        ("no depth", "no depth map"),
+        ("no picture", "no picture"),
+    ],
+)
+def test_a_bad_frame_is_flagged_and_the_run_goes_on(predictor, stream_of, kind, reason):
+    folders = stream_of(5)
+    spoil(folders, 2, kind)
+    written = []
+    result = run(predictor, folders, write=lambda name, *_: written.append(name))
+    assert [record.status for record in result.records] == ["ok", "ok", "skipped", "ok", "ok"]
+    assert written == ["0", "1", "3", "4"]
+    record = result.records[2]
+    assert record.name == "2"
+    assert record.latency is None
+    assert re.search(reason, record.reason)
+
+
+def test_a_picture_that_is_too_large_is_a_flagged_frame(predictor, stream_of, monkeypatch):
+    monkeypatch.setattr(runtime.sources.frames, "MAX_PIXELS", 48 * 64)
+    folders = stream_of(3)
+    cv2.imwrite(str(folders[0] / "1.png"), np.zeros((49, 64, 3), np.uint8))
+    result = run(predictor, folders)
+    assert [record.status for record in result.records] == ["ok", "skipped", "ok"]
+    assert "has 49 x 64 pixels" in result.records[1].reason
+
+
+def test_a_failing_session_is_a_flagged_frame(model_file, stream_of):
+    folders = stream_of(3)
+    for folder, channels in zip(folders, ((3,), ()), strict=True):
+        dtype = np.uint8 if channels else np.uint16
+        cv2.imwrite(str(folder / "1.png"), np.full((50, 70, *channels), 9, dtype))
+    with Predictor(model_file(only_runs_at=(48, 64))) as predictor:
+        result = run(predictor, folders)
+    assert [record.status for record in result.records] == ["ok", "skipped", "ok"]
+    assert "failed on a frame of 50 x 70" in result.records[1].reason
+
+
+def test_an_answer_with_nan_is_flagged_and_not_written(predictor, stream_of):
+    folders = stream_of(3)
+    picture = cv2.imread(str(folders[0] / "1.png"))
+    picture[5, 5] = 0
+    cv2.imwrite(str(folders[0] / "1.png"), picture)
+    written = []
+    result = run(predictor, folders, write=lambda name, *_: written.append(name))
+    assert [record.status for record in result.records] == ["ok", "invalid", "ok"]
+    assert result.records[1].reason == "boundary_not_finite"
+    assert written == ["0", "2"]
+
+
+def test_what_was_cleaned_is_recorded(predictor, stream_of):
+    folders = stream_of(1)
+    depth = np.zeros((48, 64), np.uint16)
+    depth[0, :3] = 65535  # 256 m, beyond the 80 m of the model
+    cv2.imwrite(str(folders[1] / "0.png"), depth)
+    (record,) = run(predictor, folders).records
+    assert record.cleaned.too_far == 3
+    assert record.degraded == ("no_depth",)
+
+
+def test_a_full_disk_stops_the_run_and_keeps_what_was_finished(predictor, stream_of):
+    written = []
+
+    def write(name, frame, prediction):
+        if name == "3":
+            raise OutputError("No space left on device")
+        written.append(name)
+
+    folders = stream_of(10)
+    with pytest.raises(OutputError, match="No space left"):
+        run(predictor, folders, write=write)
+    assert written[:3] == ["0", "1", "2"]
+    assert len(written) < 9, "the run went on"
+    assert predictor.predict(*reread(folders)).valid, "the predictor is usable afterwards"
+    assert not [t for t in threading.enumerate() if t.name.startswith(("read", "write"))]
+
+
+def reread(folders: tuple[Path, Path]):
+    frame = read_frame(list_frames(*folders)[0], depth_scale=256)
+    return frame.rgb, frame.sparse_depth
+
+
+def test_what_was_predicted_before_a_stop_is_written(predictor, stream_of):
+    asked = iter([False] * 4 + [True])
+    written = []
+    result = run(
+        predictor,
+        stream_of(10),
+        write=lambda name, *_: written.append(name),
+        stop=lambda: next(asked),
+    )
+    assert result.interrupted
+    assert written == ["0", "1", "2", "3"]
+    assert [record.name for record in result.records] == written
+    assert not [t for t in threading.enumerate() if t.name.startswith(("read", "write"))]
+
+
+@pytest.mark.parametrize("asked", [[True], [False] * 3], ids=["at once", "never"])
+def test_a_stop_that_comes_before_the_first_frame_or_not_at_all(predictor, stream_of, asked):
+    answers = iter(asked)
+    result = run(predictor, stream_of(3), stop=lambda: next(answers))
+    assert result.interrupted == asked[0]
+    assert len(result.records) == len(asked) * (not asked[0])
+
+
+def test_an_interrupt_is_passed_on_and_leaves_no_thread(predictor, stream_of, monkeypatch):
+    def interrupt(rgb, depth):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(predictor, "predict", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        run(predictor, stream_of(10))
+    assert not [t for t in threading.enumerate() if t.name.startswith(("read", "write"))]
+
+
+def test_an_error_that_is_nobodys_fault_is_not_hidden(predictor, stream_of):
+    def write(name, frame, prediction):
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        run(predictor, stream_of(3), write=write)
+
+
+# --- a constant stream -------------------------------------------------------------------------
+
+
+class ManualTime:
+    """Stands in for the module: only sleeping and predicting take time."""
+
+    def __init__(self):
+        self.now = 1000.0
+        self.slept = []
+
+    def perf_counter(self):
+        return self.now
+
+    def sleep(self, seconds):
+        self.slept.append(seconds)
+        self.now += seconds
+
+
+def constant_stream(predictor, folders, monkeypatch, *, takes_s, **options):
+    """Frames at 4 Hz, each of which takes its time to predict."""
+    clock = ManualTime()
+    predict, takes = predictor.predict, iter(takes_s)
+
+    def slow_predict(*frame):
+        clock.now += next(takes)
+        return predict(*frame)
+
+    monkeypatch.setattr(runtime.run.pipeline, "time", clock)
+    monkeypatch.setattr(predictor, "predict", slow_predict)
+    return clock, run(predictor, folders, rate_hz=4, **options)
+
+
+def test_frames_of_a_constant_stream_are_predicted_when_due_and_late_ones_are_made_up(
+    predictor, stream_of, monkeypatch
+):
+    takes_s = [0.125, 0.125, 0.625, 0.125, 0.125, 0.125]
+    clock, result = constant_stream(predictor, stream_of(6), monkeypatch, takes_s=takes_s)
+    ages_ms = [record.age_ms for record in result.records]
+    # Due at 0, 250, 500, 750 ms ...; the third ends at 1125, the fourth 125 ms later.
+    assert ages_ms == pytest.approx([125, 125, 625, 500, 375, 250])
+    jitter_ms = [record.jitter_ms for record in result.records]
+    assert jitter_ms[0] is None
+    assert jitter_ms[1:] == pytest.approx([0, 500, 125, 125, 125])
+    assert [record.response_ms for record in result.records] == ages_ms
+    assert sum(clock.slept) == pytest.approx(0.125 + 0.125)
+    assert result.rate_hz == 4
+
+
+def test_a_constant_stream_is_stopped_while_it_waits(predictor, stream_of, monkeypatch):
+    asked = iter([False, False, False, True])
+    clock, result = constant_stream(
+        predictor, stream_of(3), monkeypatch, takes_s=[0.0] * 3, stop=lambda: next(asked)
+    )
+    assert result.interrupted
+    assert [record.name for record in result.records] == ["0"]
+    assert clock.slept == [0.1], "asked again every tenth of a second"
+
+
+def test_a_single_stream_has_no_age(predictor, stream_of):
+    result = run(predictor, stream_of(2))
+    assert result.rate_hz is None
+    assert [record.age_ms for record in result.records] == [None, None]
+    assert all(record.response_ms == record.latency.total_ms for record in result.records)

@@ -1,0 +1,156 @@
+"""ssdnet-run stopped at any moment: what is on disk is listed, and nobody sees a traceback."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import runtime.run.cli
+import runtime.run.pipeline
+from runtime.run.cli import app
+from runtime.run.run_folder import KINDS
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals")
+
+N = 4
+
+
+@pytest.fixture
+def command(tmp_path, make_frame, model_file):
+    """The options of a run on a stream of N frames into tmp_path/out."""
+    for folder in ("cam", "lidar"):
+        (tmp_path / folder).mkdir()
+    for index in range(N):
+        rgb, depth = make_frame(seed=index)
+        rgb[..., 1] = rgb[..., 2] // 2
+        assert cv2.imwrite(str(tmp_path / f"cam/f{index}.png"), rgb[..., ::-1])
+        image = np.rint(depth * 256).astype(np.uint16)
+        assert cv2.imwrite(str(tmp_path / f"lidar/f{index}.png"), image)
+    model = model_file(heads=("semantic", "depth", "boundary", "depth_uncertainty"))
+    options = {"--rgb": "cam", "--depth": "lidar", "--out": "out", "--model": model}
+    paths = [text for name, path in options.items() for text in (name, str(tmp_path / path))]
+    return [*paths, "--threads", "1", "--warmup", "1"]
+
+
+def names_listed(out: Path) -> list[str]:
+    with (out / "frames.csv").open() as file:
+        return [row["name"] for row in csv.DictReader(file)]
+
+
+def require_consistent(out: Path) -> list[str]:
+    """Check that every kind of picture is there of what is listed and of nothing else."""
+    listed = names_listed(out) if (out / "frames.csv").exists() else []
+    for kind in KINDS:
+        folder = out / kind
+        assert sorted(path.stem for path in folder.glob("*")) == sorted(listed), kind
+        assert not list(folder.glob(".*")), "something unfinished"
+    return listed
+
+
+@pytest.fixture
+def sensitive_to_ctrl_c():
+    """As a process is that a terminal started; a shell's background is deaf to it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+class SignalAtLine:
+    """A trace function that sends this process a signal at the n-th line run of these files."""
+
+    files = (runtime.run.cli.__file__, runtime.run.pipeline.__file__)
+
+    def __init__(self, at: int) -> None:
+        self.left = at
+
+    def __call__(self, frame, event, argument):
+        if frame.f_code.co_filename not in self.files:
+            return None
+        if event == "line":
+            self.left -= 1
+            if self.left == 0:
+                signal.raise_signal(signal.SIGINT)
+        return self
+
+
+def test_at_every_line_of_the_main_thread(tmp_path, command, sensitive_to_ctrl_c):
+    """Of what starts, feeds and ends the run; every third to save time."""
+    listed, line = [], 0
+    while True:
+        line += 3
+        out = tmp_path / f"out{line}"
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        trace = SignalAtLine(line)
+        sys.settrace(trace)
+        try:
+            done = CliRunner().invoke(app, [*command, "--out", str(out)])
+        finally:
+            sys.settrace(None)
+        assert done.exit_code in (0, 3, 130), (line, done.output)
+        assert "Traceback" not in done.output
+        listed.append(len(require_consistent(out)))
+        if trace.left > 0:  # the run has no such line
+            break
+    assert set(listed) >= {0, 1, 2, 3, N}
+
+
+def deaf_to_nothing():
+    """A shell starts what runs in its background deaf to Ctrl-C, and children inherit that."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+@pytest.mark.parametrize("module", ["runtime.run", "runtime.run.cli"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("imported", ["typer.", "numpy.", "cv2.", "onnxruntime."])
+def test_while_it_imports(tmp_path, module, number, imported):
+    """-X importtime tells how far it is."""
+    command = [sys.executable, "-X", "importtime", "-m", module, "--demo"]
+    process = subprocess.Popen(
+        [*command, "--out", tmp_path / "out"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=deaf_to_nothing,
+    )
+    for line in process.stderr:
+        if line.rpartition("|")[2].strip().startswith(imported):
+            break
+    process.send_signal(number)
+    stdout, stderr = process.communicate()
+    assert process.returncode == 130
+    assert stdout == ""
+    assert not [line for line in stderr.splitlines() if not line.startswith("import time:")]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "signals",
+    [(signal.SIGINT,), (signal.SIGTERM,), (signal.SIGINT, signal.SIGTERM) * 10],
+    ids=["Ctrl-C", "SIGTERM", "many"],
+)
+def test_from_another_process(tmp_path, command, signals):
+    """As soon as it says that it runs, on a stream that would take it long."""
+    for folder in ("cam", "lidar"):
+        for index in range(N, 6000):
+            os.link(tmp_path / folder / f"f{index % N}.png", tmp_path / folder / f"f{index}.png")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "runtime.run", *command],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=deaf_to_nothing,
+    )
+    assert process.stdout.readline().startswith("by-hand sha256:")
+    for number in signals:
+        process.send_signal(number)
+    stdout, stderr = process.communicate()
+    assert (process.returncode, stderr) == (3, "")
+    assert "interrupted" in stdout
+    assert len(require_consistent(tmp_path / "out")) < 6000

@@ -1,0 +1,232 @@
+"""Small recordings, and what ssdnet-run answers to them."""
+
+import csv
+import json
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from runtime.run.cli import app
+
+
+@pytest.fixture
+def make_scan():
+    """Give float32 (n, 4): x ahead, y to the left, z up [m], reflectance."""
+
+    def make(seed: int = 0, n: int = 300) -> np.ndarray:
+        random = np.random.default_rng(seed)
+        x = random.uniform(5, 40, n)
+        y, z = x * random.uniform(-0.5, 0.5, n), x * random.uniform(-0.3, 0.3, n)
+        return np.stack([x, y, z, random.random(n)], axis=1).astype(np.float32)
+
+    return make
+
+
+class Answers:
+    """What a run left: exit code, text, report, rows, and the depth that the network was fed."""
+
+    def __init__(self, result, out) -> None:
+        self.exit_code, self.text, self._out = result.exit_code, result.output, out
+        if (out / "report.json").exists():
+            self.report = json.loads((out / "report.json").read_text())
+            self.rows = list(csv.DictReader((out / "frames.csv").read_text().splitlines()))
+            self.names = [row["name"] for row in self.rows]
+
+    def fed_depth(self, name):
+        """The model by hand answers what it is fed and 1.5 m more; a PNG rounds to 1/256 m."""
+        answer = cv2.imread(str(self._out / f"depth/{name}.png"), cv2.IMREAD_UNCHANGED) / 256
+        return answer - 1.5
+
+    def column(self, name):
+        return [row[name] for row in self.rows]
+
+
+@pytest.fixture
+def run(tmp_path, model_file):
+    """Run ssdnet-run with the model by hand and give its Answers."""
+    model = model_file(heads=("semantic", "depth"))  # lossy pictures have no boundary by hand
+
+    def invoke(*arguments: object, out="out"):
+        standard = ["--model", model, "--out", tmp_path / out, "--threads", 1, "--warmup", 1]
+        standard += ["--save", "depth"]
+        result = CliRunner().invoke(app, [str(a) for a in [*standard, *arguments]])
+        return Answers(result, tmp_path / out)
+
+    return invoke
+
+
+@pytest.fixture
+def write_rgb():
+    """Write a picture, red first."""
+
+    def write(path, rgb):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        assert cv2.imwrite(str(path), rgb[..., ::-1])
+
+    return write
+
+
+@pytest.fixture
+def write_depth():
+    """Write a 16-bit PNG."""
+
+    def write(path, metres, *, units_a_metre=256):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        assert cv2.imwrite(str(path), np.rint(metres * units_a_metre).astype(np.uint16))
+
+    return write
+
+
+class BagMaker:
+    """Collects messages, then writes them into a bag of one of KINDS in the order of recording."""
+
+    def __init__(self, folder, kind) -> None:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        self.kind, self._folder = kind, folder
+        self.is_ros1 = kind == "ros1"
+        self.store = get_typestore(Stores.ROS1_NOETIC if self.is_ros1 else Stores.ROS2_HUMBLE)
+        if self.is_ros1:
+            transforms = "geometry_msgs/TransformStamped[] transforms"
+            self.store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
+        self.messages = []  # topic, type, raw, recorded_ns
+
+    def make(self, kind, **fields):
+        return self.store.types[kind](**fields)
+
+    def header(self, stamp_ns, frame_id):
+        stamp = self.make(
+            "builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9
+        )
+        sequence = {"seq": 0} if self.is_ros1 else {}
+        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id, **sequence)
+
+    def add(self, topic, message, recorded_ns):
+        kind = message.__msgtype__
+        serialize = self.store.serialize_ros1 if self.is_ros1 else self.store.serialize_cdr
+        self.messages.append((topic, kind, bytes(serialize(message, kind)), recorded_ns))
+
+    def image(
+        self, topic, array, encoding, stamp_ns, *, frame_id="camera", recorded_ns=None, **more
+    ):
+        height, width = array.shape[:2]
+        fields = {
+            "height": height,
+            "width": width,
+            "encoding": encoding,
+            "is_bigendian": 0,
+            "step": array[0].nbytes,
+            "data": np.ascontiguousarray(array).reshape(-1).view(np.uint8),
+            **more,
+        }
+        header = self.header(stamp_ns, "camera")
+        message = self.make("sensor_msgs/msg/Image", header=header, **fields)
+        self.add(topic, message, recorded_ns or stamp_ns)
+
+    def compressed(self, topic, content, text, stamp_ns, *, frame_id="camera"):
+        message = self.make(
+            "sensor_msgs/msg/CompressedImage",
+            header=self.header(stamp_ns, frame_id),
+            format=text,
+            data=np.frombuffer(content, np.uint8),
+        )
+        self.add(topic, message, stamp_ns)
+
+    def cloud(self, topic, points, stamp_ns, *, frame_id="lidar", recorded_ns=None, **more):
+        """points: (N, 4) of x, y, z, intensity; written as float32 with a gap of 4 bytes."""
+        records = np.zeros((len(points), 5), np.float32)
+        records[:, [0, 1, 2, 4]] = points
+        fields = {
+            "height": 1,
+            "width": len(points),
+            "fields": [
+                self.make(
+                    "sensor_msgs/msg/PointField", name=name, offset=offset, datatype=7, count=1
+                )
+                for name, offset in (("x", 0), ("y", 4), ("z", 8), ("intensity", 16))
+            ],
+            "is_bigendian": False,
+            "point_step": 20,
+            "row_step": 20 * len(points),
+            "data": records.reshape(-1).view(np.uint8),
+            "is_dense": True,
+            **more,
+        }
+        header = self.header(stamp_ns, frame_id)
+        message = self.make("sensor_msgs/msg/PointCloud2", header=header, **fields)
+        self.add(topic, message, recorded_ns or stamp_ns)
+
+    def info(self, topic, intrinsics, size, *, frame_id="camera", distortion=(), shift_px=0.0):
+        k = np.asarray(intrinsics, np.float64)
+        p = np.hstack([k, [[shift_px], [0], [0]]])
+        matrices = {"d": np.array(distortion, np.float64), "k": k.reshape(-1)}
+        matrices |= {"r": np.eye(3).reshape(-1), "p": p.reshape(-1)}
+        if self.is_ros1:
+            matrices = {name.upper(): matrix for name, matrix in matrices.items()}
+        region = self.make(
+            "sensor_msgs/msg/RegionOfInterest",
+            x_offset=0,
+            y_offset=0,
+            height=0,
+            width=0,
+            do_rectify=False,
+        )
+        message = self.make(
+            "sensor_msgs/msg/CameraInfo",
+            header=self.header(1, frame_id),
+            height=size[0],
+            width=size[1],
+            distortion_model="plumb_bob",
+            binning_x=0,
+            binning_y=0,
+            roi=region,
+            **matrices,
+        )
+        self.add(topic, message, 1)
+
+    def static_transform(self, parent, child, quaternion, shift):
+        x, y, z, w = quaternion
+        stamped = self.make(
+            "geometry_msgs/msg/TransformStamped",
+            header=self.header(1, parent),
+            child_frame_id=child,
+            transform=self.make(
+                "geometry_msgs/msg/Transform",
+                translation=self.make(
+                    "geometry_msgs/msg/Vector3", x=shift[0], y=shift[1], z=shift[2]
+                ),
+                rotation=self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
+            ),
+        )
+        self.add("/tf_static", self.make("tf2_msgs/msg/TFMessage", transforms=[stamped]), 1)
+
+    def write(self, name="drive"):
+        """Write the bag and give back what --source takes."""
+        from rosbags.rosbag1 import Writer as Writer1
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer as Writer2
+
+        path = self._folder / (f"{name}.bag" if self.is_ros1 else f"{name}-{self.kind}")
+        if self.is_ros1:
+            writer = Writer1(path)
+        else:
+            plugin = StoragePlugin.SQLITE3 if self.kind == "ros2" else StoragePlugin.MCAP
+            writer = Writer2(path, version=9, storage_plugin=plugin)
+        with writer:
+            connections = {}
+            for topic, kind, raw, recorded_ns in sorted(self.messages, key=lambda m: m[3]):
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, kind, typestore=self.store)
+                writer.write(connections[topic], recorded_ns, raw)
+        if self.kind == "mcap":  # the file alone, as recorders of others leave it
+            return next(path.glob("*.mcap"))
+        return path
+
+
+@pytest.fixture
+def make_bag(tmp_path):
+    """Give a BagMaker: make_bag("ros1"), "ros2" (sqlite3 in its folder) or "mcap" (one file)."""
+    pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
+    return lambda kind: BagMaker(tmp_path, kind)

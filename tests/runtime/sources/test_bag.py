@@ -1,0 +1,499 @@
+"""Bags of ROS 1 and ROS 2 and MCAP files, written by rosbags, through ssdnet-run."""
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from runtime import InputError
+from runtime.sources.bag import BagSource
+
+pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
+
+KINDS = ("ros1", "ros2", "mcap")
+SIZE = (48, 64)
+INTRINSICS = [[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]
+#: A camera looks along z with x to the right; its body along x with y to the left (REP 103).
+OPTICAL = (-0.5, 0.5, -0.5, 0.5)
+START_NS = 1_700_000_000_000_000_000
+MS = 1_000_000
+N = 6
+
+
+@pytest.fixture(params=KINDS)
+def kind(request):
+    return request.param
+
+
+def add_camera(bag, make_frame, *, topic="/cam/image_rect", n=N, encoding="rgb8"):
+    for index in range(n):
+        rgb, _ = make_frame(*SIZE, seed=index)
+        image = rgb[..., ::-1] if encoding == "bgr8" else rgb
+        bag.image(topic, image, encoding, START_NS + 100 * MS * index)
+    bag.info("/cam/camera_info", INTRINSICS, SIZE)
+
+
+def add_lidar(bag, make_scan, *, n=N, late_ms=7):
+    for index in range(n):
+        bag.cloud("/lidar/points", make_scan(index), START_NS + (100 * index + late_ms) * MS)
+
+
+def add_tree(bag):
+    """The LiDAR 0.3 m above the base, the camera 0.5 m ahead of it, turned to its optical axes."""
+    bag.static_transform("base", "lidar", (0, 0, 0, 1), (0, 0, 0.3))
+    bag.static_transform("base", "camera_body", (0, 0, 0, 1), (0.5, 0, 0))
+    bag.static_transform("camera_body", "camera", OPTICAL, (0, 0, 0))
+
+
+@pytest.fixture
+def recorded(make_bag, make_frame, make_scan, kind):
+    """The path of a bag of N images and N scans."""
+    bag = make_bag(kind)
+    add_camera(bag, make_frame)
+    add_lidar(bag, make_scan)
+    add_tree(bag)
+    return bag.write()
+
+
+def projected(scan):
+    """By the tree and the intrinsics, a return after the other; the nearest wins."""
+    depth = np.full(SIZE, np.inf)
+    for x, y, z, _ in scan.astype(np.float64):
+        right, down, ahead = -y, -(z + 0.3), x - 0.5
+        column, row = round(60 * right / ahead + 32), round(60 * down / ahead + 24)
+        if 0 <= row < SIZE[0] and 0 <= column < SIZE[1]:
+            depth[row, column] = min(depth[row, column], ahead)
+    return np.where(np.isinf(depth), 0, depth)
+
+
+def name_of(index):
+    return str(START_NS + 100 * MS * index)
+
+
+def test_a_bag_from_end_to_end(recorded, run, make_scan):
+    answers = run("--source", f"bag:{recorded}")
+    assert answers.exit_code == 0, answers.text
+    assert answers.names == [name_of(index) for index in range(N)]
+    for index in range(N):
+        expected = projected(make_scan(index))
+        assert np.count_nonzero(expected) > 100
+        assert abs(answers.fed_depth(name_of(index)) - expected).max() < 0.01
+    assert "guessed: image topic /cam/image_rect, depth topic /lidar/points" in answers.text
+    for row, index in zip(answers.rows, range(N), strict=True):
+        assert int(row["image_stamp_ns"]) == START_NS + 100 * MS * index
+        assert int(row["depth_stamp_ns"]) == START_NS + (100 * index + 7) * MS
+    inputs = answers.report["inputs"]
+    assert (inputs["image_topic"], inputs["info_topic"]) == ("/cam/image_rect", "/cam/camera_info")
+    assert (inputs["focal_length_px"], inputs["left_out"]) == (60, {})
+
+
+def test_the_pictures_are_those_that_were_recorded(recorded, make_frame):
+    with BagSource(recorded) as source:
+        frames = source.list_frames()
+        for index in (0, 0, 3, 1, 5):  # also again, and back
+            frame = source.read(frames[index])
+            assert np.array_equal(frame.rgb, make_frame(*SIZE, seed=index)[0])
+            assert np.count_nonzero(frame.sparse_depth) > 100
+        assert not source._kept, "nothing that no later frame needs is kept"
+
+
+def test_limit_shards_rate_and_recording_are_those_of_folders(recorded, run, tmp_path):
+    source = ["--source", f"bag:{recorded}"]
+    whole = run(*source, "--record", tmp_path / "recording")
+    assert whole.exit_code == 0, whole.text
+    assert (tmp_path / "recording").is_dir()
+    assert run(*source, "--limit", 2, out="two").names == whole.names[:2]
+    parts = [run(*source, "--shard", f"{part}/3", out=f"part{part}") for part in (1, 2, 3)]
+    assert sorted(name for part in parts for name in part.names) == whole.names
+    for part in parts:
+        for name in part.names:
+            assert np.array_equal(part.fed_depth(name), whole.fed_depth(name))
+    assert run(*source, "--rate", 200, out="paced").exit_code == 0
+    assert run(*source, "--overwrite").exit_code == 0
+
+
+def test_each_encoding_gives_the_same_picture(make_bag, make_frame, kind):
+    rgb, _ = make_frame(*SIZE)
+    grey = np.repeat(rgb[..., :1], 3, axis=-1)
+    alpha = np.full((*SIZE, 1), 255, np.uint8)
+    done, png = cv2.imencode(".png", rgb[..., ::-1])
+    assert done
+    bag = make_bag(kind)
+    bag.image("/rgb8", rgb, "rgb8", START_NS)
+    bag.image("/bgr8", rgb[..., ::-1], "bgr8", START_NS)
+    bag.image("/rgba8", np.concatenate([rgb, alpha], axis=-1), "rgba8", START_NS)
+    bag.image("/bgra8", np.concatenate([rgb[..., ::-1], alpha], axis=-1), "bgra8", START_NS)
+    bag.image("/mono8", rgb[..., 0], "mono8", START_NS)
+    padded = np.concatenate([rgb.reshape(SIZE[0], -1), np.zeros((SIZE[0], 5), np.uint8)], axis=1)
+    bag.image("/padded", padded, "rgb8", START_NS, width=SIZE[1])
+    bag.compressed("/png", png.tobytes(), "rgb8; png compressed bgr8", START_NS)
+    path = bag.write()
+    for topic in ("/rgb8", "/bgr8", "/rgba8", "/bgra8", "/mono8", "/padded", "/png"):
+        with BagSource(path, image_topic=topic, depth_topic="none") as source:
+            (frame,) = source.list_frames()
+            picture = source.read(frame).rgb
+            assert picture.flags.c_contiguous
+            assert np.array_equal(picture, grey if topic == "/mono8" else rgb), topic
+
+
+@pytest.mark.parametrize(
+    ("encoding", "dtype", "units", "big"),
+    [
+        ("16UC1", "<u2", 1000, 0),
+        ("16UC1", ">u2", 1000, 1),
+        ("32FC1", "<f4", 1, 0),
+        ("32FC1", ">f4", 1, 1),
+    ],
+)
+def test_depth_images_are_metres(make_bag, make_frame, run, kind, encoding, dtype, units, big):
+    bag = make_bag(kind)
+    add_camera(bag, make_frame)
+    depths = [make_frame(*SIZE, seed=index)[1] * 0.8 for index in range(N)]  # 65 m are 16 bits
+    for index, depth in enumerate(depths):
+        units_of = np.rint(depth * units) if units > 1 else depth
+        stamp_ns = START_NS + (100 * index + 3) * MS
+        bag.image("/depth", units_of.astype(dtype), encoding, stamp_ns, is_bigendian=big)
+    answers = run("--source", f"bag:{bag.write()}")
+    assert answers.exit_code == 0, answers.text
+    for index, depth in enumerate(depths):
+        assert abs(answers.fed_depth(name_of(index)) - depth).max() < 0.01
+    assert answers.report["inputs"]["focal_length_px"] == 60
+
+
+def test_a_depth_image_that_says_nan_has_no_return_there(make_bag, make_frame):
+    bag = make_bag("mcap")
+    add_camera(bag, make_frame, n=1)
+    depth = np.full(SIZE, np.nan, np.float32)
+    depth[3, 4] = 7
+    bag.image("/depth", depth, "32FC1", START_NS)
+    with BagSource(bag.write()) as source:
+        read = source.read(source.list_frames()[0]).sparse_depth
+    assert read[3, 4] == 7
+    assert not (np.delete(read.ravel(), 3 * SIZE[1] + 4) > 0).any()
+
+
+def test_sensors_of_their_own_rate_are_matched_by_their_stamps(
+    make_bag, make_frame, make_scan, run
+):
+    """The camera at 20 Hz, the LiDAR at 10 Hz, and one scan alone long after."""
+    bag = make_bag("mcap")
+    for index in range(2 * N):
+        rgb, _ = make_frame(*SIZE, seed=index)
+        bag.image("/cam/image_rect", rgb, "rgb8", START_NS + 50 * MS * index)
+    bag.info("/cam/camera_info", INTRINSICS, SIZE)
+    add_lidar(bag, make_scan)
+    bag.cloud("/lidar/points", make_scan(9), START_NS + 5000 * MS)
+    add_tree(bag)
+    answers = run("--source", f"bag:{bag.write()}", "--max-skew-ms", 20)
+    assert answers.exit_code == 0, answers.text
+    assert answers.column("degraded") == ["", "no_depth"] * N
+    assert answers.report["inputs"]["left_out"] == {"depth: no_image": 1}
+    assert "left out: depth: no_image 1" in answers.text
+
+
+def test_the_order_of_recording_does_not_matter(make_bag, make_frame, make_scan):
+    """Scans are recorded 300 ms after they were taken, pictures at once."""
+    bag = make_bag("ros2")
+    add_camera(bag, make_frame, n=20)
+    for index in range(20):
+        stamp_ns = START_NS + (100 * index + 7) * MS
+        bag.cloud("/lidar/points", make_scan(index), stamp_ns, recorded_ns=stamp_ns + 300 * MS)
+    add_tree(bag)
+    with BagSource(bag.write()) as source:
+        frames = source.list_frames()
+        assert [f.depth_stamp_ns - f.image_stamp_ns for f in frames] == [7 * MS] * 20
+        recorded, turns = source._recorded, []
+        source._recorded = lambda: turns.append(1) or recorded()
+        for index in (*range(10), 13, 16, 19):  # as a part of the whole passes frames over
+            read = source.read(frames[index])
+            assert abs(read.sparse_depth - projected(make_scan(index))).max() < 0.001
+            assert {source._owners[place] for place in source._kept} <= set(range(index, index + 4))
+        assert len(turns) == 1, "the bag was read again"
+
+
+def test_messages_without_a_stamp_have_the_time_of_recording(make_bag, make_frame):
+    bag = make_bag("ros1")
+    for index in range(3):
+        rgb, _ = make_frame(*SIZE, seed=index)
+        bag.image("/cam", rgb, "rgb8", 0, recorded_ns=START_NS + index)
+    with BagSource(bag.write(), depth_topic="none") as source:
+        assert [f.image_stamp_ns for f in source.list_frames()] == [START_NS + i for i in range(3)]
+
+
+def test_a_recording_of_a_loop_answers_every_turn(make_bag, make_frame):
+    bag = make_bag("mcap")
+    grey = make_frame(*SIZE)[0][..., 0]
+    for turn in range(2):
+        for index in range(80):
+            stamp_ns = START_NS + 100 * MS * index
+            recorded_ns = START_NS + 100 * MS * (index + 80 * turn)
+            bag.image("/cam", grey, "mono8", stamp_ns, recorded_ns=recorded_ns)
+    with BagSource(bag.write(), depth_topic="none") as source:
+        names = [frame.name for frame in source.list_frames()]
+    assert len(set(names)) == 160
+    assert names[80] == f"{names[0]}-2"
+
+
+def test_no_output_takes_the_place_of_a_bag_that_is_read(make_bag, make_frame, run):
+    bag = make_bag("mcap")
+    add_camera(bag, make_frame)
+    file = bag.write()
+    before = file.read_bytes()
+    for path in (file, file.parent):  # the file alone, and the folder that holds it
+        source = ["--source", f"bag:{path}", "--depth-topic", "none"]
+        answers = run(*source, "--mcap", file, "--overwrite")
+        assert answers.exit_code == 1
+        assert f"{file} is what the run reads: choose another name" in answers.text
+        assert file.read_bytes() == before
+
+
+def test_the_camera_alone_on_purpose(recorded, run):
+    answers = run("--source", f"bag:{recorded}", "--depth-topic", "none", "--limit", 2)
+    assert answers.exit_code == 0
+    assert answers.column("degraded") == ["no_depth"] * 2
+
+
+def test_a_raw_topic_is_preferred_to_the_same_compressed(make_bag, make_frame):
+    bag = make_bag("ros2")
+    add_camera(bag, make_frame)
+    bag.compressed("/cam/image_rect/compressed", b"", "jpeg", START_NS)
+    with BagSource(bag.write(), depth_topic="none") as source:
+        assert source.inputs["image_topic"] == "/cam/image_rect"
+
+
+def test_topics_that_cannot_be_guessed_are_listed(make_bag, make_frame, make_scan, run):
+    bag = make_bag("mcap")
+    add_camera(bag, make_frame)
+    add_camera(bag, make_frame, topic="/rear/image_rect")
+    add_lidar(bag, make_scan)
+    add_tree(bag)
+    path = bag.write()
+    answers = run("--source", f"bag:{path}")
+    text = answers.text.replace("\n", " ")
+    assert answers.exit_code == 1
+    assert "has 2 topics of pictures, choose one by --image-topic" in text
+    assert "/rear/image_rect (sensor_msgs/msg/Image)" in text
+    assert run("--source", f"bag:{path}", "--image-topic", "/cam/image_rect").exit_code == 0
+    answers = run("--source", f"bag:{path}", "--image-topic", "/nowhere")
+    assert "--image-topic /nowhere is no topic of pictures" in answers.text.replace("\n", " ")
+    answers = run("--source", f"bag:{path}", "--image-topic", "/rear/image_rect")
+    assert "no CameraInfo beside /rear/image_rect" in answers.text.replace("\n", " ")
+    given = ["--image-topic", "/rear/image_rect", "--info-topic", "/cam/camera_info"]
+    assert run("--source", f"bag:{path}", *given, out="rear").exit_code == 0
+    answers = run("--source", f"bag:{path}", *given[:3], "/none")
+    assert "--info-topic /none is no topic of CameraInfo" in answers.text.replace("\n", " ")
+
+
+def test_a_bag_without_pictures_or_depth_says_what_it_has(make_bag, make_frame, make_scan, run):
+    bag = make_bag("ros1")
+    add_lidar(bag, make_scan)
+    answers = run("--source", f"bag:{bag.write('blind')}")
+    assert "has no topic of pictures. It has the topics /lidar/points" in answers.text.replace(
+        "\n", " "
+    )
+    bag = make_bag("ros1")
+    add_camera(bag, make_frame)
+    answers = run("--source", f"bag:{bag.write('flat')}")
+    assert "for the camera alone give --depth-topic none" in answers.text.replace("\n", " ")
+
+
+def test_clouds_need_a_calibration_and_take_a_file(make_bag, make_frame, make_scan, run, tmp_path):
+    bag = make_bag("ros2")
+    add_camera(bag, make_frame)
+    add_lidar(bag, make_scan)
+    bag.static_transform("base", "camera", OPTICAL, (0, 0, 0))
+    path = bag.write()
+    answers = run("--source", f"bag:{path}")
+    assert answers.exit_code == 1
+    assert re.search(
+        r"no way from the frame 'lidar' to 'camera', it has base, camera: give --calibration",
+        answers.text.replace("\n", " "),
+    )
+    extrinsics = [[0, -1.0, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]]
+    text = f"intrinsics = {INTRINSICS}\nextrinsics = {extrinsics}\n"
+    (tmp_path / "own.toml").write_text(text)
+    answers = run("--source", f"bag:{path}", "--calibration", tmp_path / "own.toml")
+    assert answers.exit_code == 0, answers.text
+    assert abs(answers.fed_depth(name_of(2)) - projected(make_scan(2))).max() < 0.01
+
+
+def test_images_that_are_not_rectified_are_told(make_bag, make_frame, make_scan):
+    bag = make_bag("ros1")
+    add_camera(bag, make_frame, topic="/left/image_raw")
+    bag.info("/left/camera_info", INTRINSICS, SIZE, distortion=(0.1, 0, 0, 0, 0))
+    add_lidar(bag, make_scan)
+    add_tree(bag)
+    with pytest.raises(InputError, match="/left/camera_info tells of distortion"):
+        BagSource(bag.write(), image_topic="/left/image_raw")
+
+
+def test_a_broken_message_is_a_frame_that_is_skipped(make_bag, make_frame, make_scan, run, kind):
+    bag = make_bag(kind)
+    add_camera(bag, make_frame)
+    add_lidar(bag, make_scan)
+    add_tree(bag)
+    scans = [i for i, message in enumerate(bag.messages) if message[0] == "/lidar/points"]
+    images = [i for i, message in enumerate(bag.messages) if message[0] == "/cam/image_rect"]
+    for index, keep in ((images[1], 40), (scans[2], 60), (scans[4], -30), (images[5], 3)):
+        topic, type_name, raw, recorded_ns = bag.messages[index]
+        bag.messages[index] = (topic, type_name, raw[:keep], recorded_ns)
+    answers = run("--source", f"bag:{bag.write()}")
+    assert answers.exit_code == 3, answers.text
+    status = dict(zip(answers.names, answers.column("status"), strict=True))
+    assert status == {
+        name_of(0): "ok",
+        name_of(1): "skipped",
+        name_of(2): "skipped",
+        name_of(3): "ok",
+        name_of(4): "skipped",
+    }
+    reasons = answers.column("reason")
+    assert "message of /cam/image_rect" in reasons[1]
+    assert "message of /lidar/points" in reasons[2]
+    assert answers.report["inputs"]["left_out"] == {"image: bad_stamp": 1, "depth: no_image": 1}
+
+
+def test_bayer_is_told_to_be_debayered(make_bag, make_frame, run):
+    bag = make_bag("mcap")
+    bag.image("/cam", make_frame(*SIZE)[0][..., 0], "bayer_rggb8", START_NS)
+    answers = run("--source", f"bag:{bag.write()}", "--depth-topic", "none")
+    assert answers.exit_code == 3
+    assert "debayer it first" in answers.column("reason")[0]
+
+
+def test_a_bag_without_definitions_is_read_by_those_of_ros_2(make_bag, make_frame, make_scan, run):
+    """As before ROS 2 Iron."""
+    import sqlite3
+
+    bag = make_bag("ros2")
+    add_camera(bag, make_frame)
+    add_lidar(bag, make_scan)
+    add_tree(bag)
+    path = bag.write()
+    connection = sqlite3.connect(next(path.glob("*.db3")))
+    connection.execute("DELETE FROM message_definitions")
+    connection.commit()
+    connection.close()
+    answers = run("--source", f"bag:{path}")
+    assert answers.exit_code == 0, answers.text
+
+
+def test_definitions_that_are_damaged_in_the_bag_do_not_matter(make_bag, make_frame, make_scan):
+    bag = make_bag("mcap")
+    add_camera(bag, make_frame)
+    add_lidar(bag, make_scan)
+    add_tree(bag)
+    path = bag.write()
+    content = path.read_bytes()
+    assert content.count(b"[] transforms") > 0
+    path.write_bytes(content.replace(b"[] transforms", b"[] tranzforms"))
+    with BagSource(path) as source:
+        read = source.read(source.list_frames()[0])
+    assert np.count_nonzero(read.sparse_depth) > 100
+
+
+def test_without_rosbags_the_line_that_installs_it_is_told(recorded, run, monkeypatch):
+    import builtins
+
+    import_module = builtins.__import__
+
+    def without_rosbags(name, *arguments, **options):
+        if name.startswith("rosbags"):
+            raise ImportError("No module named 'rosbags'")
+        return import_module(name, *arguments, **options)
+
+    monkeypatch.setattr(builtins, "__import__", without_rosbags)
+    answers = run("--source", f"bag:{recorded}")
+    assert answers.exit_code == 1
+    assert 'pip install "ssdnet[bag]"' in answers.text.replace("\n", " ")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99])
+def test_a_truncated_bag_is_an_input_error(recorded, share):
+    (path,) = recorded.glob("*.db3") if recorded.is_dir() else (recorded,)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(InputError, match="cannot read the bag"):
+        read_all(recorded)
+
+
+def read_all(path):
+    with BagSource(path) as source:
+        return [source.read(frame) for frame in source.list_frames()]
+
+
+@pytest.mark.parametrize("name", ["empty.bag", "text.mcap", "folder", "drive.db3"])
+def test_what_is_no_bag_is_told(tmp_path, run, name):
+    path = tmp_path / name
+    if name == "folder":
+        path.mkdir()
+    else:
+        path.write_bytes(b"" if name == "empty.bag" else b"no bag" * 100)
+    answers = run("--source", f"bag:{path}")
+    assert answers.exit_code == 1
+    assert "cannot read the bag" in answers.text.replace("\n", " ")
+
+
+@pytest.fixture(params=KINDS)
+def small(request, make_bag, make_frame, make_scan):
+    """(the path of a bag of two frames, its only file, what that holds)."""
+    bag = make_bag(request.param)
+    add_camera(bag, make_frame, n=2)
+    add_lidar(bag, make_scan, n=2)
+    add_tree(bag)
+    path = bag.write("small")
+    (file,) = path.glob("*.db3") if path.is_dir() else (path,)
+    return path, file, file.read_bytes()
+
+
+def test_a_bag_that_is_damaged_anywhere_is_frames_or_an_input_error(small):
+    """40 cuts and 40 files of a few wrong bytes each."""
+    path, file, content = small
+    random = np.random.default_rng(0)
+    outcomes = set()
+    for turn in range(80):
+        damaged = np.frombuffer(content, np.uint8).copy()
+        if turn % 2:
+            damaged = damaged[: random.integers(len(damaged))]
+        else:
+            damaged[random.integers(len(damaged), size=turn)] = random.integers(256, size=turn)
+        file.write_bytes(damaged.tobytes())
+        outcomes.add(outcome_of(path))
+    assert outcomes == {"frames", "input error"}
+
+
+def outcome_of(path):
+    try:
+        with BagSource(path) as source:
+            frames = source.list_frames()
+            for frame in frames:
+                source.read(frame)
+    except InputError:
+        return "input error"
+    return "frames"
+
+
+def test_a_message_that_is_damaged_anywhere_is_a_frame_or_an_input_error(small):
+    """1000 messages a kind of bag."""
+    path, _, _ = small
+    random = np.random.default_rng(0)
+    with BagSource(path) as source:
+        frame = source.list_frames()[0]
+        whole = source._take(frame)
+        read = 0
+        for turn in range(1000):
+            place = frame.image if turn % 2 else frame.depth
+            raw = np.frombuffer(whole[place].raw, np.uint8).copy()
+            head = random.integers(200, size=1 + turn % 5)
+            raw[head] = random.integers(256, size=len(head))
+            if turn % 7 == 0:
+                raw = raw[: random.integers(len(raw))]
+            damaged = {**whole, place: whole[place]._replace(raw=raw.tobytes())}
+            source._take = lambda frame, damaged=damaged: damaged
+            try:
+                source.read(frame)
+                read += 1
+            except InputError:
+                pass
+    assert 100 < read < 900

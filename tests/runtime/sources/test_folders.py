@@ -1,0 +1,68 @@
+"""Two folders as a source, and one alone."""
+
+import numpy as np
+import pytest
+
+from runtime.sources.folders import FolderSource
+
+
+@pytest.fixture
+def folders(tmp_path, make_frame, write_rgb, write_depth):
+    """Five frames in cam/ and lidar/; the depth map of 1 and the picture of 3 are missing."""
+    depths = {}
+    for index in range(5):
+        rgb, depths[index] = make_frame(seed=index)
+        write_rgb(tmp_path / f"cam/{index}.png", rgb)
+        write_depth(tmp_path / f"lidar/{index}.png", depths[index])
+    (tmp_path / "lidar/1.png").unlink()
+    (tmp_path / "cam/3.png").unlink()
+    return tmp_path / "cam", tmp_path / "lidar", depths
+
+
+def test_a_folder_source_answers_what_rgb_and_depth_do(folders, run):
+    rgb, depth, depths = folders
+    by_options = run("--rgb", rgb, "--depth", depth)
+    by_source = run("--source", f"folders:{rgb}", "--depth", depth, out="other")
+    assert by_options.exit_code == by_source.exit_code == 3
+    assert by_options.column("status") == by_source.column("status")
+    assert by_source.column("reason")[1] == "1 has a picture, but no depth map"
+    assert by_source.column("reason")[3] == "3 has a depth map, but no picture"
+    assert by_options.report["inputs"] == by_source.report["inputs"]
+    for name in ("0", "2", "4"):
+        assert abs(by_source.fed_depth(name) - depths[int(name)]).max() < 0.01
+        assert np.array_equal(by_source.fed_depth(name), by_options.fed_depth(name))
+
+
+def test_a_limit_counts_complete_frames(folders):
+    rgb, depth, _ = folders
+    source = FolderSource(rgb, depth=depth)
+    assert [f.name for f in source.list_frames(limit=2)] == ["0", "1", "2"]
+    assert [f.sequence for f in source.list_frames()] == [0, 1, 2, 3, 4]
+    assert [f.complete for f in source.list_frames()] == [True, False, True, False, True]
+
+
+def test_without_depth_the_camera_alone_is_answered_and_said(folders, run):
+    answers = run("--rgb", folders[0])
+    assert answers.exit_code == 0
+    assert answers.names == ["0", "1", "2", "4"]
+    assert set(answers.column("degraded")) == {"no_depth"}
+    assert "degraded: no_depth: 4" in answers.text
+    assert answers.report["inputs"]["depth"] is None
+
+
+def test_a_calibration_tells_the_focal_length_unless_one_is_given(folders, run, tmp_path):
+    rows = [[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]
+    text = f"intrinsics = {rows}\nextrinsics = {np.eye(4).tolist()}\n"
+    (tmp_path / "camera.toml").write_text(text)
+    given = ["--rgb", folders[0], "--calibration", tmp_path / "camera.toml"]
+    assert run(*given).report["inputs"]["focal_length_px"] == 50
+    given += ["--focal-length", 70, "--overwrite"]
+    assert run(*given).report["inputs"]["focal_length_px"] == 70
+
+
+def test_frames_are_not_read_from_where_answers_go(folders, run, tmp_path):
+    (tmp_path / "out").mkdir()
+    folders[0].rename(tmp_path / "out/depth")
+    answers = run("--source", f"folders:{tmp_path / 'out/depth'}")
+    assert answers.exit_code == 1
+    assert "writes its own pictures" in answers.text.replace("\n", " ")

@@ -1,0 +1,269 @@
+"""Folders to frames, files to arrays."""
+
+import os
+import re
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import runtime.sources.frames
+from runtime import InputError
+from runtime.sources.frames import FrameFiles, list_frames, read_frame, read_rgb, read_sparse_depth
+
+
+@pytest.fixture
+def folders(tmp_path):
+    """Make rgb/ and depth/ with empty files of the given names."""
+
+    def make(rgb, depth):
+        for folder, names in (("rgb", rgb), ("depth", depth)):
+            (tmp_path / folder).mkdir()
+            for name in names:
+                (tmp_path / folder / name).touch()
+        return tmp_path / "rgb", tmp_path / "depth"
+
+    return make
+
+
+def names(frames):
+    return [frame.name for frame in frames]
+
+
+def test_pairs_come_in_natural_order(folders):
+    rgb = ["f10.png", "f9.jpg", "f1.png", "f100.JPEG", "a2b10.png", "a2b9.png"]
+    depth = ["f9.png", "f10.png", "f1.png", "f100.PNG", "a2b9.png", "a2b10.png"]
+    frames = list_frames(*folders(rgb, depth))
+    assert names(frames) == ["a2b9", "a2b10", "f1", "f9", "f10", "f100"]
+    assert all(frame.complete for frame in frames)
+    assert frames[3].rgb.name == "f9.jpg"
+    assert frames[3].sparse_depth.name == "f9.png"
+
+
+def test_frames_without_partner_are_listed(folders):
+    frames = list_frames(*folders(["1.png", "2.png"], ["2.png", "3.png"]))
+    assert names(frames) == ["1", "2", "3"]
+    assert [frame.complete for frame in frames] == [False, True, False]
+    assert frames[0].sparse_depth is None
+    assert frames[2].rgb is None
+
+
+def test_the_limit_counts_complete_frames(folders):
+    rgb = [f"{i}.png" for i in range(10)]
+    depth = [f"{i}.png" for i in range(3, 10)]
+    frames = list_frames(*folders(rgb, depth), limit=2)
+    assert names(frames) == ["0", "1", "2", "3", "4"]
+
+
+def test_other_and_hidden_files_are_left_alone(folders):
+    frames = list_frames(*folders(["1.png", "notes.txt", "._1.png"], ["1.png", "1.npy"]))
+    assert names(frames) == ["1"]
+
+
+@pytest.mark.parametrize(
+    ("rgb", "depth", "text"),
+    [
+        ([], ["1.png"], r"rgb has no \.png or \.jpg or \.jpeg files"),
+        (["1.png"], [], r"depth has no \.png files"),
+        (["1.png"], ["1.jpg"], r"depth has no \.png files"),
+        (["1.png"], ["2.png"], "no name occurs in both.* has 1, .* has 2"),
+        (["1.png", "1.jpg"], ["1.png"], "have the same stem"),
+    ],
+)
+def test_folders_that_make_no_stream(folders, rgb, depth, text):
+    with pytest.raises(InputError, match=text):
+        list_frames(*folders(rgb, depth))
+
+
+def test_missing_folders(tmp_path):
+    with pytest.raises(InputError, match="cannot list the folder"):
+        list_frames(tmp_path / "none", tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="cannot list the folder"):
+        list_frames(tmp_path / "file", tmp_path)
+
+
+def write(path: Path, image) -> Path:
+    assert cv2.imwrite(str(path), image)
+    return path
+
+
+def test_a_picture_is_read_red_first(tmp_path):
+    bgr = np.zeros((40, 50, 3), np.uint8)
+    bgr[:] = (10, 20, 200)
+    assert (read_rgb(write(tmp_path / "a.png", bgr)) == (200, 20, 10)).all()
+    from_jpeg = read_rgb(write(tmp_path / "a.jpg", bgr)).astype(int)
+    assert abs(from_jpeg - (200, 20, 10)).max() < 4
+
+
+@pytest.mark.parametrize("scale", [256, 100])
+def test_depth_is_read_in_metres(tmp_path, scale):
+    image = np.random.default_rng(0).integers(0, 65536, (40, 50), dtype=np.uint16)
+    image[0, :3] = (0, 1, 65535)
+    depth = read_sparse_depth(write(tmp_path / "d.png", image), depth_scale=scale)
+    assert depth.dtype == np.float32
+    np.testing.assert_allclose(depth, image.astype(np.float64) / scale, rtol=1e-7)
+    assert depth[0, 0] == 0
+
+
+@pytest.mark.parametrize(
+    "image",
+    [np.zeros((40, 50), np.uint8), np.zeros((40, 50, 3), np.uint8)],
+    ids=["8 bits", "colour"],
+)
+def test_depth_of_8_bits_is_refused(tmp_path, image):
+    path = write(tmp_path / "d.png", image)
+    with pytest.raises(InputError, match=r"one channel of 16 bits, got [13] of 8 bits"):
+        read_sparse_depth(path)
+
+
+@pytest.mark.parametrize("shape", [(40, 50), (40, 50, 3)], ids=["depth map", "colour"])
+def test_a_picture_of_16_bits_is_refused(tmp_path, shape):
+    path = write(tmp_path / "p.png", np.full(shape, 9999, np.uint16))
+    with pytest.raises(InputError, match=r"8 bits a channel, got 16 bits.*folders swapped"):
+        read_rgb(path)
+
+
+def test_a_gray_picture_has_three_equal_channels(tmp_path):
+    gray = np.random.default_rng(0).integers(0, 255, (40, 50), dtype=np.uint8)
+    image = read_rgb(write(tmp_path / "p.png", gray))
+    assert image.dtype == np.uint8
+    assert (image == gray[..., None]).all()
+
+
+def test_depth_of_three_channels_is_refused(tmp_path):
+    path = write(tmp_path / "d.png", np.zeros((40, 50, 3), np.uint16))
+    with pytest.raises(InputError, match="got 3 of 16 bits"):
+        read_sparse_depth(path)
+
+
+@pytest.mark.parametrize("suffix", ["rgb.png", "rgb.jpg", "depth.png"])
+@pytest.mark.parametrize("kept", [0.0, 0.1, 0.5, 0.99])
+def test_truncated_files_are_refused(tmp_path, suffix, kept):
+    random = np.random.default_rng(0)
+    if suffix == "depth.png":
+        image, read = random.integers(0, 9999, (40, 50), dtype=np.uint16), read_sparse_depth
+    else:
+        image, read = random.integers(0, 255, (40, 50, 3), dtype=np.uint8), read_rgb
+    path = write(tmp_path / suffix, image)
+    read(path)
+    os.truncate(path, int(path.stat().st_size * kept))
+    with pytest.raises(InputError, match="empty, truncated or damaged"):
+        read(path)
+
+
+def test_a_damaged_png_is_refused(tmp_path):
+    image = np.random.default_rng(0).integers(0, 9999, (40, 50), dtype=np.uint16)
+    path = write(tmp_path / "d.png", image)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="damaged"):
+        read_sparse_depth(path)
+
+
+def test_a_vanished_file(tmp_path):
+    with pytest.raises(InputError, match="cannot read"):
+        read_rgb(tmp_path / "gone.png")
+
+
+def test_a_frame_without_partner_cannot_be_read(tmp_path):
+    path = tmp_path / "x.png"
+    with pytest.raises(InputError, match="a picture, but no depth map"):
+        read_frame(FrameFiles("x", path, None), depth_scale=256)
+    with pytest.raises(InputError, match="a depth map, but no picture"):
+        read_frame(FrameFiles("x", None, path), depth_scale=256)
+
+
+def test_an_exif_orientation_is_not_followed(tmp_path):
+    """The depth map is of the sensor's raster; a picture turned by itself would not fit it."""
+    rng = np.random.default_rng(0)
+    image = cv2.resize(rng.integers(0, 255, (4, 6, 3), np.uint8), (96, 64))
+    jpeg = cv2.imencode(".jpg", image)[1].tobytes()
+    upright = tmp_path / "upright.jpg"
+    upright.write_bytes(jpeg)
+    for orientation in (3, 6):
+        entry = b"\x01\x12\x00\x03\x00\x00\x00\x01" + bytes([0, orientation, 0, 0])
+        exif = b"Exif\x00\x00MM\x00*\x00\x00\x00\x08\x00\x01" + entry + bytes(4)
+        header = b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif
+        turned = tmp_path / f"{orientation}.jpg"
+        turned.write_bytes(jpeg[:2] + header + jpeg[2:])
+        assert cv2.imread(str(turned)).shape != image.shape or orientation == 3
+        np.testing.assert_array_equal(read_rgb(turned), read_rgb(upright))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_what_is_no_regular_file_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.png")
+    (tmp_path / "folder.png").mkdir()
+    for name in ("pipe.png", "folder.png"):
+        with pytest.raises(InputError, match="not a regular file"):
+            read_rgb(tmp_path / name)
+
+
+# --- pictures that ask for too much -------------------------------------------------------------
+
+
+def bomb(path: Path, height: int = 30_000, width: int = 30_000) -> Path:
+    """A JPEG or PNG of a few hundred bytes whose header asks for gigabytes."""
+    content = cv2.imencode(path.suffix, np.zeros((16, 16, 3), np.uint8))[1].tobytes()
+    if path.suffix == ".jpg":
+        frame = content.index(b"\xff\xc0") + 5
+        size = height.to_bytes(2, "big") + width.to_bytes(2, "big")
+        content = content[:frame] + size + content[frame + 4 :]
+    else:
+        header = b"IHDR" + width.to_bytes(4, "big") + height.to_bytes(4, "big") + content[24:29]
+        content = content[:12] + header + zlib.crc32(header).to_bytes(4, "big") + content[33:]
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_a_picture_may_have_so_many_pixels(tmp_path, monkeypatch, suffix):
+    path = write(tmp_path / f"a{suffix}", np.zeros((40, 50, 3), np.uint8))
+    monkeypatch.setattr(runtime.sources.frames, "MAX_PIXELS", 40 * 50)
+    assert read_rgb(path).shape == (40, 50, 3)
+    monkeypatch.setattr(runtime.sources.frames, "MAX_PIXELS", 40 * 50 - 1)
+    with pytest.raises(InputError, match=r"has 40 x 50 pixels, expected at most 1,999"):
+        read_rgb(path)
+
+
+def test_a_file_may_have_so_many_bytes(tmp_path, monkeypatch):
+    path = write(tmp_path / "a.png", np.zeros((40, 50, 3), np.uint8))
+    size = path.stat().st_size
+    monkeypatch.setattr(runtime.sources.frames, "MAX_FILE_BYTES", size)
+    assert read_rgb(path).shape == (40, 50, 3)
+    monkeypatch.setattr(runtime.sources.frames, "MAX_FILE_BYTES", size - 1)
+    with pytest.raises(InputError, match=rf"has {size} bytes, expected .* at most {size - 1}"):
+        read_rgb(path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs RLIMIT_AS")
+def test_what_asks_for_too_much_takes_no_memory(tmp_path):
+    """Where 300 MB are left, as seen by the reader that training has, too."""
+    bomb(tmp_path / "bomb.jpg")
+    bomb(tmp_path / "bomb.png")
+    (tmp_path / "sparse.png").touch()
+    os.truncate(tmp_path / "sparse.png", 100_000_000_000)
+    program = (
+        "import resource, sys; from pathlib import Path\n"
+        "from runtime import InputError; from runtime.sources.frames import read_rgb\n"
+        "used = int(Path('/proc/self/statm').read_text().split()[0]) * resource.getpagesize()\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (used + 300_000_000,) * 2)\n"
+        "for path in sys.argv[1:]:\n"
+        "    try: read_rgb(Path(path))\n"
+        "    except InputError as error: print(error)\n"
+    )
+    paths = [tmp_path / name for name in ("bomb.jpg", "bomb.png", "sparse.png")]
+    command = [sys.executable, "-c", program, *map(str, paths)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert re.findall(r"has (.*?), expected", done.stdout) == [
+        "30000 x 30000 pixels",
+        "30000 x 30000 pixels",
+        "100,000,000,000 bytes",
+    ]

@@ -1,0 +1,244 @@
+"""A drive of KITTI raw data through ssdnet-run."""
+
+import os
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from runtime.io.calibration import Calibration
+from runtime.sources.kitti_raw import KittiRawSource
+
+SIZE = (48, 64)
+CAMERAS = """calib_time: 09-Jan-2012 13:57:47
+S_rect_02: 64 48
+R_rect_00: 1 0 0 0 1 0 0 0 1
+P_rect_02: 60 0 32 3 0 60 24 0 0 0 1 0
+S_rect_03: 64 48
+P_rect_03: 60 0 32 -30 0 60 24 0 0 0 1 0
+"""
+SCANNER = """calib_time: 15-Mar-2012 11:37:16
+R: 0 -1 0 0 0 -1 1 0 0
+T: 0 -0.3 0
+"""
+
+
+def stamps(milliseconds):
+    return "".join(
+        f"2011-09-26 13:02:{25 + ms // 1000:02d}.{ms % 1000:03d}000123\n" for ms in milliseconds
+    )
+
+
+@pytest.fixture
+def drive(tmp_path, make_frame, make_scan, write_rgb):
+    """Six numbered images at 10 Hz, each with a scan 13 ms earlier; both cameras the same."""
+    folder = tmp_path / "2011_09_26/2011_09_26_drive_0001_sync"
+    (folder / "velodyne_points/data").mkdir(parents=True)
+    for number in range(6):
+        rgb, _ = make_frame(*SIZE, seed=number)
+        for camera in (2, 3):
+            write_rgb(folder / f"image_0{camera}/data/{number:010d}.png", rgb)
+        make_scan(number).tofile(folder / f"velodyne_points/data/{number:010d}.bin")
+    for camera in (2, 3):
+        (folder / f"image_0{camera}/timestamps.txt").write_text(stamps(range(100, 700, 100)))
+    (folder / "velodyne_points/timestamps.txt").write_text(stamps(range(87, 687, 100)))
+    (folder.parent / "calib_cam_to_cam.txt").write_text(CAMERAS)
+    (folder.parent / "calib_velo_to_cam.txt").write_text(SCANNER)
+    return folder
+
+
+def projected(scan, shift_m):
+    """By the matrices above, a return after the other, the nearest wins."""
+    depth = np.full(SIZE, np.inf)
+    for x, y, z, _ in scan.astype(np.float64):
+        right, down, ahead = -y + shift_m, -z - 0.3, x
+        column, row = round(60 * right / ahead + 32), round(60 * down / ahead + 24)
+        if 0 <= row < SIZE[0] and 0 <= column < SIZE[1]:
+            depth[row, column] = min(depth[row, column], ahead)
+    return np.where(np.isinf(depth), 0, depth)
+
+
+@pytest.mark.parametrize(("camera", "shift_m"), [(2, 0.05), (3, -0.5)])
+def test_a_drive_from_end_to_end(drive, run, make_scan, camera, shift_m):
+    answers = run("--source", f"kitti-raw:{drive}", "--camera", camera)
+    assert answers.exit_code == 0, answers.text
+    assert answers.names == [f"{number:010d}" for number in range(6)]
+    for number in range(6):
+        expected = projected(make_scan(number), shift_m)
+        assert np.count_nonzero(expected) > 100
+        assert abs(answers.fed_depth(f"{number:010d}") - expected).max() < 0.01
+    images, scans = (
+        [int(ns) for ns in answers.column(f"{sensor}_stamp_ns")] for sensor in ("image", "depth")
+    )
+    assert images[0] == 1317042145_100000123, "2011-09-26 13:02:25.100000123 UTC"
+    assert [image - scan for image, scan in zip(images, scans, strict=True)] == [13_000_000] * 6
+    inputs = answers.report["inputs"]
+    assert inputs["source"] == f"kitti-raw:{drive}"
+    assert (inputs["camera"], inputs["focal_length_px"]) == (camera, 60)
+
+
+def test_a_scan_that_is_missing_is_a_frame_of_the_camera_alone(drive, run):
+    (drive / "velodyne_points/data/0000000002.bin").unlink()
+    (drive / "image_02/data/0000000004.png").unlink()
+    answers = run("--source", f"kitti-raw:{drive}")
+    assert answers.exit_code == 0, answers.text
+    assert answers.names == [f"{number:010d}" for number in (0, 1, 2, 3, 5)]
+    assert answers.column("degraded")[2] == "no_depth"
+    assert answers.column("depth_stamp_ns")[2] == ""
+    assert answers.report["inputs"]["left_out"] == {"depth: no_image": 1}
+    assert "left out: depth: no_image 1" in answers.text
+
+
+def test_stamps_decide_and_not_numbers(drive, make_scan):
+    """The scanner started one turn later: its number 0 belongs to image 1."""
+    (drive / "velodyne_points/timestamps.txt").write_text(stamps(range(187, 787, 100)))
+    source = KittiRawSource(drive)
+    frames = source.list_frames()
+    assert [frame.depth and frame.depth.stem for frame in frames] == [None] + [
+        f"{number:010d}" for number in range(5)
+    ]
+    expected = projected(make_scan(0), 0.05)
+    assert abs(source.read(frames[1]).sparse_depth - expected).max() < 0.001
+
+
+def test_a_skew_that_is_too_small_leaves_the_camera_alone(drive, run):
+    answers = run("--source", f"kitti-raw:{drive}", "--max-skew-ms", 12)
+    assert set(answers.column("degraded")) == {"no_depth"}
+    assert answers.report["inputs"]["left_out"] == {"depth: no_image": 6}
+
+
+def test_a_long_drive_is_matched_in_the_order_of_time(tmp_path):
+    for sensor, suffix in (("image_02", "png"), ("velodyne_points", "bin")):
+        (tmp_path / sensor / "data").mkdir(parents=True)
+        for number in range(300):
+            (tmp_path / sensor / f"data/{number:010d}.{suffix}").touch()
+        (tmp_path / sensor / "timestamps.txt").write_text(stamps(range(0, 30_000, 100)))
+    (tmp_path / "calib_cam_to_cam.txt").write_text(CAMERAS)
+    (tmp_path / "calib_velo_to_cam.txt").write_text(SCANNER)
+    frames = KittiRawSource(tmp_path).list_frames()
+    assert [frame.image.stem for frame in frames] == [f"{number:010d}" for number in range(300)]
+    assert all(frame.depth.stem == frame.image.stem for frame in frames)
+
+
+@pytest.mark.parametrize("sensor", ["image_02", "velodyne_points"])
+def test_without_stamps_numbers_decide(drive, run, sensor):
+    (drive / sensor / "timestamps.txt").unlink()
+    (drive / "image_02/data/0000000001.png").unlink()
+    (drive / "velodyne_points/data/0000000003.bin").unlink()
+    answers = run("--source", f"kitti-raw:{drive}")
+    assert answers.names == [f"{number:010d}" for number in (0, 2, 3, 4, 5)]
+    assert answers.column("degraded") == ["", "", "no_depth", "", ""]
+    assert answers.column("image_stamp_ns") == [""] * 5
+    assert answers.report["inputs"]["left_out"] == {"depth: no_image": 1}
+
+
+def test_limit_shards_and_a_rate_are_those_of_folders(drive, run):
+    source = ["--source", f"kitti-raw:{drive}"]
+    (drive / "velodyne_points/data/0000000001.bin").unlink()
+    assert run(*source, "--limit", 3).names == [f"{n:010d}" for n in range(4)], "3 complete ones"
+    parts = [run(*source, "--shard", f"{part}/2", out=f"part{part}") for part in (1, 2)]
+    assert sorted(parts[0].names + parts[1].names) == [f"{n:010d}" for n in range(6)]
+    paced = run(*source, "--rate", 200, out="paced")
+    assert paced.report["scenario"] == {"name": "constant-stream", "rate_hz": 200}
+    assert paced.exit_code == 0
+
+
+def test_a_broken_frame_is_counted_and_the_others_answered(drive, run):
+    (drive / "image_02/data/0000000001.png").write_bytes(b"")
+    scan = drive / "velodyne_points/data/0000000003.bin"
+    scan.write_bytes(scan.read_bytes()[:-3])
+    answers = run("--source", f"kitti-raw:{drive}")
+    assert answers.exit_code == 3
+    assert answers.column("status") == ["ok", "skipped", "ok", "skipped", "ok", "ok"]
+    assert "truncated" in answers.column("reason")[1]
+    assert "expected a multiple of 16" in answers.column("reason")[3]
+
+
+def test_an_image_of_another_size_than_the_calibration_is_told(drive, run, make_frame, write_rgb):
+    write_rgb(drive / "image_02/data/0000000000.png", make_frame(50, 64)[0])
+    answers = run("--source", f"kitti-raw:{drive}")
+    assert re.search(r"calibration is of images of \(48, 64\)", answers.column("reason")[0])
+
+
+def spoil_stamps(drive):
+    (drive / "image_02/timestamps.txt").write_text("yesterday\n" * 6)
+
+
+def sign_stamps(drive):
+    (drive / "image_02/timestamps.txt").write_text("2011-09-26 13:02:25.-1234567\n" * 6)
+
+
+def cut_stamps(drive):
+    (drive / "velodyne_points/timestamps.txt").write_text(stamps([87, 187]))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (spoil_stamps, r"line 1 of .*image_02/timestamps.txt is 'yesterday', expected a time"),
+        (sign_stamps, r"line 1 of .* is '2011-09-26 13:02:25.-1234567', expected a time"),
+        (cut_stamps, r"has 2 lines, 0000000005.bin is number 5"),
+        (
+            lambda d: (d.parent / "calib_velo_to_cam.txt").unlink(),
+            r"cannot read the calibration \S+calib_velo_to_cam.txt \(No such file or directory\): ",
+        ),
+        (
+            lambda d: (d.parent / "calib_cam_to_cam.txt").unlink(),
+            r"neither \S+ nor \S+ has KITTI's calib_cam_to_cam.txt .* or give --calibration",
+        ),
+        (
+            lambda d: (d / "image_02").rename(d / "images"),
+            "is no drive of KITTI raw data.* --camera",
+        ),
+        (
+            lambda d: (d / "image_02/data/left.png").write_bytes(b""),
+            "must have a number for a name",
+        ),
+        (lambda d: (d / "image_02/data/00.png").write_bytes(b""), "have the same number"),
+    ],
+)
+def test_a_drive_that_is_not_whole(drive, run, tmp_path, spoil, text):
+    spoil(drive)
+    answers = run("--source", f"kitti-raw:{drive}")
+    assert answers.exit_code == 1
+    assert re.search(text, answers.text.replace("\n", " ")), answers.text
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_calibration_file_takes_the_place_of_kittis(drive, run, tmp_path):
+    rows = [[30.0, 0, 32], [0, 30, 24], [0, 0, 1]]
+    extrinsics = [[0, -1.0, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
+    (tmp_path / "own.toml").write_text(f"intrinsics = {rows}\nextrinsics = {extrinsics}\n")
+    (drive.parent / "calib_cam_to_cam.txt").unlink()
+    answers = run("--source", f"kitti-raw:{drive}", "--calibration", tmp_path / "own.toml")
+    assert answers.exit_code == 0, answers.text
+    assert answers.report["inputs"]["focal_length_px"] == 30
+
+
+DATA = os.environ.get("SSDNET_DATA")
+
+
+@pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
+def test_a_real_drive_gives_the_depth_maps_that_were_made_of_it(tmp_path):
+    """The recording holds the returns in view and their projection, by floor where ours rounds."""
+    kitti = Path(DATA) / "kitti_stream"
+    for link, target in (("image_02", "image_02"), ("velodyne_points", "velodyne_fov")):
+        (tmp_path / "drive" / link).mkdir(parents=True)
+        (tmp_path / "drive" / link / "data").symlink_to(kitti / target)
+        (tmp_path / "drive" / link / "timestamps.txt").write_text(stamps(range(0, 6000, 100)))
+    for name in ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt"):
+        (tmp_path / name).symlink_to(kitti / name)
+    source = KittiRawSource(tmp_path / "drive")
+    frames = source.list_frames()
+    assert len(frames) == 60
+    for frame in (frames[0], frames[41]):
+        ours = source.read(frame).sparse_depth
+        path = kitti / "sparse_depth_02" / f"{frame.name}.png"
+        theirs = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) / 256
+        both = (ours > 0) & (theirs > 0)
+        assert abs(np.count_nonzero(ours) / np.count_nonzero(theirs) - 1) < 0.01
+        assert np.median(abs(ours[both] - theirs[both])) < 0.01
+    own = Calibration.from_kitti(kitti)
+    assert np.array_equal(source.calibration.extrinsics, own.extrinsics)

@@ -1,0 +1,49 @@
+"""Sources by their kind, and their options."""
+
+from pathlib import Path
+
+import pytest
+
+from runtime import InputError
+from runtime.sources.folders import FolderSource
+from runtime.sources.registry import SOURCES, open_source
+
+
+@pytest.mark.parametrize("text", ["", "folders", "folders:", "folder:/tmp", ":/tmp", "/tmp"])
+def test_what_is_no_kind_and_path_is_told_the_kinds(text):
+    with pytest.raises(InputError, match="KIND:PATH with one of the kinds folders, kitti-raw"):
+        open_source(text)
+
+
+def test_a_path_may_hold_a_colon():
+    source = open_source("folders:a:b", depth=Path("c"))
+    assert isinstance(source, FolderSource)
+    assert source.folders == (Path("a:b"), Path("c"))
+
+
+def test_a_path_may_start_at_home(monkeypatch):
+    monkeypatch.setenv("HOME", "/home/driver")
+    assert open_source("folders:~/drive").folders == (Path("/home/driver/drive"),)
+
+
+@pytest.mark.parametrize("kind", SOURCES)
+def test_options_of_another_kind_are_refused_by_name(kind):
+    with pytest.raises(InputError, match=rf"kind {kind} takes --.*, not --no-such$"):
+        open_source(f"{kind}:x", no_such=1)
+
+
+def test_the_command_tells_options_of_another_kind_as_wrong_usage(run, tmp_path):
+    answers = run("--source", f"vkitti:{tmp_path}", "--depth", tmp_path)
+    assert answers.exit_code == 2
+    assert "takes --camera, not --depth" in answers.text
+    assert run("--source", "nothing:here").exit_code == 2
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("kind", SOURCES)
+def test_a_path_that_is_not_there_is_an_input_error(kind, tmp_path, run):
+    if kind == "bag":
+        pytest.importorskip("rosbags")
+    answers = run("--source", f"{kind}:{tmp_path / 'none'}")
+    assert answers.exit_code == 1
+    assert str(tmp_path / "none") in answers.text

@@ -1,0 +1,96 @@
+"""Statistics by hand, and no percentile that n cannot support."""
+
+import math
+
+import numpy as np
+import pytest
+
+from runtime.drawing.latency_plot import draw_latency
+from runtime.sync.latency import (
+    MissedDeadlines,
+    latency_statistics,
+    latency_table,
+    missed_deadlines,
+    nearest_rank,
+)
+
+
+def test_nearest_rank_by_hand():
+    ordered = [15, 20, 35, 40, 50]  # the example of Wikipedia's article on percentiles
+    found = [nearest_rank(ordered, permille) for permille in (50, 300, 400, 500, 1000)]
+    assert found == [15, 20, 20, 35, 50]
+
+
+@pytest.mark.parametrize("n", [1, 2, 9, 10, 99, 100, 101, 999, 1000, 1001])
+@pytest.mark.parametrize("permille", [500, 900, 990, 999])
+def test_nearest_rank_against_its_definition(n, permille):
+    ordered = sorted(np.random.default_rng(n).random(n).tolist())
+    enough = (v for v in ordered if sum(w <= v for w in ordered) * 1000 >= permille * n)
+    assert nearest_rank(ordered, permille) == next(enough)
+
+
+def test_statistics_of_a_hundred():
+    statistics = latency_statistics(reversed(range(1, 101)))
+    assert (statistics.n, statistics.mean_ms, statistics.median_ms) == (100, 50.5, 50)
+    assert (statistics.p90_ms, statistics.p99_ms, statistics.max_ms) == (90, 99, 100)
+    assert statistics.p99_9_ms is None
+
+
+@pytest.mark.parametrize(
+    ("n", "known"),
+    [(1, 0), (9, 0), (10, 1), (99, 1), (100, 2), (999, 2), (1000, 3)],
+)
+def test_percentiles_that_n_cannot_support_are_not_given(n, known):
+    statistics = latency_statistics([1.0] * n)
+    given = [statistics.p90_ms, statistics.p99_ms, statistics.p99_9_ms]
+    assert given == [1.0] * known + [None] * (3 - known)
+
+
+def test_outliers_are_not_clipped():
+    assert latency_statistics([1.0] * 99 + [1e6]).max_ms == 1e6
+    assert latency_statistics([]) is None
+
+
+def test_missed_deadlines():
+    late = [11, 12, 3, 13, 14, 15, 10, 16]
+    found = missed_deadlines(late, deadline_ms=10)
+    assert found == MissedDeadlines(count=6, longest_run=3), "exactly on it is in time"
+    assert missed_deadlines([], deadline_ms=10) == MissedDeadlines(0, 0)
+
+
+def test_the_table_says_n_a():
+    table = latency_table({"read": latency_statistics([1.0, 2.0]), "write": None})
+    header, read, write = table.splitlines()
+    assert header.split()[2:] == ["n", "mean", "median", "p90", "p99", "p99.9", "max"]
+    assert read.split() == ["read", "2", "1.50", "1.00", "n/a", "n/a", "n/a", "2.00"]
+    assert write.split() == ["write", "0", *["n/a"] * 6]
+    assert len({len(line) for line in table.splitlines()}) == 1
+
+
+@pytest.mark.parametrize("latencies", [[5.0], [5.0, 7.0] * 500, [0.0, 0.0]])
+def test_the_picture_shows_late_frames_in_red(latencies):
+    numbered = dict(enumerate(latencies))
+
+    def red_points(deadline_ms):
+        picture = draw_latency(numbered, deadline_ms=deadline_ms).astype(int)
+        return int(((picture[..., 2] > 200) & (picture[..., :2].max(axis=2) < 60)).sum())
+
+    assert draw_latency(numbered).shape[2] == 3
+    assert red_points(None) == 0
+    in_time = red_points(math.ceil(max(latencies)) + 1.0)
+    if max(latencies) > 1:
+        assert red_points(1.0) > in_time, "late points are drawn red on top of the line"
+
+
+def test_the_picture_leaves_room_for_frames_without_latency():
+    """Frames 0..9 and 90..99 of a hundred: nothing is drawn in the middle but the line."""
+    late = dict.fromkeys([*range(10), *range(90, 100)], 9.0)
+    picture = draw_latency(late, deadline_ms=1.0).astype(int)
+    red = (picture[..., 2] > 200) & (picture[..., :2].max(axis=2) < 60)
+    points = red.any(axis=0) & (red.sum(axis=0) > 2)  # wider than the deadline's line
+    columns = np.flatnonzero(points[60:944])  # between the margins
+    left, right = 884 * 0.15, 884 * 0.85
+    assert (columns < left).any()
+    assert (columns > right).any()
+    title = columns > 944 - 60 - 180  # the deadline's text stands on the right
+    assert not ((columns > left) & (columns < right) & ~title).any()

@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+
+from runtime.errors import InputError
+from runtime.sync.stamp import stamp_ns
+
+
+@pytest.mark.parametrize(
+    ("stamp", "nanoseconds"),
+    [
+        (1.5, 1_500_000_000),
+        (0.1, 100_000_000),
+        (7, 7),
+        (-2.0, -2_000_000_000),
+        (1_700_000_000_123_456_789, 1_700_000_000_123_456_789),
+        (np.float32(0.5), 500_000_000),
+        (np.int64(12), 12),
+        (np.uint64(12), 12),
+    ],
+)
+def test_floats_are_seconds_and_ints_nanoseconds(stamp, nanoseconds):
+    assert stamp_ns(stamp) == nanoseconds
+
+
+@pytest.mark.parametrize(
+    ("stamp", "said"),
+    [
+        (None, "got NoneType"),
+        ("1.0", "got str"),
+        (True, "got True"),
+        (np.datetime64("2026-01-01"), "got datetime64"),
+        (float("nan"), "got nan"),
+        (float("-inf"), "got -inf"),
+        (np.float16(np.inf), "got .*inf"),
+        (1e300, "fit in 64 bits"),
+        (2**63, "fit in 64 bits"),
+        (-(2**63) - 1, "fit in 64 bits"),
+        (np.zeros(3), "got ndarray"),
+    ],
+)
+def test_what_is_no_stamp_is_refused(stamp, said):
+    with pytest.raises(InputError, match=said):
+        stamp_ns(stamp)

@@ -1,0 +1,297 @@
+"""Matching by stamps: by hand, against a plain loop, and what holds for any sequence at all."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from runtime.sync.message_counts import (
+    CLOCK_JUMP,
+    DUPLICATE,
+    LATE,
+    NO_IMAGE,
+    OVERFLOW,
+    OVERTAKEN,
+    Sensor,
+)
+from runtime.sync.synchronizer import Message, Synchronizer
+
+MS = 1_000_000
+IMAGE, DEPTH = Sensor.IMAGE, Sensor.DEPTH
+CAPACITY = 16
+
+
+class Played:
+    """Plays messages to a synchronizer and keeps what it decides; all times in ms."""
+
+    def __init__(self, *, live, max_skew=20, max_wait=50, capacity=CAPACITY):
+        self.synchronizer = Synchronizer(
+            live=live, max_skew_ns=max_skew * MS, max_wait_ns=max_wait * MS, capacity=capacity
+        )
+        self.now = 0
+        self.pushed, self.pairs, self.discarded = [], [], []
+
+    def push(self, sensor, stamp, *, at=None):
+        self.now = self.now if at is None else at
+        message = Message(stamp, round(stamp * MS), round(self.now * MS))
+        self.pushed.append((sensor, message))
+        return self._keep(self.synchronizer.add(sensor, message, round(self.now * MS)))
+
+    def image(self, stamp, **options):
+        return self.push(IMAGE, stamp, **options)
+
+    def depth(self, stamp, **options):
+        return self.push(DEPTH, stamp, **options)
+
+    def advance(self, now):
+        self.now = now
+        return self._keep(self.synchronizer.advance(round(now * MS)))
+
+    def flush(self):
+        return self._keep(self.synchronizer.flush())
+
+    def _keep(self, decided):
+        self.pairs += decided.pairs
+        self.discarded += decided.discarded
+        return stamps(decided.pairs)
+
+    def reasons(self):
+        return [(item.sensor, item.message.stamp, item.reason) for item in self.discarded]
+
+
+def stamps(pairs):
+    return [(pair.image.stamp, pair.depth and pair.depth.stamp) for pair in pairs]
+
+
+@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+def test_equal_stamps_are_matched_at_once(live):
+    played = Played(live=live)
+    assert played.image(100) == []
+    assert played.depth(100) == [(100, 100)]
+    assert played.depth(200) == []
+    assert played.image(200) == [(200, 200)]
+
+
+@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+def test_the_nearest_wins_also_when_it_comes_last(live):
+    played = Played(live=live)
+    played.depth(0)
+    assert played.image(18) == [], "18 ms apart: a nearer one may come"
+    found = played.depth(30)
+    found += played.image(100)
+    assert found[0] == (18, 30)
+
+
+@pytest.mark.parametrize(("skew", "matched"), [(20, True), (21, False)])
+def test_the_largest_skew_is_still_a_match(skew, matched):
+    played = Played(live=False)
+    played.image(100)
+    played.depth(100 + skew)
+    played.flush()
+    assert stamps(played.pairs) == [(100, 100 + skew if matched else None)]
+
+
+@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+def test_a_depth_map_is_kept_for_the_image_nearest_to_it(live):
+    played = Played(live=live)
+    played.image(0)
+    played.image(16)
+    found = played.depth(15)
+    found += played.depth(100) + played.image(100)
+    assert (16, 15) in found
+    assert (0, 15) not in found
+
+
+def test_regular_live_sensors_do_not_wait_for_their_next_message():
+    played = Played(live=True)
+    for stamp in (0, 100, 200):
+        played.depth(stamp, at=stamp)
+        played.image(stamp + 7, at=stamp + 8)
+        played.advance(stamp + 99)
+    assert played.depth(300, at=300) == []
+    assert played.image(307, at=308) == [(307, 300)], "the next depth map comes at 400"
+
+
+def test_live_an_image_waits_for_max_wait_by_the_clock_and_no_longer():
+    played = Played(live=True)
+    played.image(0, at=5)
+    assert played.synchronizer.due_ns() == 55 * MS
+    assert played.advance(54.9) == []
+    assert played.advance(55) == [(0, None)]
+    played.depth(0, at=56)
+    played.advance(200)
+    assert played.reasons() == [(DEPTH, 0, NO_IMAGE)]
+
+
+def test_live_what_is_uncertain_is_decided_with_what_is_there():
+    played = Played(live=True)
+    played.depth(-10, at=0)
+    assert played.image(0, at=5) == []
+    assert played.advance(54.9) == [], "its depth map was there for long"
+    assert played.synchronizer.due_ns() == 55 * MS
+    assert played.advance(55) == [(0, -10)]
+
+
+def test_live_an_older_image_gives_way():
+    played = Played(live=True)
+    played.image(0)
+    played.image(100)
+    assert played.depth(100) == [(100, 100)]
+    assert played.reasons() == [(IMAGE, 0, OVERTAKEN)]
+
+
+def test_replayed_no_clock_decides():
+    played = Played(live=False)
+    played.image(0, at=0)
+    assert played.synchronizer.due_ns() is None
+    assert played.advance(1e6) == []
+    assert played.depth(70, at=1e6) == []
+    assert played.depth(71) == [(0, None)], "skew and wait are over by the stamps"
+
+
+def test_replayed_images_stay_in_order_behind_one_that_waits():
+    played = Played(live=False)
+    played.image(0)
+    played.image(40)
+    assert played.depth(40) == []
+    assert played.depth(80) == [(0, None), (40, 40)]
+
+
+@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+def test_duplicates_and_late_images_are_told(live):
+    played = Played(live=live)
+    played.image(100)
+    played.image(100)
+    played.depth(100)
+    played.depth(100)
+    played.image(90)
+    assert stamps(played.pairs) == [(100, 100)]
+    assert played.reasons() == [
+        (IMAGE, 100, DUPLICATE),
+        (DEPTH, 100, DUPLICATE),
+        (IMAGE, 90, LATE),
+    ]
+    assert played.synchronizer.out_of_order == 1
+
+
+def test_out_of_order_messages_that_wait_are_put_in_order():
+    played = Played(live=False)
+    for stamp in (40, 0):
+        played.image(stamp)
+    for stamp in (40, 0):
+        played.depth(stamp)
+    assert stamps(played.pairs) == [(0, 0), (40, 40)]
+    assert played.synchronizer.out_of_order == 2
+    assert played.synchronizer.jumps_back == 0
+
+
+@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+def test_after_a_jump_back_the_stream_goes_on(live):
+    played = Played(live=live)
+    for start in (5000, 0):
+        for stamp in (start, start + 100):
+            played.image(stamp, at=played.now + 100)
+            played.depth(stamp)
+    assert stamps(played.pairs) == [(5000, 5000), (5100, 5100), (0, 0), (100, 100)]
+    assert played.synchronizer.jumps_back == 2 - 1, "the depth's stamps were forgotten with it"
+
+
+def test_a_jump_back_ends_all_waiting():
+    played = Played(live=False)
+    played.image(5000)
+    played.depth(5030)
+    assert played.image(0) == [(5000, None)]
+    assert played.reasons() == [(DEPTH, 5030, CLOCK_JUMP)]
+
+
+def test_live_memory_is_bounded_by_dropping_the_oldest():
+    played = Played(live=True, capacity=3)
+    for stamp in range(5):
+        played.image(stamp * 1000)
+        played.depth(stamp * 1000 + 500)
+    assert played.reasons() == [
+        (IMAGE, 0, OVERFLOW),
+        (DEPTH, 500, OVERFLOW),
+        (IMAGE, 1000, OVERFLOW),
+        (DEPTH, 1500, OVERFLOW),
+    ]
+
+
+# --- against a plain loop ----------------------------------------------------------------------
+
+
+def nearest_by_a_plain_loop(images, depths, *, max_skew):
+    free = list(depths)
+    pairs = []
+    for place, image in enumerate(images):
+        own = [
+            depth
+            for depth in free
+            if abs(depth - image) <= max_skew
+            and all(abs(depth - other) >= abs(depth - image) for other in images[place:])
+        ]
+        depth = min(own, key=lambda depth: (abs(depth - image), depth), default=None)
+        if depth is not None:
+            free.remove(depth)
+        pairs.append((image, depth))
+    return pairs
+
+
+rising = st.lists(st.integers(1, 80), max_size=12).map(lambda steps: np.cumsum(steps).tolist())
+
+
+@settings(max_examples=100, deadline=None)
+@given(images=rising, depths=rising, turns=st.randoms(use_true_random=False))
+def test_a_replay_matches_as_a_plain_loop_whoever_pushes_first(images, depths, turns):
+    played = Played(live=False)
+    sensors = [IMAGE] * len(images) + [DEPTH] * len(depths)
+    turns.shuffle(sensors)
+    left = {IMAGE: iter(images), DEPTH: iter(depths)}
+    for sensor in sensors:
+        played.push(sensor, next(left[sensor]))
+    played.flush()
+    assert stamps(played.pairs) == nearest_by_a_plain_loop(images, depths, max_skew=20)
+
+
+# --- what holds for any sequence ---------------------------------------------------------------
+
+anything = st.lists(
+    st.tuples(
+        st.sampled_from(Sensor),
+        st.one_of(st.integers(0, 300), st.integers(-5000, 5000), st.just(10**9)),
+        st.integers(0, 60),  # ms until it arrives
+    ),
+    max_size=60,
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(messages=anything, live=st.booleans(), capacity=st.integers(1, 5))
+def test_any_sequence_is_accounted_for(messages, live, capacity):
+    played = Played(live=live, capacity=capacity)
+    now, jumps, epoch = 0, 0, 0
+    for sensor, stamp, after in messages:
+        now += after
+        played.advance(now)
+        if live:
+            due_ns = played.synchronizer.due_ns()
+            assert due_ns is None or due_ns > now * MS, "what is due was decided"
+        elif played.synchronizer.full(sensor):
+            played._keep(played.synchronizer.release_oldest(sensor, now * MS))
+        played.push(sensor, stamp)
+        if played.synchronizer.jumps_back > jumps:
+            jumps, epoch = played.synchronizer.jumps_back, len(played.pairs)
+        decided_ns = [pair.image.stamp_ns for pair in played.pairs[epoch:]]
+        assert decided_ns == sorted(set(decided_ns)), "images are decided in their order"
+        for of in Sensor:
+            assert len(played.synchronizer._sensors[of].messages) <= capacity
+    played.flush()
+    assert played.synchronizer.due_ns() is None
+    decided = [id(m) for pair in played.pairs for m in pair if m is not None]
+    decided += [id(item.message) for item in played.discarded]
+    assert sorted(decided) == sorted(id(message) for _, message in played.pushed)
+    for image, depth in played.pairs:
+        assert depth is None or abs(image.stamp_ns - depth.stamp_ns) <= 20 * MS
+    if not live:
+        lost = {reason for sensor, _, reason in played.reasons() if sensor is IMAGE}
+        assert lost <= {DUPLICATE, LATE}, "a replay answers every image"

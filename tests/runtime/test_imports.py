@@ -1,0 +1,112 @@
+"""What is imported loads no more than it needs: the engine is embedded in other programs."""
+
+import importlib.util
+import subprocess
+import sys
+
+import pytest
+
+import runtime
+
+ENGINE = {"cv2", "onnxruntime"}
+needs_torch = pytest.mark.skipif(
+    importlib.util.find_spec("torch") is None, reason="the engine alone is installed"
+)
+
+
+def words_printed_by(program: str) -> list[str]:
+    """By a fresh interpreter, where nothing was imported before."""
+    command = [sys.executable, "-c", program]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+
+
+def loaded_after(statement: str) -> set[str]:
+    """The top-level packages."""
+    modules = words_printed_by(f"import sys; {statement}; print(*sys.modules)")
+    return {name.partition(".")[0] for name in modules}
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "import runtime",
+        pytest.param("import models", marks=needs_torch),
+        pytest.param("from models import load_checkpoint, save_checkpoint", marks=needs_torch),
+        "from runtime.contract import Contract",
+        "from runtime import Contract, SSDNetError, __version__",
+        "import runtime.errors, runtime.io.atomic_write, runtime.command",
+    ],
+)
+def test_the_leaves_load_neither_opencv_nor_onnxruntime(statement):
+    loaded = loaded_after(statement)
+    assert "runtime" in loaded
+    assert not loaded & {*ENGINE, "typer"}
+
+
+def test_the_leaves_of_files_and_errors_need_nothing_but_python():
+    statement = "import runtime.errors, runtime.io.atomic_write, runtime.command"
+    assert loaded_after(statement) - {"runtime"} <= sys.stdlib_module_names | loaded_after("pass")
+
+
+def test_the_predictor_loads_neither_torch_nor_onnx_nor_a_command_line():
+    loaded = loaded_after("from runtime import Predictor; Predictor")
+    assert {"numpy", "cv2"} <= loaded
+    heavy = {"torch", "onnx", "typer", "models", "training", "export", "scipy"}
+    assert not loaded & heavy
+
+
+def test_classical_methods_load_no_scipy_before_one_that_needs_it_is_made():
+    loaded = loaded_after(
+        "from runtime.completion.predictor import CompletionPredictor; CompletionPredictor('tgv')"
+    )
+    assert {"runtime", "cv2"} <= loaded
+    assert not loaded & {"scipy", "onnxruntime", "torch", "models", "training"}
+
+
+def test_the_engine_loads_nothing_of_streams_until_one_is_asked_for():
+    loaded = words_printed_by("import sys; from runtime import Predictor; print(*sys.modules)")
+    assert "runtime.predictor" in loaded
+    assert not [name for name in loaded if name.startswith("runtime.run")]
+
+
+def test_the_command_loads_neither_torch_nor_onnx_nor_onnxruntime():
+    loaded = loaded_after("import runtime.run.cli")
+    assert {"runtime", "numpy", "cv2", "typer"} <= loaded
+    assert not loaded & {"torch", "onnx", "onnxruntime", "models", "training", "export", "scipy"}
+    assert not loaded & {"rosbags", "ruamel", "apsw"}
+
+
+def test_the_command_loads_no_output_that_was_not_asked_for():
+    loaded = words_printed_by("import sys; import runtime.run.cli; print(*sys.modules)")
+    assert "runtime.run.outputs.output" in loaded
+    assert not {"rerun", "rosbags", "runtime.drawing.report_page.page"} & set(loaded)
+
+
+def test_the_command_loads_no_source_before_one_is_asked_for():
+    loaded = words_printed_by("import sys, runtime.run.cli; print(*sys.modules)")
+    sources = {name for name in loaded if name.startswith("runtime.sources.")}
+    assert sources == {
+        f"runtime.sources.{name}" for name in ("bundled_stream", "frames", "registry", "source")
+    }
+
+
+def test_the_doctor_loads_nothing_that_it_looks_at():
+    loaded = loaded_after("import runtime.tools.doctor_cli")
+    assert {"runtime", "typer"} <= loaded
+    assert not loaded & {*ENGINE, "numpy", "torch", "onnx"}
+
+
+def test_the_public_names_are_there():
+    for name in runtime.__all__:
+        assert getattr(runtime, name) is not None
+    assert set(runtime.__all__) <= set(words_printed_by("import runtime; print(*dir(runtime))"))
+    everything: dict[str, object] = {}
+    exec("from runtime import *", everything)
+    assert set(runtime.__all__) <= set(everything)
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'runtime' has no attribute 'Predictr'"):
+        _ = runtime.Predictr
+    with pytest.raises(ImportError, match="cannot import name 'Predictr'"):
+        exec("from runtime import Predictr")

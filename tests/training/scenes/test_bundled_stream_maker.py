@@ -1,0 +1,45 @@
+"""A rendered scene becomes a folder pair that the engine's reader takes."""
+
+import cv2
+import numpy as np
+import pytest
+
+from runtime.errors import DatasetError
+from runtime.sources.frames import list_frames, read_frame
+from training.scenes.bundled_stream_maker import write_lidar_stream
+
+
+@pytest.fixture
+def variant(tmp_path):
+    """One frame of a wall 12.5 m ahead under a sky, in the Virtual KITTI 2 layout."""
+    folder = tmp_path / "scenes" / "Scene1" / "clone"
+    for kind in ("rgb", "depth", "classSegmentation"):
+        (folder / "frames" / kind / "Camera_0").mkdir(parents=True)
+    (folder / "colors.txt").write_text("Category r g b\nRoad 100 60 100\n")
+    (folder / "intrinsic.txt").write_text("frame cameraID fx fy cx cy\n7 0 300 300 64 20\n")
+    depth = np.full((64, 128), 1250, np.uint16)
+    depth[:30] = 65535
+    frames = folder / "frames"
+    image = np.full((64, 128, 3), 120, np.uint8)
+    cv2.imwrite(str(frames / "rgb/Camera_0/rgb_00007.jpg"), image)
+    cv2.imwrite(str(frames / "depth/Camera_0/depth_00007.png"), depth)
+    label = np.full((64, 128, 3), (100, 60, 100), np.uint8)
+    cv2.imwrite(str(frames / "classSegmentation/Camera_0/classgt_00007.png"), label)
+    return folder
+
+
+def test_frames_pair_up_and_hold_metres(variant, tmp_path):
+    assert write_lidar_stream(variant, tmp_path / "out") == 1
+    (files,) = list_frames(tmp_path / "out" / "rgb", tmp_path / "out" / "depth")
+    frame = read_frame(files, depth_scale=256.0)
+    returns = frame.sparse_depth[frame.sparse_depth > 0]
+    assert 0.01 < len(returns) / frame.sparse_depth.size < 0.5
+    np.testing.assert_allclose(returns, 12.5, atol=0.15)  # range noise of 2 cm
+    assert not frame.sparse_depth[:30].any()  # sky returns nothing
+    original = variant / "frames/rgb/Camera_0/rgb_00007.jpg"
+    assert files.rgb.read_bytes() == original.read_bytes()
+
+
+def test_missing_scene_is_named(tmp_path):
+    with pytest.raises(DatasetError, match="no such folder"):
+        write_lidar_stream(tmp_path / "a" / "Scene9" / "fog", tmp_path / "out")

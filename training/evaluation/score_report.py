@@ -1,0 +1,164 @@
+"""Evaluation rows as a table for people, JSON for programs and a plot for the eye."""
+
+import json
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from runtime.errors import OutputError
+from runtime.io.atomic_write import atomic_file, atomic_write
+from training.evaluation.depth_regions import REGIONS
+
+#: What the table shows, in this order, where a row has it: key, title, factor.
+_COLUMNS = (
+    ("miou", "mIoU %", 100.0),
+    ("category_miou", "mIoU cat %", 100.0),
+    ("accuracy", "Acc %", 100.0),
+    ("mean_accuracy", "mAcc %", 100.0),
+    ("fwiou", "fwIoU %", 100.0),
+    ("road_iou", "road IoU %", 100.0),
+    ("mae_m_0_20", "MAE 0-20 m [m]", 1.0),
+    ("mae_m_0_50", "0-50", 1.0),
+    ("mae_m", "0-100", 1.0),
+    ("rmse_m_0_20", "RMSE 0-20 m [m]", 1.0),
+    ("rmse_m_0_50", "0-50", 1.0),
+    ("rmse_m", "0-100", 1.0),
+    ("imae_per_km", "iMAE [1/km]", 1.0),
+    ("irmse_per_km", "iRMSE [1/km]", 1.0),
+    *(
+        (f"{error}_m_{region}", f"{region} {error.upper()} [mm]", 1000.0)
+        for region in REGIONS
+        for error in ("mae", "rmse")
+    ),
+    ("mae_m_surest_50", "MAE [mm] of the surest 50 %", 1000.0),
+    ("mae_m_surest_80", "80 %", 1000.0),
+    ("mae_m_surest_100", "100 %", 1000.0),
+    ("coverage_1", "errors within 1 scale %", 100.0),
+    ("coverage_2", "2 scales %", 100.0),
+    ("mae_px", "disparity MAE [px]", 1.0),
+    ("rmse_px", "RMSE [px]", 1.0),
+    ("boundary_precision", "boundary P %", 100.0),
+    ("boundary_recall", "R %", 100.0),
+    ("boundary_f", "F %", 100.0),
+)
+_PLOTTED = (("miou", "mIoU [%]", 100.0), ("mae_m", "MAE [m]", 1.0), ("rmse_m", "RMSE [m]", 1.0))
+
+_MARKERS = "os^Dv*"
+_LINE_STYLES = ("-", "--", ":", "-.")
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one model scored on one set with one LiDAR and one fault; figures in SI and shares."""
+
+    model: str
+    engine: str
+    data: str
+    lidar: str
+    fault: str
+    frames: int
+    figures: dict[str, float]
+
+
+def format_table(rows: Sequence[Row]) -> str:
+    """Lay rows out as a Markdown table; columns that no row has are left out."""
+    columns = [column for column in _COLUMNS if any(column[0] in row.figures for row in rows)]
+    titles = ["model", "engine", "data", "frames", "LiDAR", "fault"]
+    cells = [[*titles, *(title for _, title, _ in columns)]]
+    for row in rows:
+        values = [
+            f"{row.figures[key] * factor:.3f}" if key in row.figures else ""
+            for key, _, factor in columns
+        ]
+        words = [row.model, row.engine, row.data, str(row.frames), row.lidar, row.fault]
+        cells.append([*words, *values])
+    widths = [max(len(line[index]) for line in cells) for index in range(len(cells[0]))]
+    lines = [
+        "| "
+        + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True))
+        + " |"
+        for line in cells
+    ]
+    lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
+    return "\n".join(lines)
+
+
+def require_writable(path: Path, option: str, *, suffix: str = "") -> None:
+    """Raise an OutputError for a path that nothing can be written to, before any work is done."""
+    if not path.name.endswith(suffix):
+        raise OutputError(f"{path}: {option} writes a {suffix} file; give it that ending")
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder: choose a file for {option}")
+    if not path.parent.is_dir():
+        raise OutputError(f"{path}: there is no folder {path.parent}; make it, for {option}")
+    if not os.access(path.parent, os.W_OK):
+        raise OutputError(f"{path}: the folder may not be written to; choose another {option}")
+
+
+def write_json(rows: Sequence[Row], path: Path) -> None:
+    """Write every figure of every row. Raises OutputError."""
+    # NaN is no JSON: a figure that nothing was measured for is null.
+    documents = []
+    for row in rows:
+        figures = {k: None if math.isnan(value) else value for k, value in row.figures.items()}
+        documents.append({**asdict(row), "figures": figures})
+    atomic_write(path, json.dumps(documents, indent=2, allow_nan=False).encode())
+
+
+def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:
+    """Draw accuracy against the LiDAR, a line a model, set and fault; PNG.
+
+    A model has its colour, a set its marker and a fault its dashes, the same in every panel.
+    Raises OutputError.
+    """
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    plotted = [item for item in _PLOTTED if any(item[0] in row.figures for row in rows)]
+    lidars = list(dict.fromkeys(row.lidar for row in rows))
+    lines = list(dict.fromkeys((row.model, row.engine, row.data, row.fault) for row in rows))
+    models = list(dict.fromkeys((row.model, row.engine) for row in rows))
+    sets = list(dict.fromkeys(row.data for row in rows))
+    faults = list(dict.fromkeys(row.fault for row in rows))
+    figure, panels = plt.subplots(
+        1, max(1, len(plotted)), figsize=(5 * max(1, len(plotted)), 4), squeeze=False
+    )
+    for panel, (key, title, factor) in zip(panels[0], plotted, strict=False):
+        for model, engine, data, fault in lines:
+            points = [
+                (lidars.index(row.lidar), row.figures[key] * factor)
+                for row in rows
+                if (row.model, row.engine, row.data, row.fault) == (model, engine, data, fault)
+                and key in row.figures
+            ]
+            label = f"{model} ({engine}), {data}" + (f", {fault}" if fault != "none" else "")
+            if points:
+                panel.plot(
+                    *zip(*points, strict=True),
+                    label=label,
+                    color=f"C{models.index((model, engine)) % 10}",
+                    marker=_MARKERS[sets.index(data) % len(_MARKERS)],
+                    linestyle=_LINE_STYLES[faults.index(fault) % len(_LINE_STYLES)],
+                )
+        panel.set_xticks(range(len(lidars)), lidars)
+        panel.set_xlabel("LiDAR: lines, random share, none")
+        panel.set_title(title)
+        panel.grid(alpha=0.3)
+        panel.set_ylim(bottom=0)
+    shown: dict[str, object] = {}
+    for panel in panels[0]:
+        handles, labels = panel.get_legend_handles_labels()
+        shown = {**dict(zip(labels, handles, strict=True)), **shown}
+    figure.tight_layout()
+    figure.legend(
+        list(shown.values()), list(shown), fontsize=7, loc="upper left", bbox_to_anchor=(1, 1)
+    )
+    try:
+        with atomic_file(path) as file:
+            figure.savefig(file, format="png", dpi=110, bbox_inches="tight")
+    finally:
+        plt.close(figure)

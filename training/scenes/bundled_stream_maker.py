@@ -1,0 +1,62 @@
+"""From a rendered scene to the folder pair that `ssdnet-run` reads.
+
+    python -m training.scenes.bundled_stream_maker SCENE/VARIANT OUT [--lines 64] [--seed 0]
+
+The bundled stream was made so.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+
+from runtime.command import reported_errors
+from runtime.io.atomic_write import atomic_write
+from runtime.sources.frames import KITTI_DEPTH_SCALE
+from training.datasets.virtual_kitti import VirtualKitti
+from training.datasets.virtual_kitti_split import Selection
+from training.lidar.simulate import scan_lines
+
+
+def write_lidar_stream(variant: Path, out: Path, *, lines: int = 64, seed: int = 0) -> int:
+    """Write ``out/rgb/*.jpg`` and ``out/depth/*.png``; return the number of frames.
+
+    variant: ``<root>/<scene>/<variant>`` in the Virtual KITTI 2 layout; its pictures are copied as
+    they are, and its dense depth is scanned by ``lines`` LiDAR lines (uint16, metres x 256, 0 = no
+    return). Raises DatasetError for what cannot be read, OutputError for what cannot be written.
+    """
+    variant = variant.resolve()
+    selection = Selection(scenes=(variant.parent.name,), variants=(variant.name,))
+    source = VirtualKitti(variant.parent.parent, selection=selection)
+    rng = np.random.default_rng(seed)
+    (out / "rgb").mkdir(parents=True, exist_ok=True)
+    (out / "depth").mkdir(exist_ok=True)
+    for index in range(len(source)):
+        sample = source[index]
+        if sample.intrinsics is None:
+            raise TypeError("a rendered sample has intrinsics")
+        sparse_depth = scan_lines(sample.depth, sample.intrinsics, lines, rng)
+        number = sample.name.rsplit("/", 1)[-1]
+        picture = variant / "frames" / "rgb" / "Camera_0" / f"rgb_{number}.jpg"
+        units = np.rint(sparse_depth * KITTI_DEPTH_SCALE).astype(np.uint16)
+        _, png = cv2.imencode(".png", units, (cv2.IMWRITE_PNG_COMPRESSION, 9))
+        atomic_write(out / "rgb" / f"{number}.jpg", picture.read_bytes())
+        atomic_write(out / "depth" / f"{number}.png", png.tobytes())
+    return len(source)
+
+
+def main(
+    variant: Path,
+    out: Path,
+    lines: Annotated[int, typer.Option(help="a divisor of 64")] = 64,
+    seed: int = 0,
+) -> None:
+    """Scan a rendered scene with a LiDAR and lay its frames out for ssdnet-run."""
+    with reported_errors("train"):
+        typer.echo(f"{write_lidar_stream(variant, out, lines=lines, seed=seed)} frames in {out}")
+
+
+if __name__ == "__main__":
+    typer.run(main)
