@@ -22,9 +22,10 @@ from runtime.drawing.overlay import Overlay
 from runtime.drawing.picture_text import write_text
 from runtime.errors import InputError, SSDNetError
 from runtime.io.atomic_write import atomic_write
+from runtime.io.images import KITTI_DEPTH_SCALE
 from runtime.network_size import parse_network_size
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.frames import KITTI_DEPTH_SCALE, Frame, FrameFiles, list_frames, read_frame
+from runtime.sources.frames import Frame, FrameFiles, list_frames, read_frame
 
 Picture = NDArray[np.uint8]
 #: (top, left, height, width) in pixels of the frame.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.sources.frames import read_file
+from runtime.io.images import read_file
 
 _RECORD_BYTES = 16  # x, y, z, reflectance
 

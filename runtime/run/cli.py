@@ -19,10 +19,11 @@ from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.command import ERROR, Provider, reported_errors, say, stop_asked
 from runtime.completion.methods import METHODS
 from runtime.completion.predictor import CompletionPredictor
-from runtime.contract import MAX_FOCAL_PX, MIN_FOCAL_PX
+from runtime.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.drawing.overlay import SharedOverlay
 from runtime.drawing.report_page import PAGE_SUFFIX
 from runtime.errors import InputError, OutputError, SSDNetError
+from runtime.io.images import KITTI_DEPTH_SCALE
 from runtime.io.recording import Settings
 from runtime.predictor import Predictor
 from runtime.run.options import (
@@ -54,7 +55,7 @@ from runtime.run.run_folder import CLOUD, SUFFIXES
 from runtime.run.run_report import build_report, describe_predictor, describe_run, to_json
 from runtime.run.summary import exit_code, made_files, write_summary
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.frames import KITTI_DEPTH_SCALE, MAX_PIXELS, Frame
+from runtime.sources.frames import Frame
 from runtime.sources.registry import SOURCES
 from runtime.sources.source import MAX_SKEW_MS
 

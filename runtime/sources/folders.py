@@ -4,16 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from runtime.io.calibration import Calibration
-from runtime.sources.frames import (
-    KITTI_DEPTH_SCALE,
-    Frame,
-    FrameFiles,
-    list_frames,
-    list_pictures,
-    natural_order,
-    read_frame,
-    read_rgb,
-)
+from runtime.io.images import KITTI_DEPTH_SCALE, list_pictures, natural_order, read_rgb
+from runtime.sources.frames import Frame, FrameFiles, list_frames, read_frame
 from runtime.sources.source import ListedFrame, Source, no_depth, up_to
 
 

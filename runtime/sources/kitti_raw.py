@@ -8,8 +8,9 @@ from typing import Any
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
+from runtime.io.images import RGB_SUFFIXES, list_pictures, read_rgb
 from runtime.io.kitti_scan import read_scan
-from runtime.sources.frames import RGB_SUFFIXES, Frame, list_pictures, read_rgb
+from runtime.sources.frames import Frame
 from runtime.sources.source import MAX_SKEW_MS, ListedFrame, Source, no_depth, up_to
 from runtime.sync.message_counts import NO_IMAGE, Sensor
 from runtime.sync.stamp_matching import left_out_note, match_by_stamp

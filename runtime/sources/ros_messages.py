@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.sources.frames import decode_content, require_pixels
+from runtime.io.images import decode_content, require_pixels
 
 #: Encoding of a picture -> channels and the conversion to RGB.
 _PICTURES: dict[str, tuple[int, int | None]] = {

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.sources.frames import (
+from runtime.io.images import (
     DEPTH_SUFFIXES,
     KITTI_DEPTH_SCALE,
-    Frame,
     list_pictures,
     read_sparse_depth,
     require_pixels,
 )
+from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source, no_depth, up_to
 
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.sources.frames import Frame, FrameFiles, list_pictures, read_frame
+from runtime.io.images import list_pictures
+from runtime.sources.frames import Frame, FrameFiles, read_frame
 from runtime.sources.source import ListedFrame, Source, up_to
 
 _UNITS_A_METRE = 100.0

@@ -164,9 +164,10 @@ def _predict_bundled(provider: str, seconds: float) -> tuple[list[float], float]
     """Give the time of each prediction [ms], and the worst frame's depth error as a share."""
     import numpy as np
 
+    from runtime.io.images import KITTI_DEPTH_SCALE
     from runtime.predictor import Predictor
     from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-    from runtime.sources.frames import KITTI_DEPTH_SCALE, list_frames, read_frame
+    from runtime.sources.frames import list_frames, read_frame
 
     times_ms, errors = [], []
     with Predictor(provider=provider, focal_length_px=BUNDLED_FOCAL_LENGTH_PX) as predictor:

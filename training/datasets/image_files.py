@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import DatasetError, InputError
-from runtime.sources import frames
+from runtime.io import images
 
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:
     """Read an 8-bit colour image: uint8 (H, W, 3), RGB. Raises DatasetError."""
     with _as_dataset_error():
-        return frames.read_rgb(path)
+        return images.read_rgb(path)
 
 
 def read_gray(path: Path, dtype: type[np.uint8] | type[np.uint16]) -> NDArray[Any]:
     """Read a one-channel PNG of exactly ``dtype``: (H, W). Raises DatasetError."""
     with _as_dataset_error():
-        image = frames.decode(path, cv2.IMREAD_UNCHANGED)
+        image = images.decode(path, cv2.IMREAD_UNCHANGED)
     if image.ndim != 2 or image.dtype != dtype:
         raise DatasetError(
             f"{path}: expected one channel of {np.dtype(dtype).name}, got shape {image.shape} of "

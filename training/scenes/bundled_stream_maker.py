@@ -14,7 +14,7 @@ import typer
 
 from runtime.command import reported_errors
 from runtime.io.atomic_write import atomic_write
-from runtime.sources.frames import KITTI_DEPTH_SCALE
+from runtime.io.images import KITTI_DEPTH_SCALE
 from training.datasets.virtual_kitti import VirtualKitti
 from training.datasets.virtual_kitti_split import Selection
 from training.lidar.simulate import scan_lines

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from runtime.health.lidar_health import LidarHealth
-from runtime.sources.frames import read_sparse_depth
+from runtime.io.images import read_sparse_depth
 
 SIZE = (128, 416)
 

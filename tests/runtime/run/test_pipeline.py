@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
+import runtime.io.images
 import runtime.run.pipeline
-import runtime.sources.frames
 from runtime import OutputError, Predictor
 from runtime.run.pipeline import run_stream
 from runtime.sources.frames import list_frames, read_frame
@@ -202,7 +202,7 @@ def test_a_bad_frame_is_flagged_and_the_run_goes_on(predictor, stream_of, kind, 
 
 
 def test_a_picture_that_is_too_large_is_a_flagged_frame(predictor, stream_of, monkeypatch):
-    monkeypatch.setattr(runtime.sources.frames, "MAX_PIXELS", 48 * 64)
+    monkeypatch.setattr(runtime.io.images, "MAX_PIXELS", 48 * 64)
     folders = stream_of(3)
     cv2.imwrite(str(folders[0] / "1.png"), np.zeros((49, 64, 3), np.uint8))
     result = run(predictor, folders)

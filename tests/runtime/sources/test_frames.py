@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-import runtime.sources.frames
+import runtime.io.images
 from runtime import InputError
-from runtime.sources.frames import FrameFiles, list_frames, read_frame, read_rgb, read_sparse_depth
+from runtime.io.images import read_rgb, read_sparse_depth
+from runtime.sources.frames import FrameFiles, list_frames, read_frame
 
 
 @pytest.fixture
@@ -225,9 +226,9 @@ def bomb(path: Path, height: int = 30_000, width: int = 30_000) -> Path:
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
 def test_a_picture_may_have_so_many_pixels(tmp_path, monkeypatch, suffix):
     path = write(tmp_path / f"a{suffix}", np.zeros((40, 50, 3), np.uint8))
-    monkeypatch.setattr(runtime.sources.frames, "MAX_PIXELS", 40 * 50)
+    monkeypatch.setattr(runtime.io.images, "MAX_PIXELS", 40 * 50)
     assert read_rgb(path).shape == (40, 50, 3)
-    monkeypatch.setattr(runtime.sources.frames, "MAX_PIXELS", 40 * 50 - 1)
+    monkeypatch.setattr(runtime.io.images, "MAX_PIXELS", 40 * 50 - 1)
     with pytest.raises(InputError, match=r"has 40 x 50 pixels, expected at most 1,999"):
         read_rgb(path)
 
@@ -235,9 +236,9 @@ def test_a_picture_may_have_so_many_pixels(tmp_path, monkeypatch, suffix):
 def test_a_file_may_have_so_many_bytes(tmp_path, monkeypatch):
     path = write(tmp_path / "a.png", np.zeros((40, 50, 3), np.uint8))
     size = path.stat().st_size
-    monkeypatch.setattr(runtime.sources.frames, "MAX_FILE_BYTES", size)
+    monkeypatch.setattr(runtime.io.images, "MAX_FILE_BYTES", size)
     assert read_rgb(path).shape == (40, 50, 3)
-    monkeypatch.setattr(runtime.sources.frames, "MAX_FILE_BYTES", size - 1)
+    monkeypatch.setattr(runtime.io.images, "MAX_FILE_BYTES", size - 1)
     with pytest.raises(InputError, match=rf"has {size} bytes, expected .* at most {size - 1}"):
         read_rgb(path)
 
@@ -251,7 +252,7 @@ def test_what_asks_for_too_much_takes_no_memory(tmp_path):
     os.truncate(tmp_path / "sparse.png", 100_000_000_000)
     program = (
         "import resource, sys; from pathlib import Path\n"
-        "from runtime import InputError; from runtime.sources.frames import read_rgb\n"
+        "from runtime import InputError; from runtime.io.images import read_rgb\n"
         "used = int(Path('/proc/self/statm').read_text().split()[0]) * resource.getpagesize()\n"
         "resource.setrlimit(resource.RLIMIT_AS, (used + 300_000_000,) * 2)\n"
         "for path in sys.argv[1:]:\n"
