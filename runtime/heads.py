@@ -1,0 +1,150 @@
+"""The heads of the networks: one row a head, read by all code that handles answers.
+
+The contract, the signature check, post-processing, recordings and their comparison, the writers and
+the drawing read this table, so a new head is a row here. It loads nothing but Python.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+
+class Unit(StrEnum):
+    """What the values of a head are."""
+
+    CLASS_ID = "class id"
+    METRES = "m"
+    PROBABILITY = "probability"
+    SCORE = "score"  # before the soft-max
+
+
+class Encoding(StrEnum):
+    """How a head is stored as a picture file."""
+
+    IDS_PNG = "8-bit PNG of class ids"
+    METRES_PNG = "16-bit PNG, metres x 256"
+    PROBABILITY_PNG = "8-bit PNG, probability x 255"
+
+
+class Difference(StrEnum):
+    """How two answers of a head are compared."""
+
+    EQUAL_SHARE = "agreement"  # share of pixels with the same value
+    ABSOLUTE = "max_abs"  # largest absolute difference
+    RELATIVE = "max_relative"  # largest difference as a share of the largest value
+
+
+class Panel(StrEnum):
+    """How a head is drawn."""
+
+    CLASSES = "classes"
+    DEPTH = "depth"
+    SHARE_OF_DEPTH = "share of depth"
+    GRAY = "gray"  # 0..1
+
+
+@dataclass(frozen=True)
+class Head:
+    """One output of a network.
+
+    Limits of heads in metres (`least`, `most`, `tolerance` of an absolute difference) are shares of
+    the contract's `max_depth_m`.
+
+    Attributes:
+        name: of the ONNX output, and in `Prediction.heads`.
+        dtype: numpy's name of the type.
+        unit: what a value is.
+        resize: rule where the network runs at another size than the frame: "nearest" never mixes
+            two values, "bilinear" takes the mean of the area where a side shrinks.
+        difference: how two runtimes are compared.
+        tolerance: least share of equal pixels, else the largest difference between two runtimes.
+        least: smallest plausible value; None = any.
+        most: largest plausible value; None = any. Class ids are limited by the class table.
+        per_class: True if an answer is (C, H, W), a plane a class, instead of (H, W).
+        needs: the head it has no meaning without; "" = none.
+        saved_as: name for `ssdnet-run --save` and of the subfolder; "" = is not written.
+        encoding: of its files; None = is not written.
+        panel: how it is drawn; None = is not drawn.
+    """
+
+    name: str
+    dtype: Literal["uint8", "float32"]
+    unit: Unit
+    resize: Literal["nearest", "bilinear"]
+    difference: Difference
+    tolerance: float
+    least: float | None = None
+    most: float | None = None
+    per_class: bool = False
+    needs: str = ""
+    saved_as: str = ""
+    encoding: Encoding | None = None
+    panel: Panel | None = None
+
+
+#: Name -> head, in the order of the contract.
+HEADS: dict[str, Head] = {
+    head.name: head
+    for head in (
+        Head(
+            "semantic",
+            "uint8",
+            Unit.CLASS_ID,
+            resize="nearest",
+            difference=Difference.EQUAL_SHARE,
+            tolerance=0.9995,  # rounding changes a class only where two classes tie
+            saved_as="semantic",
+            encoding=Encoding.IDS_PNG,
+            panel=Panel.CLASSES,
+        ),
+        Head(
+            "depth",
+            "float32",
+            Unit.METRES,
+            resize="nearest",
+            difference=Difference.ABSOLUTE,
+            # 5 mm at 100 m: about the step of a depth PNG; rounding in fp32 is a tenth of it.
+            tolerance=5e-5,
+            least=0.0,
+            most=1.0,
+            saved_as="depth",
+            encoding=Encoding.METRES_PNG,
+            panel=Panel.DEPTH,
+        ),
+        Head(
+            "boundary",
+            "float32",
+            Unit.PROBABILITY,
+            resize="bilinear",
+            difference=Difference.ABSOLUTE,
+            tolerance=4e-4,  # a tenth of the step of an 8-bit picture
+            least=0.0,
+            most=1.0,
+            saved_as="boundary",
+            encoding=Encoding.PROBABILITY_PNG,
+            panel=Panel.GRAY,
+        ),
+        Head(
+            "depth_uncertainty",
+            "float32",
+            Unit.METRES,
+            resize="nearest",
+            difference=Difference.ABSOLUTE,
+            tolerance=5e-5,
+            least=0.0,
+            needs="depth",
+            saved_as="uncertainty",
+            encoding=Encoding.METRES_PNG,
+            panel=Panel.SHARE_OF_DEPTH,
+        ),
+        Head(
+            "semantic_logits",
+            "float32",
+            Unit.SCORE,
+            resize="bilinear",
+            difference=Difference.RELATIVE,
+            tolerance=1e-4,
+            per_class=True,
+        ),
+    )
+}
