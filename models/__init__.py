@@ -6,7 +6,7 @@
 
 from models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from models.classes import CAMVID_CLASSES, CLASS_TABLES
-from models.network import Network, NetworkConfig, SSDNetOutput
+from models.network import Network, NetworkConfig, NetworkOutput
 from models.registry import create_model, list_models
 from models.ssdnet import SSDNet
 from models.ssdnet_config import SSDNetConfig
@@ -17,9 +17,9 @@ __all__ = [
     "Checkpoint",
     "Network",
     "NetworkConfig",
+    "NetworkOutput",
     "SSDNet",
     "SSDNetConfig",
-    "SSDNetOutput",
     "create_model",
     "list_models",
     "load_checkpoint",

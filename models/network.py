@@ -23,7 +23,7 @@ from runtime.contract import (
 Head = Literal["semantic", "depth", "boundary", "depth_uncertainty"]
 
 
-class SSDNetOutput(NamedTuple):
+class NetworkOutput(NamedTuple):
     """What a network answers. A head that the network lacks is None."""
 
     #: (N, C, H, W) before the soft-max.
@@ -145,7 +145,7 @@ class Network(nn.Module):
 
     def forward(
         self, rgb: Tensor, sparse_depth: Tensor, *, upsample_semantic: bool = True
-    ) -> SSDNetOutput:
+    ) -> NetworkOutput:
         """Predict at full size.
 
         rgb: float (N, 3, H, W), RGB in 0..255. sparse_depth: float (N, 1, H, W), metres; 0,
@@ -168,7 +168,7 @@ class Network(nn.Module):
                 if upsample_semantic
                 else logits[:, :, : -(-height // side), : -(-width // side)]
             )
-        return SSDNetOutput(
+        return NetworkOutput(
             semantic_logits=logits,
             depths=None
             if depths is None
@@ -180,7 +180,7 @@ class Network(nn.Module):
             depth_uncertainty=None if scale is None else full_size(scale, config.depth_stride),
         )
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on the heads' own grids.
 
         These are 1 / ``config.semantic_stride`` of the image for the semantics, 1 /

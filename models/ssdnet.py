@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from models.blocks import ConvBNReLU, pad_to_multiple, upsample
 from models.boundary_decoder import BoundaryDecoder
 from models.encoder import build_encoder
-from models.network import Network, SSDNetOutput, initialise
+from models.network import Network, NetworkOutput, initialise
 from models.ssdnet_config import SSDNetConfig
 from models.surfaces import (
     COARSE_CELL,
@@ -83,7 +83,7 @@ class SSDNet(Network):
             # An older network's weights go on as they were.
             nn.init.zeros_(self.surface_semantics.weight)
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on the heads' own grids, see `Network.predict_coarse`.
 
         A network with a strided stem pads the image to a multiple of its stride; the others do
@@ -141,7 +141,7 @@ class SSDNet(Network):
                     self.surface_head(finest), depths[0], surfaces, measured, boundary_logits
                 )
                 depths = (depth, *depths)
-        return SSDNetOutput(semantic_logits, depths, boundary_logits, tuple(sides), uncertainty)
+        return NetworkOutput(semantic_logits, depths, boundary_logits, tuple(sides), uncertainty)
 
     def _complete_depth(
         self,

@@ -18,7 +18,7 @@ from torch.utils.data.dataloader import _MultiProcessingDataLoaderIter
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from models import Network, SSDNetOutput, load_checkpoint, save_checkpoint
+from models import Network, NetworkOutput, load_checkpoint, save_checkpoint
 from runtime.errors import CheckpointError, DatasetError, InputError
 from training.datasets.sample import SampleSource
 from training.distributed import (
@@ -50,7 +50,7 @@ from training.score_table import SHOWN, ScoreTable
 from training.stop_signal import leave_signals_to_parent
 
 #: What `Network.forward` is, perhaps shared among processes or compiled.
-Forward = Callable[..., SSDNetOutput]
+Forward = Callable[..., NetworkOutput]
 
 #: Types of arithmetic other than float32, as recipes call them.
 _AUTOCAST = {"bf16": torch.bfloat16, "fp16": torch.float16}

@@ -15,7 +15,7 @@ from torch.nn import functional as F
 from models.baselines.fcn8s import FCN8s
 from models.baselines.vgg16 import VGG16, VGG16_BLOCKS
 from models.blocks import upsample
-from models.network import NetworkConfig, SSDNetOutput, initialise
+from models.network import NetworkConfig, NetworkOutput, initialise
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class BaCNN(FCN8s):
         self.boundary = BoundaryNetwork()
         self.boundary.apply(initialise)
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict boundaries at full size, classes at an eighth; see `Network.predict_coarse`."""
         x = self.normalise_rgb(rgb)
         boundary_logits, sides = self.boundary(x)
@@ -44,7 +44,7 @@ class BaCNN(FCN8s):
         for _ in VGG16_BLOCKS[1:]:
             boundaries.append(F.max_pool2d(boundaries[-1], 2, ceil_mode=True))
         _, pooled = self.backbone(x, boundaries)
-        return SSDNetOutput(
+        return NetworkOutput(
             semantic_logits=self.score(pooled),
             boundary_logits=boundary_logits,
             side_boundary_logits=tuple(sides),

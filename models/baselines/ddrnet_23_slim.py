@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from models.baselines.residual import Bottleneck, basic_stage, conv_bn, normed
 from models.blocks import ConvBNReLU, pad_to_multiple, upsample
-from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 _WIDTH = 32
 _FINE = 64
@@ -65,7 +65,7 @@ class DDRNet23Slim(Network):
         self.semantic_head = nn.Conv2d(_HEAD, config.num_classes, 1)
         self.apply(initialise)
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on an eighth of the image's grid, see `Network.predict_coarse`."""
         x = pad_to_multiple(self.normalise_rgb(rgb), self.config.stride)
         shared = F.relu(self.stage2(F.relu(self.stage1(self.stem(x)))))
@@ -78,7 +78,7 @@ class DDRNet23Slim(Network):
         fine = self.fine5(fine)
         context = self.context(self.coarse5(coarse))
         fused = fine + upsample(context, size=(fine.shape[2], fine.shape[3]))
-        return SSDNetOutput(semantic_logits=self.semantic_head(self.refine(fused)))
+        return NetworkOutput(semantic_logits=self.semantic_head(self.refine(fused)))
 
 
 class PyramidContext(nn.Module):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from torch import Tensor, nn
 
 from models.baselines.vgg16 import VGG16_BLOCKS, vgg_block
-from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 _WIDE = 1024
 _RATE = 12
@@ -57,7 +57,7 @@ class DeepLabLargeFOV(Network):
         self.semantic_head = nn.Conv2d(_WIDE, config.num_classes, 1)
         self.apply(initialise)
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on an eighth of the image's grid, see `Network.predict_coarse`."""
         x = self.backbone(self.normalise_rgb(rgb))
-        return SSDNetOutput(semantic_logits=self.semantic_head(self.classify(x)))
+        return NetworkOutput(semantic_logits=self.semantic_head(self.classify(x)))

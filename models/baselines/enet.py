@@ -16,7 +16,7 @@ from torch.nn import functional as F
 
 from models.baselines.max_places import max_places, max_unpool
 from models.blocks import extend_to_multiple
-from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 #: A bottleneck works on this share of the channels.
 _SHARE = 4
@@ -58,7 +58,7 @@ class ENet(Network):
         self.semantic_head = nn.ConvTranspose2d(16, config.num_classes, 3, 2, 1, output_padding=1)
         self.apply(initialise)
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict at the padded image's size, see `Network.predict_coarse`."""
         x = self.initial(extend_to_multiple(self.normalise_rgb(rgb), self.config.stride))
         x, places1 = self.down1(x)
@@ -66,7 +66,7 @@ class ENet(Network):
         x = self.stage3(self.stage2(x))
         x = self.stage4(self.up4(x, places2))
         x = self.stage5(self.up5(x, places1))
-        return SSDNetOutput(semantic_logits=self.semantic_head(x))
+        return NetworkOutput(semantic_logits=self.semantic_head(x))
 
 
 class InitialBlock(nn.Module):

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from models.blocks import extend_to_multiple
-from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 #: Dilations of the residual blocks at an eighth of the image.
 _DILATIONS = (2, 4, 8, 16, 2, 4, 8, 16)
@@ -50,10 +50,10 @@ class ERFNet(Network):
         self.semantic_head = nn.ConvTranspose2d(16, config.num_classes, 2, 2)
         self.apply(initialise)
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict at the padded image's size, see `Network.predict_coarse`."""
         x = extend_to_multiple(self.normalise_rgb(rgb), self.config.stride)
-        return SSDNetOutput(semantic_logits=self.semantic_head(self.decoder(self.encoder(x))))
+        return NetworkOutput(semantic_logits=self.semantic_head(self.decoder(self.encoder(x))))
 
 
 class Downsampler(nn.Module):

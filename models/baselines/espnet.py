@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from models.blocks import extend_to_multiple
-from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 #: Blocks at a quarter (the paper's p) and at an eighth (q) of the image.
 _BLOCKS = (2, 8)
@@ -61,7 +61,7 @@ class ESPNet(Network):
         self.semantic_head = nn.ConvTranspose2d(classes, classes, 2, 2)
         self.apply(initialise)
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict at the padded image's size, see `Network.predict_coarse`."""
         x = extend_to_multiple(self.normalise_rgb(rgb), self.config.stride)
         half = F.avg_pool2d(x, 3, 2, 1)
@@ -73,7 +73,7 @@ class ESPNet(Network):
         joined3 = self.join3(torch.cat((down3, self.level3(down3)), dim=1))
         scores = torch.cat((self.score2(joined2), self.score3(joined3)), dim=1)
         scores = self.merge1(torch.cat((self.merge2(scores), joined1), dim=1))
-        return SSDNetOutput(semantic_logits=self.semantic_head(scores))
+        return NetworkOutput(semantic_logits=self.semantic_head(scores))
 
 
 class SpatialPyramid(nn.Module):

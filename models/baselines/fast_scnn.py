@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from models.blocks import ConvBNReLU, adaptive_mean, pad_to_multiple, upsample
-from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 #: Channels, first stride and repetitions of the inverted residual stages.
 _STAGES = ((64, 2, 3), (96, 2, 3), (128, 1, 3))
@@ -51,13 +51,13 @@ class FastSCNN(Network):
         self.semantic_head = nn.Conv2d(128, config.num_classes, 1)
         self.apply(initialise)
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on an eighth of the image's grid, see `Network.predict_coarse`."""
         x = pad_to_multiple(self.normalise_rgb(rgb), self.config.stride)
         fine = self.downsample(x)
         coarse = self.refine(upsample(self.extract(fine), factor=4))
         fused = F.relu(self.project_coarse(coarse) + self.project_fine(fine))
-        return SSDNetOutput(semantic_logits=self.semantic_head(self.classify(fused)))
+        return NetworkOutput(semantic_logits=self.semantic_head(self.classify(fused)))
 
 
 class InvertedResidual(nn.Module):

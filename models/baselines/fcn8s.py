@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from models.baselines.vgg16 import VGG16
 from models.blocks import ConvBNReLU, upsample
-from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 _WIDE = 4096
 
@@ -43,10 +43,10 @@ class FCN8s(Network):
         self.score_8 = nn.Conv2d(256, config.num_classes, 1)
         self.apply(initialise)
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on an eighth of the image's grid, see `Network.predict_coarse`."""
         _, pooled = self.backbone(self.normalise_rgb(rgb))
-        return SSDNetOutput(semantic_logits=self.score(pooled))
+        return NetworkOutput(semantic_logits=self.score(pooled))
 
     def score(self, pooled: list[Tensor]) -> Tensor:
         """Scores (N, C, ceil(H / 8), ceil(W / 8)) of VGG16's pooled features."""

@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from models.baselines.max_places import max_places, windows
 from models.blocks import pad_to_multiple
-from models.network import Network, NetworkConfig, SSDNetOutput
+from models.network import Network, NetworkConfig, NetworkOutput
 from runtime.contract import ClassInfo
 
 _WIDTH = 2
@@ -46,7 +46,7 @@ class NConv(Network):
         )
         self.depth_head = NormalisedConv(_WIDTH, 1, kernel=1)
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict at the padded image's size, see `Network.predict_coarse`."""
         depth, measured = self.normalise_depth(sparse_depth)
         x = pad_to_multiple(depth, self.config.stride)
@@ -63,7 +63,7 @@ class NConv(Network):
             x, confidence = merge(joined, torch.cat((fine_confidence, _double(confidence)), dim=1))
         answer, _ = self.depth_head(x, confidence)
         # The answer is linear: only what is used is held within the range, not what learns.
-        return SSDNetOutput(depths=(answer if self.training else answer.clamp(0, 1),))
+        return NetworkOutput(depths=(answer if self.training else answer.clamp(0, 1),))
 
 
 class NormalisedConv(nn.Module):

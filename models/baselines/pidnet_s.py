@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from models.baselines.residual import BasicBlock, Bottleneck, basic_stage, conv_bn, normed
 from models.blocks import pad_to_multiple, upsample
-from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 _WIDTH = 32
 _CONTEXT = 96
@@ -72,7 +72,7 @@ class PIDNetS(Network):
         self.semantic_head = nn.Conv2d(_HEAD, config.num_classes, 1)
         self.apply(initialise)
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on an eighth of the image's grid, see `Network.predict_coarse`."""
         x = pad_to_multiple(self.normalise_rgb(rgb), self.config.stride)
         x = F.relu(self.stage2(F.relu(self.stage1(self.stem(x)))))
@@ -88,7 +88,7 @@ class PIDNetS(Network):
         context = self.pyramid(self.context5(x))
         context = upsample(context, size=(detail.shape[2], detail.shape[3]))
         fused = self.fuse(detail, context, boundary)
-        return SSDNetOutput(semantic_logits=self.semantic_head(self.refine(fused)))
+        return NetworkOutput(semantic_logits=self.semantic_head(self.refine(fused)))
 
 
 class AttentionGuide(nn.Module):

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+from models.network import Network, NetworkConfig, NetworkOutput, initialise
 from runtime.contract import ClassInfo
 
 _WIDTH = 16
@@ -40,7 +40,7 @@ class SparseConvNet(Network):
         self.depth_head = SparseConv(_WIDTH, 1, kernel=1)
         self.apply(initialise)
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict at full size, see `Network.predict_coarse`."""
         x, measured = self.normalise_depth(sparse_depth)
         mask = measured.to(x.dtype)
@@ -49,7 +49,7 @@ class SparseConvNet(Network):
             x = torch.relu(x)
         depth, _ = self.depth_head(x, mask)
         # The answer is linear: only what is used is held within the range, not what learns.
-        return SSDNetOutput(depths=(depth if self.training else depth.clamp(0, 1),))
+        return NetworkOutput(depths=(depth if self.training else depth.clamp(0, 1),))
 
 
 class SparseConv(nn.Module):

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from models.blocks import ResidualBlock, pad_to_multiple
-from models.network import Network, NetworkConfig, SSDNetOutput, initialise
+from models.network import Network, NetworkConfig, NetworkOutput, initialise
 from runtime.contract import ClassInfo
 
 #: Channels of ResNet-18's stages, of two blocks each (He et al. 2016).
@@ -60,11 +60,11 @@ class SparseToDense(Network):
         self.depth_head = nn.Conv2d(_DECODER[-1], 1, 3, padding=1)
         self.apply(initialise)
 
-    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on half the image's grid, see `Network.predict_coarse`."""
         depth, _ = self.normalise_depth(sparse_depth)
         x = torch.cat((self.normalise_rgb(rgb), depth * self.config.max_depth_m), dim=1)
         x = self.encoder(pad_to_multiple(x, self.config.stride))
         answer = self.depth_head(self.decoder(x))
         # The answer is linear: only what is used is held within the range, not what learns.
-        return SSDNetOutput(depths=(answer if self.training else answer.clamp(0, 1),))
+        return NetworkOutput(depths=(answer if self.training else answer.clamp(0, 1),))

@@ -11,7 +11,7 @@ from torch import nn
 from export.deploy import DeployGraph
 from export.trace import trace
 from models.blocks import upsample
-from models.ssdnet import SSDNetOutput
+from models.ssdnet import NetworkOutput
 from runtime.contract import NO_CLASS
 from runtime.session import open_session
 
@@ -32,10 +32,10 @@ class ScoresByColour(nn.Module):
         super().__init__()
         self.zero_at = zero_at
 
-    def predict_coarse(self, rgb: torch.Tensor, sparse_depth: torch.Tensor) -> SSDNetOutput:
+    def predict_coarse(self, rgb: torch.Tensor, sparse_depth: torch.Tensor) -> NetworkOutput:
         x = (rgb + 0 * sparse_depth)[:, :, ::STRIDE, ::STRIDE]
         scores = (x - self.zero_at) / (x != 255).to(x.dtype)
-        return SSDNetOutput(semantic_logits=scores)
+        return NetworkOutput(semantic_logits=scores)
 
 
 @pytest.mark.parametrize("zero_at", [254.0, 255.0, 256.0])

@@ -14,7 +14,7 @@ from layouts import virtual_kitti
 from models import (
     Network,
     NetworkConfig,
-    SSDNetOutput,
+    NetworkOutput,
     create_model,
     list_models,
     load_checkpoint,
@@ -53,7 +53,7 @@ class TinySemantic(Network):
 
     def predict_coarse(self, rgb, sparse_depth):
         x = pad_to_multiple(self.normalise_rgb(rgb), self.config.stride)
-        return SSDNetOutput(semantic_logits=self.semantic_head(self.layer(x)))
+        return NetworkOutput(semantic_logits=self.semantic_head(self.layer(x)))
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class TinyDepth(Network):
     def predict_coarse(self, rgb, sparse_depth):
         depth, valid_mask = self.normalise_depth(sparse_depth)
         features = self.layer(torch.cat((depth, valid_mask.to(depth.dtype)), dim=1))
-        return SSDNetOutput(depths=(torch.sigmoid(self.depth_head(features)),))
+        return NetworkOutput(depths=(torch.sigmoid(self.depth_head(features)),))
 
 
 @pytest.fixture(autouse=True)

@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
-from models import SSDNetOutput
+from models import NetworkOutput
 from models.blocks import extend_to_multiple
 from models.network import Head
 from models.pooling import cell_means
@@ -182,7 +182,7 @@ class SSDNetLoss(nn.Module):
 
     def forward(
         self,
-        output: SSDNetOutput,
+        output: NetworkOutput,
         semantic: Tensor,
         depth: Tensor,
         semantic_weight: Tensor | None = None,
@@ -237,7 +237,7 @@ class SSDNetLoss(nn.Module):
         return total
 
     def _boundary_terms(
-        self, output: SSDNetOutput, semantic: Tensor, semantic_weight: Tensor | None
+        self, output: NetworkOutput, semantic: Tensor, semantic_weight: Tensor | None
     ) -> dict[str, Tensor]:
         config = self.config
         sides = output.side_boundary_logits if config.side_boundary_weight else ()
@@ -259,7 +259,7 @@ class SSDNetLoss(nn.Module):
             terms["side_boundary"] = torch.stack([loss(side) for side in sides]).mean()
         return terms
 
-    def _depth_terms(self, output: SSDNetOutput, depth: Tensor) -> dict[str, Tensor]:
+    def _depth_terms(self, output: NetworkOutput, depth: Tensor) -> dict[str, Tensor]:
         config = self.config
         if output.depths is None or not (config.depth_weight or config.depth_uncertainty_weight):
             return {}
@@ -289,14 +289,14 @@ class SSDNetLoss(nn.Module):
             )
         return terms
 
-    def _road_terms(self, output: SSDNetOutput, road_mask: Tensor | None) -> dict[str, Tensor]:
+    def _road_terms(self, output: NetworkOutput, road_mask: Tensor | None) -> dict[str, Tensor]:
         logits = output.semantic_logits
         if logits is None or road_mask is None or self.road is None or not self.config.road_weight:
             return {}
         return {"road": road_loss(logits.float(), road_mask, self.road)}
 
     def _semantic_terms(
-        self, output: SSDNetOutput, semantic: Tensor, semantic_weight: Tensor | None
+        self, output: NetworkOutput, semantic: Tensor, semantic_weight: Tensor | None
     ) -> dict[str, Tensor]:
         config, logits = self.config, output.semantic_logits
         if logits is None:
@@ -353,7 +353,7 @@ def _on_grid(x: Tensor, grid: tuple[int, int]) -> Tensor:
     return x if side == 1 else cell_means(extend_to_multiple(x, side), side)
 
 
-def _any_answer(output: SSDNetOutput) -> Tensor:
+def _any_answer(output: NetworkOutput) -> Tensor:
     """Return an answer of whatever head there is, (N, any, h, w)."""
     depth = None if output.depths is None else output.depths[0]
     for answer in (output.boundary_logits, output.semantic_logits, depth):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from models import SSDNet, SSDNetOutput
+from models import NetworkOutput, SSDNet
 from models.registry import NETWORKS
 from runtime.errors import InputError
 from training.datasets.sample import Sample
@@ -217,7 +217,7 @@ def test_a_network_of_canonical_depth_sees_it_and_answers_in_metres():
         def forward(self, rgb, sparse_depth):
             self.fed = sparse_depth
             metres = sparse_depth / 100
-            return SSDNetOutput(depths=(metres,), depth_uncertainty=metres / 10)
+            return NetworkOutput(depths=(metres,), depth_uncertainty=metres / 10)
 
     network, truth = Copy(), sample()
     for focal, factor in ((300.0, 1.5), (900.0, 0.5), (None, 1.0)):

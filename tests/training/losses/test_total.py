@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from models import SSDNetOutput
+from models import NetworkOutput
 from training.losses import LossConfig, SSDNetLoss, class_weights
 from training.losses.boundary import balanced_cross_entropy, boundary_target
 from training.losses.depth import depth_at_scale, normalise_depth, paper_depth_loss
@@ -53,7 +53,7 @@ def leaves(count=2, size=(16, 24), classes=5, seed=0, dtype=torch.float32):
 
 
 def answer(parts):
-    return SSDNetOutput(
+    return NetworkOutput(
         semantic_logits=parts["semantic"],
         depths=(torch.sigmoid(parts["depth"]), torch.sigmoid(parts["coarse_depth"])),
         boundary_logits=parts["boundary"],
@@ -246,7 +246,7 @@ def test_bf16_answers_are_scored_in_float32_under_autocast():
         output = answer(parts)
         terms = criterion(output, semantic, depth)
     exact = criterion(
-        SSDNetOutput(
+        NetworkOutput(
             output.semantic_logits.float(),
             tuple(depth.float() for depth in output.depths),
             output.boundary_logits.float(),
@@ -404,7 +404,7 @@ def test_semantic_logits_may_stay_on_their_own_grid():
 def test_semantics_alone_are_scored_on_their_own_grid_of_an_odd_size():
     coarse = leaves(size=(8, 12))["semantic"]
     semantic, depth = targets()
-    output = SSDNetOutput(semantic_logits=coarse)
+    output = NetworkOutput(semantic_logits=coarse)
     terms = SSDNetLoss(LossConfig(), max_depth_m=100.0)(
         output, semantic[:, 1:, 1:], depth[..., 1:, 1:]
     )

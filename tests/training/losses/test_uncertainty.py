@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from models import SSDNetOutput
+from models import NetworkOutput
 from training.losses import LossConfig, SSDNetLoss
 from training.losses.uncertainty import laplace_loss
 
@@ -50,9 +50,9 @@ def test_the_whole_loss_has_it_where_the_network_says_how_sure_it_is():
     criterion = SSDNetLoss(config, max_depth_m=RANGE_M)
     semantic = torch.full((1, 4, 6), 255)
     depth = maps(20.0)
-    sure = SSDNetOutput(depths=(maps(0.23),), depth_uncertainty=maps(0.03))
+    sure = NetworkOutput(depths=(maps(0.23),), depth_uncertainty=maps(0.03))
     terms = criterion(sure, semantic, depth)
     assert terms["depth_uncertainty"].item() == pytest.approx(1 + math.log(3), rel=1e-4)
     assert terms["total"].item() == pytest.approx(0.5 * (1 + math.log(3)), rel=1e-4)
-    unsure = SSDNetOutput(depths=(maps(0.23),))
+    unsure = NetworkOutput(depths=(maps(0.23),))
     assert "depth_uncertainty" not in criterion(unsure, semantic, depth)
