@@ -16,7 +16,7 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime import Predictor, project_points
+from runtime import Predictor, PushStream, project_points
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.sources.frames import Frame, list_frames, read_frame
 
@@ -68,7 +68,7 @@ def main() -> None:
 def run(predictor: Predictor, frames: list[Frame], fault: str) -> NDArray[np.float64]:
     """The running figures after each frame, (passes * frames, figures)."""
     values = []
-    with predictor.stream(mode="live", consistency=0.05) as stream:
+    with PushStream(predictor, mode="live", consistency=0.05) as stream:
         for number in range(PASSES * len(frames)):
             place = number % len(frames)
             depth = frames[place].sparse_depth

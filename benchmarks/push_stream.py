@@ -19,7 +19,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from runtime import Predictor
+from runtime import Predictor, PushStream
 from runtime.resize import move_returns
 from runtime.run.process import dedicate_process
 from runtime.run.run_report import cpu_name
@@ -100,7 +100,7 @@ def _predict(predictor: Predictor, frame: Frame) -> float:
 
 
 def _replay(predictor: Predictor, frames: list[Frame]) -> None:
-    with predictor.stream(mode="replay") as stream:
+    with PushStream(predictor, mode="replay") as stream:
 
         def push() -> None:
             for number, frame in enumerate(frames):
@@ -118,7 +118,7 @@ def _replay(predictor: Predictor, frames: list[Frame]) -> None:
 
 def _live(predictor: Predictor, frames: list[Frame]) -> list[float]:
     times_ms = []
-    with predictor.stream(mode="live") as stream:
+    with PushStream(predictor, mode="live") as stream:
         for number, frame in enumerate(frames):
             started = time.perf_counter()
             stream.push_image(frame.rgb, number / 10)

@@ -25,7 +25,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime import InputError, Predictor
+from runtime import InputError, Predictor, PushStream
 from runtime.live.stream_statistics import StreamStatistics
 from runtime.resize import move_returns
 from runtime.run.process import dedicate_process
@@ -97,7 +97,8 @@ def soak(
     """
     soaked = Soaked()
     lock = threading.Lock()
-    stream = predictor.stream(
+    stream = PushStream(
+        predictor,
         mode="live",
         deadline_ms=100,
         on_state=lambda state: soaked.levels.update([str(state.level)]),

@@ -10,7 +10,7 @@ import argparse
 import threading
 import time
 
-from runtime import Predictor
+from runtime import Predictor, PushStream
 from runtime.live.frame_result import FrameResult
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.sources.frames import list_frames, read_frame
@@ -42,8 +42,11 @@ def main() -> None:
 
     with Predictor(focal_length_px=BUNDLED_FOCAL_LENGTH_PX) as predictor:
         predictor.warm_up(frames[0].sparse_depth.shape)
-        with predictor.stream(
-            mode="live", deadline_ms=DEADLINE_MS, max_skew_ms=20, on_result=on_result
+        with PushStream(
+            predictor,
+            mode="live",
+            deadline_ms=DEADLINE_MS,
+            on_result=on_result,
         ) as stream:
 
             def camera() -> None:

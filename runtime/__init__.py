@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         ProviderError,
         SSDNetError,
     )
+    from runtime.live.push_stream import PushStream
     from runtime.prediction import Cleaned, Latency, Prediction
     from runtime.predictor import Predictor
     from runtime.projection import OcclusionFilter, project_points
@@ -49,6 +50,7 @@ _MODULES = {
     "Prediction": "runtime.prediction",
     "Predictor": "runtime.predictor",
     "ProviderError": "runtime.errors",
+    "PushStream": "runtime.live.push_stream",
     "SSDNetError": "runtime.errors",
     "list_bundled_models": "runtime.bundled_models",
     "project_points": "runtime.projection",
@@ -69,6 +71,7 @@ __all__ = [
     "Prediction",
     "Predictor",
     "ProviderError",
+    "PushStream",
     "SSDNetError",
     "__version__",
     "list_bundled_models",

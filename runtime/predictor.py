@@ -3,7 +3,6 @@
 import operator
 import time
 from collections.abc import Sequence
-from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -214,38 +213,6 @@ class Predictor:
             )
             for index, ready in enumerate(prepared)
         ]
-
-    def stream(self, **options: Any) -> Any:
-        """Answer what sensors push from their own threads: a `PushStream`, to be closed.
-
-        ```python
-        with predictor.stream(mode="live", deadline_ms=50, max_skew_ms=20) as stream:
-            stream.push_image(rgb, stamp)  # by the camera's callback; seconds, or int nanoseconds
-            stream.push_depth(sparse_depth, stamp)  # by the LiDAR's; or push_points(points, stamp)
-            for result in stream:  # ends after stream.close()
-                result.prediction, result.skew_ms, result.age_ms, result.deadline_met
-        stream.counts, stream.statistics  # what became of every message; latency, age, jitter
-        ```
-
-        mode: "live": a push never waits, and the newest complete frame wins; "replay": every frame,
-            in order, and a push waits until there is room
-        deadline_ms: what `latency_ms` of an answer may be; None = any
-        max_skew_ms: how far the stamps of an image and its depth map may lie apart (20)
-        max_wait_ms: how long an image waits for its depth map before it is answered from the
-            camera alone, and a depth map for its image; in a replay by the stamps (50)
-        calibration: for `push_points`, a `runtime.io.calibration.Calibration`; its focal length
-            is used where the predictor has none
-        consistency: share of the returns that is held out to see whether camera and LiDAR still fit
-            (0.05, say); every 10th frame then takes a second prediction. None = all are used
-        on_result: is called with each answer in the stream's thread, instead of iterating
-        on_error: is called so with each InputError or InferenceError of a frame
-        on_state: is called so with each new `stream.state`: OK, WARN or ERROR and the reasons
-        watchdog: the `WatchdogLimits` that make it so
-        sensor_clock: tells the time now by the clock of the stamps, for `age_ms`
-
-        Raises InputError for options out of range.
-        """
-        return import_module("runtime.live.push_stream").PushStream(self, **options)
 
     def network_size(self, frame_size: tuple[int, int]) -> tuple[int, int]:
         """Return the (height, width) at which the network runs for a frame of such a size.

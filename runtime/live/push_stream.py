@@ -52,7 +52,7 @@ from runtime.sync.message_counts import (
     Sensor,
     StreamCounts,
 )
-from runtime.sync.stamp import NS_PER_MS, Stamp, stamp_ns
+from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, NS_PER_MS, Stamp, stamp_ns
 from runtime.sync.synchronizer import Decided, Message, Pair, Synchronizer
 
 LIVE, REPLAY = "live", "replay"
@@ -64,10 +64,48 @@ _END = object()
 
 
 class PushStream:
-    """Answer what sensors push, see `Predictor.stream`.
+    """Match, predict and account for what sensors push from their own threads.
 
-    `push_image` and `push_depth` may be called from any thread, and so may `close`. Answers come by
-    iterating, which ends after `close()`, or to `on_result`.
+    ```python
+    with PushStream(predictor, mode="live", deadline_ms=50) as stream:
+        stream.push_image(rgb, stamp)  # in the camera's callback; seconds, or int nanoseconds
+        stream.push_depth(sparse_depth, stamp)  # in the LiDAR's; or push_points(points, stamp)
+        for result in stream:  # ends after stream.close()
+            result.prediction, result.skew_ms, result.age_ms, result.deadline_met
+    stream.counts, stream.statistics  # the outcome of every message; latency, age, jitter
+    ```
+
+    All methods may be called from any thread. Results are fetched by iterating, which ends after
+    `close()`, or passed to `on_result`.
+
+    Args:
+        predictor: a `Predictor`, or a drop-in replacement; it must outlive the stream.
+        mode: "live": a push never waits, and the newest complete frame wins. "replay": every frame
+            is answered, in the order of the stamps, and a push waits until there is room.
+        deadline_ms: limit for `FrameResult.latency_ms`; None = no limit.
+        max_skew_ms: largest difference between the stamps of an image and its depth map.
+        max_wait_ms: how long an image waits for its depth map before it is answered from the
+            camera alone, and a depth map for its image. Live by the clock, in a replay by the
+            stamps.
+        calibration: of camera and LiDAR, required by `push_points`; its focal length is used where
+            the predictor has none.
+        consistency: share of the returns that is held out of each frame to check whether camera
+            and LiDAR are still calibrated and in sync (0.05, for example); every 10th frame then
+            takes a second prediction. None = no check.
+        on_result: called with each `FrameResult` in the stream's thread, instead of iterating.
+        on_error: called there with each InputError or InferenceError of a frame.
+        on_state: called there with each new `state`.
+        watchdog: limits for `state`.
+        sensor_clock: returns the present time of the clock that the stamps are of, for
+            `FrameResult.age_ms`.
+        clock: the clock used for waiting; for tests.
+
+    Attributes:
+        mode: as given.
+        deadline_ms: as given.
+
+    Raises:
+        InputError: if an option is out of range.
     """
 
     def __init__(
@@ -76,7 +114,7 @@ class PushStream:
         *,
         mode: str = LIVE,
         deadline_ms: float | None = None,
-        max_skew_ms: float = 20.0,
+        max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
         max_wait_ms: float = 50.0,
         calibration: Calibration | None = None,
         consistency: float | None = None,

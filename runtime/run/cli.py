@@ -57,7 +57,7 @@ from runtime.run.summary import exit_code, made_files, write_summary
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.sources.frames import Frame
 from runtime.sources.registry import SOURCES
-from runtime.sources.source import MAX_SKEW_MS
+from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
 
 _WARM_UP_FRAMES = 16  # that are read to find one
 
@@ -173,7 +173,7 @@ def run(
         float | None,
         typer.Option(
             help="How far the stamps of an image and its depth may lie apart, where a source has "
-            f"stamps of both. [default: {MAX_SKEW_MS:g}]"
+            f"stamps of both. [default: {DEFAULT_MAX_SKEW_MS:g}]"
         ),
     ] = None,
     deadline_ms: Annotated[

@@ -20,8 +20,9 @@ from runtime.sources.ros_messages import (
     is_depth_encoding,
 )
 from runtime.sources.ros_transforms import TransformTree
-from runtime.sources.source import MAX_SKEW_MS, ListedFrame, Source, no_depth, up_to
+from runtime.sources.source import ListedFrame, Source, no_depth, up_to
 from runtime.sync.message_counts import BAD_STAMP, Sensor
+from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
 from runtime.sync.stamp_matching import left_out_note, match_by_stamp
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -58,7 +59,7 @@ class BagSource(Source):
         depth_topic: str | None = None,
         info_topic: str | None = None,
         calibration: Path | None = None,
-        max_skew_ms: float = MAX_SKEW_MS,
+        max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
     ) -> None:
         self._max_skew_ms, self._calibration_path = max_skew_ms, calibration
         self.folders = (path if path.is_dir() else path.resolve().parent,)

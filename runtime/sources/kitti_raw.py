@@ -11,8 +11,9 @@ from runtime.io.calibration import Calibration
 from runtime.io.images import RGB_SUFFIXES, list_pictures, read_rgb
 from runtime.io.kitti_scan import read_scan
 from runtime.sources.frames import Frame
-from runtime.sources.source import MAX_SKEW_MS, ListedFrame, Source, no_depth, up_to
+from runtime.sources.source import ListedFrame, Source, no_depth, up_to
 from runtime.sync.message_counts import NO_IMAGE, Sensor
+from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
 from runtime.sync.stamp_matching import left_out_note, match_by_stamp
 
 
@@ -35,7 +36,7 @@ class KittiRawSource(Source):
         *,
         camera: int = 2,
         calibration: Path | None = None,
-        max_skew_ms: float = MAX_SKEW_MS,
+        max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
     ) -> None:
         images, scans = drive / f"image_{camera:02d}", drive / "velodyne_points"
         for folder in (images / "data", scans / "data"):

@@ -12,10 +12,6 @@ from numpy.typing import NDArray
 from runtime.io.calibration import Calibration
 from runtime.sources.frames import Frame
 
-#: By default stamps of an image and its depth lie so far apart at most: half the period of a LiDAR
-#: of 10 Hz, so that each scan has its picture.
-MAX_SKEW_MS = 50.0
-
 
 @dataclass(frozen=True)
 class ListedFrame:

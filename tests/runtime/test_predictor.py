@@ -9,7 +9,7 @@ import threading
 import numpy as np
 import pytest
 
-from runtime import ContractError, InferenceError, InputError, Predictor
+from runtime import ContractError, InferenceError, InputError, Predictor, PushStream
 
 DEPTH_OFFSET_M = 1.5  # of the models by hand
 
@@ -399,7 +399,7 @@ def test_a_stream_goes_on_after_a_reset(model_file, make_frame):
     failed = threading.Event()
     with (
         Predictor(model_file(), threads=1) as predictor,
-        predictor.stream(mode="replay", on_error=lambda error: failed.set()) as stream,
+        PushStream(predictor, mode="replay", on_error=lambda error: failed.set()) as stream,
     ):
         predictor._session = LostDevice()
         stream.push_image(rgb, 0)

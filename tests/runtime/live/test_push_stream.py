@@ -46,7 +46,7 @@ def test_answers_of_the_engine_come_back_with_both_stamps(model_file, make_frame
     rgb, sparse_depth = make_frame()
     with Predictor(model_file(), threads=1) as predictor:
         expected = predictor.predict(rgb, sparse_depth)
-        with predictor.stream(mode="live", deadline_ms=1e6, max_skew_ms=20) as stream:
+        with PushStream(predictor, mode="live", deadline_ms=1e6, max_skew_ms=20) as stream:
             stream.push_image(rgb, 1.0)
             stream.push_depth(sparse_depth, 1_000_000_000)
             result = next(iter(stream))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from runtime import OutputError, Predictor
+from runtime import OutputError, Predictor, PushStream
 from runtime.live.stream_page import StreamPage
 
 N = 9
@@ -13,7 +13,7 @@ def streamed(model_file, make_frame):
     """(page, stream) after N frames, one without depth, one that stands still, and a lone depth."""
     with Predictor(model_file(), threads=1) as predictor:
         page = StreamPage(predictor)
-        with predictor.stream(mode="replay", deadline_ms=1e-3, on_result=page.add) as stream:
+        with PushStream(predictor, mode="replay", deadline_ms=1e-3, on_result=page.add) as stream:
             for index in range(N):
                 rgb, depth = make_frame(seed=index - (index == 5))
                 stream.push_image(rgb, 0.1 * index)
@@ -51,7 +51,7 @@ def test_it_is_written_as_often_as_wanted_and_while_the_stream_runs(
     path = tmp_path / "report.html"
     with Predictor(model_file(), threads=1) as predictor:
         page = StreamPage(predictor)
-        with predictor.stream(mode="replay", max_wait_ms=0, on_result=page.add) as stream:
+        with PushStream(predictor, mode="replay", max_wait_ms=0, on_result=page.add) as stream:
             page.write(path, stream)
             assert read_page(path.read_text()).after("frames") == "0"
             stream.push_image(make_frame()[0], 0.0)
