@@ -21,9 +21,9 @@ from tqdm import tqdm
 
 from runtime.completion.methods import METHODS
 from runtime.completion.predictor import CompletionPredictor
+from runtime.engine_facts import cpu_name
 from runtime.io.atomic_write import atomic_write
 from runtime.run.process import dedicate_process
-from runtime.run.run_report import cpu_name
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.sample import SampleSource

@@ -32,13 +32,13 @@ from export.exporter import export_checkpoint
 from models import create_model, save_checkpoint
 from runtime import Predictor
 from runtime.bundled_models import find_model, list_bundled_models
+from runtime.engine_facts import cpu_name
 from runtime.io.atomic_write import atomic_write
 from runtime.resize import move_returns
 from runtime.run.outputs.frame_writer import FrameWriter
 from runtime.run.pipeline import run_stream
 from runtime.run.process import dedicate_process
 from runtime.run.run_folder import KINDS
-from runtime.run.run_report import cpu_name
 from runtime.sources.bundled_stream import bundled_stream
 from runtime.sources.frames import FrameFiles, list_frames, read_frame
 

@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 
 from runtime import Predictor, PushStream
+from runtime.engine_facts import cpu_name
 from runtime.resize import move_returns
 from runtime.run.process import dedicate_process
-from runtime.run.run_report import cpu_name
 from runtime.sources.bundled_stream import bundled_stream
 from runtime.sources.frames import Frame, list_frames, read_frame
 

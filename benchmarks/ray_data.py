@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import Any
 
 from runtime import Predictor
+from runtime.engine_facts import cpu_name
 from runtime.run.pipeline import run_stream
 from runtime.run.ray_data import predict_source
-from runtime.run.run_report import cpu_name
 from runtime.sources.bundled_stream import bundled_stream
 from runtime.sources.frames import list_frames, read_frame
 from runtime.sources.registry import choose_source

@@ -28,7 +28,7 @@ from export.trace import trace
 from models import Network
 from models.blocks import upsample
 from runtime.completion.predictor import CompletionPredictor
-from runtime.run.run_report import cpu_name
+from runtime.engine_facts import cpu_name
 from runtime.session import open_session
 
 Size = tuple[int, int]  # (height, width)

@@ -31,7 +31,7 @@ import torch
 from torch.optim.swa_utils import AveragedModel
 from torch.utils.data import DataLoader
 
-from runtime.run.run_report import cpu_name
+from runtime.engine_facts import cpu_name
 from training import loop
 from training.loading.open_dataset import open_dataset, open_mixture
 from training.losses import SSDNetLoss

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import Predictor
+from runtime.engine_facts import cpu_name
 from runtime.resize import resize_nearest
-from runtime.run.run_report import cpu_name
 from training.datasets.kitti_streets import KittiStreets
 from training.datasets.sample import Sample
 from training.loading.augment import resize

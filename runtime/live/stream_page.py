@@ -5,18 +5,16 @@ from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
 
-from runtime import __version__
-from runtime.completion.predictor import CompletionPredictor
 from runtime.drawing.report_page.charts import INVALID, LATE
 from runtime.drawing.report_page.facts import collect_facts
 from runtime.drawing.report_page.page import PageContent, render_page
 from runtime.drawing.report_page.samples import SampleKeeper
 from runtime.drawing.report_page.timeline import Moment, Timeline
+from runtime.engine_facts import engine_facts
 from runtime.io.atomic_write import atomic_path
 from runtime.live.frame_result import FrameResult
 from runtime.live.push_stream import PushStream
 from runtime.predictor import Predictor
-from runtime.run.run_report import describe_engine
 from runtime.sync.message_counts import SensorCounts
 
 
@@ -35,7 +33,7 @@ class StreamPage:
     wanted, also while the stream runs.
     """
 
-    def __init__(self, predictor: Predictor | CompletionPredictor) -> None:
+    def __init__(self, predictor: Predictor) -> None:
         self._predictor = predictor
         self._started = datetime.now(UTC)
         self._lock = threading.Lock()
@@ -69,7 +67,6 @@ class StreamPage:
         Raises OutputError.
         """
         statistics, counts, state = stream.statistics, stream.counts, stream.state
-        engine = {"ssdnet": __version__, **describe_engine(self._predictor)}
         about = {
             "started": f"{self._started:%Y-%m-%d %H:%M:%S} UTC",
             "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC",
@@ -97,7 +94,7 @@ class StreamPage:
                 frames_per_second=None,
                 problems=(),
                 samples=self._samples.samples(),
-                facts=collect_facts(engine, "Stream", about),
+                facts=collect_facts(engine_facts(self._predictor), "Stream", about),
             )
             page = render_page(content)
         with atomic_path(Path(path)) as made:

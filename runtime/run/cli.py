@@ -14,14 +14,12 @@ from typing import Annotated, Any
 
 import typer
 
-from runtime import __version__
 from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.command import ERROR, Provider, reported_errors, say, stop_asked
-from runtime.completion.methods import METHODS
-from runtime.completion.predictor import CompletionPredictor
 from runtime.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.drawing.overlay import SharedOverlay
 from runtime.drawing.report_page import PAGE_SUFFIX
+from runtime.engine_facts import engine_facts
 from runtime.errors import InputError, OutputError, SSDNetError
 from runtime.io.images import KITTI_DEPTH_SCALE
 from runtime.io.recording import Settings
@@ -32,7 +30,6 @@ from runtime.run.options import (
     parse_shard,
     parse_size,
     parse_source,
-    require_method,
     require_range,
     require_rerun_target,
     require_suffixes,
@@ -98,13 +95,6 @@ def run(
             metavar="NAME|PATH",
             help=f"A bundled model ({', '.join(list_bundled_models())}), or an ONNX file made by "
             f"ssdnet-export: what ends in .onnx or holds a folder. [default: {DEFAULT_MODEL}]",
-        ),
-    ] = None,
-    method: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help=f"A classical method in place of a model, depth alone: {', '.join(METHODS)}.",
         ),
     ] = None,
     sha256: Annotated[
@@ -290,16 +280,6 @@ def run(
     require_range("--max-skew-ms", max_skew_ms, 0, 1e6)
     if demo + (rgb is not None) + (source is not None) != 1 or (demo and depth is not None):
         raise typer.BadParameter("give one of --demo, --rgb (with --depth) and --source")
-    if method is not None:
-        given = {
-            "--model": model is not None,
-            "--sha256": sha256 is not None,
-            "--provider": provider is not Provider.cpu,
-            "--size": network_size is not None,
-            "--threads": threads is not None,
-            "--record": record_dir is not None,
-        }
-        require_method(method, [option for option, is_given in given.items() if is_given])
     if demo and focal_length is None:
         focal_length = BUNDLED_FOCAL_LENGTH_PX
     with reported_errors("cpu"):
@@ -323,20 +303,15 @@ def run(
         frames = origin.list_frames(limit=limit)[part - 1 :: parts]
         if focal_length is None and origin.calibration is not None:
             focal_length = origin.calibration.focal_length_px
-        predictor: Predictor | CompletionPredictor
-        if method is not None:
-            predictor = CompletionPredictor(method)
-        else:
-            predictor = Predictor(
-                model,
-                sha256=sha256,
-                provider=provider.value,
-                size=network_size,
-                focal_length_px=focal_length,
-                threads=threads,
-                warmup=0,
-            )
-        with predictor:
+        with Predictor(
+            model,
+            sha256=sha256,
+            provider=provider.value,
+            size=network_size,
+            focal_length_px=focal_length,
+            threads=threads,
+            warmup=0,
+        ) as predictor:
             kinds = answered_kinds(kinds, predictor, everything=save == "all")
             if CLOUD in kinds and focal_length is None:
                 raise InputError(
@@ -394,7 +369,6 @@ def run(
                 report = build_report(
                     predictor,
                     result,
-                    version=__version__,
                     inputs={
                         "source": source,
                         **origin.inputs,
@@ -408,7 +382,7 @@ def run(
                 )
                 write_summary(out, result, report, deadline_ms)
                 if page is not None:
-                    run_page.finish(page, result, report)
+                    run_page.finish(page, result, report, engine_facts(predictor))
                 if as_json:
                     printed = _say(to_json(report).rstrip("\n"), out)
                     raise typer.Exit(exit_code(result, deadline_ms) if printed else ERROR)
@@ -438,7 +412,7 @@ def _require_apart(out: Path, *inputs: Path) -> None:
 
 
 def _warm_up(
-    predictor: Predictor | CompletionPredictor,
+    predictor: Predictor,
     frames: Sequence[Listed],
     read: Callable[[Listed], Frame],
     *,
@@ -458,9 +432,7 @@ def _warm_up(
     return None
 
 
-def _run(
-    predictor: Predictor | CompletionPredictor, frames: Sequence[Listed], **options: Any
-) -> StreamResult:
+def _run(predictor: Predictor, frames: Sequence[Listed], **options: Any) -> StreamResult:
     """Run the stream, under a progress bar where stderr is a terminal."""
     if not sys.stderr.isatty():
         return run_stream(predictor, frames, **options)

@@ -6,8 +6,6 @@ from typing import Any
 
 import typer
 
-from runtime.completion.methods import METHODS
-from runtime.completion.predictor import CompletionPredictor
 from runtime.errors import InputError
 from runtime.network_size import NetworkSize, parse_network_size
 from runtime.predictor import Predictor
@@ -44,19 +42,8 @@ def parse_source(text: str, **options: Any) -> Callable[[], Source]:
         raise typer.BadParameter(str(error)) from error
 
 
-def require_method(name: str, others: list[str]) -> None:
-    """Raise BadParameter for an unknown method, and for options that are about models alone."""
-    if name not in METHODS:
-        raise typer.BadParameter(f"--method knows {', '.join(METHODS)}, not {name!r:.80}")
-    if others:
-        raise typer.BadParameter(
-            f"{', '.join(others)}: a --method has no file and runs at the frame's size on one "
-            "thread of the processor; leave it out"
-        )
-
-
 def answered_kinds(
-    kinds: tuple[str, ...], predictor: Predictor | CompletionPredictor, *, everything: bool
+    kinds: tuple[str, ...], predictor: Predictor, *, everything: bool
 ) -> tuple[str, ...]:
     """Return the kinds that the model answers. Raises InputError if one was asked for by name."""
     missing = [

@@ -3,15 +3,12 @@
 import csv
 import io
 import json
-import os
-import platform
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from runtime.completion.predictor import CompletionPredictor
+from runtime.engine_facts import engine_facts
 from runtime.predictor import Predictor
 from runtime.run.outputs.frame_writer import DEPTH_PNG_MAX_M, DEPTH_PNG_SCALE
 from runtime.run.pipeline import SKIPPED, FrameRecord, StreamResult
@@ -95,10 +92,9 @@ def frames_csv(records: Sequence[FrameRecord], *, deadline_ms: float | None) -> 
 
 
 def build_report(
-    predictor: Predictor | CompletionPredictor,
+    predictor: Predictor,
     result: StreamResult,
     *,
-    version: str,
     inputs: dict[str, Any],
     output: str,
     kinds: Sequence[str],
@@ -114,8 +110,7 @@ def build_report(
     return {
         "format": REPORT_FORMAT,
         "version": REPORT_VERSION,
-        "ssdnet": version,
-        **describe_engine(predictor),
+        **asdict(engine_facts(predictor)),
         "inputs": inputs,
         "output": output,
         "saved": kinds,
@@ -148,38 +143,6 @@ def build_report(
     }
 
 
-def describe_engine(predictor: Predictor | CompletionPredictor) -> dict[str, Any]:
-    """What a report says of the model and of what runs it, ready for `json.dumps`."""
-    return {
-        "model": {
-            "name": predictor.contract.model_name,
-            "path": predictor.model,
-            "sha256": predictor.digest,
-            "precision": predictor.contract.precision,
-            "input_size": predictor.input_size,
-            "size_asked": predictor.size,
-            "trained_height": predictor.contract.trained_height,
-            "canonical_focal_px": predictor.contract.canonical_focal_px,
-            "heads": predictor.heads,
-            "max_depth_m": predictor.contract.max_depth_m,
-        },
-        "provider": {
-            "asked": predictor.provider,
-            "running": predictor.providers,
-            "nodes": predictor.node_counts,
-            "threads": predictor.threads,
-        },
-        "machine": {
-            "cpu": cpu_name(),
-            "logical_cores": os.cpu_count(),
-            "system": platform.platform(),
-            "python": platform.python_version(),
-        },
-        "load_ms": predictor.load_ms,
-        "first_inference_ms": predictor.first_inference_ms,
-    }
-
-
 def frames_per_second(result: StreamResult) -> float | None:
     """Frames predicted a second, end to end: reading and writing included."""
     predicted = sum(record.status != SKIPPED for record in result.records)
@@ -191,10 +154,8 @@ def to_json(report: dict[str, Any]) -> str:
     return json.dumps(report, indent=2, allow_nan=False) + "\n"
 
 
-def describe_predictor(
-    predictor: Predictor | CompletionPredictor, frame_size: tuple[int, int] | None
-) -> str:
-    """One line: model and digest, or method; what runs it, threads, sizes.
+def describe_predictor(predictor: Predictor, frame_size: tuple[int, int] | None) -> str:
+    """One line: model and digest; what runs it, threads, sizes.
 
     frame_size: (height, width) of the frames, or None if not known.
     """
@@ -205,9 +166,8 @@ def describe_predictor(
         for name in predictor.providers
         if nodes is None or name in nodes or name == predictor.providers[0]
     )
-    digest = f" sha256:{predictor.digest[:12]}" if predictor.digest else ""
     return (
-        f"{predictor.contract.model_name}{digest} | {running} | "
+        f"{predictor.contract.model_name} sha256:{predictor.digest[:12]} | {running} | "
         f"threads {predictor.threads} | frames {_size(frame_size)}, "
         f"network at {_size(network_size)}"
     )
@@ -251,14 +211,3 @@ def describe_run(result: StreamResult, report: dict[str, Any]) -> str:
 
 def _size(size: tuple[int, int] | None) -> str:
     return "of any size" if size is None else f"{size[0]} x {size[1]}"
-
-
-def cpu_name() -> str:
-    """The processor's name as the system tells it."""
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()

@@ -4,53 +4,54 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
+from runtime.engine_facts import EngineFacts
+
 _LIBRARIES = {"onnxruntime": "ONNX Runtime", "cv2": "OpenCV", "numpy": "NumPy"}
 
 
 def collect_facts(
-    engine: Mapping[str, Any], heading: str, more: Mapping[str, Any]
+    engine: EngineFacts, heading: str, more: Mapping[str, Any]
 ) -> dict[str, dict[str, str]]:
     """Heading -> name -> value of what is known of model, engine, machine and versions.
 
-    engine: as `describe_engine` gives it, with the version of "ssdnet"
-    heading, more: a group of one's own
+    heading, more: a further group
     """
-    model, provider, machine = engine["model"], engine["provider"], engine["machine"]
-    canonical, first_ms = model["canonical_focal_px"], engine["first_inference_ms"]
-    nodes = provider["nodes"] or {}
+    model, provider, machine = engine.model, engine.provider, engine.machine
+    canonical, first_ms = model.canonical_focal_px, engine.first_inference_ms
+    nodes = provider.nodes or {}
     running = (
-        name + (f" ({nodes[name]} nodes)" if name in nodes else "") for name in provider["running"]
+        name + (f" ({nodes[name]} nodes)" if name in nodes else "") for name in provider.running
     )
     groups: dict[str, Mapping[str, Any]] = {
         "Model": {
-            "name": model["name"],
-            "file": model["path"],
-            "SHA-256": model["sha256"],
-            "answers": ", ".join(model["heads"]),
-            "precision": model["precision"],
-            "depth range": f"{model['max_depth_m']:g} m",
-            "trained height": model["trained_height"],
+            "name": model.name,
+            "file": model.path,
+            "SHA-256": model.sha256,
+            "answers": ", ".join(model.heads),
+            "precision": model.precision,
+            "depth range": f"{model.max_depth_m:g} m",
+            "trained height": model.trained_height,
             "canonical focal length": canonical and f"{canonical:g} px",
         },
         heading: more,
         "Engine": {
-            "asked for": provider["asked"],
+            "asked for": provider.asked,
             "runs on": ", ".join(running),
-            "threads": provider["threads"],
-            "load": f"{engine['load_ms']:.0f} ms",
+            "threads": provider.threads,
+            "load": f"{engine.load_ms:.0f} ms",
             "first inference": first_ms and f"{first_ms:.1f} ms",
         },
         "Machine and versions": {
-            "processor": machine["cpu"],
-            "logical cores": machine["logical_cores"],
-            "system": machine["system"],
-            "ssdnet": engine["ssdnet"],
+            "processor": machine.cpu,
+            "logical cores": machine.logical_cores,
+            "system": machine.system,
+            "ssdnet": engine.ssdnet,
             # Of what this process has loaded.
             **{
                 title: getattr(sys.modules.get(name), "__version__", None)
                 for name, title in _LIBRARIES.items()
             },
-            "Python": machine["python"],
+            "Python": machine.python,
         },
     }
     return {

@@ -4,7 +4,6 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from runtime.completion.predictor import CompletionPredictor
 from runtime.io.recording import RecordedFrame, Settings, record
 from runtime.prediction import Prediction
 from runtime.predictor import Predictor
@@ -16,14 +15,14 @@ from runtime.sources.frames import Frame
 def open_recording(
     folder: Path | None,
     settings: Settings,
-    predictor: Predictor | CompletionPredictor,
+    predictor: Predictor,
     *,
     overwrite: bool,
 ) -> Iterator[TakeFrame]:
     """Yield what keeps each frame and its answers in a recording, which is whole after the block;
-    without a folder, or without a model's file, it keeps nothing.
+    without a folder it keeps nothing.
     """
-    if folder is None or predictor.model is None:
+    if folder is None:
         yield lambda name, frame, prediction: None
         return
     with record(folder, settings, overwrite=overwrite) as recorder:

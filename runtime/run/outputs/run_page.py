@@ -13,6 +13,7 @@ from runtime.drawing.report_page.facts import collect_facts
 from runtime.drawing.report_page.page import PageContent, Problem, render_page
 from runtime.drawing.report_page.samples import SampleKeeper
 from runtime.drawing.report_page.timeline import Moment, Timeline
+from runtime.engine_facts import EngineFacts
 from runtime.health.image_health import ImageHealth
 from runtime.health.lidar_health import LidarHealth
 from runtime.io.atomic_write import atomic_path
@@ -39,7 +40,9 @@ class RunPage:
             self._health[name] = health
         self._samples.look(name, frame.rgb, prediction, health)
 
-    def finish(self, path: Path, result: StreamResult, report: Mapping[str, Any]) -> None:
+    def finish(
+        self, path: Path, result: StreamResult, report: Mapping[str, Any], engine: EngineFacts
+    ) -> None:
         """Write the page. Raises OutputError.
 
         report: of the same run, as `build_report` makes it
@@ -70,7 +73,7 @@ class RunPage:
             frames_per_second=report["frames_per_second"],
             problems=[Problem(**entry) for entry in report["frames"]["not_ok"]],
             samples=self._samples.samples(),
-            facts=collect_facts(report, "Run", _run_facts(report, self._started)),
+            facts=collect_facts(engine, "Run", _run_facts(report, self._started)),
         )
         with atomic_path(path) as made:
             made.write_bytes(render_page(content))

@@ -20,7 +20,6 @@ import runtime.run.pipeline
 import runtime.run.summary
 import runtime.sources.bundled_stream
 import runtime.sources.folders
-from runtime.completion.ip_basic import IPBasic
 from runtime.errors import OutputError
 from runtime.io.recording import read_recording
 from runtime.run.cli import app
@@ -195,62 +194,6 @@ def test_a_rate_out_of_range_is_a_usage_error(run, rate):
     result = run("--rate", rate)
     assert result.exit_code == 2
     assert "--rate" in result.output
-
-
-def method_arguments(stream, folder):
-    rgb, depth = stream
-    return [str(a) for a in ["--rgb", rgb, "--depth", depth, "--out", folder / "out"]]
-
-
-def test_a_classical_method_runs_over_a_stream(tmp_path, stream, monkeypatch):
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)  # it needs no engine
-    given = [*method_arguments(stream, tmp_path), "--method", "ip-basic"]
-    result = CliRunner().invoke(app, given)
-    assert result.exit_code == 0, result.output
-    out = tmp_path / "out"
-    first_line = result.stdout.splitlines()[0]
-    assert first_line == ("ip-basic | classical | threads 1 | frames 48 x 64, network at 48 x 64")
-    assert re.search(r"^predict +12 ", result.stdout, re.MULTILINE)
-    report = json.loads((out / "report.json").read_text())
-    assert report["model"]["name"] == "ip-basic"
-    assert report["model"]["path"] is report["model"]["sha256"] is None
-    assert report["model"]["heads"] == report["saved"][:1] == ["depth"]
-    assert {path.name for path in out.iterdir() if path.is_dir()} == {"depth", "overlay"}
-    rgb, sparse_depth = (
-        cv2.imread(str(folder / "f3.png"), cv2.IMREAD_UNCHANGED) for folder in stream
-    )
-    expected = IPBasic().complete(rgb[..., ::-1], np.float32(sparse_depth / 256))
-    saved = cv2.imread(str(out / "depth/f3.png"), cv2.IMREAD_UNCHANGED) / 256
-    np.testing.assert_allclose(saved, expected, atol=0.51 / 256)
-
-
-def test_a_frame_that_a_method_cannot_fill_is_said_to_be_unusable(tmp_path, stream):
-    for index in (2, 5):
-        cv2.imwrite(str(stream[1] / f"f{index}.png"), np.zeros((48, 64), np.uint16))
-    given = [*method_arguments(stream, tmp_path), "--method", "nearest"]
-    result = CliRunner().invoke(app, given)
-    assert result.exit_code == 3
-    assert "frames: 12 (10 ok, 2 invalid)" in result.stdout
-    assert "f2: invalid: no_depth, depth_unknown" in result.stdout
-    assert not (tmp_path / "out/depth/f2.png").exists()
-    assert (tmp_path / "out/depth/f3.png").exists()
-
-
-def test_a_method_whose_package_is_missing_says_so_before_anything_is_written(
-    tmp_path, stream, monkeypatch
-):
-    monkeypatch.setitem(sys.modules, "scipy.sparse", None)
-    result = CliRunner().invoke(app, [*method_arguments(stream, tmp_path), "--method", "mrf"])
-    assert result.exit_code == 1
-    assert 'pip install "ssdnet[classical]"' in result.stderr
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_head_that_a_method_lacks_is_refused(tmp_path, stream):
-    given = [*method_arguments(stream, tmp_path), "--method", "nearest", "--save", "semantic"]
-    result = CliRunner().invoke(app, given)
-    assert result.exit_code == 1
-    assert "nearest answers depth" in result.stderr
 
 
 def test_json_is_the_report_and_nothing_else(tmp_path, run):
@@ -688,13 +631,6 @@ def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, monkeypatc
         ["--demo", "--deadline-ms", "1.5e308"],
         ["--demo", "--provider", "gpu"],
         ["--demo", "--warmup", "-1"],
-        ["--demo", "--method", "magic"],
-        ["--demo", "--method", "ip-basic", "--model", "ssdnet-lite"],
-        ["--demo", "--method", "ip-basic", "--sha256", "0" * 64],
-        ["--demo", "--method", "ip-basic", "--provider", "cuda"],
-        ["--demo", "--method", "ip-basic", "--size", "frame"],
-        ["--demo", "--method", "ip-basic", "--threads", "2"],
-        ["--demo", "--method", "ip-basic", "--record", "recording"],
         ["--demo", "--video", "out.avi"],
         ["--demo", "--shard", "0/4"],
         ["--demo", "--shard", "5/4"],

@@ -1,0 +1,135 @@
+"""What a report states about the model, the provider that runs it, and the machine."""
+
+import os
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import runtime
+from runtime.network_size import NetworkSize
+
+if TYPE_CHECKING:
+    from runtime.predictor import Predictor
+
+
+@dataclass(frozen=True)
+class ModelFacts:
+    """The model file, and how the predictor runs it.
+
+    Attributes:
+        name: of the network.
+        path: of the file.
+        sha256: digest of the file, hexadecimal.
+        precision: "fp32", "fp16", ...
+        input_size: (height, width) of a fixed model; None = any.
+        size_asked: as given to `Predictor`.
+        trained_height: rows of the training frames; None = not known.
+        canonical_focal_px: pixels; None = the model answers plain metres.
+        heads: names of the outputs.
+        max_depth_m: depth range in metres.
+    """
+
+    name: str
+    path: str
+    sha256: str
+    precision: str
+    input_size: tuple[int, int] | None
+    size_asked: NetworkSize
+    trained_height: int | None
+    canonical_focal_px: float | None
+    heads: tuple[str, ...]
+    max_depth_m: float
+
+
+@dataclass(frozen=True)
+class ProviderFacts:
+    """The execution provider.
+
+    Attributes:
+        asked: "cpu" or "cuda".
+        running: ONNX Runtime's names of the providers of the session.
+        nodes: provider -> nodes of the graph that it runs; None = not known.
+        threads: of inference.
+    """
+
+    asked: str
+    running: tuple[str, ...]
+    nodes: dict[str, int] | None
+    threads: int
+
+
+@dataclass(frozen=True)
+class MachineFacts:
+    """The computer and its Python."""
+
+    cpu: str
+    logical_cores: int | None
+    system: str
+    python: str
+
+
+@dataclass(frozen=True)
+class EngineFacts:
+    """What a report states about the engine; `dataclasses.asdict` makes it ready for JSON.
+
+    Attributes:
+        ssdnet: version of this package.
+        model: the model file.
+        provider: the execution provider.
+        machine: the computer.
+        load_ms: time of reading and optimising the model.
+        first_inference_ms: time of the first prediction; None = there was none.
+    """
+
+    ssdnet: str
+    model: ModelFacts
+    provider: ProviderFacts
+    machine: MachineFacts
+    load_ms: float
+    first_inference_ms: float | None
+
+
+def engine_facts(predictor: "Predictor") -> EngineFacts:
+    """Return the facts of a predictor and of this machine."""
+    contract = predictor.contract
+    return EngineFacts(
+        ssdnet=runtime.__version__,
+        model=ModelFacts(
+            name=contract.model_name,
+            path=predictor.model,
+            sha256=predictor.digest,
+            precision=contract.precision,
+            input_size=predictor.input_size,
+            size_asked=predictor.size,
+            trained_height=contract.trained_height,
+            canonical_focal_px=contract.canonical_focal_px,
+            heads=predictor.heads,
+            max_depth_m=contract.max_depth_m,
+        ),
+        provider=ProviderFacts(
+            asked=predictor.provider,
+            running=predictor.providers,
+            nodes=predictor.node_counts,
+            threads=predictor.threads,
+        ),
+        machine=MachineFacts(
+            cpu=cpu_name(),
+            logical_cores=os.cpu_count(),
+            system=platform.platform(),
+            python=platform.python_version(),
+        ),
+        load_ms=predictor.load_ms,
+        first_inference_ms=predictor.first_inference_ms,
+    )
+
+
+def cpu_name() -> str:
+    """Return the name of the processor as the system reports it."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
