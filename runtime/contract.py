@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from runtime.errors import ContractError
+from runtime.heads import HEADS
 
 METADATA_KEY = "ssdnet"
 SCHEMA_VERSION = "1.2"
@@ -25,23 +26,7 @@ MAX_DEPTH_RANGE_M = 10_000.0
 MIN_FOCAL_PX = 1.0  # bounds of a focal length: from tiny pictures to long telephoto lenses
 MAX_FOCAL_PX = 1_000_000.0
 
-#: The rules a file may name for each tensor; `runtime.resize` carries them out.
-#: "bilinear" takes the mean of the area along each side that shrinks, so that no pixel is skipped,
-#: and is bilinear along one that grows. "nearest" never mixes two depths or classes: `semantic`,
-#: `depth` and `depth_uncertainty` take the pixel with the nearest centre, and each return of
-#: `sparse_depth` is moved to its one pixel, whether the map shrinks or grows; of several in one
-#: pixel the nearest to the camera stays.
-RESIZE_RULES: Mapping[str, tuple[str, ...]] = {
-    "rgb": ("bilinear",),
-    "sparse_depth": ("nearest",),
-    "semantic": ("nearest",),
-    "depth": ("nearest",),
-    "boundary": ("bilinear",),
-    "depth_uncertainty": ("nearest",),  # since schema 1.2
-}
-
-
-_INPUTS = ("rgb", "sparse_depth")
+_INPUT_RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"}
 _DIGEST_KEY = "document_sha256"
 _MINOR_VERSION = re.compile("[0-9]{1,4}")
 
@@ -167,6 +152,17 @@ class Contract:
                 "ssdnet-export"
             ) from error
         return contract
+
+
+def resize_rules() -> dict[str, str]:
+    """Return how each tensor is resized where the network runs at another size than the frame's.
+
+    "bilinear" takes the mean of the area along each side that shrinks, so that no pixel is skipped,
+    and is bilinear along one that grows. "nearest" never mixes two values: a head takes the pixel
+    with the nearest centre, and each return of `sparse_depth` is moved to its one pixel; of several
+    in one pixel the nearest to the camera is kept. `runtime.resize` implements both.
+    """
+    return _INPUT_RESIZE | {head.name: head.resize for head in HEADS.values()}
 
 
 def check_side(side: object, name: str) -> int:
@@ -351,9 +347,9 @@ def _class(entry: object, name: str) -> ClassInfo:
 
 def _resize(document: Mapping[str, Any]) -> dict[str, str]:
     rules = _text_mapping(document, "resize")
-    for tensor, known in RESIZE_RULES.items():
-        # A head that came after the file was made has no rule in it.
-        rule = _value(rules, tensor) if tensor in _INPUTS else rules.get(tensor, known[0])
-        if rule not in known:
-            raise _wrong(f"resize.{tensor}", " or ".join(known), rule)
+    for tensor, known in resize_rules().items():
+        # A head that was added after the file was written has no rule in it.
+        rule = _value(rules, tensor) if tensor in _INPUT_RESIZE else rules.get(tensor, known)
+        if rule != known:
+            raise _wrong(f"resize.{tensor}", known, rule)
     return rules

@@ -4,6 +4,7 @@ The contract, the signature check, post-processing, recordings and their compari
 the drawing read this table, so a new head is a row here. It loads nothing but Python.
 """
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
@@ -80,6 +81,20 @@ class Head:
     saved_as: str = ""
     encoding: Encoding | None = None
     panel: Panel | None = None
+
+    def bounds(self, max_depth_m: float) -> tuple[float, float]:
+        """Return the smallest and the largest plausible value, -inf and inf where any is."""
+        scale = self._scale(max_depth_m)
+        least = -math.inf if self.least is None else self.least * scale
+        return least, math.inf if self.most is None else self.most * scale
+
+    def limit(self, max_depth_m: float) -> float:
+        """Return `tolerance` in the unit of the difference."""
+        absolute = self.difference is Difference.ABSOLUTE
+        return self.tolerance * (self._scale(max_depth_m) if absolute else 1.0)
+
+    def _scale(self, max_depth_m: float) -> float:
+        return max_depth_m if self.unit is Unit.METRES else 1.0
 
 
 #: Name -> head, in the order of the contract.

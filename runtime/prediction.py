@@ -18,17 +18,8 @@ NO_DEPTH = "no_depth"  # not one usable return: the answer comes from the camera
 SPARSE_DEPTH_LOW = "sparse_depth_low"  # in too few places, see `preprocess.covers_little`
 IMAGE_CONSTANT = "image_constant"  # every pixel alike: a covered or dead camera
 DEPTH_INCOMPLETE = "depth_incomplete"  # 0 where a classical method gives no depth
-# The answer is not usable (valid is False):
+# The answer is not usable (valid is False), as for the reasons of `postprocess.faults`:
 DEPTH_UNKNOWN = "depth_unknown"  # 0 everywhere: a classical method without any return
-DEPTH_NOT_FINITE = "depth_not_finite"
-DEPTH_OUT_OF_RANGE = "depth_out_of_range"  # negative or beyond the model's range
-DEPTH_UNCERTAINTY_NOT_FINITE = "depth_uncertainty_not_finite"
-DEPTH_UNCERTAINTY_OUT_OF_RANGE = "depth_uncertainty_out_of_range"  # negative
-BOUNDARY_NOT_FINITE = "boundary_not_finite"
-BOUNDARY_OUT_OF_RANGE = "boundary_out_of_range"  # no probability 0..1
-LOGITS_NOT_FINITE = "semantic_logits_not_finite"
-SEMANTIC_NOT_FINITE = "semantic_not_finite"  # pixels of id 255: the graph found their scores so
-SEMANTIC_UNKNOWN_CLASS = "semantic_unknown_class"
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from runtime.cores import available_cores
 from runtime.errors import InferenceError, InputError
 from runtime.model_file import load_model_file
 from runtime.network_size import NetworkSize, check_network_size, network_size
-from runtime.postprocess import Answers, postprocess
+from runtime.postprocess import faults, to_frame
 from runtime.prediction import Latency, Prediction
 from runtime.preprocess import NetworkInput, preprocess
 from runtime.session import node_counts, open_session
@@ -135,7 +135,7 @@ class Predictor:
         preprocessed = time.perf_counter()
         (outputs,) = self._run([frame])
         inferred = time.perf_counter()
-        answers = postprocess(outputs, frame, self.contract)
+        answers, found = to_frame(outputs, frame), faults(outputs, self.contract)
         finished = time.perf_counter()
         latency = Latency(
             preprocess_ms=(preprocessed - started) * 1e3,
@@ -143,7 +143,7 @@ class Predictor:
             postprocess_ms=(finished - inferred) * 1e3,
             total_ms=(finished - started) * 1e3,
         )
-        return _prediction(answers, frame, latency, stamp, self.contract)
+        return _prediction(answers, found, frame, latency, stamp, self.contract)
 
     def predict_batch(
         self,
@@ -197,15 +197,17 @@ class Predictor:
             answered = self._run([prepared[index] for index in members])
             outputs.update(zip(members, answered, strict=True))
             inference_ms.update(dict.fromkeys(members, _ms_since(begun)))
-        answers, postprocess_ms = [], []
+        answers, found, postprocess_ms = [], [], []
         for index, ready in enumerate(prepared):
             begun = time.perf_counter()
-            answers.append(postprocess(outputs[index], ready, self.contract))
+            found.append(faults(outputs[index], self.contract))
+            answers.append(to_frame(outputs[index], ready))
             postprocess_ms.append(_ms_since(begun))
         total_ms = _ms_since(started)
         return [
             _prediction(
                 answers[index],
+                found[index],
                 ready,
                 Latency(preprocess_ms[index], inference_ms[index], postprocess_ms[index], total_ms),
                 stamps[index],
@@ -329,19 +331,24 @@ def _one_each(name: str, values: Any, frames: Any) -> list[Any]:
 
 
 def _prediction(
-    answers: Answers, frame: NetworkInput, latency: Latency, stamp: Any, contract: Contract
+    heads: dict[str, NDArray[Any]],
+    found: tuple[str, ...],
+    frame: NetworkInput,
+    latency: Latency,
+    stamp: Any,
+    contract: Contract,
 ) -> Prediction:
     return Prediction(
-        semantic=answers.heads.get("semantic"),
-        depth=answers.heads.get("depth"),
-        boundary=answers.heads.get("boundary"),
-        depth_uncertainty=answers.heads.get("depth_uncertainty"),
-        semantic_logits=answers.heads.get("semantic_logits"),
+        semantic=heads.get("semantic"),
+        depth=heads.get("depth"),
+        boundary=heads.get("boundary"),
+        depth_uncertainty=heads.get("depth_uncertainty"),
+        semantic_logits=heads.get("semantic_logits"),
         frame_size=frame.frame_size,
         network_size=frame.network_size,
         latency=latency,
-        valid=not answers.faults,
-        degraded=frame.degraded + answers.faults,
+        valid=not found,
+        degraded=frame.degraded + found,
         cleaned=frame.cleaned,
         depth_returns=frame.depth_returns,
         stamp=stamp,

@@ -14,20 +14,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Size = tuple[int, int]  # (height, width)
+from runtime.heads import HEADS
 
-_NEVER_MIXED = ("semantic", "depth", "depth_uncertainty")  # heads
+Size = tuple[int, int]  # (height, width)
 
 
 def resize_answer(head: str, values: NDArray[Any], size: Size) -> NDArray[Any]:
-    """Resize one head of a network, (H, W) or (C, H, W), to `size`.
-
-    Classes and depths take the nearest pixel, since a mixture of two is neither, and so does what
-    is said of that pixel's depth. Probabilities and scores go as pictures do.
-    """
+    """Resize one head of a network, (H, W) or (C, H, W), to `size` by its rule in `HEADS`."""
     if values.ndim == 3:
         return np.stack([resize_answer(head, plane, size) for plane in values])
-    resize = resize_nearest if head in _NEVER_MIXED else resize_image
+    resize = resize_nearest if HEADS[head].resize == "nearest" else resize_image
     return resize(values, size)
 
 

@@ -8,15 +8,10 @@ from numpy.typing import NDArray
 
 from runtime.contract import check_size
 from runtime.errors import ContractError, InferenceError
+from runtime.heads import HEADS, Unit
 
 _INPUTS = {"rgb": ("tensor(uint8)", 4), "sparse_depth": ("tensor(float)", 3)}
-_OUTPUTS = {
-    "semantic": ("tensor(uint8)", 3),
-    "depth": ("tensor(float)", 3),
-    "boundary": ("tensor(float)", 3),
-    "depth_uncertainty": ("tensor(float)", 3),
-    "semantic_logits": ("tensor(float)", 4),
-}
+_ONNX_TYPES = {"uint8": "tensor(uint8)", "float32": "tensor(float)"}
 
 
 @dataclass(frozen=True)
@@ -51,22 +46,22 @@ def _read(session: Any, num_classes: int) -> Signature:
     outputs = {tensor.name: tensor for tensor in session.get_outputs()}
     if inputs.keys() != _INPUTS.keys():
         raise _foreign(f"inputs {sorted(_INPUTS)}", f"{sorted(inputs)}")
-    heads = tuple(name for name in _OUTPUTS if name in outputs)
+    heads = [head for head in HEADS.values() if head.name in outputs]
+    names = tuple(head.name for head in heads)
     if not heads:
-        raise _foreign(f"at least one output of {sorted(_OUTPUTS)}", f"{sorted(outputs)}")
+        raise _foreign(f"at least one output of {sorted(HEADS)}", f"{sorted(outputs)}")
     for name, (dtype, rank) in _INPUTS.items():
         _check_tensor(inputs[name], dtype, rank)
-    for name in heads:
-        _check_tensor(outputs[name], *_OUTPUTS[name])
-    if "semantic" in heads and not num_classes:
-        raise _foreign("the names of the classes of 'semantic' in the metadata", "none")
-    if "depth_uncertainty" in heads and "depth" not in heads:
-        raise _foreign("depth beside its depth_uncertainty", f"outputs {sorted(outputs)}")
-    if "semantic_logits" in heads:
-        channels = outputs["semantic_logits"].shape[1]
-        if isinstance(channels, int) and channels != num_classes:
+    for head in heads:
+        _check_tensor(outputs[head.name], _ONNX_TYPES[head.dtype], 4 if head.per_class else 3)
+        if head.unit is Unit.CLASS_ID and not num_classes:
+            raise _foreign(f"the names of the classes of {head.name!r} in the metadata", "none")
+        if head.needs and head.needs not in names:
+            raise _foreign(f"{head.needs} beside its {head.name}", f"outputs {sorted(outputs)}")
+        channels = outputs[head.name].shape[1]
+        if head.per_class and isinstance(channels, int) and channels != num_classes:
             raise _foreign(
-                f"semantic_logits of the {num_classes} classes in the metadata", f"{channels}"
+                f"{head.name} of the {num_classes} classes in the metadata", f"{channels}"
             )
     if inputs["rgb"].shape[3] != 3:
         raise _foreign("rgb of shape (N, H, W, 3)", f"{inputs['rgb'].shape}")
@@ -81,9 +76,9 @@ def _read(session: Any, num_classes: int) -> Signature:
         raise _foreign("height and width both fixed or both free", f"{inputs['rgb'].shape}")
     free_batch = not any(isinstance(tensor.shape[0], int) for tensor in inputs.values())
     if height is None or width is None:
-        return Signature(size=None, heads=heads, free_batch=free_batch)
+        return Signature(size=None, heads=names, free_batch=free_batch)
     try:
-        return Signature(size=check_size((height, width)), heads=heads, free_batch=free_batch)
+        return Signature(size=check_size((height, width)), heads=names, free_batch=free_batch)
     except ValueError as error:
         raise _foreign("inputs of a size that pictures have", str(error)) from error
 
@@ -93,11 +88,11 @@ def check_outputs(
 ) -> None:
     """Raise InferenceError unless each output, by its head, answers so many frames of `size`."""
     for head, values in outputs.items():
-        planes = (num_classes,) if head == "semantic_logits" else ()
-        if values.shape != (frames, *planes, *size):
+        expected = (frames, *((num_classes,) if HEADS[head].per_class else ()), *size)
+        if values.shape != expected:
             raise InferenceError(
-                f"the model gave {head} of the shape {values.shape}, expected was "
-                f"{(frames, *planes, *size)}: export it again with ssdnet-export"
+                f"the model gave {head} of the shape {values.shape}, expected {expected}: "
+                "export it again with ssdnet-export"
             )
 
 

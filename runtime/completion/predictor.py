@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.completion.method import CompletionMethod
 from runtime.completion.methods import create_method
-from runtime.contract import RESIZE_RULES, SCHEMA_VERSION, Contract, check_max_depth
+from runtime.contract import SCHEMA_VERSION, Contract, check_max_depth, resize_rules
 from runtime.errors import InputError
 from runtime.postprocess import faults
 from runtime.prediction import DEPTH_INCOMPLETE, DEPTH_UNKNOWN, Latency, Prediction
@@ -143,7 +143,7 @@ def _contract(name: str, max_depth_m: float) -> Contract:
         max_depth_m=max_depth_m,
         native_size=(375, 1242),  # KITTI's, which the methods' settings were chosen for
         stride=1,
-        resize={tensor: rules[0] for tensor, rules in RESIZE_RULES.items()},
+        resize=resize_rules(),
         precision="fp32",
         training={},
         versions={},

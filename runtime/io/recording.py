@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError, OutputError
+from runtime.heads import HEADS
 from runtime.io.agreement import limit
 from runtime.io.atomic_write import atomic_folder
 from runtime.model_file import load_model_file
@@ -35,7 +36,6 @@ RECORDING_FILE, MODEL_FILE = "recording.json", "model.onnx"
 
 MAX_FRAME_BYTES = 2**32  # of its arrays, unpacked: of the largest cameras with all heads
 
-_HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
 _INPUTS = ("rgb", "sparse_depth")
 _MAX_DOCUMENT_BYTES = 2**28
 
@@ -155,7 +155,7 @@ class Recorder:
             "settings": asdict(self._settings),
             "model": {"name": file.contract.model_name, "sha256": file.sha256},
             "limits": {
-                head: limit(head, max_depth_m=depth_m) for head in _HEADS if head in self._heads
+                head: limit(head, max_depth_m=depth_m) for head in HEADS if head in self._heads
             },
             "frames": [asdict(frame) for frame in self._frames],
         }
@@ -238,7 +238,7 @@ def _frame(entry: Any) -> RecordedFrame:
 
 
 def _head(name: str) -> str:
-    if name not in _HEADS:
+    if name not in HEADS:
         raise ValueError(f"unknown head {name!r:.80}")
     return name
 

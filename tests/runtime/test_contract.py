@@ -7,7 +7,8 @@ import json
 import pytest
 
 from runtime import ClassInfo, Contract, ContractError, Predictor
-from runtime.contract import RESIZE_RULES, Content
+from runtime.contract import Content
+from runtime.heads import HEADS
 
 
 @pytest.fixture
@@ -171,8 +172,9 @@ def test_sparse_depth_that_would_be_mixed_is_refused(contract):
 
 
 def test_a_head_that_came_later_needs_no_rule(contract, monkeypatch):
-    later = {**RESIZE_RULES, "confidence": ("bilinear",)}
-    monkeypatch.setattr("runtime.contract.RESIZE_RULES", later)
+    monkeypatch.setitem(
+        HEADS, "confidence", dataclasses.replace(HEADS["boundary"], name="confidence")
+    )
     assert Contract.from_json(document(contract)).resize == contract.resize
     rules = dict(contract.resize, confidence="nearest")
     with pytest.raises(ContractError, match=r"resize\.confidence must be bilinear"):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from runtime import InputError, Predictor
-from runtime.prediction import DEPTH_OUT_OF_RANGE
 
 CANONICAL_PX = 100.0
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty")
@@ -113,7 +112,7 @@ def test_an_answer_beyond_the_canonical_range_is_not_valid(canonical, make_frame
     with Predictor(canonical, focal_length_px=200.0) as predictor:
         prediction = predictor.predict(rgb, depth)
     assert not prediction.valid
-    assert prediction.degraded[-1] == DEPTH_OUT_OF_RANGE
+    assert prediction.degraded[-1] == "depth_out_of_range"
 
 
 @pytest.mark.parametrize(
