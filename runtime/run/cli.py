@@ -21,6 +21,7 @@ from runtime.drawing.overlay import SharedOverlay
 from runtime.drawing.report_page import PAGE_SUFFIX
 from runtime.engine_facts import engine_facts
 from runtime.errors import InputError, OutputError, SSDNetError
+from runtime.io.encode import METRES_PNG_SCALE
 from runtime.io.images import KITTI_DEPTH_SCALE
 from runtime.io.recording import Settings
 from runtime.predictor import Predictor
@@ -34,7 +35,7 @@ from runtime.run.options import (
     require_rerun_target,
     require_suffixes,
 )
-from runtime.run.outputs.frame_writer import DEPTH_PNG_SCALE, FrameWriter
+from runtime.run.outputs.frame_writer import FrameWriter
 from runtime.run.outputs.mcap import MCAP_SUFFIX, open_mcap
 from runtime.run.outputs.output import (
     DEFAULT_RATE_HZ,
@@ -199,7 +200,7 @@ def run(
         typer.Option(
             help=f"What to write: {', '.join(SUFFIXES)}; or all that the model answers but the "
             "cloud, or none. Depth and its uncertainty are 16-bit PNGs, metres x "
-            f"{DEPTH_PNG_SCALE}; a cloud is a PLY file with colours and class ids, 16 bytes a "
+            f"{METRES_PNG_SCALE}; a cloud is a PLY file with colours and class ids, 16 bytes a "
             "pixel, and needs the camera: --calibration, or --focal-length."
         ),
     ] = "all",

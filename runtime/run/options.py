@@ -9,9 +9,8 @@ import typer
 from runtime.errors import InputError
 from runtime.network_size import NetworkSize, parse_network_size
 from runtime.predictor import Predictor
-from runtime.run.outputs.frame_writer import NEEDED_HEADS
 from runtime.run.outputs.rerun_log import LIVE, RERUN_SUFFIX, is_file, is_viewer
-from runtime.run.run_folder import KINDS, SUFFIXES
+from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, SUFFIXES
 from runtime.sources.registry import choose_source
 from runtime.sources.source import Source
 
@@ -46,9 +45,8 @@ def answered_kinds(
     kinds: tuple[str, ...], predictor: Predictor, *, everything: bool
 ) -> tuple[str, ...]:
     """Return the kinds that the model answers. Raises InputError if one was asked for by name."""
-    missing = [
-        kind for kind in kinds if kind in NEEDED_HEADS and NEEDED_HEADS[kind] not in predictor.heads
-    ]
+    needed = {**{kind: head for kind, (head, _) in SAVED_HEADS.items()}, CLOUD: "depth"}
+    missing = [kind for kind in kinds if kind in needed and needed[kind] not in predictor.heads]
     if missing and not everything:
         raise InputError(
             f"--save asks for {', '.join(missing)}, the model {predictor.contract.model_name} "

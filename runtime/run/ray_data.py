@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from runtime.bundled_models import find_model
 from runtime.errors import InputError, SSDNetError
+from runtime.heads import HEADS
 from runtime.model_file import load_model_file
 from runtime.predictor import Predictor
 from runtime.run.pipeline import INVALID, OK, SKIPPED
@@ -40,8 +41,6 @@ COLUMNS = (
     "depth_stamp_ns",
 )
 _TASK_FRAMES = 8  # that an actor takes at a time: what is repeated when it dies
-_DTYPES = {"semantic": np.uint8}  # of a head; all others are float32
-_RANKS = {"semantic_logits": 3}  # all others are pictures
 
 
 def predict_source(
@@ -157,4 +156,4 @@ class FramePredictor:
 
 def _nothing(head: str) -> NDArray[Any]:
     """An array without an element, of the type of a head: a column holds one rank and type."""
-    return np.zeros((0,) * _RANKS.get(head, 2), _DTYPES.get(head, np.float32))
+    return np.zeros((0,) * (3 if HEADS[head].per_class else 2), HEADS[head].dtype)

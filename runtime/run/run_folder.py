@@ -7,18 +7,18 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from runtime.errors import OutputError
+from runtime.heads import HEADS
 from runtime.io.atomic_write import atomic_write, remove_leftover
 
-#: Kind of answer -> ending of its files, one subfolder a kind.
-SUFFIXES = {
-    "semantic": ".png",
-    "depth": ".png",
-    "uncertainty": ".png",
-    "boundary": ".png",
-    "overlay": ".jpg",
-    "cloud": ".ply",
+OVERLAY, CLOUD = "overlay", "cloud"
+#: Kind of a file that holds one head -> its name and encoding.
+SAVED_HEADS = {
+    head.saved_as: (head.name, head.encoding)
+    for head in HEADS.values()
+    if head.encoding is not None
 }
-CLOUD = "cloud"
+#: Kind of a frame's file, which is its subfolder, too -> suffix.
+SUFFIXES = {**dict.fromkeys(SAVED_HEADS, ".png"), OVERLAY: ".jpg", CLOUD: ".ply"}
 #: What is written unless something else is asked for; the others are large.
 KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
 FRAMES_FILE, REPORT_FILE, LATENCY_FILE = "frames.csv", "report.json", "latency.png"

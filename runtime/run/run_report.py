@@ -9,8 +9,8 @@ from dataclasses import asdict
 from typing import Any
 
 from runtime.engine_facts import engine_facts
+from runtime.io.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.predictor import Predictor
-from runtime.run.outputs.frame_writer import DEPTH_PNG_MAX_M, DEPTH_PNG_SCALE
 from runtime.run.pipeline import SKIPPED, FrameRecord, StreamResult
 from runtime.sync.latency import (
     LatencyStatistics,
@@ -114,7 +114,7 @@ def build_report(
         "inputs": inputs,
         "output": output,
         "saved": kinds,
-        "depth_png": {"units_per_metre": DEPTH_PNG_SCALE, "max_m": DEPTH_PNG_MAX_M},
+        "depth_png": {"units_per_metre": METRES_PNG_SCALE, "max_m": METRES_PNG_MAX_M},
         "frames": {
             "total": len(records),
             "by_status": dict(Counter(record.status for record in records)),

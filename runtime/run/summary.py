@@ -5,8 +5,8 @@ from typing import Any
 
 from runtime.drawing.latency_plot import draw_latency
 from runtime.io.atomic_write import atomic_write
+from runtime.io.encode import encode_png
 from runtime.run.options import NamedFiles
-from runtime.run.outputs.frame_writer import encode
 from runtime.run.pipeline import OK, StreamResult
 from runtime.run.run_folder import FRAMES_FILE, LATENCY_FILE, REPORT_FILE
 from runtime.run.run_report import frames_csv, missed, to_json
@@ -25,7 +25,7 @@ def write_summary(
     }
     if latencies_ms:
         picture = draw_latency(latencies_ms, deadline_ms=deadline_ms)
-        atomic_write(out / LATENCY_FILE, encode(".png", picture, ()))
+        atomic_write(out / LATENCY_FILE, encode_png(picture))
     table = frames_csv(result.records, deadline_ms=deadline_ms)
     # As the file system has them: a name need not be valid text.
     atomic_write(out / FRAMES_FILE, table.encode(errors="surrogateescape"))

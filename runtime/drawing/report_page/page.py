@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from html import escape
 from importlib import resources
 
-import cv2
-
 from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
 from runtime.drawing.report_page.charts import (
@@ -22,6 +20,7 @@ from runtime.drawing.report_page.charts import (
 )
 from runtime.drawing.report_page.samples import Sample
 from runtime.drawing.report_page.timeline import Timeline
+from runtime.io.encode import encode_png
 from runtime.sync.latency import LatencyStatistics, MissedDeadlines
 
 #: The page has the chart in each of these sizes and shows the one that fits the screen.
@@ -296,7 +295,7 @@ def _samples(content: PageContent) -> str:
         for info in contract.classes
     )
     bar = Overlay(contract.classes, contract.max_depth_m).draw_depth_bar(_BAR_WIDTH)
-    png = cv2.imencode(".png", bar)[1].tobytes()
+    png = bytes(encode_png(bar))
     key = f'<div class="legend">{chips}</div>' if chips else ""
     if any("depth" in title for sample in content.samples for title, _ in sample.panels):
         key += f'<div class="bar"><img alt="colours of the depth" src="{_data("image/png", png)}">'

@@ -3,17 +3,17 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
+from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
 
 _EVEN, _UNWELL = 6, 3  # at most
 _PANELS, _WIDEST = 3, 480  # the picture and the first two heads; columns
-_JPEG = (cv2.IMWRITE_JPEG_QUALITY, 82)
+_JPEG_QUALITY = 82
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,6 @@ class SampleKeeper:
     ) -> tuple[tuple[str, bytes], ...]:
         panels = self._overlay.panels(rgb, prediction, widest=_WIDEST)
         return tuple(
-            (title, cv2.imencode(".jpg", panel, _JPEG)[1].tobytes())
+            (title, bytes(encode_jpeg(panel, quality=_JPEG_QUALITY)))
             for title, panel in list(panels.items())[:_PANELS]
         )

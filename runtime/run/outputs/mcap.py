@@ -14,19 +14,20 @@ from numpy.typing import NDArray
 from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
 from runtime.errors import OutputError
+from runtime.heads import HEADS
 from runtime.io.atomic_write import atomic_path
+from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
-from runtime.run.outputs.frame_writer import encode_overlay
 from runtime.run.outputs.output import DEFAULT_RATE_HZ
 from runtime.sources.frames import Frame
 
 MCAP_SUFFIX = ".mcap"
-#: Topics of `sensor_msgs/msg/Image`: field of `Prediction` -> topic, encoding.
+_ENCODINGS = {"uint8": "mono8", "float32": "32FC1"}  # dtype -> of sensor_msgs/msg/Image
+#: Head that is a picture -> topic and encoding of its `sensor_msgs/msg/Image`.
 IMAGES = {
-    "semantic": ("/ssdnet/semantic", "mono8"),
-    "depth": ("/ssdnet/depth", "32FC1"),
-    "depth_uncertainty": ("/ssdnet/depth_uncertainty", "32FC1"),
-    "boundary": ("/ssdnet/boundary", "32FC1"),
+    head.name: (f"/ssdnet/{head.name}", _ENCODINGS[head.dtype])
+    for head in HEADS.values()
+    if not head.per_class
 }
 OVERLAY, CLASSES, DIAGNOSTICS = "/ssdnet/overlay/compressed", "/ssdnet/classes", "/diagnostics"
 FRAME_ID = "camera"
@@ -78,7 +79,7 @@ class McapWriter:
                     step=image.shape[1] * image.itemsize,
                     data=np.ascontiguousarray(image).reshape(-1).view(np.uint8),
                 )
-        overlay = encode_overlay(self._overlay.draw(frame.rgb, prediction))
+        overlay = encode_jpeg(self._overlay.draw(frame.rgb, prediction))
         self._add(
             OVERLAY,
             "sensor_msgs/msg/CompressedImage",

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from runtime.contract import Contract
 from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_path
+from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
 from runtime.run.outputs.intrinsics import intrinsics_of
 from runtime.sources.frames import Frame
@@ -25,7 +25,6 @@ IMAGE, CLASSES, DEPTH = "camera/image", "camera/classes", "camera/depth"
 CLOUD, LATENCY, HEALTH = "cloud", "latency", "health"
 FRAME_TIME, SENSOR_TIME = "frame", "sensor"
 _STAGES = ("preprocess_ms", "inference_ms", "postprocess_ms", "total_ms")
-_JPEG = (cv2.IMWRITE_JPEG_QUALITY, 85)
 _PATIENCE_S = 20.0  # for a disk or a viewer to take what is logged
 _FOOTER = b"RRF2FOOT"
 _REMEDY = "make room, choose another place, or see that the viewer is open"
@@ -61,8 +60,8 @@ class RerunLogger:
             log.disable_timeline(SENSOR_TIME)
         else:  # of a clock that nobody knows the start of
             log.set_time(SENSOR_TIME, duration=np.timedelta64(frame.image_stamp_ns, "ns"))
-        picture = cv2.imencode(".jpg", cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2BGR), _JPEG)[1]
-        log.log(IMAGE, rerun.EncodedImage(contents=picture.tobytes(), media_type="image/jpeg"))
+        picture = encode_jpeg(frame.rgb[..., ::-1])
+        log.log(IMAGE, rerun.EncodedImage(contents=bytes(picture), media_type="image/jpeg"))
         if prediction.semantic is not None:
             log.log(CLASSES, rerun.SegmentationImage(prediction.semantic))
         if (depth := prediction.depth) is not None:

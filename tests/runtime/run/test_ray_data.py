@@ -8,9 +8,10 @@ import pytest
 from typer.testing import CliRunner
 
 from runtime.errors import ContractError, InputError
+from runtime.heads import HEADS
+from runtime.io.encode import ENCODERS
 from runtime.predictor import Predictor
 from runtime.run.cli import app
-from runtime.run.outputs.frame_writer import encode_boundary, encode_metres, encode_semantic
 from runtime.sources.bundled_stream import bundled_stream
 from runtime.sources.frames import list_frames, read_frame
 from runtime.sources.registry import choose_source
@@ -56,13 +57,9 @@ def test_rows_are_the_files_of_a_plain_run(cluster, tmp_path):
             continue
         assert row["latency_ms"] > 0
         assert row["image_stamp_ns"] is row["depth_stamp_ns"] is None
-        for kind, head, encode in (
-            ("semantic", "semantic", encode_semantic),
-            ("depth", "depth", encode_metres),
-            ("uncertainty", "depth_uncertainty", encode_metres),
-            ("boundary", "boundary", encode_boundary),
-        ):
-            assert encode(row[head]) == (out / kind / f"{row['name']}.png").read_bytes()
+        for head in heads:
+            expected = (out / HEADS[head].saved_as / f"{row['name']}.png").read_bytes()
+            assert ENCODERS[HEADS[head].encoding](row[head]) == expected
 
 
 def actor_processes():

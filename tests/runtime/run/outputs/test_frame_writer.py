@@ -11,35 +11,12 @@ import pytest
 from runtime import OutputError
 from runtime.drawing.overlay import Overlay
 from runtime.io.atomic_write import atomic_file
-from runtime.run.outputs.frame_writer import (
-    FrameWriter,
-    encode_boundary,
-    encode_metres,
-    encode_semantic,
-)
+from runtime.run.outputs.frame_writer import FrameWriter
 from runtime.run.run_folder import KINDS
-
-
-def decode(content: bytes):
-    return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
 
 
 def files_in(folder: Path) -> set[str]:
     return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
-
-
-def test_metres_are_rounded_and_clipped_and_zero_stays_none():
-    depth = np.array([[0, 1, 80.001, 1.5 / 256, 2.4 / 256, 255.999, 300, 1e9]], np.float32)
-    image = decode(encode_metres(depth))
-    assert image.dtype == np.uint16
-    assert image.tolist() == [[0, 256, 20480, 2, 2, 65535, 65535, 65535]]
-
-
-def test_boundary_and_semantic():
-    boundary = np.array([[0, 0.5, 1, 0.2]], np.float32)
-    assert decode(encode_boundary(boundary)).tolist() == [[0, 128, 255, 51]]
-    semantic = np.random.default_rng(0).integers(0, 255, (37, 41), dtype=np.uint8)
-    assert np.array_equal(decode(encode_semantic(semantic)), semantic)
 
 
 def test_a_frame_is_written(tmp_path, contract, answered):

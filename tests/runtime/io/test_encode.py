@@ -1,0 +1,37 @@
+"""Heads as pictures: what is encoded comes back, rounded to the step of the format."""
+
+import cv2
+import numpy as np
+import pytest
+
+from runtime.heads import HEADS, Encoding
+from runtime.io.encode import ENCODERS, encode_ids, encode_jpeg, encode_metres, encode_probability
+
+
+def decode(content: bytes):
+    return cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
+def test_metres_are_rounded_and_clipped_and_zero_stays_none():
+    depth = np.array([[0, 1, 80.001, 1.5 / 256, 2.4 / 256, 255.999, 300, 1e9]], np.float32)
+    image = decode(encode_metres(depth))
+    assert image.dtype == np.uint16
+    assert image.tolist() == [[0, 256, 20480, 2, 2, 65535, 65535, 65535]]
+
+
+def test_probabilities_and_class_ids():
+    boundary = np.array([[0, 0.5, 1, 0.2]], np.float32)
+    assert decode(encode_probability(boundary)).tolist() == [[0, 128, 255, 51]]
+    semantic = np.random.default_rng(0).integers(0, 255, (37, 41), dtype=np.uint8)
+    assert np.array_equal(decode(encode_ids(semantic)), semantic)
+
+
+def test_every_encoding_of_the_heads_has_an_encoder():
+    assert ENCODERS.keys() == set(Encoding)
+    for head in HEADS.values():
+        assert bool(head.saved_as) == (head.encoding is not None)
+
+
+def test_a_picture_that_the_format_cannot_hold_is_a_value_error():
+    with pytest.raises(ValueError, match=r"8 x 65600 is too large for \.jpg"):
+        encode_jpeg(np.zeros((8, 65600, 3), np.uint8))
