@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.health.consistency import Consistency, ConsistencyCheck
-from runtime.health.image_health import ImageHealth
-from runtime.health.lidar_health import LidarHealth
+from runtime.health.frame_health import FrameHealth
 from runtime.io.calibration import Calibration
 from runtime.live.payload import Points
 from runtime.prediction import Prediction
@@ -48,7 +47,7 @@ class Answerer:
         self, predictor: AnswersFrames, calibration: Calibration | None, consistency: float | None
     ) -> None:
         self._predictor, self._calibration = predictor, calibration
-        self._image_health, self._lidar_health = ImageHealth(), LidarHealth()
+        self._health = FrameHealth()
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
 
     def answer(self, pair: Pair) -> Answer:
@@ -70,9 +69,7 @@ class Answerer:
             if self._consistency.scale_is_due:
                 camera_only = self._predict(rgb, np.zeros(size, np.float32), pair)
             consistency = self._consistency.score(prediction, camera_only, sparse_depth, held_out)
-        health = self._image_health.check(rgb)  # only now are they known to fit
-        if pair.depth is not None:
-            health += self._lidar_health.check(sparse_depth)
+        health = self._health.check(rgb, sparse_depth)  # only now are they known to fit
         return Answer(prediction, health, consistency)
 
     def _predict(

@@ -14,8 +14,7 @@ from runtime.drawing.report_page.page import PageContent, Problem, render_page
 from runtime.drawing.report_page.samples import SampleKeeper
 from runtime.drawing.report_page.timeline import Moment, Timeline
 from runtime.engine_facts import EngineFacts
-from runtime.health.image_health import ImageHealth
-from runtime.health.lidar_health import LidarHealth
+from runtime.health.frame_health import FrameHealth
 from runtime.io.atomic_write import atomic_path
 from runtime.prediction import Prediction
 from runtime.run.pipeline import OK, FrameRecord, StreamResult
@@ -30,12 +29,12 @@ class RunPage:
         self._contract = contract
         self._started = datetime.now(UTC)
         self._samples = SampleKeeper(contract)
-        self._image, self._lidar = ImageHealth(), LidarHealth()
+        self._frame_health = FrameHealth()
         self._health: dict[str, tuple[str, ...]] = {}  # of frames where anything is wrong
 
     def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
         """Look at a frame and its answer; nothing is written yet."""
-        health = (*self._image.check(frame.rgb), *self._lidar.check(frame.sparse_depth))
+        health = self._frame_health.check(frame.rgb, frame.sparse_depth)
         if health:
             self._health[name] = health
         self._samples.look(name, frame.rgb, prediction, health)
