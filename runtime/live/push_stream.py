@@ -212,7 +212,7 @@ class PushStream:
             message = Message(stamp, nanoseconds, now_ns, data)
             self._settle(self._synchronizer.add(sensor, message, now_ns))
             if self._synchronizer.jumps_back != jumps:
-                self._recorder.forget_last()
+                self._recorder.reset_jitter()
             self._changed.notify_all()
 
     def _wait_for_room(self, sensor: Sensor) -> None:
@@ -450,8 +450,7 @@ class PushStream:
         }
         self._recorder.record(
             figures_ms,
-            image_ns=pair.image.stamp_ns,
-            answered_ns=now_ns,
+            transit_ns=now_ns - pair.image.stamp_ns,
             deadline_met=result.deadline_met,
         )
         self._watchdog.answered(

@@ -4,7 +4,13 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from runtime.sync.histogram import DurationHistogram
-from runtime.sync.latency import LatencyStatistics, MissedDeadlines, latency_table
+from runtime.sync.latency import (
+    Jitter,
+    LatencyStatistics,
+    MissCounter,
+    MissedDeadlines,
+    latency_table,
+)
 
 # A name a figure of FrameResult; "jitter" lies between two of them.
 _FIGURES = ("preprocess", "inference", "postprocess", "predict", "latency", "age", "skew", "jitter")
@@ -52,52 +58,38 @@ class StreamStatistics:
 class StatisticsRecorder:
     """Gathers the figures of one answer after another, in memory that does not grow.
 
-    Not for several threads at a time: the stream guards it with its lock.
+    Not thread-safe: the stream's lock guards it.
     """
 
     def __init__(self, deadline_ms: float | None) -> None:
         self._deadline_ms = deadline_ms
         self._histograms = {name: DurationHistogram() for name in _FIGURES}
-        self._missed = self._run = self._longest_run = 0
-        self._last: tuple[int, int] | None = None
+        self._misses = MissCounter()
+        self._jitter = Jitter()
 
     def record(
-        self,
-        figures_ms: dict[str, float | None],
-        *,
-        image_ns: int,
-        answered_ns: int,
-        deadline_met: bool | None,
+        self, figures_ms: dict[str, float | None], *, transit_ns: int, deadline_met: bool | None
     ) -> None:
         """Take the figures of one answer in.
 
         figures_ms: name -> ms, None = there is none
-        image_ns, answered_ns: stamp of the image and time of the answer, each by its own clock
+        transit_ns: time of the answer - stamp of the image, each by its own clock
         """
-        jitter_ms = None
-        if self._last is not None:
-            before_image_ns, before_answered_ns = self._last
-            transit_ns = (answered_ns - before_answered_ns) - (image_ns - before_image_ns)
-            jitter_ms = abs(transit_ns) / 1e6
-        self._last = image_ns, answered_ns
+        jitter_ms = self._jitter.record(transit_ns)
         for name, value_ms in {**figures_ms, "jitter": jitter_ms}.items():
             if value_ms is not None:
                 self._histograms[name].record(value_ms)
         if deadline_met is not None:
-            self._run = 0 if deadline_met else self._run + 1
-            self._missed += not deadline_met
-            self._longest_run = max(self._longest_run, self._run)
+            self._misses.record(late=not deadline_met)
 
-    def forget_last(self) -> None:
+    def reset_jitter(self) -> None:
         """The stamps jumped: the next answer has no jitter."""
-        self._last = None
+        self._jitter.reset()
 
     def statistics(self) -> StreamStatistics:
-        """The state."""
+        """The statistics so far."""
         return StreamStatistics(
             stages={name: each.statistics() for name, each in self._histograms.items()},
             deadline_ms=self._deadline_ms,
-            missed=None
-            if self._deadline_ms is None
-            else MissedDeadlines(self._missed, self._longest_run),
+            missed=None if self._deadline_ms is None else self._misses.misses(),
         )

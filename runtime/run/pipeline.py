@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from runtime.errors import SSDNetError
 from runtime.prediction import Cleaned, Latency, Prediction
 from runtime.sources.frames import Frame
+from runtime.sync.latency import Jitter
+from runtime.sync.stamp import NS_PER_MS
 
 OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
 _READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side
@@ -147,7 +149,7 @@ def run_stream(
 
     reader = ThreadPoolExecutor(1, thread_name_prefix="read", initializer=_give_way)
     writer = ThreadPoolExecutor(1, thread_name_prefix="write", initializer=_give_way)
-    last_age_ms: float | None = None
+    jitter = Jitter()
     started = time.perf_counter()
     try:
         for _ in range(_READ_AHEAD):
@@ -160,9 +162,7 @@ def run_stream(
             reads.popleft()
             record, written = _predict(predictor, index, name, reading, writer, write, keep, due)
             if record.age_ms is not None:
-                if last_age_ms is not None:
-                    record = replace(record, jitter_ms=abs(record.age_ms - last_age_ms))
-                last_age_ms = record.age_ms
+                record = replace(record, jitter_ms=jitter.record(round(record.age_ms * NS_PER_MS)))
             writes.append((record, written))
             read_next()
             while len(writes) > _WRITE_BEHIND:

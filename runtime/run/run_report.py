@@ -14,10 +14,10 @@ from runtime.predictor import Predictor
 from runtime.run.pipeline import SKIPPED, FrameRecord, StreamResult
 from runtime.sync.latency import (
     LatencyStatistics,
+    MissCounter,
     MissedDeadlines,
     latency_statistics,
     latency_table,
-    missed_deadlines,
 )
 
 REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.6"
@@ -56,11 +56,11 @@ def missed(records: Sequence[FrameRecord], deadline_ms: float | None) -> MissedD
     """The answers that took longer than the deadline, by `response_ms`; None without a deadline."""
     if deadline_ms is None:
         return None
-    responses_ms = (record.response_ms for record in records)
-    return missed_deadlines(
-        (response_ms for response_ms in responses_ms if response_ms is not None),
-        deadline_ms=deadline_ms,
-    )
+    counter = MissCounter()
+    for record in records:
+        if record.response_ms is not None:
+            counter.record(late=record.response_ms > deadline_ms)
+    return counter.misses()
 
 
 def frames_csv(records: Sequence[FrameRecord], *, deadline_ms: float | None) -> str:

@@ -7,7 +7,7 @@ clipped: the largest value is kept as it was, and values beyond three days share
 
 import numpy as np
 
-from runtime.sync.latency import PERMILLE, LatencyStatistics
+from runtime.sync.latency import LatencyStatistics, statistics_by_rank
 
 _UNITS_PER_MS = 1000
 _BITS = 10  # 2^10 buckets to each doubling
@@ -35,29 +35,15 @@ class DurationHistogram:
 
     def statistics(self) -> LatencyStatistics | None:
         """Statistics as `latency_statistics` has them; None if there is nothing."""
-        if self._n == 0:
-            return None
         cumulative = np.cumsum(self._counts)
-        p90, p99, p99_9 = (
-            self._percentile(cumulative, permille) if self._n * (1000 - permille) >= 1000 else None
-            for permille in PERMILLE.values()
-        )
-        return LatencyStatistics(
-            n=self._n,
-            mean_ms=self._sum_ms / self._n,
-            median_ms=self._percentile(cumulative, 500),
-            p90_ms=p90,
-            p99_ms=p99,
-            p99_9_ms=p99_9,
-            max_ms=self._max_ms,
-        )
 
-    def _percentile(self, cumulative: np.ndarray, permille: int) -> float:
-        """The upper end of the bucket that holds the nearest rank."""
-        rank = -(-self._n * permille // 1000)
-        index = int(np.searchsorted(cumulative, max(rank, 1)))
-        if index == len(cumulative) - 1:
-            return self._max_ms
-        shift = max((index >> _BITS) - 1, 0)
-        upper = ((index - (shift << _BITS) + 1) << shift) - 1
-        return min(upper / _UNITS_PER_MS, self._max_ms)
+        def at_rank(rank: int) -> float:
+            """The upper end of the bucket that holds the rank."""
+            index = int(np.searchsorted(cumulative, rank))
+            if rank == self._n or index == len(cumulative) - 1:
+                return self._max_ms
+            shift = max((index >> _BITS) - 1, 0)
+            upper = ((index - (shift << _BITS) + 1) << shift) - 1
+            return min(upper / _UNITS_PER_MS, self._max_ms)
+
+        return statistics_by_rank(self._n, self._sum_ms, at_rank)

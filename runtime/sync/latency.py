@@ -1,17 +1,17 @@
 """Latency statistics that say no more than the number of frames supports."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-# A percentile needs at least one frame beyond it: 10 for p90, 100 for p99, 1000 for p99.9.
-PERMILLE = {"p90_ms": 900, "p99_ms": 990, "p99_9_ms": 999}
+from runtime.sync.stamp import NS_PER_MS
 
 
 @dataclass(frozen=True)
 class LatencyStatistics:
     """How long a stage took over n frames [ms]. Percentiles are by nearest rank, none is clipped.
 
-    A percentile is None where n is too small for it.
+    A percentile is None where no frame lies beyond it: it takes 10 frames for p90, 100 for p99 and
+    1000 for p99.9.
     """
 
     n: int
@@ -32,46 +32,75 @@ class MissedDeadlines:
 
 
 def latency_statistics(durations_ms: Iterable[float]) -> LatencyStatistics | None:
-    """Statistics of some durations [ms]; None if there are none."""
+    """Exact statistics of some durations [ms]; None if there are none."""
     ordered = sorted(durations_ms)
-    n = len(ordered)
+    return statistics_by_rank(len(ordered), sum(ordered), lambda rank: ordered[rank - 1])
+
+
+def statistics_by_rank(
+    n: int, sum_ms: float, at_rank: Callable[[int], float]
+) -> LatencyStatistics | None:
+    """Statistics of n durations; None for n = 0.
+
+    at_rank: returns the duration of a rank [ms]; 1 is the shortest, n the longest
+    """
     if n == 0:
         return None
-    p90, p99, p99_9 = (
-        nearest_rank(ordered, permille) if n * (1000 - permille) >= 1000 else None
-        for permille in PERMILLE.values()
-    )
+
+    def percentile(permille: int) -> float | None:
+        """The shortest duration that permille thousandths of all do not exceed."""
+        if n * (1000 - permille) < 1000:
+            return None
+        return at_rank(-(-n * permille // 1000))  # rounded up, in integers
+
     return LatencyStatistics(
         n=n,
-        mean_ms=sum(ordered) / n,
-        median_ms=nearest_rank(ordered, 500),
-        p90_ms=p90,
-        p99_ms=p99,
-        p99_9_ms=p99_9,
-        max_ms=ordered[-1],
+        mean_ms=sum_ms / n,
+        median_ms=at_rank(-(-n // 2)),
+        p90_ms=percentile(900),
+        p99_ms=percentile(990),
+        p99_9_ms=percentile(999),
+        max_ms=at_rank(n),
     )
 
 
-def nearest_rank(ordered: Sequence[float], permille: int) -> float:
-    """The smallest value with at least `permille` thousandths of all values at or below it.
+class MissCounter:
+    """Counts the answers that missed the deadline, and the longest run of them.
 
-    ordered: ascending, at least one value.
+    Frames without an answer have no latency: they neither count nor end a run.
     """
-    rank = -(-len(ordered) * permille // 1000)  # rounded up, in integers
-    return ordered[max(rank, 1) - 1]
+
+    def __init__(self) -> None:
+        self._count = self._run = self._longest_run = 0
+
+    def record(self, late: bool) -> None:
+        """Count one more answer."""
+        self._run = self._run + 1 if late else 0
+        self._count += late
+        self._longest_run = max(self._longest_run, self._run)
+
+    def misses(self) -> MissedDeadlines:
+        """The counts so far."""
+        return MissedDeadlines(self._count, self._longest_run)
 
 
-def missed_deadlines(latencies_ms: Iterable[float], *, deadline_ms: float) -> MissedDeadlines:
-    """Count the latencies [ms] above the deadline; exactly on it is in time.
+class Jitter:
+    """The transit-time difference of RFC 3550 between successive answers."""
 
-    Frames without a prediction have no latency: they neither count nor end a run of late ones.
-    """
-    count = run = longest = 0
-    for latency_ms in latencies_ms:
-        run = run + 1 if latency_ms > deadline_ms else 0
-        count += run > 0
-        longest = max(longest, run)
-    return MissedDeadlines(count=count, longest_run=longest)
+    def __init__(self) -> None:
+        self._last_ns: int | None = None
+
+    def record(self, transit_ns: int) -> float | None:
+        """Return |this - last| [ms]; None for the first.
+
+        transit_ns: time of the answer - time of the frame, each by its own clock
+        """
+        last_ns, self._last_ns = self._last_ns, transit_ns
+        return None if last_ns is None else abs(transit_ns - last_ns) / NS_PER_MS
+
+    def reset(self) -> None:
+        """The clock of the frames was set anew: the next answer has no jitter."""
+        self._last_ns = None
 
 
 def latency_table(stages: dict[str, LatencyStatistics | None]) -> str:

@@ -9,9 +9,7 @@ MS = 1_000_000
 
 
 def record(recorder, image_ms, answered_ms, *, met=None, **figures_ms):
-    recorder.record(
-        figures_ms, image_ns=image_ms * MS, answered_ns=answered_ms * MS, deadline_met=met
-    )
+    recorder.record(figures_ms, transit_ns=(answered_ms - image_ms) * MS, deadline_met=met)
 
 
 def test_jitter_is_the_difference_of_successive_transit_times():
@@ -26,7 +24,7 @@ def test_jitter_is_the_difference_of_successive_transit_times():
 def test_a_jump_of_the_stamps_is_no_jitter():
     recorder = StatisticsRecorder(None)
     record(recorder, 50_000, 1000)
-    recorder.forget_last()
+    recorder.reset_jitter()
     record(recorder, 0, 1100)
     assert recorder.statistics().stages["jitter"] is None
 

@@ -5,7 +5,8 @@ import csv
 import pytest
 
 from runtime.run.pipeline import INVALID, OK, SKIPPED, FrameRecord, StreamResult
-from runtime.run.run_report import frames_csv, frames_per_second, stage_statistics
+from runtime.run.run_report import frames_csv, frames_per_second, missed, stage_statistics
+from runtime.sync.latency import MissedDeadlines
 
 
 def result_of(*statuses):
@@ -38,3 +39,12 @@ def test_the_skew_is_that_of_both_sensors_stamps_where_there_are_any():
     rows = csv.DictReader(frames_csv(records, deadline_ms=None).splitlines())
     assert [row["skew_ms"] for row in rows] == ["8.000", "3.000", ""]
     assert "skew" not in stage_statistics(result_of(OK, OK))
+
+
+def test_a_frame_exactly_on_the_deadline_is_in_time_and_one_without_answer_ends_no_run():
+    ages_ms = [11, 10, 12, None, 13]
+    records = [FrameRecord(i, str(i), OK, age_ms=age_ms) for i, age_ms in enumerate(ages_ms)]
+    assert missed(records, 10) == MissedDeadlines(count=3, longest_run=2)
+    rows = csv.DictReader(frames_csv(records, deadline_ms=10).splitlines())
+    assert [row["missed_deadline"] for row in rows] == ["1", "0", "1", "", "1"]
+    assert missed(records, None) is None

@@ -7,26 +7,35 @@ import pytest
 
 from runtime.drawing.latency_plot import draw_latency
 from runtime.sync.latency import (
+    Jitter,
+    MissCounter,
     MissedDeadlines,
     latency_statistics,
     latency_table,
-    missed_deadlines,
-    nearest_rank,
 )
 
 
-def test_nearest_rank_by_hand():
-    ordered = [15, 20, 35, 40, 50]  # the example of Wikipedia's article on percentiles
-    found = [nearest_rank(ordered, permille) for permille in (50, 300, 400, 500, 1000)]
-    assert found == [15, 20, 20, 35, 50]
+def test_percentiles_are_the_nearest_rank():
+    ordered = [15, 20, 35, 40, 50] * 20  # the example of Wikipedia's article on percentiles
+    statistics = latency_statistics(ordered)
+    assert (statistics.median_ms, statistics.p90_ms, statistics.p99_ms) == (35, 50, 50)
+    assert latency_statistics([15, 20, 35, 40]).median_ms == 20
 
 
 @pytest.mark.parametrize("n", [1, 2, 9, 10, 99, 100, 101, 999, 1000, 1001])
-@pytest.mark.parametrize("permille", [500, 900, 990, 999])
-def test_nearest_rank_against_its_definition(n, permille):
-    ordered = sorted(np.random.default_rng(n).random(n).tolist())
-    enough = (v for v in ordered if sum(w <= v for w in ordered) * 1000 >= permille * n)
-    assert nearest_rank(ordered, permille) == next(enough)
+def test_percentiles_against_their_definition(n):
+    durations_ms = np.random.default_rng(n).random(n).tolist()
+    statistics = latency_statistics(durations_ms)
+    found = {
+        500: statistics.median_ms,
+        900: statistics.p90_ms,
+        990: statistics.p99_ms,
+        999: statistics.p99_9_ms,
+    }
+    ordered = sorted(durations_ms)
+    for permille, value in found.items():
+        enough = (v for v in ordered if sum(w <= v for w in ordered) * 1000 >= permille * n)
+        assert value in (None, next(enough))
 
 
 def test_statistics_of_a_hundred():
@@ -51,11 +60,20 @@ def test_outliers_are_not_clipped():
     assert latency_statistics([]) is None
 
 
-def test_missed_deadlines():
-    late = [11, 12, 3, 13, 14, 15, 10, 16]
-    found = missed_deadlines(late, deadline_ms=10)
-    assert found == MissedDeadlines(count=6, longest_run=3), "exactly on it is in time"
-    assert missed_deadlines([], deadline_ms=10) == MissedDeadlines(0, 0)
+def test_missed_deadlines_and_their_longest_run():
+    counter = MissCounter()
+    assert counter.misses() == MissedDeadlines(0, 0)
+    for late in (True, True, False, True, True, True, False, True):
+        counter.record(late)
+    assert counter.misses() == MissedDeadlines(count=6, longest_run=3)
+
+
+def test_jitter_is_the_change_of_the_transit_time():
+    jitter = Jitter()
+    transits_ns = [2**60, 2**60 + 30_000_000, 2**60 + 10_000_000]  # clocks that began elsewhere
+    assert [jitter.record(transit_ns) for transit_ns in transits_ns] == [None, 30, 20]
+    jitter.reset()
+    assert jitter.record(0) is None
 
 
 def test_the_table_says_n_a():
