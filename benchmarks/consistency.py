@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import Predictor, PushStream, project_points
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.frames import Frame, list_frames, read_frame
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.sources.frames import Frame
 
 mpl.use("Agg")
 from matplotlib import pyplot
@@ -43,7 +43,7 @@ def main() -> None:
     parser.add_argument("--model", help="bundled name or path")
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
-    frames = [read_frame(files, depth_scale=256.0) for files in list_frames(*bundled_stream())]
+    frames = bundled_frames()
     series = {}
     with Predictor(
         arguments.model, threads=arguments.threads, focal_length_px=BUNDLED_FOCAL_LENGTH_PX

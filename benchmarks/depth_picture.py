@@ -22,10 +22,10 @@ from runtime.drawing.overlay import Overlay
 from runtime.drawing.picture_text import write_text
 from runtime.errors import InputError, SSDNetError
 from runtime.io.atomic_write import atomic_write
-from runtime.io.images import KITTI_DEPTH_SCALE
+from runtime.io.images import KITTI_DEPTH_SCALE, read_rgb, read_sparse_depth
 from runtime.network_size import parse_network_size
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.frames import Frame, FrameFiles, list_frames, read_frame
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.sources.frames import Frame
 
 Picture = NDArray[np.uint8]
 #: (top, left, height, width) in pixels of the frame.
@@ -69,13 +69,12 @@ def main() -> None:
 def find_frame(arguments: argparse.Namespace) -> Frame:
     """Read the frame that was asked for. Raises InputError."""
     if arguments.rgb is not None:
-        files = FrameFiles(arguments.rgb.stem, arguments.rgb, arguments.depth)
-    else:
-        frames = list(list_frames(*bundled_stream()))
-        if not 0 <= arguments.frame < len(frames):
-            raise InputError(f"--frame {arguments.frame}: the stream has 0..{len(frames) - 1}")
-        files = frames[arguments.frame]
-    return read_frame(files, depth_scale=arguments.depth_scale)
+        depth = read_sparse_depth(arguments.depth, depth_scale=arguments.depth_scale)
+        return Frame(read_rgb(arguments.rgb), depth)
+    frames = bundled_frames()
+    if not 0 <= arguments.frame < len(frames):
+        raise InputError(f"--frame {arguments.frame}: the stream has 0..{len(frames) - 1}")
+    return frames[arguments.frame]
 
 
 def draw(frame: Frame, titles: Sequence[str], arguments: argparse.Namespace) -> Picture:

@@ -20,7 +20,6 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -39,8 +38,8 @@ from runtime.run.outputs.frame_writer import FrameWriter
 from runtime.run.pipeline import run_stream
 from runtime.run.process import dedicate_process
 from runtime.run.run_folder import KINDS
-from runtime.sources.bundled_stream import bundled_stream
-from runtime.sources.frames import FrameFiles, list_frames, read_frame
+from runtime.sources.bundled_stream import bundled_frames
+from runtime.sources.folders import FolderSource
 
 SIZES = ("125x414", "375x1242", "512x1024")
 
@@ -106,8 +105,8 @@ def measure(
 ) -> dict[str, float]:
     """Time one model at one size; every figure is a median over rounds."""
     with Predictor(model, size="frame", threads=threads) as predictor:
-        files = {suffix: _frames(scratch, size, suffix) for suffix in (".jpg", ".png")}
-        frames = [read_frame(pair, depth_scale=256.0) for pair in files[".png"]]
+        sources = {suffix: _resized(scratch, size, suffix) for suffix in (".jpg", ".png")}
+        frames = [sources[".png"].read(listed) for listed in sources[".png"].list_frames()]
         session = predictor._session  # the very same session, so that only the engine differs
         feeds = [
             {"rgb": frame.rgb[None], "sparse_depth": frame.sparse_depth[None]} for frame in frames
@@ -131,19 +130,14 @@ def measure(
         def run_whole_stream(suffix: str) -> tuple[float, float]:
             # A name a frame and a fresh folder, and nothing removed in between: ext4 passes over
             # the inodes of files removed in the last seconds one by one, up to 0.6 ms a new file.
-            pairs = [
-                replace(files[suffix][index], name=f"{number:06d}")
-                for number, index in enumerate(order)
+            listed = sources[suffix].list_frames()
+            named = [
+                replace(listed[index], name=f"{number:06d}") for number, index in enumerate(order)
             ]
             out = Path(tempfile.mkdtemp(dir=scratch))
             writer = FrameWriter(out, predictor.contract, kinds=KINDS)
             return _timed(
-                lambda: run_stream(
-                    predictor,
-                    pairs,
-                    read=partial(read_frame, depth_scale=256.0),
-                    write=writer.write,
-                )
+                lambda: run_stream(predictor, named, read=sources[suffix].read, write=writer.write)
             )
 
         ways = (
@@ -190,17 +184,15 @@ def _model(name: str, scratch: Path) -> Path:
     return onnx
 
 
-def _frames(folder: Path, size: tuple[int, int], suffix: str) -> list[FrameFiles]:
-    """Write the bundled stream at another size and list it."""
-    rgb, depth = bundled_stream()
+def _resized(folder: Path, size: tuple[int, int], suffix: str) -> FolderSource:
+    """Write the first frames of the bundled stream at another size."""
     folder = folder / suffix[1:]
-    for pair in list_frames(rgb, depth, limit=5):
-        frame = read_frame(pair, depth_scale=256.0)
+    for number, frame in enumerate(bundled_frames()[:5]):
         bgr = cv2.resize(frame.rgb[..., ::-1], size[::-1], interpolation=cv2.INTER_CUBIC)
-        _write(folder / "rgb" / f"{pair.name}{suffix}", bgr)
+        _write(folder / "rgb" / f"{number}{suffix}", bgr)
         units = (move_returns(frame.sparse_depth, size) * 256).astype(np.uint16)
-        _write(folder / "depth" / f"{pair.name}.png", units)
-    return list(list_frames(folder / "rgb", folder / "depth"))
+        _write(folder / "depth" / f"{number}.png", units)
+    return FolderSource(folder / "rgb", depth=folder / "depth")
 
 
 def _write(path: Path, image: NDArray) -> None:

@@ -8,7 +8,6 @@ the resident size every tenth of the way.
 
 import argparse
 import tempfile
-from functools import partial
 from pathlib import Path
 
 import psutil
@@ -19,7 +18,7 @@ from runtime.run.pipeline import run_stream
 from runtime.run.process import dedicate_process
 from runtime.run.run_folder import KINDS
 from runtime.sources.bundled_stream import bundled_stream
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.folders import FolderSource
 
 
 def main() -> None:
@@ -39,8 +38,10 @@ def main() -> None:
         tempfile.TemporaryDirectory() as scratch,
         Predictor(arguments.model, size="frame", threads=arguments.threads) as engine,
     ):
-        files = list_frames(*bundled_stream())
-        frames = [read_frame(pair, depth_scale=256.0) for pair in files]
+        rgb, depth = bundled_stream()
+        source = FolderSource(rgb, depth=depth)
+        listed = source.list_frames()
+        frames = [source.read(frame) for frame in listed]
         writer = FrameWriter(Path(scratch) / "out", engine.contract, kinds=KINDS)
         print("| frames | Predictor.predict [MB] |\n|---|---|")
         for done in range(0, arguments.frames + 1, part):
@@ -53,10 +54,8 @@ def main() -> None:
         for done in range(0, arguments.frames + 1, part):
             print(f"| {done} | {resident_mb():.1f} |", flush=True)
             if done < arguments.frames:
-                pairs = [files[index % len(files)] for index in range(part)]
-                run_stream(
-                    engine, pairs, read=partial(read_frame, depth_scale=256.0), write=writer.write
-                )
+                repeated = [listed[index % len(listed)] for index in range(part)]
+                run_stream(engine, repeated, read=source.read, write=writer.write)
 
 
 if __name__ == "__main__":

@@ -23,8 +23,8 @@ from runtime import Predictor, PushStream
 from runtime.engine_facts import cpu_name
 from runtime.resize import move_returns
 from runtime.run.process import dedicate_process
-from runtime.sources.bundled_stream import bundled_stream
-from runtime.sources.frames import Frame, list_frames, read_frame
+from runtime.sources.bundled_stream import bundled_frames
+from runtime.sources.frames import Frame
 
 SIZES = ("125x414", "375x1242")
 
@@ -137,7 +137,7 @@ def _timed(call: Any) -> tuple[float, float, Any]:
 
 def _frames(size: tuple[int, int], count: int) -> list[Frame]:
     """The bundled stream at another size; no image is the same as the one before it."""
-    frames = [read_frame(files, depth_scale=256.0) for files in list_frames(*bundled_stream())]
+    frames = bundled_frames()
     resized = [
         Frame(cv2.resize(frame.rgb, size[::-1]), move_returns(frame.sparse_depth, size))
         for frame in frames

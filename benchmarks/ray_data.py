@@ -27,7 +27,7 @@ from runtime.engine_facts import cpu_name
 from runtime.run.pipeline import run_stream
 from runtime.run.ray_data import predict_source
 from runtime.sources.bundled_stream import bundled_stream
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.folders import FolderSource
 from runtime.sources.registry import choose_source
 
 
@@ -92,14 +92,14 @@ def main() -> None:
 
 def _repeated(folder: Path, count: int) -> tuple[Path, Path]:
     """The bundled stream as often as it takes."""
-    frames = list_frames(*bundled_stream())
+    rgb, depth = bundled_stream()
+    frames = FolderSource(rgb, depth=depth).list_frames()
     folders = folder / "rgb", folder / "depth"
     for made in folders:
         made.mkdir()
     for number in range(count):
-        files = frames[number % len(frames)]
-        for made, path in zip(folders, (files.rgb, files.sparse_depth), strict=True):
-            assert path is not None
+        listed = frames[number % len(frames)]
+        for made, path in zip(folders, (listed.image, listed.depth), strict=True):
             (made / f"{number}{path.suffix}").symlink_to(path)
     return folders
 
@@ -112,12 +112,13 @@ def _rate(make: Callable[[], Any]) -> tuple[float, float]:
 
 def _plain(folders: tuple[Path, Path], model: str | None) -> tuple[float, float]:
     started = time.perf_counter()
+    source = FolderSource(folders[0], depth=folders[1])
     times: list[tuple[float, str]] = []
     with Predictor(model, threads=1) as predictor:
         run_stream(
             predictor,
-            list_frames(*folders),
-            read=partial(read_frame, depth_scale=256.0),
+            source.list_frames(),
+            read=source.read,
             on_record=lambda record: times.append((time.perf_counter(), record.status)),
         )
     return _summary(times, started)

@@ -29,8 +29,8 @@ from runtime import InputError, Predictor, PushStream
 from runtime.live.stream_statistics import StreamStatistics
 from runtime.resize import move_returns
 from runtime.run.process import dedicate_process
-from runtime.sources.bundled_stream import bundled_stream
-from runtime.sources.frames import Frame, list_frames, read_frame
+from runtime.sources.bundled_stream import bundled_frames
+from runtime.sources.frames import Frame
 from runtime.sync.message_counts import StreamCounts
 
 _LARGEST_GROWTH_MB = 64
@@ -230,9 +230,9 @@ def resident_mb() -> float:
     return pages * 4096 / 1e6
 
 
-def bundled_frames(size: tuple[int, int]) -> list[Frame]:
+def resized_frames(size: tuple[int, int]) -> list[Frame]:
     """The bundled stream at another size."""
-    frames = [read_frame(files, depth_scale=256.0) for files in list_frames(*bundled_stream())]
+    frames = bundled_frames()
     return [
         Frame(cv2.resize(frame.rgb, size[::-1]), move_returns(frame.sparse_depth, size))
         for frame in frames
@@ -250,7 +250,7 @@ def main() -> None:
     arguments = parser.parse_args()
     dedicate_process()
     height, width = (int(side) for side in arguments.size.split("x"))
-    frames = bundled_frames((height, width))
+    frames = resized_frames((height, width))
     with Predictor(arguments.model, threads=arguments.threads) as predictor:
         predictor.warm_up((height, width), runs=3)
         times_ms = [

@@ -12,8 +12,7 @@ import time
 
 from runtime import Predictor, PushStream
 from runtime.live.frame_result import FrameResult
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
 DEADLINE_MS = 80.0
 LIDAR_LATE_S = 0.01  # its stamps, against the camera's
@@ -25,8 +24,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=20)
     parser.add_argument("--period-s", type=float, default=0.1)
     arguments = parser.parse_args()
-    listed = list_frames(*bundled_stream(), limit=arguments.frames)
-    frames = [read_frame(files, depth_scale=256.0) for files in listed]
+    frames = bundled_frames()[: arguments.frames]
 
     def on_result(result: FrameResult) -> None:
         prediction = result.prediction

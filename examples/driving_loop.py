@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from runtime import InputError, Predictor
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
+from runtime.sources.folders import FolderSource
 
 PERIOD_S = 0.1
 DEADLINE_MS = 80.0
@@ -29,8 +29,11 @@ def main() -> None:
     arguments = parser.parse_args()
     if (arguments.rgb is None) != (arguments.depth is None):
         parser.error("give both --rgb and --depth, or neither")
-    folders = (arguments.rgb, arguments.depth) if arguments.rgb else bundled_stream()
-    frames = [read_frame(files, depth_scale=256.0) for files in list_frames(*folders)]
+    if arguments.rgb:
+        source = FolderSource(arguments.rgb, depth=arguments.depth)
+        frames = [source.read(listed) for listed in source.list_frames()]
+    else:
+        frames = bundled_frames()
 
     focal_length_px = arguments.focal_length if arguments.rgb else BUNDLED_FOCAL_LENGTH_PX
     with Predictor(focal_length_px=focal_length_px) as predictor:

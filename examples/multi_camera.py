@@ -13,8 +13,7 @@ import numpy as np
 
 from runtime import Predictor
 from runtime.resize import move_returns
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
 FRAMES_APART = 3
 SMALLER = (192, 624)  # (height, width) of the last camera: three quarters
@@ -26,7 +25,7 @@ def main() -> None:
     parser.add_argument("--cameras", type=int, default=3)
     parser.add_argument("--moments", type=int, default=5)
     arguments = parser.parse_args()
-    frames = [read_frame(files, depth_scale=256.0) for files in list_frames(*bundled_stream())]
+    frames = bundled_frames()
     names = [f"camera {number}" for number in range(arguments.cameras)]
     focal_lengths_px = [BUNDLED_FOCAL_LENGTH_PX] * len(names)
     focal_lengths_px[-1] *= SMALLER[0] / frames[0].rgb.shape[0]

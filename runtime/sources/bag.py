@@ -51,6 +51,8 @@ class BagSource(Source):
     that are not there or not told apart, and for clouds without a calibration.
     """
 
+    options = ("image_topic", "depth_topic", "info_topic", "calibration", "max_skew_ms")
+
     def __init__(
         self,
         path: Path,

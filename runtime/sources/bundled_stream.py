@@ -4,6 +4,8 @@ from importlib import resources
 from pathlib import Path
 
 from runtime.errors import InputError
+from runtime.sources.folders import FolderSource
+from runtime.sources.frames import Frame
 
 #: Focal length of its camera: KITTI's 721.54 px of 1242 columns, rendered at 832.
 BUNDLED_FOCAL_LENGTH_PX = 721.54 * 832 / 1242
@@ -18,3 +20,10 @@ def bundled_stream() -> tuple[Path, Path]:
             "--depth"
         )
     return stream / "rgb", stream / "depth"
+
+
+def bundled_frames() -> list[Frame]:
+    """Read the frames of the stream in their order. Raises InputError."""
+    rgb, depth = bundled_stream()
+    source = FolderSource(rgb, depth=depth)
+    return [source.read(listed) for listed in source.list_frames()]

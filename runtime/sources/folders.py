@@ -3,20 +3,30 @@
 from pathlib import Path
 from typing import Any
 
+from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.io.images import KITTI_DEPTH_SCALE, list_pictures, natural_order, read_rgb
-from runtime.sources.frames import Frame, FrameFiles, list_frames, read_frame
-from runtime.sources.source import ListedFrame, Source, no_depth, up_to
+from runtime.io.images import (
+    DEPTH_SUFFIXES,
+    KITTI_DEPTH_SCALE,
+    list_pictures,
+    natural_order,
+    read_rgb,
+    read_sparse_depth,
+)
+from runtime.sources.frames import Frame
+from runtime.sources.source import ListedFrame, Source, no_depth, pair_up
 
 
 class FolderSource(Source):
-    """Pairs of files with the same stem, in natural order.
+    """Pairs of files with the same stem, in natural order ("9" before "10").
 
     rgb: folder of PNG and JPEG files
     depth: folder of 16-bit PNGs; None = the camera alone, on purpose
     depth_scale: their units a metre
     calibration: TOML or KITTI file, see `Calibration.from_file`
     """
+
+    options = ("depth", "depth_scale", "calibration")
 
     def __init__(
         self,
@@ -32,29 +42,48 @@ class FolderSource(Source):
             self.calibration = Calibration.from_file(calibration)
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
-        """See `Source.list_frames`. A name without a partner is listed too."""
-        if self._depth is None:
-            pictures = list_pictures(self._rgb)
-            names = sorted(pictures, key=natural_order)
-            return up_to(
-                (ListedFrame(i, name, pictures[name], None) for i, name in enumerate(names)), limit
+        """See `Source.list_frames`. A name without a partner is listed too.
+
+        Raises InputError if a folder is missing or has no pictures, if a stem occurs twice in a
+        folder, or if no name occurs in both.
+        """
+        pictures = list_pictures(self._rgb)
+        maps = None if self._depth is None else list_pictures(self._depth, DEPTH_SUFFIXES)
+        if maps is not None and not pictures.keys() & maps.keys():
+            raise InputError(
+                f"no name occurs in both folders: {self._rgb} has {_few(pictures)}, {self._depth} "
+                f"has {_few(maps)}: the picture and the depth map of a frame need the same file "
+                "stem"
             )
-        return tuple(
-            ListedFrame(i, files.name, files.rgb, files.sparse_depth, complete=files.complete)
-            for i, files in enumerate(list_frames(self._rgb, self._depth, limit=limit))
-        )
+        names = sorted(pictures.keys() | (maps or {}).keys(), key=natural_order)
+        return pair_up(names, pictures, maps, limit=limit)
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`. Raises InputError also where one of the two files is missing."""
         if self._depth is None:
             rgb = read_rgb(frame.image)
             return Frame(rgb, no_depth(rgb), calibration=self.calibration)
-        files = FrameFiles(frame.name, frame.image, frame.depth)
-        read = read_frame(files, depth_scale=self._depth_scale)
-        return Frame(read.rgb, read.sparse_depth, calibration=self.calibration)
+        return read_pair(frame, depth_scale=self._depth_scale, calibration=self.calibration)
 
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
         depth = None if self._depth is None else str(self._depth)
         return {"rgb": str(self._rgb), "depth": depth, "depth_scale": self._depth_scale}
+
+
+def read_pair(
+    frame: ListedFrame, *, depth_scale: float, calibration: Calibration | None = None
+) -> Frame:
+    """Read a picture and its depth map. Raises InputError if one is missing or damaged."""
+    if frame.image is None:
+        raise InputError(f"{frame.name} has a depth map, but no picture")
+    if frame.depth is None:
+        raise InputError(f"{frame.name} has a picture, but no depth map")
+    depth = read_sparse_depth(frame.depth, depth_scale=depth_scale)
+    return Frame(read_rgb(frame.image), depth, calibration=calibration)
+
+
+def _few(names: dict[str, Path]) -> str:
+    shown = ", ".join(sorted(names, key=natural_order)[:3])
+    return f"{shown} …" if len(names) > 3 else shown

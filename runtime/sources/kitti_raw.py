@@ -11,7 +11,7 @@ from runtime.io.calibration import Calibration
 from runtime.io.images import RGB_SUFFIXES, list_pictures, read_rgb
 from runtime.io.kitti_scan import read_scan
 from runtime.sources.frames import Frame
-from runtime.sources.source import ListedFrame, Source, no_depth, up_to
+from runtime.sources.source import ListedFrame, Source, no_depth, pair_up, up_to
 from runtime.sync.message_counts import NO_IMAGE, Sensor
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
 from runtime.sync.stamp_matching import left_out_note, match_by_stamp
@@ -29,6 +29,8 @@ class KittiRawSource(Source):
     Where both sensors have a timestamps.txt, images and scans are matched by it, else by their
     numbers. An image without a scan is a frame of the camera alone, a scan without one is left out.
     """
+
+    options = ("camera", "calibration", "max_skew_ms")
 
     def __init__(
         self,
@@ -70,13 +72,12 @@ class KittiRawSource(Source):
             return up_to(self._match(self._image_stamps, self._scan_stamps), limit)
         alone = self._scans.keys() - self._images.keys()
         self._left_out.update({f"{Sensor.DEPTH}: {NO_IMAGE}": len(alone)} if alone else {})
-        return up_to(
-            (
-                ListedFrame(i, image.stem, image, scan, complete=scan is not None)
-                for i, (number, image) in enumerate(sorted(self._images.items()))
-                for scan in (self._scans.get(number),)
-            ),
-            limit,
+        return pair_up(
+            sorted(self._images),
+            self._images,
+            self._scans,
+            limit=limit,
+            name=lambda number: self._images[number].stem,
         )
 
     def _match(

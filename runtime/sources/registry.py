@@ -1,24 +1,25 @@
 """The kinds of sources that are known. A new one: its file, and a line here."""
 
-import inspect
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from runtime.errors import InputError
+from runtime.sources.bag import BagSource
+from runtime.sources.folders import FolderSource
+from runtime.sources.kitti_raw import KittiRawSource
 from runtime.sources.source import Source
+from runtime.sources.video import VideoSource
+from runtime.sources.virtual_kitti import VirtualKittiSource
 
-#: Kind -> file and class of the source, which is loaded when it is asked for. The class takes a
-#: path; its keyword parameters are the options of the kind.
-SOURCES = {
-    "folders": ("folders", "FolderSource"),
-    "kitti-raw": ("kitti_raw", "KittiRawSource"),
-    "vkitti": ("virtual_kitti", "VirtualKittiSource"),
-    "video": ("video", "VideoSource"),
-    "bag": ("bag", "BagSource"),
+SOURCES: dict[str, type[Source]] = {
+    "folders": FolderSource,
+    "kitti-raw": KittiRawSource,
+    "vkitti": VirtualKittiSource,
+    "video": VideoSource,
+    "bag": BagSource,
 }
 
 
@@ -34,18 +35,16 @@ def choose_source(text: str, **options: Any) -> Callable[[], Source]:
         raise InputError(
             f"a source is KIND:PATH with one of the kinds {', '.join(SOURCES)}, got {text!r:.80}"
         )
-    module, name = SOURCES[kind]
-    make: Callable[..., Source] = getattr(import_module(f"{__package__}.{module}"), name)
-    parameters = inspect.signature(make).parameters.values()
-    known = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
+    source = SOURCES[kind]
     given = {name: value for name, value in options.items() if value is not None}
-    foreign = [name for name in given if name not in known]
+    foreign = [name for name in given if name not in source.options]
     if foreign:
         raise InputError(
-            f"a source of the kind {kind} takes {_as_options(known)}, not {_as_options(foreign)}"
+            f"a source of the kind {kind} takes {_as_options(source.options)}, not "
+            f"{_as_options(foreign)}"
         )
     # Of KIND:~/PATH no shell expands the home.
-    return partial(make, Path(os.path.expanduser(path)), **given)
+    return partial(source, Path(os.path.expanduser(path)), **given)
 
 
 def open_source(text: str, **options: Any) -> Source:
@@ -53,5 +52,5 @@ def open_source(text: str, **options: Any) -> Source:
     return choose_source(text, **options)()
 
 
-def _as_options(names: list[str]) -> str:
+def _as_options(names: Iterable[str]) -> str:
     return ", ".join(f"--{name.replace('_', '-')}" for name in names)

@@ -1,10 +1,10 @@
 """What every source of frames is: a list of its frames, and a way to read each of them."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,11 +40,18 @@ class Source(ABC):
     when it is listed. One thread at a time reads. `calibration` is None where it is not known.
     """
 
+    #: Names of its options, each a keyword of its constructor.
+    options: ClassVar[tuple[str, ...]] = ()
+
     calibration: Calibration | None = None
     #: Folders that frames are read from: no answers may be written there.
     folders: tuple[Path, ...] = ()
     #: Recordings, files or whole folders: no output may take their place or a file's in them.
     recordings: tuple[Path, ...] = ()
+
+    @abstractmethod
+    def __init__(self, path: Path, **options: Any) -> None:
+        """Open what lies at `path`. Raises InputError."""
 
     @abstractmethod
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
@@ -90,6 +97,31 @@ def up_to(frames: Iterable[ListedFrame], limit: int | None) -> tuple[ListedFrame
         if complete == limit:
             break
     return tuple(listed)
+
+
+_Key = TypeVar("_Key")
+
+
+def pair_up(
+    keys: Iterable[_Key],
+    images: Mapping[_Key, Any],
+    depths: Mapping[_Key, Any] | None,
+    *,
+    limit: int | None,
+    name: Callable[[_Key], str] = str,
+) -> tuple[ListedFrame, ...]:
+    """List a frame for each key; complete are those with both files, `depths` None = with one."""
+    frames = (
+        ListedFrame(
+            sequence,
+            name(key),
+            images.get(key),
+            (depths or {}).get(key),
+            complete=key in images and (depths is None or key in depths),
+        )
+        for sequence, key in enumerate(keys)
+    )
+    return up_to(frames, limit)
 
 
 def no_depth(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:

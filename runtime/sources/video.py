@@ -19,7 +19,7 @@ from runtime.io.images import (
     require_pixels,
 )
 from runtime.sources.frames import Frame
-from runtime.sources.source import ListedFrame, Source, no_depth, up_to
+from runtime.sources.source import ListedFrame, Source, no_depth, pair_up
 
 
 class VideoSource(Source):
@@ -33,6 +33,8 @@ class VideoSource(Source):
 
     A frame's stamp is its presentation time in the video.
     """
+
+    options = ("depth", "depth_scale", "calibration")
 
     def __init__(
         self,
@@ -68,18 +70,12 @@ class VideoSource(Source):
             )
         numbers = sorted(set(range(count)) | maps.keys())
         digits = max(6, len(str(numbers[-1])))
-        return up_to(
-            (
-                ListedFrame(
-                    i,
-                    f"{number:0{digits}d}",
-                    number if number < count else None,
-                    maps.get(number),
-                    complete=number < count and (self._depth is None or number in maps),
-                )
-                for i, number in enumerate(numbers)
-            ),
-            limit,
+        return pair_up(
+            numbers,
+            {number: number for number in range(count)},
+            None if self._depth is None else maps,
+            limit=limit,
+            name=lambda number: f"{number:0{digits}d}",
         )
 
     def read(self, frame: ListedFrame) -> Frame:

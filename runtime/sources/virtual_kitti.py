@@ -1,5 +1,6 @@
 """A variant of a Virtual KITTI 2 scene (Cabon et al. 2020), also as `ssdnet-render` writes it."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,9 @@ import numpy as np
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.io.images import list_pictures
-from runtime.sources.frames import Frame, FrameFiles, read_frame
-from runtime.sources.source import ListedFrame, Source, up_to
+from runtime.sources.folders import read_pair
+from runtime.sources.frames import Frame
+from runtime.sources.source import ListedFrame, Source, pair_up
 
 _UNITS_A_METRE = 100.0
 _SKY_M = np.float32(65535) / np.float32(_UNITS_A_METRE)
@@ -24,6 +26,8 @@ class VirtualKittiSource(Source):
     Depth is that of every pixel, 0 for the sky. Frames have no stamps. The focal length comes from
     intrinsic.txt, if that is there.
     """
+
+    options = ("camera",)
 
     def __init__(self, variant: Path, *, camera: int = 0) -> None:
         self._variant, self._camera = variant, camera
@@ -46,26 +50,13 @@ class VirtualKittiSource(Source):
         maps = _by_number(list_pictures(depth, (".png",)), "depth_")
         if not pictures.keys() & maps.keys():
             raise InputError(f"no number occurs both as rgb_* in {rgb} and as depth_* in {depth}")
-        return up_to(
-            (
-                ListedFrame(
-                    i,
-                    number,
-                    pictures.get(number),
-                    maps.get(number),
-                    complete=number in pictures and number in maps,
-                )
-                for i, number in enumerate(sorted(pictures.keys() | maps.keys()))
-            ),
-            limit,
-        )
+        return pair_up(sorted(pictures.keys() | maps.keys()), pictures, maps, limit=limit)
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`. Raises InputError also where one of the two files is missing."""
-        files = FrameFiles(frame.name, frame.image, frame.depth)
-        read = read_frame(files, depth_scale=_UNITS_A_METRE)
+        read = read_pair(frame, depth_scale=_UNITS_A_METRE, calibration=self.calibration)
         depth = np.where(read.sparse_depth < _SKY_M, read.sparse_depth, np.float32(0))
-        return Frame(read.rgb, depth, calibration=self.calibration)
+        return replace(read, sparse_depth=depth)
 
     @property
     def inputs(self) -> dict[str, Any]:

@@ -164,20 +164,17 @@ def _predict_bundled(provider: str, seconds: float) -> tuple[list[float], float]
     """Give the time of each prediction [ms], and the worst frame's depth error as a share."""
     import numpy as np
 
-    from runtime.io.images import KITTI_DEPTH_SCALE
     from runtime.predictor import Predictor
-    from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-    from runtime.sources.frames import list_frames, read_frame
+    from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
     times_ms, errors = [], []
     with Predictor(provider=provider, focal_length_px=BUNDLED_FOCAL_LENGTH_PX) as predictor:
         end = time.perf_counter() + seconds
-        for files in list_frames(*bundled_stream()):
-            frame = read_frame(files, depth_scale=KITTI_DEPTH_SCALE)
+        for number, frame in enumerate(bundled_frames()):
             prediction = predictor.predict(frame.rgb, frame.sparse_depth)
             if not prediction.valid or prediction.depth is None:
                 reasons = ", ".join(prediction.degraded) or "no depth"
-                raise _WrongAnswerError(f"the answer for {files.name} cannot be used: {reasons}")
+                raise _WrongAnswerError(f"the answer for frame {number} cannot be used: {reasons}")
             seen = frame.sparse_depth > 0
             measured = frame.sparse_depth[seen]
             errors.append(float(np.median(np.abs(prediction.depth[seen] / measured - 1))))

@@ -13,8 +13,7 @@ import pytest
 from runtime import Predictor
 from runtime.bundled_models import find_model
 from runtime.io.agreement import compare, limit, within
-from runtime.sources.bundled_stream import bundled_stream
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.bundled_stream import bundled_frames, bundled_stream
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "bare_onnxruntime.py"
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty")
@@ -52,8 +51,7 @@ def test_the_answers_are_the_engines_to_the_bit(
 
 def test_a_large_camera_with_the_bundled_model():
     """What the network reads off the picture depends on the resize rule as well."""
-    files = list_frames(*bundled_stream())[0]
-    frame = read_frame(files, depth_scale=256.0)
+    frame = bundled_frames()[0]
     rgb = cv2.resize(frame.rgb, (1664, 512), interpolation=cv2.INTER_CUBIC)[:, :700].copy()
     depth = np.zeros((512, 1664), np.float32)
     depth[::2, ::2] = frame.sparse_depth

@@ -8,8 +8,7 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from runtime.sources.bundled_stream import bundled_stream
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.bundled_stream import bundled_frames
 
 PAGE = Path(__file__).parents[2] / "docs" / "ros2.md"
 SECONDS, NANOSECONDS = 1_700_000_000, 123_456_789
@@ -88,7 +87,7 @@ def spun(monkeypatch):
 
 
 def test_an_image_and_a_scan_are_answered(spun):
-    frame = read_frame(list_frames(*bundled_stream())[0], depth_scale=256.0)
+    frame = bundled_frames()[0]
     random = np.random.default_rng(0)
     points = random.uniform([4, -8, -1.5], [40, 8, 1], (5000, 3))  # x ahead, y left, z up
     node = spun([("image", stamped(image=frame.rgb)), ("points", stamped(points=points))])

@@ -8,8 +8,7 @@ from typer.testing import CliRunner
 
 from runtime import Predictor, list_bundled_models
 from runtime.run.cli import app
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
 pytest.importorskip("onnxruntime")
 
@@ -41,9 +40,9 @@ def test_contract_of_a_bundled_model(model):
 @bundled
 def test_it_sees_the_street(model):
     """Road in front, sky or trees above, and depth close to the returns it was given."""
-    files = list_frames(*bundled_stream())
-    assert len(files) == 20
-    frame = read_frame(files[0], depth_scale=256.0)
+    frames = bundled_frames()
+    assert len(frames) == 20
+    frame = frames[0]
     with Predictor(model) as predictor:
         prediction = predictor.predict(
             frame.rgb, frame.sparse_depth, focal_length_px=BUNDLED_FOCAL_LENGTH_PX

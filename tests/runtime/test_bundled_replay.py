@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from runtime import Prediction, Predictor, list_bundled_models
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
 REFERENCES = Path(__file__).parent / "replay"
 #: Every so many rows and columns of a head.
@@ -34,8 +33,7 @@ def replay(model: str) -> dict[str, np.ndarray]:
     with Predictor(model) as predictor:
         heads = predictor.heads
         predictions = []
-        for files in list_frames(*bundled_stream()):
-            frame = read_frame(files, depth_scale=256.0)
+        for frame in bundled_frames():
             prediction = predictor.predict(
                 frame.rgb, frame.sparse_depth, focal_length_px=BUNDLED_FOCAL_LENGTH_PX
             )

@@ -82,14 +82,6 @@ def test_the_command_loads_no_output_that_was_not_asked_for():
     assert not {"rerun", "rosbags", "runtime.drawing.report_page.page"} & set(loaded)
 
 
-def test_the_command_loads_no_source_before_one_is_asked_for():
-    loaded = words_printed_by("import sys, runtime.run.cli; print(*sys.modules)")
-    sources = {name for name in loaded if name.startswith("runtime.sources.")}
-    assert sources == {
-        f"runtime.sources.{name}" for name in ("bundled_stream", "frames", "registry", "source")
-    }
-
-
 def test_the_doctor_loads_nothing_that_it_looks_at():
     loaded = loaded_after("import runtime.tools.doctor_cli")
     assert {"runtime", "typer"} <= loaded

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from runtime import InferenceError, InputError, Predictor, list_bundled_models
-from runtime.sources.bundled_stream import bundled_stream
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.bundled_stream import bundled_frames
 
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
 
@@ -110,8 +109,7 @@ def test_each_camera_has_its_lens(model_file, make_frame, contract):
 
 @pytest.mark.parametrize("model", list_bundled_models())
 def test_a_bundled_model_answers_a_batch_as_it_does_single_frames(model):
-    listed = list_frames(*bundled_stream())[::10]
-    frames = [read_frame(files, depth_scale=256.0) for files in listed]
+    frames = bundled_frames()[::10]
     pairs = [(frame.rgb[:128, :192], frame.sparse_depth[:128, :192]) for frame in frames]
     pairs[1] = pairs[1][0], np.zeros_like(pairs[1][1])
     with Predictor(model) as predictor:
@@ -195,7 +193,7 @@ def test_threads_that_share_a_predictor_get_their_own_answers(model_file, make_f
 
 def test_threads_that_share_a_bundled_model():
     """The arithmetic of a real network, whose buffers ONNX Runtime plans for each run."""
-    frames = [read_frame(files, depth_scale=256.0) for files in list_frames(*bundled_stream())[:6]]
+    frames = bundled_frames()[:6]
     pairs = [(frame.rgb[:96, :160], frame.sparse_depth[:96, :160]) for frame in frames]
     with Predictor() as predictor, ThreadPoolExecutor(4) as pool:
         expected = [predictor.predict(*pair) for pair in pairs]

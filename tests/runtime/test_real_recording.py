@@ -13,7 +13,7 @@ from runtime import project_points
 from runtime.preprocess import covers_little
 from runtime.resize import move_returns
 from runtime.run.cli import app
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.folders import FolderSource
 
 DATA = os.environ.get("SSDNET_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
@@ -45,11 +45,11 @@ def projected(points, calibration, size):
 def test_the_depth_maps_are_the_lidar_in_metres(kitti):
     """The files were projected from the returns that are also there: two ways to one map."""
     calibration = (kitti / "calib_2011_09_26.txt").read_text()
-    frames = list_frames(kitti / "image_02", kitti / "sparse_depth_02", limit=3)
-    for files in frames:
-        frame = read_frame(files, depth_scale=256)
+    source = FolderSource(kitti / "image_02", depth=kitti / "sparse_depth_02")
+    for listed in source.list_frames(limit=3):
+        frame = source.read(listed)
         assert frame.rgb.shape == (375, 1242, 3)
-        points = np.fromfile(kitti / "velodyne_fov" / f"{files.name}.bin", np.float32)
+        points = np.fromfile(kitti / "velodyne_fov" / f"{listed.name}.bin", np.float32)
         expected = projected(points.reshape(-1, 4), calibration, (375, 1242))
         assert np.array_equal(frame.sparse_depth > 0, expected > 0)
         assert abs(frame.sparse_depth - expected).max() < 0.51 / 256  # the file's rounding

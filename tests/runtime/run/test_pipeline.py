@@ -4,7 +4,6 @@ import os
 import re
 import sys
 import threading
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,7 +15,7 @@ import runtime.io.images
 import runtime.run.pipeline
 from runtime import OutputError, Predictor
 from runtime.run.pipeline import run_stream
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.folders import FolderSource
 
 
 @pytest.fixture
@@ -43,8 +42,8 @@ def predictor(model_file):
 
 
 def run(predictor, folders, **options):
-    options.setdefault("read", partial(read_frame, depth_scale=256))
-    return run_stream(predictor, list_frames(*folders), **options)
+    source = FolderSource(folders[0], depth=folders[1])
+    return run_stream(predictor, source.list_frames(), **{"read": source.read, **options})
 
 
 def test_every_frame_is_predicted_and_written_in_order(predictor, stream_of, make_frame):
@@ -88,9 +87,9 @@ def test_reading_and_writing_overlap_with_inference(predictor, stream_of, monkey
     predict = predictor.predict
     count = iter(range(6))
 
-    def read_and_tell(files):
-        frame = read_frame(files, depth_scale=256)
-        read_of[int(files.name)].set()
+    def read_and_tell(listed):
+        frame = FolderSource(folders[0], depth=folders[1]).read(listed)
+        read_of[int(listed.name)].set()
         return frame
 
     def predict_when_others_work(rgb, depth):
@@ -261,7 +260,8 @@ def test_a_full_disk_stops_the_run_and_keeps_what_was_finished(predictor, stream
 
 
 def reread(folders: tuple[Path, Path]):
-    frame = read_frame(list_frames(*folders)[0], depth_scale=256)
+    source = FolderSource(folders[0], depth=folders[1])
+    frame = source.read(source.list_frames()[0])
     return frame.rgb, frame.sparse_depth
 
 

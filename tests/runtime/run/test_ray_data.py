@@ -12,8 +12,7 @@ from runtime.heads import HEADS
 from runtime.io.encode import ENCODERS
 from runtime.predictor import Predictor
 from runtime.run.cli import app
-from runtime.sources.bundled_stream import bundled_stream
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.bundled_stream import bundled_frames, bundled_stream
 from runtime.sources.registry import choose_source
 
 
@@ -28,12 +27,11 @@ def rows_of(dataset):
 def test_rows_are_the_files_of_a_plain_run(cluster, tmp_path):
     from runtime.run.ray_data import COLUMNS, predict_source
 
-    frames = list_frames(*bundled_stream())
+    frames = bundled_frames()
     folders = tmp_path / "rgb", tmp_path / "depth"
     for folder in folders:
         folder.mkdir()
-    for number, files in enumerate(frames):
-        frame = read_frame(files, depth_scale=256.0)
+    for number, frame in enumerate(frames):
         columns = slice(0, 160 if number % 2 else 192)  # two sizes
         rgb, depth = frame.rgb[:96, columns], frame.sparse_depth[-96:, columns]
         cv2.imwrite(str(folders[0] / f"{number}.png"), rgb[..., ::-1])
@@ -80,14 +78,14 @@ def test_a_killed_actor_loses_no_frame(cluster, tmp_path):
 
     from runtime.run.ray_data import predict_source
 
-    frames = list_frames(*bundled_stream())
+    frames = bundled_frames()
     folders = tmp_path / "rgb", tmp_path / "depth"
-    for folder in folders:
+    for folder, original in zip(folders, bundled_stream(), strict=True):
         folder.mkdir()
-    for number in range(3 * len(frames)):  # seconds of work
-        files = frames[number % len(frames)]
-        (folders[0] / f"{number}{files.rgb.suffix}").symlink_to(files.rgb)
-        (folders[1] / f"{number}.png").symlink_to(files.sparse_depth)
+        files = sorted(original.iterdir())
+        for number in range(3 * len(frames)):  # seconds of work
+            path = files[number % len(files)]
+            (folder / f"{number}{path.suffix}").symlink_to(path)
     psutil.wait_procs(actor_processes(), timeout=60)  # those of other tests
     rows, killed, seen = [], [], set()
     for row in predict_source(folders_of(*folders), heads=["semantic"]).iter_rows():
@@ -100,8 +98,7 @@ def test_a_killed_actor_loses_no_frame(cluster, tmp_path):
     assert seen - set(killed), "another has taken over"
     assert sorted(row["index"] for row in rows) == list(range(3 * len(frames)))
     with Predictor(threads=1) as predictor:
-        for number, files in enumerate(frames):
-            frame = read_frame(files, depth_scale=256.0)
+        for number, frame in enumerate(frames):
             expected = predictor.predict(frame.rgb, frame.sparse_depth).semantic
             for row in rows:
                 if row["index"] % len(frames) == number:

@@ -375,16 +375,16 @@ def test_only_the_first_few_frames_are_read_to_warm_up(tmp_path, run, stream, mo
     for picture in stream[0].iterdir():
         picture.write_bytes(b"")
     read = []
-    read_frame = runtime.sources.folders.read_frame
+    read_pair = runtime.sources.folders.read_pair
 
-    def count(files, **options):
-        read.append(files)
-        return read_frame(files, **options)
+    def count(listed, **options):
+        read.append(listed)
+        return read_pair(listed, **options)
 
     def start(*given, **options):
         raise OutputError(f"{len(read)} were read")
 
-    monkeypatch.setattr(runtime.sources.folders, "read_frame", count)
+    monkeypatch.setattr(runtime.sources.folders, "read_pair", count)
     monkeypatch.setattr(runtime.run.cli, "_WARM_UP_FRAMES", 3)
     monkeypatch.setattr(runtime.run.cli, "_run", start)
     assert "3 were read" in run().output

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from runtime import InputError
 from runtime.sources.folders import FolderSource
 
 
@@ -66,3 +67,91 @@ def test_frames_are_not_read_from_where_answers_go(folders, run, tmp_path):
     answers = run("--source", f"folders:{tmp_path / 'out/depth'}")
     assert answers.exit_code == 1
     assert "writes its own pictures" in answers.text.replace("\n", " ")
+
+
+# --- listing ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def empty_folders(tmp_path):
+    """Make rgb/ and depth/ with empty files of the given names."""
+
+    def make(rgb, depth):
+        for folder, names in (("rgb", rgb), ("depth", depth)):
+            (tmp_path / folder).mkdir()
+            for name in names:
+                (tmp_path / folder / name).touch()
+        return tmp_path / "rgb", tmp_path / "depth"
+
+    return make
+
+
+def listed(rgb, depth, **options):
+    return FolderSource(rgb, depth=depth).list_frames(**options)
+
+
+def names(frames):
+    return [frame.name for frame in frames]
+
+
+def test_pairs_come_in_natural_order(empty_folders):
+    rgb = ["f10.png", "f9.jpg", "f1.png", "f100.JPEG", "a2b10.png", "a2b9.png"]
+    depth = ["f9.png", "f10.png", "f1.png", "f100.PNG", "a2b9.png", "a2b10.png"]
+    frames = listed(*empty_folders(rgb, depth))
+    assert names(frames) == ["a2b9", "a2b10", "f1", "f9", "f10", "f100"]
+    assert all(frame.complete for frame in frames)
+    assert frames[3].image.name == "f9.jpg"
+    assert frames[3].depth.name == "f9.png"
+
+
+def test_frames_without_partner_are_listed(empty_folders):
+    frames = listed(*empty_folders(["1.png", "2.png"], ["2.png", "3.png"]))
+    assert names(frames) == ["1", "2", "3"]
+    assert [frame.complete for frame in frames] == [False, True, False]
+    assert frames[0].depth is None
+    assert frames[2].image is None
+
+
+def test_the_limit_counts_complete_frames(empty_folders):
+    rgb = [f"{i}.png" for i in range(10)]
+    depth = [f"{i}.png" for i in range(3, 10)]
+    frames = listed(*empty_folders(rgb, depth), limit=2)
+    assert names(frames) == ["0", "1", "2", "3", "4"]
+
+
+def test_other_and_hidden_files_are_left_alone(empty_folders):
+    frames = listed(*empty_folders(["1.png", "notes.txt", "._1.png"], ["1.png", "1.npy"]))
+    assert names(frames) == ["1"]
+
+
+@pytest.mark.parametrize(
+    ("rgb", "depth", "text"),
+    [
+        ([], ["1.png"], r"rgb has no \.png or \.jpg or \.jpeg files"),
+        (["1.png"], [], r"depth has no \.png files"),
+        (["1.png"], ["1.jpg"], r"depth has no \.png files"),
+        (["1.png"], ["2.png"], "no name occurs in both.* has 1, .* has 2"),
+        (["1.png", "1.jpg"], ["1.png"], "have the same stem"),
+    ],
+)
+def test_folders_that_make_no_stream(empty_folders, rgb, depth, text):
+    with pytest.raises(InputError, match=text):
+        listed(*empty_folders(rgb, depth))
+
+
+def test_missing_folders(tmp_path):
+    with pytest.raises(InputError, match="cannot list the folder"):
+        listed(tmp_path / "none", tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="cannot list the folder"):
+        listed(tmp_path / "file", tmp_path)
+
+
+def test_a_frame_without_partner_cannot_be_read(empty_folders):
+    rgb, depth = empty_folders(["1.png", "2.png"], ["2.png", "3.png"])
+    source = FolderSource(rgb, depth=depth)
+    alone, _, missing = source.list_frames()
+    with pytest.raises(InputError, match="a picture, but no depth map"):
+        source.read(alone)
+    with pytest.raises(InputError, match="a depth map, but no picture"):
+        source.read(missing)

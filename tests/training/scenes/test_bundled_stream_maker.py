@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from runtime.errors import DatasetError
-from runtime.sources.frames import list_frames, read_frame
+from runtime.sources.folders import FolderSource
 from training.scenes.bundled_stream_maker import write_lidar_stream
 
 
@@ -30,14 +30,15 @@ def variant(tmp_path):
 
 def test_frames_pair_up_and_hold_metres(variant, tmp_path):
     assert write_lidar_stream(variant, tmp_path / "out") == 1
-    (files,) = list_frames(tmp_path / "out" / "rgb", tmp_path / "out" / "depth")
-    frame = read_frame(files, depth_scale=256.0)
+    source = FolderSource(tmp_path / "out" / "rgb", depth=tmp_path / "out" / "depth")
+    (listed,) = source.list_frames()
+    frame = source.read(listed)
     returns = frame.sparse_depth[frame.sparse_depth > 0]
     assert 0.01 < len(returns) / frame.sparse_depth.size < 0.5
     np.testing.assert_allclose(returns, 12.5, atol=0.15)  # range noise of 2 cm
     assert not frame.sparse_depth[:30].any()  # sky returns nothing
     original = variant / "frames/rgb/Camera_0/rgb_00007.jpg"
-    assert files.rgb.read_bytes() == original.read_bytes()
+    assert listed.image.read_bytes() == original.read_bytes()
 
 
 def test_missing_scene_is_named(tmp_path):

@@ -1,4 +1,4 @@
-"""Folders to frames, files to arrays."""
+"""Files to arrays."""
 
 import os
 import re
@@ -14,78 +14,6 @@ import pytest
 import runtime.io.images
 from runtime import InputError
 from runtime.io.images import read_rgb, read_sparse_depth
-from runtime.sources.frames import FrameFiles, list_frames, read_frame
-
-
-@pytest.fixture
-def folders(tmp_path):
-    """Make rgb/ and depth/ with empty files of the given names."""
-
-    def make(rgb, depth):
-        for folder, names in (("rgb", rgb), ("depth", depth)):
-            (tmp_path / folder).mkdir()
-            for name in names:
-                (tmp_path / folder / name).touch()
-        return tmp_path / "rgb", tmp_path / "depth"
-
-    return make
-
-
-def names(frames):
-    return [frame.name for frame in frames]
-
-
-def test_pairs_come_in_natural_order(folders):
-    rgb = ["f10.png", "f9.jpg", "f1.png", "f100.JPEG", "a2b10.png", "a2b9.png"]
-    depth = ["f9.png", "f10.png", "f1.png", "f100.PNG", "a2b9.png", "a2b10.png"]
-    frames = list_frames(*folders(rgb, depth))
-    assert names(frames) == ["a2b9", "a2b10", "f1", "f9", "f10", "f100"]
-    assert all(frame.complete for frame in frames)
-    assert frames[3].rgb.name == "f9.jpg"
-    assert frames[3].sparse_depth.name == "f9.png"
-
-
-def test_frames_without_partner_are_listed(folders):
-    frames = list_frames(*folders(["1.png", "2.png"], ["2.png", "3.png"]))
-    assert names(frames) == ["1", "2", "3"]
-    assert [frame.complete for frame in frames] == [False, True, False]
-    assert frames[0].sparse_depth is None
-    assert frames[2].rgb is None
-
-
-def test_the_limit_counts_complete_frames(folders):
-    rgb = [f"{i}.png" for i in range(10)]
-    depth = [f"{i}.png" for i in range(3, 10)]
-    frames = list_frames(*folders(rgb, depth), limit=2)
-    assert names(frames) == ["0", "1", "2", "3", "4"]
-
-
-def test_other_and_hidden_files_are_left_alone(folders):
-    frames = list_frames(*folders(["1.png", "notes.txt", "._1.png"], ["1.png", "1.npy"]))
-    assert names(frames) == ["1"]
-
-
-@pytest.mark.parametrize(
-    ("rgb", "depth", "text"),
-    [
-        ([], ["1.png"], r"rgb has no \.png or \.jpg or \.jpeg files"),
-        (["1.png"], [], r"depth has no \.png files"),
-        (["1.png"], ["1.jpg"], r"depth has no \.png files"),
-        (["1.png"], ["2.png"], "no name occurs in both.* has 1, .* has 2"),
-        (["1.png", "1.jpg"], ["1.png"], "have the same stem"),
-    ],
-)
-def test_folders_that_make_no_stream(folders, rgb, depth, text):
-    with pytest.raises(InputError, match=text):
-        list_frames(*folders(rgb, depth))
-
-
-def test_missing_folders(tmp_path):
-    with pytest.raises(InputError, match="cannot list the folder"):
-        list_frames(tmp_path / "none", tmp_path)
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="cannot list the folder"):
-        list_frames(tmp_path / "file", tmp_path)
 
 
 def write(path: Path, image) -> Path:
@@ -170,14 +98,6 @@ def test_a_damaged_png_is_refused(tmp_path):
 def test_a_vanished_file(tmp_path):
     with pytest.raises(InputError, match="cannot read"):
         read_rgb(tmp_path / "gone.png")
-
-
-def test_a_frame_without_partner_cannot_be_read(tmp_path):
-    path = tmp_path / "x.png"
-    with pytest.raises(InputError, match="a picture, but no depth map"):
-        read_frame(FrameFiles("x", path, None), depth_scale=256)
-    with pytest.raises(InputError, match="a depth map, but no picture"):
-        read_frame(FrameFiles("x", None, path), depth_scale=256)
 
 
 def test_an_exif_orientation_is_not_followed(tmp_path):
