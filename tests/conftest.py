@@ -1,12 +1,16 @@
 """What tests of every part share: small models whose right answers can be worked out by hand."""
 
 import dataclasses
+import os
 import shutil
 import subprocess
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # pytest runs two workers; before NumPy and PyTorch
+
+import cv2
 import numpy as np
 import onnx
 import pytest
@@ -14,6 +18,8 @@ from onnx import TensorProto, helper, numpy_helper
 
 from runtime.contract import METADATA_KEY, SCHEMA_VERSION, ClassInfo, Contract
 from runtime.model_file import with_contract
+
+cv2.setNumThreads(1)
 
 MAX_DEPTH_M = 80.0
 DEPTH_OFFSET_M = 1.5

@@ -22,5 +22,8 @@ def test_an_unknown_candidate_is_named_with_those_that_are_known(monkeypatch, ca
 
 @pytest.mark.parametrize("name", candidates.candidates())
 def test_every_candidate_can_be_built(name):
+    config = candidates.candidates()[name]
     with torch.device("meta"):
-        SSDNet(candidates.candidates()[name])
+        answer = SSDNet(config)(torch.empty(2, 3, 64, 96), torch.empty(2, 1, 64, 96))
+    assert (answer.semantic_logits is not None) == ("semantic" in config.heads)
+    assert (answer.depths is not None) == ("depth" in config.heads)

@@ -176,7 +176,8 @@ def test_the_plan_that_ships_trains_all_of_a_task_alike():
     assert {name for name in list_models() if not name.startswith("ssdnet")} <= named
 
 
-def test_the_program_is_started_by_its_name(plan_file, monkeypatch):
+def test_the_program_is_started_by_its_name(plan_file, monkeypatch, capsys):
     command = ["comparison.py", "table", "--plan", plan_file, "--runs", plan_file.parent, "--only"]
     monkeypatch.setattr(sys, "argv", [str(part) for part in [*command, "filling"]])
     comparison.main()
+    assert "| filling | " in capsys.readouterr().out

@@ -25,9 +25,11 @@ def write_plan(folder, text):
 
 def test_the_plan_that_ships_is_one_whose_recipes_can_be_read():
     plan = front.read_plan(Path(front.__file__).with_suffix(".toml"), [], None)
-    for item in plan.candidates:
-        if item.onnx is None:
-            build_network(read_candidate(item, plan).model, None)
+    trained = [item for item in plan.candidates if item.onnx is None]
+    assert trained
+    for item in trained:
+        model = read_candidate(item, plan).model
+        assert build_network(model, None).config.name == model.name
 
 
 def test_a_run_scores_once_times_draws_and_says_who_failed(tmp_path, monkeypatch, capsys):
