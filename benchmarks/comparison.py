@@ -48,7 +48,6 @@ from plan import (
 from runtime import Predictor
 from runtime.bundled_models import find_model
 from runtime.command import INTERRUPTED
-from runtime.completion.predictor import CompletionPredictor
 from runtime.errors import InputError, SSDNetError
 from runtime.io.atomic_write import atomic_write
 from runtime.model_file import load_model_file
@@ -58,6 +57,7 @@ from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
+from training.evaluation.classical import create_method
 from training.limits import STRICT
 from training.network import build_network
 from training.run_folder import RECIPE
@@ -144,7 +144,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 def heads_of(entry: Entry, plan: Plan) -> tuple[str, ...]:
     """Return what an entry answers. Raises InputError for what cannot be built."""
     if entry.method is not None:
-        CompletionPredictor(entry.method)
+        create_method(entry.method)
         return ("depth",)
     if entry.network is not None:
         if entry.network not in NETWORKS:
@@ -236,7 +236,7 @@ def time_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
 def open_entry(entry: Entry, plan: Plan, runs: Path) -> Model:
     """Return what is timed: the exported file, random weights in its place, or a method."""
     if entry.method is not None:
-        return CompletionPredictor(entry.method)
+        return create_method(entry.method)
     path = find_model(entry.onnx) if entry.onnx is not None else runs / entry.folder / ONNX
     if entry.network is not None:
         network = create_model(entry.network)

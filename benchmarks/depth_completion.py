@@ -6,7 +6,7 @@
 On KITTI's stream (`DIR/kitti_stream`, frames 50-59; every second scan line fed, the others scored)
 and streets (`DIR/kitti_streets`, from 000070 on; 64 and 16 lines fed, accumulated scans scored),
 depth up to 100 m. Every frame goes through all methods in turn, on one thread; "ms" is the median
-over the frames of the processor's time that a `predict` takes, which other programs do not
+over the frames of the processor's time that a method takes, which other programs do not
 lengthen as they do the clock's.
 """
 
@@ -19,14 +19,13 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from runtime.completion.methods import METHODS
-from runtime.completion.predictor import CompletionPredictor
 from runtime.engine_facts import cpu_name
 from runtime.io.atomic_write import atomic_write
 from runtime.run.process import dedicate_process
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.sample import SampleSource
+from training.evaluation.classical import METHODS, create_method
 from training.evaluation.metrics import DepthScores
 from training.evaluation.scoring import split_frames
 from training.lidar.split import LidarInput
@@ -73,16 +72,15 @@ def measure(
     names: list[str], source: SampleSource, indices: list[int], lidar: LidarInput
 ) -> list[dict[str, str | float]]:
     """Return a row a method: errors over all scored pixels, median time, share of pixels at 0."""
-    methods = {name: CompletionPredictor(name) for name in names}
+    methods = {name: create_method(name) for name in names}
     scores = {name: DepthScores() for name in names}
     times_ms: dict[str, list[float]] = {name: [] for name in names}
     unanswered: dict[str, list[float]] = {name: [] for name in names}
     for frame in tqdm(split_frames(source, indices, lidar), total=len(indices), disable=None):
         for name, method in methods.items():
             started = time.process_time()
-            depth = method.predict(frame.sample.rgb, frame.fed).depth
+            depth = method.complete(frame.sample.rgb, frame.fed)
             times_ms[name].append((time.process_time() - started) * 1e3)
-            assert depth is not None
             scores[name].update(depth, frame.target)
             unanswered[name].append(float((depth == 0).mean()))
     rows: list[dict[str, str | float]] = []

@@ -30,8 +30,6 @@ from export.deploy import DeployGraph
 from models import SSDNet, create_model, list_models, load_checkpoint
 from models.registry import NETWORKS
 from runtime.bundled_models import find_model, list_bundled_models
-from runtime.completion.methods import METHODS
-from runtime.completion.predictor import CompletionPredictor
 from runtime.errors import ContractError, InputError, SSDNetError
 from runtime.io.atomic_write import atomic_write
 from runtime.model_file import load_model_file
@@ -47,6 +45,7 @@ from timing import (
     open_timed,
     to_markdown,
 )
+from training.evaluation.classical import METHODS, create_method
 
 SIZES = [(125, 414), (375, 1242), (512, 1024)]
 #: Classes of Cityscapes, for which the others' networks were published.
@@ -93,7 +92,7 @@ def parse_size(text: str) -> Size:
 def load_network(name: str) -> Model:
     """Return the ONNX file of a network, or a method, see the top. Raises SSDNetError."""
     if name in METHODS:
-        return CompletionPredictor(name)
+        return create_method(name)
     if name.endswith(".pt"):
         return export_graph(
             DeployGraph(load_checkpoint(name).model.eval()), TRACED_AT, dynamic=True

@@ -27,14 +27,14 @@ from export.deploy import DeployGraph
 from export.trace import trace
 from models import Network
 from models.blocks import upsample
-from runtime.completion.predictor import CompletionPredictor
 from runtime.engine_facts import cpu_name
 from runtime.session import open_session
+from training.evaluation.classical import CompletionMethod
 
 Size = tuple[int, int]  # (height, width)
 Frame = dict[str, NDArray[Any]]
 #: What can be timed: an ONNX file, or a classical method of depth completion.
-Model = bytes | CompletionPredictor
+Model = bytes | CompletionMethod
 
 _WARM_UP = 2
 #: Operators that are counted.
@@ -104,14 +104,14 @@ def random_frame(size: Size) -> Frame:
 class _MethodSession:
     """A classical method with the face of a session."""
 
-    def __init__(self, method: CompletionPredictor) -> None:
+    def __init__(self, method: CompletionMethod) -> None:
         self._method = method
 
     def get_inputs(self) -> list[SimpleNamespace]:
         return [SimpleNamespace(name=name) for name in ("rgb", "sparse_depth")]
 
     def run(self, _: None, inputs: Frame) -> None:
-        self._method.predict(inputs["rgb"][0], inputs["sparse_depth"][0])
+        self._method.complete(inputs["rgb"][0], inputs["sparse_depth"][0])
 
 
 def open_timed(name: str, model: Model, size: Size, *, threads: int) -> Timed | None:
@@ -119,7 +119,7 @@ def open_timed(name: str, model: Model, size: Size, *, threads: int) -> Timed | 
 
     None for a file of another, fixed size. A classical method costs time alone.
     """
-    if isinstance(model, CompletionPredictor):
+    if not isinstance(model, bytes):
         return Timed(name, Cost(0.0, 0.0), _MethodSession(model))
     session = open_session(model, provider="cpu", device_id=0, threads=threads)
     sides = session.get_inputs()[0].shape[1:3]

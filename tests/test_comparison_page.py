@@ -14,8 +14,8 @@ from models import create_model
 from models.registry import NETWORKS
 from models.registry import Entry as Registered
 from plan import read_candidate, read_plan
-from runtime.completion.methods import METHODS
-from runtime.completion.predictor import CompletionPredictor
+from training.evaluation.classical import METHODS
+from training.evaluation.exported_model import open_method
 from training.network import build_network
 from training.recipe import read_recipe
 
@@ -64,8 +64,8 @@ def test_the_method_is_run_by_its_name(run_block, monkeypatch):
     sparse_depth = np.zeros((40, 50), np.float32)
     sparse_depth[0, :5] = 1, 2, 3, 4, 50
     rgb = np.zeros((40, 50, 3), np.uint8)
-    prediction = CompletionPredictor("median").predict(rgb, sparse_depth)
-    np.testing.assert_array_equal(prediction.depth, 3)
+    answer = open_method("median").predict(rgb, sparse_depth, None)
+    np.testing.assert_array_equal(answer.depth, 3)
 
 
 def test_every_method_and_link_of_the_page_is_there():

@@ -6,8 +6,8 @@ import torch
 
 import timing
 from models import create_model
-from runtime.completion.predictor import CompletionPredictor
 from timing import LogitsGraph, Timed, count_cost, figures, measure, open_timed, to_markdown
+from training.evaluation.classical import create_method
 
 SIZE = (32, 48)
 
@@ -32,7 +32,7 @@ def test_weights_that_are_used_twice_are_counted_once(small_model):
 
 
 def test_a_classical_method_is_timed_beside_the_files(small_model):
-    models = {"small": small_model(), "filling": CompletionPredictor("nearest")}
+    models = {"small": small_model(), "filling": create_method("nearest")}
     items = [open_timed(name, model, SIZE, threads=1) for name, model in models.items()]
     measure(items, SIZE, rounds=2)
     filling = figures(items, items[0])[1]

@@ -109,7 +109,7 @@ def evaluate(
 def _split_names(names: list[str]) -> tuple[list[Path], list[str]]:
     """Tell files of models from classical methods. Raises ContractError for a name of neither."""
     from runtime.bundled_models import find_model
-    from runtime.completion.methods import METHODS
+    from training.evaluation.classical import METHODS
 
     methods = [name for name in dict.fromkeys(names) if name in METHODS]
     files = []

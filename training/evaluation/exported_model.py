@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from models import CLASS_TABLES, load_checkpoint
 from runtime.canonical_focal import focal_length_at
-from runtime.completion.predictor import CompletionPredictor
 from runtime.contract import ClassInfo
 from runtime.errors import InputError, SSDNetError
 from runtime.network_size import NetworkSize, check_network_size, network_size
-from runtime.prediction import DEPTH_UNKNOWN
 from runtime.predictor import Predictor
+from runtime.preprocess import clean_sparse_depth
 from runtime.resize import move_returns, resize_answer, resize_image
 from training.datasets.class_mapping import ClassTable
+from training.evaluation.classical import CompletionMethod, create_method
+from training.evaluation.metrics import FARTHEST_M
 from training.evaluation.scoring import Answer, Predict, torch_predict
 
 
@@ -121,27 +122,29 @@ def _at_network_size(predict: Predict, asked: NetworkSize, trained_height: int |
 
 
 def open_method(name: str) -> ScoredModel:
-    """Open a classical method of depth completion by its name in `runtime.completion.methods`.
+    """Open a classical method of depth completion by its name in `METHODS`.
 
-    Raises InputError and ProviderError as `CompletionPredictor`.
+    Raises:
+        InputError: for an unknown name.
+        ProviderError: if a package that the method needs is not installed.
     """
-    predict = completion_predict(CompletionPredictor(name))
-    return ScoredModel(predict, CLASS_TABLES["camvid"], "no network")
+    return ScoredModel(method_predict(create_method(name)), CLASS_TABLES["camvid"], "no network")
 
 
-def completion_predict(predictor: CompletionPredictor) -> Predict:
+def method_predict(method: CompletionMethod) -> Predict:
     """Return a classical method as a predictor; depth 0, no answer, is scored as the number it is.
 
-    So is a frame without any return. Another answer that it calls invalid is an error.
+    As for a model, what is negative, not finite or beyond `FARTHEST_M` is no measurement.
     """
 
     def predict(
         rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
     ) -> Answer:
-        prediction = predictor.predict(rgb, sparse_depth)
-        if not prediction.valid and DEPTH_UNKNOWN not in prediction.degraded:
-            raise SSDNetError(f"the method's answer is invalid: {', '.join(prediction.degraded)}.")
-        return Answer(None, prediction.depth, None)
+        cleaned, _, _ = clean_sparse_depth(sparse_depth, max_depth_m=FARTHEST_M)
+        depth = method.complete(rgb, cleaned)
+        if not np.isfinite(depth).all():
+            raise SSDNetError(f"{type(method).__name__} answered with depths that are not finite.")
+        return Answer(None, depth, None)
 
     return predict
 

@@ -5,9 +5,9 @@ import sys
 import numpy as np
 import pytest
 
-from runtime.completion.methods import METHODS, create_method
-from runtime.completion.mrf import MRF
 from runtime.errors import InferenceError, ProviderError
+from training.evaluation.classical import METHODS, create_method
+from training.evaluation.classical.mrf import MRF
 
 pytest.importorskip("scipy.sparse")
 

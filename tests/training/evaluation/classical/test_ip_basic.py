@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime.completion.ip_basic import IPBasic, IPBasicMultiscale
+from training.evaluation.classical.ip_basic import IPBasic, IPBasicMultiscale
 
 ndimage = pytest.importorskip("scipy.ndimage")
 

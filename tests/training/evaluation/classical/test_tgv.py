@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from runtime.completion.tgv import TGV, _gradient, _gradient_adjoint, edge_tensor
+from training.evaluation.classical.tgv import TGV, _gradient, _gradient_adjoint, edge_tensor
 
 
 def slanted(height, width):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from runtime.completion.nearest import Nearest
+from training.evaluation.classical.nearest import Nearest
 
 
 def complete(sparse_depth):

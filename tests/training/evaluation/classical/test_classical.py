@@ -1,0 +1,111 @@
+"""Every classical method, on frames as they are recorded and on damaged ones."""
+
+import numpy as np
+import pytest
+
+from runtime.errors import InputError, SSDNetError
+from training.evaluation.classical import METHODS, create_method
+from training.evaluation.classical.ip_basic import IPBasic
+from training.evaluation.exported_model import method_predict, open_method
+
+FILLS_EVERYTHING = ("nearest", "mrf", "tgv")
+
+
+@pytest.fixture(params=METHODS)
+def name(request):
+    if request.param == "mrf":
+        pytest.importorskip("scipy.sparse")
+    return request.param
+
+
+def frame(height=40, width=50, share=0.1):
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(0, 256, (height, width, 3), dtype=np.uint8)
+    depth = rng.uniform(3, 60, (height, width)).astype(np.float32)
+    depth[rng.random((height, width)) > share] = 0
+    return rgb, depth
+
+
+def complete(name, rgb, sparse_depth):
+    """The depth as it is scored."""
+    return open_method(name).predict(rgb, sparse_depth, 700.0).depth
+
+
+@pytest.mark.parametrize("size", [(40, 50), (33, 47), (97, 32)])
+def test_the_answer_is_depth_of_the_frames_size_and_nothing_else(name, size):
+    rgb, sparse_depth = frame(*size)
+    before = sparse_depth.copy()
+    answer = open_method(name).predict(rgb, sparse_depth, None)
+    assert answer._replace(depth=None) == (None, None, None, None)
+    assert answer.depth.shape == size
+    assert answer.depth.dtype == np.float32
+    assert 0 < answer.depth.max() <= 100
+    np.testing.assert_array_equal(sparse_depth, before)
+    assert not np.shares_memory(answer.depth, sparse_depth)
+
+
+def test_invalid_returns_change_nothing(name):
+    rgb, sparse_depth = frame()
+    clean = complete(name, rgb, sparse_depth)
+    empty = np.flatnonzero(sparse_depth == 0)[:40]
+    sparse_depth.flat[empty] = np.tile([np.nan, np.inf, -np.inf, -3.0, 250.0], 8)
+    np.testing.assert_array_equal(complete(name, rgb, sparse_depth), clean)
+
+
+def test_a_frame_without_returns_has_no_answer(name):
+    rgb, _ = frame()
+    for nothing in (0.0, np.nan, -1.0, 150.0):
+        assert not complete(name, rgb, np.full((40, 50), nothing, np.float32)).any()
+
+
+@pytest.mark.parametrize("at", [(20, 30), (0, 0), (59, 199)])
+def test_one_return(name, at):
+    sparse_depth = np.zeros((60, 200), np.float32)
+    sparse_depth[at] = 12.5
+    depth = complete(name, frame(60, 200)[0], sparse_depth)
+    if name in FILLS_EVERYTHING:
+        np.testing.assert_allclose(depth, 12.5, rtol=1e-4)
+    elif name == "ip-basic":
+        assert 0 < np.count_nonzero(depth) < depth.size
+    else:  # to it, one return is noise, but in a corner
+        assert depth.any() == (at != (20, 30))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (7, 1), (3, 2), (5, 5)])
+def test_methods_themselves_take_the_smallest_frames(name, size):
+    rgb = np.full((*size, 3), 100, np.uint8)
+    sparse_depth = np.full(size, np.nan, np.float32)
+    assert not create_method(name).complete(rgb, sparse_depth).any()
+    sparse_depth.flat[0] = 8.0
+    depth = create_method(name).complete(rgb, sparse_depth)
+    assert depth.shape == size
+    assert depth.dtype == np.float32
+    assert np.isfinite(depth).all()
+    if name in FILLS_EVERYTHING:
+        np.testing.assert_allclose(depth, 8.0, rtol=1e-5)
+
+
+def test_a_full_map_comes_back(name):
+    rgb = np.full((40, 50, 3), 100, np.uint8)
+    depth = complete(name, rgb, np.full((40, 50), 20, np.float32))
+    np.testing.assert_allclose(depth[5:-5, 5:-5], 20, rtol=1e-4)
+
+
+def test_a_method_of_other_settings_is_scored():
+    rgb, sparse_depth = frame()
+    short = method_predict(IPBasic(max_depth_m=20.0))(rgb, sparse_depth, None)
+    assert 0 < short.depth.max() <= 20
+
+
+def test_an_answer_that_is_not_finite_is_an_error():
+    class Broken:
+        def complete(self, rgb, sparse_depth):
+            return np.full_like(sparse_depth, np.nan)
+
+    with pytest.raises(SSDNetError, match="Broken answered with depths that are not finite"):
+        method_predict(Broken())(*frame(), None)
+
+
+def test_an_unknown_method_names_the_known_ones():
+    with pytest.raises(InputError, match="unknown method 'magic'; known: nearest, ip-basic, "):
+        open_method("magic")

@@ -1,0 +1,36 @@
+"""Classical depth completion, without training: what a network has to beat.
+
+Each method is a file with a frozen dataclass of its settings; `METHODS` names all of them.
+"""
+
+from collections.abc import Callable
+
+from runtime.errors import InputError
+from training.evaluation.classical.ip_basic import IPBasic, IPBasicMultiscale
+from training.evaluation.classical.method import CompletionMethod
+from training.evaluation.classical.mrf import MRF
+from training.evaluation.classical.nearest import Nearest
+from training.evaluation.classical.tgv import TGV
+
+__all__ = ["METHODS", "CompletionMethod", "create_method"]
+
+#: Name -> what makes the method with its default settings; a new method is a line here.
+METHODS: dict[str, Callable[[], CompletionMethod]] = {
+    "nearest": Nearest,
+    "ip-basic": IPBasic,
+    "ip-basic-multiscale": IPBasicMultiscale,
+    "mrf": MRF,
+    "tgv": TGV,
+}
+
+
+def create_method(name: str) -> CompletionMethod:
+    """Make a method of `METHODS` with its default settings.
+
+    Raises:
+        InputError: for an unknown name.
+        ProviderError: if a package that the method needs is not installed.
+    """
+    if name not in METHODS:
+        raise InputError(f"unknown method {name!r:.80}; known: {', '.join(METHODS)}")
+    return METHODS[name]()

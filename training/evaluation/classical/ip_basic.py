@@ -1,0 +1,167 @@
+"""IP-Basic: depth completion by morphology alone.
+
+Ku, Harakeh and Waslander, "In Defense of Classical Image Processing: Fast Depth Completion on the
+CPU", Conference on Computer and Robot Vision 2018, with its kernels, chosen for KITTI's 64 lines.
+
+Depth is inverted first (`max_depth_m` minus depth), so that a dilation, a local maximum, lets near
+surfaces win over far ones. Below, "inverted" is that depth, and 0 in it is unknown.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from cv2.typing import MatLike
+from numpy.typing import NDArray
+
+from training.evaluation.classical.method import Depth
+
+Blur = Literal["gaussian", "bilateral"]
+
+#: Nearer than this is no measurement, and an inverted depth below it is unknown (Ku et al.).
+_MEASURED_M = 0.1
+#: Where "near" and "medium" depths end, for dilations of their own [m].
+_NEAR_M, _MEDIUM_M = 15.0, 30.0
+_BILATERAL_SIGMA_M, _BILATERAL_SIGMA_PX = 1.5, 2.0
+
+
+@dataclass(frozen=True)
+class IPBasic:
+    """The fast variant, the paper's result: about a dozen of OpenCV's filters.
+
+    Dilation by a diamond, closing of small holes, filling of larger ones, continuation of every
+    column up to the top of the picture, filling of the largest, median, blur. It answers where a
+    return is in reach of the kernels (20 px along rows and columns), and in all of a column above
+    that, 0 elsewhere. rgb is not used.
+
+    max_depth_m: at and beyond it is no measurement, as nearer than 0.1 m
+    extrapolate: continue the columns and fill what is left by a window of 31 x 31; without, only
+        holes of up to 7 px about a return are filled
+    blur: "gaussian" for the lowest RMSE, "bilateral" to keep edges, as the paper compares them
+    """
+
+    max_depth_m: float = 100.0
+    extrapolate: bool = True
+    blur: Blur = "gaussian"
+
+    def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
+        """See `CompletionMethod.complete`."""
+        start = _invert(sparse_depth, self.max_depth_m)
+        if not start.any():
+            return start
+        inverted = cv2.dilate(start, _diamond(5))
+        inverted = cv2.morphologyEx(inverted, cv2.MORPH_CLOSE, _full(5))
+        inverted = _fill_unknown(inverted, _full(7))
+        if self.extrapolate:
+            inverted = _fill_unknown(_extend_to_top(inverted), _full(31))
+        # The median removes single outliers. As published it takes the zeros of unknown pixels
+        # with it, and so does the blur: the outermost two known pixels come out too far.
+        inverted = cv2.medianBlur(inverted, 5)
+        return _revert(_blur(inverted, self.blur), self.max_depth_m)
+
+
+@dataclass(frozen=True)
+class IPBasicMultiscale:
+    """The variant with a dilation a range of depths and removal of noise, slower.
+
+    The authors offer it beside the paper's. Near things, whose returns lie far apart, are dilated
+    by a larger cross than far ones, so that thin far things keep their width: 7 px to 15 m, 5 px to
+    30 m, 3 px beyond. A median follows, to which a return far from all others is noise: it is
+    dropped, and a frame of such returns has no answer. Then holes are filled, step by step, by up
+    to 16 px; nothing but `extrapolate` reaches above a column's topmost depth, and a column without
+    any stays without. Fields and range as of `IPBasic`.
+    """
+
+    max_depth_m: float = 100.0
+    extrapolate: bool = True
+    blur: Blur = "bilateral"
+
+    def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
+        """See `CompletionMethod.complete`."""
+        start = _invert(sparse_depth, self.max_depth_m)
+        if not start.any():
+            return start
+        inverted = cv2.morphologyEx(_dilate_by_range(start, self), cv2.MORPH_CLOSE, _full(5))
+        inverted = _where_known(inverted, cv2.medianBlur(inverted, 5))
+
+        below_top = np.maximum.accumulate(inverted > _MEASURED_M, axis=0)
+        inverted = _fill_unknown(inverted, _full(9), within=below_top)
+        if self.extrapolate:
+            inverted = _extend_to_top(inverted)
+            below_top = np.maximum.accumulate(inverted > _MEASURED_M, axis=0)
+        for _ in range(6):
+            inverted = _fill_unknown(inverted, _full(5), within=below_top)
+        inverted = _where_known(inverted, cv2.medianBlur(inverted, 5))
+        return _revert(_blur(inverted, self.blur), self.max_depth_m)
+
+
+def _invert(sparse_depth: Depth, max_depth_m: float) -> Depth:
+    """max_depth_m minus depth; 0 = no measurement, also for NaN."""
+    measured = (sparse_depth > _MEASURED_M) & (sparse_depth < max_depth_m)
+    return np.where(measured, np.float32(max_depth_m) - sparse_depth, np.float32(0))
+
+
+def _revert(inverted: MatLike, max_depth_m: float) -> Depth:
+    known = inverted > _MEASURED_M
+    return np.where(known, np.float32(max_depth_m) - inverted, np.float32(0)).astype(np.float32)
+
+
+def _dilate_by_range(inverted: Depth, method: IPBasicMultiscale) -> MatLike:
+    """Dilate far, medium and near depths apart; near ones lie over medium ones over far ones."""
+    depth = method.max_depth_m - inverted
+    combined: MatLike = np.zeros_like(inverted)
+    for size, chosen in (
+        (3, depth > _MEDIUM_M),
+        (5, (depth > _NEAR_M) & (depth <= _MEDIUM_M)),
+        (7, depth <= _NEAR_M),
+    ):
+        spread = cv2.dilate(np.where(chosen, inverted, np.float32(0)), _cross(size))
+        combined = np.where(spread > _MEASURED_M, spread, combined)
+    return combined
+
+
+def _full(size: int) -> NDArray[np.uint8]:
+    return np.ones((size, size), dtype=np.uint8)
+
+
+def _diamond(size: int) -> NDArray[np.uint8]:
+    offset = np.abs(np.arange(size) - size // 2)
+    return np.asarray(offset[:, None] + offset[None, :] <= size // 2, dtype=np.uint8)
+
+
+def _cross(size: int) -> NDArray[np.uint8]:
+    offset = np.arange(size) - size // 2
+    return np.asarray((offset[:, None] == 0) | (offset[None, :] == 0), dtype=np.uint8)
+
+
+def _fill_unknown(
+    inverted: MatLike, kernel: NDArray[np.uint8], *, within: NDArray[np.bool_] | None = None
+) -> MatLike:
+    """Fill unknown pixels from a dilation, leaving the others as they are."""
+    unknown = inverted <= _MEASURED_M
+    if within is not None:
+        unknown &= within
+    return np.where(unknown, cv2.dilate(inverted, kernel), inverted)
+
+
+def _where_known(inverted: MatLike, changed: MatLike) -> MatLike:
+    """Take the changed depths, but for unknown pixels, which stay unknown."""
+    return np.where(inverted > _MEASURED_M, changed, inverted)
+
+
+def _extend_to_top(inverted: MatLike) -> MatLike:
+    """Continue every column upwards from its topmost value; LiDAR sees nothing above it."""
+    known = inverted > _MEASURED_M
+    top = np.argmax(known, axis=0)  # 0 in a column without any value: nothing to continue there
+    top_value = inverted[top, np.arange(inverted.shape[1])]
+    above = np.arange(inverted.shape[0])[:, None] < top
+    return np.where(above, top_value, inverted)
+
+
+def _blur(inverted: MatLike, blur: Blur) -> MatLike:
+    """Smooth surfaces where depth is known."""
+    if blur == "gaussian":
+        return _where_known(inverted, cv2.GaussianBlur(inverted, (5, 5), 0))
+    smooth = cv2.bilateralFilter(inverted, 5, _BILATERAL_SIGMA_M, _BILATERAL_SIGMA_PX)
+    return _where_known(inverted, smooth)
