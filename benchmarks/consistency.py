@@ -1,6 +1,6 @@
 """What the consistency figures of a stream say when camera and LiDAR no longer fit.
 
-    python benchmarks/consistency.py [--out docs/consistency.png] [--threads 2]
+    python benchmarks/consistency.py [--out consistency.png] [--threads 2]
 
 The bundled stream is pushed three times over. From the second time on, each line of the plot has
 one fault: the calibration rotated by 1° about an axis of the camera, depth maps of the frame before
