@@ -149,11 +149,12 @@ def heads_of(entry: Entry, plan: Plan) -> tuple[str, ...]:
     if entry.network is not None:
         if entry.network not in NETWORKS:
             raise InputError(f"no network {entry.network!r}; known: {', '.join(NETWORKS)}.")
-        return NETWORKS[entry.network].config.heads
+        with torch.device("meta"):
+            return create_model(entry.network).heads
     if entry.onnx is not None:
         with Predictor(find_model(entry.onnx)) as predictor:
             return predictor.heads
-    return build_network(read_candidate(entry, plan).model, None).config.heads
+    return build_network(read_candidate(entry, plan).model, None).heads
 
 
 def train_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:

@@ -55,7 +55,7 @@ class LogitsGraph(DeployGraph):
         coarse = self.model.predict_coarse(
             rgb.permute(0, 3, 1, 2).to(torch.float32), sparse_depth.unsqueeze(1)
         )
-        logits = upsample(coarse.semantic_logits, factor=self.model.config.semantic_stride)
+        logits = upsample(coarse.semantic_logits, factor=self.model.semantic_stride)
         return (logits[:, :, :height, :width],)
 
 

@@ -22,7 +22,7 @@ class DeployGraph(nn.Module):
     @property
     def heads(self) -> tuple[str, ...]:
         """Names of the outputs, in the order in which `forward` gives them."""
-        heads: tuple[str, ...] = self.model.config.heads
+        heads: tuple[str, ...] = self.model.heads
         if self.with_logits and "semantic" in heads:
             heads = (*heads, "semantic_logits")
         return heads
@@ -43,20 +43,20 @@ class DeployGraph(nn.Module):
         )
         answers = {}
         if coarse.semantic_logits is not None:
-            logits = upsample(coarse.semantic_logits, factor=config.semantic_stride)
+            logits = upsample(coarse.semantic_logits, factor=self.model.semantic_stride)
             # Cropped last: an id is a byte, its scores are 4 bytes a class.
             answers["semantic"] = _best_class(logits)[:, :height, :width]
             answers["semantic_logits"] = logits[:, :, :height, :width]
 
         grids: dict[int, dict[str, Tensor]] = {}
         if coarse.boundary_logits is not None:
-            grids.setdefault(config.boundary_stride, {})["boundary"] = coarse.boundary_logits
+            grids.setdefault(self.model.boundary_stride, {})["boundary"] = coarse.boundary_logits
         if coarse.depths is not None:
             metres = coarse.depths[0] * config.max_depth_m
-            grids.setdefault(config.depth_stride, {})["depth"] = metres
+            grids.setdefault(self.model.depth_stride, {})["depth"] = metres
         if coarse.depth_uncertainty is not None:
             metres = coarse.depth_uncertainty * config.max_depth_m
-            grids.setdefault(config.depth_stride, {})["depth_uncertainty"] = metres
+            grids.setdefault(self.model.depth_stride, {})["depth_uncertainty"] = metres
         for stride, maps in grids.items():
             # One tensor for both: ONNX Runtime splits the work of a Resize by channels, so two of
             # one channel each take four times as long.

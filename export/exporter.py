@@ -143,7 +143,7 @@ def _contract(
         classes=config.classes,
         max_depth_m=config.max_depth_m,
         native_size=size,
-        stride=config.stride,
+        stride=checkpoint.model.stride,
         resize=resize_rules(),
         precision="fp32",
         training=training,

@@ -42,7 +42,7 @@ class NetworkOutput(NamedTuple):
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """What the configuration of every network says; a network's own adds its fields.
+    """The settings of every network; a network with more of them adds fields in a subclass.
 
     Raises ValueError, which says what is wrong, for what cannot be built.
     """
@@ -63,46 +63,13 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be built, with a ValueError that says why."""
-        if ("semantic" in self.heads) != bool(self.classes):
-            raise ValueError("classes must be given exactly when there is a semantic head")
         check_name(self.name, "name")
         check_classes(self.classes)
         check_max_depth(self.max_depth_m)
         if self.canonical_focal_px is not None:
             check_focal_length(self.canonical_focal_px, "canonical_focal_px")
-        check_stride(self.stride)
         if not all(0 < value < float("inf") for value in self.rgb_std):
             raise ValueError(f"rgb_std must be positive, got {self.rgb_std}")
-
-    @property
-    def heads(self) -> tuple[Head, ...]:
-        """The answers that the network gives, in the order of `Head`."""
-        raise NotImplementedError
-
-    @property
-    def stride(self) -> int:
-        """Ratio of the image to the coarsest grid."""
-        raise NotImplementedError
-
-    @property
-    def output_stride(self) -> int:
-        """Ratio of the image to the finest grid of the decoders."""
-        return 1
-
-    @property
-    def depth_stride(self) -> int:
-        """Ratio of the image to the grid of the finest depth."""
-        return self.output_stride
-
-    @property
-    def boundary_stride(self) -> int:
-        """Ratio of the image to the grid of the boundary."""
-        return self.output_stride
-
-    @property
-    def semantic_stride(self) -> int:
-        """Ratio of the image to the grid of the semantic logits."""
-        return 1
 
     @property
     def num_classes(self) -> int:
@@ -132,6 +99,14 @@ class Network(nn.Module):
 
     A network gives `predict_coarse`. If it has classes, `semantic_head` is its last convolution,
     with a bias, which gives their scores: training starts it anew where the classes are others.
+    ``heads``, ``stride`` and the heads' own strides are class attributes of a network that has them
+    fixed.
+
+    Args:
+        config: the settings that the network is built from.
+
+    Raises:
+        ValueError: if there are classes without a semantic head or the other way round.
     """
 
     rgb_mean: Tensor
@@ -140,8 +115,36 @@ class Network(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
+        if ("semantic" in self.heads) != bool(config.classes):
+            raise ValueError("classes must be given exactly when there is a semantic head")
+        check_stride(self.stride)
         self.register_buffer("rgb_mean", torch.tensor(config.rgb_mean).view(1, 3, 1, 1))
         self.register_buffer("rgb_std", torch.tensor(config.rgb_std).view(1, 3, 1, 1))
+
+    @property
+    def heads(self) -> tuple[Head, ...]:
+        """The network's heads, in the order of `Head`."""
+        raise NotImplementedError
+
+    @property
+    def stride(self) -> int:
+        """Ratio of the image to the coarsest grid."""
+        raise NotImplementedError
+
+    @property
+    def semantic_stride(self) -> int:
+        """Ratio of the image to the grid of the semantic logits."""
+        return 1
+
+    @property
+    def depth_stride(self) -> int:
+        """Ratio of the image to the grid of the finest depth and its uncertainty."""
+        return 1
+
+    @property
+    def boundary_stride(self) -> int:
+        """Ratio of the image to the grid of the boundary."""
+        return 1
 
     def forward(
         self, rgb: Tensor, sparse_depth: Tensor, *, upsample_semantic: bool = True
@@ -151,7 +154,7 @@ class Network(nn.Module):
         rgb: float (N, 3, H, W), RGB in 0..255. sparse_depth: float (N, 1, H, W), metres; 0,
         negative, NaN, Inf or beyond ``config.max_depth_m`` = no measurement. H, W >= MIN_SIDE, odd
         sizes too. Raises ValueError on other shapes. Without ``upsample_semantic`` the semantic
-        logits stay on their own grid of ceil(H / s) x ceil(W / s), s = ``config.semantic_stride``.
+        logits stay on their own grid of ceil(H / s) x ceil(W / s), s = ``semantic_stride``.
         """
         height, width = _check_shapes(rgb, sparse_depth)
         coarse = self.predict_coarse(rgb, sparse_depth)
@@ -160,9 +163,9 @@ class Network(nn.Module):
             return upsample(x, factor=stride)[:, :, :height, :width]
 
         logits, depths, boundary = coarse.semantic_logits, coarse.depths, coarse.boundary_logits
-        scale, config = coarse.depth_uncertainty, self.config
+        scale = coarse.depth_uncertainty
         if logits is not None:
-            side = config.semantic_stride
+            side = self.semantic_stride
             logits = (
                 full_size(logits, side)
                 if upsample_semantic
@@ -172,20 +175,20 @@ class Network(nn.Module):
             semantic_logits=logits,
             depths=None
             if depths is None
-            else (full_size(depths[0], config.depth_stride), *depths[1:]),
+            else (full_size(depths[0], self.depth_stride), *depths[1:]),
             boundary_logits=(
-                None if boundary is None else full_size(boundary, config.boundary_stride)
+                None if boundary is None else full_size(boundary, self.boundary_stride)
             ),
             side_boundary_logits=coarse.side_boundary_logits,
-            depth_uncertainty=None if scale is None else full_size(scale, config.depth_stride),
+            depth_uncertainty=None if scale is None else full_size(scale, self.depth_stride),
         )
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on the heads' own grids.
 
-        These are 1 / ``config.semantic_stride`` of the image for the semantics, 1 /
-        ``config.depth_stride`` for the finest depth and its uncertainty and 1 /
-        ``config.boundary_stride`` for the boundary. Inputs as `forward`. A network that pads the
+        These are 1 / ``semantic_stride`` of the image for the semantics, 1 /
+        ``depth_stride`` for the finest depth and its uncertainty and 1 /
+        ``boundary_stride`` for the boundary. Inputs as `forward`. A network that pads the
         image at the bottom and right to a multiple of its stride gives grids that cover the padding
         too.
         """

@@ -4,18 +4,18 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
-from models.baselines.bacnn import BaCNN, BaCNNConfig
-from models.baselines.ddrnet_23_slim import DDRNet23Slim, DDRNet23SlimConfig
-from models.baselines.deeplab_largefov import DeepLabLargeFOV, DeepLabLargeFOVConfig
-from models.baselines.enet import ENet, ENetConfig
-from models.baselines.erfnet import ERFNet, ERFNetConfig
-from models.baselines.espnet import ESPNet, ESPNetConfig
-from models.baselines.fast_scnn import FastSCNN, FastSCNNConfig
-from models.baselines.fcn8s import FCN8s, FCN8sConfig
-from models.baselines.nconv import NConv, NConvConfig
-from models.baselines.pidnet_s import PIDNetS, PIDNetSConfig
-from models.baselines.sparse_conv import SparseConvNet, SparseConvNetConfig
-from models.baselines.sparse_to_dense import SparseToDense, SparseToDenseConfig
+from models.baselines.bacnn import BaCNN
+from models.baselines.ddrnet_23_slim import DDRNet23Slim
+from models.baselines.deeplab_largefov import DeepLabLargeFOV
+from models.baselines.enet import ENet
+from models.baselines.erfnet import ERFNet
+from models.baselines.espnet import ESPNet
+from models.baselines.fast_scnn import FastSCNN
+from models.baselines.fcn8s import FCN8s
+from models.baselines.nconv import NConv
+from models.baselines.pidnet_s import PIDNetS
+from models.baselines.sparse_conv import SparseConvNet
+from models.baselines.sparse_to_dense import SparseToDense
 from models.classes import numbered_classes
 from models.network import Network, NetworkConfig
 from models.ssdnet import SSDNet
@@ -34,18 +34,18 @@ class Entry(NamedTuple):
 #: Name -> network; a new one is a line here.
 NETWORKS: dict[str, Entry] = {
     **{config.name: Entry(SSDNet, config) for config in FAMILY},
-    "bacnn": Entry(BaCNN, BaCNNConfig()),
-    "ddrnet-23-slim": Entry(DDRNet23Slim, DDRNet23SlimConfig()),
-    "deeplab-largefov": Entry(DeepLabLargeFOV, DeepLabLargeFOVConfig()),
-    "enet": Entry(ENet, ENetConfig()),
-    "erfnet": Entry(ERFNet, ERFNetConfig()),
-    "espnet": Entry(ESPNet, ESPNetConfig()),
-    "fast-scnn": Entry(FastSCNN, FastSCNNConfig()),
-    "fcn8s": Entry(FCN8s, FCN8sConfig()),
-    "nconv": Entry(NConv, NConvConfig()),
-    "pidnet-s": Entry(PIDNetS, PIDNetSConfig()),
-    "sparse-conv": Entry(SparseConvNet, SparseConvNetConfig()),
-    "sparse-to-dense": Entry(SparseToDense, SparseToDenseConfig()),
+    "bacnn": Entry(BaCNN, NetworkConfig("bacnn")),
+    "ddrnet-23-slim": Entry(DDRNet23Slim, NetworkConfig("ddrnet-23-slim")),
+    "deeplab-largefov": Entry(DeepLabLargeFOV, NetworkConfig("deeplab-largefov")),
+    "enet": Entry(ENet, NetworkConfig("enet")),
+    "erfnet": Entry(ERFNet, NetworkConfig("erfnet")),
+    "espnet": Entry(ESPNet, NetworkConfig("espnet")),
+    "fast-scnn": Entry(FastSCNN, NetworkConfig("fast-scnn")),
+    "fcn8s": Entry(FCN8s, NetworkConfig("fcn8s")),
+    "nconv": Entry(NConv, NetworkConfig("nconv", classes=())),
+    "pidnet-s": Entry(PIDNetS, NetworkConfig("pidnet-s")),
+    "sparse-conv": Entry(SparseConvNet, NetworkConfig("sparse-conv", classes=())),
+    "sparse-to-dense": Entry(SparseToDense, NetworkConfig("sparse-to-dense", classes=())),
 }
 
 

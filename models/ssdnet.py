@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from models.blocks import ConvBNReLU, pad_to_multiple, upsample
 from models.boundary_decoder import BoundaryDecoder
 from models.encoder import build_encoder
-from models.network import Network, NetworkOutput, initialise
+from models.network import Head, Network, NetworkOutput, initialise
 from models.ssdnet_config import SSDNetConfig
 from models.surfaces import (
     COARSE_CELL,
@@ -83,6 +83,38 @@ class SSDNet(Network):
             # An older network's weights go on as they were.
             nn.init.zeros_(self.surface_semantics.weight)
 
+    @property
+    def heads(self) -> tuple[Head, ...]:
+        """The network's heads; a boundary always."""
+        config = self.config
+        present: dict[Head, bool] = {
+            "semantic": config.semantic_head,
+            "depth": config.depth_head,
+            "boundary": True,
+            "depth_uncertainty": config.depth_surfaces,
+        }
+        return tuple(head for head, there in present.items() if there)
+
+    @property
+    def stride(self) -> int:
+        """Ratio of the image to the coarsest grid."""
+        return int(self.config.output_stride * 2**self.config.num_skips)
+
+    @property
+    def semantic_stride(self) -> int:
+        """Ratio of the image to the grid of the semantic logits."""
+        return 2 if self.config.semantic_refine_channels else self.config.output_stride
+
+    @property
+    def depth_stride(self) -> int:
+        """Ratio of the image to the grid of the finest depth."""
+        return 1 if self.config.depth_surfaces else self.config.output_stride
+
+    @property
+    def boundary_stride(self) -> int:
+        """Ratio of the image to the grid of the boundary, which is upsampled with the depth."""
+        return self.depth_stride
+
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on the heads' own grids, see `Network.predict_coarse`.
 
@@ -101,7 +133,7 @@ class SSDNet(Network):
                 inputs.append(valid_mask.to(depth.dtype))
         x = torch.cat(inputs, dim=1)
         if exact:
-            x = pad_to_multiple(x, config.stride)
+            x = pad_to_multiple(x, self.stride)
         stem_features = [x]
         for layer in self.stem:
             stem_features.append(layer(stem_features[-1]))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from models.network import Head, NetworkConfig
+from models.network import NetworkConfig
 from models.surfaces import COARSE_CELL
 
 # What can be built: far beyond any network that was.
@@ -111,17 +111,6 @@ class SSDNetConfig(NetworkConfig):
                 raise ValueError(f"{what}: {least} to {most} can be built, got {count}")
 
     @property
-    def heads(self) -> tuple[Head, ...]:
-        """The answers that the network gives; a boundary always."""
-        present: dict[Head, bool] = {
-            "semantic": self.semantic_head,
-            "depth": self.depth_head,
-            "boundary": True,
-            "depth_uncertainty": self.depth_surfaces,
-        }
-        return tuple(head for head, there in present.items() if there)
-
-    @property
     def num_skips(self) -> int:
         """Number of encoder features that go to the decoders."""
         stages = len(self.encoder_channels)
@@ -131,26 +120,6 @@ class SSDNetConfig(NetworkConfig):
     def output_stride(self) -> int:
         """Ratio of the image to the finest grid of depth and boundaries."""
         return int(2 ** len(self.stem_channels))
-
-    @property
-    def depth_stride(self) -> int:
-        """Ratio of the image to the grid of the finest depth."""
-        return 1 if self.depth_surfaces else self.output_stride
-
-    @property
-    def boundary_stride(self) -> int:
-        """Ratio of the image to the grid of the boundary: it is raised along with the depth."""
-        return self.depth_stride
-
-    @property
-    def semantic_stride(self) -> int:
-        """Ratio of the image to the grid of the semantic logits."""
-        return 2 if self.semantic_refine_channels else self.output_stride
-
-    @property
-    def stride(self) -> int:
-        """Ratio of the image to the coarsest grid."""
-        return int(self.output_stride * 2**self.num_skips)
 
 
 SSDNET = SSDNetConfig()

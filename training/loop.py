@@ -111,7 +111,7 @@ def _train(
     require_lidar(validation, LidarInput.parse(recipe.validation.lidar))
     network = build_network(recipe.model, init)
     train_parts(network, recipe.optimizer.only)
-    heads = network.config.heads
+    heads = network.heads
     if not recipe.loss.terms_for(heads):
         raise InputError(
             f"no term of the loss is about what {network.config.name!r} answers "
@@ -316,7 +316,7 @@ def _validate(
         pictures = draw_pictures(
             torch_predict(network),
             source,
-            network.config,
+            network,
             lidar=lidar,
             count=recipe.validation.pictures,
         )

@@ -32,8 +32,7 @@ def build_network(recipe: ModelRecipe, init: Path | None) -> Network:
         if recipe.name in NETWORKS:
             config = _configuration(NETWORKS[recipe.name].config, recipe.config)
             changes |= {key: getattr(config, key) for key in recipe.config}
-            has_classes = "semantic" in config.heads
-            changes["classes"] = list_classes(recipe.class_table) if has_classes else ()
+            changes["classes"] = list_classes(recipe.class_table) if config.classes else ()
         network = create_model(recipe.name, max_depth_m=recipe.max_depth_m, **changes)
     except ValueError as error:
         raise InputError(f"the recipe's model cannot be built: {error}.") from error

@@ -6,8 +6,6 @@ leaves open how the boundary reaches the coarser blocks: here by max-pooling, so
 The boundary network has a side output on each block and fuses them, as Xie and Tu's (2015).
 """
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -18,20 +16,12 @@ from models.blocks import upsample
 from models.network import NetworkConfig, NetworkOutput, initialise
 
 
-@dataclass(frozen=True)
-class BaCNNConfig(NetworkConfig):
-    """Nothing to choose but the classes."""
-
-    name: str = "bacnn"
-    heads = ("semantic", "boundary")
-    stride = 32
-    semantic_stride = 8
-
-
 class BaCNN(FCN8s):
     """A boundary network, and FCN8s gated by what it finds."""
 
-    def __init__(self, config: BaCNNConfig) -> None:
+    heads = ("semantic", "boundary")
+
+    def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         self.boundary = BoundaryNetwork()
         self.boundary.apply(initialise)

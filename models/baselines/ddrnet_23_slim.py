@@ -5,8 +5,6 @@ Segmentation of Road Scenes", 2021, Table 1 and Figure 4. Without the extra head
 that its training adds.
 """
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -21,24 +19,18 @@ _CONTEXT = 128
 _HEAD = 64
 
 
-@dataclass(frozen=True)
-class DDRNet23SlimConfig(NetworkConfig):
-    """Nothing to choose but the classes."""
-
-    name: str = "ddrnet-23-slim"
-    heads = ("semantic",)
-    #: The last stage's grid is half as fine; it rounds up.
-    stride = 32
-    semantic_stride = 8
-
-
 class DDRNet23Slim(Network):
     """A branch that stays at an eighth of the image, one that goes down, and bridges between.
 
     The stages end without ReLU, which each reader of their features applies.
     """
 
-    def __init__(self, config: DDRNet23SlimConfig) -> None:
+    heads = ("semantic",)
+    #: The last stage's grid is half as fine; it rounds up.
+    stride = 32
+    semantic_stride = 8
+
+    def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         w = _WIDTH
         self.stem = nn.Sequential(ConvBNReLU(3, w, stride=2), ConvBNReLU(w, w, stride=2))
@@ -67,7 +59,7 @@ class DDRNet23Slim(Network):
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on an eighth of the image's grid, see `Network.predict_coarse`."""
-        x = pad_to_multiple(self.normalise_rgb(rgb), self.config.stride)
+        x = pad_to_multiple(self.normalise_rgb(rgb), self.stride)
         shared = F.relu(self.stage2(F.relu(self.stage1(self.stem(x)))))
         coarse, fine = self.coarse3(shared), self.fine3(shared)
         down, up = self.down3(F.relu(fine)), self.up3(F.relu(coarse))

@@ -5,8 +5,6 @@ Convolutional Nets and Fully Connected CRFs", ICLR 2015, section 4.2, in its for
 and a rate of 12. Without the CRF, which smooths the answers of the network afterwards.
 """
 
-from dataclasses import dataclass
-
 from torch import Tensor, nn
 
 from models.baselines.vgg16 import VGG16_BLOCKS, vgg_block
@@ -20,20 +18,14 @@ _POOL_STRIDES = (2, 2, 2, 1, 1)
 _DILATIONS = (1, 1, 1, 1, 2)
 
 
-@dataclass(frozen=True)
-class DeepLabLargeFOVConfig(NetworkConfig):
-    """Nothing to choose but the classes."""
+class DeepLabLargeFOV(Network):
+    """VGG16 that stays at an eighth of the image, and a convolution with a large field of view."""
 
-    name: str = "deeplab-largefov"
     heads = ("semantic",)
     stride = 8
     semantic_stride = 8
 
-
-class DeepLabLargeFOV(Network):
-    """VGG16 that stays at an eighth of the image, and a convolution with a large field of view."""
-
-    def __init__(self, config: DeepLabLargeFOVConfig) -> None:
+    def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         layers: list[nn.Module] = []
         width = 3

@@ -8,8 +8,6 @@ quarter of its input's channels, and those that go up on transposed convolutions
 authors' code has a quarter of the output's, and 3x3.
 """
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -24,19 +22,13 @@ _SHARE = 4
 _CONTEXT = ((3, 1), (3, 2), (5, 1), (3, 4), (3, 1), (3, 8), (5, 1), (3, 16))
 
 
-@dataclass(frozen=True)
-class ENetConfig(NetworkConfig):
-    """Nothing to choose but the classes."""
-
-    name: str = "enet"
-    heads = ("semantic",)
-    stride = 8
-
-
 class ENet(Network):
     """Bottlenecks down to an eighth of the image, and by max-unpooling up again."""
 
-    def __init__(self, config: ENetConfig) -> None:
+    heads = ("semantic",)
+    stride = 8
+
+    def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         self.initial = InitialBlock(16)
         self.down1 = DownBottleneck(16, 64, dropout=0.01)
@@ -60,7 +52,7 @@ class ENet(Network):
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict at the padded image's size, see `Network.predict_coarse`."""
-        x = self.initial(extend_to_multiple(self.normalise_rgb(rgb), self.config.stride))
+        x = self.initial(extend_to_multiple(self.normalise_rgb(rgb), self.stride))
         x, places1 = self.down1(x)
         x, places2 = self.down2(self.stage1(x))
         x = self.stage3(self.stage2(x))

@@ -5,8 +5,6 @@ Real-Time Semantic Segmentation", IEEE Transactions on Intelligent Transportatio
 Table 1 and Figure 2c.
 """
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -18,19 +16,13 @@ from models.network import Network, NetworkConfig, NetworkOutput, initialise
 _DILATIONS = (2, 4, 8, 16, 2, 4, 8, 16)
 
 
-@dataclass(frozen=True)
-class ERFNetConfig(NetworkConfig):
-    """Nothing to choose but the classes."""
-
-    name: str = "erfnet"
-    heads = ("semantic",)
-    stride = 8
-
-
 class ERFNet(Network):
     """Residual blocks of one-dimensional convolutions, down to an eighth and up again."""
 
-    def __init__(self, config: ERFNetConfig) -> None:
+    heads = ("semantic",)
+    stride = 8
+
+    def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         self.encoder = nn.Sequential(
             Downsampler(3, 16),
@@ -52,7 +44,7 @@ class ERFNet(Network):
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict at the padded image's size, see `Network.predict_coarse`."""
-        x = extend_to_multiple(self.normalise_rgb(rgb), self.config.stride)
+        x = extend_to_multiple(self.normalise_rgb(rgb), self.stride)
         return NetworkOutput(semantic_logits=self.semantic_head(self.decoder(self.encoder(x))))
 
 

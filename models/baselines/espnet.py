@@ -4,8 +4,6 @@ Paper: Mehta, Rastegari, Caspi, Shapiro, Hajishirzi, "ESPNet: Efficient Spatial 
 Convolutions for Semantic Segmentation", ECCV 2018, Figures 1 and 4, with p = 2 and q = 8 blocks.
 """
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -19,19 +17,13 @@ _BLOCKS = (2, 8)
 _DILATIONS = (1, 2, 4, 8, 16)
 
 
-@dataclass(frozen=True)
-class ESPNetConfig(NetworkConfig):
-    """Nothing to choose but the classes."""
-
-    name: str = "espnet"
-    heads = ("semantic",)
-    stride = 8
-
-
 class ESPNet(Network):
     """Spatial pyramids of dilated convolutions, with the image fed in again at each size."""
 
-    def __init__(self, config: ESPNetConfig) -> None:
+    heads = ("semantic",)
+    stride = 8
+
+    def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         classes = config.num_classes
         self.level1 = nn.Sequential(nn.Conv2d(3, 16, 3, 2, 1, bias=False), *_finish(16))
@@ -63,7 +55,7 @@ class ESPNet(Network):
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict at the padded image's size, see `Network.predict_coarse`."""
-        x = extend_to_multiple(self.normalise_rgb(rgb), self.config.stride)
+        x = extend_to_multiple(self.normalise_rgb(rgb), self.stride)
         half = F.avg_pool2d(x, 3, 2, 1)
         quarter = F.avg_pool2d(half, 3, 2, 1)
         joined1 = self.join1(torch.cat((self.level1(x), half), dim=1))

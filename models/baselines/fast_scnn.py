@@ -4,8 +4,6 @@ Paper: Poudel, Liwicki, Cipolla, "Fast-SCNN: Fast Semantic Segmentation Network"
 and Figure 2. Without the losses at inner layers that its training adds.
 """
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -19,20 +17,14 @@ _EXPANSION = 6
 _POOLED_SIZES = (1, 2, 3, 6)
 
 
-@dataclass(frozen=True)
-class FastSCNNConfig(NetworkConfig):
-    """Nothing to choose but the classes."""
+class FastSCNN(Network):
+    """Learning to downsample, a global feature extractor, their fusion, and a classifier."""
 
-    name: str = "fast-scnn"
     heads = ("semantic",)
     stride = 32
     semantic_stride = 8
 
-
-class FastSCNN(Network):
-    """Learning to downsample, a global feature extractor, their fusion, and a classifier."""
-
-    def __init__(self, config: FastSCNNConfig) -> None:
+    def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         self.downsample = nn.Sequential(
             ConvBNReLU(3, 32, stride=2), _separable(32, 48, stride=2), _separable(48, 64, stride=2)
@@ -53,7 +45,7 @@ class FastSCNN(Network):
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on an eighth of the image's grid, see `Network.predict_coarse`."""
-        x = pad_to_multiple(self.normalise_rgb(rgb), self.config.stride)
+        x = pad_to_multiple(self.normalise_rgb(rgb), self.stride)
         fine = self.downsample(x)
         coarse = self.refine(upsample(self.extract(fine), factor=4))
         fused = F.relu(self.project_coarse(coarse) + self.project_fine(fine))

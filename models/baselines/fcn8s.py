@@ -5,29 +5,21 @@ Paper: Long, Shelhamer, Darrell, "Fully Convolutional Networks for Semantic Segm
 raised bilinearly, which is what the paper's deconvolutions start from.
 """
 
-from dataclasses import dataclass
-
 from torch import Tensor, nn
 
 from models.baselines.vgg16 import VGG16
 from models.blocks import ConvBNReLU, upsample
-from models.network import Network, NetworkConfig, NetworkOutput, initialise
+from models.network import Head, Network, NetworkConfig, NetworkOutput, initialise
 
 _WIDE = 4096
 
 
-@dataclass(frozen=True)
-class FCN8sConfig(NetworkConfig):
-    """Nothing to choose but the classes."""
-
-    name: str = "fcn8s"
-    heads = ("semantic",)
-    stride = 32
-    semantic_stride = 8
-
-
 class FCN8s(Network):
     """VGG16 as convolutions throughout; scores at 1/32, 1/16 and 1/8 of the image, added."""
+
+    heads: tuple[Head, ...] = ("semantic",)
+    stride = 32
+    semantic_stride = 8
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)

@@ -4,7 +4,6 @@ Paper: Eldesokey, Felsberg, Khan, "Propagating Confidences through CNNs for Spar
 BMVC 2018, section 3 and Figure 2.
 """
 
-from dataclasses import dataclass
 from math import sqrt
 
 import torch
@@ -14,7 +13,6 @@ from torch.nn import functional as F
 from models.baselines.max_places import max_places, windows
 from models.blocks import pad_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput
-from runtime.contract import ClassInfo
 
 _WIDTH = 2
 #: Halvings; the layers between them are the same at every size.
@@ -23,20 +21,13 @@ _LEVELS = 3
 _NO_CONFIDENCE = 1e-6
 
 
-@dataclass(frozen=True)
-class NConvConfig(NetworkConfig):
-    """Nothing to choose but the depth range."""
-
-    name: str = "nconv"
-    classes: tuple[ClassInfo, ...] = ()
-    heads = ("depth",)
-    stride = 2**_LEVELS
-
-
 class NConv(Network):
     """A pyramid of normalised convolutions: data and its confidence go through every layer."""
 
-    def __init__(self, config: NConvConfig) -> None:
+    heads = ("depth",)
+    stride = 2**_LEVELS
+
+    def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         self.start = NormalisedConv(1, _WIDTH, kernel=5)
         self.spread = NormalisedConv(_WIDTH, _WIDTH, kernel=5)
@@ -49,8 +40,8 @@ class NConv(Network):
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict at the padded image's size, see `Network.predict_coarse`."""
         depth, measured = self.normalise_depth(sparse_depth)
-        x = pad_to_multiple(depth, self.config.stride)
-        confidence = pad_to_multiple(measured.to(depth.dtype), self.config.stride)
+        x = pad_to_multiple(depth, self.stride)
+        confidence = pad_to_multiple(measured.to(depth.dtype), self.stride)
         x, confidence = self.spread_on(*self.spread(*self.start(x, confidence)))
         levels = [(x, confidence)]
         for level in range(_LEVELS):

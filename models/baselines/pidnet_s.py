@@ -5,8 +5,6 @@ Controllers", CVPR 2023, Figures 4 to 7 and Table 2. Without the heads on the de
 branches that its training adds.
 """
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -20,24 +18,18 @@ _CONTEXT = 96
 _HEAD = 128
 
 
-@dataclass(frozen=True)
-class PIDNetSConfig(NetworkConfig):
-    """Nothing to choose but the classes."""
-
-    name: str = "pidnet-s"
-    heads = ("semantic",)
-    #: The last stage's grid is half as fine; it rounds up.
-    stride = 32
-    semantic_stride = 8
-
-
 class PIDNetS(Network):
     """Three branches: detail (P) and boundary (D) at an eighth of the image, context (I) below.
 
     The stages end without ReLU, which each reader of their features applies.
     """
 
-    def __init__(self, config: PIDNetSConfig) -> None:
+    heads = ("semantic",)
+    #: The last stage's grid is half as fine; it rounds up.
+    stride = 32
+    semantic_stride = 8
+
+    def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         w = _WIDTH
         self.stem = nn.Sequential(
@@ -74,7 +66,7 @@ class PIDNetS(Network):
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on an eighth of the image's grid, see `Network.predict_coarse`."""
-        x = pad_to_multiple(self.normalise_rgb(rgb), self.config.stride)
+        x = pad_to_multiple(self.normalise_rgb(rgb), self.stride)
         x = F.relu(self.stage2(F.relu(self.stage1(self.stem(x)))))
         detail, boundary = self.detail3(x), self.boundary3(x)
         x = F.relu(self.context3(x))

@@ -4,33 +4,23 @@ Paper: Uhrig, Schneider, Schneider, Franke, Brox, Geiger, "Sparsity Invariant CN
 section 3 and Figure 2.
 """
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
-from runtime.contract import ClassInfo
 
 _WIDTH = 16
 _KERNELS = (11, 7, 5, 3, 3)
 
 
-@dataclass(frozen=True)
-class SparseConvNetConfig(NetworkConfig):
-    """Nothing to choose but the depth range."""
-
-    name: str = "sparse-conv"
-    classes: tuple[ClassInfo, ...] = ()
-    heads = ("depth",)
-    stride = 1
-
-
 class SparseConvNet(Network):
     """Sparse convolutions at full size, from 11x11 to 1x1."""
 
-    def __init__(self, config: SparseConvNetConfig) -> None:
+    heads = ("depth",)
+    stride = 1
+
+    def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         width, layers = 1, []
         for kernel in _KERNELS:

@@ -4,7 +4,6 @@ Paper: Ma, Karaman, "Sparse-to-Dense: Depth Prediction from Sparse Depth Samples
 Image", ICRA 2018, Figure 3, with ResNet-18 and the decoder "deconv3".
 """
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
@@ -12,28 +11,20 @@ from torch import Tensor, nn
 
 from models.blocks import ResidualBlock, pad_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
-from runtime.contract import ClassInfo
 
 #: Channels of ResNet-18's stages, of two blocks each (He et al. 2016).
 _STAGES = (64, 128, 256, 512)
 _DECODER = (256, 128, 64, 32, 16)
 
 
-@dataclass(frozen=True)
-class SparseToDenseConfig(NetworkConfig):
-    """Nothing to choose but the depth range."""
-
-    name: str = "sparse-to-dense"
-    classes: tuple[ClassInfo, ...] = ()
-    heads = ("depth",)
-    stride = 32
-    output_stride = 2
-
-
 class SparseToDense(Network):
     """ResNet-18 over colours and depth in metres, and four transposed convolutions up again."""
 
-    def __init__(self, config: SparseToDenseConfig) -> None:
+    heads = ("depth",)
+    stride = 32
+    depth_stride = 2
+
+    def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         layers: list[nn.Module] = [
             nn.Conv2d(4, _STAGES[0], 7, 2, 3, bias=False),
@@ -64,7 +55,7 @@ class SparseToDense(Network):
         """Predict on half the image's grid, see `Network.predict_coarse`."""
         depth, _ = self.normalise_depth(sparse_depth)
         x = torch.cat((self.normalise_rgb(rgb), depth * self.config.max_depth_m), dim=1)
-        x = self.encoder(pad_to_multiple(x, self.config.stride))
+        x = self.encoder(pad_to_multiple(x, self.stride))
         answer = self.depth_head(self.decoder(x))
         # The answer is linear: only what is used is held within the range, not what learns.
         return NetworkOutput(depths=(answer if self.training else answer.clamp(0, 1),))

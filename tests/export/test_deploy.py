@@ -24,9 +24,9 @@ class ScoresByColour(nn.Module):
     zero_at: 255 turns it into 0 / 0, NaN; 254 into 1 / 0, Inf; 256 into -1 / 0, -Inf.
     """
 
-    config = SimpleNamespace(
-        name="by-hand", heads=("semantic",), semantic_stride=STRIDE, output_stride=STRIDE
-    )
+    config = SimpleNamespace(name="by-hand")
+    heads = ("semantic",)
+    semantic_stride = STRIDE
 
     def __init__(self, zero_at: float) -> None:
         super().__init__()

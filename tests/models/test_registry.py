@@ -1,7 +1,6 @@
 """A network is one file and one line: tiny ones go through every tool."""
 
 import json
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -23,7 +22,6 @@ from models import (
 from models.blocks import ConvBNReLU, pad_to_multiple
 from models.registry import NETWORKS, Entry
 from runtime import Predictor
-from runtime.contract import ClassInfo
 from runtime.errors import CheckpointError, InputError
 from training import cli
 from training.evaluation import cli as evaluation_cli
@@ -33,18 +31,12 @@ from training.recipe import ModelRecipe
 FEATURES = 16
 
 
-@dataclass(frozen=True)
-class TinyConfig(NetworkConfig):
-    """One strided convolution."""
+class TinySemantic(Network):
+    """Classes from RGB alone, on a quarter of the picture's grid."""
 
-    name: str = "tiny-semantic"
     heads = ("semantic",)
     stride = 4
     semantic_stride = 4
-
-
-class TinySemantic(Network):
-    """Classes from RGB alone, on a quarter of the picture's grid."""
 
     def __init__(self, config):
         super().__init__(config)
@@ -52,22 +44,15 @@ class TinySemantic(Network):
         self.semantic_head = nn.Conv2d(FEATURES, config.num_classes, 1)
 
     def predict_coarse(self, rgb, sparse_depth):
-        x = pad_to_multiple(self.normalise_rgb(rgb), self.config.stride)
+        x = pad_to_multiple(self.normalise_rgb(rgb), self.stride)
         return NetworkOutput(semantic_logits=self.semantic_head(self.layer(x)))
-
-
-@dataclass(frozen=True)
-class TinyDepthConfig(NetworkConfig):
-    """One convolution at full size."""
-
-    name: str = "tiny-depth"
-    classes: tuple[ClassInfo, ...] = ()
-    heads = ("depth",)
-    stride = 1
 
 
 class TinyDepth(Network):
     """Depth from the sparse depth alone, at full size."""
+
+    heads = ("depth",)
+    stride = 1
 
     def __init__(self, config):
         super().__init__(config)
@@ -82,8 +67,12 @@ class TinyDepth(Network):
 
 @pytest.fixture(autouse=True)
 def registered(monkeypatch):
-    monkeypatch.setitem(NETWORKS, "tiny-semantic", Entry(TinySemantic, TinyConfig()))
-    monkeypatch.setitem(NETWORKS, "tiny-depth", Entry(TinyDepth, TinyDepthConfig()))
+    monkeypatch.setitem(
+        NETWORKS, "tiny-semantic", Entry(TinySemantic, NetworkConfig("tiny-semantic"))
+    )
+    monkeypatch.setitem(
+        NETWORKS, "tiny-depth", Entry(TinyDepth, NetworkConfig("tiny-depth", classes=()))
+    )
 
 
 RECIPE = """
@@ -121,7 +110,7 @@ def test_a_network_of_one_head_goes_through_every_tool(name, head, tmp_path):
     path = tmp_path / "run/model.pt"
     checkpoint = load_checkpoint(path)
     assert type(checkpoint.model) is NETWORKS[name].network
-    assert checkpoint.model.config.heads == (head,)
+    assert checkpoint.model.heads == (head,)
     assert checkpoint.training["terms"] == "for tests"
     weight = checkpoint.model.layer[0].weight
     torch.manual_seed(0)
@@ -170,7 +159,7 @@ class OtherSemantic(TinySemantic):
 
 
 def test_weights_of_another_network_are_not_taken_over(tmp_path, monkeypatch):
-    monkeypatch.setitem(NETWORKS, "tiny-other", Entry(OtherSemantic, TinyConfig("tiny-other")))
+    monkeypatch.setitem(NETWORKS, "tiny-other", Entry(OtherSemantic, NetworkConfig("tiny-other")))
     save_checkpoint(tmp_path / "other.pt", create_model("tiny-other"))
     with pytest.raises(CheckpointError, match="none of its layers fits the recipe's 'tiny-sem"):
         build_network(ModelRecipe("tiny-semantic"), tmp_path / "other.pt")
@@ -199,7 +188,7 @@ def test_every_network_keeps_the_promises_of_the_base(name):
         "boundary": output.boundary_logits,
         "depth_uncertainty": output.depth_uncertainty,
     }
-    heads = model.config.heads
+    heads = model.heads
     assert heads == tuple(head for head in answers if head in heads)
     for head, answer in answers.items():
         assert (answer is not None) == (head in heads)

@@ -225,7 +225,7 @@ def test_upsampling_by_factor_equals_by_size():
 )
 def test_impossible_configurations_say_why(changes, text):
     with pytest.raises(ValueError, match=text):
-        SSDNetConfig(**changes)
+        SSDNet(SSDNetConfig(**changes))
 
 
 def test_create_model_names_what_it_knows():

@@ -116,7 +116,7 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
         ModelRecipe("ssdnet-lite", config={"semantic_head": False, "semantic_refine_channels": 0}),
         None,
     )
-    assert "semantic" not in alone.config.heads
+    assert "semantic" not in alone.heads
     assert alone.config.classes == ()
 
 

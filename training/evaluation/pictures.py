@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from models import NetworkConfig
+from models import Network
 from runtime.drawing.overlay import Overlay
 from training.datasets.sample import IGNORE, SampleSource
 from training.evaluation.scoring import Answer, Predict, split_frames
@@ -16,7 +16,7 @@ from training.lidar.split import LidarInput
 def draw_pictures(
     predict: Predict,
     source: SampleSource,
-    config: NetworkConfig,
+    network: Network,
     *,
     lidar: LidarInput,
     count: int,
@@ -27,14 +27,14 @@ def draw_pictures(
     depth as far as they are known (unknown classes are drawn black), as
     `runtime.drawing.overlay` draws both. Raises InputError for a LiDAR that the set cannot give.
     """
-    overlay = Overlay(config.classes, config.max_depth_m)
+    overlay = Overlay(network.config.classes, network.config.max_depth_m)
     indices = np.unique(np.linspace(0, len(source) - 1, count).round().astype(int))
     for frame in split_frames(source, indices.tolist(), lidar):
         sample = frame.sample
-        labelled = "semantic" in config.heads and (sample.semantic != IGNORE).any()
+        labelled = "semantic" in network.heads and (sample.semantic != IGNORE).any()
         truth = Answer(
             sample.semantic if labelled else None,
-            frame.target if "depth" in config.heads and frame.target.any() else None,
+            frame.target if "depth" in network.heads and frame.target.any() else None,
             None,
         )
         drawn = [

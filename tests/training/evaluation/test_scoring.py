@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from models import NetworkOutput, SSDNet
+from models import NetworkOutput, SSDNet, create_model
 from models.registry import NETWORKS
 from runtime.errors import InputError
 from training.datasets.sample import Sample
@@ -241,6 +241,6 @@ def test_frames_are_scored_with_their_own_focal_length():
     score(predict, frames, num_classes=11)
     assert seen == [300.0, None]
     source = [sample(), sample(intrinsics=None)]
-    config = NETWORKS["ssdnet-lite"].config
-    list(draw_pictures(predict, source, config, lidar=LidarInput("none"), count=2))
+    network = create_model("ssdnet-lite")
+    list(draw_pictures(predict, source, network, lidar=LidarInput("none"), count=2))
     assert seen == [300.0, None] * 2
