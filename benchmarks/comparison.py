@@ -12,7 +12,7 @@ trained yet, or are not at all, run with random weights. `table` shows what ther
 task.
 
 More time: --set 'schedule.steps = 20000', which needs a RUNS of its own. Some alone: --only NAME.
-The file is that of front.py, and a candidate may say, too:
+A candidate of the file (see plan.py) may say, too:
 
     recipe = "comparison-depth"  # in place of the common one
     network = "fcn8s"            # not trained, but timed
@@ -85,7 +85,7 @@ DEPTH_COLUMNS = {
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class Entry(Candidate):
-    """A candidate of front.py, a network that is only timed, or a classical method."""
+    """A candidate, a network that is only timed, or a classical method."""
 
     network: str | None = None
     method: str | None = None
