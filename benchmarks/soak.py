@@ -26,12 +26,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import InputError, Predictor, PushStream
+from runtime.live.message_counter import StreamCounts
 from runtime.live.stream_statistics import StreamStatistics
 from runtime.resize import move_returns
 from runtime.run.process import dedicate_process
 from runtime.sources.bundled_stream import bundled_frames
 from runtime.sources.frames import Frame
-from runtime.sync.message_counts import StreamCounts
 
 _LARGEST_GROWTH_MB = 64
 _FAULTY = 0.1  # share of the messages
@@ -70,7 +70,7 @@ class Soaked:
         assert self.counts is not None
         found = []
         if self.counts.pending:
-            found.append(f"{self.counts.pending} messages have no fate")
+            found.append(f"{self.counts.pending} messages have no outcome")
         for sensor, counts in (("image", self.counts.images), ("depth", self.counts.depths)):
             if counts.pushed != self.called[sensor]:
                 found.append(f"{self.called[sensor]} of {sensor} pushed, {counts.pushed} counted")

@@ -5,7 +5,7 @@ One worker thread predicts. All state is guarded by one lock. Who waits for an a
 which is notified at each other change. What always holds:
 
 1. A message that was accepted is in one place: with the synchronizer, in `_ready`, with the worker
-   (`_take` to `_answer`), or its fate is in the ledger. Whoever moves it holds the lock.
+   (`_take` to `_answer`), or its outcome is counted. Whoever moves it holds the lock.
 2. The lock is not held while predicting, copying or calling a callback: so who pushes into a live
    stream waits for a few comparisons at most, and a callback may call anything here.
 3. Live, `_ready` and `_results` hold one item at most and the synchronizer `_WAITING` a sensor;
@@ -33,25 +33,12 @@ from runtime.io.calibration import Calibration
 from runtime.live.answerer import Answer, Answerer, AnswersFrames
 from runtime.live.clock import MonotonicClock
 from runtime.live.frame_result import FrameResult
+from runtime.live.message_counter import MessageCounter, StreamCounts
 from runtime.live.payload import check_depth, check_points
 from runtime.live.stream_statistics import StatisticsRecorder, StreamStatistics
 from runtime.live.watchdog import Watchdog, WatchdogLimits, WatchdogState
 from runtime.preprocess import check_rgb
-from runtime.sync.message_counts import (
-    BAD_MESSAGE,
-    BAD_STAMP,
-    CLOSED,
-    INCOMPLETE,
-    INFERENCE_ERROR,
-    INPUT_ERROR,
-    INTERRUPTED,
-    OVERTAKEN,
-    UNREAD,
-    Fate,
-    Ledger,
-    Sensor,
-    StreamCounts,
-)
+from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, NS_PER_MS, Stamp, stamp_ns
 from runtime.sync.synchronizer import Decided, Message, Pair, Synchronizer
 
@@ -147,7 +134,7 @@ class PushStream:
             max_wait_ns=self._max_wait_ns,
             capacity=_WAITING,
         )
-        self._ledger = Ledger()
+        self._counter = MessageCounter()
         self._recorder = StatisticsRecorder(self.deadline_ms)
         self._watchdog = Watchdog(watchdog or WatchdogLimits(), live=self._live)
         self._told = self._watchdog.state(0)  # the last state that on_state was told
@@ -185,32 +172,32 @@ class PushStream:
         self._push(Sensor.DEPTH, check, points, stamp)
 
     def _push(self, sensor: Sensor, check: Callable[[Any], Any], data: Any, stamp: Any) -> None:
-        reason = BAD_STAMP
+        outcome = Outcome.BAD_STAMP
         try:
             nanoseconds = stamp_ns(stamp)
-            reason = BAD_MESSAGE
+            outcome = Outcome.BAD_MESSAGE
             data = check(data).copy()  # drivers fill their buffers again
         except InputError:
             with self._changed:
-                self._ledger.push(sensor)
-                self._ledger.settle(sensor, Fate.ERROR, reason)
+                self._counter.push(sensor)
+                self._counter.record(sensor, outcome)
             raise
         with self._changed:
-            self._ledger.push(sensor)
+            self._counter.push(sensor)
             if not self._live:
                 try:
                     self._wait_for_room(sensor)
                 except BaseException:
-                    self._ledger.settle(sensor, Fate.DROPPED, INTERRUPTED)
+                    self._counter.record(sensor, Outcome.INTERRUPTED)
                     raise
             if self._closed:
-                self._ledger.settle(sensor, Fate.DROPPED, CLOSED)
+                self._counter.record(sensor, Outcome.CLOSED)
                 return
             now_ns = self._moved_ns = self._clock.now_ns()
             self._watchdog.start(now_ns)
             jumps = self._synchronizer.jumps_back
             message = Message(stamp, nanoseconds, now_ns, data)
-            self._settle(self._synchronizer.add(sensor, message, now_ns))
+            self._queue(self._synchronizer.add(sensor, message, now_ns))
             if self._synchronizer.jumps_back != jumps:
                 self._recorder.reset_jitter()
             self._changed.notify_all()
@@ -235,7 +222,7 @@ class PushStream:
     def counts(self) -> StreamCounts:
         """What became of everything that was pushed so far."""
         with self._changed:
-            return self._ledger.counts(
+            return self._counter.counts(
                 out_of_order=self._synchronizer.out_of_order,
                 jumps_back=self._synchronizer.jumps_back,
             )
@@ -262,7 +249,7 @@ class PushStream:
         with self._changed:
             if not self._closed:
                 self._closed = True
-                self._settle(self._synchronizer.flush())
+                self._queue(self._synchronizer.flush())
                 self._changed.notify_all()
         if threading.current_thread() is not self._worker:
             self._worker.join()
@@ -318,9 +305,9 @@ class PushStream:
             with self._changed:
                 self._failure = failure
                 self._closed = True
-                self._settle(self._synchronizer.flush())
+                self._queue(self._synchronizer.flush())
                 while self._ready:
-                    self._settle_pair(self._ready.popleft(), Fate.DROPPED, CLOSED)
+                    self._record_outcome(self._ready.popleft(), Outcome.CLOSED)
         finally:
             with self._changed:
                 self._ended = True
@@ -333,7 +320,7 @@ class PushStream:
             while True:
                 now_ns = self._clock.now_ns()
                 if not self._closed:
-                    self._settle(self._synchronizer.advance(now_ns))
+                    self._queue(self._synchronizer.advance(now_ns))
                 room = self._live or self._closed or len(self._results) < _RESULTS
                 if self._ready and room:
                     self._moved_ns = now_ns
@@ -350,7 +337,7 @@ class PushStream:
                     due_ns = _earliest(due_ns, release_ns)
                     if now_ns >= release_ns:
                         self._moved_ns = now_ns
-                        self._settle(self._synchronizer.release_oldest(held[0], now_ns))
+                        self._queue(self._synchronizer.release_oldest(held[0], now_ns))
                         self._changed.notify_all()
                         continue
                 self._clock.wait(self._changed, None if due_ns is None else due_ns - now_ns)
@@ -364,23 +351,25 @@ class PushStream:
             result = self._result(pair, answer, started_ns, now_ns)
         except SSDNetError as error:
             with self._changed:
-                wiring = not isinstance(error, InferenceError)
-                self._settle_pair(pair, Fate.ERROR, INPUT_ERROR if wiring else INFERENCE_ERROR)
+                failed = isinstance(error, InferenceError)
+                outcome = Outcome.INFERENCE_ERROR if failed else Outcome.INPUT_ERROR
+                self._record_outcome(pair, outcome)
                 self._watchdog.failed()
             if self._on_error is not None:
                 self._on_error(error)
             return
         except BaseException:
             with self._changed:
-                self._settle_pair(pair, Fate.ERROR, INFERENCE_ERROR)
+                self._record_outcome(pair, Outcome.INFERENCE_ERROR)
             raise
         with self._changed:
             self._answers += 1
             self._record(pair, result, now_ns)
-            self._settle_pair(pair, Fate.ANSWERED)
+            self._record_outcome(pair, Outcome.ANSWERED)
             if self._on_result is None:
                 if self._live and self._results:
-                    self._drop_unread(self._results.popleft())
+                    unread = self._results.popleft()
+                    self._counter.record_unread(with_depth=unread.depth_stamp is not None)
                 self._results.append(result)
                 self._answered.notify_all()
         if self._on_result is not None:
@@ -418,24 +407,20 @@ class PushStream:
 
     # --- with the lock held --------------------------------------------------------------------
 
-    def _settle(self, decided: Decided) -> None:
+    def _queue(self, decided: Decided) -> None:
         """Count what was discarded and queue the pairs; live, the newest complete one stays."""
         for discarded in decided.discarded:
-            self._ledger.settle(discarded.sensor, discarded.fate, discarded.reason)
+            self._counter.record(discarded.sensor, discarded.outcome)
         for pair in decided.pairs:
             if self._live and self._ready:
                 if self._ready[0].depth is not None and pair.depth is None:
-                    self._settle_pair(pair, Fate.DROPPED, INCOMPLETE)
+                    self._record_outcome(pair, Outcome.INCOMPLETE)
                     continue
-                self._settle_pair(self._ready.popleft(), Fate.DROPPED, OVERTAKEN)
+                self._record_outcome(self._ready.popleft(), Outcome.OVERTAKEN)
             self._ready.append(pair)
 
-    def _settle_pair(self, pair: Pair, fate: Fate, reason: str = "") -> None:
-        self._ledger.settle(Sensor.IMAGE, fate, reason)
-        if pair.depth is not None:
-            self._ledger.settle(Sensor.DEPTH, fate, reason)
-        elif fate is Fate.ANSWERED:
-            self._ledger.camera_only += 1
+    def _record_outcome(self, pair: Pair, outcome: Outcome) -> None:
+        self._counter.record_frame(outcome, with_depth=pair.depth is not None)
 
     def _record(self, pair: Pair, result: FrameResult, now_ns: int) -> None:
         latency = result.prediction.latency
@@ -459,13 +444,6 @@ class PushStream:
             degraded=bool(result.prediction.degraded or result.health),
             valid=result.prediction.valid,
         )
-
-    def _drop_unread(self, result: FrameResult) -> None:
-        self._ledger.revoke_answer(Sensor.IMAGE, UNREAD)
-        if result.depth_stamp is not None:
-            self._ledger.revoke_answer(Sensor.DEPTH, UNREAD)
-        else:
-            self._ledger.camera_only -= 1
 
 
 def _earliest(*times_ns: int | None) -> int | None:

@@ -13,9 +13,9 @@ from runtime.drawing.report_page.timeline import Moment, Timeline
 from runtime.engine_facts import engine_facts
 from runtime.io.atomic_write import atomic_path
 from runtime.live.frame_result import FrameResult
+from runtime.live.message_counter import MessageCounts
 from runtime.live.push_stream import PushStream
 from runtime.predictor import Predictor
-from runtime.sync.message_counts import SensorCounts
 
 
 class StreamPage:
@@ -71,8 +71,8 @@ class StreamPage:
             "started": f"{self._started:%Y-%m-%d %H:%M:%S} UTC",
             "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC",
             "state": ", ".join([state.level, *state.reasons]),
-            "images": _fates(counts.images),
-            "depth maps": _fates(counts.depths),
+            "images": _outcomes(counts.images),
+            "depth maps": _outcomes(counts.depths),
             "answered from the camera alone": counts.camera_only,
             "out of order": counts.out_of_order,
             "stamps that jumped back": counts.jumps_back,
@@ -101,14 +101,14 @@ class StreamPage:
             made.write_bytes(page)
 
 
-def _fates(counts: SensorCounts) -> str:
-    """What became of a sensor's messages, in words."""
+def _outcomes(counts: MessageCounts) -> str:
+    """The outcomes of a sensor's messages, in words."""
     parts = [f"{counts.pushed:,} pushed", f"{counts.answered:,} answered"]
-    for fate in ("dropped", "unmatched", "errors"):
-        reasons = getattr(counts, fate)
+    for kind in ("dropped", "unmatched", "errors"):
+        reasons = getattr(counts, kind)
         if reasons:
             words = ", ".join(f"{reason} {count:,}" for reason, count in reasons.items())
-            parts.append(f"{sum(reasons.values()):,} {fate} ({words})")
+            parts.append(f"{sum(reasons.values()):,} {kind} ({words})")
     if counts.pending:
         parts.append(f"{counts.pending:,} pending")
     return "; ".join(parts)

@@ -21,7 +21,7 @@ from runtime.sources.ros_messages import (
 )
 from runtime.sources.ros_transforms import TransformTree
 from runtime.sources.source import ListedFrame, Source, no_depth, up_to
-from runtime.sync.message_counts import BAD_STAMP, Sensor
+from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
 from runtime.sync.stamp_matching import left_out_note, match_by_stamp
 
@@ -209,7 +209,7 @@ class BagSource(Source):
                 sensor = Sensor.IMAGE if message.topic == self._image_topic else Sensor.DEPTH
                 stamp_ns = self._bag.stamp_ns(message)
                 if stamp_ns is None:
-                    self._left_out[f"{sensor}: {BAD_STAMP}"] += 1
+                    self._left_out[f"{sensor}: {Outcome.BAD_STAMP}"] += 1
                 else:
                     yield sensor, stamp_ns or message.recorded_ns, place
 

@@ -12,7 +12,7 @@ from runtime.io.images import RGB_SUFFIXES, list_pictures, read_rgb
 from runtime.io.kitti_scan import read_scan
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source, no_depth, pair_up, up_to
-from runtime.sync.message_counts import NO_IMAGE, Sensor
+from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
 from runtime.sync.stamp_matching import left_out_note, match_by_stamp
 
@@ -71,7 +71,7 @@ class KittiRawSource(Source):
         if self._image_stamps is not None and self._scan_stamps is not None:
             return up_to(self._match(self._image_stamps, self._scan_stamps), limit)
         alone = self._scans.keys() - self._images.keys()
-        self._left_out.update({f"{Sensor.DEPTH}: {NO_IMAGE}": len(alone)} if alone else {})
+        self._left_out.update({f"{Sensor.DEPTH}: {Outcome.NO_IMAGE}": len(alone)} if alone else {})
         return pair_up(
             sorted(self._images),
             self._images,

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from runtime.errors import InputError
-from runtime.sync.message_counts import Sensor
+from runtime.sync.outcome import Sensor
 from runtime.sync.stamp import NS_PER_MS
 from runtime.sync.synchronizer import Message, Pair, Synchronizer
 
@@ -39,7 +39,7 @@ def match_by_stamp(
         yield synchronizer.flush()
 
     for decided in steps():
-        left_out.update(f"{gone.sensor}: {gone.reason}" for gone in decided.discarded)
+        left_out.update(f"{gone.sensor}: {gone.outcome}" for gone in decided.discarded)
         yield from decided.pairs
 
 

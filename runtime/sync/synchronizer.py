@@ -19,16 +19,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from runtime.sync.message_counts import (
-    CLOCK_JUMP,
-    DUPLICATE,
-    LATE,
-    NO_IMAGE,
-    OVERFLOW,
-    OVERTAKEN,
-    Fate,
-    Sensor,
-)
+from runtime.sync.outcome import Outcome, Sensor
 
 JUMP_BACK_NS = 1_000_000_000  # further back than this, a sensor's clock was set anew
 _REMEMBERED = 64  # stamps a sensor, to know a duplicate by
@@ -57,8 +48,7 @@ class Discarded(NamedTuple):
 
     sensor: Sensor
     message: Message
-    fate: Fate
-    reason: str
+    outcome: Outcome
 
 
 @dataclass
@@ -94,24 +84,24 @@ class Synchronizer:
         decided = Decided()
         waiting = self._sensors[sensor]
         if message.stamp_ns in waiting.remembered:
-            decided.discarded.append(Discarded(sensor, message, Fate.DROPPED, DUPLICATE))
+            decided.discarded.append(Discarded(sensor, message, Outcome.DUPLICATE))
             return decided
         if waiting.newest_ns is not None and message.stamp_ns < waiting.newest_ns:
             self.out_of_order += 1
             if message.stamp_ns < waiting.newest_ns - JUMP_BACK_NS:
                 self.jumps_back += 1
-                self._flush(decided, CLOCK_JUMP)
+                self._flush(decided, Outcome.CLOCK_JUMP)
                 self._sensors = {sensor: _Waiting() for sensor in Sensor}
                 self._decided_ns = None
                 waiting = self._sensors[sensor]
         if sensor is Sensor.IMAGE and self._is_late(message):
-            decided.discarded.append(Discarded(sensor, message, Fate.DROPPED, LATE))
+            decided.discarded.append(Discarded(sensor, message, Outcome.LATE))
             return decided
         waiting.add(message)
         self._decide(decided, now_ns)
         if len(waiting.messages) > self._capacity:  # live; who replays asks `full` first
             oldest = waiting.messages.pop(0)
-            decided.discarded.append(Discarded(sensor, oldest, Fate.DROPPED, OVERFLOW))
+            decided.discarded.append(Discarded(sensor, oldest, Outcome.OVERFLOW))
         return decided
 
     def advance(self, now_ns: int) -> Decided:
@@ -135,14 +125,14 @@ class Synchronizer:
         if sensor is Sensor.IMAGE:
             self._decide_image(decided, self._images[0])
         else:
-            self._discard_depth(decided, self._depths[0], NO_IMAGE)
+            self._discard_depth(decided, self._depths[0], Outcome.NO_IMAGE)
         self._decide(decided, now_ns)
         return decided
 
     def flush(self) -> Decided:
         """Decide everything with what is there: no more messages will come."""
         decided = Decided()
-        self._flush(decided, NO_IMAGE)
+        self._flush(decided, Outcome.NO_IMAGE)
         return decided
 
     @property
@@ -161,7 +151,7 @@ class Synchronizer:
             self._decide_image(decided, image)
         for depth in list(self._depths):
             if self._is_over(depth, Sensor.IMAGE, now_ns) and not self._near(depth):
-                self._discard_depth(decided, depth, NO_IMAGE)
+                self._discard_depth(decided, depth, Outcome.NO_IMAGE)
 
     def _next_decidable(self, now_ns: int) -> Message | None:
         """The image to decide next: live the newest of those that can be, else only the oldest."""
@@ -181,20 +171,20 @@ class Synchronizer:
         for older in list(self._images):
             if older.stamp_ns < image.stamp_ns:  # live alone
                 self._images.remove(older)
-                decided.discarded.append(Discarded(Sensor.IMAGE, older, Fate.DROPPED, OVERTAKEN))
+                decided.discarded.append(Discarded(Sensor.IMAGE, older, Outcome.OVERTAKEN))
         self._images.remove(image)
         if depth is not None:
             self._depths.remove(depth)
         decided.pairs.append(Pair(image, depth))
         for dead in list(self._depths):
             if dead.stamp_ns < image.stamp_ns - self._max_skew_ns:  # images to come are newer
-                self._discard_depth(decided, dead, NO_IMAGE)
+                self._discard_depth(decided, dead, Outcome.NO_IMAGE)
 
-    def _discard_depth(self, decided: Decided, depth: Message, reason: str) -> None:
+    def _discard_depth(self, decided: Decided, depth: Message, outcome: Outcome) -> None:
         self._depths.remove(depth)
-        decided.discarded.append(Discarded(Sensor.DEPTH, depth, Fate.UNMATCHED, reason))
+        decided.discarded.append(Discarded(Sensor.DEPTH, depth, outcome))
 
-    def _flush(self, decided: Decided, reason: str) -> None:
+    def _flush(self, decided: Decided, outcome: Outcome) -> None:
         if self._live:
             for image in reversed(self._images):  # the newest that has depth, else the newest
                 if self._partner(image) is not None:
@@ -203,7 +193,7 @@ class Synchronizer:
         while self._images:
             self._decide_image(decided, self._images[-1 if self._live else 0])
         for depth in list(self._depths):
-            self._discard_depth(decided, depth, reason)
+            self._discard_depth(decided, depth, outcome)
 
     def _partner(self, image: Message) -> Message | None:
         """The nearest depth map to which no other image is nearer; the older of two as near."""

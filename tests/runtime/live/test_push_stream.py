@@ -1,4 +1,4 @@
-"""The stream with its threads: live and replay, ends, callbacks, and a ledger that always adds up.
+"""The stream with its threads: live and replay, ends, callbacks, and counts that always add up.
 
 No test sleeps: the clock is moved by hand, and a prediction lasts until its gate is opened.
 """
@@ -36,8 +36,8 @@ def push_pair(stream, number):
 def add_up(counts):
     """Check that every message is accounted for, and give the counts back."""
     for of in (counts.images, counts.depths, counts):
-        fates = (of.dropped, of.unmatched, of.errors)
-        assert of.pushed == of.answered + of.pending + sum(sum(fate.values()) for fate in fates)
+        others = sum(sum(each.values()) for each in (of.dropped, of.unmatched, of.errors))
+        assert of.pushed == of.answered + of.pending + others
         assert of.pending >= 0
     return counts
 

@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 
 from runtime import InputError
-from runtime.sync.message_counts import Sensor
+from runtime.sync.outcome import Sensor
 from runtime.sync.stamp_matching import left_out_note, match_by_stamp
 
 MS = 1_000_000

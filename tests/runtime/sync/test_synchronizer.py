@@ -5,15 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from runtime.sync.message_counts import (
-    CLOCK_JUMP,
-    DUPLICATE,
-    LATE,
-    NO_IMAGE,
-    OVERFLOW,
-    OVERTAKEN,
-    Sensor,
-)
+from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.synchronizer import Message, Synchronizer
 
 MS = 1_000_000
@@ -55,8 +47,8 @@ class Played:
         self.discarded += decided.discarded
         return stamps(decided.pairs)
 
-    def reasons(self):
-        return [(item.sensor, item.message.stamp, item.reason) for item in self.discarded]
+    def outcomes(self):
+        return [(item.sensor, item.message.stamp, item.outcome) for item in self.discarded]
 
 
 def stamps(pairs):
@@ -120,7 +112,7 @@ def test_live_an_image_waits_for_max_wait_by_the_clock_and_no_longer():
     assert played.advance(55) == [(0, None)]
     played.depth(0, at=56)
     played.advance(200)
-    assert played.reasons() == [(DEPTH, 0, NO_IMAGE)]
+    assert played.outcomes() == [(DEPTH, 0, Outcome.NO_IMAGE)]
 
 
 def test_live_what_is_uncertain_is_decided_with_what_is_there():
@@ -137,7 +129,7 @@ def test_live_an_older_image_gives_way():
     played.image(0)
     played.image(100)
     assert played.depth(100) == [(100, 100)]
-    assert played.reasons() == [(IMAGE, 0, OVERTAKEN)]
+    assert played.outcomes() == [(IMAGE, 0, Outcome.OVERTAKEN)]
 
 
 def test_replayed_no_clock_decides():
@@ -166,10 +158,10 @@ def test_duplicates_and_late_images_are_told(live):
     played.depth(100)
     played.image(90)
     assert stamps(played.pairs) == [(100, 100)]
-    assert played.reasons() == [
-        (IMAGE, 100, DUPLICATE),
-        (DEPTH, 100, DUPLICATE),
-        (IMAGE, 90, LATE),
+    assert played.outcomes() == [
+        (IMAGE, 100, Outcome.DUPLICATE),
+        (DEPTH, 100, Outcome.DUPLICATE),
+        (IMAGE, 90, Outcome.LATE),
     ]
     assert played.synchronizer.out_of_order == 1
 
@@ -201,7 +193,7 @@ def test_a_jump_back_ends_all_waiting():
     played.image(5000)
     played.depth(5030)
     assert played.image(0) == [(5000, None)]
-    assert played.reasons() == [(DEPTH, 5030, CLOCK_JUMP)]
+    assert played.outcomes() == [(DEPTH, 5030, Outcome.CLOCK_JUMP)]
 
 
 def test_live_memory_is_bounded_by_dropping_the_oldest():
@@ -209,11 +201,11 @@ def test_live_memory_is_bounded_by_dropping_the_oldest():
     for stamp in range(5):
         played.image(stamp * 1000)
         played.depth(stamp * 1000 + 500)
-    assert played.reasons() == [
-        (IMAGE, 0, OVERFLOW),
-        (DEPTH, 500, OVERFLOW),
-        (IMAGE, 1000, OVERFLOW),
-        (DEPTH, 1500, OVERFLOW),
+    assert played.outcomes() == [
+        (IMAGE, 0, Outcome.OVERFLOW),
+        (DEPTH, 500, Outcome.OVERFLOW),
+        (IMAGE, 1000, Outcome.OVERFLOW),
+        (DEPTH, 1500, Outcome.OVERFLOW),
     ]
 
 
@@ -293,5 +285,5 @@ def test_any_sequence_is_accounted_for(messages, live, capacity):
     for image, depth in played.pairs:
         assert depth is None or abs(image.stamp_ns - depth.stamp_ns) <= 20 * MS
     if not live:
-        lost = {reason for sensor, _, reason in played.reasons() if sensor is IMAGE}
-        assert lost <= {DUPLICATE, LATE}, "a replay answers every image"
+        lost = {outcome for sensor, _, outcome in played.outcomes() if sensor is IMAGE}
+        assert lost <= {Outcome.DUPLICATE, Outcome.LATE}, "a replay answers every image"

@@ -1,0 +1,103 @@
+"""Counts of the outcomes of all messages of a stream."""
+
+from collections import Counter
+from collections.abc import Mapping, Set
+from dataclasses import dataclass, field
+
+from runtime.sync.outcome import DROPPED, ERRORS, UNMATCHED, Outcome, Sensor
+
+
+@dataclass(frozen=True)
+class MessageCounts:
+    """Messages by outcome: `pushed` is the sum of all the others.
+
+    Attributes:
+        pushed: all messages.
+        answered: those that are part of an answer.
+        dropped, unmatched, errors: reason -> messages, see `Outcome`.
+    """
+
+    pushed: int = 0
+    answered: int = 0
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    unmatched: Mapping[str, int] = field(default_factory=dict)
+    errors: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def pending(self) -> int:
+        """Messages that are still waiting or being answered; 0 after the stream was closed."""
+        reasons = (self.dropped, self.unmatched, self.errors)
+        return self.pushed - self.answered - sum(sum(counts.values()) for counts in reasons)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamCounts(MessageCounts):
+    """Messages of both sensors together: an answer made of an image and a depth map is two.
+
+    Attributes:
+        images, depths: the same by sensor; `images.answered` is the number of answers.
+        camera_only: answers among them without depth.
+        out_of_order: messages that were older than the newest of their sensor; their outcomes are
+            counted as those of any other.
+        jumps_back: how often the stamps of a sensor jumped back by more than a second.
+    """
+
+    images: MessageCounts
+    depths: MessageCounts
+    camera_only: int
+    out_of_order: int
+    jumps_back: int
+
+
+class MessageCounter:
+    """Counts every message once when it is pushed and once when its outcome is known.
+
+    Not thread-safe: the stream's lock guards it.
+    """
+
+    def __init__(self) -> None:
+        self._pushed: Counter[Sensor] = Counter()
+        self._outcomes: dict[Sensor, Counter[Outcome]] = {sensor: Counter() for sensor in Sensor}
+        self._camera_only = 0
+
+    def push(self, sensor: Sensor) -> None:
+        """Count a new message."""
+        self._pushed[sensor] += 1
+
+    def record(self, sensor: Sensor, outcome: Outcome) -> None:
+        """Count the outcome of a message."""
+        self._outcomes[sensor][outcome] += 1
+
+    def record_frame(self, outcome: Outcome, *, with_depth: bool) -> None:
+        """Count the outcome of an image and of its depth map, if there is one."""
+        self.record(Sensor.IMAGE, outcome)
+        if with_depth:
+            self.record(Sensor.DEPTH, outcome)
+        elif outcome is Outcome.ANSWERED:
+            self._camera_only += 1
+
+    def record_unread(self, *, with_depth: bool) -> None:
+        """An answer was not fetched: its messages count as dropped instead."""
+        self.record_frame(Outcome.UNREAD, with_depth=with_depth)
+        self._outcomes[Sensor.IMAGE][Outcome.ANSWERED] -= 1
+        self._outcomes[Sensor.DEPTH][Outcome.ANSWERED] -= with_depth
+        self._camera_only -= not with_depth
+
+    def counts(self, *, out_of_order: int, jumps_back: int) -> StreamCounts:
+        """A copy of the present counts."""
+        both = self._outcomes[Sensor.IMAGE] + self._outcomes[Sensor.DEPTH]
+        return StreamCounts(
+            **vars(_counts(self._pushed.total(), both)),
+            images=_counts(self._pushed[Sensor.IMAGE], self._outcomes[Sensor.IMAGE]),
+            depths=_counts(self._pushed[Sensor.DEPTH], self._outcomes[Sensor.DEPTH]),
+            camera_only=self._camera_only,
+            out_of_order=out_of_order,
+            jumps_back=jumps_back,
+        )
+
+
+def _counts(pushed: int, outcomes: Counter[Outcome]) -> MessageCounts:
+    def of(kind: Set[Outcome]) -> dict[str, int]:
+        return {outcome.value: count for outcome, count in outcomes.items() if outcome in kind}
+
+    return MessageCounts(pushed, outcomes[Outcome.ANSWERED], of(DROPPED), of(UNMATCHED), of(ERRORS))
