@@ -46,7 +46,7 @@ def measure_parity(
             feed = {"rgb": frame.rgb[None], "sparse_depth": frame.sparse_depth[None]}
             bare = dict(zip(predictor.heads, session.run(predictor.heads, feed), strict=True))
             for head in predictor.heads:
-                for answer in (getattr(prediction, head), bare[head][0]):
+                for answer in (prediction.heads[head], bare[head][0]):
                     _require_shape(head, answer, expected[head])
                     figures = compare(head, answer, expected[head])
                     measured.setdefault(head, []).append(figures)

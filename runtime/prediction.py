@@ -1,5 +1,6 @@
 """What one call of the predictor gives back."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -51,13 +52,7 @@ class Cleaned:
 class Prediction:
     """The answer for one frame, at the frame's own size (H, W). The arrays belong to the caller.
 
-    semantic: uint8 (H, W), class ids, see `Contract.classes`; None without that head
-    depth: float32 (H, W) [m]; None without that head
-    boundary: float32 (H, W), probability 0..1; None without that head
-    depth_uncertainty: float32 (H, W) [m], how far `depth` may be off: the scale b of a Laplace
-        distribution around it, within which 63 % of the errors are meant to lie, and 86 % within
-        2 b; None where the model does not say
-    semantic_logits: float32 (C, H, W); None unless the model was exported with logits
+    heads: head -> answer, by the rows of `runtime.heads`; as far as the model has the head
     frame_size: (height, width)
     network_size: (height, width) at which the network ran; the answers were resized if it is
         another than the frame's
@@ -72,9 +67,7 @@ class Prediction:
         prediction made by hand
     """
 
-    semantic: NDArray[np.uint8] | None
-    depth: NDArray[np.float32] | None
-    boundary: NDArray[np.float32] | None
+    heads: Mapping[str, NDArray[Any]]
     frame_size: tuple[int, int]
     network_size: tuple[int, int]
     latency: Latency
@@ -82,10 +75,36 @@ class Prediction:
     degraded: tuple[str, ...] = ()
     cleaned: Cleaned = field(default_factory=Cleaned)
     depth_returns: int = 0
-    depth_uncertainty: NDArray[np.float32] | None = None
-    semantic_logits: NDArray[np.float32] | None = None
     stamp: Any = None
     contract: "Contract | None" = field(default=None, repr=False)
+
+    @property
+    def semantic(self) -> NDArray[np.uint8] | None:
+        """Class ids, uint8 (H, W), see `Contract.classes`; None without that head."""
+        return self.heads.get("semantic")
+
+    @property
+    def depth(self) -> NDArray[np.float32] | None:
+        """Metres along the optical axis, float32 (H, W); None without that head."""
+        return self.heads.get("depth")
+
+    @property
+    def boundary(self) -> NDArray[np.float32] | None:
+        """Probability 0..1 of an object's boundary, float32 (H, W); None without that head."""
+        return self.heads.get("boundary")
+
+    @property
+    def depth_uncertainty(self) -> NDArray[np.float32] | None:
+        """Scale b [m] of a Laplace distribution around `depth`, float32 (H, W); None without it.
+
+        63 % of the errors are meant to lie within b, 86 % within 2 b.
+        """
+        return self.heads.get("depth_uncertainty")
+
+    @property
+    def semantic_logits(self) -> NDArray[np.float32] | None:
+        """Class scores, float32 (C, H, W); None unless the model was exported with them."""
+        return self.heads.get("semantic_logits")
 
     def draw(self, rgb: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
         """Return one picture of the frame and its answers, to look at.

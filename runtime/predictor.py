@@ -339,11 +339,7 @@ def _prediction(
     contract: Contract,
 ) -> Prediction:
     return Prediction(
-        semantic=heads.get("semantic"),
-        depth=heads.get("depth"),
-        boundary=heads.get("boundary"),
-        depth_uncertainty=heads.get("depth_uncertainty"),
-        semantic_logits=heads.get("semantic_logits"),
+        heads=heads,
         frame_size=frame.frame_size,
         network_size=frame.network_size,
         latency=latency,

@@ -91,9 +91,7 @@ class CompletionPredictor:
             reasons = (*reasons, DEPTH_INCOMPLETE)
         finished = time.perf_counter()
         return Prediction(
-            semantic=None,
-            depth=depth,
-            boundary=None,
+            heads={"depth": depth},
             frame_size=frame.frame_size,
             network_size=frame.network_size,
             latency=Latency(

@@ -19,7 +19,6 @@ from runtime.io.ply import encode_ply
 from runtime.prediction import Prediction
 
 _PICTURES, _ARRAYS, _CLOUD = (".png", ".jpg", ".jpeg"), ".npz", ".ply"
-_HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
 
 
 def draw_prediction(
@@ -76,8 +75,7 @@ def save_prediction(
 
 def _npz(prediction: Prediction) -> memoryview:
     """All arrays by their heads' names, and whether they may be used."""
-    heads = {head: getattr(prediction, head) for head in _HEADS}
-    arrays: dict[str, Any] = {name: values for name, values in heads.items() if values is not None}
+    arrays: dict[str, Any] = dict(prediction.heads)
     arrays["valid"] = np.bool_(prediction.valid)
     arrays["degraded"] = np.array(prediction.degraded, dtype=np.str_)
     file = io.BytesIO()

@@ -1,6 +1,6 @@
 """One picture of a frame and its answers, to look at."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any, Protocol
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from runtime.contract import ClassInfo, find_sky
 from runtime.drawing.color_scale import NO_VALUE_COLOR, ColorScale
 from runtime.drawing.picture_text import text_width, write_text
+from runtime.heads import HEADS, Panel
 
 # Larger frames are shrunk by a whole number until they fit: a JPEG side has at most 65500 pixels.
 _PANEL_WIDTH, _PANEL_HEIGHT = 640, 4096
@@ -24,23 +25,11 @@ _UNCERTAINTY_PERCENT = (1.0, 100.0)
 
 
 class Answers(Protocol):
-    """What can be drawn, at the picture's size; None where there is no such head."""
+    """What can be drawn."""
 
     @property
-    def semantic(self) -> NDArray[np.uint8] | None:
-        """Class ids (H, W)."""
-
-    @property
-    def depth(self) -> NDArray[np.float32] | None:
-        """Metres (H, W)."""
-
-    @property
-    def boundary(self) -> NDArray[np.float32] | None:
-        """Probability (H, W)."""
-
-    @property
-    def depth_uncertainty(self) -> NDArray[np.float32] | None:
-        """Metres (H, W); never without a depth."""
+    def heads(self) -> Mapping[str, NDArray[Any]]:
+        """Head -> answer at the picture's size."""
 
 
 class Overlay:
@@ -60,7 +49,7 @@ class Overlay:
         self._depth_scale = ColorScale(
             "depth", "m", nearest_m, max_depth_m, cv2.COLORMAP_MAGMA, bright_low=True
         )
-        self._uncertainty_scale = ColorScale(
+        self._share_scale = ColorScale(
             "uncertainty", "%", *_UNCERTAINTY_PERCENT, cv2.COLORMAP_VIRIDIS
         )
         self._legends: dict[tuple[int, tuple[ColorScale, ...]], NDArray[np.uint8]] = {}
@@ -77,11 +66,9 @@ class Overlay:
         for title, panel in panels.items():
             write_text(panel, title, (6, 16))
         strip = (cv2.vconcat if stacked else cv2.hconcat)(list(panels.values()))
-        bars: tuple[ColorScale, ...] = ()
-        if prediction.depth is not None:
-            bars += (self._depth_scale,)
-            if prediction.depth_uncertainty is not None:
-                bars += (self._uncertainty_scale,)
+        kinds = {HEADS[head].panel for head in prediction.heads}
+        scales = {Panel.DEPTH: self._depth_scale, Panel.SHARE_OF_DEPTH: self._share_scale}
+        bars = tuple(scale for kind, scale in scales.items() if kind in kinds)
         return cv2.vconcat([strip, self._legend(strip.shape[1], bars)])  # type: ignore[return-value]
 
     def panels(
@@ -99,18 +86,27 @@ class Overlay:
         step = min(step, height, width)  # at least a line of a very long frame is left
         image = None if rgb is None else cv2.cvtColor(_shrink(rgb, step), cv2.COLOR_RGB2BGR)
         panels: dict[str, NDArray[Any]] = {} if image is None else {"image": image}
-        ids = None
-        if prediction.semantic is not None:
-            ids = _shrink_nearest(prediction.semantic, step)
-            classes = cv2.applyColorMap(ids, self._class_colors)
-            if image is not None:
-                classes = cv2.addWeighted(classes, _CLASS_OPACITY, image, 1 - _CLASS_OPACITY, 0)
-            panels["classes"] = classes
-        if prediction.depth is not None:
-            panels |= self._depth_panels(prediction.depth, prediction.depth_uncertainty, ids, step)
-        if prediction.boundary is not None:
-            boundary = cv2.convertScaleAbs(_shrink(prediction.boundary, step), alpha=255)
-            panels["boundary"] = cv2.cvtColor(boundary, cv2.COLOR_GRAY2BGR)
+        heads = prediction.heads
+        ids = _shrink_nearest(heads["semantic"], step) if "semantic" in heads else None
+        depth = _shrink_nearest(heads["depth"], step) if "depth" in heads else None
+        hidden = None if depth is None else self._without_depth(depth, ids)
+        for kind, head in ((kind, head) for kind in Panel for head in heads):
+            if HEADS[head].panel is not kind:
+                continue
+            if kind is Panel.CLASSES and ids is not None:
+                panels["classes"] = self._paint_classes(ids, image)
+            elif kind is Panel.DEPTH and depth is not None:
+                title = "depth" if ids is None or self._sky is None else "depth, none in the sky"
+                panels[title] = self._depth_scale.paint(depth, hidden=hidden)
+            elif kind is Panel.SHARE_OF_DEPTH and depth is not None:
+                percent: NDArray[Any] = 100 * _shrink_nearest(heads[head], step)
+                percent = percent / np.maximum(depth, 1e-6)
+                panels["uncertainty, % of the depth"] = self._share_scale.paint(
+                    percent, hidden=hidden
+                )
+            elif kind is Panel.GRAY:
+                gray = cv2.convertScaleAbs(_shrink(heads[head], step), alpha=255)
+                panels[head] = cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR)
         return panels
 
     def paint_depth(
@@ -121,40 +117,24 @@ class Overlay:
         depth: metres (H, W). semantic: class ids (H, W), whose sky has no depth; None = not known.
         Returns uint8 (H, W, 3), blue first.
         """
-        (panel,) = self._depth_panels(depth, None, semantic, 1).values()
-        return panel
+        return self._depth_scale.paint(depth, hidden=self._without_depth(depth, semantic))
 
     def draw_depth_bar(self, width: int) -> NDArray[np.uint8]:
         """Draw what the colours of a depth mean: uint8 (H', width, 3), blue first."""
         return self._depth_scale.draw_bar(width, _LEGEND_LINE)
 
-    def _depth_panels(
-        self,
-        depth: NDArray[np.float32],
-        uncertainty: NDArray[np.float32] | None,
-        ids: NDArray[np.uint8] | None,
-        step: int,
-    ) -> dict[str, NDArray[np.uint8]]:
-        """Title -> panel of the depth and, if there is one, of its uncertainty.
+    def _without_depth(
+        self, depth: NDArray[np.float32], ids: NDArray[np.uint8] | None
+    ) -> NDArray[np.bool_]:
+        """Pixels of the sky and those whose depth is not above 0."""
+        hidden: NDArray[np.bool_] = ~(depth > 0)
+        return hidden if ids is None or self._sky is None else hidden | (ids == self._sky)
 
-        ids: the classes at the panels' size, or None if they are not known
-        step: by which the frame is shrunk
-        """
-        depth = _shrink_nearest(depth, step)
-        hidden = ~(depth > 0)
-        title = "depth"
-        if ids is not None and self._sky is not None:
-            hidden |= ids == self._sky
-            title = "depth, none in the sky"
-        panels = {title: self._depth_scale.paint(depth, hidden=hidden)}
-        if uncertainty is not None:
-            percent: NDArray[Any] = (
-                100 * _shrink_nearest(uncertainty, step) / np.maximum(depth, 1e-6)
-            )
-            panels["uncertainty, % of the depth"] = self._uncertainty_scale.paint(
-                percent, hidden=hidden
-            )
-        return panels
+    def _paint_classes(self, ids: NDArray[np.uint8], image: NDArray[Any] | None) -> NDArray[Any]:
+        classes = cv2.applyColorMap(ids, self._class_colors)
+        if image is None:
+            return classes
+        return cv2.addWeighted(classes, _CLASS_OPACITY, image, 1 - _CLASS_OPACITY, 0)
 
     @cached_property
     def _class_colors(self) -> NDArray[np.uint8]:
@@ -191,8 +171,8 @@ class SharedOverlay(Overlay):
 
 def _size(rgb: NDArray[np.uint8] | None, prediction: Answers) -> tuple[int, int]:
     """(height, width) of the frame."""
-    heads = (prediction.semantic, prediction.depth, prediction.boundary)
-    return next(array.shape[:2] for array in (rgb, *heads) if array is not None)
+    array = next(iter(prediction.heads.values())) if rgb is None else rgb[..., 0]
+    return array.shape[-2], array.shape[-1]
 
 
 def _class_lines(swatches: Sequence[ClassInfo], width: int) -> list[NDArray[np.uint8]]:

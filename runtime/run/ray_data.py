@@ -151,7 +151,7 @@ class FramePredictor:
         }
         if not prediction.valid:
             return answer | {"status": INVALID, "reason": ", ".join(prediction.degraded)}
-        return answer | {"status": OK} | {head: getattr(prediction, head) for head in self._heads}
+        return answer | {"status": OK} | {head: prediction.heads[head] for head in self._heads}
 
 
 def _nothing(head: str) -> NDArray[Any]:

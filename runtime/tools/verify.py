@@ -56,7 +56,7 @@ def verify(
         except InferenceError as error:
             yield FrameCheck(frame, {}, faults=(str(error),))
             continue
-        answers = {head: getattr(prediction, head) for head in predictor.heads}
+        answers = prediction.heads
         faults = []
         if prediction.valid != frame.valid:
             faults.append(f"valid is {prediction.valid}, recorded was {frame.valid}")

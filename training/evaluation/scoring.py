@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -37,6 +37,11 @@ class Answer(NamedTuple):
     boundary: NDArray[np.float32] | None
     #: Scale of a Laplace distribution around the depth [m].
     depth_uncertainty: NDArray[np.float32] | None = None
+
+    @property
+    def heads(self) -> dict[str, NDArray[Any]]:
+        """Head -> answer, of those that there are."""
+        return {head: values for head, values in self._asdict().items() if values is not None}
 
 
 #: Name of the class that is scored against masks of the road, in any case of its letters.

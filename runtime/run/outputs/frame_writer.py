@@ -73,7 +73,7 @@ class FrameWriter:
             if kind == OVERLAY:
                 return encode_jpeg(self._overlay.draw(frame.rgb, prediction))
             head, encoding = SAVED_HEADS[kind]
-            values = getattr(prediction, head)
+            values = prediction.heads.get(head)
             return None if values is None else ENCODERS[encoding](values)
         except (cv2.error, ValueError) as error:
             height, width = frame.rgb.shape[:2]

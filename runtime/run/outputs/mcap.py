@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
@@ -65,7 +64,7 @@ class McapWriter:
         time = self._types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, _S))
         header = self._types["std_msgs/msg/Header"](time, FRAME_ID)
         for head, (topic, encoding) in IMAGES.items():
-            image: NDArray[Any] | None = getattr(prediction, head)
+            image = prediction.heads.get(head)
             if image is not None:
                 self._add(
                     topic,

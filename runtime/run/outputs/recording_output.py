@@ -31,7 +31,7 @@ def open_recording(
             entry = RecordedFrame(
                 name, prediction.valid, prediction.degraded, prediction.latency.total_ms
             )
-            answers = {head: getattr(prediction, head) for head in predictor.heads}
+            answers = prediction.heads
             recorder.add(entry, frame.rgb, frame.sparse_depth, answers)
 
         yield keep

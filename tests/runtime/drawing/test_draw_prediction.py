@@ -25,6 +25,12 @@ def answered(model_file, make_frame):
         return rgb, predictor.predict(rgb, depth)
 
 
+def change(prediction, *, without=(), **changes):
+    """The prediction with other fields, without some heads."""
+    heads = {head: values for head, values in prediction.heads.items() if head not in without}
+    return dataclasses.replace(prediction, **{"heads": heads} | changes)
+
+
 def test_the_picture_is_the_overlay_red_first(contract, answered):
     rgb, prediction = answered
     drawn = prediction.draw(rgb)
@@ -47,7 +53,7 @@ def test_an_answer_that_cannot_be_used_is_drawn(answered):
     rgb, prediction = answered
     depth = prediction.depth.copy()
     depth[30:] = np.nan
-    broken = dataclasses.replace(prediction, depth=depth, valid=False)
+    broken = change(prediction, heads={**prediction.heads, "depth": depth}, valid=False)
     drawn = broken.draw(rgb)
     assert (drawn[30:48, 2 * 64 : 3 * 64] == 110).all(), "no depth there"
 
@@ -81,7 +87,7 @@ def test_a_picture_is_saved(tmp_path, answered, suffix, worst):
 
 def test_all_arrays_are_saved(tmp_path, answered):
     _, prediction = answered
-    prediction = dataclasses.replace(prediction, boundary=None, degraded=("no_depth", "b"))
+    prediction = change(prediction, without=["boundary"], degraded=("no_depth", "b"))
     prediction.save(str(tmp_path / "a.npz"))
     with np.load(tmp_path / "a.npz", allow_pickle=False) as arrays:
         heads = {"semantic", "depth", "depth_uncertainty"}
@@ -108,7 +114,7 @@ def test_a_cloud_is_saved_with_colours_and_labels(tmp_path, answered, read_ply, 
 
 
 def test_a_cloud_without_picture_and_classes_is_points_alone(tmp_path, answered, read_ply):
-    prediction = dataclasses.replace(answered[1], semantic=None, contract=None)
+    prediction = change(answered[1], without=["semantic"], contract=None)
     prediction.save(tmp_path / "a.ply", intrinsics=K)
     lines, points = read_ply(tmp_path / "a.ply")
     assert points.dtype.names == ("x", "y", "z")

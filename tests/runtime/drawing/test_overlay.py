@@ -19,6 +19,13 @@ def answered(model_file, make_frame):
     return rgb, Predictor(model_file(heads=heads)).predict(rgb, depth)
 
 
+def change(prediction, *, frame_size=None, **heads):
+    """The prediction with other answers; None takes a head away."""
+    kept = {h: values for h, values in {**prediction.heads, **heads}.items() if values is not None}
+    frame_size = frame_size or prediction.frame_size
+    return dataclasses.replace(prediction, heads=kept, frame_size=frame_size)
+
+
 def panels_of(strip, height):
     return [strip[i * height : (i + 1) * height] for i in range(5)]
 
@@ -34,7 +41,7 @@ def test_the_overlay_shows_what_was_predicted(contract, answered):
     boundary = np.zeros((height, width), np.float32)
     boundary[:, 150:] = 1
     uncertainty = np.full((height, width), 1, np.float32)
-    prediction = dataclasses.replace(
+    prediction = change(
         prediction,
         semantic=semantic,
         depth=depth,
@@ -67,7 +74,7 @@ def test_the_depth_colours_are_the_same_for_every_frame(contract, answered):
     def color_at_10_m(rest_m):
         depth = np.full(prediction.depth.shape, rest_m, np.float32)
         depth[40, 40] = 10
-        drawn = overlay.draw(rgb, dataclasses.replace(prediction, depth=depth))
+        drawn = overlay.draw(rgb, change(prediction, depth=depth))
         return drawn[40, 2 * 80 + 40].tolist()
 
     assert color_at_10_m(1) == color_at_10_m(70)
@@ -76,7 +83,7 @@ def test_the_depth_colours_are_the_same_for_every_frame(contract, answered):
 def depth_panels(overlay, answered, **changes):
     """The panels of the depth and of its uncertainty: 60 x 80 pixels each."""
     rgb, prediction = answered
-    drawn = overlay.draw(rgb, dataclasses.replace(prediction, **changes))
+    drawn = overlay.draw(rgb, change(prediction, **changes))
     return drawn[:60, 2 * 80 : 3 * 80], drawn[:60, 3 * 80 : 4 * 80]
 
 
@@ -124,7 +131,7 @@ def test_the_overlay_of_any_size_is_of_a_handy_size(contract, answered, size):
         name: cv2.resize(getattr(prediction, name), size[::-1])
         for name in ("semantic", "depth", "boundary", "depth_uncertainty")
     }
-    prediction = dataclasses.replace(prediction, frame_size=size, **resized)
+    prediction = change(prediction, frame_size=size, **resized)
     overlay = Overlay(contract.classes, contract.max_depth_m)
     strip = overlay.draw(np.zeros((*size, 3), np.uint8), prediction)
     assert strip.dtype == np.uint8
@@ -141,19 +148,19 @@ def test_panels_below_one_another_may_be_wider(contract, answered, size, width):
         for name in ("semantic", "depth", "boundary", "depth_uncertainty")
     }
     overlay = Overlay(contract.classes, contract.max_depth_m)
-    answers = dataclasses.replace(answered[1], **resized)
+    answers = change(answered[1], **resized)
     assert overlay.draw(np.zeros((*size, 3), np.uint8), answers).shape[1] == width
 
 
 def test_the_overlay_leaves_out_missing_heads(contract, answered):
     rgb, prediction = answered
-    no_uncertainty = dataclasses.replace(prediction, depth_uncertainty=None)
-    only_depth = dataclasses.replace(no_uncertainty, semantic=None, boundary=None)
+    no_uncertainty = change(prediction, depth_uncertainty=None)
+    only_depth = change(no_uncertainty, semantic=None, boundary=None)
     overlay = Overlay(contract.classes, contract.max_depth_m)
     assert overlay.draw(rgb, only_depth).shape[1] == 2 * 80
     assert overlay.draw(rgb, no_uncertainty).shape[1] == 4 * 80
     assert overlay.draw(rgb, prediction).shape[1] == 5 * 80
-    only_boundary = dataclasses.replace(no_uncertainty, semantic=None, depth=None)
+    only_boundary = change(no_uncertainty, semantic=None, depth=None)
     assert Overlay((), contract.max_depth_m).draw(rgb, only_boundary).shape == (60, 2 * 80, 3)
 
 
@@ -163,11 +170,11 @@ def test_the_legend_speaks_of_the_uncertainty_where_it_is_drawn(contract, answer
         name: cv2.resize(getattr(prediction, name), (200, 60))
         for name in ("semantic", "depth", "boundary", "depth_uncertainty")
     }
-    prediction = dataclasses.replace(prediction, **wide)
+    prediction = change(prediction, **wide)
     overlay = Overlay(contract.classes, contract.max_depth_m)
     rgb = np.zeros((60, 200, 3), np.uint8)
     with_it = overlay.draw(rgb, prediction)
-    without = overlay.draw(rgb, dataclasses.replace(prediction, depth_uncertainty=None))
+    without = overlay.draw(rgb, change(prediction, depth_uncertainty=None))
     lines = (with_it.shape[0] - 5 * 60) - (without.shape[0] - 4 * 60)
     assert lines == 22
     assert np.array_equal(with_it[5 * 60 : -lines], without[4 * 60 :])
@@ -200,7 +207,7 @@ def test_a_frame_that_several_show_is_drawn_once(contract, answered):
     shared = SharedOverlay(contract.classes, contract.max_depth_m)
     first = shared.draw(rgb, prediction)
     assert shared.draw(rgb, prediction) is first
-    other = dataclasses.replace(prediction, depth=prediction.depth + 9)
+    other = change(prediction, depth=prediction.depth + 9)
     plain = Overlay(contract.classes, contract.max_depth_m)
     assert np.array_equal(shared.draw(rgb, other), plain.draw(rgb, other))
     assert np.array_equal(shared.draw(rgb, prediction), first)

@@ -90,9 +90,7 @@ class CheckedPredictor:
         if self.takes_ms:
             self.clock.advance_ms(self.takes_ms)
         return Prediction(
-            semantic=None,
-            depth=frame.sparse_depth + 1,
-            boundary=None,
+            heads={"depth": frame.sparse_depth + 1},
             frame_size=frame.frame_size,
             network_size=frame.network_size,
             latency=Latency(0, 0, 0, 0),

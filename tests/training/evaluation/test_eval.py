@@ -302,10 +302,12 @@ def test_what_a_file_says_of_its_depth_is_scored():
     """The engine's uncertainty goes into the answer, in its place."""
     one = np.ones((4, 4), np.float32)
     prediction = Prediction(
-        semantic=one.astype(np.uint8),
-        depth=2 * one,
-        boundary=3 * one,
-        depth_uncertainty=4 * one,
+        heads={
+            "semantic": one.astype(np.uint8),
+            "depth": 2 * one,
+            "boundary": 3 * one,
+            "depth_uncertainty": 4 * one,
+        },
         frame_size=(4, 4),
         network_size=(4, 4),
         latency=Latency(0, 0, 0, 0),

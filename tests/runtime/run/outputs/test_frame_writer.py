@@ -43,7 +43,8 @@ def test_a_frame_is_written(tmp_path, contract, answered):
 
 def test_only_what_was_asked_for_and_what_the_model_has(tmp_path, contract, answered):
     frame, prediction = answered
-    prediction = dataclasses.replace(prediction, boundary=None, depth_uncertainty=None)
+    heads = {head: prediction.heads[head] for head in ("semantic", "depth")}
+    prediction = dataclasses.replace(prediction, heads=heads)
     kinds = ("semantic", "boundary", "uncertainty")
     writer = FrameWriter(tmp_path / "out", contract, kinds=kinds)
     writer.write("a", frame, prediction)

@@ -2,6 +2,7 @@
 
 import csv
 import signal
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -55,7 +56,7 @@ def test_frames_of_other_sizes_are_fitted_into_the_first(tmp_path, overlay, answ
         head: cv2.resize(getattr(prediction, head), size[::-1])
         for head in ("semantic", "depth", "boundary", "depth_uncertainty")
     }
-    answer = type("Answers", (), resized)
+    answer = SimpleNamespace(heads=resized)
     with open_video(tmp_path / "a.mp4", overlay, rate_hz=30) as video:
         video.write("x", frame, prediction)
         video.write("y", Frame(other, frame.sparse_depth), answer)
