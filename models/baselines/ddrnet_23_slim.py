@@ -9,7 +9,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.baselines.residual import Bottleneck, basic_stage, conv_bn, normed
+from models.baselines.residual import (
+    Bottleneck,
+    PyramidPooling,
+    basic_stage,
+    conv_bn,
+    normed,
+    refinement,
+)
 from models.blocks import ConvBNReLU, pad_to_multiple, upsample
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
@@ -49,11 +56,7 @@ class DDRNet23Slim(Network):
             ConvBNReLU(_FINE, 4 * w, stride=2), conv_bn(4 * w, 8 * w, stride=2)
         )
         self.context = PyramidContext(16 * w, _CONTEXT, 2 * _FINE)
-        self.refine = nn.Sequential(
-            *normed(nn.Conv2d(2 * _FINE, _HEAD, 3, padding=1, bias=False)),
-            nn.BatchNorm2d(_HEAD),
-            nn.ReLU(inplace=True),
-        )
+        self.refine = refinement(2 * _FINE, _HEAD)
         self.semantic_head = nn.Conv2d(_HEAD, config.num_classes, 1)
         self.apply(initialise)
 
@@ -73,29 +76,22 @@ class DDRNet23Slim(Network):
         return NetworkOutput(semantic_logits=self.semantic_head(self.refine(fused)))
 
 
-class PyramidContext(nn.Module):
-    """The paper's DAPPM: means over larger and larger windows, each added to the next."""
+class PyramidContext(PyramidPooling):
+    """The paper's DAPPM: each mean is added to the next."""
+
+    process: nn.ModuleList
 
     def __init__(self, in_channels: int, channels: int, out_channels: int) -> None:
-        super().__init__()
-        self.pools = nn.ModuleList(
-            nn.AvgPool2d(2 * stride + 1, stride, stride) for stride in (2, 4, 8)
-        )
-        self.narrow = nn.ModuleList(
-            normed(nn.Conv2d(in_channels, channels, 1, bias=False)) for _ in range(5)
-        )
-        self.process = nn.ModuleList(
+        process = nn.ModuleList(
             normed(nn.Conv2d(channels, channels, 3, padding=1, bias=False)) for _ in range(4)
         )
-        self.project = normed(nn.Conv2d(5 * channels, out_channels, 1, bias=False))
-        self.shortcut = normed(nn.Conv2d(in_channels, out_channels, 1, bias=False))
+        super().__init__(in_channels, channels, out_channels, process)
 
     def forward(self, x: Tensor) -> Tensor:
         """(N, C, H, W) -> (N, C', H, W)."""
-        size = (x.shape[2], x.shape[3])
-        pooled = [pool(x) for pool in self.pools] + [x.mean(dim=(2, 3), keepdim=True)]
-        scales = [self.narrow[0](x)]
-        for mean, narrow, process in zip(pooled, list(self.narrow)[1:], self.process, strict=True):
-            scales.append(process(upsample(narrow(mean), size=size) + scales[-1]))
+        finest, *means = self.pool(x)
+        scales = [finest]
+        for mean, process in zip(means, self.process, strict=True):
+            scales.append(process(mean + scales[-1]))
         out: Tensor = self.project(torch.cat(scales, dim=1)) + self.shortcut(x)
         return out

@@ -9,7 +9,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.baselines.residual import BasicBlock, Bottleneck, basic_stage, conv_bn, normed
+from models.baselines.residual import (
+    BasicBlock,
+    Bottleneck,
+    PyramidPooling,
+    basic_stage,
+    conv_bn,
+    normed,
+    refinement,
+)
 from models.blocks import pad_to_multiple, upsample
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
@@ -56,11 +64,7 @@ class PIDNetS(Network):
         self.difference3 = conv_bn(4 * w, w)
         self.difference4 = conv_bn(8 * w, 2 * w)
         self.fuse = BoundaryGuide(4 * w)
-        self.refine = nn.Sequential(
-            *normed(nn.Conv2d(4 * w, _HEAD, 3, padding=1, bias=False)),
-            nn.BatchNorm2d(_HEAD),
-            nn.ReLU(inplace=True),
-        )
+        self.refine = refinement(4 * w, _HEAD)
         self.semantic_head = nn.Conv2d(_HEAD, config.num_classes, 1)
         self.apply(initialise)
 
@@ -102,34 +106,18 @@ class AttentionGuide(nn.Module):
         return (1.0 - share) * detail + share * context
 
 
-class ParallelPyramidContext(nn.Module):
-    """The paper's PAPPM: means over larger and larger windows, all processed at once."""
+class ParallelPyramidContext(PyramidPooling):
+    """The paper's PAPPM: all means are processed at once."""
 
     def __init__(self, in_channels: int, channels: int, out_channels: int) -> None:
-        super().__init__()
-        self.pools = nn.ModuleList(
-            nn.AvgPool2d(2 * stride + 1, stride, stride) for stride in (2, 4, 8)
-        )
-        self.narrow = nn.ModuleList(
-            normed(nn.Conv2d(in_channels, channels, 1, bias=False)) for _ in range(5)
-        )
-        self.process = normed(
-            nn.Conv2d(4 * channels, 4 * channels, 3, padding=1, groups=4, bias=False)
-        )
-        self.project = normed(nn.Conv2d(5 * channels, out_channels, 1, bias=False))
-        self.shortcut = normed(nn.Conv2d(in_channels, out_channels, 1, bias=False))
+        process = normed(nn.Conv2d(4 * channels, 4 * channels, 3, padding=1, groups=4, bias=False))
+        super().__init__(in_channels, channels, out_channels, process)
 
     def forward(self, x: Tensor) -> Tensor:
         """(N, C, H, W) -> (N, C', H, W)."""
-        size = (x.shape[2], x.shape[3])
-        pooled = [pool(x) for pool in self.pools] + [x.mean(dim=(2, 3), keepdim=True)]
-        finest = self.narrow[0](x)
-        scales = [
-            upsample(narrow(mean), size=size) + finest
-            for mean, narrow in zip(pooled, list(self.narrow)[1:], strict=True)
-        ]
-        joined = torch.cat((finest, self.process(torch.cat(scales, dim=1))), dim=1)
-        out: Tensor = self.project(joined) + self.shortcut(x)
+        finest, *means = self.pool(x)
+        processed = self.process(torch.cat([mean + finest for mean in means], dim=1))
+        out: Tensor = self.project(torch.cat((finest, processed), dim=1)) + self.shortcut(x)
         return out
 
 

@@ -1,8 +1,8 @@
-"""Residual blocks of DDRNet and PIDNet, which end without ReLU."""
+"""What DDRNet and PIDNet share: residual blocks without the last ReLU, and pyramid pooling."""
 
 from torch import Tensor, nn
 
-from models.blocks import ConvBNReLU
+from models.blocks import ConvBNReLU, upsample
 
 
 class BasicBlock(nn.Module):
@@ -40,6 +40,40 @@ class Bottleneck(nn.Module):
         return out
 
 
+class PyramidPooling(nn.Module):
+    """Means over larger and larger windows, each brought to the features' size.
+
+    The base of DDRNet's and PIDNet's context modules, which differ in how they ``process`` them.
+    """
+
+    def __init__(
+        self, in_channels: int, channels: int, out_channels: int, process: nn.Module
+    ) -> None:
+        super().__init__()
+        self.pools = nn.ModuleList(
+            nn.AvgPool2d(2 * stride + 1, stride, stride) for stride in (2, 4, 8)
+        )
+        self.narrow = nn.ModuleList(
+            normed(nn.Conv2d(in_channels, channels, 1, bias=False)) for _ in range(5)
+        )
+        self.process = process
+        self.project = normed(nn.Conv2d(5 * channels, out_channels, 1, bias=False))
+        self.shortcut = normed(nn.Conv2d(in_channels, out_channels, 1, bias=False))
+
+    def pool(self, x: Tensor) -> list[Tensor]:
+        """(N, C, H, W) -> the features themselves and four means, each (N, channels, H, W)."""
+        size = (x.shape[2], x.shape[3])
+        means = [pool(x) for pool in self.pools] + [x.mean(dim=(2, 3), keepdim=True)]
+        first, *others = self.narrow
+        return [
+            first(x),
+            *(
+                upsample(narrow(mean), size=size)
+                for narrow, mean in zip(others, means, strict=True)
+            ),
+        ]
+
+
 def basic_stage(
     in_channels: int, out_channels: int, *, count: int = 2, stride: int = 1
 ) -> nn.Sequential:
@@ -63,6 +97,15 @@ def conv_bn(
 def normed(conv: nn.Conv2d) -> nn.Sequential:
     """Batch normalisation and ReLU in front of a convolution."""
     return nn.Sequential(nn.BatchNorm2d(conv.in_channels), nn.ReLU(), conv)
+
+
+def refinement(in_channels: int, channels: int) -> nn.Sequential:
+    """The 3x3 convolution in front of the classifier, normalised before and after."""
+    return nn.Sequential(
+        *normed(nn.Conv2d(in_channels, channels, 3, padding=1, bias=False)),
+        nn.BatchNorm2d(channels),
+        nn.ReLU(inplace=True),
+    )
 
 
 def _shortcut(in_channels: int, out_channels: int, stride: int) -> nn.Module:

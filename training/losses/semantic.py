@@ -74,25 +74,12 @@ def labelled_mean(sums: Tensor, known: Tensor, sample_weight: Tensor | None = No
     `sums` float (N,) over what is known of each sample; `known` (): how much that is altogether.
     `sample_weight` float (N,) scales each sample's part without changing what is divided by, so a
     batch of labels worth 0.2 gives 0.2 of the loss. 0, with a gradient of 0, if nothing is known.
-    What all processes know counts.
+    What all processes know counts. The paper sums; a sum would drown the joint terms, which are
+    means.
     """
     if sample_weight is not None:
         sums = sums * sample_weight
     return sum_over_processes(sums.sum()) / sum_over_processes(known).clamp(min=1e-6)
-
-
-def weighted_cross_entropy(
-    log_probabilities: Tensor,
-    shares: Tensor,
-    weights: Tensor,
-    sample_weight: Tensor | None = None,
-) -> Tensor:
-    """Eq. 5 as a mean over the labelled pixels, (). Arguments as the two functions above.
-
-    The paper sums; a sum would drown the joint terms, which are means.
-    """
-    sums = cross_entropy_sums(log_probabilities, shares, weights)
-    return labelled_mean(sums, shares.sum(), sample_weight)
 
 
 def soft_overlap(

@@ -9,9 +9,10 @@ import torch
 from training.losses.semantic import (
     class_shares,
     class_weights,
+    cross_entropy_sums,
+    labelled_mean,
     soft_iou_loss,
     soft_overlap,
-    weighted_cross_entropy,
 )
 
 
@@ -38,6 +39,12 @@ def test_class_weights_of_unseen_and_even_counts():
 def shares_of(semantic, like):
     """Shares on the grid of `like`, (N, C, h, w)."""
     return class_shares(torch.as_tensor(semantic), like.shape[1], tuple(like.shape[-2:])).to(like)
+
+
+def weighted_cross_entropy(log_probabilities, shares, weights, sample_weight=None):
+    """Eq. 5 as the whole loss puts it together."""
+    sums = cross_entropy_sums(log_probabilities, shares, weights)
+    return labelled_mean(sums, shares.sum(), sample_weight)
 
 
 def cross_entropy_by_loops(logits, semantic, weights, sample_weight):
