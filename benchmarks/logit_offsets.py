@@ -20,7 +20,7 @@ from models import Network, load_checkpoint
 from runtime.canonical_focal import canonical_factor
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
-from training.datasets.source import SourceRecipe
+from training.datasets.source_recipe import SourceRecipe
 from training.evaluation.metrics import RoadScores, SemanticScores
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset

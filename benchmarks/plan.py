@@ -20,7 +20,7 @@ from runtime.bundled_models import find_model
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
 from runtime.model_file import load_model_file
-from training.datasets.source import SourceRecipe
+from training.datasets.source_recipe import SourceRecipe
 from training.evaluation.evaluate import evaluate
 from training.initial_weights import find_weights
 from training.lidar.split import LidarInput

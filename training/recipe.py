@@ -13,7 +13,8 @@ from pydantic.dataclasses import dataclass
 from runtime.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
 from runtime.errors import InputError
 from training.datasets.class_mapping import ClassTable, list_classes
-from training.datasets.source import SourceRecipe, source_kinds
+from training.datasets.registry import DATASETS
+from training.datasets.source_recipe import SourceRecipe
 from training.lidar.split import LidarInput
 from training.limits import (
     MAX_BATCH_PIXELS,
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 else:
     #: A data set of any kind, told apart by its key ``kind``.
     AnySource = Annotated[
-        Union[tuple(source_kinds().values())],  # noqa: UP007
+        Union[tuple(DATASETS.values())],  # noqa: UP007
         Field(discriminator="kind"),
     ]
 
@@ -62,7 +63,7 @@ class ClassRecipe:
 
 
 #: What pydantic puts into the place of a mistake to say which member of a union it tried.
-_TAGS: Mapping[str, type] = {**source_kinds(), _NAMED: str, _OWN: ClassRecipe}
+_TAGS: Mapping[str, type] = {**DATASETS, _NAMED: str, _OWN: ClassRecipe}
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -1,7 +1,12 @@
 """Pictures and depth maps of the same names in two folders."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
@@ -63,7 +68,8 @@ class FolderSource(Source):
         if self._depth is None:
             rgb = read_rgb(frame.image)
             return Frame(rgb, no_depth(rgb), calibration=self.calibration)
-        return read_pair(frame, depth_scale=self._depth_scale, calibration=self.calibration)
+        read_depth = partial(read_sparse_depth, depth_scale=self._depth_scale)
+        return read_pair(frame, read_depth, self.calibration)
 
     @property
     def inputs(self) -> dict[str, Any]:
@@ -73,15 +79,16 @@ class FolderSource(Source):
 
 
 def read_pair(
-    frame: ListedFrame, *, depth_scale: float, calibration: Calibration | None = None
+    frame: ListedFrame,
+    read_depth: Callable[[Path], NDArray[np.float32]],
+    calibration: Calibration | None,
 ) -> Frame:
     """Read a picture and its depth map. Raises InputError if one is missing or damaged."""
     if frame.image is None:
         raise InputError(f"{frame.name} has a depth map, but no picture")
     if frame.depth is None:
         raise InputError(f"{frame.name} has a picture, but no depth map")
-    depth = read_sparse_depth(frame.depth, depth_scale=depth_scale)
-    return Frame(read_rgb(frame.image), depth, calibration=calibration)
+    return Frame(read_rgb(frame.image), read_depth(frame.depth), calibration=calibration)
 
 
 def _few(names: dict[str, Path]) -> str:

@@ -24,10 +24,11 @@ class KittiRawSource(Source):
     camera: 2 = left, 3 = right; 0 and 1 are grey
     calibration: as `Calibration.from_file`; None = the files of the drive's own folder or of the
         one above, where KITTI has them
-    max_skew_ms: an image and a scan whose stamps lie further apart do not belong together
+    max_skew_ms: an image and a scan whose stamps lie further apart do not belong together; None =
+        they are matched by their numbers
 
-    Where both sensors have a timestamps.txt, images and scans are matched by it, else by their
-    numbers. An image without a scan is a frame of the camera alone, a scan without one is left out.
+    Where a sensor has no timestamps.txt, images and scans are matched by their numbers, too. An
+    image without a scan is a frame of the camera alone, a scan without one is left out.
     """
 
     options = ("camera", "calibration", "max_skew_ms")
@@ -38,7 +39,7 @@ class KittiRawSource(Source):
         *,
         camera: int = 2,
         calibration: Path | None = None,
-        max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
+        max_skew_ms: float | None = DEFAULT_MAX_SKEW_MS,
     ) -> None:
         images, scans = drive / f"image_{camera:02d}", drive / "velodyne_points"
         for folder in (images / "data", scans / "data"):
@@ -48,7 +49,7 @@ class KittiRawSource(Source):
                     "like 2011_09_26/2011_09_26_drive_0001_sync, or another --camera"
                 )
         self.folders = (images / "data", scans / "data")
-        self._drive, self._camera, self._max_skew_ms = drive, camera, max_skew_ms
+        self._drive, self._camera = drive, camera
         if calibration is None:
             own = (drive / "calib_cam_to_cam.txt").exists()
             calibration = drive if own else drive.resolve().parent
@@ -61,15 +62,20 @@ class KittiRawSource(Source):
         self.calibration: Calibration = Calibration.from_file(calibration, camera=camera)
         self._images = _by_number(list_pictures(images / "data", RGB_SUFFIXES))
         self._scans = _by_number(list_pictures(scans / "data", (".bin",)))
-        self._image_stamps = _read_stamps(images / "timestamps.txt", self._images)
-        self._scan_stamps = _read_stamps(scans / "timestamps.txt", self._scans)
+        self._image_stamps: dict[int, int] = {}
+        self._scan_stamps: dict[int, int] = {}
+        if max_skew_ms is not None:
+            self._image_stamps = _read_stamps(images / "timestamps.txt", self._images)
+            self._scan_stamps = _read_stamps(scans / "timestamps.txt", self._scans)
+        stamped = self._image_stamps and self._scan_stamps
+        self._max_skew_ms = max_skew_ms if stamped else None
         self._left_out: Counter[str] = Counter()
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`."""
         self._left_out.clear()
-        if self._image_stamps is not None and self._scan_stamps is not None:
-            return up_to(self._match(self._image_stamps, self._scan_stamps), limit)
+        if self._max_skew_ms is not None:
+            return up_to(self._match(self._max_skew_ms), limit)
         alone = self._scans.keys() - self._images.keys()
         self._left_out.update({f"{Sensor.DEPTH}: {Outcome.NO_IMAGE}": len(alone)} if alone else {})
         return pair_up(
@@ -80,13 +86,11 @@ class KittiRawSource(Source):
             name=lambda number: self._images[number].stem,
         )
 
-    def _match(
-        self, image_stamps: dict[int, int], scan_stamps: dict[int, int]
-    ) -> Iterator[ListedFrame]:
-        messages = [(Sensor.IMAGE, image_stamps[n], path) for n, path in self._images.items()]
-        messages += [(Sensor.DEPTH, scan_stamps[n], path) for n, path in self._scans.items()]
+    def _match(self, max_skew_ms: float) -> Iterator[ListedFrame]:
+        messages = [(Sensor.IMAGE, self._image_stamps[n], p) for n, p in self._images.items()]
+        messages += [(Sensor.DEPTH, self._scan_stamps[n], p) for n, p in self._scans.items()]
         messages.sort(key=lambda message: message[1])
-        pairs = match_by_stamp(messages, max_skew_ms=self._max_skew_ms, left_out=self._left_out)
+        pairs = match_by_stamp(messages, max_skew_ms=max_skew_ms, left_out=self._left_out)
         for sequence, (image, scan) in enumerate(pairs):
             yield ListedFrame(
                 sequence,
@@ -113,12 +117,11 @@ class KittiRawSource(Source):
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
-        stamped = self._image_stamps is not None and self._scan_stamps is not None
         return {
             "drive": str(self._drive),
             "camera": self._camera,
             "calibration": str(self._calibration_path),
-            "max_skew_ms": self._max_skew_ms if stamped else None,
+            "max_skew_ms": self._max_skew_ms,
             "left_out": dict(self._left_out),
         }
 
@@ -140,15 +143,15 @@ def _by_number(paths: dict[str, Path]) -> dict[int, Path]:
     return numbers
 
 
-def _read_stamps(path: Path, numbers: dict[int, Path]) -> dict[int, int] | None:
-    """Nanoseconds of each number: its line of timestamps.txt, from 0; None without the file.
+def _read_stamps(path: Path, numbers: dict[int, Path]) -> dict[int, int]:
+    """Nanoseconds of each number: its line of timestamps.txt, from 0; empty without the file.
 
     Raises InputError for a line that is no time, and for a number without one.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except FileNotFoundError:
-        return None
+        return {}
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot read the time stamps {path}: {error}") from error
     last = max(numbers)

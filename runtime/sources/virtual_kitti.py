@@ -1,14 +1,15 @@
 """A variant of a Virtual KITTI 2 scene (Cabon et al. 2020), also as `ssdnet-render` writes it."""
 
-from dataclasses import replace
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.io.images import list_pictures
+from runtime.io.images import DEPTH_SUFFIXES, list_pictures, read_sparse_depth
 from runtime.sources.folders import read_pair
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source, pair_up
@@ -23,8 +24,8 @@ class VirtualKittiSource(Source):
     variant: folder like Scene01/clone
     camera: 0 = left, 1 = right
 
-    Depth is that of every pixel, 0 for the sky. Frames have no stamps. The focal length comes from
-    intrinsic.txt, if that is there.
+    Depth is that of every pixel, 0 for the sky. Frames have no stamps. Calibrations come from
+    intrinsic.txt, if that is there; `calibration` is the first frame's.
     """
 
     options = ("camera",)
@@ -39,24 +40,26 @@ class VirtualKittiSource(Source):
                     "give a folder like Scene01/clone, or another --camera"
                 )
         self.folders = (rgb, depth)
+        #: Of each frame, by its number; empty without intrinsic.txt.
+        self.calibrations: dict[int, Calibration] = {}
         intrinsics = variant / "intrinsic.txt"
         if intrinsics.exists():
-            self.calibration = _read_calibration(intrinsics, camera)
+            self.calibrations = _read_calibrations(intrinsics, camera)
+            self.calibration = next(iter(self.calibrations.values()))
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`. A number without a partner is listed too."""
         rgb, depth = self.folders
         pictures = _by_number(list_pictures(rgb), "rgb_")
-        maps = _by_number(list_pictures(depth, (".png",)), "depth_")
+        maps = _by_number(list_pictures(depth, DEPTH_SUFFIXES), "depth_")
         if not pictures.keys() & maps.keys():
             raise InputError(f"no number occurs both as rgb_* in {rgb} and as depth_* in {depth}")
         return pair_up(sorted(pictures.keys() | maps.keys()), pictures, maps, limit=limit)
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`. Raises InputError also where one of the two files is missing."""
-        read = read_pair(frame, depth_scale=_UNITS_A_METRE, calibration=self.calibration)
-        depth = np.where(read.sparse_depth < _SKY_M, read.sparse_depth, np.float32(0))
-        return replace(read, sparse_depth=depth)
+        calibration = self.calibrations.get(int(frame.name), self.calibration)
+        return read_pair(frame, read_depth, calibration)
 
     @property
     def inputs(self) -> dict[str, Any]:
@@ -64,25 +67,47 @@ class VirtualKittiSource(Source):
         return {"variant": str(self._variant), "camera": self._camera}
 
 
+def read_depth(path: Path) -> NDArray[np.float32]:
+    """Read a depth map of Virtual KITTI: float32 (H, W) [m], 0 for the sky. Raises InputError."""
+    depth = read_sparse_depth(path, depth_scale=_UNITS_A_METRE)
+    return np.where(depth < _SKY_M, depth, np.float32(0))
+
+
 def _by_number(paths: dict[str, Path], prefix: str) -> dict[str, Path]:
-    return {
-        stem.removeprefix(prefix): path for stem, path in paths.items() if stem.startswith(prefix)
-    }
+    """Files whose stem is the prefix and a number, by that number as it is written."""
+    found = {stem: re.fullmatch(f"{prefix}([0-9]+)", stem) for stem in paths}
+    return {match[1]: paths[stem] for stem, match in found.items() if match is not None}
 
 
-def _read_calibration(path: Path, camera: int) -> Calibration:
-    """The camera's intrinsics of its first row 'frame cameraID fx fy cx cy'; depth is its own.
+def _read_calibrations(path: Path, camera: int) -> dict[int, Calibration]:
+    """A camera's calibration of each frame, from rows 'frame cameraID fx fy cx cy' under a header.
 
-    Raises InputError for a file without such a row.
+    Equal ones are one object, and their depth is the camera's own. Raises InputError for rows of
+    another form and for a file without a row of the camera.
     """
     try:
-        rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
-        row = next(row for row in rows if len(row) == 6 and row[1] == str(camera))
-        fx, fy, cx, cy = (float(number) for number in row[2:])
-    except (OSError, ValueError, StopIteration) as error:  # UnicodeDecodeError is a ValueError
+        rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()[1:]]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read the intrinsics {path}: {error}") from error
+    made: dict[tuple[float, ...], Calibration] = {}
+    calibrations: dict[int, Calibration] = {}
+    for row in filter(None, rows):
+        try:
+            number, row_camera = int(row[0]), int(row[1])
+            fx, fy, cx, cy = numbers = tuple(float(text) for text in row[2:])
+        except (IndexError, ValueError) as error:
+            raise InputError(
+                f"{path}: {' '.join(row)!r:.80} is not 'frame cameraID fx fy cx cy': restore the "
+                "file, or remove it and give --focal-length"
+            ) from error
+        if row_camera == camera:
+            if numbers not in made:
+                intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
+                made[numbers] = Calibration(intrinsics, np.eye(4))
+            calibrations[number] = made[numbers]
+    if not calibrations:
         raise InputError(
             f"{path} has no row 'frame cameraID fx fy cx cy' of camera {camera}: restore it, or "
             "remove it and give --focal-length"
-        ) from error
-    intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
-    return Calibration(intrinsics, np.eye(4))
+        )
+    return calibrations

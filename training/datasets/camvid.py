@@ -9,9 +9,9 @@ from pydantic.dataclasses import dataclass
 from models import CLASS_TABLES
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
+from training.datasets.files import read_gray, read_rgb, require_folder
 from training.datasets.sample import Sample, nothing_known
-from training.datasets.source import SourceRecipe
+from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
 #: Labels by the files' ids; 11 is unlabelled.
@@ -64,8 +64,7 @@ class CamVid:
     def __getitem__(self, index: int) -> Sample:
         image_path, label_path = self._frames[index]
         rgb = read_rgb(image_path)
-        label = read_gray(label_path, np.uint8)
-        require_size(label_path, label.shape, rgb.shape[:2])
+        label = read_gray(label_path, np.uint8, rgb.shape[:2])
         if label.max() > 11:
             raise DatasetError(
                 f"{label_path}: class id {label.max()}, expected 0..11 of the eleven-class labels."

@@ -11,10 +11,9 @@ from pydantic.dataclasses import dataclass
 from models import CLASS_TABLES
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
+from training.datasets.files import read_gray, read_rgb, require_folder, require_partners
 from training.datasets.sample import Sample, nothing_known
-from training.datasets.source import SourceRecipe
-from training.datasets.virtual_kitti import require_partners
+from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
 #: The labelIds 0..33 in order: those of evaluation by name, None = ignored.
@@ -108,8 +107,7 @@ class Cityscapes:
                 self._path("camera", city, stem + "_camera.json")
             )
             path = self._path("disparity", city, stem + "_disparity.png")
-            stored = read_gray(path, np.uint16)
-            require_size(path, stored.shape, size)
+            stored = read_gray(path, np.uint16, size)
             depth = disparity_to_depth(stored, focal_baseline)
         return Sample(
             rgb=rgb,
@@ -126,8 +124,7 @@ class Cityscapes:
         return self._root / kind / self._split / city / name
 
     def _read_labels(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-        label = read_gray(path, np.uint8)
-        require_size(path, label.shape, size)
+        label = read_gray(path, np.uint8, size)
         if label.max() >= len(_LABELS):
             raise DatasetError(
                 f"{path}: label id {label.max()}, expected 0..{len(_LABELS) - 1} of labelIds. "

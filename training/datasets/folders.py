@@ -1,6 +1,5 @@
 """Pictures, depth and labels of one's own: a folder each, files paired by their stem."""
 
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,14 +9,22 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
+from runtime.io.images import KITTI_DEPTH_SCALE
+from runtime.sources.folders import FolderSource
 from training.datasets.class_mapping import ClassTable, list_classes
-from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
-from training.datasets.sample import IGNORE, Sample, nothing_known
-from training.datasets.source import SourceRecipe
-from training.datasets.virtual_kitti import require_partners
+from training.datasets.files import (
+    dataset_errors,
+    read_depth,
+    read_gray,
+    require_complete,
+    require_folder,
+    require_partners,
+    require_size,
+)
+from training.datasets.sample import IGNORE, Sample
+from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT, Positive, Share
 
-_PICTURES = frozenset({".png", ".jpg", ".jpeg"})
 _Folder = Annotated[str, Field(min_length=1)]
 
 
@@ -35,7 +42,7 @@ class FoldersRecipe(SourceRecipe):
     #: 8-bit one-channel PNGs of ids in ``model.classes``.
     labels: _Folder | None = None
     #: Units of the 16-bit PNGs that make a metre; 0 = no measurement.
-    depth_scale: Positive = 256.0
+    depth_scale: Positive = KITTI_DEPTH_SCALE
     #: The id of pixels without a class.
     ignore: Annotated[int, Field(ge=0, le=255)] = IGNORE
     #: fx, fy, cx, cy of every picture [px]; without them no LiDAR lines are drawn.
@@ -56,64 +63,55 @@ class Folders:
     partners, files of another kind or size, and ids that the class table does not have.
     """
 
+    @dataset_errors()
     def __init__(self, root: Path | str, recipe: FoldersRecipe, classes: ClassTable) -> None:
         self._root, self._recipe = Path(root), recipe
         self._num_classes = len(list_classes(classes))
-        pictures = require_folder(self._root / recipe.rgb, "PNG or JPEG pictures")
-        self._pictures = sorted(p for p in pictures.iterdir() if p.suffix.lower() in _PICTURES)
-        if not self._pictures:
-            raise DatasetError(f"{pictures}: no .png, .jpg or .jpeg pictures in it.")
-        stems = [path.stem for path in self._pictures]
-        twice = next((a for a, b in pairwise(sorted(stems)) if a == b), None)
-        if twice is not None:
-            raise DatasetError(f"{pictures}: has two pictures named {twice!r}. Keep one.")
-        for name in (recipe.depth, recipe.sparse_depth, recipe.labels):
+        depth = None if recipe.depth is None else self._root / recipe.depth
+        self._source = FolderSource(
+            self._root / recipe.rgb, depth=depth, depth_scale=recipe.depth_scale
+        )
+        pictures = [frame for frame in self._source.list_frames() if frame.image is not None]
+        self._frames = sorted(pictures, key=lambda frame: str(frame.image))
+        if depth is not None:
+            require_complete(self._frames, depth)
+        for name in (recipe.sparse_depth, recipe.labels):
             if name is not None:
                 folder = require_folder(self._root / name, "a PNG a picture")
-                require_partners(folder, [f"{stem}.png" for stem in stems])
+                require_partners(folder, [f"{frame.name}.png" for frame in self._frames])
 
     def __len__(self) -> int:
-        return len(self._pictures)
+        return len(self._frames)
 
+    @dataset_errors()
     def __getitem__(self, index: int) -> Sample:
-        picture = self._pictures[index]
-        rgb = read_rgb(picture)
-        size = (rgb.shape[0], rgb.shape[1])
-        recipe = self._recipe
-        intrinsics = None
+        listed, recipe = self._frames[index], self._recipe
+        frame = self._source.read(listed)
+        size = (frame.rgb.shape[0], frame.rgb.shape[1])
+        if listed.depth is not None:
+            require_size(listed.depth, frame.sparse_depth.shape, size)
+        intrinsics = sparse_depth = None
         if recipe.intrinsics is not None:
             fx, fy, cx, cy = recipe.intrinsics
             intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
-        depth = self._read_depth(recipe.depth, picture.stem, size)
+        if recipe.sparse_depth is not None:
+            path = self._root / recipe.sparse_depth / f"{listed.name}.png"
+            sparse_depth = read_depth(path, size, depth_scale=recipe.depth_scale)
         return Sample(
-            rgb=rgb,
-            depth=nothing_known(size) if depth is None else depth,
-            semantic=self._read_labels(picture.stem, size),
+            rgb=frame.rgb,
+            depth=frame.sparse_depth,
+            semantic=self._read_labels(listed.name, size),
             intrinsics=intrinsics,
-            name=f"{self._root.name}/{picture.stem}",
-            sparse_depth=self._read_depth(recipe.sparse_depth, picture.stem, size),
+            name=f"{self._root.name}/{listed.name}",
+            sparse_depth=sparse_depth,
             semantic_weight=recipe.semantic_weight,
         )
-
-    def _read_depth(
-        self, folder: str | None, stem: str, size: tuple[int, int]
-    ) -> NDArray[np.float32] | None:
-        if folder is None:
-            return None
-        path = self._root / folder / f"{stem}.png"
-        stored = read_gray(path, np.uint16)
-        require_size(path, stored.shape, size)
-        depth: NDArray[np.float32] = stored.astype(np.float32) / np.float32(
-            self._recipe.depth_scale
-        )
-        return depth
 
     def _read_labels(self, stem: str, size: tuple[int, int]) -> NDArray[np.uint8]:
         if self._recipe.labels is None:
             return np.full(size, IGNORE, dtype=np.uint8)
         path = self._root / self._recipe.labels / f"{stem}.png"
-        label = read_gray(path, np.uint8)
-        require_size(path, label.shape, size)
+        label = read_gray(path, np.uint8, size)
         known = label != self._recipe.ignore
         highest = int(label.max(initial=0, where=known))
         if highest >= self._num_classes:

@@ -11,15 +11,19 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from runtime.errors import DatasetError
+from runtime.io.images import KITTI_DEPTH_SCALE
+from runtime.io.kitti_calibration import NumbersFile
 from training.datasets.class_mapping import ClassTable
-from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
-from training.datasets.kitti_calibration import CalibrationFile
+from training.datasets.files import (
+    dataset_errors,
+    read_depth,
+    read_rgb,
+    require_folder,
+    require_partners,
+)
 from training.datasets.sample import IGNORE, Sample
-from training.datasets.source import SourceRecipe
-from training.datasets.virtual_kitti import require_partners
+from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
-
-_METRES = 1 / 256
 
 
 @checked_dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -81,11 +85,11 @@ class KittiDepth:
         size = (rgb.shape[0], rgb.shape[1])
         return Sample(
             rgb=rgb,
-            depth=_read_depth(frame.groundtruth, size),
+            depth=read_depth(frame.groundtruth, size, depth_scale=KITTI_DEPTH_SCALE),
             semantic=np.full(size, IGNORE, dtype=np.uint8),
             intrinsics=_read_intrinsics(frame),
             name=frame.name,
-            sparse_depth=_read_depth(frame.velodyne, size),
+            sparse_depth=read_depth(frame.velodyne, size, depth_scale=KITTI_DEPTH_SCALE),
         )
 
 
@@ -156,19 +160,13 @@ def _list_selection(root: Path) -> list[_Frame]:
     ]
 
 
-def _read_depth(path: Path, size: tuple[int, int]) -> NDArray[np.float32]:
-    stored = read_gray(path, np.uint16)
-    require_size(path, stored.shape, size)
-    depth: NDArray[np.float32] = stored.astype(np.float32) * np.float32(_METRES)
-    return depth
-
-
 def _read_intrinsics(frame: _Frame) -> NDArray[np.float64] | None:
     path = frame.intrinsics
     if path is None:
         return None
     if path.name == "calib_cam_to_cam.txt":
-        return CalibrationFile(path).matrix(f"P_rect_{frame.camera:02d}", 3, 4)[:, :3]
+        with dataset_errors():
+            return NumbersFile(path).matrix(f"P_rect_{frame.camera:02d}", 3, 4)[:, :3]
     try:
         numbers = np.array(path.read_text(encoding="utf-8").split(), dtype=np.float64)
     except (OSError, ValueError) as error:

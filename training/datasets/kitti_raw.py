@@ -10,14 +10,20 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
-from runtime.io.calibration import Calibration
 from runtime.projection import OcclusionFilter
+from runtime.sources.kitti_raw import KittiRawSource
+from runtime.sources.source import ListedFrame
 from training.datasets.class_mapping import ClassTable
-from training.datasets.image_files import read_rgb, require_folder
-from training.datasets.kitti_calibration import read_points, read_raw_calibration
+from training.datasets.files import (
+    dataset_errors,
+    read_points,
+    read_rgb,
+    require_complete,
+    require_folder,
+    require_size,
+)
 from training.datasets.sample import IGNORE, Sample
-from training.datasets.source import Names, SourceRecipe
-from training.datasets.virtual_kitti import require_partners
+from training.datasets.source_recipe import Names, SourceRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT
 
@@ -72,8 +78,7 @@ class KittiRaw:
     ) -> None:
         root = require_folder(Path(root), "dates of KITTI raw data, each with its drives")
         self._withhold_hidden = withhold_hidden
-        self._frames: list[tuple[Path, int, str]] = []
-        self._calibrations: dict[tuple[Path, int], Calibration] = {}
+        self._frames: list[tuple[KittiRawSource, ListedFrame, str]] = []
         found = {path.name: path for path in sorted(root.glob("*/*_sync")) if path.is_dir()}
         unknown = sorted(set(drives or ()) - set(found))
         if unknown or not found:
@@ -85,35 +90,25 @@ class KittiRaw:
             if drives is None or name in drives:
                 for camera in cameras:
                     self._add(drive, camera)
-        if not self._frames:
-            raise DatasetError(f"{root}: its drives hold no images of cameras {list(cameras)}.")
 
+    @dataset_errors()
     def _add(self, drive: Path, camera: int) -> None:
-        images = require_folder(drive / f"image_{camera:02d}" / "data", "the drive's PNG images")
-        scans = require_folder(drive / "velodyne_points" / "data", "the drive's .bin scans")
+        source = KittiRawSource(drive, camera=camera, calibration=drive.parent, max_skew_ms=None)
         without = _WITHOUT_SCAN.get(drive.name, frozenset())
-        numbers = sorted({path.stem for path in images.glob("*.png")} - without)
-        require_partners(scans, [f"{number}.bin" for number in numbers])
-        self._calibrations[drive.parent, camera] = read_raw_calibration(drive.parent, camera)
-        self._frames += [(drive, camera, number) for number in numbers]
+        frames = [frame for frame in source.list_frames() if frame.name not in without]
+        require_complete(frames, drive / "velodyne_points" / "data")
+        self._frames += [(source, frame, f"{drive.name}/{camera}/{frame.name}") for frame in frames]
 
     def __len__(self) -> int:
         return len(self._frames)
 
     def __getitem__(self, index: int) -> Sample:
-        drive, camera, number = self._frames[index]
-        calibration = self._calibrations[drive.parent, camera]
-        path = drive / f"image_{camera:02d}" / "data" / f"{number}.png"
-        rgb = read_rgb(path)
+        source, listed, name = self._frames[index]
+        calibration = source.calibration
+        rgb = read_rgb(listed.image)
         size = (rgb.shape[0], rgb.shape[1])
-        expected = calibration.size or size
-        if size != expected:
-            raise DatasetError(
-                f"{path}: its size {size[0]}x{size[1]} differs from the calibration's "
-                f"{expected[0]}x{expected[1]} (height x width). Give the "
-                "rectified (synced) images of this date."
-            )
-        points = read_points(drive / "velodyne_points" / "data" / f"{number}.bin")
+        require_size(listed.image, size, calibration.size or size)
+        points = read_points(listed.depth)
         depth, scan_line = project_lines(
             points, calibration.intrinsics, calibration.extrinsics, size
         )
@@ -122,7 +117,7 @@ class KittiRaw:
             depth=depth,
             semantic=np.full(size, IGNORE, dtype=np.uint8),
             intrinsics=calibration.intrinsics,
-            name=f"{drive.name}/{camera}/{number}",
+            name=name,
             scan_line=scan_line,
         )
         if not self._withhold_hidden:

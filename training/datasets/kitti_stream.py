@@ -7,12 +7,19 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
+from runtime.io.calibration import Calibration
+from runtime.io.kitti_calibration import NumbersFile, chain
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
-from training.datasets.kitti_calibration import read_calibration, read_points
+from training.datasets.files import (
+    dataset_errors,
+    read_gray,
+    read_points,
+    read_rgb,
+    require_folder,
+)
 from training.datasets.sample import IGNORE, Sample
-from training.datasets.source import SourceRecipe
+from training.datasets.source_recipe import SourceRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT, Index, Share
 
@@ -87,9 +94,7 @@ class KittiStream:
         semantic = np.full(size, IGNORE, dtype=np.uint8)
         label_path = self._root / "pseudo_semantic" / f"{stem}.png"
         if label_path.is_file():
-            label = read_gray(label_path, np.uint8)
-            require_size(label_path, label.shape, size)
-            semantic = self._lookup[label]
+            semantic = self._lookup[read_gray(label_path, np.uint8, size)]
         return Sample(
             rgb=rgb,
             depth=depth,
@@ -99,3 +104,19 @@ class KittiStream:
             scan_line=scan_line,
             semantic_weight=self._semantic_weight,
         )
+
+
+@dataset_errors()
+def read_calibration(path: Path) -> Calibration:
+    """Read camera 2's calibration from one file with KITTI's names, two of them with a prefix.
+
+    Needs S_rect_02, P_rect_02, R_rect_00, velo_to_cam_R and velo_to_cam_T. Raises DatasetError for
+    a missing file, a missing name or a wrong count of numbers.
+    """
+    numbers = NumbersFile(path)
+    projection = numbers.matrix("P_rect_02", 3, 4)
+    rectify = numbers.matrix("R_rect_00", 3, 3)
+    to_camera = [numbers.matrix(f"velo_to_cam_{name}", 3, n) for name, n in (("R", 3), ("T", 1))]
+    width, height = numbers.matrix("S_rect_02", 1, 2)[0]
+    matrices = chain(projection, rectify, np.hstack(to_camera))
+    return Calibration(*matrices, (int(height), int(width)))

@@ -9,12 +9,18 @@ from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
 from runtime.io.calibration import Calibration
+from runtime.io.kitti_calibration import NumbersFile
 from training.datasets.class_mapping import ClassTable
-from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
-from training.datasets.kitti_calibration import CalibrationFile, dataset_errors, read_points
+from training.datasets.files import (
+    dataset_errors,
+    read_gray,
+    read_points,
+    read_rgb,
+    require_folder,
+    require_partners,
+)
 from training.datasets.sample import IGNORE, Sample
-from training.datasets.source import SourceRecipe
-from training.datasets.virtual_kitti import require_partners
+from training.datasets.source_recipe import SourceRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT, Index
 
@@ -71,9 +77,7 @@ class KittiStreets:
         self._masks = masks if masks.is_dir() else None
         if self._masks is not None:
             require_partners(self._masks, [f"{path.stem}.png" for path in self._images])
-        self._intrinsics, self._extrinsics, self._focal_baseline = _read_calibration(
-            self._root / "calib.txt"
-        )
+        self._calibration, self._focal_baseline = _read_calibration(self._root / "calib.txt")
 
     def __len__(self) -> int:
         return len(self._images)
@@ -83,15 +87,15 @@ class KittiStreets:
         rgb = read_rgb(path)
         size = (rgb.shape[0], rgb.shape[1])
         truth = self._root / "disp_occ_0" / f"{path.stem}.png"
-        disparity = read_gray(truth, np.uint16)
-        require_size(truth, disparity.shape, size)
+        disparity = read_gray(truth, np.uint16, size)
         points = read_points(self._root / "velodyne_fov" / f"{path.stem}.bin")
-        sparse_depth, scan_line = project_lines(points, self._intrinsics, self._extrinsics, size)
+        camera = self._calibration
+        sparse_depth, scan_line = project_lines(points, camera.intrinsics, camera.extrinsics, size)
         return Sample(
             rgb=rgb,
             depth=_to_depth(disparity, self._focal_baseline),
             semantic=np.full(size, IGNORE, dtype=np.uint8),
-            intrinsics=self._intrinsics,
+            intrinsics=camera.intrinsics,
             name=f"kitti_streets/{path.stem}",
             sparse_depth=sparse_depth,
             scan_line=scan_line,
@@ -103,8 +107,7 @@ class KittiStreets:
         if self._masks is None:
             return None
         path = self._masks / f"{number}.png"
-        mask = read_gray(path, np.uint8)
-        require_size(path, mask.shape, size)
+        mask = read_gray(path, np.uint8, size)
         other = np.setdiff1d(mask, (0, 1, IGNORE))
         if other.size:
             raise DatasetError(
@@ -121,11 +124,10 @@ def _to_depth(stored: NDArray[np.uint16], focal_baseline: float) -> NDArray[np.f
     return depth
 
 
-def _read_calibration(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Intrinsics (3, 3), extrinsics (4, 4) from the LiDAR to the camera, and px m."""
-    focal_baseline = float(CalibrationFile(path).matrix("fb_disp", 1, 1)[0, 0])
+@dataset_errors()
+def _read_calibration(path: Path) -> tuple[Calibration, float]:
+    """The calibration, and the focal length times the baseline [px m]."""
+    focal_baseline = float(NumbersFile(path).matrix("fb_disp", 1, 1)[0, 0])
     if not focal_baseline > 0:
         raise DatasetError(f"{path}: fb_disp is {focal_baseline}, expected a positive number.")
-    with dataset_errors():
-        calibration = Calibration.from_kitti(path)
-    return calibration.intrinsics, calibration.extrinsics, focal_baseline
+    return Calibration.from_kitti(path), focal_baseline

@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.sample import Sample
-from training.datasets.source import SourceRecipe
+from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT, Count, Seed
 from training.scenes.classes import CLASS_TABLE
 from training.scenes.rendering.camera import CameraName

@@ -46,10 +46,8 @@ class Sample:
 
     @property
     def focal_length_px(self) -> float | None:
-        """Focal length [px], the geometric mean of both axes; None without intrinsics."""
-        if self.intrinsics is None:
-            return None
-        return float(np.sqrt(self.intrinsics[0, 0] * self.intrinsics[1, 1]))
+        """Focal length fx [px]; None without intrinsics."""
+        return None if self.intrinsics is None else float(self.intrinsics[0, 0])
 
 
 class SampleSource(Protocol):

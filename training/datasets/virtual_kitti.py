@@ -1,4 +1,6 @@
-"""Virtual KITTI 2 (Cabon et al. 2020), and scenes that `ssdnet-render` writes in its layout."""
+"""Virtual KITTI, editions 2 (Cabon et al. 2020) and 1.3.1 (Gaidon et al. 2016), and scenes that
+`ssdnet-render` writes in the layout of edition 2.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,17 +12,22 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
+from runtime.io.kitti_calibration import NumbersFile
+from runtime.sources.source import ListedFrame
+from runtime.sources.virtual_kitti import VirtualKittiSource, read_depth
 from training.datasets.class_mapping import ClassTable
-from training.datasets.image_files import read_gray, read_rgb, require_folder, require_size
-from training.datasets.kitti_calibration import CalibrationFile, read_points
-from training.datasets.sample import Sample
-from training.datasets.source import Names, SourceRecipe
-from training.datasets.virtual_kitti_labels import (
-    ColorTable,
-    read_classes,
-    read_colors,
-    read_rows,
+from training.datasets.files import (
+    dataset_errors,
+    read_points,
+    read_rgb,
+    require_complete,
+    require_folder,
+    require_partners,
+    require_size,
 )
+from training.datasets.sample import Sample
+from training.datasets.source_recipe import Names, SourceRecipe
+from training.datasets.virtual_kitti_labels import ColorTable, read_classes, read_colors
 from training.datasets.virtual_kitti_split import (
     Selection,
     Split,
@@ -30,51 +37,66 @@ from training.datasets.virtual_kitti_split import (
 from training.lidar.scan import project_lines
 from training.limits import STRICT
 
-#: Depth PNGs hold centimetres; 65535 is sky.
-_CENTIMETRES = 0.01
-_NO_DEPTH = 65535
+_RGB_1, _DEPTH_1, _CLASSES_1 = (f"vkitti_1.3.1_{kind}" for kind in ("rgb", "depthgt", "scenegt"))
+#: Of every frame of edition 1.3.1, from the set's description.
+_INTRINSICS_1 = np.array([[725.0, 0.0, 620.5], [0.0, 725.0, 187.0], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class VirtualKittiRecipe(SourceRecipe):
-    """What a recipe says about Virtual KITTI 2."""
+class _SelectionRecipe(SourceRecipe):
+    """The keys that choose frames."""
 
-    kind: Literal["virtual_kitti"] = "virtual_kitti"
-    split: Split = "train"
-    #: Instead of the split's own.
+    #: All by default, or those of the split.
     scenes: Names | None = None
     variants: Names | None = None
     #: File below ``path`` that lists the frames, rows of "scene/variant/number".
     frames: str | None = None
+
+    def select(self, folder: Path, split: Split = "all") -> Selection:
+        frames = None if self.frames is None else read_frame_list(folder / self.frames)
+        return Selection(split, self.scenes, self.variants, frames)
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class VirtualKittiRecipe(_SelectionRecipe):
+    """What a recipe says about Virtual KITTI 2."""
+
+    kind: Literal["virtual_kitti"] = "virtual_kitti"
+    split: Split = "train"
     #: 0 = left, 1 = right.
     cameras: Annotated[tuple[Literal[0, 1], ...], Field(min_length=1, max_length=2)] = (0,)
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
         """See `SourceRecipe.open`."""
-        frames = None if self.frames is None else read_frame_list(folder / self.frames)
-        selection = Selection(self.split, self.scenes, self.variants, frames)
+        selection = self.select(folder, self.split)
         return VirtualKitti(folder, selection=selection, cameras=self.cameras, classes=classes)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class RenderedRecipe(SourceRecipe):
+class RenderedRecipe(_SelectionRecipe):
     """What a recipe says about scenes that `ssdnet-render` wrote; the folder is the split."""
 
     kind: Literal["rendered"] = "rendered"
-    #: All by default.
-    scenes: Names | None = None
-    variants: Names | None = None
-    #: File below ``path`` that lists the frames, rows of "scene/variant/number".
-    frames: str | None = None
     #: Feed the scans of the LiDAR that was rendered, with its parallax and its panes, instead of
     #: lines drawn from the camera's depth.
     scans: bool = False
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
         """See `SourceRecipe.open`."""
-        frames = None if self.frames is None else read_frame_list(folder / self.frames)
-        selection = Selection("all", self.scenes, self.variants, frames)
+        selection = self.select(folder)
         return VirtualKitti(folder, selection=selection, classes=classes, scans=self.scans)
+
+
+@dataclass(frozen=True, kw_only=True, config=STRICT)
+class VirtualKitti1Recipe(_SelectionRecipe):
+    """What a recipe says about Virtual KITTI 1.3.1, the edition of the paper's experiments."""
+
+    kind: Literal["virtual_kitti_1"] = "virtual_kitti_1"
+    split: Split = "train"
+
+    def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti1":
+        """See `SourceRecipe.open`."""
+        return VirtualKitti1(folder, selection=self.select(folder, self.split), classes=classes)
 
 
 class VirtualKitti:
@@ -99,117 +121,139 @@ class VirtualKitti:
     ) -> None:
         root = require_folder(Path(root), "scenes in the Virtual KITTI 2 layout")
         selection = selection or Selection()
-        self._classes = classes
         self._scans = scans
+        #: From the LiDAR to the camera, of each variant.
         self._extrinsics: dict[Path, NDArray[np.float64]] = {}
-        self._frames: list[tuple[Path, int, str]] = []
         self._colors: dict[Path, ColorTable] = {}
-        self._intrinsics: dict[Path, dict[tuple[str, str], NDArray[np.float64]]] = {}
+        self._frames: list[tuple[Path, int, VirtualKittiSource, ListedFrame]] = []
         for scene in _folders(root):
             for variant in _folders(scene):
                 if selection.takes_variant(scene.name, variant.name):
-                    self._add(variant, cameras, selection)
-        names = [f"{v.parent.name}/{v.name}/{number}" for v, _, number in self._frames]
+                    for camera in cameras:
+                        self._add(variant, camera, selection)
+                    self._colors[variant] = read_colors(variant / "colors.txt", classes)
+        names = [f"{v.parent.name}/{v.name}/{listed.name}" for v, _, _, listed in self._frames]
         require_every_frame(selection, names, root)
 
-    def _add(self, variant: Path, cameras: Sequence[int], selection: Selection) -> None:
-        for camera in cameras:
-            folder = require_folder(
-                variant / "frames" / "rgb" / f"Camera_{camera}", "rgb_*.jpg frames"
-            )
-            numbers = [
-                number
-                for number in sorted(p.stem.removeprefix("rgb_") for p in folder.glob("rgb_*.jpg"))
-                if selection.takes(variant.parent.name, variant.name, number)
-            ]
-            for kind, stem in (("depth", "depth"), ("classSegmentation", "classgt")):
-                other = require_folder(
-                    variant / "frames" / kind / f"Camera_{camera}", f"{stem}_*.png"
+    @dataset_errors()
+    def _add(self, variant: Path, camera: int, selection: Selection) -> None:
+        source = VirtualKittiSource(variant, camera=camera)
+        if not source.calibrations:
+            raise DatasetError(f"{variant / 'intrinsic.txt'}: missing.")
+        frames = [
+            frame
+            for frame in source.list_frames()
+            if frame.image is not None
+            and selection.takes(variant.parent.name, variant.name, frame.name)
+        ]
+        for frame in frames:
+            if int(frame.name) not in source.calibrations:
+                raise DatasetError(
+                    f"{variant / 'intrinsic.txt'}: no row for frame {int(frame.name)} of camera "
+                    f"{camera}."
                 )
-                require_partners(other, [f"{stem}_{number}.png" for number in numbers])
-            if self._scans:
-                lidar = variant / "frames" / "lidar" / f"Camera_{camera}"
-                require_partners(
-                    require_folder(lidar, "the LiDAR's scans, which ssdnet-render writes"),
-                    [f"lidar_{number}.bin" for number in numbers],
-                )
-            self._frames += [(variant, camera, number) for number in numbers]
-        self._colors[variant] = read_colors(variant / "colors.txt", self._classes)
-        self._intrinsics[variant] = _read_intrinsics(variant / "intrinsic.txt")
+        folder = f"Camera_{camera}"
+        require_complete(frames, variant / "frames" / "depth" / folder)
+        labels = require_folder(variant / "frames" / "classSegmentation" / folder, "classgt_*.png")
+        require_partners(labels, [f"classgt_{frame.name}.png" for frame in frames])
         if self._scans:
-            self._extrinsics[variant] = np.eye(4)
-            calibration = CalibrationFile(variant / "calib.txt")
-            self._extrinsics[variant][:3] = calibration.matrix("Tr_velo_to_cam", 3, 4)
+            lidar = variant / "frames" / "lidar" / folder
+            require_folder(lidar, "the LiDAR's scans, which ssdnet-render writes")
+            require_partners(lidar, [f"lidar_{frame.name}.bin" for frame in frames])
+            to_camera = NumbersFile(variant / "calib.txt").matrix("Tr_velo_to_cam", 3, 4)
+            self._extrinsics[variant] = np.vstack([to_camera, np.eye(4)[3]])
+        self._frames += [(variant, camera, source, frame) for frame in frames]
 
     def __len__(self) -> int:
         return len(self._frames)
 
+    @dataset_errors()
     def __getitem__(self, index: int) -> Sample:
-        variant, camera, number = self._frames[index]
+        variant, camera, source, listed = self._frames[index]
+        frame = source.read(listed)
+        size = (frame.rgb.shape[0], frame.rgb.shape[1])
+        require_size(listed.depth, frame.sparse_depth.shape, size)
+        intrinsics = source.calibrations[int(listed.name)].intrinsics
         frames, folder = variant / "frames", f"Camera_{camera}"
-        rgb = read_rgb(frames / "rgb" / folder / f"rgb_{number}.jpg")
-        size = (rgb.shape[0], rgb.shape[1])
-        depth = read_centimetres(frames / "depth" / folder / f"depth_{number}.png", size)
-        intrinsics = self._intrinsics[variant].get((str(int(number)), str(camera)))
-        if intrinsics is None:
-            raise DatasetError(
-                f"{variant / 'intrinsic.txt'}: no row for frame {int(number)} of camera {camera}."
-            )
         sparse_depth = scan_line = None
         if self._scans:
-            points = read_points(frames / "lidar" / folder / f"lidar_{number}.bin")
+            points = read_points(frames / "lidar" / folder / f"lidar_{listed.name}.bin")
             sparse_depth, scan_line = project_lines(
                 points, intrinsics, self._extrinsics[variant], size
             )
+        label = frames / "classSegmentation" / folder / f"classgt_{listed.name}.png"
+        name = f"{variant.parent.name}/{variant.name}/{listed.name}"
         return Sample(
-            rgb=rgb,
-            depth=depth,
+            rgb=frame.rgb,
+            depth=frame.sparse_depth,
             sparse_depth=sparse_depth,
             scan_line=scan_line,
-            semantic=read_classes(
-                frames / "classSegmentation" / folder / f"classgt_{number}.png",
-                self._colors[variant],
-                size,
-            ),
+            semantic=read_classes(label, self._colors[variant], size),
             intrinsics=intrinsics,
-            name=f"{variant.parent.name}/{variant.name}/{number}" + (f"/{camera}" * bool(camera)),
+            name=f"{name}/{camera}" if camera else name,
         )
 
 
-def read_centimetres(path: Path, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Read a depth map of Virtual KITTI: float32 (H, W), metres, 0 = sky. Raises DatasetError."""
-    centimetres = read_gray(path, np.uint16)
-    require_size(path, centimetres.shape, size)
-    depth = centimetres.astype(np.float32) * np.float32(_CENTIMETRES)
-    depth[centimetres == _NO_DEPTH] = 0.0
-    return depth
+class VirtualKitti1:
+    """Frames of ``root/vkitti_1.3.1_{rgb,depthgt,scenegt}/<scene>/<variant>/<number>.png``.
 
+    Colours of the classes are listed in ``vkitti_1.3.1_scenegt/<scene>_<variant>_scenegt_rgb_
+    encoding.txt``. ``selection`` says which frames (scenes are called "0001" here), ``classes`` the
+    class table. Depth is metres, 0 for the sky. Raises DatasetError for missing folders, files
+    without their partners, unknown colours and wrong sizes.
+    """
 
-def require_partners(folder: Path, names: Sequence[str]) -> None:
-    """Raise DatasetError if a file of these names is missing in a folder."""
-    there = {path.name for path in folder.iterdir()}
-    missing = [name for name in names if name not in there]
-    if missing:
-        raise DatasetError(
-            f"{folder / missing[0]}: missing ({len(missing)} of {len(names)} frames lack it)."
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        selection: Selection | None = None,
+        classes: ClassTable = "camvid",
+    ) -> None:
+        self._root = Path(root)
+        selection = selection or Selection()
+        images = require_folder(self._root / _RGB_1, "Virtual KITTI 1.3.1's images")
+        require_folder(self._root / _DEPTH_1, "its depth maps")
+        labels = require_folder(self._root / _CLASSES_1, "its class pictures")
+        self._frames: list[tuple[str, str, str]] = []
+        self._colors: dict[tuple[str, str], ColorTable] = {}
+        for folder in sorted(path for path in images.glob("*/*") if path.is_dir()):
+            scene, variant = folder.parent.name, folder.name
+            if not selection.takes_variant(scene, variant):
+                continue
+            numbers = [
+                number
+                for number in sorted(path.stem for path in folder.glob("*.png"))
+                if selection.takes(scene, variant, number)
+            ]
+            for kind in (_DEPTH_1, _CLASSES_1):
+                other = require_folder(self._root / kind / scene / variant, f"{kind}'s frames")
+                require_partners(other, [f"{number}.png" for number in numbers])
+            colors = labels / f"{scene}_{variant}_scenegt_rgb_encoding.txt"
+            self._colors[scene, variant] = read_colors(colors, classes)
+            self._frames += [(scene, variant, number) for number in numbers]
+        require_every_frame(selection, ["/".join(frame) for frame in self._frames], images)
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    @dataset_errors()
+    def __getitem__(self, index: int) -> Sample:
+        scene, variant, number = self._frames[index]
+        file = Path(scene) / variant / f"{number}.png"
+        rgb, depth = read_rgb(self._root / _RGB_1 / file), read_depth(self._root / _DEPTH_1 / file)
+        size = (rgb.shape[0], rgb.shape[1])
+        require_size(self._root / _DEPTH_1 / file, depth.shape, size)
+        colors = self._colors[scene, variant]
+        return Sample(
+            rgb=rgb,
+            depth=depth,
+            semantic=read_classes(self._root / _CLASSES_1 / file, colors, size),
+            intrinsics=_INTRINSICS_1,
+            name=f"{scene}/{variant}/{number}",
         )
 
 
 def _folders(path: Path) -> list[Path]:
     """Visible folders in order; hidden ones are still being rendered."""
     return sorted(p for p in path.iterdir() if p.is_dir() and not p.name.startswith("."))
-
-
-def _read_intrinsics(path: Path) -> dict[tuple[str, str], NDArray[np.float64]]:
-    """K of each (frame, camera), from rows of 'frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]'."""
-    intrinsics = {}
-    for row in read_rows(path):
-        try:
-            frame, camera = row[0], row[1]
-            fx, fy, cx, cy = (float(value) for value in row[2:6])
-        except (IndexError, ValueError) as error:
-            raise DatasetError(
-                f"{path}: {' '.join(row)!r} is not 'frame cameraID fx fy cx cy'."
-            ) from error
-        intrinsics[frame, camera] = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
-    return intrinsics

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable, class_ids
-from training.datasets.image_files import read_rgb, require_size
+from training.datasets.files import read_rgb, require_size
 
 
 @dataclass(frozen=True, eq=False)

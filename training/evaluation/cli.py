@@ -16,7 +16,7 @@ from runtime.command import interruptible, reported_errors
 from runtime.errors import ContractError, InputError
 
 if TYPE_CHECKING:
-    from training.datasets.source import SourceRecipe
+    from training.datasets.source_recipe import SourceRecipe
     from training.evaluation.score_report import Row
 
 _BASELINES = ("nearest", "ip-basic")  # the fast methods

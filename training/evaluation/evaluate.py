@@ -11,7 +11,7 @@ from tqdm import tqdm
 from runtime.errors import InputError
 from runtime.network_size import NetworkSize
 from training.datasets.sample import SampleSource
-from training.datasets.source import SourceRecipe
+from training.datasets.source_recipe import SourceRecipe
 from training.evaluation.exported_model import ScoredModel, open_method, open_model
 from training.evaluation.score_report import Row
 from training.evaluation.scoring import Answer, Scores

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
-from training.datasets.source import SourceRecipe
+from training.datasets.source_recipe import SourceRecipe
 from training.loading.cache import CachedSource
 from training.loading.mixture import DepthTarget, Mixture, MixturePart
 from training.loading.resized import ResizedSource

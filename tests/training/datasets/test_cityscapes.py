@@ -128,7 +128,7 @@ def labels(value, size=(HEIGHT, WIDTH)):
             "gtFine",
             "gtFine_labelIds.png",
             lambda p: write(p, labels(7, (HEIGHT, 30))),
-            "size 6x30 differs from the image's 6x34",
+            "size 6x30 differs from the frame's 6x34",
         ),
         (
             "gtFine",

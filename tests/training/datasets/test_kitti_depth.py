@@ -107,12 +107,12 @@ def test_drives_without_frames_are_named(tmp_path):
         (
             f"{MAPS}/velodyne_raw/image_02/{NUMBERS[0]}.png",
             lambda p: write(p, np.zeros(SIZE, np.uint8)),
-            "expected one channel of uint16",
+            "one channel of 16 bits, got 1 of 8 bits",
         ),
         (
             f"{MAPS}/groundtruth/image_02/{NUMBERS[0]}.png",
             lambda p: write(p, np.zeros((5, 9), np.uint16)),
-            "size 5x9 differs from the image's 5x8",
+            "size 5x9 differs from the frame's 5x8",
         ),
         (f"{MAPS}/groundtruth/image_02/{NUMBERS[0]}.png", cut_short, "truncated or damaged"),
         (f"train/{DRIVE}/image_02/data/{NUMBERS[0]}.png", cut_short, "truncated or damaged"),

@@ -5,7 +5,7 @@ import pytest
 
 from layouts.pictures import write
 from runtime.errors import DatasetError
-from training.datasets.kitti_calibration import read_raw_calibration
+from runtime.io.calibration import Calibration
 from training.datasets.kitti_raw import KittiRaw, KittiRawRecipe
 from training.lidar.scan import project_lines
 from training.loading.open_dataset import open_dataset
@@ -131,7 +131,7 @@ def test_calibration_chains_rectification_and_offset(tmp_path):
         CAM_TO_CAM.replace("R_rect_00: 1 0 0 0 1 0 0 0 1", "R_rect_00: 0 1 0 -1 0 0 0 0 1")
     )
     (tmp_path / "calib_velo_to_cam.txt").write_text(VELO_TO_CAM.replace("0 0 -0.5", "1 2 -0.5"))
-    calibration = read_raw_calibration(tmp_path, 3)
+    calibration = Calibration.from_kitti(tmp_path, camera=3)
     # (x, y, z) = (4.5, 0, 0) is (1, 2, 4) before and (2, -1, 4) after rectification.
     x, y, z, one = calibration.extrinsics @ (4.5, 0, 0, 1)
     assert (x, y, z, one) == pytest.approx((2 - 20 / 10, -1, 4, 1))
@@ -141,7 +141,7 @@ def test_calibration_chains_rectification_and_offset(tmp_path):
 
 def test_projected_lines_agree_with_the_lines_of_the_returns(tmp_path):
     write_frame(tmp_path, UPPER)
-    calibration = read_raw_calibration(tmp_path / DATE, 2)
+    calibration = Calibration.from_kitti(tmp_path / DATE, camera=2)
     points = np.array(UPPER + LOWER + UPPER, np.float32)
     depth, line = project_lines(
         points, calibration.intrinsics, calibration.extrinsics, (HEIGHT, WIDTH)
@@ -201,7 +201,7 @@ def test_the_four_images_published_without_a_scan_are_left_out(tmp_path):
         f"{drive}/2/0000000181",
     ]
     (scans / "0000000181.bin").unlink()
-    with pytest.raises(DatasetError, match=r"0000000181\.bin: missing \(1 of 2"):
+    with pytest.raises(DatasetError, match=r"data: has no file of the frame 0000000181 \(1 of 2"):
         KittiRaw(tmp_path)
 
 
@@ -209,13 +209,13 @@ def test_the_four_images_published_without_a_scan_are_left_out(tmp_path):
     ("lost", "text"),
     [
         (f"{DATE}/{DRIVE}", "no drive <date>/<date>_drive_"),
-        (f"{DATE}/{DRIVE}/image_02", "image_02/data: no such folder"),
-        (f"{DATE}/{DRIVE}/velodyne_points", "velodyne_points/data: no such folder"),
+        (f"{DATE}/{DRIVE}/image_02", "image_02/data is missing"),
+        (f"{DATE}/{DRIVE}/velodyne_points", "velodyne_points/data is missing"),
         (
             f"{DATE}/{DRIVE}/velodyne_points/data/0000000000.bin",
-            r"velodyne_points/data/0000000000\.bin: missing",
+            r"velodyne_points/data has no \.bin files",
         ),
-        (f"{DATE}/{DRIVE}/image_02/data/0000000000.png", r"no images of cameras \[2\]"),
+        (f"{DATE}/{DRIVE}/image_02/data/0000000000.png", r"image_02/data has no \.png"),
         (f"{DATE}/calib_cam_to_cam.txt", r"cannot read the calibration .*calib_cam_to_cam\.txt"),
         (f"{DATE}/calib_velo_to_cam.txt", r"cannot read the calibration .*calib_velo_to_cam\.txt"),
     ],

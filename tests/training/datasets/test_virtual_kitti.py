@@ -15,8 +15,7 @@ from layouts.virtual_kitti import (
     write_second_edition,
 )
 from runtime.errors import DatasetError, InputError
-from training.datasets.virtual_kitti import RenderedRecipe, VirtualKitti
-from training.datasets.virtual_kitti_1 import VirtualKitti1
+from training.datasets.virtual_kitti import RenderedRecipe, VirtualKitti, VirtualKitti1
 from training.datasets.virtual_kitti_split import PAPER_VARIANTS, Selection, read_frame_list
 from training.loading.open_dataset import open_dataset
 from training.recipe import AnySource, build
@@ -74,7 +73,7 @@ def test_second_edition_takes_the_cameras_asked_for(tmp_path):
     left, right = (VirtualKitti(tmp_path, cameras=(0, 1))[index] for index in range(2))
     assert (left.name, right.name) == ("Scene01/clone/00000", "Scene01/clone/00000/1")
     assert (left.intrinsics[1, 2], right.intrinsics[1, 2]) == (180, 181)
-    with pytest.raises(DatasetError, match="rgb/Camera_2: no such folder"):
+    with pytest.raises(DatasetError, match="rgb/Camera_2 is missing"):
         VirtualKitti(tmp_path, cameras=(2,))
 
 
@@ -108,14 +107,14 @@ def spoil_label(folder, image):
             lambda f: (f / "colors.txt").write_text("Category r g b\nRoad 1 2 256\n"),
             r"colors\.txt: 'Road 1 2 256' has a colour outside 0\.\.255",
         ),
-        (lambda f: (f / "intrinsic.txt").unlink(), r"intrinsic\.txt: cannot be read"),
+        (lambda f: (f / "intrinsic.txt").unlink(), r"intrinsic\.txt: missing"),
         (
             lambda f: (f / "intrinsic.txt").write_text("header\n0 0 1\n"),
             r"intrinsic\.txt: '0 0 1' is not 'frame cameraID fx fy cx cy'",
         ),
         (
             lambda f: (f / "frames/depth/Camera_0/depth_00001.png").unlink(),
-            r"depth/Camera_0/depth_00001\.png: missing \(1 of 2",
+            r"depth/Camera_0: has no file of the frame 00001 \(1 of 2",
         ),
         (
             lambda f: (f / "frames/classSegmentation/Camera_0/classgt_00000.png").unlink(),
@@ -123,11 +122,11 @@ def spoil_label(folder, image):
         ),
         (
             lambda f: (f / "frames/depth").rename(f / "frames/elsewhere"),
-            r"clone/frames/depth/Camera_0: no such folder",
+            r"clone/frames/depth/Camera_0 is missing",
         ),
         (
             lambda f: (f / "frames/rgb").rename(f / "frames/elsewhere"),
-            r"clone/frames/rgb/Camera_0: no such folder",
+            r"clone/frames/rgb/Camera_0 is missing",
         ),
     ],
 )
@@ -150,19 +149,19 @@ def test_second_edition_with_missing_parts_is_not_opened(second, spoil, text):
         ),
         (
             lambda f: spoil_label(f, label_picture(COLORS.values())[:-1]),
-            r"classgt_00000\.png: its size 7x15 differs from the image's 8x15",
+            r"classgt_00000\.png: its size 7x15 differs from the frame's 8x15",
         ),
         (
             lambda f: write(
                 f / "frames/depth/Camera_0/depth_00000.png", depth_picture(0)[:, :-1].copy()
             ),
-            r"depth_00000\.png: its size 8x14 differs from the image's 8x15",
+            r"depth_00000\.png: its size 8x14 differs from the frame's 8x15",
         ),
         (
             lambda f: write(
                 f / "frames/depth/Camera_0/depth_00000.png", np.zeros((HEIGHT, WIDTH), np.uint8)
             ),
-            r"depth_00000\.png: expected one channel of uint16",
+            r"depth_00000\.png must be a depth map of one channel of 16 bits",
         ),
         (
             lambda f: cut_short(f / "frames/depth/Camera_0/depth_00000.png"),

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from runtime import project_points
-from training.datasets.kitti_calibration import read_calibration, read_points
+from training.datasets.files import read_points
+from training.datasets.kitti_stream import read_calibration
 from training.lidar.scan import project_lines, scan_line_of
 
 

@@ -327,9 +327,9 @@ def test_what_is_magnified_has_its_canonical_depth_divided():
     np.testing.assert_array_equal(then.intrinsics, large.intrinsics)
 
 
-def test_canonical_focal_length_is_the_mean_of_both_axes():
-    sample = replace(plane(), intrinsics=np.diag([40.0, 90.0, 1.0]))
-    assert sample.focal_length_px == pytest.approx(60.0)
+def test_the_focal_length_is_fx_as_in_the_engine():
+    sample = replace(plane(), intrinsics=np.diag([60.0, 90.0, 1.0]))
+    assert sample.focal_length_px == 60
     np.testing.assert_allclose(canonical_depth(sample, 30.0).depth, sample.depth / 2)
     unknown = replace(sample, intrinsics=None)
     assert unknown.focal_length_px is None

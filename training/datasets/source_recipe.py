@@ -1,14 +1,11 @@
-"""What a recipe says about a data set: the keys that every kind has, and which kinds there are."""
+"""What a recipe says about a data set: the keys that every kind has."""
 
-from importlib import import_module
 from pathlib import Path
-from pkgutil import iter_modules
 from typing import Annotated, ClassVar
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from training import datasets
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
 from training.limits import STRICT, FactorRange, Positive, Side
@@ -21,8 +18,8 @@ Names = Annotated[tuple[str, ...], Field(min_length=1, max_length=10_000)]
 class SourceRecipe:
     """One data set of the mixture, or one of the validation sets.
 
-    Each kind is a subclass beside its reader: its name as the default of ``kind``, a Literal, its
-    own keys, and `open`.
+    Each kind is a subclass beside its reader, listed in `training.datasets.registry`: its name as
+    the default of ``kind``, a Literal, its own keys, and `open`.
     """
 
     kind: str
@@ -46,15 +43,3 @@ class SourceRecipe:
     def open(self, folder: Path, classes: ClassTable) -> SampleSource:
         """Open the data set; ``classes`` is the table of the class ids. Raises DatasetError."""
         raise NotImplementedError
-
-
-def source_kinds() -> dict[str, type[SourceRecipe]]:
-    """Every kind of data set that a module of `training.datasets` defines, by its name."""
-    names = [f"{datasets.__name__}.{info.name}" for info in iter_modules(datasets.__path__)]
-    found = (item for name in names for item in vars(import_module(name)).values())
-    kinds = {
-        item
-        for item in found
-        if isinstance(item, type) and issubclass(item, SourceRecipe) and item is not SourceRecipe
-    }
-    return {kind.kind: kind for kind in sorted(kinds, key=lambda kind: kind.kind)}

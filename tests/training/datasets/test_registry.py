@@ -1,4 +1,4 @@
-"""Kinds of data sets: one file adds one, and every one of them goes to a worker process."""
+"""A file and a line add a kind of data set, and every kind goes to a worker process."""
 
 import pickle
 import subprocess
@@ -16,7 +16,7 @@ from layouts import (
     virtual_kitti,
 )
 from layouts.pictures import write
-from training.datasets.source import source_kinds
+from training.datasets.registry import DATASETS
 from training.loading.open_dataset import open_dataset
 from training.recipe import AnySource, build
 
@@ -31,7 +31,7 @@ import numpy as np
 from pydantic.dataclasses import dataclass
 
 from training.datasets.sample import Sample
-from training.datasets.source import SourceRecipe
+from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT, Positive
 
 
@@ -66,8 +66,10 @@ class Distances:
 
 TRAIN = """
 import sys
-from training import datasets
-datasets.__path__.append(sys.argv[1])  # as if the file lay in training/datasets
+sys.path.append(sys.argv[1])
+from distances import DistancesRecipe
+from training.datasets.registry import DATASETS
+DATASETS["distances"] = DistancesRecipe  # as a line there does
 from training.cli import app
 from training.evaluation.cli import parse_source
 assert parse_source("distances:x,unit_m=2").unit_m == 2
@@ -92,7 +94,7 @@ steps = 1
 """
 
 
-def test_one_file_adds_a_data_set(tmp_path):
+def test_a_file_and_a_line_add_a_data_set(tmp_path):
     (tmp_path / "datasets").mkdir()
     (tmp_path / "datasets" / "distances.py").write_text(ONE_FILE)
     (tmp_path / "far").mkdir()
@@ -146,7 +148,7 @@ def data(tmp_path_factory):
     return root
 
 
-@pytest.mark.parametrize("kind", source_kinds())
+@pytest.mark.parametrize("kind", DATASETS)
 def test_every_kind_goes_to_a_worker_process_even_after_it_was_read(kind, data):
     options = {"kind": kind, "path": kind, "size": [32, 64]}
     if kind == "rendered_on_the_fly":

@@ -6,7 +6,7 @@ import pytest
 
 import runtime.io.images
 from runtime.errors import DatasetError
-from training.datasets.image_files import read_gray, read_rgb
+from training.datasets.files import read_gray, read_rgb
 
 
 def test_what_is_too_large_is_an_error_that_names_the_file(tmp_path, monkeypatch):
@@ -14,9 +14,9 @@ def test_what_is_too_large_is_an_error_that_names_the_file(tmp_path, monkeypatch
     cv2.imwrite(str(colour), np.zeros((40, 50, 3), np.uint8))
     cv2.imwrite(str(gray), np.zeros((40, 50), np.uint16))
     assert read_rgb(colour).shape == (40, 50, 3)
-    assert read_gray(gray, np.uint16).shape == (40, 50)
+    assert read_gray(gray, np.uint16, (40, 50)).shape == (40, 50)
     monkeypatch.setattr(runtime.io.images, "MAX_PIXELS", 1999)
     with pytest.raises(DatasetError, match=r"colour\.png says that it has 40 x 50 pixels"):
         read_rgb(colour)
     with pytest.raises(DatasetError, match=r"gray\.png says that it has 40 x 50 pixels"):
-        read_gray(gray, np.uint16)
+        read_gray(gray, np.uint16, (40, 50))

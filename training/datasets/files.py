@@ -1,0 +1,90 @@
+"""Files of data sets as arrays; what the engine's readers find wrong is a DatasetError."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import DatasetError, InputError
+from runtime.io import images, kitti_scan
+from runtime.sources.source import ListedFrame
+
+
+@contextmanager
+def dataset_errors() -> Iterator[None]:
+    """Raise an InputError of the block or function as a DatasetError."""
+    try:
+        yield
+    except InputError as error:
+        raise DatasetError(str(error)) from error
+
+
+#: The engine's readers, see there.
+read_rgb = dataset_errors()(images.read_rgb)
+read_points = dataset_errors()(kitti_scan.read_scan)
+
+
+@dataset_errors()
+def read_gray(
+    path: Path, dtype: type[np.uint8] | type[np.uint16], size: tuple[int, int]
+) -> NDArray[Any]:
+    """Read a one-channel PNG of exactly `dtype` and (height, width). Raises DatasetError."""
+    image = images.decode(path, cv2.IMREAD_UNCHANGED)
+    if image.ndim != 2 or image.dtype != dtype:
+        raise DatasetError(
+            f"{path}: expected one channel of {np.dtype(dtype).name}, got shape {image.shape} of "
+            f"{image.dtype}. Restore the data set's original file."
+        )
+    require_size(path, image.shape, size)
+    return image
+
+
+@dataset_errors()
+def read_depth(path: Path, size: tuple[int, int], *, depth_scale: float) -> NDArray[np.float32]:
+    """Read a 16-bit PNG of `depth_scale` units a metre: float32 (height, width) [m], 0 = none.
+
+    Raises DatasetError.
+    """
+    depth = images.read_sparse_depth(path, depth_scale=depth_scale)
+    require_size(path, depth.shape, size)
+    return depth
+
+
+def require_size(path: Path, size: tuple[int, ...], expected: tuple[int, int]) -> None:
+    """Raise a DatasetError unless the file's (height, width) is the expected one."""
+    if size[:2] != expected:
+        raise DatasetError(
+            f"{path}: its size {size[0]}x{size[1]} differs from the frame's "
+            f"{expected[0]}x{expected[1]} (height x width). Restore the data set's original file."
+        )
+
+
+def require_folder(path: Path, purpose: str) -> Path:
+    """Return `path` or raise a DatasetError that says what should be in it."""
+    if not path.is_dir():
+        raise DatasetError(f"{path}: no such folder; expected {purpose}.")
+    return path
+
+
+def require_partners(folder: Path, names: Sequence[str]) -> None:
+    """Raise DatasetError if a file of these names is missing in a folder."""
+    there = {path.name for path in folder.iterdir()}
+    missing = [name for name in names if name not in there]
+    if missing:
+        raise DatasetError(
+            f"{folder / missing[0]}: missing ({len(missing)} of {len(names)} frames lack it)."
+        )
+
+
+def require_complete(frames: Sequence[ListedFrame], folder: Path) -> None:
+    """Raise DatasetError if a frame has no file in `folder`, which holds their depth."""
+    missing = [frame.name for frame in frames if frame.depth is None]
+    if missing:
+        raise DatasetError(
+            f"{folder}: has no file of the frame {missing[0]} ({len(missing)} of {len(frames)} "
+            "frames lack it)."
+        )
