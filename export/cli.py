@@ -1,10 +1,5 @@
 """`ssdnet-export`: a checkpoint in, one verified ONNX file out."""
 
-if __name__ == "__main__":  # python -m export.cli
-    from export.__main__ import main
-
-    main()  # ends the process
-
 from pathlib import Path
 from typing import Annotated
 

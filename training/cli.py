@@ -1,10 +1,5 @@
 """`ssdnet-train`: from a recipe to a checkpoint."""
 
-if __name__ == "__main__":  # python -m training.cli
-    from training.__main__ import main
-
-    main()  # ends the process
-
 from pathlib import Path
 from typing import Annotated
 

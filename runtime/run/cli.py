@@ -2,12 +2,6 @@
 
 import contextlib
 import sys
-
-if __name__ == "__main__":  # python -m runtime.run.cli
-    from runtime.run.__main__ import main
-
-    main()  # ends the process
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,10 +1,5 @@
 """`ssdnet-eval`: the metrics of Table 1 for checkpoints, files and methods, a row each."""
 
-if __name__ == "__main__":  # python -m training.evaluation.cli
-    from training.evaluation.__main__ import main
-
-    main()  # ends the process
-
 import re
 import tomllib
 from pathlib import Path

@@ -2,12 +2,6 @@
 
 import signal
 import sys
-
-if __name__ == "__main__":  # python -m training.scenes.cli
-    from training.scenes.__main__ import main
-
-    main()  # ends the process
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 

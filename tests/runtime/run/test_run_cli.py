@@ -523,7 +523,7 @@ def test_a_run_outlives_what_it_prints_to(tmp_path, stream, model_file, option, 
     command = [
         sys.executable,
         "-m",
-        "runtime.run.cli",
+        "runtime.run",
         *arguments(stream, model_file(), tmp_path),
     ]
     with open("/dev/full", "w") as full:
@@ -538,7 +538,7 @@ def test_a_reader_that_left_does_not_stop_the_run(tmp_path, stream, model_file):
     command = [
         sys.executable,
         "-m",
-        "runtime.run.cli",
+        "runtime.run",
         *arguments(stream, model_file(), tmp_path),
     ]
     reader, writer = os.pipe()
