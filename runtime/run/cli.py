@@ -2,57 +2,23 @@
 
 import contextlib
 import sys
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
-from runtime.command import ERROR, Provider, reported_errors, say, stop_asked
-from runtime.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
-from runtime.drawing.overlay import SharedOverlay
-from runtime.drawing.report_page import PAGE_SUFFIX
-from runtime.engine_facts import engine_facts
-from runtime.errors import InputError, OutputError, SSDNetError
+from runtime.command import ERROR, Provider, reported_errors, say
+from runtime.contract import MAX_PIXELS
 from runtime.io.encode import METRES_PNG_SCALE
 from runtime.io.images import KITTI_DEPTH_SCALE
-from runtime.io.recording import Settings
-from runtime.predictor import Predictor
-from runtime.run.options import (
-    answered_kinds,
-    parse_kinds,
-    parse_shard,
-    parse_size,
-    parse_source,
-    require_range,
-    require_rerun_target,
-    require_suffixes,
-)
-from runtime.run.outputs.frame_writer import FrameWriter
-from runtime.run.outputs.mcap import MCAP_SUFFIX, open_mcap
-from runtime.run.outputs.output import (
-    DEFAULT_RATE_HZ,
-    Output,
-    require_free,
-    require_package,
-    write_to,
-)
-from runtime.run.outputs.recording_output import open_recording
-from runtime.run.outputs.rerun_log import LIVE, RERUN_SUFFIX, is_file, open_rerun
-from runtime.run.outputs.video import VIDEO_SUFFIX, open_video
-from runtime.run.pipeline import OK, FrameRecord, Listed, StreamResult, run_stream
-from runtime.run.process import dedicate_process
-from runtime.run.run_folder import CLOUD, SUFFIXES
-from runtime.run.run_report import build_report, describe_predictor, describe_run, to_json
-from runtime.run.summary import exit_code, made_files, write_summary
-from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.frames import Frame
+from runtime.run.options import RunOptions, UsageError
+from runtime.run.outputs.output import DEFAULT_RATE_HZ, FILE_SUFFIXES, RERUN_LIVE
+from runtime.run.report_files import describe_run, list_results, report_json
+from runtime.run.run import OnRecord, run
+from runtime.run.run_folder import SUFFIXES
 from runtime.sources.registry import SOURCES
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
-
-_WARM_UP_FRAMES = 16  # that are read to find one
-
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -62,7 +28,7 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions
     "answers not usable, or Ctrl-C or SIGTERM came; 4 --deadline-ms was missed by any frame, even "
     "if others were skipped; 130 Ctrl-C or SIGTERM came before the run began."
 )
-def run(
+def main(
     rgb: Annotated[
         Path | None,
         typer.Option(
@@ -198,10 +164,9 @@ def run(
             "pixel, and needs the camera: --calibration, or --focal-length."
         ),
     ] = "all",
-    record_dir: Annotated[
+    record: Annotated[
         Path | None,
         typer.Option(
-            "--record",
             metavar="DIR",
             help="Folder for a recording of frames, answers and model, which ssdnet-verify holds "
             "later runs against; about 17 bytes a pixel and frame.",
@@ -210,15 +175,14 @@ def run(
     video: Annotated[
         Path | None,
         typer.Option(
-            metavar=f"FILE{VIDEO_SUFFIX}",
+            metavar=f"FILE{FILE_SUFFIXES['video']}",
             help=f"Write the overlays as a video, too; at --rate, or {DEFAULT_RATE_HZ:g} Hz.",
         ),
     ] = None,
-    page: Annotated[
+    report: Annotated[
         Path | None,
         typer.Option(
-            "--report",
-            metavar=f"FILE{PAGE_SUFFIX}",
+            metavar=f"FILE{FILE_SUFFIXES['report']}",
             help="Write one page to look at: latency over time, stages, health, sample pictures "
             "and the facts of the run.",
         ),
@@ -226,7 +190,7 @@ def run(
     mcap: Annotated[
         Path | None,
         typer.Option(
-            metavar=f"FILE{MCAP_SUFFIX}",
+            metavar=f"FILE{FILE_SUFFIXES['mcap']}",
             help="Write the answers as ROS 2's standard messages, too (extra bag), with the "
             "stamps of the camera; where there are none, at --rate.",
         ),
@@ -234,7 +198,7 @@ def run(
     rerun: Annotated[
         str | None,
         typer.Option(
-            metavar=f"FILE{RERUN_SUFFIX}|{LIVE}|URL",
+            metavar=f"FILE{FILE_SUFFIXES['rerun']}|{RERUN_LIVE}|URL",
             help="Log the run for the viewer Rerun (extra rerun), too: to a file, to the viewer on "
             "this machine, or to one at an address rerun+http://HOST:PORT/proxy. The cloud needs "
             "the camera, as --save cloud does.",
@@ -256,184 +220,59 @@ def run(
 
     Frames are pairs of files with the same stem, in natural order, or what another --source has.
     """
-    kinds = parse_kinds(save)
-    network_size = parse_size(size)
-    part, parts = parse_shard(shard)
-    require_range("--depth-scale", depth_scale, 1e-3, 1e6)
-    require_range("--deadline-ms", deadline_ms, 1e-6, 1e9)
-    require_range("--rate", rate, 1e-3, 1e6)
-    require_range("--focal-length", focal_length, MIN_FOCAL_PX, MAX_FOCAL_PX)
-    files = {
-        "--video": (video, VIDEO_SUFFIX),
-        "--report": (page, PAGE_SUFFIX),
-        "--mcap": (mcap, MCAP_SUFFIX),
-        "--rerun": (Path(rerun) if rerun and is_file(rerun) else None, RERUN_SUFFIX),
-    }
-    require_suffixes(files)
-    if rerun is not None:
-        require_rerun_target(rerun)
-    require_range("--max-skew-ms", max_skew_ms, 0, 1e6)
-    if demo + (rgb is not None) + (source is not None) != 1 or (demo and depth is not None):
-        raise typer.BadParameter("give one of --demo, --rgb (with --depth) and --source")
-    if demo and focal_length is None:
-        focal_length = BUNDLED_FOCAL_LENGTH_PX
-    with reported_errors("cpu"):
-        if demo:
-            rgb, depth = bundled_stream()
-    source = source or f"folders:{rgb}"
-    open_source = parse_source(
-        source,
-        depth=depth,
-        depth_scale=depth_scale,
-        calibration=calibration,
-        camera=camera,
-        image_topic=image_topic,
-        depth_topic=depth_topic,
-        info_topic=info_topic,
-        max_skew_ms=max_skew_ms,
-    )
-    dedicate_process()
-    with reported_errors("cpu"), open_source() as origin:
-        _require_apart(out, *origin.folders)
-        frames = origin.list_frames(limit=limit)[part - 1 :: parts]
-        if focal_length is None and origin.calibration is not None:
-            focal_length = origin.calibration.focal_length_px
-        with Predictor(
-            model,
-            sha256=sha256,
-            provider=provider.value,
-            size=network_size,
-            focal_length_px=focal_length,
-            threads=threads,
-            warmup=0,
-        ) as predictor:
-            kinds = answered_kinds(kinds, predictor, everything=save == "all")
-            if CLOUD in kinds and focal_length is None:
-                raise InputError(
-                    "--save cloud needs to know the camera: give --calibration, or --focal-length"
-                )
-            frame_size = _warm_up(predictor, frames, origin.read, runs=warmup)
-            if rerun is not None:
-                require_package("--rerun", "rerun", extra="rerun")
-            for path, _ in files.values():
-                if path is not None:
-                    require_free(path, overwrite=overwrite, inputs=origin.recordings)
-            with stop_asked() as stop:  # only now: until here nothing was written
-                overlay = SharedOverlay(predictor.contract.classes, predictor.contract.max_depth_m)
-                settings = Settings("ssdnet-run", network_size, focal_length, provider.value)
-                with contextlib.ExitStack() as whole:  # has its name when all frames are in it
-                    keep = whole.enter_context(
-                        open_recording(record_dir, settings, predictor, overwrite=overwrite)
-                    )
-                    writer = FrameWriter(
-                        out,
-                        predictor.contract,
-                        kinds=kinds,
-                        names=[listed.name for listed in frames],
-                        overwrite=overwrite,
-                        focal_length_px=focal_length,
-                        overlay=overlay,
-                    )
-                    if not as_json:
-                        about = [*origin.notes, describe_predictor(predictor, frame_size)]
-                        _say("\n".join(about), out)
-                    outputs: list[Output] = [writer] if kinds else []
-                    if page is not None:
-                        from runtime.run.outputs.run_page import RunPage
+    with reported_errors("cpu"), contextlib.ExitStack() as progress:
+        try:
+            options = RunOptions(
+                rgb=rgb,
+                depth=depth,
+                source=source,
+                demo=demo,
+                model=model,
+                sha256=sha256,
+                out=out,
+                provider=provider.value,
+                size=size,
+                focal_length=focal_length,
+                threads=threads,
+                depth_scale=depth_scale,
+                calibration=calibration,
+                camera=camera,
+                image_topic=image_topic,
+                depth_topic=depth_topic,
+                info_topic=info_topic,
+                max_skew_ms=max_skew_ms,
+                deadline_ms=deadline_ms,
+                rate=rate,
+                limit=limit,
+                shard=shard,
+                warmup=warmup,
+                save=save,
+                record=record,
+                video=video,
+                report=report,
+                mcap=mcap,
+                rerun=rerun,
+                overwrite=overwrite,
+            )
+        except UsageError as error:
+            raise typer.BadParameter(str(error)) from error
 
-                        run_page = RunPage(predictor.contract)
-                        outputs.append(run_page)
-                    if video is not None:
-                        opened = open_video(video, overlay, rate_hz=rate)
-                        outputs.append(whole.enter_context(opened))
-                    if mcap is not None:
-                        bag = open_mcap(mcap, predictor.contract, overlay, rate_hz=rate)
-                        outputs.append(whole.enter_context(bag))
-                    if rerun is not None:
-                        logger = open_rerun(rerun, predictor.contract, focal_length_px=focal_length)
-                        outputs.append(whole.enter_context(logger))
-                    result = _run(
-                        predictor,
-                        frames,
-                        read=origin.read,
-                        rate_hz=rate,
-                        write=write_to(outputs),
-                        keep=keep,
-                        stop=stop,
-                    )
-                report = build_report(
-                    predictor,
-                    result,
-                    inputs={
-                        "source": source,
-                        **origin.inputs,
-                        "focal_length_px": focal_length,
-                        "shard": shard,
-                        "warmup": warmup,
-                    },
-                    output=str(out),
-                    kinds=kinds,
-                    deadline_ms=deadline_ms,
-                )
-                write_summary(out, result, report, deadline_ms)
-                if page is not None:
-                    run_page.finish(page, result, report, engine_facts(predictor))
-                if as_json:
-                    printed = _say(to_json(report).rstrip("\n"), out)
-                    raise typer.Exit(exit_code(result, deadline_ms) if printed else ERROR)
-                lines = [describe_run(result, report), f"results: {out.resolve()}"]
-                if record_dir is not None:
-                    lines.append(f"recording: {record_dir.resolve()}")
-                lines += made_files(files)
-                if "overlay" in kinds and any(record.status == OK for record in result.records):
-                    lines.append(f"pictures: {(out / 'overlay').resolve()}")
-                _say("\n".join(lines), out)
-                raise typer.Exit(exit_code(result, deadline_ms))
+        def start(about: str, frames: int) -> OnRecord:
+            if not as_json:
+                _say(about, out)
+            if not sys.stderr.isatty():
+                return lambda record: None
+            bar = typer.progressbar(length=frames, file=sys.stderr, label="frames")
+            shown = progress.enter_context(bar)
+            return lambda record: shown.update(1)
+
+        done = run(options, on_start=start)
+        progress.close()
+        results = "\n".join([describe_run(done), *list_results(done, options)])
+        printed = _say(report_json(done) if as_json else results, out)
+        raise typer.Exit(done.exit_code if printed or not as_json else ERROR)
 
 
 def _say(text: str, out: Path) -> bool:
-    """Print, or say why not: the results on disk matter more. Returns whether it was printed."""
+    """Print, or report why not: the results on disk matter more. Returns whether it was printed."""
     return say(text, otherwise=f": see {out}")
-
-
-def _require_apart(out: Path, *inputs: Path) -> None:
-    """Raise OutputError if frames are read from where answers are written."""
-    answers = {(out / kind).resolve() for kind in SUFFIXES}
-    for folder in inputs:
-        if folder.resolve() in answers:
-            raise OutputError(
-                f"{folder} is where --out {out} writes its own pictures: choose another --out"
-            )
-
-
-def _warm_up(
-    predictor: Predictor,
-    frames: Sequence[Listed],
-    read: Callable[[Listed], Frame],
-    *,
-    runs: int,
-) -> tuple[int, int] | None:
-    """Warm up at the size of the first frame that can be predicted, and give back its size; None
-    if none of the first few can: the run itself will say why.
-    """
-    for listed in frames[:_WARM_UP_FRAMES]:
-        try:
-            frame = read(listed)
-            height, width = frame.rgb.shape[:2]
-            predictor.warm_up((height, width), runs=runs)
-        except SSDNetError:
-            continue
-        return height, width
-    return None
-
-
-def _run(predictor: Predictor, frames: Sequence[Listed], **options: Any) -> StreamResult:
-    """Run the stream, under a progress bar where stderr is a terminal."""
-    if not sys.stderr.isatty():
-        return run_stream(predictor, frames, **options)
-    with typer.progressbar(length=len(frames), file=sys.stderr, label="frames") as bar:
-
-        def advance(record: FrameRecord) -> None:
-            bar.update(1)
-
-        return run_stream(predictor, frames, on_record=advance, **options)

@@ -1,97 +1,173 @@
-"""What the options of `ssdnet-run` say, checked: a mistake is told before anything is opened."""
+"""The options of `ssdnet-run`: collected once, checked before anything is opened."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
-import typer
-
+from runtime.contract import MAX_FOCAL_PX, MIN_FOCAL_PX
 from runtime.errors import InputError
 from runtime.network_size import NetworkSize, parse_network_size
-from runtime.predictor import Predictor
-from runtime.run.outputs.rerun_log import LIVE, RERUN_SUFFIX, is_file, is_viewer
-from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, SUFFIXES
+from runtime.run.outputs.output import FILE_SUFFIXES, RERUN_LIVE, is_rerun_file
+from runtime.run.run_folder import KINDS, SUFFIXES
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
 from runtime.sources.registry import choose_source
 from runtime.sources.source import Source
 
 MAX_SHARDS = 1_000_000
 
-NamedFiles = dict[str, tuple[Path | None, str]]  # option -> file asked for, its ending
+Item = TypeVar("Item")
 
 
-def parse_kinds(save: str) -> tuple[str, ...]:
-    """Read --save. Raises BadParameter for a kind that it does not know."""
-    if save in ("all", "none"):
-        return KINDS if save == "all" else ()
-    asked = [kind.strip() for kind in save.split(",")]
-    unknown = [kind for kind in asked if kind not in SUFFIXES]
-    if unknown:
-        raise typer.BadParameter(f"--save knows {', '.join(SUFFIXES)}, all and none, not {unknown}")
-    return tuple(kind for kind in SUFFIXES if kind in asked)
+class UsageError(InputError):
+    """Options that are wrong by themselves, whatever the files hold."""
 
 
-def parse_source(text: str, **options: Any) -> Callable[[], Source]:
-    """Read --source and give back what opens it.
+@dataclass(frozen=True)
+class RunOptions:
+    """What `ssdnet-run` is asked for; the fields are its options, see `ssdnet-run --help`.
 
-    Raises BadParameter for a kind or an option that it does not know.
+    Raises:
+        UsageError: if an option is out of range, or options contradict each other.
+        InputError: if `demo` is set and the bundled stream is missing.
     """
-    try:
-        return choose_source(text, **options)
-    except InputError as error:
-        raise typer.BadParameter(str(error)) from error
+
+    rgb: Path | None = None
+    depth: Path | None = None
+    source: str | None = None
+    demo: bool = False
+    model: str | None = None
+    sha256: str | None = None
+    out: Path = Path("ssdnet-run")
+    provider: str = "cpu"
+    size: str = "auto"
+    focal_length: float | None = None
+    threads: int | None = None
+    depth_scale: float | None = None
+    calibration: Path | None = None
+    camera: int | None = None
+    image_topic: str | None = None
+    depth_topic: str | None = None
+    info_topic: str | None = None
+    max_skew_ms: float | None = None
+    deadline_ms: float | None = None
+    rate: float | None = None
+    limit: int | None = None
+    shard: str | None = None
+    warmup: int = 3
+    save: str = "all"
+    record: Path | None = None
+    video: Path | None = None
+    report: Path | None = None
+    mcap: Path | None = None
+    rerun: str | None = None
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        """Check every option."""
+        if self.demo + (self.rgb is not None) + (self.source is not None) != 1 or (
+            self.demo and self.depth is not None
+        ):
+            raise UsageError("give one of --demo, --rgb (with --depth) and --source")
+        _require_range("--depth-scale", self.depth_scale, 1e-3, 1e6)
+        _require_range("--deadline-ms", self.deadline_ms, 1e-6, 1e9)
+        _require_range("--rate", self.rate, 1e-3, 1e6)
+        _require_range("--focal-length", self.focal_length, MIN_FOCAL_PX, MAX_FOCAL_PX)
+        _require_range("--max-skew-ms", self.max_skew_ms, 0, 1e6)
+        for option, path in self.named_files.items():
+            if path.suffix.lower() != FILE_SUFFIXES[option]:
+                raise UsageError(f"--{option} writes {FILE_SUFFIXES[option]} files, got {path}")
+        if self.rerun is not None and not (is_rerun_file(self.rerun) or is_viewer(self.rerun)):
+            raise UsageError(
+                f"--rerun takes a file that ends in {FILE_SUFFIXES['rerun']}, {RERUN_LIVE}, or a "
+                f"viewer's rerun+http://HOST:PORT/proxy, got {self.rerun!r:.80}"
+            )
+        _ = self.kinds, self.network_size, self._shard, self.open_source
+
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """The files of a frame that --save names."""
+        if self.save in ("all", "none"):
+            return KINDS if self.save == "all" else ()
+        asked = [kind.strip() for kind in self.save.split(",")]
+        if unknown := [kind for kind in asked if kind not in SUFFIXES]:
+            raise UsageError(f"--save knows {', '.join(SUFFIXES)}, all and none, not {unknown}")
+        return tuple(kind for kind in SUFFIXES if kind in asked)
+
+    @cached_property
+    def network_size(self) -> NetworkSize:
+        """--size, as `Predictor` takes it."""
+        try:
+            return parse_network_size(self.size)
+        except InputError as error:
+            raise UsageError(str(error)) from error
+
+    @cached_property
+    def source_name(self) -> str:
+        """The source as KIND:PATH."""
+        return self.source or f"folders:{bundled_stream()[0] if self.demo else self.rgb}"
+
+    @cached_property
+    def open_source(self) -> Callable[[], Source]:
+        """Opens the source."""
+        name, depth = self.source_name, bundled_stream()[1] if self.demo else self.depth
+        try:
+            return choose_source(
+                name,
+                depth=depth,
+                depth_scale=self.depth_scale,
+                calibration=self.calibration,
+                camera=self.camera,
+                image_topic=self.image_topic,
+                depth_topic=self.depth_topic,
+                info_topic=self.info_topic,
+                max_skew_ms=self.max_skew_ms,
+            )
+        except InputError as error:
+            raise UsageError(str(error)) from error
+
+    @property
+    def named_files(self) -> dict[str, Path]:
+        """Option -> the file that it names, without those that were not given."""
+        rerun = Path(self.rerun) if self.rerun and is_rerun_file(self.rerun) else None
+        files = {"video": self.video, "report": self.report, "mcap": self.mcap, "rerun": rerun}
+        return {option: path for option, path in files.items() if path is not None}
+
+    def focal_length_px(self, source: Source) -> float | None:
+        """The focal length of the run: --focal-length, else that of the source."""
+        if self.focal_length is not None:
+            return self.focal_length
+        if self.demo:
+            return BUNDLED_FOCAL_LENGTH_PX
+        return None if source.calibration is None else source.calibration.focal_length_px
+
+    def shard_of(self, frames: Sequence[Item]) -> Sequence[Item]:
+        """The frames that --shard names."""
+        part, parts = self._shard
+        return frames[part - 1 :: parts]
+
+    @cached_property
+    def _shard(self) -> tuple[int, int]:
+        part, _, parts = (self.shard or "1/1").partition("/")
+        if not (
+            part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts) <= MAX_SHARDS
+        ):
+            raise UsageError(
+                f"--shard is I/N with 1 <= I <= N <= {MAX_SHARDS}, such as 2/4, got "
+                f"{self.shard!r:.80}"
+            )
+        return int(part), int(parts)
 
 
-def answered_kinds(
-    kinds: tuple[str, ...], predictor: Predictor, *, everything: bool
-) -> tuple[str, ...]:
-    """Return the kinds that the model answers. Raises InputError if one was asked for by name."""
-    needed = {**{kind: head for kind, (head, _) in SAVED_HEADS.items()}, CLOUD: "depth"}
-    missing = [kind for kind in kinds if kind in needed and needed[kind] not in predictor.heads]
-    if missing and not everything:
-        raise InputError(
-            f"--save asks for {', '.join(missing)}, the model {predictor.contract.model_name} "
-            f"answers {', '.join(predictor.heads)}: leave it out, or choose another --model"
-        )
-    return tuple(kind for kind in kinds if kind not in missing)
+def is_viewer(target: str) -> bool:
+    """Whether --rerun names a viewer."""
+    return target == RERUN_LIVE or target.startswith(
+        ("rerun://", "rerun+http://", "rerun+https://")
+    )
 
 
-def parse_size(text: str) -> NetworkSize:
-    """Read --size. Raises BadParameter."""
-    try:
-        return parse_network_size(text)
-    except InputError as error:
-        raise typer.BadParameter(str(error)) from error
-
-
-def parse_shard(text: str | None) -> tuple[int, int]:
-    """Read "2/4" as (2, 4); the whole is the first part of one. Raises BadParameter."""
-    part, _, parts = (text or "1/1").partition("/")
-    if not (part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts) <= MAX_SHARDS):
-        raise typer.BadParameter(
-            f"--shard is I/N with 1 <= I <= N <= {MAX_SHARDS}, such as 2/4, got {text!r:.80}"
-        )
-    return int(part), int(parts)
-
-
-def require_suffixes(files: NamedFiles) -> None:
-    """Raise BadParameter for a file of another kind than its option writes."""
-    for option, (path, suffix) in files.items():
-        if path is not None and path.suffix.lower() != suffix:
-            raise typer.BadParameter(f"{option} writes {suffix} files, got {path}")
-
-
-def require_rerun_target(target: str) -> None:
-    """Raise BadParameter for what --rerun cannot log to."""
-    if not (is_file(target) or is_viewer(target)):
-        raise typer.BadParameter(
-            f"--rerun takes a file that ends in {RERUN_SUFFIX}, {LIVE}, or a viewer's "
-            f"rerun+http://HOST:PORT/proxy, got {target!r:.80}"
-        )
-
-
-def require_range(option: str, value: float | None, least: float, most: float) -> None:
-    """Raise BadParameter for a number out of range; None is not given."""
+def _require_range(option: str, value: float | None, least: float, most: float) -> None:
+    """Raise UsageError for a number out of range; None is not given."""
     if value is not None and not least <= value <= most:
-        raise typer.BadParameter(
-            f"{option} must be a number from {least:g} to {most:g}, got {value}"
-        )
+        raise UsageError(f"{option} must be a number from {least:g} to {most:g}, got {value}")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import SSDNetError
+from runtime.health.frame_health import FrameHealth
 from runtime.prediction import Cleaned, Latency, Prediction
 from runtime.sources.frames import Frame
 from runtime.sync.latency import Jitter
@@ -21,39 +22,53 @@ from runtime.sync.stamp import NS_PER_MS
 OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
 _READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side
 _NICENESS = 10
-_STOP_ASKED_S = 0.1  # so often while waiting
+_STOP_POLL_S = 0.1  # between two looks at `stop` while waiting
 
-TakeFrame = Callable[[str, Frame, Prediction], None]
+WriteFrame = Callable[[Frame, Prediction], None]
 
 
 class ListedFrame(Protocol):
-    """A frame that is known of, but not read yet."""
+    """A frame of a stream that was not read yet."""
 
     @property
     def name(self) -> str:
-        """Of the frame and of its answers' files."""
+        """Name of the frame and of the files of its answers."""
 
 
 Listed = TypeVar("Listed", bound=ListedFrame)
 
 
 class PredictsFrames(Protocol):
-    """What a stream needs of a `Predictor` or a `CompletionPredictor`."""
+    """What a stream needs of a `Predictor`."""
 
     def predict(self, rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32]) -> Prediction:
-        """Answer one frame."""
+        """Predict one frame."""
 
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """What became of one frame of a stream.
+    """The outcome of one frame of a stream.
 
-    status: "ok"; "skipped": not predicted, `reason` says why; "invalid": the answer could not be
-        used and was not written, `reason` says why
-    image_stamp_ns, depth_stamp_ns: when the sensors took it, by their own clock; None = not known
-    age_ms: constant stream: from when the frame was due until its answer was there
-    jitter_ms: constant stream: by how much the age changed since the answer before, the
-        transit-time difference of RFC 3550
+    Attributes:
+        index: position in the stream.
+        name: of the frame.
+        status: "ok"; "skipped": could not be read or predicted; "invalid": was predicted, but the
+            answer cannot be used and was not written.
+        reason: why the status is not "ok".
+        frame_size: (height, width) of the frame.
+        network_size: (height, width) at which the network ran.
+        read_ms: time of reading and decoding.
+        latency: of the prediction.
+        write_ms: time of writing to all outputs.
+        degraded: as of `Prediction`.
+        health: what `runtime.health` found in the frame.
+        cleaned: as of `Prediction`.
+        depth_returns: as of `Prediction`.
+        image_stamp_ns: clock of the sensor; None = not known.
+        depth_stamp_ns: clock of the sensor; None = not known.
+        age_ms: constant stream: from when the frame was due until it was predicted.
+        jitter_ms: constant stream: difference to the age of the frame before, the transit-time
+            difference of RFC 3550.
     """
 
     index: int
@@ -66,6 +81,7 @@ class FrameRecord:
     latency: Latency | None = None
     write_ms: float | None = None
     degraded: tuple[str, ...] = ()
+    health: tuple[str, ...] = ()
     cleaned: Cleaned = field(default_factory=Cleaned)
     depth_returns: int = 0
     image_stamp_ns: int | None = None
@@ -75,24 +91,37 @@ class FrameRecord:
 
     @property
     def skew_ms(self) -> float | None:
-        """By how much the stamps of the two sensors lie apart; None where one is not known."""
+        """Difference of the two sensors' stamps; None where one is not known."""
         if self.image_stamp_ns is None or self.depth_stamp_ns is None:
             return None
         return abs(self.depth_stamp_ns - self.image_stamp_ns) / 1e6
 
     @property
     def response_ms(self) -> float | None:
-        """What a deadline is held against: the age, in a single stream the prediction's time."""
+        """What the deadline limits: the age, in a single stream the time of the prediction."""
         if self.age_ms is not None or self.latency is None:
             return self.age_ms
         return self.latency.total_ms
 
 
 @dataclass(frozen=True)
-class StreamResult:
-    """The records in order, the time from first read to last write, whether it was stopped.
+class Answer:
+    """The outcome of one frame with its arrays, which are None where it was skipped."""
 
-    rate_hz: of a constant stream; None = a single stream
+    record: FrameRecord
+    frame: Frame | None = None
+    prediction: Prediction | None = None
+
+
+@dataclass(frozen=True)
+class StreamResult:
+    """The outcome of a stream.
+
+    Attributes:
+        records: of the frames, in order.
+        wall_s: from the first read to the last write.
+        interrupted: whether `stop` ended the stream.
+        rate_hz: of a constant stream; None = a single stream.
     """
 
     records: tuple[FrameRecord, ...]
@@ -101,55 +130,104 @@ class StreamResult:
     rate_hz: float | None = None
 
 
+def timed_read(read: Callable[[Listed], Frame], listed: Listed) -> tuple[Frame, float]:
+    """Read a frame; returns it under its name, and the time in ms."""
+    started = time.perf_counter()
+    frame = read(listed)
+    return replace(frame, name=listed.name), (time.perf_counter() - started) * 1e3
+
+
+def answer_frame(
+    predictor: PredictsFrames, index: int, name: str, read: Callable[[], tuple[Frame, float]]
+) -> Answer:
+    """Read and predict one frame.
+
+    Args:
+        predictor: predicts it.
+        index: position of the frame in the stream.
+        name: of the frame.
+        read: returns what `timed_read` does; an SSDNetError says why it cannot be read.
+    """
+    try:
+        frame, read_ms = read()
+        prediction = predictor.predict(frame.rgb, frame.sparse_depth)
+    except SSDNetError as error:
+        return Answer(FrameRecord(index, name, SKIPPED, reason=str(error)))
+    record = FrameRecord(
+        index,
+        name,
+        OK if prediction.valid else INVALID,
+        reason="" if prediction.valid else ", ".join(prediction.degraded),
+        frame_size=prediction.frame_size,
+        network_size=prediction.network_size,
+        read_ms=read_ms,
+        latency=prediction.latency,
+        degraded=prediction.degraded,
+        health=frame.health,
+        cleaned=prediction.cleaned,
+        depth_returns=prediction.depth_returns,
+        image_stamp_ns=frame.image_stamp_ns,
+        depth_stamp_ns=frame.depth_stamp_ns,
+    )
+    return Answer(record, frame, prediction)
+
+
 def run_stream(
     predictor: PredictsFrames,
     frames: Sequence[Listed],
     *,
     read: Callable[[Listed], Frame],
     rate_hz: float | None = None,
-    write: TakeFrame | None = None,
-    keep: TakeFrame = lambda name, frame, prediction: None,
+    write: WriteFrame | None = None,
+    record: WriteFrame | None = None,
     on_record: Callable[[FrameRecord], None] = lambda record: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> StreamResult:
     """Predict every frame, in order.
 
-    One thread reads ahead and one writes behind; both hold at most two frames, so memory does not
-    grow. A frame that cannot be read or predicted is recorded and skipped.
+    One thread reads ahead and one writes behind; each holds at most two frames, so memory does not
+    grow. A frame that cannot be read or predicted is skipped.
 
-    read: is called with each of `frames`, in order, in the reading thread; an SSDNetError says why
-        a frame cannot be read
-    rate_hz: frames are due so often, from the start on, and none is predicted earlier: MLPerf's
-        constant stream; None = each as soon as the one before is done: its single stream
-    write: is called with (name, frame, prediction) in the writing thread; None = nothing is written
-    keep: is called with (name, frame, prediction) right after each prediction, valid or not, and
-        no other is made meanwhile
-    on_record: is called with each record when its frame is done
-    stop: is asked before each frame; once it says True, what was predicted is written and the
-        records so far come back. (A KeyboardInterrupt could come between a frame's writing and its
-        record: it is passed on, and what was written is not known.)
+    Args:
+        predictor: predicts the frames, in the calling thread.
+        frames: to read.
+        read: called with each of `frames`, in order, in the reading thread; raises an SSDNetError
+            where a frame cannot be read.
+        rate_hz: frames are due at this rate from the start on, and none is predicted earlier
+            (constant stream of MLPerf); None = each when the one before is done (single stream).
+        write: called with each valid answer in the writing thread; None = nothing is written.
+        record: called with each answer, valid or not, in the calling thread, while nothing is
+            predicted; None = nothing is recorded.
+        on_record: called with each record when its frame is done.
+        stop: asked before each frame; True ends the stream.
 
-    Raises what `write` and `keep` raise (OutputError), after the frames before it were written.
+    Raises:
+        Exception: what `write` and `record` raise ends the stream.
     """
-    records: list[FrameRecord] = []
     reads: deque[tuple[int, str, Future[tuple[Frame, float]]]] = deque()
     writes: deque[tuple[FrameRecord, Future[float] | None]] = deque()
+    records: list[FrameRecord] = []
     waiting = iter(enumerate(frames))
+    health, jitter = FrameHealth(), Jitter()
+
+    def read_checked(listed: Listed) -> tuple[Frame, float]:
+        frame, read_ms = timed_read(read, listed)
+        found = health.check(frame.rgb, frame.sparse_depth)
+        return replace(frame, health=found), read_ms
 
     def read_next() -> None:
         for index, listed in waiting:
-            reads.append((index, listed.name, reader.submit(_timed_read, read, listed)))
+            reads.append((index, listed.name, reader.submit(read_checked, listed)))
             return
 
     def finish_oldest() -> None:
-        record, written = writes.popleft()
-        record = record if written is None else replace(record, write_ms=written.result())
-        records.append(record)
-        on_record(record)
+        done, written = writes.popleft()
+        done = done if written is None else replace(done, write_ms=written.result())
+        records.append(done)
+        on_record(done)
 
-    reader = ThreadPoolExecutor(1, thread_name_prefix="read", initializer=_give_way)
-    writer = ThreadPoolExecutor(1, thread_name_prefix="write", initializer=_give_way)
-    jitter = Jitter()
+    reader = ThreadPoolExecutor(1, thread_name_prefix="read", initializer=_lower_priority)
+    writer = ThreadPoolExecutor(1, thread_name_prefix="write", initializer=_lower_priority)
     started = time.perf_counter()
     try:
         for _ in range(_READ_AHEAD):
@@ -160,10 +238,18 @@ def run_stream(
             if due is not None and not _wait_until(due, stop):
                 break
             reads.popleft()
-            record, written = _predict(predictor, index, name, reading, writer, write, keep, due)
-            if record.age_ms is not None:
-                record = replace(record, jitter_ms=jitter.record(round(record.age_ms * NS_PER_MS)))
-            writes.append((record, written))
+            answer = answer_frame(predictor, index, name, reading.result)
+            done, written = answer.record, None
+            if answer.frame is not None and answer.prediction is not None:
+                if due is not None:
+                    age_ms = (time.perf_counter() - due) * 1e3
+                    jitter_ms = jitter.record(round(age_ms * NS_PER_MS))
+                    done = replace(done, age_ms=age_ms, jitter_ms=jitter_ms)
+                if record is not None:
+                    record(answer.frame, answer.prediction)
+                if write is not None and answer.prediction.valid:
+                    written = writer.submit(_timed_write, write, answer.frame, answer.prediction)
+            writes.append((done, written))
             read_next()
             while len(writes) > _WRITE_BEHIND:
                 finish_oldest()
@@ -177,73 +263,25 @@ def run_stream(
 
 
 def _wait_until(due: float, stop: Callable[[], bool]) -> bool:
-    """Wait for a time of `perf_counter`. Returns False as soon as it is asked to stop."""
+    """Wait for a time of `perf_counter`. Returns False if `stop` became True before."""
     while (left := due - time.perf_counter()) > 0:
         if stop():
             return False
-        time.sleep(min(left, _STOP_ASKED_S))
+        time.sleep(min(left, _STOP_POLL_S))
     return True
 
 
-def _predict(
-    predictor: PredictsFrames,
-    index: int,
-    name: str,
-    reading: "Future[tuple[Frame, float]]",
-    writer: ThreadPoolExecutor,
-    write: TakeFrame | None,
-    keep: TakeFrame,
-    due: float | None,
-) -> tuple[FrameRecord, "Future[float] | None"]:
-    """The record of one frame, and its answer on the way to the disk.
+def _lower_priority() -> None:
+    """Let the calling thread run only where inference leaves the processor idle.
 
-    due: when the frame was, of a constant stream, by `perf_counter`
-    """
-    try:
-        frame, read_ms = reading.result()
-        prediction = predictor.predict(frame.rgb, frame.sparse_depth)
-    except SSDNetError as error:
-        return FrameRecord(index, name, SKIPPED, reason=str(error)), None
-    age_ms = None if due is None else (time.perf_counter() - due) * 1e3
-    keep(name, frame, prediction)
-    record = FrameRecord(
-        index,
-        name,
-        OK if prediction.valid else INVALID,
-        reason="" if prediction.valid else ", ".join(prediction.degraded),
-        frame_size=prediction.frame_size,
-        network_size=prediction.network_size,
-        read_ms=read_ms,
-        latency=prediction.latency,
-        degraded=prediction.degraded,
-        cleaned=prediction.cleaned,
-        depth_returns=prediction.depth_returns,
-        image_stamp_ns=frame.image_stamp_ns,
-        depth_stamp_ns=frame.depth_stamp_ns,
-        age_ms=age_ms,
-    )
-    if write is None or not prediction.valid:
-        return record, None
-    return record, writer.submit(_timed_write, write, name, frame, prediction)
-
-
-def _give_way() -> None:
-    """Let the calling thread run where inference leaves the processor idle.
-
-    The threads of an operator wait for the slowest of them: each millisecond that one of them
-    loses to a decoder is lost to all.
+    The threads of an operator wait for the slowest of them, so a millisecond that one of them loses
+    to a decoder is lost to all.
     """
     if sys.platform == "linux":  # elsewhere nice() is of the whole process
         os.nice(_NICENESS)
 
 
-def _timed_read(read: Callable[[Listed], Frame], listed: Listed) -> tuple[Frame, float]:
+def _timed_write(write: WriteFrame, frame: Frame, prediction: Prediction) -> float:
     started = time.perf_counter()
-    frame = read(listed)
-    return frame, (time.perf_counter() - started) * 1e3
-
-
-def _timed_write(write: TakeFrame, name: str, frame: Frame, prediction: Prediction) -> float:
-    started = time.perf_counter()
-    write(name, frame, prediction)
+    write(frame, prediction)
     return (time.perf_counter() - started) * 1e3

@@ -21,12 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.bundled_models import find_model
-from runtime.errors import InputError, SSDNetError
+from runtime.errors import InputError
 from runtime.heads import HEADS
 from runtime.model_file import load_model_file
 from runtime.predictor import Predictor
-from runtime.run.pipeline import INVALID, OK, SKIPPED
+from runtime.run.pipeline import answer_frame, timed_read
 from runtime.run.process import dedicate_process
+from runtime.sources.frames import Frame
 from runtime.sources.source import Source
 
 #: What a row holds besides an array a head.
@@ -132,26 +133,25 @@ class FramePredictor:
     def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
         """Answer the frame of a row; see `predict_source`."""
         index, name = int(row["index"]), str(row["name"])
-        answer: dict[str, Any] = dict.fromkeys(COLUMNS, "")
-        answer |= {"index": index, "name": name, "latency_ms": math.nan}
-        answer |= {"image_stamp_ns": None, "depth_stamp_ns": None}
-        answer |= {head: _nothing(head) for head in self._heads}
-        try:
-            if index >= len(self._frames) or self._frames[index].name != name:
-                raise InputError(f"{name} is not frame {index} here: another log than at first?")
-            frame = self._source.read(self._frames[index])
-            prediction = self._predictor.predict(frame.rgb, frame.sparse_depth)
-        except SSDNetError as error:
-            return answer | {"status": SKIPPED, "reason": str(error)}
-        answer |= {
-            "degraded": ",".join(prediction.degraded),
-            "latency_ms": prediction.latency.total_ms,
-            "image_stamp_ns": frame.image_stamp_ns,
-            "depth_stamp_ns": frame.depth_stamp_ns,
+        answer = answer_frame(self._predictor, index, name, lambda: self._read(index, name))
+        record, prediction = answer.record, answer.prediction
+        heads = prediction.heads if prediction is not None and prediction.valid else {}
+        return {
+            "index": index,
+            "name": name,
+            "status": record.status,
+            "reason": record.reason,
+            "degraded": ",".join(record.degraded),
+            "latency_ms": math.nan if record.latency is None else record.latency.total_ms,
+            "image_stamp_ns": record.image_stamp_ns,
+            "depth_stamp_ns": record.depth_stamp_ns,
+            **{head: heads.get(head, _nothing(head)) for head in self._heads},
         }
-        if not prediction.valid:
-            return answer | {"status": INVALID, "reason": ", ".join(prediction.degraded)}
-        return answer | {"status": OK} | {head: prediction.heads[head] for head in self._heads}
+
+    def _read(self, index: int, name: str) -> tuple[Frame, float]:
+        if index >= len(self._frames) or self._frames[index].name != name:
+            raise InputError(f"{name} is not frame {index} here: is it the same log everywhere?")
+        return timed_read(self._source.read, self._frames[index])
 
 
 def _nothing(head: str) -> NDArray[Any]:

@@ -2,7 +2,6 @@
 
 import json
 import os
-import weakref
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
@@ -80,7 +79,6 @@ class RunFolder:
             raise OutputError(
                 f"cannot write {self._marker} ({error.strerror}): choose another --out"
             ) from error
-        weakref.finalize(self, os.close, self._names)
 
     def note(self, name: str) -> None:
         """Remember, on disk, that files of the frame `name` are ours. Raises OutputError."""
@@ -91,6 +89,10 @@ class RunFolder:
                 f"cannot write {self._marker} ({error.strerror}): make room or choose another "
                 "--out; what was finished before is kept"
             ) from error
+
+    def close(self) -> None:
+        """Close the list of names; nothing is written any more."""
+        os.close(self._names)
 
     def _remove_run(self, names: Collection[str]) -> None:
         """Remove what an earlier run wrote; the report first, since it says that a run is whole."""

@@ -1,26 +1,24 @@
-"""What a run of a stream comes to: a row a frame (frames.csv) and the whole (report.json)."""
+"""The outcome of a run: one typed object, from which every table and document is made."""
 
-import csv
-import io
-import json
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
-from runtime.engine_facts import engine_facts
+from runtime.engine_facts import EngineFacts
 from runtime.io.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
-from runtime.predictor import Predictor
-from runtime.run.pipeline import SKIPPED, FrameRecord, StreamResult
+from runtime.run.pipeline import OK, SKIPPED, FrameRecord, StreamResult
 from runtime.sync.latency import (
     LatencyStatistics,
     MissCounter,
     MissedDeadlines,
     latency_statistics,
-    latency_table,
 )
 
-REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.6"
+REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.7"
+FRAMES_SKIPPED, DEADLINE_MISSED = 3, 4  # exit codes
 
 # "predict" is Predictor.predict from end to end; "age" and "jitter" are of constant streams, "skew"
 # of sources whose sensors both have stamps.
@@ -38,176 +36,146 @@ STAGES: dict[str, Callable[[FrameRecord], float | None]] = {
 _CONSTANT_STREAM = ("age", "jitter")
 
 
-def stage_statistics(result: StreamResult) -> dict[str, LatencyStatistics | None]:
-    """Statistics of every stage of the scenario over the frames that went through it."""
-    left_out: tuple[str, ...] = () if result.rate_hz is not None else _CONSTANT_STREAM
-    if all(record.skew_ms is None for record in result.records):
-        left_out += ("skew",)
-    return {
-        stage: latency_statistics(
-            time_ms for time_ms in map(time_of, result.records) if time_ms is not None
-        )
-        for stage, time_of in STAGES.items()
-        if stage not in left_out
-    }
+@dataclass(frozen=True)
+class RunReport:
+    """The outcome of a run.
 
-
-def missed(records: Sequence[FrameRecord], deadline_ms: float | None) -> MissedDeadlines | None:
-    """The answers that took longer than the deadline, by `response_ms`; None without a deadline."""
-    if deadline_ms is None:
-        return None
-    counter = MissCounter()
-    for record in records:
-        if record.response_ms is not None:
-            counter.record(late=record.response_ms > deadline_ms)
-    return counter.misses()
-
-
-def frames_csv(records: Sequence[FrameRecord], *, deadline_ms: float | None) -> str:
-    """A row a frame; times in ms; cells that do not apply are empty."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        ["index", "name", "status", "reason", "height", "width"]
-        + [f"{stage}_ms" for stage in STAGES]
-        + ["missed_deadline", "degraded", "nan", "infinite", "negative", "too_far"]
-        + ["depth_returns", "network_height", "network_width"]
-        + ["image_stamp_ns", "depth_stamp_ns"]
-    )
-    for record in records:
-        times = (time_of(record) for time_of in STAGES.values())
-        late: int | str = ""
-        if deadline_ms is not None and record.response_ms is not None:
-            late = int(record.response_ms > deadline_ms)
-        writer.writerow(
-            [record.index, record.name, record.status, record.reason]
-            + list(record.frame_size or ("", ""))
-            + ["" if time_ms is None else f"{time_ms:.3f}" for time_ms in times]
-            + [late, ";".join(record.degraded)]
-            + [*asdict(record.cleaned).values(), record.depth_returns]
-            + list(record.network_size or ("", ""))
-            + [record.image_stamp_ns, record.depth_stamp_ns]
-        )
-    return text.getvalue()
-
-
-def build_report(
-    predictor: Predictor,
-    result: StreamResult,
-    *,
-    inputs: dict[str, Any],
-    output: str,
-    kinds: Sequence[str],
-    deadline_ms: float | None,
-) -> dict[str, Any]:
-    """The whole run as one JSON document, see REPORT_VERSION.
-
-    inputs: where the frames came from, as the user gave it.
-    kinds: what was written of each frame, of `runtime.run.run_folder.KINDS`.
+    Attributes:
+        engine: facts of model, provider and machine.
+        inputs: where the frames came from, as the user gave it; ready for JSON.
+        out: folder of the results.
+        saved: kinds of files that were written of each frame.
+        stream: records of the frames.
+        deadline_ms: of each frame's `response_ms`; None = there was none.
     """
-    records = result.records
-    late = missed(records, deadline_ms)
-    return {
-        "format": REPORT_FORMAT,
-        "version": REPORT_VERSION,
-        **asdict(engine_facts(predictor)),
-        "inputs": inputs,
-        "output": output,
-        "saved": kinds,
-        "depth_png": {"units_per_metre": METRES_PNG_SCALE, "max_m": METRES_PNG_MAX_M},
-        "frames": {
-            "total": len(records),
-            "by_status": dict(Counter(record.status for record in records)),
-            "degraded": dict(Counter(reason for record in records for reason in record.degraded)),
-            "by_network_size": dict(
-                Counter(_size(record.network_size) for record in records if record.network_size)
-            ),
-            "not_ok": [
-                {"name": record.name, "status": record.status, "reason": record.reason}
-                for record in records
-                if record.reason
-            ],
-        },
-        "interrupted": result.interrupted,
-        "scenario": {
-            "name": "single-stream" if result.rate_hz is None else "constant-stream",
-            "rate_hz": result.rate_hz,
-        },
-        "stages": {
-            stage: None if statistics is None else asdict(statistics)
-            for stage, statistics in stage_statistics(result).items()
-        },
-        "wall_s": result.wall_s,
-        "frames_per_second": frames_per_second(result),
-        "deadline": None if late is None else {"deadline_ms": deadline_ms, **asdict(late)},
-    }
+
+    engine: EngineFacts
+    inputs: Mapping[str, Any]
+    out: Path
+    saved: tuple[str, ...]
+    stream: StreamResult
+    deadline_ms: float | None = None
+
+    @property
+    def records(self) -> tuple[FrameRecord, ...]:
+        """Records of the frames, in order."""
+        return self.stream.records
+
+    @property
+    def scenario(self) -> str:
+        """Which of MLPerf's scenarios it was."""
+        return "single-stream" if self.stream.rate_hz is None else "constant-stream"
+
+    @property
+    def by_status(self) -> Counter[str]:
+        """Status -> frames."""
+        return Counter(record.status for record in self.records)
+
+    @property
+    def degraded(self) -> Counter[str]:
+        """Reason of `Prediction.degraded` -> frames."""
+        return Counter(reason for record in self.records for reason in record.degraded)
+
+    @property
+    def health(self) -> Counter[str]:
+        """Finding of `runtime.health` -> frames."""
+        return Counter(reason for record in self.records for reason in record.health)
+
+    @property
+    def by_network_size(self) -> Counter[str]:
+        """Size at which the network ran -> frames."""
+        sizes = (record.network_size for record in self.records)
+        return Counter(size_text(size) for size in sizes if size is not None)
+
+    @property
+    def not_ok(self) -> list[FrameRecord]:
+        """Frames without an answer that can be used."""
+        return [record for record in self.records if record.status != OK]
+
+    @cached_property
+    def stages(self) -> dict[str, LatencyStatistics | None]:
+        """Stage -> statistics over the frames that passed it; the stages of the scenario."""
+        left_out: tuple[str, ...] = () if self.stream.rate_hz is not None else _CONSTANT_STREAM
+        if all(record.skew_ms is None for record in self.records):
+            left_out += ("skew",)
+        return {
+            stage: latency_statistics(_known(map(time_of, self.records)))
+            for stage, time_of in STAGES.items()
+            if stage not in left_out
+        }
+
+    @property
+    def responses(self) -> LatencyStatistics | None:
+        """Statistics of what the deadline limits."""
+        return latency_statistics(_known(record.response_ms for record in self.records))
+
+    @cached_property
+    def missed(self) -> MissedDeadlines | None:
+        """Frames that were later than the deadline; None without a deadline."""
+        if self.deadline_ms is None:
+            return None
+        counter = MissCounter()
+        for record in self.records:
+            if record.response_ms is not None:
+                counter.record(late=self.is_late(record))
+        return counter.misses()
+
+    def is_late(self, record: FrameRecord) -> bool:
+        """Whether a frame was later than the deadline."""
+        deadline_ms, response_ms = self.deadline_ms, record.response_ms
+        return deadline_ms is not None and response_ms is not None and response_ms > deadline_ms
+
+    @property
+    def frames_per_second(self) -> float | None:
+        """Rate of predicted frames, reading and writing included; None = none was predicted."""
+        predicted = sum(record.status != SKIPPED for record in self.records)
+        return predicted / self.stream.wall_s if predicted else None
+
+    @property
+    def exit_code(self) -> int:
+        """0, FRAMES_SKIPPED, or DEADLINE_MISSED, which outranks it."""
+        if self.missed is not None and self.missed.count:
+            return DEADLINE_MISSED
+        return FRAMES_SKIPPED if self.stream.interrupted or self.not_ok else 0
+
+    def document(self) -> dict[str, Any]:
+        """Return the content of report.json, see REPORT_VERSION."""
+        missed = self.missed
+        return {
+            "format": REPORT_FORMAT,
+            "version": REPORT_VERSION,
+            **asdict(self.engine),
+            "inputs": self.inputs,
+            "output": str(self.out),
+            "saved": self.saved,
+            "depth_png": {"units_per_metre": METRES_PNG_SCALE, "max_m": METRES_PNG_MAX_M},
+            "frames": {
+                "total": len(self.records),
+                "by_status": self.by_status,
+                "degraded": self.degraded,
+                "health": self.health,
+                "by_network_size": self.by_network_size,
+                "not_ok": [
+                    {"name": record.name, "status": record.status, "reason": record.reason}
+                    for record in self.not_ok
+                ],
+            },
+            "interrupted": self.stream.interrupted,
+            "scenario": {"name": self.scenario, "rate_hz": self.stream.rate_hz},
+            "stages": {
+                stage: None if statistics is None else asdict(statistics)
+                for stage, statistics in self.stages.items()
+            },
+            "wall_s": self.stream.wall_s,
+            "frames_per_second": self.frames_per_second,
+            "deadline": missed and {"deadline_ms": self.deadline_ms, **asdict(missed)},
+        }
 
 
-def frames_per_second(result: StreamResult) -> float | None:
-    """Frames predicted a second, end to end: reading and writing included."""
-    predicted = sum(record.status != SKIPPED for record in result.records)
-    return predicted / result.wall_s if predicted else None
-
-
-def to_json(report: dict[str, Any]) -> str:
-    """The report as text."""
-    return json.dumps(report, indent=2, allow_nan=False) + "\n"
-
-
-def describe_predictor(predictor: Predictor, frame_size: tuple[int, int] | None) -> str:
-    """One line: model and digest; what runs it, threads, sizes.
-
-    frame_size: (height, width) of the frames, or None if not known.
-    """
-    network_size = predictor.network_size(frame_size) if frame_size else predictor.input_size
-    nodes = predictor.node_counts
-    running = ", ".join(
-        name if nodes is None else f"{name} {nodes.get(name, 0)} nodes"
-        for name in predictor.providers
-        if nodes is None or name in nodes or name == predictor.providers[0]
-    )
-    return (
-        f"{predictor.contract.model_name} sha256:{predictor.digest[:12]} | {running} | "
-        f"threads {predictor.threads} | frames {_size(frame_size)}, "
-        f"network at {_size(network_size)}"
-    )
-
-
-def describe_run(result: StreamResult, report: dict[str, Any]) -> str:
-    """The table of stages and what stands around it, for people."""
-    frames = report["frames"]
-    counts = ", ".join(f"{count} {status}" for status, count in frames["by_status"].items())
-    lines = [
-        f"frames: {frames['total']} ({counts})" + (", interrupted" if result.interrupted else "")
-    ]
-    lines += [
-        f"  {entry['name']}: {entry['status']}: {entry['reason']}" for entry in frames["not_ok"]
-    ]
-    lines += [f"  degraded: {reason}: {count}" for reason, count in frames["degraded"].items()]
-    if result.rate_hz is not None:
-        lines.append(f"constant stream of {result.rate_hz:g} Hz")
-    lines += ["", latency_table(stage_statistics(result)), ""]
-    rate = report["frames_per_second"]
-    lines.append(f"frames a second, end to end: {'n/a' if rate is None else f'{rate:.1f}'}")
-    first_ms = report["first_inference_ms"]
-    lines.append(
-        f"load {report['load_ms']:.0f} ms, first inference "
-        + ("n/a" if first_ms is None else f"{first_ms:.1f} ms")
-        + " (not in the table)"
-    )
-    if deadline := report["deadline"]:
-        lines.append(
-            f"missed deadlines of {deadline['deadline_ms']:g} ms: {deadline['count']}, "
-            f"longest run {deadline['longest_run']}"
-        )
-    reach_m, limit_m = report["model"]["max_depth_m"], report["depth_png"]["max_m"]
-    if "depth" in report["saved"] and reach_m > limit_m:
-        lines.append(
-            f"note: the model's depth reaches {reach_m:g} m, a depth PNG {limit_m:.2f} m: what is "
-            f"beyond says {limit_m:.2f} m"
-        )
-    return "\n".join(lines)
-
-
-def _size(size: tuple[int, int] | None) -> str:
+def size_text(size: tuple[int, int] | None) -> str:
+    """A (height, width) in words; None = any."""
     return "of any size" if size is None else f"{size[0]} x {size[1]}"
+
+
+def _known(times_ms: Iterable[float | None]) -> Iterable[float]:
+    return (time_ms for time_ms in times_ms if time_ms is not None)

@@ -15,6 +15,8 @@ class Frame:
     image_stamp_ns, depth_stamp_ns: when the sensors took them, by their own clock [ns]; None where
         that is not known, and where there is no depth
     calibration: of the camera, and of the LiDAR to it; None = not known
+    name: of the frame in its stream; a run sets it
+    health: what `runtime.health` found in the frame; a run sets it
     Raises InputError for a calibration of pictures of another size.
     """
 
@@ -23,6 +25,8 @@ class Frame:
     image_stamp_ns: int | None = None
     depth_stamp_ns: int | None = None
     calibration: Calibration | None = None
+    name: str = ""
+    health: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check what a cloud and the focal length would silently get wrong."""

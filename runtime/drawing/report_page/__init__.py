@@ -1,3 +1,1 @@
 """One page of HTML that says how a run went, to open in a browser."""
-
-PAGE_SUFFIX = ".html"

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import Self
 
 import cv2
 
@@ -43,23 +44,29 @@ class FrameWriter:
         self._overlay = overlay or Overlay(contract.classes, contract.max_depth_m)
         self._folder = RunFolder(folder, kinds=kinds, names=names, overwrite=overwrite)
 
-    def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
-        """Write what was asked for of one frame: all of it, or, on an error, none.
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._folder.close()
+
+    def write(self, frame: Frame, prediction: Prediction) -> None:
+        """Write the files of one frame: all of them, or, on an error, none.
 
         Raises OutputError, and InputError for a cloud where the camera is not known.
         """
         written: list[Path] = []
-        self._folder.note(name)
+        self._folder.note(frame.name)
         try:
             for kind, folder in self._folder.subfolders.items():
-                path = folder / (name + SUFFIXES[kind])
+                path = folder / (frame.name + SUFFIXES[kind])
                 content = self._encode(kind, frame, prediction, path)
                 if content is not None:
                     atomic_write(path, content)
                     written.append(path)
         except BaseException:
             for path in written:
-                with contextlib.suppress(OSError):  # the first error is the one to tell
+                with contextlib.suppress(OSError):  # the first error is reported
                     path.unlink(missing_ok=True)
             raise
 

@@ -17,10 +17,9 @@ from runtime.heads import HEADS
 from runtime.io.atomic_write import atomic_path
 from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
-from runtime.run.outputs.output import DEFAULT_RATE_HZ
+from runtime.run.outputs.output import DEFAULT_RATE_HZ, FILE_SUFFIXES
 from runtime.sources.frames import Frame
 
-MCAP_SUFFIX = ".mcap"
 _ENCODINGS = {"uint8": "mono8", "float32": "32FC1"}  # dtype -> of sensor_msgs/msg/Image
 #: Head that is a picture -> topic and encoding of its `sensor_msgs/msg/Image`.
 IMAGES = {
@@ -47,15 +46,15 @@ class McapWriter:
         self._connections: dict[str, Any] = {}
         self._frames = 0
 
-    def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
+    def write(self, frame: Frame, prediction: Prediction) -> None:
         """Append what a frame was answered. Raises OutputError for a stamp that ROS cannot hold."""
         stamp_ns = frame.image_stamp_ns
         if stamp_ns is None:
             stamp_ns = round(self._frames / self._rate_hz * _S)
         if not 0 <= stamp_ns < _LAST_NS:
             raise OutputError(
-                f"{name} has the stamp {stamp_ns} ns; ROS holds those from 0 to {_LAST_NS - 1}: "
-                "leave out --mcap, or mend the stamps of the source"
+                f"{frame.name} has the stamp {stamp_ns} ns, ROS takes 0 to {_LAST_NS - 1}: "
+                "leave out --mcap, or correct the stamps of the source"
             )
         if not self._frames:
             names = {index: info.name for index, info in enumerate(self._contract.classes)}
@@ -92,7 +91,7 @@ class McapWriter:
             "diagnostic_msgs/msg/DiagnosticArray",
             stamp_ns,
             header=header,
-            status=[self._status(name, prediction)],
+            status=[self._status(frame.name, prediction)],
         )
 
     def _status(self, name: str, prediction: Prediction) -> Any:
@@ -132,7 +131,7 @@ def open_mcap(
 ) -> Iterator[McapWriter]:
     """Make an MCAP file that gets its name when the block ends; after an error there it is gone.
 
-    path: ends in MCAP_SUFFIX; is replaced; a run without a frame leaves no file
+    path: is replaced; a run without a frame leaves no file
     overlay: that draws the frames
     rate_hz: of frames without stamps, the first of which is at 0; None = DEFAULT_RATE_HZ
     Raises OutputError, also where `rosbags` is not installed.
@@ -151,4 +150,4 @@ def open_mcap(
             writer = McapWriter(bag, contract, overlay, rate_hz or DEFAULT_RATE_HZ)
             yield writer
         if writer._frames:
-            os.replace(folder / f"{folder.name}{MCAP_SUFFIX}", temporary)
+            os.replace(folder / f"{folder.name}{FILE_SUFFIXES['mcap']}", temporary)

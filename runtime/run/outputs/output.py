@@ -2,36 +2,35 @@
 
 import importlib.util
 import tempfile
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from pathlib import Path
 from typing import Protocol
 
 from runtime.errors import OutputError
 from runtime.prediction import Prediction
-from runtime.run.pipeline import TakeFrame
 from runtime.sources.frames import Frame
 
-DEFAULT_RATE_HZ = 10.0  # of frames that nobody knows the time of: a LiDAR's
+DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
+#: Option that names a file -> its suffix.
+FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap", "rerun": ".rrd"}
+RERUN_LIVE = "live"  # --rerun: the viewer on this machine
 
 
 class Output(Protocol):
-    """Where the answers of a run go.
+    """Where the answers of a run are written.
 
-    An output is a context manager that yields this: what it makes has its name, whole, when the
-    block ends, and is gone after an error there.
+    An output is made by a context manager: what it writes gets its name, whole, when the block
+    ends, and is removed after an error there.
     """
 
-    def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
-        """Take a frame whose answer is valid; always from one thread. Raises OutputError.
-
-        name: of the frame, as frames.csv has it
-        """
+    def write(self, frame: Frame, prediction: Prediction) -> None:
+        """Write the answer to a frame; always called from one thread. Raises OutputError."""
 
 
 def require_free(path: Path, *, overwrite: bool, inputs: Collection[Path] = ()) -> None:
     """Raise OutputError unless a file can be made at `path`: before a run, not after it.
 
-    inputs: what is read: a file, or a folder, of which no file is replaced
+    inputs: files that are read, and folders in which no file is replaced
     """
     if path.is_dir():
         raise OutputError(f"{path} is a folder: name a file to write")
@@ -50,6 +49,11 @@ def require_free(path: Path, *, overwrite: bool, inputs: Collection[Path] = ()) 
         ) from error
 
 
+def is_rerun_file(target: str) -> bool:
+    """Whether --rerun names a file, not a viewer."""
+    return target.lower().endswith(FILE_SUFFIXES["rerun"])
+
+
 def require_package(option: str, package: str, *, extra: str) -> None:
     """Raise OutputError unless a package that an option needs is installed."""
     if importlib.util.find_spec(package) is None:
@@ -57,15 +61,3 @@ def require_package(option: str, package: str, *, extra: str) -> None:
             f"{option} needs the package {package}, which is not installed: "
             f'pip install "ssdnet[{extra}]"'
         )
-
-
-def write_to(outputs: Sequence[Output]) -> TakeFrame | None:
-    """What hands a frame to all outputs, in their order; None where there is none."""
-    if not outputs:
-        return None
-
-    def write(name: str, frame: Frame, prediction: Prediction) -> None:
-        for output in outputs:
-            output.write(name, frame, prediction)
-
-    return write

@@ -16,10 +16,9 @@ from runtime.io.atomic_write import atomic_path
 from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
 from runtime.run.outputs.intrinsics import intrinsics_of
+from runtime.run.outputs.output import RERUN_LIVE, is_rerun_file
 from runtime.sources.frames import Frame
 
-RERUN_SUFFIX = ".rrd"
-LIVE = "live"
 #: Entities, and the timelines they are logged on.
 IMAGE, CLASSES, DEPTH = "camera/image", "camera/classes", "camera/depth"
 CLOUD, LATENCY, HEALTH = "cloud", "latency", "health"
@@ -48,7 +47,7 @@ class RerunLogger:
             name = stage.removesuffix("_ms")
             log.log(f"{LATENCY}/{name}", rerun.SeriesLines(names=f"{name}, ms"), static=True)
 
-    def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
+    def write(self, frame: Frame, prediction: Prediction) -> None:
         """Log a frame and its answers; the cloud only where the camera is known.
 
         Raises OutputError.
@@ -80,13 +79,13 @@ class RerunLogger:
             time_ms = getattr(prediction.latency, stage)
             log.log(f"{LATENCY}/{stage.removesuffix('_ms')}", rerun.Scalars(time_ms))
         if prediction.degraded:
-            text = f"{name}: {', '.join(prediction.degraded)}"
+            text = f"{frame.name}: {', '.join(prediction.degraded)}"
             log.log(HEALTH, rerun.TextLog(text, level=rerun.TextLogLevel.WARN))
         try:
             log.flush(timeout_sec=_PATIENCE_S)  # what waits would take memory
         except RuntimeError as error:
             raise OutputError(
-                f"{self._target} does not take {name} ({error}): {_REMEDY}"
+                f"{self._target} does not take {frame.name} ({error}): {_REMEDY}"
             ) from error
 
 
@@ -97,7 +96,7 @@ def open_rerun(
     """Log a run to a file, which gets its name when the block ends and after an error there is
     gone, or to a viewer.
 
-    target: a path that ends in RERUN_SUFFIX, which is replaced; LIVE, the viewer on this machine,
+    target: a path that ends in .rrd, which is replaced; RERUN_LIVE, the viewer on this machine,
         which is started unless one is open; or a viewer's address, rerun+http://HOST:PORT/proxy
     focal_length_px: for the clouds of frames without a calibration, see `intrinsics_of`
     Raises OutputError, also where `rerun-sdk` is not installed and where there is no viewer.
@@ -112,10 +111,10 @@ def open_rerun(
     with contextlib.ExitStack() as made:
         temporary = None
         try:
-            if is_file(target):
+            if is_rerun_file(target):
                 temporary = made.enter_context(atomic_path(Path(target)))
                 log.save(temporary, default_blueprint=_blueprint())
-            elif target == LIVE:
+            elif target == RERUN_LIVE:
                 with _scripts_on_path():
                     log.spawn(default_blueprint=_blueprint())
             else:
@@ -180,13 +179,3 @@ def _blueprint() -> Any:
     )
     columns = (views.Vertical(*pictures), views.Vertical(*figures))
     return views.Blueprint(views.Horizontal(*columns), collapse_panels=True)
-
-
-def is_file(target: str) -> bool:
-    """Whether a run is logged to a file, not to a viewer."""
-    return target.lower().endswith(RERUN_SUFFIX)
-
-
-def is_viewer(target: str) -> bool:
-    """Whether a run is logged to a viewer."""
-    return target == LIVE or target.startswith(("rerun://", "rerun+http://", "rerun+https://"))

@@ -15,7 +15,6 @@ from runtime.prediction import Prediction
 from runtime.run.outputs.output import DEFAULT_RATE_HZ
 from runtime.sources.frames import Frame
 
-VIDEO_SUFFIX = ".mp4"
 _CODEC = "mp4v"  # MPEG-4 part 2: what OpenCV's wheels encode on every system, without licences
 _LARGEST_SIDE = 4096  # pixels: what players decode
 
@@ -29,7 +28,7 @@ class VideoWriter:
         self._size = (0, 0)
         self._frames = 0
 
-    def write(self, name: str, frame: Frame, prediction: Prediction) -> None:
+    def write(self, frame: Frame, prediction: Prediction) -> None:
         """Draw a frame and append it. The first one gives the size: others are fitted into it.
 
         Raises OutputError.
@@ -76,7 +75,7 @@ def open_video(
 ) -> Iterator[VideoWriter]:
     """Make a video that gets its name when the block ends; after an error there it is gone.
 
-    path: ends in VIDEO_SUFFIX; is replaced; a run without a frame leaves no file
+    path: is replaced; a run without a frame leaves no file
     overlay: that draws the frames
     rate_hz: frames a second; None = DEFAULT_RATE_HZ
     Raises OutputError.

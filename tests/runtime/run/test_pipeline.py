@@ -52,7 +52,7 @@ def test_every_frame_is_predicted_and_written_in_order(predictor, stream_of, mak
     result = run(
         predictor,
         stream_of(12),
-        write=lambda name, frame, prediction: written.append((name, frame.rgb, prediction)),
+        write=lambda frame, prediction: written.append((frame.name, frame.rgb, prediction)),
         on_record=lambda record: seen.append(record.index),
     )
     names = [str(index) for index in range(12)]
@@ -100,10 +100,10 @@ def test_reading_and_writing_overlap_with_inference(predictor, stream_of, monkey
         predicted_of[index].set()
         return prediction
 
-    def write(name, frame, prediction):
+    def write(frame, prediction):
         # Ends only when the next frame was predicted: without overlap it would wait in vain.
-        if int(name) < 5 and predicted_of[int(name) + 1].wait(5):
-            met.append(f"written {name}")
+        if int(frame.name) < 5 and predicted_of[int(frame.name) + 1].wait(5):
+            met.append(f"written {frame.name}")
 
     monkeypatch.setattr(predictor, "predict", predict_when_others_work)
     run(predictor, folders, read=read_and_tell, write=write)
@@ -148,7 +148,7 @@ def test_a_slow_disk_holds_the_stream_back_instead_of_filling_the_memory(
         return predict(*frame)
 
     monkeypatch.setattr(predictor, "predict", counted)
-    run(predictor, stream_of(12), write=lambda name, *_: done.append(name))
+    run(predictor, stream_of(12), write=lambda frame, _: done.append(frame.name))
     assert ahead == [0, 1] + [2] * 10
     assert done == [str(index) for index in range(12)]
 
@@ -191,7 +191,7 @@ def test_a_bad_frame_is_flagged_and_the_run_goes_on(predictor, stream_of, kind, 
     folders = stream_of(5)
     spoil(folders, 2, kind)
     written = []
-    result = run(predictor, folders, write=lambda name, *_: written.append(name))
+    result = run(predictor, folders, write=lambda frame, _: written.append(frame.name))
     assert [record.status for record in result.records] == ["ok", "ok", "skipped", "ok", "ok"]
     assert written == ["0", "1", "3", "4"]
     record = result.records[2]
@@ -226,7 +226,7 @@ def test_an_answer_with_nan_is_flagged_and_not_written(predictor, stream_of):
     picture[5, 5] = 0
     cv2.imwrite(str(folders[0] / "1.png"), picture)
     written = []
-    result = run(predictor, folders, write=lambda name, *_: written.append(name))
+    result = run(predictor, folders, write=lambda frame, _: written.append(frame.name))
     assert [record.status for record in result.records] == ["ok", "invalid", "ok"]
     assert result.records[1].reason == "boundary_not_finite"
     assert written == ["0", "2"]
@@ -245,10 +245,10 @@ def test_what_was_cleaned_is_recorded(predictor, stream_of):
 def test_a_full_disk_stops_the_run_and_keeps_what_was_finished(predictor, stream_of):
     written = []
 
-    def write(name, frame, prediction):
-        if name == "3":
+    def write(frame, prediction):
+        if frame.name == "3":
             raise OutputError("No space left on device")
-        written.append(name)
+        written.append(frame.name)
 
     folders = stream_of(10)
     with pytest.raises(OutputError, match="No space left"):
@@ -271,7 +271,7 @@ def test_what_was_predicted_before_a_stop_is_written(predictor, stream_of):
     result = run(
         predictor,
         stream_of(10),
-        write=lambda name, *_: written.append(name),
+        write=lambda frame, _: written.append(frame.name),
         stop=lambda: next(asked),
     )
     assert result.interrupted
@@ -299,7 +299,7 @@ def test_an_interrupt_is_passed_on_and_leaves_no_thread(predictor, stream_of, mo
 
 
 def test_an_error_that_is_nobodys_fault_is_not_hidden(predictor, stream_of):
-    def write(name, frame, prediction):
+    def write(frame, prediction):
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import runtime.run.cli
 import runtime.run.pipeline
-import runtime.run.summary
+import runtime.run.report_files
+import runtime.run.run
 import runtime.sources.bundled_stream
 import runtime.sources.folders
 from runtime.errors import OutputError
@@ -137,7 +137,7 @@ def test_the_rows_and_the_report_agree(tmp_path, run):
     assert {(row["height"], row["width"]) for row in rows} == {("48", "64")}
     assert {row["missed_deadline"] for row in rows} == {"0"}
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert (report["format"], report["version"]) == ("ssdnet-run", "1.6")
+    assert (report["format"], report["version"]) == ("ssdnet-run", "1.7")
     assert report["frames"]["by_status"] == {"ok": N}
     assert report["provider"]["threads"] == 1
     assert report["provider"]["nodes"]["CPUExecutionProvider"] > 5
@@ -330,13 +330,13 @@ def test_a_missing_bundled_stream_is_an_error(tmp_path, model_file, monkeypatch)
 def test_skipped_frames_are_counted_named_and_exit_code_3(tmp_path, run, stream, monkeypatch):
     rgb, depth = stream
     drawn: dict[int, float] = {}
-    draw = runtime.run.summary.draw_latency
+    draw = runtime.run.report_files.draw_latency
 
     def spy(latencies_ms, **options):
         drawn.update(latencies_ms)
         return draw(latencies_ms, **options)
 
-    monkeypatch.setattr(runtime.run.summary, "draw_latency", spy)
+    monkeypatch.setattr(runtime.run.report_files, "draw_latency", spy)
     (depth / "f1.png").unlink()
     (rgb / "f2.png").unlink()
     picture = rgb / "f4.png"
@@ -385,8 +385,8 @@ def test_only_the_first_few_frames_are_read_to_warm_up(tmp_path, run, stream, mo
         raise OutputError(f"{len(read)} were read")
 
     monkeypatch.setattr(runtime.sources.folders, "read_pair", count)
-    monkeypatch.setattr(runtime.run.cli, "_WARM_UP_FRAMES", 3)
-    monkeypatch.setattr(runtime.run.cli, "_run", start)
+    monkeypatch.setattr(runtime.run.run, "_WARM_UP_FRAMES", 3)
+    monkeypatch.setattr(runtime.run.run, "run_stream", start)
     assert "3 were read" in run().output
 
 
@@ -590,7 +590,7 @@ def test_a_full_disk_is_exit_code_1_with_whole_files_only(tmp_path, run, mount_d
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, monkeypatch, number):
-    predict = runtime.run.cli.Predictor.predict
+    predict = runtime.run.run.Predictor.predict
     count = iter(range(100))
 
     def interrupted(self, *frame, **options):
@@ -599,7 +599,7 @@ def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, monkeypatc
         return predict(self, *frame, **options)
 
     before = signal.getsignal(number)
-    monkeypatch.setattr(runtime.run.cli.Predictor, "predict", interrupted)
+    monkeypatch.setattr(runtime.run.run.Predictor, "predict", interrupted)
     result = run("--warmup", 0, "--record", tmp_path / "recording")
     assert result.exit_code == 3
     assert "frames: 7 (7 ok), interrupted" in result.stdout

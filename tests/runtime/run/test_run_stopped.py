@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import runtime.run.cli
 import runtime.run.pipeline
+import runtime.run.run
 from runtime.run.cli import app
 from runtime.run.run_folder import KINDS
 
@@ -65,7 +66,7 @@ def sensitive_to_ctrl_c():
 class SignalAtLine:
     """A trace function that sends this process a signal at the n-th line run of these files."""
 
-    files = (runtime.run.cli.__file__, runtime.run.pipeline.__file__)
+    files = (runtime.run.cli.__file__, runtime.run.run.__file__, runtime.run.pipeline.__file__)
 
     def __init__(self, at: int) -> None:
         self.left = at

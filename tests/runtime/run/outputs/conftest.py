@@ -19,7 +19,7 @@ def answered(model_file, make_frame):
     rgb, depth = make_frame(60, 80)
     rgb[..., 1] = rgb[..., 2] // 2  # boundary = green / blue stays within 0..1
     heads = ("semantic", "depth", "boundary", "depth_uncertainty")
-    return Frame(rgb, depth), Predictor(model_file(heads=heads)).predict(rgb, depth)
+    return Frame(rgb, depth, name="a"), Predictor(model_file(heads=heads)).predict(rgb, depth)
 
 
 @pytest.fixture

@@ -41,7 +41,7 @@ def test_a_frames_own_calibration_comes_first():
 def test_the_cloud_of_a_frame(tmp_path, contract, answered, read_ply):
     frame, prediction = answered
     writer = FrameWriter(tmp_path / "out", contract, kinds=("depth", "cloud"), focal_length_px=50.0)
-    writer.write("a", frame, prediction)
+    writer.write(frame, prediction)
     lines, points = read_ply(tmp_path / "out/cloud/a.ply")
     expected = prediction.points(intrinsics_of(frame, 50.0), frame.rgb)
     assert len(points) == len(expected.points) > 0
@@ -54,7 +54,7 @@ def test_the_cloud_of_a_frame(tmp_path, contract, answered, read_ply):
 def test_a_camera_that_is_not_known_leaves_nothing_of_the_frame(tmp_path, contract, answered):
     writer = FrameWriter(tmp_path / "out", contract, kinds=("depth", "cloud"))
     with pytest.raises(InputError, match="--calibration"):
-        writer.write("a", *answered)
+        writer.write(*answered)
     assert not list((tmp_path / "out").glob("*/*"))
 
 

@@ -15,14 +15,19 @@ from runtime.run.outputs.frame_writer import FrameWriter
 from runtime.run.run_folder import KINDS
 
 
+def named(answered, name):
+    frame, prediction = answered
+    return dataclasses.replace(frame, name=name), prediction
+
+
 def files_in(folder: Path) -> set[str]:
     return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
 
 
 def test_a_frame_is_written(tmp_path, contract, answered):
-    frame, prediction = answered
+    prediction = answered[1]
     out = tmp_path / "deep" / "out"
-    FrameWriter(out, contract, kinds=KINDS).write("0007", frame, prediction)
+    FrameWriter(out, contract, kinds=KINDS).write(*named(answered, "0007"))
     assert files_in(out) == {
         ".ssdnet-run",
         "semantic/0007.png",
@@ -47,7 +52,7 @@ def test_only_what_was_asked_for_and_what_the_model_has(tmp_path, contract, answ
     prediction = dataclasses.replace(prediction, heads=heads)
     kinds = ("semantic", "boundary", "uncertainty")
     writer = FrameWriter(tmp_path / "out", contract, kinds=kinds)
-    writer.write("a", frame, prediction)
+    writer.write(frame, prediction)
     assert files_in(tmp_path / "out") == {".ssdnet-run", "semantic/a.png"}
 
 
@@ -55,7 +60,7 @@ def test_what_a_format_cannot_hold_is_an_output_error(tmp_path, contract, answer
     monkeypatch.setattr(Overlay, "draw", lambda *_: np.zeros((8, 65600, 3), np.uint8))
     writer = FrameWriter(tmp_path / "out", contract, kinds=KINDS)
     with pytest.raises(OutputError, match=r"cannot encode .*a\.jpg.*leave out overlay"):
-        writer.write("a", *answered)
+        writer.write(*answered)
     assert files_in(tmp_path / "out") == {".ssdnet-run"}
 
 
@@ -68,7 +73,7 @@ def test_an_empty_folder_may_be_used(tmp_path, contract):
 
 
 def test_a_used_folder_is_refused(tmp_path, contract, answered):
-    FrameWriter(tmp_path / "out", contract, kinds=KINDS).write("a", *answered)
+    FrameWriter(tmp_path / "out", contract, kinds=KINDS).write(*answered)
     before = files_in(tmp_path)
     with pytest.raises(OutputError, match=r"not empty.*--overwrite"):
         FrameWriter(tmp_path / "out", contract, kinds=KINDS)
@@ -80,7 +85,7 @@ def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, contract, ans
     names = ("old", "two\nlines", "g\udcff1")
     writer = FrameWriter(out, contract, kinds=KINDS)
     for name in names:
-        writer.write(name, *answered)
+        writer.write(*named(answered, name))
     with atomic_file(out / "depth" / "old.png") as file:
         leftover = str(Path(file.name).relative_to(out))
     mine = {"mine.txt", "depth/mine.png", "overlay/holiday.jpg", "semantic/.mine.png.part"}
@@ -88,7 +93,7 @@ def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, contract, ans
         (out / name).write_text("x")
     (out / "boundary" / "old.png").unlink()
     (out / "boundary" / "old.png").mkdir()  # a folder is not ours, whatever its name
-    FrameWriter(out, contract, kinds=("depth",), overwrite=True).write("new", *answered)
+    FrameWriter(out, contract, kinds=("depth",), overwrite=True).write(*named(answered, "new"))
     assert files_in(out) == {".ssdnet-run", "depth/new.png", *mine}
     assert (out / "boundary" / "old.png").is_dir()
     FrameWriter(out, contract, kinds=(), overwrite=True)
@@ -98,7 +103,7 @@ def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, contract, ans
 @pytest.fixture
 def earlier_run(tmp_path, contract, answered):
     """A folder with a run of the frame "a", whose report was written."""
-    FrameWriter(tmp_path / "out", contract, kinds=KINDS).write("a", *answered)
+    FrameWriter(tmp_path / "out", contract, kinds=KINDS).write(*answered)
     (tmp_path / "out" / "report.json").write_text("{}")
     return tmp_path / "out"
 
@@ -146,7 +151,7 @@ def test_overwrite_replaces_no_folder_of_another(contract, earlier_run):
 
 def test_overwrite_does_not_follow_links_out_of_the_folder(tmp_path, contract, answered):
     out, pictures = tmp_path / "out", tmp_path / "pictures"
-    FrameWriter(out, contract, kinds=("semantic",)).write("a", *answered)
+    FrameWriter(out, contract, kinds=("semantic",)).write(*answered)
     (out / "semantic").rename(pictures)
     (out / "semantic").symlink_to(pictures)
     FrameWriter(out, contract, kinds=("depth",), overwrite=True)
@@ -188,12 +193,12 @@ def test_a_folder_without_permission(tmp_path, contract):
 def test_a_frame_that_fails_half_way_leaves_none_of_its_files(tmp_path, contract, answered):
     out = tmp_path / "out"
     writer = FrameWriter(out, contract, kinds=KINDS)
-    writer.write("good", *answered)
+    writer.write(*named(answered, "good"))
     before = files_in(out)
     (out / KINDS[-1]).rename(tmp_path / "away")
     (out / KINDS[-1]).touch()  # in the place of its folder
     with pytest.raises(OutputError, match=r"Not a directory.*is kept"):
-        writer.write("bad", *answered)
+        writer.write(*named(answered, "bad"))
     (out / KINDS[-1]).unlink()
     (tmp_path / "away").rename(out / KINDS[-1])
     assert files_in(out) == before
@@ -206,7 +211,7 @@ def test_a_disk_that_is_really_full(mount_disk, contract, answered):
 
     def write_frames():
         for index in range(100):
-            writer.write(str(index), *answered)
+            writer.write(*named(answered, str(index)))
             finished.append(str(index))
 
     with pytest.raises(OutputError, match="No space left on device"):

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-import runtime.run.cli
+import runtime.run.run
 from runtime import OutputError
 from runtime.drawing.overlay import Overlay
 from runtime.run.outputs.mcap import open_mcap
@@ -40,7 +40,8 @@ def test_the_answers_are_read_back_with_the_stamps_of_the_camera(
     with open_mcap(path, contract, overlay) as mcap:
         for number in range(3):
             stamp_ns = STAMP_NS + number * 100_000_000
-            mcap.write(f"f{number}", Frame(frame.rgb, frame.sparse_depth, stamp_ns), prediction)
+            stamped = Frame(frame.rgb, frame.sparse_depth, stamp_ns, name=f"f{number}")
+            mcap.write(stamped, prediction)
         assert not path.exists()
     topics = read_mcap(path)
     for head, dtype in HEADS.items():
@@ -72,7 +73,7 @@ def test_what_is_degraded_is_a_warning(tmp_path, contract, answered, model_file,
     with runtime.Predictor(model_file()) as predictor:
         camera_only = predictor.predict(frame.rgb, np.zeros_like(frame.sparse_depth))
     with open_mcap(tmp_path / "a.mcap", contract, overlay) as mcap:
-        mcap.write("x", frame, camera_only)
+        mcap.write(frame, camera_only)
     topics = read_mcap(tmp_path / "a.mcap")
     ((_, diagnostics),) = topics["/diagnostics"]
     assert (diagnostics.status[0].level, diagnostics.status[0].message) == (1, "no_depth")
@@ -95,8 +96,8 @@ def test_a_stamp_that_ros_cannot_hold_leaves_no_file(
 
     def fail():
         with open_mcap(path, contract, overlay) as mcap:
-            mcap.write("x", frame, prediction)
-            mcap.write("y", Frame(frame.rgb, frame.sparse_depth, stamp_ns), prediction)
+            mcap.write(frame, prediction)
+            mcap.write(Frame(frame.rgb, frame.sparse_depth, stamp_ns), prediction)
 
     with pytest.raises(OutputError, match="has the stamp"):
         fail()
@@ -107,9 +108,9 @@ def test_a_run_that_is_stopped_leaves_a_whole_file(tmp_path, run, monkeypatch):
     written = []
 
     class Stopping(runtime.run.outputs.mcap.McapWriter):
-        def write(self, name, frame, prediction):
-            super().write(name, frame, prediction)
-            written.append(name)
+        def write(self, frame, prediction):
+            super().write(frame, prediction)
+            written.append(frame.name)
             if len(written) == 3:
                 signal.raise_signal(signal.SIGTERM)
 

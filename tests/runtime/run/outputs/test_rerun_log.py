@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
-import runtime.run.cli
+import runtime.run.run
 from runtime import OutputError
 from runtime.run.outputs import rerun_log
 from runtime.run.outputs.intrinsics import intrinsics_of
@@ -53,7 +53,7 @@ def test_a_file_holds_what_was_predicted(tmp_path, contract, calm):
     with open_rerun(str(path), contract, focal_length_px=50.0) as log:
         for stamp_ns in (1_000_000_000, 2_000_000_000, None):
             stamped = Frame(frame.rgb, frame.sparse_depth, image_stamp_ns=stamp_ns)
-            log.write("x", stamped, prediction)
+            log.write(stamped, prediction)
         assert not path.exists()
     logged = read_log(path)
     classes = [
@@ -87,7 +87,7 @@ def test_a_file_holds_what_was_predicted(tmp_path, contract, calm):
 
 def test_without_a_camera_there_is_no_cloud(tmp_path, contract, calm):
     with open_rerun(str(tmp_path / "a.rrd"), contract) as log:
-        log.write("x", *calm)
+        log.write(*calm)
     logged = read_log(tmp_path / "a.rrd")
     assert "/camera/depth" in logged
     assert "/cloud" not in logged
@@ -96,7 +96,7 @@ def test_without_a_camera_there_is_no_cloud(tmp_path, contract, calm):
 def test_an_error_leaves_no_file(tmp_path, contract, calm):
     def fail():
         with open_rerun(str(tmp_path / "a.rrd"), contract) as log:
-            log.write("x", *calm)
+            log.write(*calm)
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
@@ -120,7 +120,7 @@ def test_a_full_disk_is_an_output_error(mount_disk, tmp_path, answered):
         "answer = predictor.predict(frame.rgb, frame.sparse_depth)\n"
         "try:\n"
         "    with rerun_log.open_rerun(sys.argv[2], predictor.contract) as log:\n"
-        "        for _ in range(20): log.write('x', frame, answer)\n"
+        "        for _ in range(20): log.write(frame, answer)\n"
         "except OutputError as error: print(error)\n"
     )
     done = subprocess.run(
@@ -145,7 +145,7 @@ def test_a_viewer_that_is_not_there_is_an_output_error(contract, calm, monkeypat
     def log_to_nobody():
         target = f"rerun+http://127.0.0.1:{free_port()}/proxy"
         with open_rerun(target, contract) as log:
-            log.write("x", *calm)
+            log.write(*calm)
 
     with pytest.raises(OutputError, match=r"does not take x .*see that the viewer is open"):
         log_to_nobody()
@@ -160,7 +160,7 @@ def test_the_viewer_of_an_environment_that_is_not_active_is_found(contract, calm
     )
     monkeypatch.setenv("PATH", "/nowhere")
     with open_rerun("live", contract) as log:
-        log.write("x", *calm)
+        log.write(*calm)
     assert found == [str(Path(sys.executable).with_name("rerun"))]
     assert os.environ["PATH"] == "/nowhere"
 
@@ -194,7 +194,7 @@ def test_a_viewer_gets_every_frame(tmp_path, run):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_after_a_signal_its_frames_are_those_of_the_table(tmp_path, run, monkeypatch, number):
-    predict = runtime.run.cli.Predictor.predict
+    predict = runtime.run.run.Predictor.predict
     count = iter(range(100))
 
     def interrupted(self, *frame, **options):
@@ -202,7 +202,7 @@ def test_after_a_signal_its_frames_are_those_of_the_table(tmp_path, run, monkeyp
             signal.raise_signal(number)
         return predict(self, *frame, **options)
 
-    monkeypatch.setattr(runtime.run.cli.Predictor, "predict", interrupted)
+    monkeypatch.setattr(runtime.run.run.Predictor, "predict", interrupted)
     path = tmp_path / "out" / "run.rrd"
     result = run("--warmup", 0, "--rerun", path, "--focal-length", 60)
     assert result.exit_code == 3, result.output

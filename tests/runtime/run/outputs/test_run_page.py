@@ -1,5 +1,6 @@
 """ssdnet-run --report leaves one page that is true, asks for nothing, and can be read anywhere."""
 
+import json
 import re
 import shutil
 import signal
@@ -9,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-import runtime.run.cli
+import runtime.run.run
 from runtime import OutputError
 from runtime.drawing.report_page.page import Problem, _problems
 from runtime.run.outputs.run_page import RunPage
@@ -47,7 +48,7 @@ def spoil(stream):
     (rgb / "f10.png").write_bytes(b"")
 
 
-def test_the_page_tells_of_the_run(page_of, stream):
+def test_the_page_tells_of_the_run(tmp_path, page_of, stream):
     spoil(stream)
     result, page, text = page_of("--deadline-ms", 60_000)
     assert result.exit_code == 3
@@ -57,6 +58,9 @@ def test_the_page_tells_of_the_run(page_of, stream):
     assert page.after("flagged frames") == "6"
     assert page.after("no_depth") == "3 of 12"
     assert page.after("image_frozen") == "1 of 12"
+    frames = json.loads((tmp_path / "out" / "report.json").read_text())["frames"]
+    assert frames["health"] == {"image_frozen": 1}, "as on the page"
+    assert "health: image_frozen: 1" in result.stdout
     assert page.after("skipped") == "2 of 12"
     assert "f6 has a picture, but no depth map" in page.texts
     assert page.after("name") == "by-hand"
@@ -138,7 +142,7 @@ def test_names_are_text(page_of, stream, name):
 def test_after_a_signal_its_frames_are_those_that_were_written(
     page_of, tmp_path, monkeypatch, number
 ):
-    predict = runtime.run.cli.Predictor.predict
+    predict = runtime.run.run.Predictor.predict
     count = iter(range(100))
 
     def interrupted(self, *frame, **options):
@@ -146,7 +150,7 @@ def test_after_a_signal_its_frames_are_those_that_were_written(
             signal.raise_signal(number)
         return predict(self, *frame, **options)
 
-    monkeypatch.setattr(runtime.run.cli.Predictor, "predict", interrupted)
+    monkeypatch.setattr(runtime.run.run.Predictor, "predict", interrupted)
     result, page, _ = page_of("--warmup", 0)
     assert result.exit_code == 3
     assert "interrupted" in page.texts

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-import runtime.run.cli
+import runtime.run.run
 from runtime import OutputError
 from runtime.run.outputs.video import open_video
 from runtime.sources.frames import Frame
@@ -35,7 +35,7 @@ def test_it_shows_the_overlays_in_their_order(tmp_path, overlay, answered):
     with open_video(tmp_path / "deep" / "a.mp4", overlay) as video:
         for brightness in (40, 120, 200):
             frame = Frame(np.full_like(frame.rgb, brightness), frame.sparse_depth)
-            video.write("x", frame, prediction)
+            video.write(frame, prediction)
             expected.append(overlay.draw(frame.rgb, prediction))
         assert not (tmp_path / "deep" / "a.mp4").exists()
     rate_hz, pictures = read_video(tmp_path / "deep" / "a.mp4")
@@ -58,8 +58,8 @@ def test_frames_of_other_sizes_are_fitted_into_the_first(tmp_path, overlay, answ
     }
     answer = SimpleNamespace(heads=resized)
     with open_video(tmp_path / "a.mp4", overlay, rate_hz=30) as video:
-        video.write("x", frame, prediction)
-        video.write("y", Frame(other, frame.sparse_depth), answer)
+        video.write(frame, prediction)
+        video.write(Frame(other, frame.sparse_depth), answer)
     rate_hz, pictures = read_video(tmp_path / "a.mp4")
     assert rate_hz == 30
     assert len(pictures) == 2
@@ -77,7 +77,7 @@ def test_a_run_without_frames_has_no_video(tmp_path, overlay):
 def test_an_error_leaves_no_video(tmp_path, overlay, answered):
     def fail():
         with open_video(tmp_path / "a.mp4", overlay) as video:
-            video.write("x", *answered)
+            video.write(*answered)
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
@@ -93,7 +93,7 @@ def test_a_full_disk_is_an_output_error(mount_disk, overlay, answered):
         with open_video(folder / "a.mp4", overlay) as video:
             for _ in range(200):
                 rgb = noise.integers(0, 255, answered[0].rgb.shape, dtype=np.uint8)
-                video.write("x", Frame(rgb, answered[0].sparse_depth), answered[1])
+                video.write(Frame(rgb, answered[0].sparse_depth), answered[1])
 
     with pytest.raises(OutputError, match="make room or choose another place"):
         fill()
@@ -105,7 +105,7 @@ def test_what_cannot_be_encoded_is_an_output_error(tmp_path, overlay, answered, 
 
     def fail():
         with open_video(tmp_path / "a.mp4", overlay) as video:
-            video.write("x", *answered)
+            video.write(*answered)
 
     with pytest.raises(OutputError, match="no such encoder"):
         fail()
@@ -113,7 +113,7 @@ def test_what_cannot_be_encoded_is_an_output_error(tmp_path, overlay, answered, 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_after_a_signal_its_frames_are_those_of_the_table(tmp_path, run, monkeypatch, number):
-    predict = runtime.run.cli.Predictor.predict
+    predict = runtime.run.run.Predictor.predict
     count = iter(range(100))
 
     def interrupted(self, *frame, **options):
@@ -121,7 +121,7 @@ def test_after_a_signal_its_frames_are_those_of_the_table(tmp_path, run, monkeyp
             signal.raise_signal(number)
         return predict(self, *frame, **options)
 
-    monkeypatch.setattr(runtime.run.cli.Predictor, "predict", interrupted)
+    monkeypatch.setattr(runtime.run.run.Predictor, "predict", interrupted)
     video = tmp_path / "out" / "run.mp4"
     result = run("--warmup", 0, "--video", video, "--save", "none")
     assert result.exit_code == 3, result.output

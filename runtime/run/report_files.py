@@ -1,0 +1,124 @@
+"""The files of a run's report, and its tables for people."""
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+
+from runtime.drawing.latency_plot import draw_latency
+from runtime.io.atomic_write import atomic_write
+from runtime.io.encode import METRES_PNG_MAX_M, encode_png
+from runtime.predictor import Predictor
+from runtime.run.options import RunOptions
+from runtime.run.run_folder import FRAMES_FILE, LATENCY_FILE, OVERLAY, REPORT_FILE
+from runtime.run.run_report import STAGES, RunReport, size_text
+from runtime.sync.latency import latency_table
+
+
+def write_report(report: RunReport) -> None:
+    """Write latency.png, frames.csv and report.json into the run's folder. Raises OutputError."""
+    responses_ms = {
+        record.index: record.response_ms
+        for record in report.records
+        if record.response_ms is not None
+    }
+    if responses_ms:
+        picture = draw_latency(responses_ms, deadline_ms=report.deadline_ms)
+        atomic_write(report.out / LATENCY_FILE, encode_png(picture))
+    # As the file system has them: a name need not be valid text.
+    table = frames_csv(report).encode(errors="surrogateescape")
+    atomic_write(report.out / FRAMES_FILE, table)
+    # Last: a run with a report is whole.
+    atomic_write(report.out / REPORT_FILE, (report_json(report) + "\n").encode())
+
+
+def report_json(report: RunReport) -> str:
+    """The text of report.json."""
+    return json.dumps(report.document(), indent=2, allow_nan=False)
+
+
+def frames_csv(report: RunReport) -> str:
+    """A row a frame; times in ms; cells that do not apply are empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        ["index", "name", "status", "reason", "height", "width"]
+        + [f"{stage}_ms" for stage in STAGES]
+        + ["missed_deadline", "degraded", "nan", "infinite", "negative", "too_far"]
+        + ["depth_returns", "network_height", "network_width"]
+        + ["image_stamp_ns", "depth_stamp_ns", "health"]
+    )
+    for record in report.records:
+        times_ms = (time_of(record) for time_of in STAGES.values())
+        limited = report.deadline_ms is not None and record.response_ms is not None
+        writer.writerow(
+            [record.index, record.name, record.status, record.reason]
+            + list(record.frame_size or ("", ""))
+            + ["" if time_ms is None else f"{time_ms:.3f}" for time_ms in times_ms]
+            + [int(report.is_late(record)) if limited else "", ";".join(record.degraded)]
+            + [*asdict(record.cleaned).values(), record.depth_returns]
+            + list(record.network_size or ("", ""))
+            + [record.image_stamp_ns, record.depth_stamp_ns, ";".join(record.health)]
+        )
+    return text.getvalue()
+
+
+def describe_predictor(predictor: Predictor, frame_size: tuple[int, int] | None) -> str:
+    """One line: model, providers, threads, sizes of the frames and of the network."""
+    network_size = predictor.network_size(frame_size) if frame_size else predictor.input_size
+    nodes = predictor.node_counts
+    running = ", ".join(
+        name if nodes is None else f"{name} {nodes.get(name, 0)} nodes"
+        for name in predictor.providers
+        if nodes is None or name in nodes or name == predictor.providers[0]
+    )
+    return (
+        f"{predictor.contract.model_name} sha256:{predictor.digest[:12]} | {running} | "
+        f"threads {predictor.threads} | frames {size_text(frame_size)}, "
+        f"network at {size_text(network_size)}"
+    )
+
+
+def describe_run(report: RunReport) -> str:
+    """The table of stages, and the counts and figures around it."""
+    counts = ", ".join(f"{count} {status}" for status, count in report.by_status.items())
+    interrupted = ", interrupted" if report.stream.interrupted else ""
+    lines = [f"frames: {len(report.records)} ({counts}){interrupted}"]
+    lines += [f"  {record.name}: {record.status}: {record.reason}" for record in report.not_ok]
+    lines += [f"  degraded: {reason}: {count}" for reason, count in report.degraded.items()]
+    lines += [f"  health: {reason}: {count}" for reason, count in report.health.items()]
+    if report.stream.rate_hz is not None:
+        lines.append(f"constant stream of {report.stream.rate_hz:g} Hz")
+    lines += ["", latency_table(report.stages), ""]
+    rate, first_ms = report.frames_per_second, report.engine.first_inference_ms
+    lines.append(f"frames a second, end to end: {'n/a' if rate is None else f'{rate:.1f}'}")
+    lines.append(
+        f"load {report.engine.load_ms:.0f} ms, first inference "
+        + ("n/a" if first_ms is None else f"{first_ms:.1f} ms")
+        + " (not in the table)"
+    )
+    if (missed := report.missed) is not None:
+        lines.append(
+            f"missed deadlines of {report.deadline_ms:g} ms: {missed.count}, "
+            f"longest run {missed.longest_run}"
+        )
+    range_m = report.engine.model.max_depth_m
+    if "depth" in report.saved and range_m > METRES_PNG_MAX_M:
+        lines.append(
+            f"note: the model's depth reaches {range_m:g} m, a depth PNG {METRES_PNG_MAX_M:.2f} m: "
+            f"depth beyond is stored as {METRES_PNG_MAX_M:.2f} m"
+        )
+    return "\n".join(lines)
+
+
+def list_results(report: RunReport, options: RunOptions) -> Iterator[str]:
+    """Lines that say where the results are."""
+    yield f"results: {report.out.resolve()}"
+    if options.record is not None:
+        yield f"recording: {options.record.resolve()}"
+    for option, path in options.named_files.items():
+        if path.exists():
+            yield f"{option}: {path.resolve()}"
+    if OVERLAY in report.saved and report.by_status["ok"]:
+        yield f"pictures: {(report.out / OVERLAY).resolve()}"

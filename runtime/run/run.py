@@ -1,0 +1,234 @@
+"""Run a model over a stream of frames, and write what was asked for."""
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from runtime.command import stop_asked
+from runtime.drawing.overlay import SharedOverlay
+from runtime.engine_facts import engine_facts
+from runtime.errors import InputError, OutputError, SSDNetError
+from runtime.io.recording import Settings
+from runtime.prediction import Prediction
+from runtime.predictor import Predictor
+from runtime.run.options import RunOptions
+from runtime.run.outputs.frame_writer import FrameWriter
+from runtime.run.outputs.mcap import open_mcap
+from runtime.run.outputs.output import Output, require_free, require_package
+from runtime.run.outputs.rerun_log import open_rerun
+from runtime.run.outputs.video import open_video
+from runtime.run.pipeline import FrameRecord, WriteFrame, run_stream
+from runtime.run.process import dedicate_process
+from runtime.run.report_files import describe_predictor, write_report
+from runtime.run.run_folder import CLOUD, SAVED_HEADS, SUFFIXES
+from runtime.run.run_report import RunReport
+from runtime.sources.frames import Frame
+from runtime.sources.source import ListedFrame, Source
+
+if TYPE_CHECKING:
+    from runtime.run.outputs.run_page import RunPage
+
+_WARM_UP_FRAMES = 16  # that are read to find one that can be predicted
+
+OnRecord = Callable[[FrameRecord], None]
+#: Called before the first frame with a text about the run and the number of frames; returns what is
+#: called with the record of each frame.
+OnStart = Callable[[str, int], OnRecord]
+
+
+def run(
+    options: RunOptions, *, on_start: OnStart = lambda about, frames: lambda record: None
+) -> RunReport:
+    """Predict every frame of a stream, and write the answers and a report.
+
+    Ctrl-C and SIGTERM end the stream early: what was predicted is written and reported.
+
+    Args:
+        options: what to run, and what to write.
+        on_start: called before the first frame with a text about the run and the number of frames;
+            returns a function that is called with the record of each frame.
+
+    Returns:
+        What was also written as report.json.
+
+    Raises:
+        SSDNetError: if the source, the model or an output cannot be opened, or there is no room.
+    """
+    dedicate_process()
+    with options.open_source() as source:
+        _require_apart(options.out, source.folders)
+        frames = options.shard_of(source.list_frames(limit=options.limit))
+        focal_px = options.focal_length_px(source)
+        with _open_predictor(options, focal_px) as predictor:
+            kinds = _answered_kinds(options, predictor, focal_px)
+            frame_size = _warm_up(predictor, frames, source, runs=options.warmup)
+            _require_outputs(options, source)
+            about = "\n".join([*source.notes, describe_predictor(predictor, frame_size)])
+            with stop_asked() as stop, _open_page(options, predictor) as page:
+                with (
+                    _open_recording(options, predictor, focal_px) as recording,
+                    _open_outputs(options, predictor, kinds, frames, focal_px) as outputs,
+                ):
+                    result = run_stream(
+                        predictor,
+                        frames,
+                        read=source.read,
+                        rate_hz=options.rate,
+                        write=_write_to([*outputs, page]),
+                        record=_write_to([recording]),
+                        on_record=on_start(about, len(frames)),
+                        stop=stop,
+                    )
+                inputs = _describe_inputs(options, source, focal_px)
+                report = RunReport(
+                    engine_facts(predictor), inputs, options.out, kinds, result, options.deadline_ms
+                )
+                write_report(report)
+                if page is not None:
+                    page.finish(report)
+            return report
+
+
+def _open_predictor(options: RunOptions, focal_px: float | None) -> Predictor:
+    return Predictor(
+        options.model,
+        sha256=options.sha256,
+        provider=options.provider,
+        size=options.network_size,
+        focal_length_px=focal_px,
+        threads=options.threads,
+        warmup=0,
+    )
+
+
+def _answered_kinds(
+    options: RunOptions, predictor: Predictor, focal_px: float | None
+) -> tuple[str, ...]:
+    """The kinds of files that the model answers. Raises InputError if one was asked for by name."""
+    heads = {**{kind: head for kind, (head, _) in SAVED_HEADS.items()}, CLOUD: "depth"}
+    missing = [
+        kind for kind in options.kinds if kind in heads and heads[kind] not in predictor.heads
+    ]
+    if missing and options.save != "all":
+        raise InputError(
+            f"--save asks for {', '.join(missing)}, the model {predictor.contract.model_name} "
+            f"answers {', '.join(predictor.heads)}: leave it out, or choose another --model"
+        )
+    if CLOUD in options.kinds and focal_px is None:
+        raise InputError(
+            "--save cloud needs to know the camera: give --calibration, or --focal-length"
+        )
+    return tuple(kind for kind in options.kinds if kind not in missing)
+
+
+def _warm_up(
+    predictor: Predictor, frames: Sequence[ListedFrame], source: Source, *, runs: int
+) -> tuple[int, int] | None:
+    """Warm up at the size of the first frame that can be predicted; returns that size.
+
+    None if none of the first few can: the run itself reports why.
+    """
+    for listed in frames[:_WARM_UP_FRAMES]:
+        try:
+            height, width = source.read(listed).rgb.shape[:2]
+            predictor.warm_up((height, width), runs=runs)
+        except SSDNetError:
+            continue
+        return height, width
+    return None
+
+
+def _require_apart(out: Path, inputs: Sequence[Path]) -> None:
+    """Raise OutputError if frames are read from where answers are written."""
+    answers = {(out / kind).resolve() for kind in SUFFIXES}
+    for folder in inputs:
+        if folder.resolve() in answers:
+            raise OutputError(
+                f"{folder} is where --out {out} writes its own pictures: choose another --out"
+            )
+
+
+def _require_outputs(options: RunOptions, source: Source) -> None:
+    """Raise OutputError for an output that cannot be made, before anything is written."""
+    if options.rerun is not None:
+        require_package("--rerun", "rerun", extra="rerun")
+    for path in options.named_files.values():
+        require_free(path, overwrite=options.overwrite, inputs=source.recordings)
+
+
+def _open_page(
+    options: RunOptions, predictor: Predictor
+) -> AbstractContextManager["RunPage | None"]:
+    if options.report is None:
+        return contextlib.nullcontext()
+    from runtime.run.outputs.run_page import open_page
+
+    return open_page(options.report, predictor.contract)
+
+
+def _open_recording(
+    options: RunOptions, predictor: Predictor, focal_px: float | None
+) -> AbstractContextManager[Output | None]:
+    if options.record is None:
+        return contextlib.nullcontext()
+    from runtime.run.outputs.run_recording import open_recording
+
+    settings = Settings("ssdnet-run", options.network_size, focal_px, options.provider)
+    return open_recording(options.record, settings, predictor, overwrite=options.overwrite)
+
+
+@contextlib.contextmanager
+def _open_outputs(
+    options: RunOptions,
+    predictor: Predictor,
+    kinds: tuple[str, ...],
+    frames: Sequence[ListedFrame],
+    focal_px: float | None,
+) -> Iterator[list[Output]]:
+    """Make the folder of the run, and open the outputs that take valid answers."""
+    contract = predictor.contract
+    overlay = SharedOverlay(contract.classes, contract.max_depth_m)
+    frame_files = FrameWriter(
+        options.out,
+        contract,
+        kinds=kinds,
+        names=[listed.name for listed in frames],
+        overwrite=options.overwrite,
+        focal_length_px=focal_px,
+        overlay=overlay,
+    )
+    opened: list[AbstractContextManager[Output]] = []
+    if options.video is not None:
+        opened.append(open_video(options.video, overlay, rate_hz=options.rate))
+    if options.mcap is not None:
+        opened.append(open_mcap(options.mcap, contract, overlay, rate_hz=options.rate))
+    if options.rerun is not None:
+        opened.append(open_rerun(options.rerun, contract, focal_length_px=focal_px))
+    with frame_files as files, contextlib.ExitStack() as stack:
+        outputs = [stack.enter_context(output) for output in opened]
+        yield [files, *outputs] if kinds else outputs
+
+
+def _write_to(outputs: Sequence[Output | None]) -> WriteFrame | None:
+    """Return what writes an answer to all outputs, in their order; None where there is none."""
+    opened = [output for output in outputs if output is not None]
+    if not opened:
+        return None
+
+    def write(frame: Frame, prediction: Prediction) -> None:
+        for output in opened:
+            output.write(frame, prediction)
+
+    return write
+
+
+def _describe_inputs(options: RunOptions, source: Source, focal_px: float | None) -> dict[str, Any]:
+    return {
+        "source": options.source_name,
+        **source.inputs,
+        "focal_length_px": focal_px,
+        "shard": options.shard,
+        "warmup": options.warmup,
+    }
