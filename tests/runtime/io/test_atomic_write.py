@@ -19,8 +19,6 @@ from runtime.io.atomic_write import (
     remove_leftover,
 )
 
-posix = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX locks and signals")
-
 
 def names_in(folder):
     return sorted(path.name for path in folder.iterdir())
@@ -93,7 +91,6 @@ def test_a_file_has_its_name_only_when_it_is_whole(tmp_path):
     assert path.read_bytes() == b"new"
 
 
-@posix
 @pytest.mark.parametrize("umask", [0o022, 0o077, 0o002])
 def test_permissions_are_what_the_umask_leaves(tmp_path, with_umask, umask):
     path = tmp_path / "a.bin"
@@ -129,7 +126,6 @@ def temporary_of(path):
     return name
 
 
-@posix
 def test_a_link_in_the_temporarys_place_is_not_followed(tmp_path):
     path = tmp_path / "a.bin"
     temporary = temporary_of(path)
@@ -141,7 +137,6 @@ def test_a_link_in_the_temporarys_place_is_not_followed(tmp_path):
     assert not path.exists()
 
 
-@posix
 def test_a_pipe_in_the_temporarys_place_is_not_waited_for(tmp_path):
     path = tmp_path / "a.bin"
     os.mkfifo(temporary_of(path))
@@ -180,7 +175,6 @@ def test_a_full_disk_leaves_the_old_file_and_no_trace(mount_disk, content):
     assert names_in(path.parent) == ["a.bin"]
 
 
-@posix
 def test_the_largest_file_allowed_leaves_the_old_file_and_no_trace(tmp_path):
     path = tmp_path / "a.bin"
     program = (
@@ -208,7 +202,6 @@ def test_a_folder_that_is_none(tmp_path):
 # --- processes that are killed, and those that are not -----------------------------------------
 
 
-@posix
 @pytest.mark.parametrize("call", ["atomic_file(path)", "atomic_folder(path)", "atomic_path(path)"])
 def test_what_a_killed_process_left_is_removed_by_the_next_write(
     tmp_path, writer_in_another_process, call
@@ -227,7 +220,6 @@ def test_what_a_killed_process_left_is_removed_by_the_next_write(
     assert names_in(tmp_path) == ["a"]
 
 
-@posix
 def test_what_a_killed_process_left_can_be_removed_without_a_write(
     tmp_path, writer_in_another_process
 ):
@@ -241,7 +233,6 @@ def test_what_a_killed_process_left_can_be_removed_without_a_write(
     assert names_in(tmp_path) == []
 
 
-@posix
 @pytest.mark.parametrize("call", ["atomic_file(path)", "atomic_folder(path)", "atomic_path(path)"])
 def test_what_another_process_is_writing_stays(tmp_path, writer_in_another_process, call):
     path = tmp_path / "a"
@@ -254,31 +245,29 @@ def test_what_another_process_is_writing_stays(tmp_path, writer_in_another_proce
     assert path.is_dir() if "folder" in call else path.read_bytes() == b"half"
 
 
-@posix
 def test_a_temporary_that_is_taken_for_a_leftover_before_its_lock_is_made_anew(
     tmp_path, monkeypatch
 ):
     path = tmp_path / "a.bin"
-    make, made = runtime.io.atomic_write._new_file, []
+    make, made = runtime.io.atomic_write._make, []
 
-    def make_and_lose(temporary):
-        made.append(make(temporary))
+    def make_and_lose(temporary, **options):
+        made.append(make(temporary, **options))
         if len(made) == 1:
             remove_leftover(path)
         return made[-1]
 
-    monkeypatch.setattr(runtime.io.atomic_write, "_new_file", make_and_lose)
+    monkeypatch.setattr(runtime.io.atomic_write, "_make", make_and_lose)
     atomic_write(path, b"content")
     assert len(made) == 2
     assert path.read_bytes() == b"content"
 
 
-@posix
 def test_a_leftover_that_gave_way_to_a_living_file_meanwhile_is_not_removed(tmp_path, monkeypatch):
     path = tmp_path / "a.bin"
     temporary = temporary_of(path)
     temporary.touch()
-    open_existing = runtime.io.atomic_write._open_existing
+    open_existing = runtime.io.atomic_write._open
 
     def open_and_be_overtaken(temporary):
         handle = open_existing(temporary)
@@ -286,7 +275,7 @@ def test_a_leftover_that_gave_way_to_a_living_file_meanwhile_is_not_removed(tmp_
         temporary.write_text("another's")
         return handle
 
-    monkeypatch.setattr(runtime.io.atomic_write, "_open_existing", open_and_be_overtaken)
+    monkeypatch.setattr(runtime.io.atomic_write, "_open", open_and_be_overtaken)
     remove_leftover(path)
     assert temporary.read_text() == "another's"
 
@@ -307,7 +296,11 @@ def test_without_overwriting_what_is_there_stays(tmp_path):
 def test_without_overwriting_a_file_that_came_meanwhile_stays(tmp_path, monkeypatch, hard_links):
     path = tmp_path / "a.bin"
     if not hard_links:
-        monkeypatch.setattr(runtime.io.atomic_write, "_link", lambda temporary, path: False)
+
+        def refuse(*_):
+            raise PermissionError(1, "Operation not permitted")
+
+        monkeypatch.setattr(os, "link", refuse)
 
     def overtaken():
         with atomic_file(path, overwrite=False) as file:
@@ -323,7 +316,6 @@ def test_without_overwriting_a_file_that_came_meanwhile_stays(tmp_path, monkeypa
     assert names_in(tmp_path) == ["a.bin"]
 
 
-@posix
 def test_of_many_racers_one_succeeds(tmp_path):
     """All wait for one pipe to close, then write the same path."""
     program = (
@@ -398,7 +390,6 @@ def test_an_error_in_the_block_leaves_no_folder(tmp_path):
     assert names_in(tmp_path) == []
 
 
-@posix
 def test_a_signal_that_is_caught_leaves_no_trace(tmp_path, writer_in_another_process):
     process = writer_in_another_process(tmp_path / "a")
     process.send_signal(signal.SIGINT)
