@@ -18,9 +18,7 @@ if TYPE_CHECKING:
 NO_DEPTH = "no_depth"  # not one usable return: the answer comes from the camera alone
 SPARSE_DEPTH_LOW = "sparse_depth_low"  # in too few places, see `preprocess.covers_little`
 IMAGE_CONSTANT = "image_constant"  # every pixel alike: a covered or dead camera
-DEPTH_INCOMPLETE = "depth_incomplete"  # 0 where a classical method gives no depth
 # The answer is not usable (valid is False), as for the reasons of `postprocess.faults`:
-DEPTH_UNKNOWN = "depth_unknown"  # 0 everywhere: a classical method without any return
 
 
 @dataclass(frozen=True)
@@ -57,8 +55,8 @@ class Prediction:
     network_size: (height, width) at which the network ran; the answers were resized if it is
         another than the frame's
     latency: where the time went
-    valid: False when an output holds NaN, Inf, an unknown class or a value out of its range, or a
-        classical method had nothing to fill from; `degraded` says which
+    valid: False when an output holds NaN, Inf, an unknown class or a value out of its range;
+        `degraded` says which
     degraded: reasons why the answer is worth less than usual; () in the normal case
     cleaned: depth pixels that were treated as no measurement
     depth_returns: number of depth pixels used

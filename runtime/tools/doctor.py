@@ -22,7 +22,7 @@ Status = Literal["ok", "note", "warning", "fault"]
 
 _ENGINE = {"numpy": "numpy", "cv2": "opencv-python-headless"}  # module -> distribution
 # Distribution -> extras that bring it.
-_EXTRAS = {"torch": "train,export", "onnx": "export", "scipy": "train,classical"}
+_EXTRAS = {"torch": "train,export", "onnx": "export", "scipy": "train"}
 _ORT_WHEELS = ("onnxruntime", "onnxruntime-gpu")
 _CUDA_PROVIDER = "CUDAExecutionProvider"
 _MOST_DEPTH_ERROR = 0.1  # of a return, at the median: broken arithmetic is worse, the model is not

@@ -55,14 +55,6 @@ def test_the_predictor_loads_neither_torch_nor_onnx_nor_a_command_line():
     assert not loaded & heavy
 
 
-def test_classical_methods_load_no_scipy_before_one_that_needs_it_is_made():
-    loaded = loaded_after(
-        "from runtime.completion.predictor import CompletionPredictor; CompletionPredictor('tgv')"
-    )
-    assert {"runtime", "cv2"} <= loaded
-    assert not loaded & {"scipy", "onnxruntime", "torch", "models", "training"}
-
-
 def test_the_engine_loads_nothing_of_streams_until_one_is_asked_for():
     loaded = words_printed_by("import sys; from runtime import Predictor; print(*sys.modules)")
     assert "runtime.predictor" in loaded

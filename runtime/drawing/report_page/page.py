@@ -42,7 +42,6 @@ _MEANINGS = {
     "image_overexposed": "half of the pixels are blinded",
     "lidar_sector_lost": "a sector of the LiDAR is gone",
     "lidar_lines_lost": "lines of the LiDAR are gone",
-    "depth_incomplete": "no depth in places",
 }
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from runtime import InputError, OutputError, Predictor
-from runtime.completion.predictor import CompletionPredictor
 from runtime.drawing.overlay import Overlay
 
 K = np.array([[60.0, 0, 31.5], [0, 60, 23.5], [0, 0, 1]])
@@ -56,12 +55,6 @@ def test_an_answer_that_cannot_be_used_is_drawn(answered):
     broken = change(prediction, heads={**prediction.heads, "depth": depth}, valid=False)
     drawn = broken.draw(rgb)
     assert (drawn[30:48, 2 * 64 : 3 * 64] == 110).all(), "no depth there"
-
-
-def test_a_classical_method_draws_itself(make_frame):
-    rgb, depth = make_frame()
-    prediction = CompletionPredictor("nearest").predict(rgb, depth)
-    assert prediction.draw(rgb).shape[1] == 2 * 64
 
 
 @pytest.mark.parametrize("rgb", [np.zeros((48, 63, 3), np.uint8), np.zeros((48, 64, 3)), "x"])

@@ -86,7 +86,7 @@ def _import_sparse() -> ModuleType:
         import scipy.sparse.linalg
     except ImportError as error:
         raise ProviderError(
-            f'SciPy is not installed ({error}), which mrf needs: pip install "ssdnet[classical]"'
+            f'SciPy is not installed ({error}), which mrf needs: pip install "ssdnet[train]"'
         ) from error
     sparse: ModuleType = scipy.sparse
     return sparse
