@@ -1,71 +1,63 @@
 """Our networks beside other people's and classical methods: trained alike, scored, timed.
 
-    python benchmarks/comparison.py train --data DIR --runs RUNS [--ablation DIR]
+    python benchmarks/comparison.py train --data DIR --runs RUNS
     python benchmarks/comparison.py time --runs RUNS [--rounds 10] [--sizes 125x414 512x1024]
-    python benchmarks/comparison.py table --runs RUNS [--markdown OUT.md]
+    python benchmarks/comparison.py table --runs RUNS
 
-`train` is a queue: it trains, exports and scores what comparison.toml lists, one after the other,
-each to the budget of its recipe, and then the rows of the ablation, if it is told where their
-scenes are. The same command goes on where it was stopped; what is done with the same settings is
-not done again. `time` runs all in turn in one process, on a quiet machine; networks that are not
-trained yet, or are not at all, run with random weights. `table` shows what there is, a table a
-task.
+`train` trains, exports and scores the entries of comparison.toml, one after the other, each to the
+budget of its recipe. The same command resumes where it was stopped, and what is finished with the
+same settings is kept. `time` runs all entries interleaved in one process, on a quiet machine;
+networks without a trained model run with random weights. `table` prints a table a task.
 
 More time: --set 'schedule.steps = 20000', which needs a RUNS of its own. Some alone: --only NAME.
-A candidate of the file (see plan.py) may say, too:
-
-    recipe = "comparison-depth"  # in place of the common one
-    network = "fcn8s"            # not trained, but timed
-    method = "ip-basic"          # a classical method of depth completion
-    published_miou = 57.0        # on CamVid test, in percent, shown beside
 """
 
 import argparse
+import hashlib
 import json
+import re
+import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 from pydantic.dataclasses import dataclass
 
-import ablation
 from export.deploy import DeployGraph
+from export.exporter import export_checkpoint
 from models import create_model
 from models.registry import NETWORKS
-from plan import (
-    ONNX,
-    SCORES,
-    Candidate,
-    Plan,
-    Sets,
-    find_or_make,
-    find_or_score,
-    read_candidate,
-    read_plan,
-)
 from runtime import Predictor
 from runtime.bundled_models import find_model
 from runtime.command import INTERRUPTED
 from runtime.errors import InputError, SSDNetError
 from runtime.io.atomic_write import atomic_write
 from runtime.model_file import load_model_file
-from speed import TRACED_AT, compare, parse_size
-from timing import Model, Size, describe, export_graph
+from speed import TRACED_AT, Model, Size, compare, describe, export_graph, parse_size
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
+from training.datasets.source_recipe import SourceRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.classical import create_method
+from training.evaluation.evaluate import evaluate
+from training.lidar.split import LidarInput
 from training.limits import STRICT
+from training.loop import train
 from training.network import build_network
-from training.run_folder import RECIPE
+from training.recipe import Recipe, build, read_recipe
+from training.recipe_files import find_recipe
+from training.run_folder import FINAL, RECIPE, require_same
 from training.stop_signal import StopSignal
 
-TIMES = "times.json"
+ONNX, SCORES, TIMES = "model.onnx", "scores.json", "times.json"
 SIZES: list[Size] = [(125, 414), (512, 1024)]
-#: Head -> the sets that it is scored on, below --data.
+
+#: Set -> its recipe, whose path is below --data, and the LiDARs it is scored with.
+Sets = Mapping[str, tuple[SourceRecipe, Sequence[str]]]
+#: Head -> the sets that it is scored on.
 SETS: Mapping[str, Sets] = {
     "semantic": {"camvid": (CamVidRecipe(path="camvid", split="val"), ["none"])},
     "depth": {
@@ -74,7 +66,7 @@ SETS: Mapping[str, Sets] = {
         "rendered": (RenderedRecipe(path="rendered/val"), ["64"]),
     },
 }
-#: Where a column's figures stand among the scores, and its title.
+#: "set lidar" among the scores -> title of the column.
 DEPTH_COLUMNS = {
     "streets 64": "KITTI streets, 64 lines",
     "streets 16": "16 lines",
@@ -84,12 +76,26 @@ DEPTH_COLUMNS = {
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
-class Entry(Candidate):
-    """A candidate, a network that is only timed, or a classical method."""
+class Entry:
+    """A row of the tables: trained by a recipe with changes of it, or one of the others."""
 
+    name: str
+    #: In place of the plan's.
+    recipe: str | None = None
+    set: tuple[str, ...] = ()
+    #: A bundled model or an ONNX file, not trained.
+    onnx: str | None = None
+    #: A name in `NETWORKS` that is timed with random weights, not trained.
     network: str | None = None
+    #: A classical method of depth completion.
     method: str | None = None
+    #: On CamVid test, in percent, shown beside.
     published_miou: float | None = None
+
+    @property
+    def folder(self) -> str:
+        """Its name as that of a folder."""
+        return re.sub(r"[^\w.-]+", "-", self.name)
 
     @property
     def is_trained(self) -> bool:
@@ -97,18 +103,27 @@ class Entry(Candidate):
         return not (self.onnx or self.network or self.method)
 
 
+@dataclass(frozen=True, config=STRICT)
+class Plan:
+    """The file: the recipe and the changes for all, and the entries."""
+
+    recipe: str | None = None
+    set: tuple[str, ...] = ()
+    entries: tuple[Entry, ...] = ()
+
+
 #: What each entry answers, in the order of the file.
 Heads = Mapping[Entry, Sequence[str]]
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Do what the command line asks for."""
+    """Run one of the three verbs."""
     arguments = parse_arguments(argv)
     torch.set_num_threads(arguments.threads)
     try:
-        plan = read_plan(arguments.plan, arguments.set, arguments.only, kind=Entry)
+        plan = read_plan(arguments.plan, arguments.set, arguments.only)
         # All can be built, before the first is trained.
-        heads = {item: heads_of(item, plan) for item in plan.candidates if isinstance(item, Entry)}
+        heads = {entry: heads_of(entry, plan) for entry in plan.entries}
         arguments.run(plan, heads, arguments)
     except SSDNetError as error:
         raise SystemExit(f"error: {error}") from error
@@ -120,7 +135,7 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     common.add_argument("--plan", type=Path, default=Path(__file__).with_suffix(".toml"))
     common.add_argument("--runs", type=Path, required=True, help="folder for the run folders")
     common.add_argument("--set", action="append", default=[], help="'table.key = value', for all")
-    common.add_argument("--only", nargs="+", help="names of candidates")
+    common.add_argument("--only", nargs="+", help="names of entries")
     common.add_argument("--threads", type=int, default=2, help="of the processor")
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -129,16 +144,50 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     verb.add_argument("--data", type=Path, action="append", required=True)
     verb.add_argument("--limit", type=int, help="frames scored of each set, evenly spread")
     verb.add_argument("--device", default="cpu")
-    verb.add_argument("--ablation", type=Path, help="its scenes, see ablation.py --data")
     verb.set_defaults(run=train_all)
-    verb = verbs.add_parser("time", parents=[common], help="time all in turn")
+    verb = verbs.add_parser("time", parents=[common], help="time all entries, interleaved")
     verb.add_argument("--sizes", nargs="+", default=SIZES, type=parse_size, help="HEIGHTxWIDTH")
     verb.add_argument("--rounds", type=int, default=10)
     verb.set_defaults(run=time_all)
-    verb = verbs.add_parser("table", parents=[common], help="show what there is")
-    verb.add_argument("--markdown", type=Path, help="write the tables here, too")
-    verb.set_defaults(run=show)
+    verb = verbs.add_parser("table", parents=[common], help="print the tables")
+    verb.set_defaults(run=print_tables)
     return parser.parse_args(argv)
+
+
+def read_plan(path: Path, changes: Sequence[str], only: Sequence[str] | None) -> Plan:
+    """Read the file, with changes for all; each entry gets its recipe. Raises InputError."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        entries = [build(Entry, item) for item in table.pop("candidate", [])]
+        plan = build(Plan, table)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}.") from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    folders = [entry.folder for entry in entries]
+    twice = sorted({name for name in folders if folders.count(name) > 1})
+    if twice:
+        raise InputError(f"{path}: two candidates are called {twice[0]!r}; give each its name.")
+    names = [entry.name for entry in entries]
+    unknown = sorted(set(only or ()) - set(names))
+    if unknown:
+        raise InputError(f"--only {unknown[0]!r}: no such candidate; known: {', '.join(names)}.")
+    chosen = []
+    for entry in entries:
+        if only is not None and entry.name not in only:
+            continue
+        if entry.is_trained and entry.recipe is None:
+            if plan.recipe is None:
+                raise InputError(f"{path}: names no recipe to train {entry.name!r} by.")
+            entry = replace(entry, recipe=plan.recipe)
+        chosen.append(entry)
+    return Plan(plan.recipe, (*plan.set, *changes), tuple(chosen))
+
+
+def recipe_of(entry: Entry, plan: Plan) -> Recipe:
+    """Return the recipe that an entry is trained by, with all changes. Raises InputError."""
+    assert entry.recipe is not None  # read_plan has set it
+    return read_recipe(find_recipe(entry.recipe), [*plan.set, *entry.set])
 
 
 def heads_of(entry: Entry, plan: Plan) -> tuple[str, ...]:
@@ -154,7 +203,7 @@ def heads_of(entry: Entry, plan: Plan) -> tuple[str, ...]:
     if entry.onnx is not None:
         with Predictor(find_model(entry.onnx)) as predictor:
             return predictor.heads
-    return build_network(read_candidate(entry, plan).model, None).heads
+    return build_network(recipe_of(entry, plan).model, None).heads
 
 
 def train_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
@@ -163,38 +212,32 @@ def train_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
     with StopSignal() as stop:
         for entry, answers in heads.items():
             try:
-                if not finish(entry, plan, answers, arguments, stop):
-                    raise SystemExit(INTERRUPTED)
+                finish(entry, plan, answers, arguments, stop)
             except SSDNetError as error:
                 print(f"{entry.name}: left out: {error}", flush=True)
                 failed.append(entry.name)
-    if arguments.ablation is not None:
-        runs, threads = arguments.runs / "ablation", arguments.threads
-        parts = ["--data", arguments.ablation, "--runs", runs, "--threads", threads]
-        ablation.main([str(part) for part in [*parts, "--device", arguments.device]])
+            if stop():
+                print("stopped; the same command resumes")
+                raise SystemExit(INTERRUPTED)
     if failed:
         raise SystemExit(f"error: {len(failed)} left out: {', '.join(failed)}")
 
 
 def finish(
-    entry: Entry,
-    plan: Plan,
-    heads: Sequence[str],
-    arguments: argparse.Namespace,
-    stop: StopSignal,
-) -> bool:
-    """Train, export and score an entry, and say what it scored; False if stopped."""
+    entry: Entry, plan: Plan, heads: Sequence[str], arguments: argparse.Namespace, stop: StopSignal
+) -> None:
+    """Train, export and score an entry and print its scores, unless stopped."""
     if entry.network is not None:
-        return True
-    out = arguments.runs / entry.folder
+        return
     sets = find_sets(heads, arguments.data)
-    if entry.method is not None:
-        scores = find_or_score(out, sets, arguments, onnx=None, method=entry.method)
-    else:
+    onnx = None
+    if entry.onnx is not None:
+        onnx = find_model(entry.onnx)
+    elif entry.method is None:
         onnx = find_or_make(entry, plan, arguments, stop)
-        if onnx is None:
-            return False
-        scores = find_or_score(out, sets, arguments, onnx=onnx)
+        if stop():
+            return
+    scores = find_or_score(arguments.runs / entry.folder, sets, arguments, onnx, entry.method)
     shown = {
         f"{place} {key}": round(values[key], 4)
         for place, values in scores.items()
@@ -202,19 +245,16 @@ def finish(
         if key in values
     }
     print(entry.name, shown, flush=True)
-    return not stop()
 
 
 def find_sets(heads: Sequence[str], roots: Sequence[Path]) -> Sets:
     """Return the sets of these heads that are below the folders. Raises InputError if none is."""
-    found = {}
     wanted = {name: item for head in heads for name, item in SETS.get(head, {}).items()}
+    found = {}
     for name, (recipe, lidars) in wanted.items():
-        for root in roots:
-            if (root / recipe.path).is_dir():
-                # As `evaluate` takes it: a path that stands by itself.
-                found[name] = (replace(recipe, path=str(root / recipe.path)), lidars)
-                break
+        folder = next((root / recipe.path for root in roots if (root / recipe.path).is_dir()), None)
+        if folder is not None:
+            found[name] = (replace(recipe, path=str(folder)), lidars)
     if not found:
         paths = ", ".join(recipe.path for recipe, _ in wanted.values())
         raise InputError(
@@ -224,8 +264,56 @@ def find_sets(heads: Sequence[str], roots: Sequence[Path]) -> Sets:
     return found
 
 
+def find_or_make(entry: Entry, plan: Plan, arguments: argparse.Namespace, stop: StopSignal) -> Path:
+    """Return an entry's ONNX file, trained and exported if it is not there, unless stopped."""
+    recipe = recipe_of(entry, plan)
+    out = arguments.runs / entry.folder
+    onnx, checkpoint = out / ONNX, out / FINAL
+    if checkpoint.is_file():
+        require_same(read_json(out / RECIPE), {"recipe": asdict(recipe)}, out / RECIPE)
+    else:
+        train(recipe, data=arguments.data, out=out, device=arguments.device, stop=stop)
+        if stop():
+            return onnx
+    digest = hashlib.sha256(checkpoint.read_bytes()).hexdigest()
+    if not onnx.is_file() or load_model_file(onnx).contract.checkpoint_sha256 != digest:
+        export_checkpoint(checkpoint, onnx, size=TRACED_AT, dynamic=True, overwrite=True)
+    return onnx
+
+
+def find_or_score(
+    out: Path, sets: Sets, arguments: argparse.Namespace, onnx: Path | None, method: str | None
+) -> dict[str, dict[str, float]]:
+    """Return "set lidar" -> figures of an ONNX file or a classical method; kept in ``out``."""
+    settings = {
+        "scored": method if onnx is None else load_model_file(onnx).sha256,
+        "sets": {name: [asdict(recipe), list(lidars)] for name, (recipe, lidars) in sets.items()},
+        "limit": arguments.limit,
+    }
+    settings = json.loads(json.dumps(settings))  # as it is read back
+    known = read_json(out / SCORES)
+    if known.get("settings") == settings:
+        return dict(known["figures"])
+    result = {}
+    for name, (recipe, lidars) in sets.items():
+        rows = evaluate(
+            [] if onnx is None else [onnx],
+            [recipe],
+            lidars=[LidarInput.parse(lidar) for lidar in lidars],
+            faults=["none"],
+            methods=[] if method is None else [method],
+            threads=arguments.threads,
+            limit=arguments.limit,
+        )
+        result |= {f"{name} {row.lidar}": row.figures for row in rows}
+    out.mkdir(parents=True, exist_ok=True)
+    document = {"settings": settings, "figures": result}
+    atomic_write(out / SCORES, json.dumps(document, indent=2).encode())
+    return result
+
+
 def time_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
-    """Time all entries in one interleaved run and keep the figures with the runs."""
+    """Time all entries in one interleaved run and keep the figures beside the runs."""
     models = {entry.name: open_entry(entry, plan, arguments.runs) for entry in heads}
     reference = next(iter(models))
     document = compare(models, reference, arguments.sizes, arguments.threads, arguments.rounds)
@@ -244,35 +332,33 @@ def open_entry(entry: Entry, plan: Plan, runs: Path) -> Model:
     elif path.is_file():
         return load_model_file(path).content
     else:
-        network = build_network(read_candidate(entry, plan).model, None)
-    return export_graph(DeployGraph(network.eval()), TRACED_AT, dynamic=True)
+        network = build_network(recipe_of(entry, plan).model, None)
+    return export_graph(DeployGraph(network.eval()))
 
 
-def show(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
-    """Print the tables of what there is, and write them."""
-    text = to_tables(heads, arguments.runs)
-    print(text)
-    if arguments.markdown:
-        atomic_write(arguments.markdown, text.encode())
+def print_tables(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
+    """Print the tables."""
+    print(to_tables(heads, arguments.runs))
 
 
 def to_tables(heads: Heads, runs: Path) -> str:
     """A table a task; a figure that is not there is an empty cell."""
     times = read_json(runs / TIMES)
+    sizes = [f"{part['size'][0]} x {part['size'][1]}" for part in times.get("sizes", [])]
     parts = []
     for head, title in (("semantic", "Semantics"), ("depth", "Depth completion, MAE / RMSE in mm")):
         columns = ["CamVid val mIoU %", "published, test"]
         if head == "depth":
             columns = list(DEPTH_COLUMNS.values())
         columns = ["network", "trained", *columns, "params M", "GMACs"]
-        columns += [f"ms, {_name(part['size'])}" for part in times.get("sizes", [])]
+        columns += [f"ms, {size}" for size in sizes]
         lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
         for entry, answers in heads.items():
             if head in answers:
                 lines.append(f"| {' | '.join(_row(entry, head, runs, times))} |")
         parts.append(f"**{title}**\n\n" + "\n".join(lines))
     if times:
-        parts.append(f"GMACs at {_name(times['sizes'][0]['size'])}. {describe(times['machine'])}.")
+        parts.append(f"GMACs at {sizes[0]}. {describe(times['machine'])}.")
     return "\n\n".join(parts) + "\n"
 
 
@@ -293,7 +379,10 @@ def _row(entry: Entry, head: str, runs: Path, times: Mapping[str, Any]) -> list[
     ]
     counted = timed[0] if timed and entry.method is None else {}
     cells += [f"{counted[key]:.3g}" if key in counted else "" for key in ("params_m", "gmacs")]
-    return [*cells, *(_round(row["median_ms"]) if row else "" for row in timed)]
+    for row in timed:
+        digits = 1 if row and row["median_ms"] < 100 else 0
+        cells.append(f"{row['median_ms']:.{digits}f}" if row else "")
+    return cells
 
 
 def _describe_training(entry: Entry, runs: Path) -> str:
@@ -310,14 +399,6 @@ def _describe_training(entry: Entry, runs: Path) -> str:
         recipe["schedule"]["steps"] * recipe["data"]["batch_size"] * recipe["loop"]["accumulate"]
     )
     return f"{samples} samples"
-
-
-def _round(ms: float) -> str:
-    return f"{ms:.1f}" if ms < 100 else f"{ms:.0f}"
-
-
-def _name(size: Sequence[int]) -> str:
-    return f"{size[0]} x {size[1]}"
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from comparison import Entry
+from comparison import read_plan, recipe_of
 from models import create_model
 from models.registry import NETWORKS
 from models.registry import Entry as Registered
-from plan import read_candidate, read_plan
 from training.evaluation.classical import METHODS
 from training.evaluation.exported_model import open_method
 from training.network import build_network
@@ -54,8 +53,8 @@ def test_the_network_is_built_by_its_name_and_recipe(run_block, tmp_path, monkey
     assert recipe.schedule.steps == 20000
     assert build_network(recipe.model, None).config.channels == 32
     (tmp_path / "plan.toml").write_text(entry_text)
-    plan = read_plan(tmp_path / "plan.toml", [], None, kind=Entry)
-    model = read_candidate(plan.candidates[0], plan).model
+    plan = read_plan(tmp_path / "plan.toml", [], None)
+    model = recipe_of(plan.entries[0], plan).model
     assert build_network(model, None).config == build_network(recipe.model, None).config
 
 
