@@ -4,8 +4,9 @@ import torch
 from torch import Tensor, nn
 
 from models import Network
+from models.answers import head_maps, to_unit
 from models.blocks import upsample
-from runtime.contract import NO_CLASS
+from runtime.heads import HEADS, Unit
 
 
 class DeployGraph(nn.Module):
@@ -36,49 +37,32 @@ class DeployGraph(nn.Module):
         in metres, boundary float32 (N, H, W) in 0..1, depth_uncertainty float32 (N, H, W) in
         metres, semantic_logits float32 (N, C, H, W).
         """
-        config = self.model.config
+        max_depth_m = self.model.config.max_depth_m
         height, width = rgb.shape[1], rgb.shape[2]
         coarse = self.model.predict_coarse(
             rgb.permute(0, 3, 1, 2).to(torch.float32), sparse_depth.unsqueeze(1)
         )
         answers = {}
-        if coarse.semantic_logits is not None:
-            logits = upsample(coarse.semantic_logits, factor=self.model.semantic_stride)
+        maps = head_maps(coarse)
+        if "semantic" in maps:
+            scores = upsample(maps.pop("semantic"), factor=self.model.semantic_stride)
             # Cropped last: an id is a byte, its scores are 4 bytes a class.
-            answers["semantic"] = _best_class(logits)[:, :height, :width]
-            answers["semantic_logits"] = logits[:, :, :height, :width]
+            answers["semantic"] = to_unit("semantic", scores, max_depth_m)[:, :height, :width]
+            answers["semantic_logits"] = scores[:, :, :height, :width]
 
         grids: dict[int, dict[str, Tensor]] = {}
-        if coarse.boundary_logits is not None:
-            grids.setdefault(self.model.boundary_stride, {})["boundary"] = coarse.boundary_logits
-        if coarse.depths is not None:
-            metres = coarse.depths[0] * config.max_depth_m
-            grids.setdefault(self.model.depth_stride, {})["depth"] = metres
-        if coarse.depth_uncertainty is not None:
-            metres = coarse.depth_uncertainty * config.max_depth_m
-            grids.setdefault(self.model.depth_stride, {})["depth_uncertainty"] = metres
-        for stride, maps in grids.items():
-            # One tensor for both: ONNX Runtime splits the work of a Resize by channels, so two of
+        for head, values in maps.items():
+            if HEADS[head].unit is Unit.METRES:  # the product commutes with the upsampling
+                values = to_unit(head, values, max_depth_m)
+            grids.setdefault(self.model.head_stride(head), {})[head] = values
+        for stride, group in grids.items():
+            # One tensor for all: ONNX Runtime splits the work of a Resize by channels, so two of
             # one channel each take four times as long.
             if stride > 1:
-                full = upsample(torch.cat(list(maps.values()), dim=1), factor=stride)
-                maps = dict(zip(maps, full.split(1, dim=1), strict=True))
-            answers |= {head: full[:, 0, :height, :width] for head, full in maps.items()}
-        if "boundary" in answers:
-            answers["boundary"] = torch.sigmoid(answers["boundary"])
+                full = upsample(torch.cat(list(group.values()), dim=1), factor=stride)
+                group = dict(zip(group, full.split(1, dim=1), strict=True))
+            answers |= {head: full[:, 0, :height, :width] for head, full in group.items()}
+        for head in maps:
+            if HEADS[head].unit is not Unit.METRES:
+                answers[head] = to_unit(head, answers[head], max_depth_m)
         return tuple(answers[head] for head in self.heads)
-
-
-def _best_class(logits: Tensor) -> Tensor:
-    """Class ids uint8 (N, H, W) of (N, C, H, W); NO_CLASS where a score is NaN or Inf.
-
-    An arg-max says nothing about NaN, and whoever runs the file shall see it. The reshape keeps the
-    classes innermost: without it ONNX Runtime moves the transposition behind the ArgMax, which
-    then strides through memory and takes twice as long.
-    """
-    batch, classes, height, width = logits.shape
-    scores = logits.permute(0, 2, 3, 1).reshape(-1, classes)
-    finite = scores.sum(dim=1) * 0 == 0  # NaN and Inf reach the sum, and times 0 both are NaN
-    ids = scores.argmax(dim=1).to(torch.uint8)
-    ids = torch.where(finite, ids, torch.tensor(NO_CLASS, dtype=torch.uint8))
-    return ids.reshape(batch, height, width)

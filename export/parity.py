@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from export.errors import ExportError
 from export.probe_frames import ProbeFrame
 from models import Network
+from models.answers import answers
 from runtime import Predictor
 from runtime.io.agreement import compare, limit, within, worst
 from runtime.session import open_session
@@ -63,18 +64,8 @@ def reference(model: Network, frame: ProbeFrame) -> dict[str, NDArray[Any]]:
     rgb = torch.from_numpy(frame.rgb).permute(2, 0, 1)[None].float()
     with torch.inference_mode():
         output = model(rgb, torch.from_numpy(frame.sparse_depth)[None, None])
-    answers = {}
-    if output.boundary_logits is not None:
-        answers["boundary"] = torch.sigmoid(output.boundary_logits)[0, 0]
-    if output.semantic_logits is not None:
-        answers["semantic_logits"] = output.semantic_logits[0]
-        answers["semantic"] = output.semantic_logits[0].argmax(dim=0).to(torch.uint8)
-    if output.depths is not None:
-        answers["depth"] = output.depths[0][0, 0] * model.config.max_depth_m
-    if output.depth_uncertainty is not None:
-        scale = output.depth_uncertainty[0, 0] * model.config.max_depth_m
-        answers["depth_uncertainty"] = scale
-    return {head: answer.numpy() for head, answer in answers.items()}
+        found = answers(output, model.config.max_depth_m)
+    return {head: values[0].numpy() for head, values in found.items()}
 
 
 def _require_shape(head: str, answer: NDArray[Any], expected: NDArray[Any]) -> None:

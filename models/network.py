@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from types import UnionType
+from types import MappingProxyType, UnionType
 from typing import Any, Literal, NamedTuple, Self, get_args, get_origin, get_type_hints
 
 import torch
@@ -20,8 +20,6 @@ from runtime.contract import (
     check_stride,
 )
 
-Head = Literal["semantic", "depth", "boundary", "depth_uncertainty"]
-
 
 class NetworkOutput(NamedTuple):
     """What a network answers. A head that the network lacks is None."""
@@ -38,6 +36,9 @@ class NetworkOutput(NamedTuple):
     #: (N, 1, H, W), normalised as the depth: the scale b of a Laplace distribution of its error,
     #: 63 % of the errors are below b, 86 % below 2 b.
     depth_uncertainty: Tensor | None = None
+    #: Other heads of `runtime.heads` by name, (N, 1, H, W): logits of a probability, metres as a
+    #: share of the range.
+    others: Mapping[str, Tensor] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -122,8 +123,8 @@ class Network(nn.Module):
         self.register_buffer("rgb_std", torch.tensor(config.rgb_std).view(1, 3, 1, 1))
 
     @property
-    def heads(self) -> tuple[Head, ...]:
-        """The network's heads, in the order of `Head`."""
+    def heads(self) -> tuple[str, ...]:
+        """Names of the network's heads, rows of `runtime.heads`."""
         raise NotImplementedError
 
     @property
@@ -145,6 +146,15 @@ class Network(nn.Module):
     def boundary_stride(self) -> int:
         """Ratio of the image to the grid of the boundary."""
         return 1
+
+    def head_stride(self, head: str) -> int:
+        """Ratio of the image to the grid of a head."""
+        return {
+            "semantic": self.semantic_stride,
+            "depth": self.depth_stride,
+            "depth_uncertainty": self.depth_stride,
+            "boundary": self.boundary_stride,
+        }.get(head, 1)
 
     def forward(
         self, rgb: Tensor, sparse_depth: Tensor, *, upsample_semantic: bool = True
@@ -181,6 +191,10 @@ class Network(nn.Module):
             ),
             side_boundary_logits=coarse.side_boundary_logits,
             depth_uncertainty=None if scale is None else full_size(scale, self.depth_stride),
+            others={
+                head: full_size(values, self.head_stride(head))
+                for head, values in coarse.others.items()
+            },
         )
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from models.blocks import ConvBNReLU, pad_to_multiple, upsample
 from models.boundary_decoder import BoundaryDecoder
 from models.encoder import build_encoder
-from models.network import Head, Network, NetworkOutput, initialise
+from models.network import Network, NetworkOutput, initialise
 from models.ssdnet_config import SSDNetConfig
 from models.surfaces import (
     COARSE_CELL,
@@ -84,10 +84,10 @@ class SSDNet(Network):
             nn.init.zeros_(self.surface_semantics.weight)
 
     @property
-    def heads(self) -> tuple[Head, ...]:
+    def heads(self) -> tuple[str, ...]:
         """The network's heads; a boundary always."""
         config = self.config
-        present: dict[Head, bool] = {
+        present: dict[str, bool] = {
             "semantic": config.semantic_head,
             "depth": config.depth_head,
             "boundary": True,

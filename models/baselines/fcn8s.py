@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from models.baselines.vgg16 import VGG16
 from models.blocks import ConvBNReLU, upsample
-from models.network import Head, Network, NetworkConfig, NetworkOutput, initialise
+from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 _WIDE = 4096
 
@@ -17,7 +17,7 @@ _WIDE = 4096
 class FCN8s(Network):
     """VGG16 as convolutions throughout; scores at 1/32, 1/16 and 1/8 of the image, added."""
 
-    heads: tuple[Head, ...] = ("semantic",)
+    heads: tuple[str, ...] = ("semantic",)
     stride = 32
     semantic_stride = 8
 

@@ -11,13 +11,11 @@ import torch
 from numpy.typing import NDArray
 
 from models import CLASS_TABLES, load_checkpoint
-from runtime.canonical_focal import focal_length_at
 from runtime.contract import ClassInfo
 from runtime.errors import InputError, SSDNetError
 from runtime.network_size import NetworkSize, check_network_size, network_size
 from runtime.predictor import Predictor
 from runtime.preprocess import clean_sparse_depth
-from runtime.resize import move_returns, resize_answer, resize_image
 from training.datasets.class_mapping import ClassTable
 from training.evaluation.classical import CompletionMethod, create_method
 from training.evaluation.metrics import FARTHEST_M
@@ -76,7 +74,12 @@ def open_model(
             ) from error
         asked = check_network_size(size, fixed=False)
         yield ScoredModel(
-            _at_network_size(torch_predict(network), asked, checkpoint.trained_height),
+            torch_predict(
+                network,
+                size_for=lambda frame_size: network_size(
+                    asked, frame_size, trained_height=checkpoint.trained_height
+                ),
+            ),
             network.config.classes,
             f"torch on {device}",
             checkpoint.training,
@@ -96,29 +99,6 @@ def open_model(
             )
     else:
         raise InputError(f"{path}: expected a checkpoint (*.pt) or an exported model (*.onnx).")
-
-
-def _at_network_size(predict: Predict, asked: NetworkSize, trained_height: int | None) -> Predict:
-    """Let a predictor run at the size by the engine's rule, and answer at the frame's."""
-
-    def resized(
-        rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
-    ) -> Answer:
-        frame_size = sparse_depth.shape
-        size = network_size(asked, frame_size, trained_height=trained_height)
-        if size == frame_size:
-            return predict(rgb, sparse_depth, focal_length_px)
-        if focal_length_px is not None:
-            focal_length_px = focal_length_at(size, focal_length_px, frame_size)
-        answer = predict(resize_image(rgb, size), move_returns(sparse_depth, size), focal_length_px)
-        return Answer(
-            **{
-                head: None if values is None else resize_answer(head, values, frame_size)
-                for head, values in answer._asdict().items()
-            }
-        )
-
-    return resized
 
 
 def open_method(name: str) -> ScoredModel:

@@ -9,9 +9,12 @@ import torch
 from numpy.typing import NDArray
 
 from models import Network
+from models.answers import answers
 from models.classes import CATEGORIES
-from runtime.canonical_focal import canonical_factor
 from runtime.errors import InputError
+from runtime.postprocess import to_frame
+from runtime.preprocess import preprocess
+from runtime.resize import Size
 from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import Processes
 from training.evaluation.depth_regions import DepthRegionScores, is_dense
@@ -52,31 +55,38 @@ ROAD = "road"
 Predict = Callable[[NDArray[np.uint8], NDArray[np.float32], float | None], Answer]
 
 
-def torch_predict(network: Network) -> Predict:
-    """Return the PyTorch network as a predictor; it is put into evaluation mode."""
+def torch_predict(
+    network: Network, *, size_for: Callable[[Size], Size] = lambda size: size
+) -> Predict:
+    """Return the PyTorch network as a predictor that treats a frame as the engine does.
+
+    Args:
+        network: is put into evaluation mode.
+        size_for: frame size -> size at which the network runs, both (height, width).
+    """
     network.eval()
+    config = network.config
 
     @torch.inference_mode()
     def predict(
         rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
     ) -> Answer:
-        device = network.rgb_mean.device
-        factor = canonical_factor(network.config.canonical_focal_px, focal_length_px)
-        unit_m = network.config.max_depth_m / factor
-        output = network(
-            torch.from_numpy(rgb).to(device).permute(2, 0, 1)[None].float(),
-            torch.from_numpy(sparse_depth).to(device)[None, None] * factor,
+        frame = preprocess(
+            rgb,
+            sparse_depth,
+            max_depth_m=config.max_depth_m,
+            size_for=size_for,
+            canonical_focal_px=config.canonical_focal_px,
+            focal_length_px=focal_length_px,
         )
-        semantic = depth = boundary = uncertainty = None
-        if output.semantic_logits is not None:
-            semantic = output.semantic_logits[0].argmax(0).to(torch.uint8).cpu().numpy()
-        if output.depths is not None:
-            depth = (output.depths[0][0, 0].float() * unit_m).cpu().numpy()
-        if output.boundary_logits is not None:
-            boundary = torch.sigmoid(output.boundary_logits)[0, 0].cpu().numpy()
-        if output.depth_uncertainty is not None:
-            uncertainty = (output.depth_uncertainty[0, 0].float() * unit_m).cpu().numpy()
-        return Answer(semantic, depth, boundary, uncertainty)
+        device = network.rgb_mean.device
+        output = network(
+            torch.from_numpy(frame.rgb).to(device).permute(2, 0, 1)[None].float(),
+            torch.from_numpy(frame.sparse_depth).to(device)[None, None],
+        )
+        found = answers(output, config.max_depth_m)
+        heads = {head: found[head][0].cpu().numpy() for head in Answer._fields if head in found}
+        return Answer(**dict.fromkeys(Answer._fields) | to_frame(heads, frame))
 
     return predict
 

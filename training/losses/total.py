@@ -11,7 +11,6 @@ from torch import Tensor, nn
 
 from models import NetworkOutput
 from models.blocks import extend_to_multiple
-from models.network import Head
 from models.pooling import cell_means
 from training.limits import STRICT
 from training.losses.boundary import (
@@ -48,7 +47,7 @@ from training.losses.semantic import (
 from training.losses.uncertainty import laplace_loss
 
 #: The terms, each with a weight "<name>_weight" in `LossConfig`, and the heads that each needs.
-TERMS: Mapping[str, frozenset[Head]] = {
+TERMS: Mapping[str, frozenset[str]] = {
     "depth": frozenset({"depth"}),
     "depth_uncertainty": frozenset({"depth", "depth_uncertainty"}),
     "semantic": frozenset({"semantic"}),
@@ -123,7 +122,7 @@ class LossConfig:
         """Whether a term is there that class frequencies weigh."""
         return bool(self.semantic_weight) and self.class_weighting != "none"
 
-    def terms_for(self, heads: Collection[Head]) -> list[str]:
+    def terms_for(self, heads: Collection[str]) -> list[str]:
         """Return the names of the terms with a weight that a network of these heads can have.
 
         Terms of heads that it lacks are left out, whatever their weight: one recipe trains the

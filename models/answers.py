@@ -1,0 +1,66 @@
+"""What the output of a network means: class ids, metres, probabilities."""
+
+import torch
+from torch import Tensor
+
+from models.network import NetworkOutput
+from runtime.contract import NO_CLASS
+from runtime.heads import HEADS, Unit
+
+
+def answers(output: NetworkOutput, max_depth_m: float) -> dict[str, Tensor]:
+    """Return the answers of a network at full size.
+
+    Args:
+        output: of `Network.forward`.
+        max_depth_m: of the network's configuration.
+
+    Returns:
+        Head -> (N, H, W) in the unit of the head, see `runtime.heads`; the class scores as
+        "semantic_logits" (N, C, H, W).
+    """
+    found = {}
+    for head, values in head_maps(output).items():
+        converted = to_unit(head, values, max_depth_m)
+        found[head] = converted if converted.ndim == 3 else converted[:, 0]
+    if output.semantic_logits is not None:
+        found["semantic_logits"] = output.semantic_logits
+    return found
+
+
+def head_maps(output: NetworkOutput) -> dict[str, Tensor]:
+    """Head -> what the network gives for it, (N, C, h, w) with C = 1 but for the classes."""
+    maps = {
+        "semantic": output.semantic_logits,
+        "boundary": output.boundary_logits,
+        "depth": None if output.depths is None else output.depths[0],
+        "depth_uncertainty": output.depth_uncertainty,
+        **output.others,
+    }
+    return {head: values for head, values in maps.items() if values is not None}
+
+
+def to_unit(head: str, values: Tensor, max_depth_m: float) -> Tensor:
+    """Convert what a network gives for a head: a share of the range to metres, a logit to a
+    probability, class scores (N, C, H, W) to class ids uint8 (N, H, W).
+    """
+    unit = HEADS[head].unit
+    if unit is Unit.METRES:
+        return values * max_depth_m
+    if unit is Unit.PROBABILITY:
+        return torch.sigmoid(values)
+    return _best_class(values) if unit is Unit.CLASS_ID else values
+
+
+def _best_class(logits: Tensor) -> Tensor:
+    """Class ids uint8 (N, H, W) of (N, C, H, W); NO_CLASS where a score is NaN or Inf.
+
+    An arg-max hides NaN. The reshape keeps the classes innermost: without it ONNX Runtime moves the
+    transposition behind the ArgMax, which then strides through memory and takes twice as long.
+    """
+    batch, classes, height, width = logits.shape
+    scores = logits.permute(0, 2, 3, 1).reshape(-1, classes)
+    finite = scores.sum(dim=1) * 0 == 0  # NaN and Inf reach the sum, and times 0 both are NaN
+    ids = scores.argmax(dim=1).to(torch.uint8)
+    ids = torch.where(finite, ids, torch.tensor(NO_CLASS, dtype=torch.uint8))
+    return ids.reshape(batch, height, width)
