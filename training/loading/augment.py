@@ -1,5 +1,6 @@
 """Joint augmentation: one random change of RGB, depth, labels and intrinsics together."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
@@ -27,6 +28,8 @@ from training.limits import (
     Strength,
     require_window,
 )
+
+Depth = NDArray[np.float32]
 
 #: Share of the pixels whose depth is known, from which on a LiDAR can be drawn from it; measured
 #: truth has a fifth, rendered streets under a wide sky a third.
@@ -133,13 +136,8 @@ def approach(sample: Sample, factor: float) -> Sample:
     intrinsics = sample.intrinsics
     if intrinsics is not None:
         intrinsics = intrinsics / np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
-    sparse_depth = sample.sparse_depth
-    return replace(
-        sample,
-        depth=sample.depth / np.float32(factor),
-        sparse_depth=None if sparse_depth is None else sparse_depth / np.float32(factor),
-        intrinsics=intrinsics,
-    )
+    nearer = _change_depth(sample, lambda depth: depth / np.float32(factor))
+    return replace(nearer, intrinsics=intrinsics)
 
 
 def canonical_depth(sample: Sample, focal_px: float) -> Sample:
@@ -152,11 +150,39 @@ def canonical_depth(sample: Sample, focal_px: float) -> Sample:
     focal = sample.focal_length_px
     if focal is None:
         return sample
-    factor, sparse_depth = np.float32(focal_px / focal), sample.sparse_depth
+    factor = np.float32(focal_px / focal)
+    return _change_depth(sample, lambda depth: depth * factor)
+
+
+def _change_depth(sample: Sample, change: Callable[[Depth], Depth]) -> Sample:
+    """Change the depth and, where there is one, the sparse depth."""
+    sparse_depth = sample.sparse_depth
     return replace(
         sample,
-        depth=sample.depth * factor,
-        sparse_depth=None if sparse_depth is None else sparse_depth * factor,
+        depth=change(sample.depth),
+        sparse_depth=None if sparse_depth is None else change(sparse_depth),
+    )
+
+
+def _change_maps(
+    sample: Sample,
+    change: Callable[[NDArray[Any], object], NDArray[Any]],
+    intrinsics: NDArray[np.float64] | None,
+) -> Sample:
+    """Change every map of a sample; change(map, fill) gets the value of an unknown pixel."""
+
+    def change_known(array: NDArray[Any] | None, unknown: object) -> NDArray[Any] | None:
+        return None if array is None else change(array, unknown)
+
+    return replace(
+        sample,
+        rgb=change(sample.rgb, _FILL_RGB),
+        sparse_depth=change_known(sample.sparse_depth, 0),
+        depth=change(sample.depth, 0),
+        semantic=change(sample.semantic, IGNORE),
+        scan_line=change_known(sample.scan_line, -1),
+        road_mask=change_known(sample.road_mask, IGNORE),
+        intrinsics=intrinsics,
     )
 
 
@@ -182,22 +208,11 @@ def far_sky(sample: Sample, sky: int, max_depth_m: float) -> Sample:
 
 def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
     """Cut (height, width) at (top, left); the window may reach beyond the image."""
-
-    def take(array: NDArray[Any], fill: object) -> NDArray[Any]:
-        return _take_window(array, top, left, window, fill)
-
     intrinsics = sample.intrinsics
     if intrinsics is not None:
         intrinsics = intrinsics - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]], np.float64)
-    return replace(
-        sample,
-        rgb=take(sample.rgb, _FILL_RGB),
-        sparse_depth=None if sample.sparse_depth is None else take(sample.sparse_depth, 0),
-        depth=take(sample.depth, 0),
-        semantic=take(sample.semantic, IGNORE),
-        scan_line=None if sample.scan_line is None else take(sample.scan_line, -1),
-        road_mask=None if sample.road_mask is None else take(sample.road_mask, IGNORE),
-        intrinsics=intrinsics,
+    return _change_maps(
+        sample, lambda array, fill: _take_window(array, top, left, window, fill), intrinsics
     )
 
 
@@ -247,24 +262,11 @@ def resize(sample: Sample, size: tuple[int, int]) -> Sample:
 
 def flip(sample: Sample) -> Sample:
     """Mirror left and right; the principal point moves with the pixels."""
-
-    def mirror(array: NDArray[Any]) -> NDArray[Any]:
-        return cv2.flip(array, 1)
-
     intrinsics = sample.intrinsics
     if intrinsics is not None:
         intrinsics = intrinsics.copy()
         intrinsics[0, 2] = sample.size[1] - 1 - intrinsics[0, 2]
-    return replace(
-        sample,
-        rgb=mirror(sample.rgb),
-        sparse_depth=None if sample.sparse_depth is None else mirror(sample.sparse_depth),
-        depth=mirror(sample.depth),
-        semantic=mirror(sample.semantic),
-        scan_line=None if sample.scan_line is None else mirror(sample.scan_line),
-        road_mask=None if sample.road_mask is None else mirror(sample.road_mask),
-        intrinsics=intrinsics,
-    )
+    return _change_maps(sample, lambda array, _: cv2.flip(array, 1), intrinsics)
 
 
 def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:

@@ -5,7 +5,7 @@ from numpy.random import Generator
 
 from training.scenes.classes import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Look, Mesh, box, join, quad
+from training.scenes.things.mesh import Color, Look, Mesh, box, join, quad
 
 _PLASTER = (
     (0.62, 0.58, 0.5),
@@ -25,6 +25,8 @@ _BRICK = (
     (0.22, 0.17, 0.14),
 )
 _ROOF = ((0.24, 0.09, 0.05), (0.1, 0.1, 0.11), (0.16, 0.1, 0.07), (0.3, 0.13, 0.07))
+
+_OFFICE = ((0.5, 0.49, 0.46), (0.33, 0.34, 0.35), (0.6, 0.58, 0.52), (0.36, 0.22, 0.16))
 
 #: Façade styles the shader knows.
 PLASTER, BRICK, OFFICE, SHED = 0.0, 1.0, 2.0, 3.0
@@ -122,36 +124,33 @@ def make_town_house(rng: Generator, length: float, *, shop: bool) -> Mesh:
     """A house of a closed row: front wall on y = 0 facing +y, from x = 0 to length."""
     brick = rng.random() < 0.45
     palette = _BRICK if brick else _PLASTER
-    color = _tone(palette[rng.integers(len(palette))], rng)
+    color = _draw_tone(palette, rng)
     floors = int(rng.integers(2, 6))
     floor = float(rng.uniform(2.8, 3.4))
     ground = float(rng.uniform(3.4, 4.2)) if shop else floor
     height = ground + (floors - 1) * floor + 0.4
     depth = float(rng.uniform(8, 14))
-    look = Look(
+    look = _look(
         SurfaceKind.FACADE,
         color,
-        SceneClass.BUILDING,
-        (
-            float(rng.uniform(1.9, 3.2)),
-            floor,
-            float(rng.uniform(0.36, 0.55)),
-            float(rng.uniform(0.48, 0.62)),
-            BRICK if brick else PLASTER,
-            1.0 if shop else 2.0,
-            ground,
-            float(rng.random()),
-        ),
+        float(rng.uniform(1.9, 3.2)),
+        floor,
+        float(rng.uniform(0.36, 0.55)),
+        float(rng.uniform(0.48, 0.62)),
+        BRICK if brick else PLASTER,
+        1.0 if shop else 2.0,
+        ground,
+        float(rng.random()),
     )
     parts = _walls(length, depth, height, look)
-    trim = Look(SurfaceKind.STONE, _tone((0.55, 0.53, 0.48), rng), SceneClass.BUILDING)
-    roof = Look(SurfaceKind.ROOF, _tone(_ROOF[rng.integers(len(_ROOF))], rng), SceneClass.BUILDING)
+    trim = _look(SurfaceKind.STONE, _tone((0.55, 0.53, 0.48), rng))
+    roof = _look(SurfaceKind.ROOF, _draw_tone(_ROOF, rng))
     if rng.random() < 0.6:
         rise = float(rng.uniform(2.0, 4.0))
         across = length < 9 and rng.random() < 0.25
         parts += _gable_roof(length, depth, height, rise, roof, look, across=across)
         if not across:
-            stack = Look(SurfaceKind.BRICKWORK, (0.3, 0.15, 0.1), SceneClass.BUILDING)
+            stack = _look(SurfaceKind.BRICKWORK, (0.3, 0.15, 0.1))
             parts.append(
                 box(
                     (0.9, 0.6, 2.0),
@@ -172,7 +171,7 @@ def make_town_house(rng: Generator, length: float, *, shop: bool) -> Mesh:
     if shop and rng.random() < 0.4:
         parts.append(_awning(length, rng))
     if not shop and rng.random() < 0.25:
-        iron = Look(SurfaceKind.PLAIN, (0.12, 0.12, 0.12), SceneClass.BUILDING)
+        iron = _look(SurfaceKind.PLAIN, (0.12, 0.12, 0.12))
         for level in range(1, floors):
             z = ground + (level - 1) * floor + 0.15
             parts.append(box((2.2, 1.0, 0.14), (length / 2, 0.5, z), trim))
@@ -180,7 +179,15 @@ def make_town_house(rng: Generator, length: float, *, shop: bool) -> Mesh:
     return join(parts)
 
 
-def _tone(color: tuple[float, float, float], rng: Generator) -> tuple[float, float, float]:
+def _look(kind: SurfaceKind, color: Color, *params: float) -> Look:
+    return Look(kind, color, SceneClass.BUILDING, params)
+
+
+def _draw_tone(palette: tuple[Color, ...], rng: Generator) -> Color:
+    return _tone(palette[rng.integers(len(palette))], rng)
+
+
+def _tone(color: Color, rng: Generator) -> Color:
     r, g, b = np.clip(
         np.asarray(color) * rng.uniform(0.75, 1.15) * rng.uniform(0.94, 1.06, 3), 0.02, 0.85
     )
@@ -190,25 +197,16 @@ def _tone(color: tuple[float, float, float], rng: Generator) -> tuple[float, flo
 def _dormer(x: float, height: float, rise: float, depth: float, wall: Look) -> Mesh:
     setback = depth * 0.12
     z = height + rise * setback / (depth / 2)
-    look = Look(
-        SurfaceKind.FACADE,
-        (0.5, 0.49, 0.46),
-        SceneClass.BUILDING,
-        (1.3, 1.4, 0.6, 0.65, PLASTER, 0.0, 0.0, wall.params[7]),
-    )
+    window = (1.3, 1.4, 0.6, 0.65, PLASTER, 0.0, 0.0, wall.params[7])
+    look = _look(SurfaceKind.FACADE, (0.5, 0.49, 0.46), *window)
     walls = join(_walls(1.3, 1.6, 1.3, look)).moved(offset=(x - 0.65, -setback, z))
-    lid = Look(SurfaceKind.PLAIN, (0.1, 0.1, 0.11), SceneClass.BUILDING)
+    lid = _look(SurfaceKind.PLAIN, (0.1, 0.1, 0.11))
     return join([walls, box((1.6, 1.9, 0.12), (x, -setback - 0.7, z + 1.36), lid)])
 
 
 def _awning(length: float, rng: Generator) -> Mesh:
     color = ((0.4, 0.05, 0.04), (0.05, 0.2, 0.1), (0.08, 0.12, 0.3), (0.55, 0.5, 0.4))
-    look = Look(
-        SurfaceKind.PLANKS,
-        color[rng.integers(4)],
-        SceneClass.BUILDING,
-        (0.5, 0.9, float(rng.random())),
-    )
+    look = _look(SurfaceKind.PLANKS, color[rng.integers(4)], 0.5, 0.9, float(rng.random()))
     a, b = 0.6, length - 0.6
     top, low = 3.0, 2.5
     return quad([(a, 0.02, top), (a, 1.3, low), (b, 1.3, low), (b, 0.02, top)], look)
@@ -220,28 +218,20 @@ def make_office(rng: Generator, length: float) -> Mesh:
     floor = float(rng.uniform(3.1, 3.6))
     height = floors * floor + 0.8
     depth = float(rng.uniform(12, 18))
-    color = _tone(
-        ((0.5, 0.49, 0.46), (0.33, 0.34, 0.35), (0.6, 0.58, 0.52), (0.36, 0.22, 0.16))[
-            rng.integers(4)
-        ],
-        rng,
-    )
-    look = Look(
+    color = _draw_tone(_OFFICE, rng)
+    look = _look(
         SurfaceKind.FACADE,
         color,
-        SceneClass.BUILDING,
-        (
-            float(rng.uniform(1.2, 2.6)),
-            floor,
-            float(rng.uniform(0.7, 0.94)),
-            float(rng.uniform(0.45, 0.75)),
-            OFFICE,
-            1.0 if rng.random() < 0.5 else 0.0,
-            3.8,
-            float(rng.random()),
-        ),
+        float(rng.uniform(1.2, 2.6)),
+        floor,
+        float(rng.uniform(0.7, 0.94)),
+        float(rng.uniform(0.45, 0.75)),
+        OFFICE,
+        1.0 if rng.random() < 0.5 else 0.0,
+        3.8,
+        float(rng.random()),
     )
-    roof = Look(SurfaceKind.PLAIN, (0.25, 0.25, 0.25), SceneClass.BUILDING)
+    roof = _look(SurfaceKind.PLAIN, (0.25, 0.25, 0.25))
     parts = _walls(length, depth, height, look)
     parts.append(_flat_roof(length, depth, height, roof))
     parts.append(
@@ -254,26 +244,23 @@ def make_house(rng: Generator, length: float) -> Mesh:
     """A detached house with a pitched roof."""
     brick = rng.random() < 0.5
     palette = _BRICK if brick else _PLASTER
-    color = _tone(palette[rng.integers(len(palette))], rng)
+    color = _draw_tone(palette, rng)
     floors = int(rng.integers(1, 3))
     height = 2.7 * floors + 0.4
     depth = float(rng.uniform(7, 10))
-    look = Look(
+    look = _look(
         SurfaceKind.FACADE,
         color,
-        SceneClass.BUILDING,
-        (
-            float(rng.uniform(2.2, 3.4)),
-            2.7,
-            float(rng.uniform(0.38, 0.55)),
-            0.5,
-            BRICK if brick else PLASTER,
-            2.0,
-            2.7,
-            float(rng.random()),
-        ),
+        float(rng.uniform(2.2, 3.4)),
+        2.7,
+        float(rng.uniform(0.38, 0.55)),
+        0.5,
+        BRICK if brick else PLASTER,
+        2.0,
+        2.7,
+        float(rng.random()),
     )
-    roof = Look(SurfaceKind.ROOF, _tone(_ROOF[rng.integers(len(_ROOF))], rng), SceneClass.BUILDING)
+    roof = _look(SurfaceKind.ROOF, _draw_tone(_ROOF, rng))
     parts = _walls(length, depth, height, look)
     parts += _gable_roof(
         length,
@@ -285,7 +272,7 @@ def make_house(rng: Generator, length: float) -> Mesh:
         across=bool(rng.random() < 0.35),
         eaves=0.5,
     )
-    stack = Look(SurfaceKind.BRICKWORK, (0.3, 0.15, 0.1), SceneClass.BUILDING)
+    stack = _look(SurfaceKind.BRICKWORK, (0.3, 0.15, 0.1))
     parts.append(box((0.7, 0.5, 2.4), (length * 0.8, -depth / 2 - 0.6, height + 2.6), stack))
     return join(parts)
 
@@ -293,20 +280,17 @@ def make_house(rng: Generator, length: float) -> Mesh:
 def make_shed(rng: Generator, length: float) -> Mesh:
     """A warehouse or supermarket of ribbed sheet."""
     height, depth = float(rng.uniform(5, 9)), float(rng.uniform(15, 25))
-    look = Look(
+    look = _look(
         SurfaceKind.FACADE,
         _tone((0.5, 0.52, 0.54), rng),
-        SceneClass.BUILDING,
-        (
-            6.0,
-            height * 0.8,
-            0.8,
-            0.12,
-            SHED,
-            1.0 if rng.random() < 0.5 else 0.0,
-            3.6,
-            float(rng.random()),
-        ),
+        6.0,
+        height * 0.8,
+        0.8,
+        0.12,
+        SHED,
+        1.0 if rng.random() < 0.5 else 0.0,
+        3.6,
+        float(rng.random()),
     )
-    roof = Look(SurfaceKind.PLAIN, (0.3, 0.3, 0.3), SceneClass.BUILDING)
+    roof = _look(SurfaceKind.PLAIN, (0.3, 0.3, 0.3))
     return join([*_walls(length, depth, height, look), _flat_roof(length, depth, height, roof)])

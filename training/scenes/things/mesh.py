@@ -16,12 +16,16 @@ from training.scenes.textures.surface_kinds import SurfaceKind
 NUM_PARAMS = 8
 
 
+#: Linear RGB, 0..1.
+Color = tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class Look:
     """What a surface is: its kind, base colour (linear RGB 0..1), class and shader parameters."""
 
     kind: SurfaceKind
-    color: tuple[float, float, float]
+    color: Color
     label: SceneClass
     params: tuple[float, ...] = ()
 

@@ -10,9 +10,7 @@ from numpy.random import Generator
 from training.scenes.arrays import Floats
 from training.scenes.classes import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Look, Mesh, box, ellipsoid, join, tube
-
-Color = tuple[float, float, float]
+from training.scenes.things.mesh import Color, Look, Mesh, box, ellipsoid, join, tube
 
 _SKIN: tuple[Color, ...] = ((0.52, 0.33, 0.24), (0.4, 0.24, 0.16), (0.2, 0.11, 0.07))
 _HAIR: tuple[Color, ...] = (

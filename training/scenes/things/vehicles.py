@@ -7,9 +7,7 @@ from numpy.random import Generator
 
 from training.scenes.classes import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Look, Mesh, box, grid, join, tube
-
-Color = tuple[float, float, float]
+from training.scenes.things.mesh import Color, Look, Mesh, box, grid, join, tube
 
 _PAINTS: tuple[Color, ...] = (
     (0.55, 0.56, 0.57),
