@@ -16,8 +16,8 @@ class BoundaryDecoder(nn.Module):
     def __init__(self, skip_channels: tuple[int, ...], channels: int) -> None:
         super().__init__()
         self.sides = nn.ModuleList(
-            nn.Sequential(ConvBNReLU(width, channels), nn.Conv2d(channels, 1, 1))
-            for width in skip_channels
+            nn.Sequential(ConvBNReLU(in_channels, channels), nn.Conv2d(channels, 1, 1))
+            for in_channels in skip_channels
         )
         self.fuse = nn.Conv2d(len(skip_channels), 1, 1)
 

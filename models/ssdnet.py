@@ -39,14 +39,16 @@ class SSDNet(Network):
 
     def __init__(self, config: SSDNetConfig) -> None:
         super().__init__(config)
-        width = 3 * config.use_rgb + config.use_sparse_depth * (1 + config.valid_mask_input)
+        in_channels = 3 * config.use_rgb + config.use_sparse_depth * (1 + config.valid_mask_input)
         stem: list[nn.Module] = []
         for channels in config.stem_channels:
-            stem.append(ConvBNReLU(width, channels, stride=2))
-            width = channels
+            stem.append(ConvBNReLU(in_channels, channels, stride=2))
+            in_channels = channels
         self.stem = nn.Sequential(*stem)
-        self.surface_stem = nn.Conv2d(FEATURE_CHANNELS, width, 1) if config.depth_surfaces else None
-        self.encoder = build_encoder(config, width)
+        self.surface_stem = (
+            nn.Conv2d(FEATURE_CHANNELS, in_channels, 1) if config.depth_surfaces else None
+        )
+        self.encoder = build_encoder(config, in_channels)
         skips, bottom = self.encoder.skip_channels, self.encoder.bottom_channels
         self.boundary_decoder = BoundaryDecoder(skips, config.boundary_channels)
 
@@ -54,13 +56,13 @@ class SSDNet(Network):
         self.semantic_decoder = self.semantic_refine = self.semantic_head = None
         if config.semantic_head:
             self.semantic_decoder = TaskDecoder(config, skips, bottom)
-            width = finest
+            channels = finest
             if config.semantic_refine_channels:
-                width = config.semantic_refine_channels
+                channels = config.semantic_refine_channels
                 self.semantic_refine = UpBlock(
-                    finest, config.stem_channels[0], width, config.skip_fusion
+                    finest, config.stem_channels[0], channels, config.skip_fusion
                 )
-            self.semantic_head = nn.Conv2d(width, config.num_classes, 1)
+            self.semantic_head = nn.Conv2d(channels, config.num_classes, 1)
         self.depth_decoder = self.depth_heads = self.depth_refine = None
         if config.depth_head:
             self.depth_decoder = TaskDecoder(config, skips, bottom)
@@ -71,13 +73,13 @@ class SSDNet(Network):
             self.surface_project = nn.Conv2d(FEATURE_CHANNELS, finest, 1)
             # What is a car has a roof and windows where the LiDAR saw none.
             self.surface_semantics = nn.Conv2d(finest, finest, 1) if config.semantic_head else None
-            width = finest
+            channels = finest
             if config.depth_refine_channels:
-                width = config.depth_refine_channels
+                channels = config.depth_refine_channels
                 self.depth_refine = UpBlock(
-                    finest, config.stem_channels[0], width, config.skip_fusion
+                    finest, config.stem_channels[0], channels, config.skip_fusion
                 )
-            self.surface_head = nn.Conv2d(width, HEAD_CHANNELS, 1)
+            self.surface_head = nn.Conv2d(channels, HEAD_CHANNELS, 1)
         self.apply(initialise)
         if config.depth_surfaces and self.surface_semantics is not None:
             # An older network's weights go on as they were.

@@ -14,7 +14,7 @@ MAX_CHANNELS = 8192
 
 @dataclass(frozen=True)
 class SSDNetConfig(NetworkConfig):
-    """Everything that fixes a network: heads, inputs, widths, depth range and normalisation.
+    """Everything that fixes a network: heads, inputs, channels, depth range and normalisation.
 
     The defaults are the paper's full network (SSDNet, Sensors 2020) with the channel list that
     reproduces its printed parameters and multiply-accumulates.
@@ -71,7 +71,7 @@ class SSDNetConfig(NetworkConfig):
             raise ValueError("encoder_channels and encoder_blocks must have the same length")
         if len(self.decoder_channels) != self.num_skips:
             raise ValueError(
-                f"decoder_channels needs one width for each of the {self.num_skips} skips, "
+                f"decoder_channels needs a number for each of the {self.num_skips} skips, "
                 f"got {len(self.decoder_channels)}"
             )
         if self.semantic_refine_channels and not (

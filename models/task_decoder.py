@@ -50,10 +50,10 @@ class TaskDecoder(nn.Module):
     ) -> None:
         super().__init__()
         blocks = []
-        width = bottom_channels
+        in_channels = bottom_channels
         for skip, channels in zip(reversed(skip_channels), config.decoder_channels, strict=True):
-            blocks.append(UpBlock(width, skip, channels, config.skip_fusion))
-            width = channels
+            blocks.append(UpBlock(in_channels, skip, channels, config.skip_fusion))
+            in_channels = channels
         self.blocks = nn.ModuleList(blocks)
 
     def forward(

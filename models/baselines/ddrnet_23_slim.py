@@ -11,7 +11,7 @@ from torch.nn import functional as F
 
 from models.baselines.residual import (
     Bottleneck,
-    PyramidPooling,
+    PoolingPyramid,
     basic_stage,
     conv_bn,
     normed,
@@ -20,7 +20,7 @@ from models.baselines.residual import (
 from models.blocks import ConvBNReLU, pad_to_multiple, upsample
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
-_WIDTH = 32
+_CHANNELS = 32
 _FINE = 64
 _CONTEXT = 128
 _HEAD = 64
@@ -39,23 +39,23 @@ class DDRNet23Slim(Network):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
-        w = _WIDTH
-        self.stem = nn.Sequential(ConvBNReLU(3, w, stride=2), ConvBNReLU(w, w, stride=2))
-        self.stage1 = basic_stage(w, w)
-        self.stage2 = basic_stage(w, 2 * w, stride=2)
-        self.coarse3 = basic_stage(2 * w, 4 * w, stride=2)
-        self.coarse4 = basic_stage(4 * w, 8 * w, stride=2)
-        self.coarse5 = Bottleneck(8 * w, 8 * w, stride=2)
-        self.fine3 = basic_stage(2 * w, _FINE)
+        c = _CHANNELS
+        self.stem = nn.Sequential(ConvBNReLU(3, c, stride=2), ConvBNReLU(c, c, stride=2))
+        self.stage1 = basic_stage(c, c)
+        self.stage2 = basic_stage(c, 2 * c, stride=2)
+        self.coarse3 = basic_stage(2 * c, 4 * c, stride=2)
+        self.coarse4 = basic_stage(4 * c, 8 * c, stride=2)
+        self.coarse5 = Bottleneck(8 * c, 8 * c, stride=2)
+        self.fine3 = basic_stage(2 * c, _FINE)
         self.fine4 = basic_stage(_FINE, _FINE)
         self.fine5 = Bottleneck(_FINE, _FINE)
-        self.up3 = conv_bn(4 * w, _FINE, kernel=1)
-        self.up4 = conv_bn(8 * w, _FINE, kernel=1)
-        self.down3 = conv_bn(_FINE, 4 * w, stride=2)
+        self.up3 = conv_bn(4 * c, _FINE, kernel=1)
+        self.up4 = conv_bn(8 * c, _FINE, kernel=1)
+        self.down3 = conv_bn(_FINE, 4 * c, stride=2)
         self.down4 = nn.Sequential(
-            ConvBNReLU(_FINE, 4 * w, stride=2), conv_bn(4 * w, 8 * w, stride=2)
+            ConvBNReLU(_FINE, 4 * c, stride=2), conv_bn(4 * c, 8 * c, stride=2)
         )
-        self.context = PyramidContext(16 * w, _CONTEXT, 2 * _FINE)
+        self.context = PyramidContext(16 * c, _CONTEXT, 2 * _FINE)
         self.refine = refinement(2 * _FINE, _HEAD)
         self.semantic_head = nn.Conv2d(_HEAD, config.num_classes, 1)
         self.apply(initialise)
@@ -76,7 +76,7 @@ class DDRNet23Slim(Network):
         return NetworkOutput(semantic_logits=self.semantic_head(self.refine(fused)))
 
 
-class PyramidContext(PyramidPooling):
+class PyramidContext(PoolingPyramid):
     """The paper's DAPPM: each mean is added to the next."""
 
     process: nn.ModuleList

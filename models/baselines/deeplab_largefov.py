@@ -28,18 +28,18 @@ class DeepLabLargeFOV(Network):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         layers: list[nn.Module] = []
-        width = 3
+        in_channels = 3
         for (channels, count), dilation, stride in zip(
             VGG16_BLOCKS, _DILATIONS, _POOL_STRIDES, strict=True
         ):
             layers += [
-                vgg_block(width, channels, count, dilation=dilation),
+                vgg_block(in_channels, channels, count, dilation=dilation),
                 nn.MaxPool2d(3, stride, padding=1),
             ]
-            width = channels
+            in_channels = channels
         self.backbone = nn.Sequential(*layers, nn.AvgPool2d(3, 1, padding=1))
         self.classify = nn.Sequential(
-            vgg_block(width, _WIDE, 1, dilation=_RATE),
+            vgg_block(in_channels, _WIDE, 1, dilation=_RATE),
             nn.Dropout(0.5),
             nn.Conv2d(_WIDE, _WIDE, 1, bias=False),
             nn.BatchNorm2d(_WIDE),

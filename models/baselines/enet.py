@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.baselines.max_places import max_places, max_unpool
+from models.baselines.max_unpooling import max_mask, max_unpool
 from models.blocks import extend_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
@@ -53,11 +53,11 @@ class ENet(Network):
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict at the padded image's size, see `Network.predict_coarse`."""
         x = self.initial(extend_to_multiple(self.normalise_rgb(rgb), self.stride))
-        x, places1 = self.down1(x)
-        x, places2 = self.down2(self.stage1(x))
+        x, mask1 = self.down1(x)
+        x, mask2 = self.down2(self.stage1(x))
         x = self.stage3(self.stage2(x))
-        x = self.stage4(self.up4(x, places2))
-        x = self.stage5(self.up5(x, places1))
+        x = self.stage4(self.up4(x, mask2))
+        x = self.stage5(self.up5(x, mask1))
         return NetworkOutput(semantic_logits=self.semantic_head(x))
 
 
@@ -134,7 +134,7 @@ class DownBottleneck(nn.Module):
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """(N, C, H, W) -> (N, C', H / 2, W / 2), and where the pooled values were."""
         pooled = F.pad(F.max_pool2d(x, 2), (0, 0, 0, 0, 0, self.more_channels))
-        return self.activation(pooled + self.layers(x)), max_places(x)
+        return self.activation(pooled + self.layers(x)), max_mask(x)
 
 
 class UpBottleneck(nn.Module):
@@ -156,9 +156,9 @@ class UpBottleneck(nn.Module):
             nn.Dropout2d(0.1),
         )
 
-    def forward(self, x: Tensor, places: Tensor) -> Tensor:
-        """(N, C, H, W) -> (N, C', 2 H, 2 W); places of the stage of C' channels."""
-        return F.relu(max_unpool(self.shortcut(x), places) + self.layers(x))
+    def forward(self, x: Tensor, mask: Tensor) -> Tensor:
+        """(N, C, H, W) -> (N, C', 2 H, 2 W); mask of the stage of C' channels."""
+        return F.relu(max_unpool(self.shortcut(x), mask) + self.layers(x))
 
 
 def _normed(channels: int, decodes: bool = False) -> list[nn.Module]:

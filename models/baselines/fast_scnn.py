@@ -30,14 +30,16 @@ class FastSCNN(Network):
             ConvBNReLU(3, 32, stride=2), _separable(32, 48, stride=2), _separable(48, 64, stride=2)
         )
         blocks: list[nn.Module] = []
-        width = 64
+        in_channels = 64
         for channels, stride, count in _STAGES:
             for index in range(count):
-                blocks.append(InvertedResidual(width, channels, stride=1 if index else stride))
-                width = channels
-        self.extract = nn.Sequential(*blocks, PyramidPooling(width))
-        self.refine = _depthwise(width, dilation=4)
-        self.project_coarse = nn.Sequential(nn.Conv2d(width, 128, 1), nn.BatchNorm2d(128))
+                blocks.append(
+                    InvertedResidual(in_channels, channels, stride=1 if index else stride)
+                )
+                in_channels = channels
+        self.extract = nn.Sequential(*blocks, PyramidPooling(in_channels))
+        self.refine = _depthwise(in_channels, dilation=4)
+        self.project_coarse = nn.Sequential(nn.Conv2d(in_channels, 128, 1), nn.BatchNorm2d(128))
         self.project_fine = nn.Sequential(nn.Conv2d(64, 128, 1), nn.BatchNorm2d(128))
         self.classify = nn.Sequential(_separable(128, 128), _separable(128, 128), nn.Dropout(0.1))
         self.semantic_head = nn.Conv2d(128, config.num_classes, 1)

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.baselines.max_places import max_places, windows
+from models.baselines.max_unpooling import max_mask, windows
 from models.blocks import pad_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput
 
-_WIDTH = 2
+_CHANNELS = 2
 #: Halvings; the layers between them are the same at every size.
 _LEVELS = 3
 #: Less confidence than this is none; more than any rounding in an empty window.
@@ -29,13 +29,13 @@ class NConv(Network):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
-        self.start = NormalisedConv(1, _WIDTH, kernel=5)
-        self.spread = NormalisedConv(_WIDTH, _WIDTH, kernel=5)
-        self.spread_on = NormalisedConv(_WIDTH, _WIDTH, kernel=5)
+        self.start = NormalisedConv(1, _CHANNELS, kernel=5)
+        self.spread = NormalisedConv(_CHANNELS, _CHANNELS, kernel=5)
+        self.spread_on = NormalisedConv(_CHANNELS, _CHANNELS, kernel=5)
         self.merge = nn.ModuleList(
-            NormalisedConv(2 * _WIDTH, _WIDTH, kernel=3) for _ in range(_LEVELS)
+            NormalisedConv(2 * _CHANNELS, _CHANNELS, kernel=3) for _ in range(_LEVELS)
         )
-        self.depth_head = NormalisedConv(_WIDTH, 1, kernel=1)
+        self.depth_head = NormalisedConv(_CHANNELS, 1, kernel=1)
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict at the padded image's size, see `Network.predict_coarse`."""
@@ -82,7 +82,7 @@ class NormalisedConv(nn.Module):
 
 def _pool(x: Tensor, confidence: Tensor) -> tuple[Tensor, Tensor]:
     """To half the size: the most confident value of each 2x2 window, for a quarter of the area."""
-    chosen = torch.where(max_places(confidence), windows(x), 0.0).sum(dim=2)
+    chosen = torch.where(max_mask(confidence), windows(x), 0.0).sum(dim=2)
     return chosen, F.max_pool2d(confidence, 2) / 4
 
 

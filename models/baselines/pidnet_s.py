@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from models.baselines.residual import (
     BasicBlock,
     Bottleneck,
-    PyramidPooling,
+    PoolingPyramid,
     basic_stage,
     conv_bn,
     normed,
@@ -21,7 +21,7 @@ from models.baselines.residual import (
 from models.blocks import pad_to_multiple, upsample
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
-_WIDTH = 32
+_CHANNELS = 32
 _CONTEXT = 96
 _HEAD = 128
 
@@ -39,32 +39,32 @@ class PIDNetS(Network):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
-        w = _WIDTH
+        c = _CHANNELS
         self.stem = nn.Sequential(
-            *(nn.Conv2d(3, w, 3, 2, 1), nn.BatchNorm2d(w), nn.ReLU(inplace=True)),
-            *(nn.Conv2d(w, w, 3, 2, 1), nn.BatchNorm2d(w), nn.ReLU(inplace=True)),
+            *(nn.Conv2d(3, c, 3, 2, 1), nn.BatchNorm2d(c), nn.ReLU(inplace=True)),
+            *(nn.Conv2d(c, c, 3, 2, 1), nn.BatchNorm2d(c), nn.ReLU(inplace=True)),
         )
-        self.stage1 = basic_stage(w, w)
-        self.stage2 = basic_stage(w, 2 * w, stride=2)
-        self.context3 = basic_stage(2 * w, 4 * w, count=3, stride=2)
-        self.context4 = basic_stage(4 * w, 8 * w, count=3, stride=2)
+        self.stage1 = basic_stage(c, c)
+        self.stage2 = basic_stage(c, 2 * c, stride=2)
+        self.context3 = basic_stage(2 * c, 4 * c, count=3, stride=2)
+        self.context4 = basic_stage(4 * c, 8 * c, count=3, stride=2)
         # Without a ReLU between, as the authors' code has it; their figures do not tell.
-        self.context5 = nn.Sequential(Bottleneck(8 * w, 8 * w, stride=2), Bottleneck(16 * w, 8 * w))
-        self.pyramid = ParallelPyramidContext(16 * w, _CONTEXT, 4 * w)
-        self.detail3 = basic_stage(2 * w, 2 * w)
-        self.detail4 = basic_stage(2 * w, 2 * w)
-        self.detail5 = Bottleneck(2 * w, 2 * w)
-        self.up3 = conv_bn(4 * w, 2 * w, kernel=1)
-        self.up4 = conv_bn(8 * w, 2 * w, kernel=1)
-        self.guide3 = AttentionGuide(2 * w, w)
-        self.guide4 = AttentionGuide(2 * w, w)
-        self.boundary3 = BasicBlock(2 * w, w)
-        self.boundary4 = Bottleneck(w, w)
-        self.boundary5 = Bottleneck(2 * w, 2 * w)
-        self.difference3 = conv_bn(4 * w, w)
-        self.difference4 = conv_bn(8 * w, 2 * w)
-        self.fuse = BoundaryGuide(4 * w)
-        self.refine = refinement(4 * w, _HEAD)
+        self.context5 = nn.Sequential(Bottleneck(8 * c, 8 * c, stride=2), Bottleneck(16 * c, 8 * c))
+        self.pyramid = ParallelPyramidContext(16 * c, _CONTEXT, 4 * c)
+        self.detail3 = basic_stage(2 * c, 2 * c)
+        self.detail4 = basic_stage(2 * c, 2 * c)
+        self.detail5 = Bottleneck(2 * c, 2 * c)
+        self.up3 = conv_bn(4 * c, 2 * c, kernel=1)
+        self.up4 = conv_bn(8 * c, 2 * c, kernel=1)
+        self.guide3 = AttentionGuide(2 * c, c)
+        self.guide4 = AttentionGuide(2 * c, c)
+        self.boundary3 = BasicBlock(2 * c, c)
+        self.boundary4 = Bottleneck(c, c)
+        self.boundary5 = Bottleneck(2 * c, 2 * c)
+        self.difference3 = conv_bn(4 * c, c)
+        self.difference4 = conv_bn(8 * c, 2 * c)
+        self.fuse = BoundaryGuide(4 * c)
+        self.refine = refinement(4 * c, _HEAD)
         self.semantic_head = nn.Conv2d(_HEAD, config.num_classes, 1)
         self.apply(initialise)
 
@@ -106,7 +106,7 @@ class AttentionGuide(nn.Module):
         return (1.0 - share) * detail + share * context
 
 
-class ParallelPyramidContext(PyramidPooling):
+class ParallelPyramidContext(PoolingPyramid):
     """The paper's PAPPM: all means are processed at once."""
 
     def __init__(self, in_channels: int, channels: int, out_channels: int) -> None:

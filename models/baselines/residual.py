@@ -40,7 +40,7 @@ class Bottleneck(nn.Module):
         return out
 
 
-class PyramidPooling(nn.Module):
+class PoolingPyramid(nn.Module):
     """Means over larger and larger windows, each brought to the features' size.
 
     The base of DDRNet's and PIDNet's context modules, which differ in how they ``process`` them.

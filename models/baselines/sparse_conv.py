@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
-_WIDTH = 16
+_CHANNELS = 16
 _KERNELS = (11, 7, 5, 3, 3)
 
 
@@ -22,12 +22,12 @@ class SparseConvNet(Network):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
-        width, layers = 1, []
+        in_channels, layers = 1, []
         for kernel in _KERNELS:
-            layers.append(SparseConv(width, _WIDTH, kernel=kernel))
-            width = _WIDTH
+            layers.append(SparseConv(in_channels, _CHANNELS, kernel=kernel))
+            in_channels = _CHANNELS
         self.layers = nn.ModuleList(layers)
-        self.depth_head = SparseConv(_WIDTH, 1, kernel=1)
+        self.depth_head = SparseConv(_CHANNELS, 1, kernel=1)
         self.apply(initialise)
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:

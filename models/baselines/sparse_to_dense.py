@@ -32,18 +32,20 @@ class SparseToDense(Network):
             nn.ReLU(inplace=True),
             nn.MaxPool2d(3, 2, padding=1),
         ]
-        width = _STAGES[0]
+        in_channels = _STAGES[0]
         for channels in _STAGES:
-            layers.append(ResidualBlock(width, channels, stride=1 if channels == width else 2))
+            layers.append(
+                ResidualBlock(in_channels, channels, stride=1 if channels == in_channels else 2)
+            )
             layers.append(ResidualBlock(channels, channels))
-            width = channels
+            in_channels = channels
         self.encoder = nn.Sequential(
-            *layers, nn.Conv2d(width, _DECODER[0], 1, bias=False), nn.BatchNorm2d(_DECODER[0])
+            *layers, nn.Conv2d(in_channels, _DECODER[0], 1, bias=False), nn.BatchNorm2d(_DECODER[0])
         )
         ups: list[nn.Module] = []
-        for width, channels in pairwise(_DECODER):
+        for in_channels, channels in pairwise(_DECODER):
             ups += [
-                nn.ConvTranspose2d(width, channels, 3, 2, 1, output_padding=1, bias=False),
+                nn.ConvTranspose2d(in_channels, channels, 3, 2, 1, output_padding=1, bias=False),
                 nn.BatchNorm2d(channels),
                 nn.ReLU(inplace=True),
             ]

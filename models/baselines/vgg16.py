@@ -19,10 +19,10 @@ class VGG16(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        blocks, width = [], 3
+        blocks, in_channels = [], 3
         for channels, count in VGG16_BLOCKS:
-            blocks.append(vgg_block(width, channels, count))
-            width = channels
+            blocks.append(vgg_block(in_channels, channels, count))
+            in_channels = channels
         self.blocks = nn.ModuleList(blocks)
 
     def forward(

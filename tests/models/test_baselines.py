@@ -9,7 +9,7 @@ from export.exporter import export_checkpoint
 from export.probe_frames import probe_frames
 from models import create_model, save_checkpoint
 from models.baselines import fcn8s
-from models.baselines.max_places import max_places, max_unpool
+from models.baselines.max_unpooling import max_mask, max_unpool
 from models.baselines.nconv import NormalisedConv
 from models.baselines.sparse_conv import SparseConv
 from models.blocks import adaptive_mean
@@ -125,13 +125,13 @@ def test_max_unpooling_is_that_of_pytorch():
     x[0, 0] = 0.0  # all equal: the first
     x[1, 1, :, ::2] = x[1, 1, :, 1::2]
     pooled, indices = F.max_pool2d(x, 2, return_indices=True)
-    assert torch.equal(max_unpool(pooled, max_places(x)), F.max_unpool2d(pooled, indices, 2))
+    assert torch.equal(max_unpool(pooled, max_mask(x)), F.max_unpool2d(pooled, indices, 2))
 
 
 def test_rounding_does_not_move_a_maximum():
     x = torch.ones(1, 1, 2, 2)
     x[0, 0, 1, 1] += 1e-6
-    assert max_places(x)[0, 0, :, 0, 0].tolist() == [True, False, False, False]
+    assert max_mask(x)[0, 0, :, 0, 0].tolist() == [True, False, False, False]
 
 
 def test_a_sparse_convolution_is_the_mean_of_what_was_measured():

@@ -17,7 +17,7 @@ def windows(x: Tensor) -> Tensor:
     return F.pixel_unshuffle(x, 2).view(batch, channels, 4, height // 2, width // 2)
 
 
-def max_places(x: Tensor) -> Tensor:
+def max_mask(x: Tensor) -> Tensor:
     """True at the first of the largest values of each window, once a window.
 
     (N, C, H, W) -> bool (N, C, 4, H / 2, W / 2), in the order of `windows`.
@@ -32,9 +32,9 @@ def max_places(x: Tensor) -> Tensor:
     return torch.stack(first, dim=2)
 
 
-def max_unpool(x: Tensor, places: Tensor) -> Tensor:
-    """Max-unpooling: each value goes back to its window's place, the rest is 0.
+def max_unpool(x: Tensor, mask: Tensor) -> Tensor:
+    """Max-unpooling: each value goes back to where it was in its window, the rest is 0.
 
-    x (N, C, h, w), places of `max_places` -> (N, C, 2 h, 2 w).
+    x (N, C, h, w), mask of `max_mask` -> (N, C, 2 h, 2 w).
     """
-    return F.pixel_shuffle(torch.where(places, x.unsqueeze(2), 0.0).flatten(1, 2), 2)
+    return F.pixel_shuffle(torch.where(mask, x.unsqueeze(2), 0.0).flatten(1, 2), 2)
