@@ -1,26 +1,34 @@
-"""Give a recording's frames to a predictor, and hold its answers against the recorded ones."""
+"""Predict the frames of a recording again, and compare the answers with the recorded ones."""
 
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from runtime.errors import InferenceError
+from runtime.errors import InferenceError, InputError
 from runtime.io.agreement import compare, within, worst
 from runtime.io.recording import RecordedFrame, Recording
+from runtime.prediction import Prediction
 from runtime.predictor import Predictor
+
+VERIFY_FORMAT, VERIFY_VERSION = "ssdnet-verify", "1.0"
 
 
 @dataclass(frozen=True)
 class FrameCheck:
-    """What became of one recorded frame.
+    """The comparison of one frame.
 
-    figures: head -> how far its answer is from the recorded one, see `runtime.io.agreement.compare`
-    failed: the heads whose answers are farther than their limits allow
-    faults: what else differs, in words; the figures of such a head are missing
-    predict_ms: time it took now; None = no answer
+    Attributes:
+        frame: as it was recorded.
+        figures: head -> how far its answer is from the recorded one, see
+            `runtime.io.agreement.compare`.
+        failed: heads that differ by more than their limits.
+        faults: other differences, in words; the figures of such a head are missing.
+        predict_ms: time of the prediction now; None = there was none.
     """
 
     frame: RecordedFrame
@@ -31,82 +39,189 @@ class FrameCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether the frame was answered as it was recorded."""
+        """Whether the answer is the recorded one."""
         return not self.failed and not self.faults
 
 
-def verify(
-    predictor: Predictor, recording: Recording, limits: Mapping[str, float]
-) -> Iterator[FrameCheck]:
-    """Predict each recorded frame, and yield how its answers compare with the recorded ones.
+@dataclass(frozen=True)
+class VerifyReport:
+    """The comparison of a whole recording.
 
-    limits: head -> limit of its first figure, for every head of the recording.
-    Each new size of frame is predicted once before it counts. Raises InputError for a recording
-    whose arrays are damaged.
+    Attributes:
+        recording: that was compared.
+        model: name of the model that answered now.
+        sha256: digest of its file.
+        provider: that it ran on.
+        limits: head -> limit of its first figure.
+        checks: of the frames, in order.
+        max_slowdown: limit of `slowdown`; None = times are not compared.
     """
-    warm = set()
-    for index, frame in enumerate(recording.frames):
-        arrays = recording.arrays(index)
-        rgb, sparse_depth = arrays.pop("rgb"), arrays.pop("sparse_depth")
-        try:
-            if rgb.shape not in warm:
-                predictor.predict(rgb, sparse_depth)
-                warm.add(rgb.shape)
-            prediction = predictor.predict(rgb, sparse_depth)
-        except InferenceError as error:
-            yield FrameCheck(frame, {}, faults=(str(error),))
-            continue
-        answers = prediction.heads
-        faults = []
-        if prediction.valid != frame.valid:
-            faults.append(f"valid is {prediction.valid}, recorded was {frame.valid}")
-        if frame.degraded is not None and prediction.degraded != frame.degraded:
-            faults.append(
-                f"degraded is {_named(prediction.degraded)}, recorded was {_named(frame.degraded)}"
-            )
-        if answers.keys() != recording.limits.keys():
-            faults.append(f"answered {_named(answers)}, recorded was {_named(recording.limits)}")
-        figures: dict[str, dict[str, float]] = {}
-        for head in [head for head in predictor.heads if head in arrays]:
-            answer, expected = answers[head], arrays[head]
-            if answer.shape != expected.shape or not _is_number(expected):
-                faults.append(
-                    f"{head} is {answer.dtype} {answer.shape}, recorded was {expected.dtype} "
-                    f"{expected.shape}"
-                )
-            else:
-                figures[head] = compare(head, answer, expected)
-        yield FrameCheck(
-            frame,
-            figures,
-            tuple(
-                h for h in recording.limits if h in figures and not within(h, figures[h], limits[h])
-            ),
-            tuple(faults),
-            prediction.latency.total_ms,
+
+    recording: Recording
+    model: str
+    sha256: str
+    provider: str
+    limits: Mapping[str, float]
+    checks: tuple[FrameCheck, ...]
+    max_slowdown: float | None = None
+
+    @property
+    def same_model(self) -> bool:
+        """Whether the model is the recorded one."""
+        return self.sha256 == self.recording.model_sha256
+
+    @property
+    def failed(self) -> list[FrameCheck]:
+        """Frames whose answers differ."""
+        return [check for check in self.checks if not check.passed]
+
+    @cached_property
+    def slowdown(self) -> float | None:
+        """The median time now over the recorded one; None where no times were recorded."""
+        pairs = [
+            (check.predict_ms, check.frame.predict_ms)
+            for check in self.checks
+            if check.predict_ms is not None and check.frame.predict_ms is not None
+        ]
+        if not pairs:
+            return None
+        now_ms, recorded_ms = zip(*pairs, strict=True)
+        return float(statistics.median(now_ms) / max(statistics.median(recorded_ms), 1e-9))
+
+    @property
+    def slow(self) -> bool:
+        """Whether predictions take more than `max_slowdown` times what was recorded."""
+        if self.slowdown is None or self.max_slowdown is None:
+            return False
+        return self.slowdown > self.max_slowdown
+
+    @property
+    def passed(self) -> bool:
+        """Whether all answers are the recorded ones, in the time that was asked for."""
+        return not self.slow and not self.failed
+
+    def worst(self, head: str) -> dict[str, float] | None:
+        """The worst of each figure of a head over all frames; None if no frame has any."""
+        figures = [check.figures[head] for check in self.checks if head in check.figures]
+        return worst(head, figures) if figures else None
+
+    def document(self) -> dict[str, Any]:
+        """Return the content of --json, see VERIFY_VERSION."""
+        return {
+            "format": VERIFY_FORMAT,
+            "version": VERIFY_VERSION,
+            "passed": self.passed,
+            "recording": str(self.recording.folder),
+            "made_by": self.recording.settings.made_by,
+            "recorded_on": self.recording.settings.provider,
+            "provider": self.provider,
+            "model": self.model,
+            "sha256": self.sha256,
+            "same_model": self.same_model,
+            "limits": self.limits,
+            "slowdown": self.slowdown,
+            "max_slowdown": self.max_slowdown,
+            "frames": [{**asdict(check), "passed": check.passed} for check in self.checks],
+        }
+
+
+def verify(
+    predictor: Predictor,
+    recording: Recording,
+    *,
+    tolerances: Mapping[str, float],
+    max_slowdown: float | None = None,
+) -> VerifyReport:
+    """Predict each recorded frame, and compare the answers with the recorded ones.
+
+    Each new size of frame is predicted once before it is timed.
+
+    Args:
+        predictor: answers the frames.
+        recording: frames and answers.
+        tolerances: head -> limit of its first figure, in place of the recording's.
+        max_slowdown: limit of the median time over the recorded one; None = not compared.
+
+    Raises:
+        InputError: if the arrays of the recording are damaged, if it lacks a head of `tolerances`,
+            or times for `max_slowdown`.
+    """
+    if unknown := sorted(tolerances.keys() - recording.limits.keys()):
+        raise InputError(
+            f"--tolerance names {', '.join(unknown)}, the recording holds "
+            f"{', '.join(recording.limits)}"
         )
+    limits = {**recording.limits, **tolerances}
+    warm: set[tuple[int, ...]] = set()
+    checks = tuple(
+        _check_frame(predictor, frame, recording.arrays(index), limits, warm)
+        for index, frame in enumerate(recording.frames)
+    )
+    report = VerifyReport(
+        recording,
+        predictor.contract.model_name,
+        predictor.digest,
+        predictor.provider,
+        limits,
+        checks,
+        max_slowdown,
+    )
+    if max_slowdown is not None and report.slowdown is None:
+        raise InputError(
+            "--max-slowdown needs times, and this recording has none: record with ssdnet-run"
+        )
+    return report
 
 
-def slowdown(checks: Sequence[FrameCheck]) -> float | None:
-    """Return the median time now over the recorded one; None where no times were recorded."""
-    pairs = [
-        (check.predict_ms, check.frame.predict_ms)
-        for check in checks
-        if check.predict_ms is not None and check.frame.predict_ms is not None
-    ]
-    if not pairs:
-        return None
-    now_ms, recorded_ms = zip(*pairs, strict=True)
-    return float(statistics.median(now_ms) / max(statistics.median(recorded_ms), 1e-9))
+def _check_frame(
+    predictor: Predictor,
+    frame: RecordedFrame,
+    arrays: dict[str, NDArray[Any]],
+    limits: Mapping[str, float],
+    warm: set[tuple[int, ...]],
+) -> FrameCheck:
+    """Predict a frame again. warm: shapes of pictures that were predicted before."""
+    rgb, sparse_depth = arrays.pop("rgb"), arrays.pop("sparse_depth")
+    try:
+        if rgb.shape not in warm:
+            predictor.predict(rgb, sparse_depth)
+            warm.add(rgb.shape)
+        prediction = predictor.predict(rgb, sparse_depth)
+    except InferenceError as error:
+        return FrameCheck(frame, {}, faults=(str(error),))
+    faults = _other_flags(prediction, frame)
+    if prediction.heads.keys() != limits.keys():
+        faults.append(f"answered {_named(prediction.heads)}, recorded was {_named(limits)}")
+    figures: dict[str, dict[str, float]] = {}
+    for head, expected in arrays.items():
+        answer = prediction.heads.get(head)
+        if answer is None:
+            continue
+        if answer.shape != expected.shape or not _is_number(expected):
+            faults.append(
+                f"{head} is {answer.dtype} {answer.shape}, recorded was {expected.dtype} "
+                f"{expected.shape}"
+            )
+        else:
+            figures[head] = compare(head, answer, expected)
+    failed = tuple(
+        head for head in limits if head in figures and not within(head, figures[head], limits[head])
+    )
+    return FrameCheck(frame, figures, failed, tuple(faults), prediction.latency.total_ms)
 
 
-def worst_figures(checks: Sequence[FrameCheck], head: str) -> dict[str, float] | None:
-    """Return the worst of each figure of a head over all frames; None if no frame has any."""
-    figures = [check.figures[head] for check in checks if head in check.figures]
-    return worst(head, figures) if figures else None
+def _other_flags(prediction: Prediction, frame: RecordedFrame) -> list[str]:
+    faults = []
+    if prediction.valid != frame.valid:
+        faults.append(f"valid is {prediction.valid}, recorded was {frame.valid}")
+    if frame.degraded is not None and prediction.degraded != frame.degraded:
+        faults.append(
+            f"degraded is {_named(prediction.degraded)}, recorded was {_named(frame.degraded)}"
+        )
+    return faults
 
 
-def _named(names: Any) -> str:
+def _named(names: Iterable[str]) -> str:
     return ", ".join(names) or "nothing"
 
 

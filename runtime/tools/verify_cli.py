@@ -3,19 +3,16 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from runtime.command import ERROR, Provider, reported_errors, say
-from runtime.errors import InputError
-from runtime.io.recording import Recording, read_recording
+from runtime.io.recording import read_recording
 from runtime.predictor import Predictor
-from runtime.tools.verify import FrameCheck, slowdown, verify, worst_figures
+from runtime.tools.verify import FrameCheck, VerifyReport, verify
 
-VERIFY_FORMAT, VERIFY_VERSION = "ssdnet-verify", "1.0"
 DIFFERS = 4  # exit code
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -26,7 +23,7 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions
     epilog="Exit codes: 0 the same answers; 1 error; 2 usage; 4 a frame's answers differ by more "
     "than their limit, or --max-slowdown was exceeded.",
 )
-def run(
+def main(
     recording_dir: Annotated[
         Path,
         typer.Argument(
@@ -66,17 +63,11 @@ def run(
     ] = False,
 ) -> None:
     """Predict a recording's frames again, and compare every answer with the recorded one."""
-    asked = _tolerances(tolerance or [])
+    tolerances = _tolerances(tolerance or [])
     if max_slowdown is not None and not 0 < max_slowdown < math.inf:
         raise typer.BadParameter(f"--max-slowdown must be more than 0, got {max_slowdown}")
     with reported_errors("cpu"):
         recording = read_recording(recording_dir)
-        if unknown := sorted(asked.keys() - recording.limits.keys()):
-            raise InputError(
-                f"--tolerance names {', '.join(unknown)}, the recording holds "
-                f"{', '.join(recording.limits)}"
-            )
-        limits = {**recording.limits, **asked}
         with Predictor(
             recording.model if model is None else model,
             sha256=recording.model_sha256 if model is None else None,
@@ -86,33 +77,10 @@ def run(
             threads=threads,
             warmup=0,
         ) as predictor:
-            checks = list(verify(predictor, recording, limits))
-        factor = slowdown(checks)
-        if max_slowdown is not None and factor is None:
-            raise InputError(
-                "--max-slowdown needs times, and this recording has none: record with ssdnet-run"
-            )
-        slow = max_slowdown is not None and factor is not None and factor > max_slowdown
-        document = {
-            "format": VERIFY_FORMAT,
-            "version": VERIFY_VERSION,
-            "passed": not slow and all(check.passed for check in checks),
-            "recording": str(recording_dir),
-            "made_by": recording.settings.made_by,
-            "recorded_on": recording.settings.provider,
-            "provider": provider.value,
-            "model": predictor.contract.model_name,
-            "sha256": predictor.digest,
-            "same_model": predictor.digest == recording.model_sha256,
-            "limits": limits,
-            "slowdown": factor,
-            "max_slowdown": max_slowdown,
-            "frames": [{**asdict(check), "passed": check.passed} for check in checks],
-        }
-        text = _json(document) if as_json else _table(document, recording, checks)
-        if not say(text):
+            report = verify(predictor, recording, tolerances=tolerances, max_slowdown=max_slowdown)
+        if not say(_json(report.document()) if as_json else _table(report)):
             raise typer.Exit(ERROR)
-        raise typer.Exit(0 if document["passed"] else DIFFERS)
+        raise typer.Exit(0 if report.passed else DIFFERS)
 
 
 def _tolerances(texts: Sequence[str]) -> dict[str, float]:
@@ -136,36 +104,37 @@ def _json(document: dict[str, Any]) -> str:
     return json.dumps(document, indent=2, allow_nan=False)
 
 
-def _table(document: Mapping[str, Any], recording: Recording, checks: Sequence[FrameCheck]) -> str:
-    """A line a head with the worst of all frames, then a line for each thing that differs."""
-    same = "the recorded one" if document["same_model"] else "NOT the recorded one"
+def _table(report: VerifyReport) -> str:
+    """A line a head with the worst of all frames, then a line for each difference."""
+    settings, checks = report.recording.settings, report.checks
+    same = "the recorded one" if report.same_model else "NOT the recorded one"
     lines = [
-        f"{len(checks)} frames of {document['made_by']} on {document['recorded_on']}, now on "
-        f"{document['provider']}",
-        f"{document['model']} sha256:{document['sha256'][:12]}, {same}",
+        f"{len(checks)} frames of {settings.made_by} on {settings.provider}, now on "
+        f"{report.provider}",
+        f"{report.model} sha256:{report.sha256[:12]}, {same}",
         "",
         f"{'head':18}{'figure':14}{'worst':>12}{'limit':>12}",
     ]
-    for head, limit in document["limits"].items():
-        figures = worst_figures(checks, head)
+    for head, limit in report.limits.items():
+        figures = report.worst(head)
         name, value = next(iter(figures.items())) if figures else ("", None)
         shown = "n/a" if value is None else f"{value:.6g}"
         lines.append(f"{head:18}{name:14}{shown:>12}{limit:>12.6g}")
-    factor, most = document["slowdown"], document["max_slowdown"]
-    if factor is not None:
-        asked = "not asked" if most is None else f"{most:g}"
-        lines.append(f"{'time':18}{'x recorded':14}{factor:>12.3f}  {asked:>10}")
+    if report.slowdown is not None:
+        limit_text = "no limit" if report.max_slowdown is None else f"{report.max_slowdown:g}"
+        lines.append(f"{'time':18}{'x recorded':14}{report.slowdown:>12.3f}{limit_text:>12}")
     lines.append("")
-    failed = [check for check in checks if not check.passed]
-    lines += [line for check in failed for line in _differences(check, document["limits"])]
-    slow = factor is not None and most is not None and factor > most
+    lines += [line for check in report.failed for line in _differences(check, report.limits)]
     lines.append(
-        "the same answers"
-        if not failed
-        else f"{len(failed)} of {len(checks)} frames differ from the recording"
+        f"{len(report.failed)} of {len(checks)} frames differ from the recording"
+        if report.failed
+        else "the same answers"
     )
-    if slow:
-        lines.append(f"predictions take {factor:.3f} times what was recorded, at most {most:g}")
+    if report.slow:
+        lines.append(
+            f"predictions take {report.slowdown:.3f} times what was recorded, at most "
+            f"{report.max_slowdown:g}"
+        )
     return "\n".join(lines)
 
 
