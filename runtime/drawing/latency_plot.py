@@ -6,11 +6,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.drawing.axis import Axis, frame_ticks
+
 _HEIGHT, _WIDTH = 320, 960
 _LEFT, _RIGHT, _TOP, _BOTTOM = 60, 16, 30, 40  # margins in pixels
 _FONT, _FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
 _INK, _GRID, _LINE, _LATE = (40, 40, 40), (225, 225, 225), (180, 110, 30), (40, 40, 220)
-_TICKS = 5
+_FRAME_TICKS = 10  # at most
 
 
 def draw_latency(
@@ -22,21 +24,23 @@ def draw_latency(
     Returns uint8 (H, W, 3), blue first.
     """
     picture = np.full((_HEIGHT, _WIDTH, 3), 255, dtype=np.uint8)
-    top_ms = _round_up(max(*latencies_ms.values(), deadline_ms or 0.0, 1e-3))
+    times_ms = sorted(latencies_ms.values())
+    median_ms = times_ms[len(times_ms) // 2]
+    axis = Axis(times_ms[0], median_ms, max(times_ms[-1], 1e-3), deadline_ms)
     last = max(*latencies_ms, 1)
 
     def x_of(frame: float) -> int:
         return round(_LEFT + frame / last * (_WIDTH - _LEFT - _RIGHT))
 
     def y_of(latency_ms: float) -> int:
-        return round(_HEIGHT - _BOTTOM - latency_ms / top_ms * (_HEIGHT - _TOP - _BOTTOM))
+        return round(_HEIGHT - _BOTTOM - axis.place(latency_ms) * (_HEIGHT - _TOP - _BOTTOM))
 
-    for tick in range(_TICKS + 1):
-        value_ms, frame = top_ms * tick / _TICKS, round(last * tick / _TICKS)
+    for value_ms in axis.ticks:
         cv2.line(picture, (_LEFT, y_of(value_ms)), (_WIDTH - _RIGHT, y_of(value_ms)), _GRID)
         _text(picture, f"{value_ms:g}", (8, y_of(value_ms) + 5))
+    for frame in frame_ticks(last, _FRAME_TICKS):
         _text(picture, str(frame), (x_of(frame) - 10, _HEIGHT - _BOTTOM + 18))
-    _text(picture, "prediction [ms]", (8, 18))
+    _text(picture, f"prediction [{axis.unit}]", (8, 18))
     _text(picture, "frame", (_WIDTH // 2, _HEIGHT - 6))
 
     points = [(x_of(frame), y_of(time_ms)) for frame, time_ms in latencies_ms.items()]
@@ -49,12 +53,6 @@ def draw_latency(
         cv2.line(picture, (_LEFT, y), (_WIDTH - _RIGHT, y), _LATE)
         _text(picture, f"deadline {deadline_ms:g} ms", (_WIDTH - 170, y - 5), _LATE)
     return picture
-
-
-def _round_up(value: float) -> float:
-    """The next of 1, 2, 5, 10, 20, 50 … at or above `value`."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return next(float(power * step) for step in (1, 2, 5, 10) if power * step >= value)
 
 
 def _text(

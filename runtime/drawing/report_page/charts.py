@@ -1,9 +1,9 @@
 """Charts of a page as inline SVG; their colours are the page's (page.css)."""
 
-import math
 from collections.abc import Sequence
 from html import escape
 
+from runtime.drawing.axis import Axis, frame_ticks
 from runtime.drawing.report_page.timeline import Span
 from runtime.sync.latency import LatencyStatistics
 
@@ -11,28 +11,7 @@ LATE, SKIPPED, INVALID = "late", "skipped", "invalid"
 _DROPS = (SKIPPED, INVALID)  # frames without an answer that can be used
 _LEFT, _RIGHT, _TOP, _BOTTOM = 48, 14, 22, 34  # pixels
 _SPAN_WIDTH, _POINT_WIDTH = 2, 7  # pixels at least, for a span and for a point of its own
-_LOG_FROM = 12.0  # largest value over the median, beyond which the axis is logarithmic
 _STRIP = 1000  # units across a strip without words, which the page stretches
-
-
-class _Axis:
-    """Values [ms] to 0..1, linear from 0, or logarithmic where a few values are far off."""
-
-    def __init__(self, lowest: float, median: float, highest: float) -> None:
-        self.logarithmic = highest > _LOG_FROM * median and lowest > 0
-        if self.logarithmic:
-            self._low, self._high = _step_below(lowest), _step_above(highest)
-            self.ticks = _steps_between(self._low, self._high)
-        else:
-            step = _step_above(highest / 5)
-            self._low, self._high = 0.0, step * max(math.ceil(highest / step - 1e-9), 1)
-            self.ticks = [step * tick for tick in range(round(self._high / step) + 1)]
-
-    def place(self, value: float) -> float:
-        """0 at the lower end, 1 at the upper one."""
-        if self.logarithmic:
-            return math.log(max(value, self._low) / self._low) / math.log(self._high / self._low)
-        return (value - self._low) / (self._high - self._low)
 
 
 def latency_chart(
@@ -47,11 +26,11 @@ def latency_chart(
     if not answered:
         return ""
     means = sorted(span.mean_ms for span in answered)
-    limits = [deadline_ms] if deadline_ms is not None else []
-    axis = _Axis(
-        min([span.low_ms for span in answered] + limits),
+    axis = Axis(
+        min(span.low_ms for span in answered),
         means[len(means) // 2],
-        max([span.high_ms for span in answered] + limits),
+        max(span.high_ms for span in answered),
+        deadline_ms,
     )
     last = max(spans[-1].last, 1)
     inner, bottom = width - _LEFT - _RIGHT, height - _BOTTOM
@@ -72,9 +51,8 @@ def latency_chart(
             f'y2="{y(tick):.1f}"/><text x="{_LEFT - 8}" y="{y(tick) + 4:.1f}" '
             f'text-anchor="end">{tick:g}</text>'
         )
-    unit = "ms, logarithmic" if axis.logarithmic else "ms"
-    parts.append(f'<text x="{_LEFT - 8}" y="12" text-anchor="start" dx="-40">{unit}</text>')
-    for frame in _frame_ticks(last, inner // 90):
+    parts.append(f'<text x="{_LEFT - 8}" y="12" text-anchor="start" dx="-40">{axis.unit}</text>')
+    for frame in frame_ticks(last, inner // 90):
         anchor = "end" if frame == last and frame else "middle"
         parts.append(
             f'<text x="{x(frame):.1f}" y="{bottom + 18}" text-anchor="{anchor}">{frame}</text>'
@@ -194,27 +172,3 @@ def _unbroken(spans: Sequence[Span]) -> list[list[Span]]:
         elif runs[-1]:
             runs.append([])
     return [run for run in runs if run]
-
-
-def _frame_ticks(last: int, at_most: int) -> list[int]:
-    step = max(round(_step_above(last / max(at_most, 1))), 1)
-    return list(range(0, last + 1, step))
-
-
-def _step_above(value: float) -> float:
-    """The next of 1, 2, 5, 10, 20, 50 … at or above `value`, which is above 0."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return next(power * step for step in (1, 2, 5, 10) if power * step >= value * (1 - 1e-9))
-
-
-def _step_below(value: float) -> float:
-    """The next of 1, 2, 5, 10, 20, 50 … at or below `value`, which is above 0."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return next(power * step for step in (5, 2, 1) if power * step <= value * (1 + 1e-9))
-
-
-def _steps_between(low: float, high: float) -> list[float]:
-    ticks = [low]
-    while ticks[-1] < high * (1 - 1e-9):
-        ticks.append(_step_above(ticks[-1] * 1.01))
-    return ticks
