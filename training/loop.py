@@ -141,7 +141,14 @@ def _train(
         network, multi_avg_fn=exponential_average(recipe.loop.ema_decay), use_buffers=True
     )
     averaged: Network = average.module  # type: ignore[assignment]
-    step = _resume(out / LAST, resolved, network, average, optimizer, scaler, criterion)
+    # What a resumed run goes on with, beside the network and the step.
+    parts: dict[str, Any] = {
+        "optimizer": optimizer,
+        "average": average,
+        "criterion": criterion,
+        "scaler": scaler,
+    }
+    step = _resume(out / LAST, resolved, network, parts)
     if len(set(processes.gather(step))) > 1:
         raise InputError(
             f"{out}: the processes do not find the same checkpoint in it. Give an --out that all "
@@ -152,18 +159,7 @@ def _train(
     shared = share_gradients(network, processes)
     forward: Forward = torch.compile(shared) if recipe.loop.compile else shared
 
-    steps, batch, parts = recipe.schedule.steps, recipe.data.batch_size, recipe.loop.accumulate
-    per_step = parts * batch * processes.count
-    mixture = open_mixture(recipe.data, sources, length=steps * per_step, model=recipe.model)
-    loader = DataLoader(
-        mixture,
-        batch_size=batch,
-        sampler=processes.shares(step * per_step, steps * per_step, batch),
-        num_workers=recipe.data.workers,
-        prefetch_factor=3 if recipe.data.workers else None,
-        pin_memory=device.type == "cuda",
-        worker_init_fn=_start_worker,
-    )
+    loader = _open_loader(recipe, sources, processes, step)
     training_info = {
         "data": [item.name for item in recipe.data.source],
         "terms": recipe.terms,
@@ -173,15 +169,9 @@ def _train(
 
     def save_last() -> None:
         if processes.is_first:
-            trainer = {
-                "step": step,
-                "optimizer": optimizer.state_dict(),
-                "average": average.state_dict(),
-                "criterion": criterion.state_dict(),
-                "scaler": scaler.state_dict(),
-            }
+            states = {name: part.state_dict() for name, part in parts.items()}
             info = {**training_info, "step": step}
-            save_checkpoint(out / LAST, network, training=info, trainer=trainer)
+            save_checkpoint(out / LAST, network, training=info, trainer={"step": step, **states})
 
     def save_averaged(path: Path) -> None:
         share = recipe.loop.logit_adjustment
@@ -193,6 +183,7 @@ def _train(
         )
 
     scores = ScoreTable(out / SCORES, step) if processes.is_first else None
+    steps = recipe.schedule.steps
     last_step = steps if stop_after is None else min(steps, stop_after)
     with (
         _Board(out / TENSORBOARD if processes.is_first else None, step) as board,
@@ -213,14 +204,15 @@ def _train(
             optimizer.zero_grad(set_to_none=True)
             sums: dict[str, Tensor] = {}
             names: list[str] = []
-            for _ in range(parts):
+            for _ in range(recipe.loop.accumulate):
                 samples = _next_batch(batches)
                 names += samples["name"]
                 terms = _compute_loss(forward, criterion, samples, recipe.loop, device)
                 require_finite(terms, terms["total"], step, names, out, processes)
-                scaler.scale(terms["total"] / parts).backward()  # type: ignore[no-untyped-call]
+                share = terms["total"] / recipe.loop.accumulate
+                scaler.scale(share).backward()  # type: ignore[no-untyped-call]
                 for name, term in terms.items():
-                    sums[name] = sums.get(name, 0.0) + term.detach() / parts
+                    sums[name] = sums.get(name, 0.0) + term.detach() / recipe.loop.accumulate
             scaler.unscale_(optimizer)
             norm = torch.nn.utils.get_total_norm(
                 [p.grad for p in network.parameters() if p.grad is not None]
@@ -263,6 +255,23 @@ def _train(
         save_averaged(out / FINAL)
     processes.wait()  # whoever reads the file next finds it
     return out / (FINAL if step == steps else LAST)  # stopped early: nothing to ship yet
+
+
+def _open_loader(
+    recipe: Recipe, sources: Sequence[SampleSource], processes: Processes, step: int
+) -> DataLoader[dict[str, Any]]:
+    """Batches of this process from a step on, to the end of the training."""
+    steps, batch = recipe.schedule.steps, recipe.data.batch_size
+    per_step = recipe.loop.accumulate * batch * processes.count
+    return DataLoader(
+        open_mixture(recipe.data, sources, length=steps * per_step, model=recipe.model),
+        batch_size=batch,
+        sampler=processes.shares(step * per_step, steps * per_step, batch),
+        num_workers=recipe.data.workers,
+        prefetch_factor=3 if recipe.data.workers else None,
+        pin_memory=processes.device.type == "cuda",
+        worker_init_fn=_start_worker,
+    )
 
 
 class _Board:
@@ -397,10 +406,7 @@ def _resume(
     path: Path,
     resolved: Mapping[str, Any],
     network: Network,
-    average: AveragedModel,
-    optimizer: torch.optim.Optimizer,
-    scaler: torch.amp.GradScaler,
-    criterion: SSDNetLoss,
+    parts: Mapping[str, Any],
 ) -> int:
     """Load the loop's state if there is one; return the step to go on from."""
     if not path.is_file():
@@ -409,10 +415,8 @@ def _resume(
     require_same(checkpoint.training, resolved, path)
     network.load_state_dict(checkpoint.model.state_dict())
     try:
-        average.load_state_dict(checkpoint.trainer["average"])
-        optimizer.load_state_dict(checkpoint.trainer["optimizer"])
-        scaler.load_state_dict(checkpoint.trainer["scaler"])
-        criterion.load_state_dict(checkpoint.trainer["criterion"])
+        for name, part in parts.items():
+            part.load_state_dict(checkpoint.trainer[name])
         return int(checkpoint.trainer["step"])
     except (KeyError, ValueError) as error:
         raise CheckpointError(
