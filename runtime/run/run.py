@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 from runtime.command import stop_asked
 from runtime.drawing.overlay import SharedOverlay
@@ -18,8 +18,9 @@ from runtime.run.outputs.frame_writer import FrameWriter
 from runtime.run.outputs.mcap import open_mcap
 from runtime.run.outputs.output import Output, require_free, require_package
 from runtime.run.outputs.rerun_log import open_rerun
+from runtime.run.outputs.run_recording import open_recording
 from runtime.run.outputs.video import open_video
-from runtime.run.pipeline import FrameRecord, WriteFrame, run_stream
+from runtime.run.pipeline import FrameRecord, StreamResult, WriteFrame, run_stream
 from runtime.run.process import dedicate_process
 from runtime.run.report_files import describe_predictor, write_report
 from runtime.run.run_folder import CLOUD, SAVED_HEADS, SUFFIXES
@@ -60,52 +61,43 @@ def run(
     with options.open_source() as source:
         _require_apart(options.out, source.folders)
         frames = options.shard_of(source.list_frames(limit=options.limit))
-        focal_px = options.focal_length_px(source)
-        with _open_predictor(options, focal_px) as predictor:
-            kinds = _answered_kinds(options, predictor, focal_px)
+        with _open_predictor(options, source) as predictor:
+            kinds = _answered_kinds(options, predictor)
             frame_size = _warm_up(predictor, frames, source, runs=options.warmup)
             _require_outputs(options, source)
             about = "\n".join([*source.notes, describe_predictor(predictor, frame_size)])
             with stop_asked() as stop, _open_page(options, predictor) as page:
-                with (
-                    _open_recording(options, predictor, focal_px) as recording,
-                    _open_outputs(options, predictor, kinds, frames, focal_px) as outputs,
-                ):
+                with _open_outputs(options, predictor, kinds, frames, page) as outputs:
                     result = run_stream(
                         predictor,
                         frames,
                         read=source.read,
                         rate_hz=options.rate,
-                        write=_write_to([*outputs, page]),
-                        record=_write_to([recording]),
+                        write=outputs.write,
+                        record=outputs.record,
                         on_record=on_start(about, len(frames)),
                         stop=stop,
                     )
-                inputs = _describe_inputs(options, source, focal_px)
-                report = RunReport(
-                    engine_facts(predictor), inputs, options.out, kinds, result, options.deadline_ms
-                )
+                report = _report(options, source, predictor, kinds, result)
                 write_report(report)
                 if page is not None:
                     page.finish(report)
             return report
 
 
-def _open_predictor(options: RunOptions, focal_px: float | None) -> Predictor:
+def _open_predictor(options: RunOptions, source: Source) -> Predictor:
     return Predictor(
         options.model,
         sha256=options.sha256,
         provider=options.provider,
         size=options.network_size,
-        focal_length_px=focal_px,
+        focal_length_px=options.focal_length_px(source),
         threads=options.threads,
         warmup=0,
     )
 
 
-def _answered_kinds(
-    options: RunOptions, predictor: Predictor, focal_px: float | None
-) -> tuple[str, ...]:
+def _answered_kinds(options: RunOptions, predictor: Predictor) -> tuple[str, ...]:
     """The kinds of files that the model answers. Raises InputError if one was asked for by name."""
     heads = {**{kind: head for kind, (head, _) in SAVED_HEADS.items()}, CLOUD: "depth"}
     missing = [
@@ -116,7 +108,7 @@ def _answered_kinds(
             f"--save asks for {', '.join(missing)}, the model {predictor.contract.model_name} "
             f"answers {', '.join(predictor.heads)}: leave it out, or choose another --model"
         )
-    if CLOUD in options.kinds and focal_px is None:
+    if CLOUD in options.kinds and predictor.focal_length_px is None:
         raise InputError(
             "--save cloud needs to know the camera: give --calibration, or --focal-length"
         )
@@ -168,15 +160,11 @@ def _open_page(
     return open_page(options.report, predictor.contract)
 
 
-def _open_recording(
-    options: RunOptions, predictor: Predictor, focal_px: float | None
-) -> AbstractContextManager[Output | None]:
-    if options.record is None:
-        return contextlib.nullcontext()
-    from runtime.run.outputs.run_recording import open_recording
+class _Outputs(NamedTuple):
+    """What `run_stream` calls with each answer; None = there is no such output."""
 
-    settings = Settings("ssdnet-run", options.network_size, focal_px, options.provider)
-    return open_recording(options.record, settings, predictor, overwrite=options.overwrite)
+    write: WriteFrame | None
+    record: WriteFrame | None
 
 
 @contextlib.contextmanager
@@ -185,50 +173,70 @@ def _open_outputs(
     predictor: Predictor,
     kinds: tuple[str, ...],
     frames: Sequence[ListedFrame],
-    focal_px: float | None,
-) -> Iterator[list[Output]]:
-    """Make the folder of the run, and open the outputs that take valid answers."""
-    contract = predictor.contract
+    page: Output | None,
+) -> Iterator[_Outputs]:
+    """Make the folder of the run, and open all outputs but the page, which is open."""
+    contract, focal_px = predictor.contract, predictor.focal_length_px
     overlay = SharedOverlay(contract.classes, contract.max_depth_m)
-    frame_files = FrameWriter(
-        options.out,
-        contract,
-        kinds=kinds,
-        names=[listed.name for listed in frames],
-        overwrite=options.overwrite,
-        focal_length_px=focal_px,
-        overlay=overlay,
-    )
-    opened: list[AbstractContextManager[Output]] = []
-    if options.video is not None:
-        opened.append(open_video(options.video, overlay, rate_hz=options.rate))
-    if options.mcap is not None:
-        opened.append(open_mcap(options.mcap, contract, overlay, rate_hz=options.rate))
-    if options.rerun is not None:
-        opened.append(open_rerun(options.rerun, contract, focal_length_px=focal_px))
-    with frame_files as files, contextlib.ExitStack() as stack:
-        outputs = [stack.enter_context(output) for output in opened]
-        yield [files, *outputs] if kinds else outputs
+    with contextlib.ExitStack() as opened:
+        recordings: list[Output] = []
+        if options.record is not None:
+            settings = Settings("ssdnet-run", options.network_size, focal_px, options.provider)
+            recording = open_recording(
+                options.record, settings, predictor, overwrite=options.overwrite
+            )
+            recordings.append(opened.enter_context(recording))
+        frame_files = FrameWriter(
+            options.out,
+            contract,
+            kinds=kinds,
+            names=[listed.name for listed in frames],
+            overwrite=options.overwrite,
+            focal_length_px=focal_px,
+            overlay=overlay,
+        )
+        files = opened.enter_context(frame_files)  # without kinds they are but the folder
+        outputs: list[Output] = [files] if kinds else []
+        if options.video is not None:
+            video = open_video(options.video, overlay, rate_hz=options.rate)
+            outputs.append(opened.enter_context(video))
+        if options.mcap is not None:
+            mcap = open_mcap(options.mcap, contract, overlay, rate_hz=options.rate)
+            outputs.append(opened.enter_context(mcap))
+        if options.rerun is not None:
+            logger = open_rerun(options.rerun, contract, focal_length_px=focal_px)
+            outputs.append(opened.enter_context(logger))
+        if page is not None:
+            outputs.append(page)
+        yield _Outputs(_write_to(outputs), _write_to(recordings))
 
 
-def _write_to(outputs: Sequence[Output | None]) -> WriteFrame | None:
+def _write_to(outputs: Sequence[Output]) -> WriteFrame | None:
     """Return what writes an answer to all outputs, in their order; None where there is none."""
-    opened = [output for output in outputs if output is not None]
-    if not opened:
+    if not outputs:
         return None
 
     def write(frame: Frame, prediction: Prediction) -> None:
-        for output in opened:
+        for output in outputs:
             output.write(frame, prediction)
 
     return write
 
 
-def _describe_inputs(options: RunOptions, source: Source, focal_px: float | None) -> dict[str, Any]:
-    return {
+def _report(
+    options: RunOptions,
+    source: Source,
+    predictor: Predictor,
+    kinds: tuple[str, ...],
+    result: StreamResult,
+) -> RunReport:
+    inputs = {
         "source": options.source_name,
         **source.inputs,
-        "focal_length_px": focal_px,
+        "focal_length_px": predictor.focal_length_px,
         "shard": options.shard,
         "warmup": options.warmup,
     }
+    return RunReport(
+        engine_facts(predictor), inputs, options.out, kinds, result, options.deadline_ms
+    )
