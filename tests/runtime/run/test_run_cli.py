@@ -377,9 +377,9 @@ def test_only_the_first_few_frames_are_read_to_warm_up(tmp_path, run, stream, mo
     read = []
     read_pair = runtime.sources.folders.read_pair
 
-    def count(listed, **options):
-        read.append(listed)
-        return read_pair(listed, **options)
+    def count(*given):
+        read.append(given)
+        return read_pair(*given)
 
     def start(*given, **options):
         raise OutputError(f"{len(read)} were read")
