@@ -13,7 +13,7 @@ from runtime.prediction import Prediction
 from runtime.sync.synchronizer import Pair
 
 
-class AnswersFrames(Protocol):
+class FramePredictor(Protocol):
     """What a stream needs of a `Predictor`."""
 
     focal_length_px: float | None
@@ -44,7 +44,7 @@ class Answerer:
     """
 
     def __init__(
-        self, predictor: AnswersFrames, calibration: Calibration | None, consistency: float | None
+        self, predictor: FramePredictor, calibration: Calibration | None, consistency: float | None
     ) -> None:
         self._predictor, self._calibration = predictor, calibration
         self._health = FrameHealth()

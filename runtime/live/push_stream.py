@@ -1,25 +1,31 @@
-"""A stream that is pushed into: images and depth maps in from any thread, answers out.
+"""A stream that sensors push into: images and depth maps in from any thread, results out.
 
-One worker thread predicts. All state is guarded by one lock. Who waits for an answer waits for
-`_answered`, so that he is not woken in vain beside a prediction; all others wait for `_changed`,
-which is notified at each other change. What always holds:
+One worker thread predicts. One lock guards all state. Threads that wait for a result wait on
+`_answered`, to avoid spurious wake-ups; all others wait on `_changed`, which is notified at every
+other change. Invariants:
 
-1. A message that was accepted is in one place: with the synchronizer, in `_ready`, with the worker
-   (`_take` to `_answer`), or its outcome is counted. Whoever moves it holds the lock.
-2. The lock is not held while predicting, copying or calling a callback: so who pushes into a live
-   stream waits for a few comparisons at most, and a callback may call anything here.
-3. Live, `_ready` and `_results` hold one item at most and the synchronizer `_WAITING` a sensor;
-   replayed, a push waits while there are as many as that.
-4. In a replay a push waits for room alone. The worker makes room as long as there is something to
-   decide or to predict and room for its answer; where all waits for a message that who pushes is
-   kept from pushing, the worker decides the oldest one `max_wait_ms` after anything last
-   moved.
-5. `closed` never becomes False again. Once it is True nothing is accepted, nobody waits for room,
-   and the worker ends after what was accepted, which is bounded by 3.
+1. An accepted message is in exactly one place: with the synchronizer, in `_ready`, with the worker
+   (`_step` to `_answer`), or counted with its outcome. It is moved only with the lock held.
+2. The lock is not held while predicting, copying or calling a callback. So a push into a live
+   stream waits for a few comparisons at most, and a callback may call any method.
+3. Live, `_ready` and `_results` hold at most one item and the synchronizer `_WAITING` messages of a
+   sensor. In a replay a push waits while there are that many.
+4. A replay matches by stamps, never by the clock. A push waits for room alone, and the worker makes
+   room as long as something can be decided or predicted and there is room for its result. Where a
+   sensor is full because nothing at all was pushed for `_SILENT_NS`, the other sensor counts as
+   absent until its next message: the waiting push decides the oldest message with what is there.
+5. `_closed` never becomes False again. Once it is True no message is accepted, no push waits, and
+   the worker decides what waits, answers what was accepted, which is bounded by 3, and ends.
+6. `close` may run in the middle of any other method in the same thread, as a signal handler does:
+   where that method holds the lock, `close` only sets `_closed` and returns.
+7. The worker references the stream only while it works, so that a dropped stream is collected. That
+   ends the worker, as does the interpreter's exit, which must not happen during a prediction.
 """
 
+import contextlib
 import threading
-from collections import Counter, deque
+import weakref
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from types import TracebackType
@@ -30,7 +36,7 @@ from numpy.typing import NDArray
 
 from runtime.errors import InferenceError, InputError, SSDNetError
 from runtime.io.calibration import Calibration
-from runtime.live.answerer import Answer, Answerer, AnswersFrames
+from runtime.live.answerer import Answer, Answerer, FramePredictor
 from runtime.live.clock import MonotonicClock
 from runtime.live.frame_result import FrameResult
 from runtime.live.message_counter import MessageCounter, StreamCounts
@@ -43,11 +49,12 @@ from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, NS_PER_MS, Stamp, stamp_ns
 from runtime.sync.synchronizer import Decided, Message, Pair, Synchronizer
 
 LIVE, REPLAY = "live", "replay"
-_WAITING = 16  # messages a sensor that wait for their partner
-_READY = 2  # replay: pairs that wait for their turn
-_RESULTS = 8  # replay: answers that wait to be fetched
+_WAITING = 16  # messages of a sensor that wait for their partner
+_READY = 2  # replay: pairs that wait for their prediction
+_RESULTS = 8  # replay: results that wait to be fetched
+_SILENT_NS = 2_000 * NS_PER_MS  # replay: without any push, until the other sensor counts as absent
+_EXIT_S = 10.0  # the interpreter's exit waits so long for a prediction
 _LONGEST_MS = 1e9
-_END = object()
 
 
 class PushStream:
@@ -80,7 +87,8 @@ class PushStream:
             and LiDAR are still calibrated and in sync (0.05, for example); every 10th frame then
             takes a second prediction. None = no check.
         on_result: called with each `FrameResult` in the stream's thread, instead of iterating.
-        on_error: called there with each InputError or InferenceError of a frame.
+        on_error: called there with each InputError or InferenceError of a frame, and with an
+            unexpected error, which ends the stream.
         on_state: called there with each new `state`.
         watchdog: limits for `state`.
         sensor_clock: returns the present time of the clock that the stamps are of, for
@@ -97,7 +105,7 @@ class PushStream:
 
     def __init__(
         self,
-        predictor: AnswersFrames,
+        predictor: FramePredictor,
         *,
         mode: str = LIVE,
         deadline_ms: float | None = None,
@@ -106,7 +114,7 @@ class PushStream:
         calibration: Calibration | None = None,
         consistency: float | None = None,
         on_result: Callable[[FrameResult], object] | None = None,
-        on_error: Callable[[SSDNetError], object] | None = None,
+        on_error: Callable[[Exception], object] | None = None,
         on_state: Callable[[WatchdogState], object] | None = None,
         watchdog: WatchdogLimits | None = None,
         sensor_clock: Callable[[], Stamp] | None = None,
@@ -114,11 +122,16 @@ class PushStream:
     ) -> None:
         if mode not in (LIVE, REPLAY):
             raise InputError(f'mode must be "{LIVE}" or "{REPLAY}", got {mode!r:.40}')
+        _check_type("calibration", calibration, Calibration)
+        _check_type("watchdog", watchdog, WatchdogLimits)
+        _check_type("on_result", on_result, Callable)
+        _check_type("on_error", on_error, Callable)
+        _check_type("on_state", on_state, Callable)
+        _check_type("sensor_clock", sensor_clock, Callable)
         self.mode = mode
         self.deadline_ms = (
             None if deadline_ms is None else _check_ms("deadline_ms", deadline_ms, least=1e-6)
         )
-        self._max_wait_ns = round(_check_ms("max_wait_ms", max_wait_ms) * NS_PER_MS)
         self._calibration = calibration
         self._answerer = Answerer(predictor, calibration, consistency)  # the worker's alone
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
@@ -131,42 +144,70 @@ class PushStream:
         self._synchronizer = Synchronizer(
             live=self._live,
             max_skew_ns=round(_check_ms("max_skew_ms", max_skew_ms) * NS_PER_MS),
-            max_wait_ns=self._max_wait_ns,
+            max_wait_ns=round(_check_ms("max_wait_ms", max_wait_ms) * NS_PER_MS),
             capacity=_WAITING,
         )
         self._counter = MessageCounter()
         self._recorder = StatisticsRecorder(self.deadline_ms)
         self._watchdog = Watchdog(watchdog or WatchdogLimits(), live=self._live)
-        self._told = self._watchdog.state(0)  # the last state that on_state was told
+        self._reported_state = self._watchdog.state(0)
         self._ready: deque[Pair] = deque()
         self._results: deque[FrameResult] = deque()
-        self._held: Counter[Sensor] = Counter()  # pushes that wait for the synchronizer's room
         self._moved_ns = self._clock.now_ns()  # the last push, or pair taken
+        self._alone: Sensor | None = None  # replay: goes on without the other sensor
         self._answers = 0
-        self._closed = self._ended = False
+        self._closed = self._ended = self._failure_raised = False
         self._failure: BaseException | None = None
-        self._worker = threading.Thread(target=self._work, name="ssdnet-stream", daemon=True)
+        reference = weakref.ref(self)
+        self._worker = threading.Thread(
+            target=_work,
+            args=(reference, self._changed, self._clock),
+            name="ssdnet-stream",
+            daemon=True,
+        )
         self._worker.start()
+        weakref.finalize(self, _end_worker, reference, self._changed, self._worker)
 
     # --- what sensors call ---------------------------------------------------------------------
 
     def push_image(self, rgb: NDArray[np.uint8], stamp: Stamp) -> None:
-        """Push a picture, uint8 (H, W, 3), red first, taken at `stamp`; it is copied.
+        """Push an image; it is copied. After `close()` it is counted and ignored.
 
-        stamp: seconds as a float or nanoseconds as an int, of whatever clock, the depth maps' too
-        After `close()` it is counted and nothing else.
-        Raises InputError for an array or a stamp that cannot be one; that is counted, too.
+        Args:
+            rgb: uint8 (H, W, 3), RGB.
+            stamp: seconds as a float or nanoseconds as an int, of any clock that the depth maps'
+                stamps are of, too.
+
+        Raises:
+            InputError: if the array or the stamp is not valid; that is counted, too.
+            InferenceError: if the stream was ended by an unexpected error.
         """
         self._push(Sensor.IMAGE, check_rgb, rgb, stamp)
 
     def push_depth(self, sparse_depth: NDArray[np.float32], stamp: Stamp) -> None:
-        """Push a sparse depth map, float32 (H, W) [m], of the picture's size; as `push_image`."""
+        """Push a sparse depth map, as `push_image`.
+
+        Args:
+            sparse_depth: float32 (H, W) of the image's size, metres along the optical axis, 0 = no
+                return.
+            stamp: as of `push_image`.
+
+        Raises:
+            InputError: as `push_image`.
+            InferenceError: as `push_image`.
+        """
         self._push(Sensor.DEPTH, check_depth, sparse_depth, stamp)
 
     def push_points(self, points: NDArray[np.float32], stamp: Stamp) -> None:
-        """Push a scan, float32 (N, 3) or wider: x, y, z [m] in the LiDAR's frame; as `push_depth`.
+        """Push a LiDAR scan, as `push_depth`.
 
-        Raises InputError also for a stream without `calibration`.
+        Args:
+            points: float32 (N, 3) or wider: x, y, z in metres in the LiDAR's frame.
+            stamp: as of `push_image`.
+
+        Raises:
+            InputError: as `push_image`, and if the stream has no `calibration`.
+            InferenceError: as `push_image`.
         """
         check = partial(check_points, calibration=self._calibration)
         self._push(Sensor.DEPTH, check, points, stamp)
@@ -176,7 +217,7 @@ class PushStream:
         try:
             nanoseconds = stamp_ns(stamp)
             outcome = Outcome.BAD_MESSAGE
-            data = check(data).copy()  # drivers fill their buffers again
+            data = check(data).copy()  # drivers reuse their buffers
         except InputError:
             with self._changed:
                 self._counter.push(sensor)
@@ -192,8 +233,15 @@ class PushStream:
                     raise
             if self._closed:
                 self._counter.record(sensor, Outcome.CLOSED)
+                if self._failure is not None:
+                    raise InferenceError(
+                        f"the stream was ended by {self._failure!r:.200}: close it and make a new "
+                        "one"
+                    ) from self._failure
                 return
             now_ns = self._moved_ns = self._clock.now_ns()
+            if sensor is not self._alone:
+                self._alone = None
             self._watchdog.start(now_ns)
             jumps = self._synchronizer.jumps_back
             message = Message(stamp, nanoseconds, now_ns, data)
@@ -203,24 +251,28 @@ class PushStream:
             self._changed.notify_all()
 
     def _wait_for_room(self, sensor: Sensor) -> None:
-        if threading.current_thread() is self._worker:  # a callback: nobody else would make room
+        if threading.current_thread() is self._worker:  # a callback: no other thread makes room
             return
         while not self._closed:
             full = self._synchronizer.full(sensor)
             if not full and len(self._ready) < _READY:
                 return
-            self._held[sensor] += full
-            self._changed.notify_all()
-            try:
-                self._clock.wait(self._changed, None)
-            finally:
-                self._held[sensor] -= full
+            wait_ns = None
+            if full and not self._ready:
+                now_ns = self._clock.now_ns()
+                wait_ns = self._moved_ns + _SILENT_NS - now_ns
+                if wait_ns <= 0 or self._alone is sensor:
+                    self._alone, self._moved_ns = sensor, now_ns
+                    self._queue(self._synchronizer.release_oldest(sensor, now_ns))
+                    self._changed.notify_all()
+                    continue
+            self._clock.wait(self._changed, wait_ns)
 
     # --- what the stack calls ------------------------------------------------------------------
 
     @property
     def counts(self) -> StreamCounts:
-        """What became of everything that was pushed so far."""
+        """The outcomes of all messages so far."""
         with self._changed:
             return self._counter.counts(
                 out_of_order=self._synchronizer.out_of_order,
@@ -235,23 +287,26 @@ class PushStream:
 
     @property
     def state(self) -> WatchdogState:
-        """How the stream is doing at this moment, also where a prediction never comes back."""
+        """The stream's present state, also while a prediction hangs."""
         with self._changed:
             return self._watchdog.state(self._clock.now_ns())
 
     def close(self) -> None:
-        """Accept nothing more, answer what was accepted, and end.
+        """Accept no more messages, answer the accepted ones, and end.
 
-        What waits for a partner is decided with what is there. Returns when the worker has ended,
-        but for the answers that nobody has fetched yet; at once where `on_result` calls it. May be
-        called again and from any thread. Raises what `on_result` or `on_error` raised, once.
+        Messages that wait for a partner are decided with what is there. Returns when the worker has
+        ended; results that were not fetched yet stay. Returns at once, and the stream ends by
+        itself, where a callback of the stream calls it, or a signal handler that interrupted
+        another method of the stream. May be called again, and from any thread.
+
+        Raises:
+            Exception: what a callback raised, or any other unexpected error of the worker; once.
         """
+        inside = self._lock_is_held()
         with self._changed:
-            if not self._closed:
-                self._closed = True
-                self._queue(self._synchronizer.flush())
-                self._changed.notify_all()
-        if threading.current_thread() is not self._worker:
+            self._closed = True
+            self._changed.notify_all()
+        if not inside and threading.current_thread() is not self._worker:
             self._worker.join()
             self._raise_failure()
 
@@ -272,11 +327,11 @@ class PushStream:
 
     def __iter__(self) -> "PushStream":
         if self._on_result is not None:
-            raise InputError("answers go to on_result: iterate over a stream without it")
+            raise InputError("results go to on_result: iterate over a stream without it")
         return self
 
     def __next__(self) -> FrameResult:
-        """Wait for the next answer. StopIteration after the last one of a closed stream."""
+        """Wait for the next result. StopIteration after the last one of a closed stream."""
         with self._changed:
             while not self._results and not self._ended:
                 self._clock.wait(self._answered, None)
@@ -289,61 +344,59 @@ class PushStream:
 
     def _raise_failure(self) -> None:
         with self._changed:
-            failure, self._failure = self._failure, None
-        if failure is not None:
-            raise failure
+            raised, self._failure_raised = self._failure_raised, True
+        if self._failure is not None and not raised:
+            raise self._failure
+
+    def _lock_is_held(self) -> bool:
+        """Whether this thread holds the lock: a signal handler interrupted a method."""
+        try:
+            self._changed.notify(0)
+        except RuntimeError:
+            return False
+        return True
 
     # --- the worker ----------------------------------------------------------------------------
 
-    def _work(self) -> None:
-        try:
-            while (pair := self._take()) is not _END:
-                if pair is not None:
-                    self._answer(pair)
-                self._tell_state()
-        except BaseException as failure:  # a callback's: handed on to who closes or iterates
-            with self._changed:
-                self._failure = failure
-                self._closed = True
-                self._queue(self._synchronizer.flush())
-                while self._ready:
-                    self._record_outcome(self._ready.popleft(), Outcome.CLOSED)
-        finally:
-            with self._changed:
-                self._ended = True
-                self._changed.notify_all()  # after a failure: who waits for room
-                self._answered.notify_all()
-
-    def _take(self) -> Any:
-        """Wait for the next pair; None = the state has changed; _END = closed and all done."""
+    def _step(self) -> bool:
+        """Answer the next pair, if there is one, and report the state; False = the end."""
         with self._changed:
-            while True:
-                now_ns = self._clock.now_ns()
-                if not self._closed:
-                    self._queue(self._synchronizer.advance(now_ns))
-                room = self._live or self._closed or len(self._results) < _RESULTS
-                if self._ready and room:
-                    self._moved_ns = now_ns
-                    self._changed.notify_all()
-                    return self._ready.popleft()
-                if self._closed and not self._ready:
-                    return _END
-                if self._watchdog.state(now_ns) != self._told and self._on_state is not None:
-                    return None
-                due_ns = _earliest(self._synchronizer.due_ns(), self._watchdog.due_ns(now_ns))
-                held = [sensor for sensor in Sensor if self._held[sensor]]
-                if held and not self._ready:
-                    release_ns = self._moved_ns + self._max_wait_ns
-                    due_ns = _earliest(due_ns, release_ns)
-                    if now_ns >= release_ns:
-                        self._moved_ns = now_ns
-                        self._queue(self._synchronizer.release_oldest(held[0], now_ns))
-                        self._changed.notify_all()
-                        continue
-                self._clock.wait(self._changed, None if due_ns is None else due_ns - now_ns)
+            now_ns = self._clock.now_ns()
+            if self._closed:
+                self._queue(self._synchronizer.flush())
+            else:
+                self._queue(self._synchronizer.advance(now_ns))
+            pair = None
+            if self._has_work():
+                pair = self._ready.popleft()
+                self._moved_ns = now_ns
+                self._changed.notify_all()
+            elif self._closed:
+                self._end()
+                return False
+        if pair is not None:
+            self._answer(pair)
+        if self._on_state is not None and (state := self.state) != self._reported_state:
+            self._reported_state = state
+            self._on_state(state)
+        return True
+
+    def _idle_ns(self) -> int | None:
+        """How long there will be no work without a change; None = for ever. With the lock held."""
+        now_ns = self._clock.now_ns()
+        if self._closed or self._has_work():
+            return 0
+        if self._on_state is not None and self._watchdog.state(now_ns) != self._reported_state:
+            return 0
+        due_ns = [self._synchronizer.due_ns(), self._watchdog.due_ns(now_ns)]
+        return min((each - now_ns for each in due_ns if each is not None), default=None)
+
+    def _has_work(self) -> bool:
+        room = self._live or self._closed or len(self._results) < _RESULTS
+        return room and bool(self._ready)
 
     def _answer(self, pair: Pair) -> None:
-        """Predict, settle what the pair has become, and tell."""
+        """Predict, count the pair's outcome, and hand the result over."""
         started_ns = self._clock.now_ns()
         try:
             answer = self._answerer.answer(pair)
@@ -364,7 +417,13 @@ class PushStream:
             raise
         with self._changed:
             self._answers += 1
-            self._record(pair, result, now_ns)
+            self._recorder.record(result, transit_ns=now_ns - pair.image.stamp_ns)
+            self._watchdog.answered(
+                now_ns,
+                late=result.deadline_met is False,
+                degraded=bool(result.prediction.degraded or result.health),
+                valid=result.prediction.valid,
+            )
             self._record_outcome(pair, Outcome.ANSWERED)
             if self._on_result is None:
                 if self._live and self._results:
@@ -374,14 +433,6 @@ class PushStream:
                 self._answered.notify_all()
         if self._on_result is not None:
             self._on_result(result)
-
-    def _tell_state(self) -> None:
-        if self._on_state is None:
-            return
-        state = self.state
-        if state != self._told:
-            self._told = state
-            self._on_state(state)
 
     def _result(self, pair: Pair, answer: Answer, started_ns: int, now_ns: int) -> FrameResult:
         image, depth = pair
@@ -405,6 +456,16 @@ class PushStream:
             deadline_met=None if self.deadline_ms is None else latency_ms <= self.deadline_ms,
         )
 
+    def _fail(self, failure: BaseException) -> None:
+        """End the stream after an error that is no frame's."""
+        with self._changed:
+            self._failure = failure
+            self._end()
+            self._discard_all()
+        if self._on_error is not None and isinstance(failure, Exception):
+            with contextlib.suppress(Exception):  # on_error itself may be what failed
+                self._on_error(failure)
+
     # --- with the lock held --------------------------------------------------------------------
 
     def _queue(self, decided: Decided) -> None:
@@ -422,32 +483,56 @@ class PushStream:
     def _record_outcome(self, pair: Pair, outcome: Outcome) -> None:
         self._counter.record_frame(outcome, with_depth=pair.depth is not None)
 
-    def _record(self, pair: Pair, result: FrameResult, now_ns: int) -> None:
-        latency = result.prediction.latency
-        figures_ms = {
-            "preprocess": latency.preprocess_ms,
-            "inference": latency.inference_ms,
-            "postprocess": latency.postprocess_ms,
-            "predict": latency.total_ms,
-            "latency": result.latency_ms,
-            "age": result.age_ms,
-            "skew": None if result.skew_ms is None else abs(result.skew_ms),
-        }
-        self._recorder.record(
-            figures_ms,
-            transit_ns=now_ns - pair.image.stamp_ns,
-            deadline_met=result.deadline_met,
-        )
-        self._watchdog.answered(
-            now_ns,
-            late=result.deadline_met is False,
-            degraded=bool(result.prediction.degraded or result.health),
-            valid=result.prediction.valid,
-        )
+    def _discard_all(self) -> None:
+        self._closed = True
+        self._queue(self._synchronizer.flush())
+        while self._ready:
+            self._record_outcome(self._ready.popleft(), Outcome.CLOSED)
+
+    def _end(self) -> None:
+        self._closed = self._ended = True
+        self._changed.notify_all()
+        self._answered.notify_all()
 
 
-def _earliest(*times_ns: int | None) -> int | None:
-    return min((time_ns for time_ns in times_ns if time_ns is not None), default=None)
+def _work(
+    reference: "weakref.ref[PushStream]", changed: threading.Condition, clock: MonotonicClock
+) -> None:
+    """Run the worker of a stream until the stream ends or is collected."""
+    while True:
+        stream = reference()
+        try:
+            if stream is None or not stream._step():
+                return
+            with changed:
+                idle_ns = stream._idle_ns()
+                stream = None  # so that it can be collected meanwhile, or is at this line
+                if idle_ns != 0 and reference() is not None:
+                    clock.wait(changed, idle_ns)
+        except BaseException as failure:
+            if stream := stream or reference():
+                stream._fail(failure)
+            return
+
+
+def _end_worker(
+    reference: "weakref.ref[PushStream]", changed: threading.Condition, worker: threading.Thread
+) -> None:
+    """Called when a stream was collected, or at exit, where its prediction must end before."""
+    with changed:
+        stream = reference()
+        if stream is not None:
+            stream._discard_all()
+        changed.notify_all()
+    if stream is not None:
+        worker.join(_EXIT_S)
+
+
+def _check_type(name: str, value: Any, kind: Any) -> None:
+    if value is not None and not isinstance(value, kind):
+        raise InputError(
+            f"{name} must be a {kind.__name__} or None, got {type(value).__name__} {value!r:.40}"
+        )
 
 
 def _check_ms(name: str, value: Any, *, least: float = 0.0) -> float:

@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from runtime.live.frame_result import FrameResult
 from runtime.sync.histogram import DurationHistogram
 from runtime.sync.latency import (
     Jitter,
@@ -67,20 +68,27 @@ class StatisticsRecorder:
         self._misses = MissCounter()
         self._jitter = Jitter()
 
-    def record(
-        self, figures_ms: dict[str, float | None], *, transit_ns: int, deadline_met: bool | None
-    ) -> None:
+    def record(self, result: FrameResult, *, transit_ns: int) -> None:
         """Take the figures of one answer in.
 
-        figures_ms: name -> ms, None = there is none
         transit_ns: time of the answer - stamp of the image, each by its own clock
         """
-        jitter_ms = self._jitter.record(transit_ns)
-        for name, value_ms in {**figures_ms, "jitter": jitter_ms}.items():
+        latency = result.prediction.latency
+        figures_ms = {
+            "preprocess": latency.preprocess_ms,
+            "inference": latency.inference_ms,
+            "postprocess": latency.postprocess_ms,
+            "predict": latency.total_ms,
+            "latency": result.latency_ms,
+            "age": result.age_ms,
+            "skew": None if result.skew_ms is None else abs(result.skew_ms),
+            "jitter": self._jitter.record(transit_ns),
+        }
+        for name, value_ms in figures_ms.items():
             if value_ms is not None:
                 self._histograms[name].record(value_ms)
-        if deadline_met is not None:
-            self._misses.record(late=not deadline_met)
+        if result.deadline_met is not None:
+            self._misses.record(late=not result.deadline_met)
 
     def reset_jitter(self) -> None:
         """The stamps jumped: the next answer has no jitter."""

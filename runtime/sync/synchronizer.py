@@ -122,10 +122,11 @@ class Synchronizer:
     def release_oldest(self, sensor: Sensor, now_ns: int) -> Decided:
         """Decide the oldest message of `sensor` with what is there."""
         decided = Decided()
-        if sensor is Sensor.IMAGE:
-            self._decide_image(decided, self._images[0])
-        else:
-            self._discard_depth(decided, self._depths[0], Outcome.NO_IMAGE)
+        for oldest in self._sensors[sensor].messages[:1]:
+            if sensor is Sensor.IMAGE:
+                self._decide_image(decided, oldest)
+            else:
+                self._discard_depth(decided, oldest, Outcome.NO_IMAGE)
         self._decide(decided, now_ns)
         return decided
 

@@ -14,6 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from runtime.errors import InferenceError, InputError
 from runtime.io.calibration import Calibration
+from runtime.live.clock import MonotonicClock
 from runtime.live.push_stream import PushStream
 from runtime.predictor import Predictor
 
@@ -206,30 +207,74 @@ def test_depth_without_an_image_is_dropped_and_counted(setup):
     assert counts.pending == 0
 
 
-def test_a_replay_without_depth_goes_on_after_max_wait(setup):
-    made = setup(mode="replay", max_wait_ms=50)
-    stop = threading.Event()
+def test_a_replay_waits_for_the_other_sensor_however_long_max_wait_is(setup):
+    """Pairs follow from the stamps, not from the threads' turns."""
+    made = setup(mode="replay", max_wait_ms=5)
+    pushed = threading.Event()
 
-    def push_all():
+    def push_images():
         for number in range(40):
             made.stream.push_image(image(number), number / 10)
-        stop.set()
-        made.stream.close()
+        pushed.set()
 
-    pusher = threading.Thread(target=push_all)
-    pusher.start()
+    camera = threading.Thread(target=push_images)
+    camera.start()
+    assert made.clock.holds_up(camera, made.stream._changed, ended=pushed.is_set)
+    made.clock.advance_ms(1000)
+    assert made.stream.counts.images.answered == 0
+    lidar = threading.Thread(
+        target=lambda: [made.stream.push_depth(depth(n), n / 10) for n in range(40)]
+    )
+    lidar.start()
+    closer = threading.Thread(target=lambda: (camera.join(), lidar.join(), made.stream.close()))
+    closer.start()
+    assert [(r.image_stamp, r.depth_stamp) for r in made.stream] == [
+        (number / 10, number / 10) for number in range(40)
+    ]
+    closer.join(60)
 
-    def pass_time():
-        while not stop.is_set():
-            made.clock.advance_ms(10)
 
-    timer = threading.Thread(target=pass_time)
-    timer.start()
-    results = list(made.stream)
-    pusher.join()
-    timer.join()
+@pytest.mark.parametrize("max_wait_ms", [0, 50])
+def test_a_replay_of_one_sensor_alone_pauses_once_and_goes_on(setup, max_wait_ms):
+    made = setup(mode="replay", max_wait_ms=max_wait_ms)
+    pushed = threading.Event()
+
+    def push_images():
+        for number in range(40):
+            made.stream.push_image(image(number), number / 10)
+        pushed.set()
+        made.clock.tell()
+
+    camera = threading.Thread(target=push_images)
+    camera.start()
+    assert made.clock.holds_up(camera, made.stream._changed, ended=pushed.is_set)
+    assert made.stream.counts.images.pushed == 17
+    made.clock.advance_ms(2000)
+    results = [next(made.stream) for _ in range(24)]
+    camera.join(60)
+    made.stream.close()
+    results += made.stream
     assert [result.image_stamp for result in results] == [number / 10 for number in range(40)]
     assert add_up(made.stream.counts).camera_only == 40
+
+
+def test_a_replay_of_depth_alone_is_unmatched_to_the_last(setup):
+    made = setup(mode="replay", max_wait_ms=0)
+    pushed = threading.Event()
+
+    def push_depths():
+        for number in range(17):
+            made.stream.push_depth(depth(number), number / 10)
+        pushed.set()
+        made.clock.tell()
+
+    lidar = threading.Thread(target=push_depths)
+    lidar.start()
+    made.clock.holds_up(lidar, made.stream._changed, ended=pushed.is_set)
+    made.clock.advance_ms(2000)
+    lidar.join(60)
+    made.stream.close()
+    assert add_up(made.stream.counts).unmatched == {"no_image": 17}
 
 
 def test_latency_age_and_deadline(setup):
@@ -312,7 +357,8 @@ def test_frames_that_do_not_fit_and_a_failing_session_are_errors_and_the_stream_
 @pytest.mark.parametrize("options", [
     {"mode": "fast"}, {"mode": None}, {"deadline_ms": 0}, {"deadline_ms": "1"},
     {"deadline_ms": True}, {"max_skew_ms": -1}, {"max_skew_ms": float("nan")},
-    {"max_wait_ms": float("inf")},
+    {"max_wait_ms": float("inf")}, {"calibration": 5}, {"watchdog": 5}, {"on_result": 5},
+    {"on_error": "print"}, {"on_state": 0}, {"sensor_clock": 1.5}, {"consistency": "x"},
 ])  # fmt: skip
 def test_options_out_of_range(setup, options):
     with pytest.raises(InputError, match=next(iter(options))):
@@ -369,7 +415,7 @@ def test_close_lets_go_who_waits_for_room_and_who_waits_for_answers(setup):
     assert counts.images.answered == len(results) >= 1
 
 
-def test_ctrl_c_in_a_push_that_waits_loses_no_message_and_holds_nobody_up(setup):
+def test_ctrl_c_in_a_push_that_waits_loses_no_message(setup):
     made = setup(mode="replay")
     made.predictor.gate.clear()
     wait, here = made.clock.wait, threading.get_ident()
@@ -392,7 +438,6 @@ def test_ctrl_c_in_a_push_that_waits_loses_no_message_and_holds_nobody_up(setup)
     counts = add_up(made.stream.counts)
     assert (counts.pending, counts.dropped) == (0, {"interrupted": 1})
     assert counts.images.answered == len(list(made.stream)) >= 1
-    assert not any(made.stream._held.values())
 
 
 def test_a_replay_that_nobody_reads_holds_a_bounded_number_of_answers_and_can_be_closed(setup):
@@ -429,13 +474,60 @@ def test_on_result_is_called_in_order_and_may_close_the_stream(setup):
         iter(made.stream)
 
 
-def test_an_error_of_the_callback_ends_the_stream_and_comes_out_at_close(setup):
-    def fail(result):
-        raise ZeroDivisionError
+@pytest.mark.parametrize("mode", ["live", "replay"])
+def test_an_unexpected_error_ends_the_stream_and_reaches_on_error_the_pushes_and_close(setup, mode):
+    reported, heard = [], threading.Event()
 
-    made = setup(mode="replay", on_result=fail)
-    for number in range(30):
-        push_pair(made.stream, number)  # must not wait for ever
+    def hear(error):
+        reported.append(error)
+        heard.set()
+
+    made = setup(mode=mode, on_error=hear)
+    failure = made.predictor.fail_with = ZeroDivisionError("a bug")
+    push_pair(made.stream, 0)
+    assert heard.wait(60)
+    for _ in range(2):
+        with pytest.raises(InferenceError, match=r"a bug.*make a new one") as raised:
+            made.stream.push_image(image(), 1)
+        assert raised.value.__cause__ is failure
+    with pytest.raises(ZeroDivisionError):
+        made.stream.close()
+    made.stream.close()
+    assert reported == [failure]
+    assert add_up(made.stream.counts).pending == 0
+
+
+def test_an_error_of_on_error_itself_comes_out_at_close(setup):
+    made = setup(mode="replay", on_error=lambda error: 1 / 0)
+    made.predictor.fail_with = InferenceError("the device was lost")
+    push_pair(made.stream, 0)
+    with pytest.raises(ZeroDivisionError):
+        made.stream.close()
+    assert add_up(made.stream.counts).errors == {"inference_error": 2}
+
+
+@pytest.mark.parametrize("part", ["advance", "due_ns"])
+def test_an_error_of_the_worker_outside_of_a_frame_ends_the_stream(setup, part):
+    made = setup(mode="live")
+    setattr(made.stream._synchronizer, part, lambda *args: 1 / 0)
+    made.stream.push_image(image(), 0)
+    with pytest.raises(ZeroDivisionError):
+        next(made.stream)
+    assert add_up(made.stream.counts).pending == 0
+
+
+def push_until_it_raises(stream):
+    def push():
+        for number in range(10_000):
+            push_pair(stream, number)
+
+    with pytest.raises(InferenceError, match="ZeroDivisionError"):
+        push()
+
+
+def test_an_error_of_the_callback_ends_the_stream_and_comes_out_at_close(setup):
+    made = setup(mode="replay", on_result=lambda result: 1 / 0)
+    push_until_it_raises(made.stream)
     with pytest.raises(ZeroDivisionError):
         made.stream.close()
     made.stream.close()
@@ -445,10 +537,20 @@ def test_an_error_of_the_callback_ends_the_stream_and_comes_out_at_close(setup):
 def test_an_error_of_the_callback_lets_go_who_waits_for_room(setup):
     made = setup(mode="replay", on_result=lambda result: 1 / 0)
     made.predictor.gate.clear()
-    pusher, done = push_all(made, 20)
-    assert made.clock.holds_up(pusher, made.stream._changed, ended=done.is_set)
+    raised = []
+
+    def push():
+        try:
+            push_until_it_raises(made.stream)
+        finally:
+            raised.append(True)
+
+    pusher = threading.Thread(target=push)
+    pusher.start()
+    assert made.clock.holds_up(pusher, made.stream._changed, ended=lambda: bool(raised))
     made.predictor.gate.set()
     pusher.join(20)
+    assert raised
     assert not pusher.is_alive()
     with pytest.raises(ZeroDivisionError):
         made.stream.close()
@@ -457,8 +559,7 @@ def test_an_error_of_the_callback_lets_go_who_waits_for_room(setup):
 
 def test_an_error_of_the_sensors_clock_ends_the_stream_and_its_frame_is_counted(setup):
     made = setup(mode="replay", sensor_clock=lambda: 1 / 0)
-    for number in range(30):
-        push_pair(made.stream, number)
+    push_until_it_raises(made.stream)
     with pytest.raises(ZeroDivisionError):
         made.stream.close()
     counts = add_up(made.stream.counts)
@@ -549,6 +650,16 @@ def is_message(method, data):
     return data.dtype == "=f4" and data.ndim == 2 and (method == "push_depth" or data.shape[1] > 2)
 
 
+class FastClock(MonotonicClock):
+    """A thousand seconds in one, so that no replay pauses for long."""
+
+    def now_ns(self):
+        return 1000 * super().now_ns()
+
+    def wait(self, changed, timeout_ns):
+        super().wait(changed, None if timeout_ns is None else timeout_ns // 1000)
+
+
 def test_10_000_bad_messages_are_refused_or_flagged_and_accounted_for(checked_predictor):
     bad = Counter()
 
@@ -569,6 +680,7 @@ def test_10_000_bad_messages_are_refused_or_flagged_and_accounted_for(checked_pr
             max_wait_ms=0,
             calibration=Calibration(np.eye(3), np.eye(4)),
             on_result=answers.append,
+            clock=FastClock(),
         )
 
         def push(part):

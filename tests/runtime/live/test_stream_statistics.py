@@ -1,15 +1,24 @@
 import json
+from types import SimpleNamespace
 
 import pytest
 
 from runtime.live.stream_statistics import StatisticsRecorder
+from runtime.prediction import Latency
 from runtime.sync.latency import MissedDeadlines
 
 MS = 1_000_000
 
 
-def record(recorder, image_ms, answered_ms, *, met=None, **figures_ms):
-    recorder.record(figures_ms, transit_ns=(answered_ms - image_ms) * MS, deadline_met=met)
+def record(recorder, image_ms, answered_ms, *, met=None, latency=1.0):
+    result = SimpleNamespace(
+        prediction=SimpleNamespace(latency=Latency(0, 0, 0, 0)),
+        latency_ms=latency,
+        age_ms=None,
+        skew_ms=None,
+        deadline_met=met,
+    )
+    recorder.record(result, transit_ns=(answered_ms - image_ms) * MS)
 
 
 def test_jitter_is_the_difference_of_successive_transit_times():

@@ -1,0 +1,134 @@
+"""The end of a stream that nobody closes, or that a signal handler closes."""
+
+import gc
+import subprocess
+import sys
+import threading
+import weakref
+
+import numpy as np
+import pytest
+
+from runtime.live.push_stream import PushStream
+
+CLOSED_BY_A_SIGNAL = """
+import signal
+import numpy as np
+from runtime.live.push_stream import PushStream
+from runtime.prediction import Latency, Prediction
+
+class Stub:
+    focal_length_px = None
+
+    def predict(self, rgb, sparse_depth, **options):
+        size, latency = sparse_depth.shape, Latency(0, 0, 0, 0)
+        return Prediction(None, sparse_depth, None, size, size, latency)
+
+def push():
+    stream.push_image(rgb, number / 10)
+    stream.push_depth(depth, number / 10)
+
+def count():
+    stream.counts
+
+def fetch():
+    push()
+    next(stream, None)
+
+rgb, depth = np.zeros((32, 40, 3), np.uint8), np.ones((32, 40), np.float32)
+signal.signal(signal.SIGALRM, lambda *_: (stream.close(), closed.append(True)))
+for repetition in range(50):
+    stream, closed, number = PushStream(Stub(), mode=MODE, on_result=ON_RESULT), [], 0
+    signal.setitimer(signal.ITIMER_REAL, 0.002 + repetition * 1e-4)
+    while not closed:
+        INTERRUPTED()
+        number += 1
+    stream._worker.join(20)
+    assert not stream._worker.is_alive()
+    assert stream.counts.pending == 0
+print("done")
+"""
+
+EXIT_WITH_AN_OPEN_STREAM = """
+import time
+import numpy as np
+from runtime import Predictor, PushStream
+predictor = Predictor("ssdnet-nano", threads=1, warmup=0)
+stream = PushStream(predictor, mode="live", max_wait_ms=0)
+stream.push_image(np.zeros((375, 1242, 3), np.uint8), 0)
+time.sleep(MOMENT_S)
+print("end")
+"""
+
+
+def run(program, **constants):
+    """Run a program with some names replaced; (exit code, stdout, stderr)."""
+    for name, value in constants.items():
+        program = program.replace(name, str(value))
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("interrupted", "mode", "on_result"),
+    [
+        ("push", "live", "None"),
+        ("push", "replay", "lambda result: None"),
+        ("count", "live", "None"),
+        ("fetch", "replay", "None"),
+    ],
+)
+def test_a_signal_handler_may_close_the_stream(interrupted, mode, on_result):
+    """Fifty streams, each closed at another moment of a method in the same thread."""
+    constants = {"INTERRUPTED": interrupted, "MODE": repr(mode), "ON_RESULT": on_result}
+    assert run(CLOSED_BY_A_SIGNAL, **constants) == (0, "done\n", "")
+
+
+def test_close_in_the_middle_of_another_method_returns_at_once(setup):
+    """As in a signal handler: this thread holds the lock already."""
+    made = setup(mode="live")
+    made.stream.push_image(np.ones((32, 40, 3), np.uint8), 0)
+    returned = threading.Event()
+
+    def close_inside():
+        with made.stream._changed:
+            made.stream.close()
+        returned.set()
+
+    threading.Thread(target=close_inside, daemon=True).start()
+    assert returned.wait(20), "close waits for the worker, which waits for the lock"
+    assert [result.image_stamp for result in made.stream] == [0]
+
+
+def test_dropped_streams_end_their_threads(checked_predictor):
+    streams = [PushStream(checked_predictor()) for _ in range(50)]
+    alive = weakref.WeakSet(streams)
+    workers = [stream._worker for stream in streams]
+    for stream in streams:
+        stream.itself = stream  # a cycle, as of a node whose method is on_result
+    del streams, stream
+    gc.collect()
+    assert not alive
+    for worker in workers:
+        worker.join(20)
+        assert not worker.is_alive()
+
+
+def test_a_stream_dropped_while_it_predicts_ends_its_thread(checked_predictor):
+    predictor = checked_predictor()
+    predictor.gate.clear()
+    stream = PushStream(predictor, max_wait_ms=0)
+    worker = stream._worker
+    stream.push_image(np.zeros((32, 40, 3), np.uint8), 0)
+    predictor.entered.acquire()
+    del stream
+    predictor.gate.set()
+    worker.join(20)
+    assert not worker.is_alive()
+
+
+@pytest.mark.parametrize("moment_s", [0, 0.01, 0.02])
+def test_the_interpreter_may_exit_with_a_stream_open(moment_s):
+    assert run(EXIT_WITH_AN_OPEN_STREAM, MOMENT_S=moment_s) == (0, "end\n", "")
