@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
+from runtime.projection import check_intrinsics
 
 # Above this probability a pixel lies on an object's edge, where predicted depth passes from the
 # near surface to the far one through places where nothing is.
@@ -49,7 +50,7 @@ def to_points(
     sky: class id whose pixels have no point either; None = there is none
     Raises InputError for arrays that do not fit.
     """
-    _check_intrinsics(intrinsics)
+    check_intrinsics(intrinsics)
     if rgb is not None and (rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3):
         raise InputError(f"rgb must be uint8 (H, W, 3), got {rgb.dtype} {rgb.shape}")
     for name, array in (("rgb", rgb), ("semantic", semantic), ("boundary", boundary)):
@@ -75,18 +76,3 @@ def to_points(
         rows=row.astype(np.int32),
         columns=column.astype(np.int32),
     )
-
-
-def _check_intrinsics(intrinsics: Any) -> None:
-    if (
-        not isinstance(intrinsics, np.ndarray)
-        or intrinsics.shape != (3, 3)
-        or intrinsics.dtype.kind != "f"
-        or not np.isfinite(intrinsics).all()
-    ):
-        raise InputError("intrinsics must be a finite array of floats of the shape (3, 3)")
-    if not (intrinsics[[0, 1], [0, 1]] > 0).all() or not np.array_equal(intrinsics[2], (0, 0, 1)):
-        raise InputError(
-            "intrinsics must have positive fx and fy and the last row 0 0 1, got "
-            f"{intrinsics.tolist()}: is the matrix transposed?"
-        )

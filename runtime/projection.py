@@ -99,8 +99,13 @@ def project_with_rows(
 ) -> ProjectedPoints:
     """Project as `project_points` and say which point each pixel holds; of equals, the first."""
     _check_points(points)
-    _check_matrix("intrinsics", intrinsics, 3)
+    check_intrinsics(intrinsics)
     _check_matrix("extrinsics", extrinsics, 4)
+    if not np.array_equal(extrinsics[3], (0, 0, 0, 1)):
+        raise InputError(
+            f"the last row of extrinsics must be 0, 0, 0, 1, got {extrinsics[3].tolist()}: is the "
+            "matrix transposed?"
+        )
     height, width = _check_size(size)
     with np.errstate(over="ignore", invalid="ignore"):
         product = intrinsics.astype(np.float64) @ extrinsics[:3].astype(np.float64)
@@ -152,30 +157,48 @@ def _transform(
     return products
 
 
-def _check_points(points: Any) -> None:
-    is_plain = isinstance(points, np.ndarray) and not isinstance(points, np.ma.MaskedArray)
-    if not is_plain or points.dtype != np.float32:
-        came = points.dtype if is_plain else type(points).__name__
+def check_intrinsics(matrix: Any, name: str = "intrinsics") -> None:
+    """Check the matrix of a rectified camera.
+
+    Args:
+        matrix: float (3, 3), pixels, with positive fx and fy and the last row 0, 0, 1.
+        name: for the message.
+
+    Raises:
+        InputError: for anything else, and for masked arrays and `numpy.matrix`.
+    """
+    _check_matrix(name, matrix, 3)
+    usable = (matrix[[0, 1], [0, 1]] > 0).all() and np.linalg.det(matrix.astype(np.float64)) > 0
+    if not usable or not np.array_equal(matrix[2], (0, 0, 1)):
         raise InputError(
-            f"points must be a plain float32 array [m], got {came}: use points.astype(np.float32)"
+            f"{name} must have positive focal lengths fx and fy and the last row 0, 0, 1, got "
+            f"{matrix.tolist()}: is the matrix transposed?"
+        )
+
+
+def _check_points(points: Any) -> None:
+    if not _is_plain(points) or points.dtype != np.float32:
+        got = points.dtype if _is_plain(points) else type(points).__name__
+        raise InputError(
+            f"points must be a plain float32 array [m], got {got}: use points.astype(np.float32)"
         )
     if points.ndim != 2 or points.shape[1] < 3:
         raise InputError(f"points must have the shape (N, 3) or wider, got {points.shape}")
 
 
 def _check_matrix(name: str, matrix: Any, side: int) -> None:
-    if not isinstance(matrix, np.ndarray) or matrix.dtype.kind != "f":
-        came = matrix.dtype if isinstance(matrix, np.ndarray) else type(matrix).__name__
-        raise InputError(f"{name} must be an array of floats, got {came}")
+    if not _is_plain(matrix) or matrix.dtype.kind != "f":
+        got = matrix.dtype if _is_plain(matrix) else type(matrix).__name__
+        raise InputError(f"{name} must be an array of floats, got {got}")
     if matrix.shape != (side, side):
         raise InputError(f"{name} must have the shape ({side}, {side}), got {matrix.shape}")
     if not np.isfinite(matrix).all():
         raise InputError(f"{name} must be finite: check the calibration")
-    if not np.array_equal(matrix[-1], np.eye(side)[-1]):
-        raise InputError(
-            f"the last row of {name} must be {'0, ' * (side - 1)}1, got "
-            f"{', '.join(f'{value:g}' for value in matrix[-1])}: is the matrix transposed?"
-        )
+
+
+def _is_plain(array: Any) -> bool:
+    """Whether indexing and arithmetic are those of a plain numpy array."""
+    return isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix)
 
 
 def _check_size(size: Any) -> tuple[int, int]:

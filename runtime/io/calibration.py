@@ -39,11 +39,6 @@ class Calibration:
         project_points(
             np.zeros((0, 3), np.float32), self.intrinsics, self.extrinsics, self.size or (1, 1)
         )
-        if not (self.intrinsics[[0, 1], [0, 1]] > 0).all():
-            raise InputError(
-                "intrinsics must hold positive focal lengths fx and fy, got "
-                f"{self.intrinsics[0, 0]:g} and {self.intrinsics[1, 1]:g}"
-            )
 
     @property
     def focal_length_px(self) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
+from runtime.projection import check_intrinsics
 
 
 class NumbersFile:
@@ -59,12 +60,7 @@ def chain(
     Raises InputError for a projection that is none of a rectified camera.
     """
     intrinsics = projection[:, :3]
-    focal = intrinsics[[0, 1], [0, 1]]
-    if not ((focal > 0).all() and np.array_equal(intrinsics[2], (0, 0, 1))):
-        raise InputError(
-            f"P of KITTI's calibration is {projection.tolist()}, expected positive focal lengths "
-            "and a last row that starts with 0 0 1: restore the calibration"
-        )
+    check_intrinsics(intrinsics, "P of KITTI's calibration, without its last column,")
     beside, rectified = np.eye(4), np.eye(4)
     # P = K [I | t]: the camera sits beside the one that the LiDAR is measured to.
     beside[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
