@@ -3,9 +3,9 @@
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from runtime.errors import ContractError
 from runtime.heads import HEADS
@@ -13,10 +13,10 @@ from runtime.heads import HEADS
 METADATA_KEY = "ssdnet"
 SCHEMA_VERSION = "1.2"
 
-# What is sane, for a model file and for a network's configuration alike.
-MIN_SIDE = 32  # rows, columns: networks of the family halve a picture up to five times
+# Limits of a model file and of a network's configuration.
+MIN_SIDE = 32  # rows, columns: networks of the family halve an image up to five times
 MAX_SIDE = 16_384
-MAX_PIXELS = 64_000_000  # of a picture: the largest cameras of the field have 12 million
+MAX_PIXELS = 64_000_000  # of an image: the largest cameras of the field have 12 million
 MAX_STRIDE = 1024
 NO_CLASS = 255  # the id of a pixel without a class; in an answer its scores are not finite
 MAX_CLASSES = 255  # ids are uint8, and one of them is NO_CLASS
@@ -29,6 +29,8 @@ MAX_FOCAL_PX = 1_000_000.0
 _INPUT_RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"}
 _DIGEST_KEY = "document_sha256"
 _MINOR_VERSION = re.compile("[0-9]{1,4}")
+_JSON_TYPES = {dict: "an object", list: "a list", str: "text", int: "an integer"}
+_Number = TypeVar("_Number", int, float)
 
 
 @dataclass(frozen=True)
@@ -49,24 +51,25 @@ class Content:
 
 @dataclass(frozen=True)
 class Contract:
-    """What a model file says about itself, beside the tensors of its graph.
+    """What a model file states beside the tensors of its graph.
 
-    schema_version: "major.minor"; a reader refuses another major than its own
-    model_name: for example "ssdnet-lite"
-    classes: in the order of the ids of `semantic`; empty without a semantic head
-    max_depth_m: depths beyond it are no measurement [m], in canonical metres if there are any
-    native_size: (height, width) it was exported and verified at; a dynamic model accepts any size
-    stride: the graph pads to a multiple of it, and crops back
-    resize: how each tensor is resized where the network runs at another size than the frame's
-    precision: "fp32", "fp16", "int8"
-    training: the data it was trained on and their terms
-    versions: of what made the file (ssdnet, torch, onnx, opset)
-    parity: head -> largest measured difference to PyTorch; {} = not measured
-    checkpoint_sha256: digest of the checkpoint the file was made from
-    trained_height: rows of the pictures it was trained for; None = not known
-    canonical_focal_px: focal length [px] of the camera in whose metres the graph works, see
-        `runtime.canonical_focal`; None = it works in plain metres
-    content: the bytes of the file before this document; None in a file of schema 1.0
+    Attributes:
+        schema_version: "major.minor"; a reader refuses another major than its own.
+        model_name: for example "ssdnet-lite".
+        classes: in the order of the ids of `semantic`; empty without a semantic head.
+        max_depth_m: depths beyond it are no measurement; canonical metres if there are any.
+        native_size: (height, width) it was exported and verified at; a dynamic model takes any.
+        stride: the graph pads to a multiple of it, and crops back.
+        resize: tensor -> rule where the network runs at another size than the frame's.
+        precision: "fp32", "fp16" or "int8".
+        training: the data it was trained on and their terms.
+        versions: of the software that made the file (ssdnet, torch, onnx, opset).
+        parity: head -> largest measured difference to PyTorch; {} = not measured.
+        checkpoint_sha256: digest of the checkpoint the file was made from.
+        trained_height: rows of the images it was trained on; None = not known.
+        canonical_focal_px: focal length [px] of the camera in whose metres the graph works, see
+            `runtime.canonical_focal`; None = plain metres.
+        content: the bytes of the file before this document; None in a file of schema 1.0.
     """
 
     schema_version: str
@@ -91,10 +94,10 @@ class Contract:
         return find_sky(self.classes)
 
     def to_json(self) -> str:
-        """The document as it is stored under METADATA_KEY.
+        """Return the document as it is stored under METADATA_KEY.
 
-        With `content` its last key is "document_sha256": the SHA-256 of the UTF-8 bytes before
-        the comma that stands before that key.
+        With `content` its last key is "document_sha256": the SHA-256 of the UTF-8 bytes before the
+        comma in front of that key.
         """
         document = asdict(self)
         if self.content is None:
@@ -104,11 +107,14 @@ class Contract:
 
     @classmethod
     def from_json(cls, text: str) -> "Contract":
-        """Read the document.
+        """Read the document; unknown keys are ignored, since a later minor version may add some.
 
-        Unknown keys are ignored: a later minor version may add some.
-        Raises ContractError naming the missing key, the wrong type or value, or the unknown
-        major version, and for a document of schema 1.1 that was changed after it was written.
+        Args:
+            text: as `to_json` writes it.
+
+        Raises:
+            ContractError: naming the missing key, the wrong type or value or the unknown major
+                version, and for a document that was changed after it was written.
         """
         try:
             document = json.loads(text)
@@ -119,32 +125,32 @@ class Contract:
             ) from error
         if not isinstance(document, dict):
             raise _wrong("the document", "an object", document)
-        version = _text(document, "schema_version")
-        if version.split(".")[0] != SCHEMA_VERSION.split(".")[0]:
+        version = _take(document, "schema_version", str)
+        major = SCHEMA_VERSION.split(".")[0]
+        if version.split(".")[0] != major:
             raise ContractError(
                 f"the model's metadata has schema version {version!r}, this engine reads "
-                f"{SCHEMA_VERSION.split('.')[0]}.x: update ssdnet, or export the model again "
-                "with this version"
+                f"{major}.x: update ssdnet, or export the model again with this version"
             )
         try:
             contract = cls(
                 schema_version=version,
-                model_name=check_name(_value(document, "model_name"), "model_name"),
+                model_name=check_name(_take(document, "model_name"), "model_name"),
                 classes=check_classes(_classes(document)),
-                max_depth_m=check_max_depth(_value(document, "max_depth_m")),
-                native_size=check_size(_value(document, "native_size"), "native_size"),
-                stride=check_stride(_value(document, "stride")),
+                max_depth_m=check_max_depth(_take(document, "max_depth_m")),
+                native_size=check_size(_take(document, "native_size"), "native_size"),
+                stride=check_stride(_take(document, "stride")),
                 resize=_resize(document),
-                precision=check_name(_value(document, "precision"), "precision"),
-                training=_mapping(document, "training"),
+                precision=check_name(_take(document, "precision"), "precision"),
+                training=_take(document, "training", dict),
                 versions=_text_mapping(document, "versions"),
-                parity=_mapping(document, "parity"),
-                checkpoint_sha256=_text(document, "checkpoint_sha256"),
-                trained_height=_trained_height(document),
-                canonical_focal_px=_canonical_focal(document),
+                parity=_take(document, "parity", dict),
+                checkpoint_sha256=_take(document, "checkpoint_sha256", str),
+                trained_height=_optional(document, "trained_height", check_side),
+                canonical_focal_px=_optional(document, "canonical_focal_px", check_focal_length),
                 content=_content(document, text),
             )
-            # Infinite numbers and halves of characters, wherever else they stand.
+            # Infinite numbers and lone surrogates anywhere else in the document.
             json.dumps(document, allow_nan=False, ensure_ascii=False).encode()
         except (ValueError, RecursionError) as error:
             raise ContractError(
@@ -166,59 +172,41 @@ def resize_rules() -> dict[str, str]:
 
 
 def check_side(side: object, name: str) -> int:
-    """Give back a picture's height or width; ValueError naming it if it is out of range."""
-    if not isinstance(side, int) or isinstance(side, bool) or not MIN_SIDE <= side <= MAX_SIDE:
-        raise ValueError(f"{name} must be {MIN_SIDE} to {MAX_SIDE} pixels, got {side!r:.80}")
-    return side
+    """Return an image's height or width; ValueError naming it if it is out of range."""
+    return int(_checked(side, name, int, MIN_SIDE, MAX_SIDE, "pixels"))
 
 
 def check_size(size: object, name: str = "size") -> tuple[int, int]:
-    """Give back a picture's (height, width); ValueError naming it if it is out of range."""
+    """Return an image's (height, width); ValueError naming it if it is out of range."""
     if not isinstance(size, Sequence) or isinstance(size, str) or len(size) != 2:
         raise ValueError(f"{name} must be (height, width), got {size!r:.80}")
-    for side, text in zip(size, ("height", "width"), strict=True):
+    height, width = (
         check_side(side, f"{name}: {text}")
-    if size[0] * size[1] > MAX_PIXELS:
+        for side, text in zip(size, ("height", "width"), strict=True)
+    )
+    if height * width > MAX_PIXELS:
         raise ValueError(f"{name} must have at most {MAX_PIXELS} pixels, got {size!r:.80}")
-    return size[0], size[1]
+    return height, width
 
 
 def check_stride(stride: object) -> int:
-    """Give back a network's stride in pixels; ValueError if it is out of range."""
-    if not isinstance(stride, int) or isinstance(stride, bool) or not 1 <= stride <= MAX_STRIDE:
-        raise ValueError(f"stride must be an integer 1 to {MAX_STRIDE}, got {stride!r:.80}")
-    return stride
+    """Return a network's stride; ValueError if it is out of range."""
+    return int(_checked(stride, "stride", int, 1, MAX_STRIDE, "pixels"))
 
 
 def check_max_depth(max_depth_m: object) -> float:
-    """Give back a depth range in metres; ValueError if it is out of range."""
-    if (
-        not isinstance(max_depth_m, int | float)
-        or isinstance(max_depth_m, bool)
-        or not MIN_DEPTH_RANGE_M <= max_depth_m <= MAX_DEPTH_RANGE_M  # False for NaN
-    ):
-        raise ValueError(
-            f"max_depth_m must be {MIN_DEPTH_RANGE_M:g} to {MAX_DEPTH_RANGE_M:g} metres, "
-            f"got {max_depth_m!r:.80}"
-        )
-    return float(max_depth_m)
+    """Return a depth range in metres; ValueError if it is out of range."""
+    bounds = MIN_DEPTH_RANGE_M, MAX_DEPTH_RANGE_M
+    return float(_checked(max_depth_m, "max_depth_m", int | float, *bounds, "metres"))
 
 
 def check_focal_length(focal_px: object, name: str) -> float:
-    """Give back a focal length in pixels; ValueError naming it if it is out of range."""
-    if (
-        not isinstance(focal_px, int | float)
-        or isinstance(focal_px, bool)
-        or not MIN_FOCAL_PX <= focal_px <= MAX_FOCAL_PX  # False for NaN
-    ):
-        raise ValueError(
-            f"{name} must be {MIN_FOCAL_PX:g} to {MAX_FOCAL_PX:g} pixels, got {focal_px!r:.80}"
-        )
-    return float(focal_px)
+    """Return a focal length in pixels; ValueError naming it if it is out of range."""
+    return float(_checked(focal_px, name, int | float, MIN_FOCAL_PX, MAX_FOCAL_PX, "pixels"))
 
 
 def check_name(text: object, name: str) -> str:
-    """Give back a name, of a class say; ValueError unless it is short and printable."""
+    """Return the name of a class or a model; ValueError unless it is short and printable."""
     if not isinstance(text, str) or not text.isprintable() or not 1 <= len(text) <= MAX_NAME_LENGTH:
         raise ValueError(
             f"{name} must be printable text of 1 to {MAX_NAME_LENGTH} characters, got {text!r:.80}"
@@ -227,9 +215,7 @@ def check_name(text: object, name: str) -> str:
 
 
 def check_classes(classes: Sequence[ClassInfo]) -> tuple[ClassInfo, ...]:
-    """Give back a class table; ValueError for too many, for a bad name or colour, or for one name
-    twice.
-    """
+    """Return a class table; ValueError for too many, a bad name or colour, or a repeated name."""
     if len(classes) > MAX_CLASSES:
         raise ValueError(f"classes must be at most {MAX_CLASSES}, got {len(classes)}")
     for index, info in enumerate(classes):
@@ -247,7 +233,7 @@ def check_classes(classes: Sequence[ClassInfo]) -> tuple[ClassInfo, ...]:
 
 
 def find_sky(classes: Sequence[ClassInfo]) -> int | None:
-    """The id of the class "sky", in any case of its letters; None = there is none."""
+    """Return the id of the class "sky", in any case of its letters; None = there is none."""
     return next((i for i, info in enumerate(classes) if info.name.lower() == "sky"), None)
 
 
@@ -258,48 +244,41 @@ def _wrong(name: str, expected: str, found: object) -> ContractError:
     )
 
 
-def _value(document: Mapping[str, Any], key: str) -> Any:
+def _checked(value: Any, name: str, kind: Any, least: float, most: float, unit: str) -> Any:
+    if isinstance(value, bool) or not isinstance(value, kind) or not least <= value <= most:
+        raise ValueError(f"{name} must be {least:g} to {most:g} {unit}, got {value!r:.80}")
+    return value
+
+
+def _take(document: Mapping[str, Any], key: str, kind: type = object, name: str = "") -> Any:
+    """Return the value of a key; ContractError where it is missing or of another type."""
     if key not in document:
         raise ContractError(
             f"the model's metadata lacks the key {key!r}: export the model again with ssdnet-export"
         )
-    return document[key]
-
-
-def _text(document: Mapping[str, Any], key: str) -> str:
-    value = _value(document, key)
-    if not isinstance(value, str):
-        raise _wrong(key, "text", value)
+    value = document[key]
+    if not isinstance(value, kind):
+        raise _wrong(name or key, _JSON_TYPES[kind], value)
     return value
 
 
-def _mapping(document: Mapping[str, Any], key: str) -> dict[str, Any]:
-    value = _value(document, key)
-    if not isinstance(value, dict):
-        raise _wrong(key, "an object", value)
-    return value
+def _optional(
+    document: Mapping[str, Any], key: str, check: Callable[[object, str], _Number]
+) -> _Number | None:
+    """Return the checked value of a key that older schemas lack, None where it is null."""
+    value = document.get(key)
+    return None if value is None else check(value, key)
 
 
 def _text_mapping(document: Mapping[str, Any], key: str) -> dict[str, str]:
-    mapping = _mapping(document, key)
-    for name, value in mapping.items():
-        if not isinstance(value, str):
-            raise _wrong(f"{key}.{name}", "text", value)
+    mapping: dict[str, str] = _take(document, key, dict)
+    for name in mapping:
+        _take(mapping, name, str, f"{key}.{name}")
     return mapping
 
 
 def _is_integer(value: object) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _trained_height(document: Mapping[str, Any]) -> int | None:
-    value = document.get("trained_height")  # files of schema 1.0 have none
-    return None if value is None else check_side(value, "trained_height")
-
-
-def _canonical_focal(document: Mapping[str, Any]) -> float | None:
-    value = document.get("canonical_focal_px")  # files before schema 1.2 have none
-    return None if value is None else check_focal_length(value, "canonical_focal_px")
 
 
 def _content(document: Mapping[str, Any], text: str) -> Content | None:
@@ -309,19 +288,17 @@ def _content(document: Mapping[str, Any], text: str) -> Content | None:
         raise _wrong("schema_version", "major.minor", document["schema_version"])
     if int(minor) == 0 and not {"content", _DIGEST_KEY} & document.keys():
         return None
-    value, digest = _mapping(document, "content"), _text(document, _DIGEST_KEY)
+    value, digest = _take(document, "content", dict), _take(document, _DIGEST_KEY, str)
     before = text.rpartition(f', "{_DIGEST_KEY}"')[0]
     if text != _with_digest(before):
         raise ContractError(
             f"the model's metadata was changed after it was written ({_DIGEST_KEY} is "
             f"{digest!r:.80}): get the model again, or export it again with ssdnet-export"
         )
-    size, sha256 = _value(value, "bytes"), _value(value, "sha256")
-    if not _is_integer(size):
+    size = _take(value, "bytes", int, "content.bytes")
+    if isinstance(size, bool):
         raise _wrong("content.bytes", "an integer", size)
-    if not isinstance(sha256, str):
-        raise _wrong("content.sha256", "text", sha256)
-    return Content(bytes=size, sha256=sha256)
+    return Content(bytes=size, sha256=_take(value, "sha256", str, "content.sha256"))
 
 
 def _with_digest(before: str) -> str:
@@ -330,26 +307,23 @@ def _with_digest(before: str) -> str:
 
 
 def _classes(document: Mapping[str, Any]) -> list[ClassInfo]:
-    value = _value(document, "classes")
-    if not isinstance(value, list):
-        raise _wrong("classes", "a list", value)
-    return [_class(entry, f"classes[{index}]") for index, entry in enumerate(value)]
+    entries = _take(document, "classes", list)
+    return [_class(entry, f"classes[{index}]") for index, entry in enumerate(entries)]
 
 
 def _class(entry: object, name: str) -> ClassInfo:
     if not isinstance(entry, dict):
         raise _wrong(name, "an object", entry)
-    color = _value(entry, "color")
-    if not isinstance(color, list) or len(color) != 3:
-        raise _wrong(f"{name}.color", "[red, green, blue]", color)
-    return ClassInfo(name=_value(entry, "name"), color=(color[0], color[1], color[2]))
+    return ClassInfo(
+        name=_take(entry, "name"), color=tuple(_take(entry, "color", list, f"{name}.color"))
+    )
 
 
 def _resize(document: Mapping[str, Any]) -> dict[str, str]:
     rules = _text_mapping(document, "resize")
     for tensor, known in resize_rules().items():
         # A head that was added after the file was written has no rule in it.
-        rule = _value(rules, tensor) if tensor in _INPUT_RESIZE else rules.get(tensor, known)
+        rule = _take(rules, tensor) if tensor in _INPUT_RESIZE else rules.get(tensor, known)
         if rule != known:
             raise _wrong(f"resize.{tensor}", known, rule)
     return rules

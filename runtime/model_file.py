@@ -10,8 +10,8 @@ Since schema 1.1 a file holds, in this order and nothing else:
 | `12` LENGTH JSON | the entry's value: the document of `runtime.contract.Contract` |
 
 LENGTH is a protobuf varint. The document holds the length and SHA-256 of the content, and its own
-SHA-256, so that no byte of the file can change unnoticed. That finds damage, not forgery: whoever
-can write the file can also write its digests. `sha256=` of `load_model_file` pins a whole file.
+SHA-256, so that no byte of the file can change unnoticed. That finds damage, not forgery: a forger
+can write the digests too. `sha256=` of `load_model_file` pins a whole file.
 """
 
 import dataclasses
@@ -49,10 +49,14 @@ class ModelFile:
 def load_model_file(path: Path, *, sha256: str | None = None) -> ModelFile:
     """Read a model file and check that it is whole.
 
-    sha256: digest that the file must have, 64 hexadecimal digits; None = any.
-    Raises ContractError for a file that is missing, not a regular one, larger than
-    MAX_MODEL_BYTES, not the one that was asked for, not ONNX, damaged or without metadata, and
-    InputError for a digest that is none.
+    Args:
+        path: of the file.
+        sha256: digest that the file must have, 64 hexadecimal digits; None = any.
+
+    Raises:
+        ContractError: for a file that is missing, not a regular one, larger than MAX_MODEL_BYTES,
+            of another digest, not ONNX, damaged or without metadata.
+        InputError: for a malformed digest.
     """
     if sha256 is not None and not (isinstance(sha256, str) and _SHA256.fullmatch(sha256)):
         raise InputError(
@@ -63,27 +67,33 @@ def load_model_file(path: Path, *, sha256: str | None = None) -> ModelFile:
         digest = hashlib.sha256(content).hexdigest()
         if digest != sha256.lower():
             raise ContractError(
-                f"the model {path} has the SHA-256 {digest}, asked for was {sha256.lower()}: get "
-                "the right file, or ask for this one"
+                f"the model {path} has the SHA-256 {digest}, expected {sha256.lower()}: get the "
+                "right file, or give this digest"
             )
+    return parse_model_file(content)
+
+
+def parse_model_file(content: bytes) -> ModelFile:
+    """Read the metadata of a model, and check by it that its bytes are what was exported.
+
+    A file of schema 1.0 has no digests: damage that leaves its metadata readable goes unnoticed.
+
+    Raises:
+        ContractError: for bytes that are not ONNX, damaged or without metadata.
+    """
     contract, digest = _check(content)
     return ModelFile(content, digest, contract)
 
 
-def read_contract(model: bytes) -> Contract:
-    """Read what a model says of itself, and check by it that its bytes are what was exported.
-
-    Raises ContractError. A file of schema 1.0 has no digests, so any damage that leaves its
-    metadata readable goes unnoticed.
-    """
-    return _check(model)[0]
-
-
 def with_contract(content: bytes, contract: Contract) -> bytes:
-    """Give the bytes of a model file: `content`, an ONNX model, then `contract` as its metadata.
+    """Return the bytes of a model file: an ONNX model, then its metadata.
 
-    The contract's own `content` is filled in. Raises ValueError or TypeError where what it holds
-    is not plain JSON.
+    Args:
+        content: the serialised ONNX model.
+        contract: the metadata; its own `content` is filled in.
+
+    Raises:
+        ValueError, TypeError: where the contract holds something other than plain JSON.
     """
     described = Content(bytes=len(content), sha256=hashlib.sha256(content).hexdigest())
     text = dataclasses.replace(contract, content=described).to_json()
@@ -91,7 +101,7 @@ def with_contract(content: bytes, contract: Contract) -> bytes:
 
 
 def _check(model: bytes) -> tuple[Contract, str]:
-    """Check a model; give what it says of itself, and the SHA-256 of the whole."""
+    """Check a model: its contract, and the SHA-256 of the whole."""
     entries = list(_metadata(model))
     ours = [(start, value) for start, key, value in entries if key == METADATA_KEY.encode()]
     if not ours:
@@ -117,7 +127,7 @@ def _check(model: bytes) -> tuple[Contract, str]:
             raise _damaged("its metadata is not the last thing in it, or is written another way")
         found = Content(bytes=start, sha256=digest.hexdigest())
         if found != contract.content:
-            raise _damaged(f"before its metadata stand {found}, by its metadata {contract.content}")
+            raise _damaged(f"the model is {found}, by its metadata {contract.content}")
     digest.update(view[start:])  # one pass over the bytes for both digests
     return contract, digest.hexdigest()
 

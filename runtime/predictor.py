@@ -1,4 +1,4 @@
-"""The engine: one model, one verb."""
+"""The engine: a model file, and `predict`."""
 
 import operator
 import time
@@ -26,49 +26,65 @@ _MOST_THREADS = 1024
 
 
 class Predictor:
-    """Run a model of the contract: one picture and one sparse depth map in, its answers out.
+    """Run a model: one image and one sparse depth map in, its answers out.
 
-    model: an ONNX file made by ssdnet-export, or the name of a bundled model ("ssdnet-lite"), see
-        `find_model`; None = ssdnet-lite
-    sha256: digest that the file must have, 64 hexadecimal digits; None = any
-    provider: "cpu" or "cuda"; what is asked for is what runs
-    device_id: which GPU
-    size: at which size a model of free size runs; answers come at the frame's size all the same.
-        None = at the height it was trained for, keeping the aspect, where the frame is larger by
-        more than a quarter, else at the frame's own; "frame" = at the frame's own; a number of
-        rows, keeping the aspect; or (height, width)
-    focal_length_px: focal length of the camera in pixels of the frames as they are given to
-        `predict`: a model with `contract.canonical_focal_px` then judges distances as this camera
-        sees them, whatever its lens; None = as if the picture that the network sees were the
-        canonical camera's. A model without works in plain metres and does not heed it
-    threads: threads within an operator; None = the physical cores this process may use
-    warmup: predictions made at once, at the model's own size, so that the first frame is not slow
+    One predictor may be used by several threads: `predict` and `predict_batch` keep nothing of a
+    frame outside the call. The threads share the same `threads` cores, so that several frames at
+    once take longer each. After an error of `predict` the predictor stays usable.
 
-    One predictor may be used by several threads at a time: `predict` and `predict_batch` keep
-    nothing of a frame outside the call, and ONNX Runtime's sessions may be run side by side. The
-    threads then share the same `threads` cores, so that several frames at once take longer each,
-    and as long in sum: for several cameras it serves to keep the calling code simple. After any
-    error of `predict` it stays usable. `close` lets calls that are under way end well.
+    Args:
+        model: an ONNX file made by ssdnet-export, or the name of a bundled model, see `find_model`;
+            None = ssdnet-lite.
+        sha256: digest that the file must have, 64 hexadecimal digits; None = any.
+        provider: "cpu" or "cuda". The requested provider is used, or an error is raised.
+        device_id: index of the GPU.
+        size: size at which a model of free size runs; answers have the frame's size in any case.
+            None = the height it was trained for, keeping the aspect, where the frame is larger by
+            more than a quarter, else the frame's own; "frame" = the frame's own; a number of rows,
+            keeping the aspect; or (height, width).
+        focal_length_px: fx of the camera in pixels of the frames as they are given to `predict`. A
+            model with `contract.canonical_focal_px` then scales distances for this camera, see
+            `runtime.canonical_focal`; None = as if the network's image were the canonical camera's.
+        threads: threads within an operator; None = the physical cores this process may use.
+        warmup: predictions made at once at the model's own size, so that the first frame is fast.
 
-    Raises ContractError for a missing, damaged, foreign or too new model, ProviderError if the
-    provider cannot run it, InputError for arguments out of range and for any `size` but None where
-    the model is of fixed size, and InferenceError where the warm-up fails.
+    Attributes:
+        contract: what the model file states about itself.
+        digest: SHA-256 of the model file, hexadecimal.
+        model: path of the model file.
+        provider: as requested.
+        providers: ONNX Runtime's execution providers of the session.
+        node_counts: execution provider -> nodes of the graph; None = not known.
+        threads: threads within an operator.
+        input_size: (height, width) of a fixed model; None = any.
+        free_batch: whether one run of the model takes several frames.
+        size: as requested.
+        focal_length_px: as given.
+        heads: names of the outputs, for example ("semantic", "depth", "boundary").
+        load_ms: time of reading and optimising the model.
+        first_inference_ms: time of the first warm-up prediction; None without.
+
+    Raises:
+        ContractError: for a missing, damaged or foreign model, or one of a newer version.
+        ProviderError: if the provider cannot run it.
+        InputError: for arguments out of range, and for a `size` where the model has a fixed one.
+        InferenceError: if the answer to an empty frame is not finite, or the warm-up fails.
     """
 
     contract: Contract
-    digest: str  # sha256 of the model file, hexadecimal
-    model: str  # path of the model file
-    provider: str  # as asked for
-    providers: tuple[str, ...]  # execution providers of the session
-    node_counts: dict[str, int] | None  # execution provider -> nodes; None if not known
+    digest: str
+    model: str
+    provider: str
+    providers: tuple[str, ...]
+    node_counts: dict[str, int] | None
     threads: int
-    input_size: tuple[int, int] | None  # (height, width) of a fixed model; None = any
-    free_batch: bool  # whether one run of the model takes several frames
-    size: NetworkSize  # as asked for
-    focal_length_px: float | None  # of the frames; None = not known
-    heads: tuple[str, ...]  # for example ("semantic", "depth", "boundary")
-    load_ms: float  # reading and optimising the model
-    first_inference_ms: float | None  # the first of the warm-up; None without
+    input_size: tuple[int, int] | None
+    free_batch: bool
+    size: NetworkSize
+    focal_length_px: float | None
+    heads: tuple[str, ...]
+    load_ms: float
+    first_inference_ms: float | None
 
     def __init__(
         self,
@@ -114,36 +130,29 @@ class Predictor:
         focal_length_px: float | None = None,
         stamp: Any = None,
     ) -> Prediction:
-        """Predict classes, depth and boundaries of one frame.
-
-        rgb: uint8 (H, W, 3), red first, as the camera gives it
-        sparse_depth: float32 (H, W) [m] along the optical axis; 0 = no measurement, as is NaN,
-            Inf, anything negative or beyond the range (counted in the answer). The range is
-            `contract.max_depth_m`, for a model of canonical depth that times f /
-            `contract.canonical_focal_px`, f the focal length in pixels of the network's picture
-        focal_length_px: of this frame, where another than the predictor's
-        stamp: handed through to the answer
+        """Predict the heads of one frame.
 
         Where the network runs at another size (`network_size`), the frame is resized to it and the
-        answers back by the contract's rule.
+        answers back.
 
-        Raises InputError for arrays of another type or shape and for a focal length out of range,
-        InferenceError if the session fails, answers in another shape or was closed.
+        Args:
+            rgb: uint8 (H, W, 3), RGB, not BGR.
+            sparse_depth: float32 (H, W), metres along the optical axis; 0 = no measurement, as are
+                NaN, Inf, negative values and those beyond the range (`depth_scale`), which are
+                counted in `Prediction.cleaned`.
+            focal_length_px: fx of this frame's camera; None = the predictor's.
+            stamp: any value, returned in the answer.
+
+        Returns:
+            The answers at the frame's size (H, W).
+
+        Raises:
+            InputError: for arrays of another type or shape and for a focal length out of range.
+            InferenceError: if the session fails, answers in another shape, or was closed.
         """
         started = time.perf_counter()
         frame = self._preprocess(rgb, sparse_depth, focal_length_px)
-        preprocessed = time.perf_counter()
-        (outputs,) = self._run([frame])
-        inferred = time.perf_counter()
-        answers, found = to_frame(outputs, frame), faults(outputs, self.contract)
-        finished = time.perf_counter()
-        latency = Latency(
-            preprocess_ms=(preprocessed - started) * 1e3,
-            inference_ms=(inferred - preprocessed) * 1e3,
-            postprocess_ms=(finished - inferred) * 1e3,
-            total_ms=(finished - started) * 1e3,
-        )
-        return _prediction(answers, found, frame, latency, stamp, self.contract)
+        return self._predict([frame], [_ms_since(started)], [stamp], started)[0]
 
     def predict_batch(
         self,
@@ -152,24 +161,25 @@ class Predictor:
         focal_lengths_px: Sequence[float | None] | None = None,
         stamps: Sequence[Any] | None = None,
     ) -> list[Prediction]:
-        """Predict the frames of several cameras with one call; the answers come in their order.
+        """Predict the frames of several cameras with one call.
 
-        frames: (rgb, sparse_depth) of each, as `predict` takes them, of any sizes
-        focal_lengths_px: of each camera; None = the predictor's, for all or for one of them
-        stamps: of each, handed through to its answer; None = none
+        Frames that the network sees at one size (`network_size`) run as one batch where the file
+        takes several frames (`free_batch`); other sizes run one after another. The answers are
+        those of `predict` but for rounding. On one core a batch takes as long as its frames one by
+        one.
 
-        The frames that the network sees at one size (`network_size`) run as one batch where the
-        file takes several frames (`free_batch`), as files of ssdnet-export do; other sizes run as
-        batches of their own, one after another, as all frames do where the file takes one. The
-        answers are those of `predict` but for rounding. A batch needs the memory of its frames
-        together, and on one core it takes as long as they do one by one (1.00 to 1.02 times the
-        processor's time: ssdnet-lite, 4 frames of 256 x 832, AMD EPYC, n = 6).
+        Args:
+            frames: (rgb, sparse_depth) of each, as for `predict`, of any sizes.
+            focal_lengths_px: of each camera; None = the predictor's, for all or for one of them.
+            stamps: any value of each, returned in its answer; None = none.
 
-        Of an answer's latency `inference_ms` is the run of its batch, and `total_ms` the whole
-        call: all answers come at once.
+        Returns:
+            The answers in the order of the frames. `latency.inference_ms` is the run of a frame's
+            batch, and `latency.total_ms` the whole call.
 
-        Raises InputError naming the frame, before any of them runs, and InferenceError as `predict`
-        does: then there is no answer for any.
+        Raises:
+            InputError: naming the frame, before any of them runs.
+            InferenceError: as `predict`; then there is no answer for any frame.
         """
         started = time.perf_counter()
         focals = _one_each("focal_lengths_px", focal_lengths_px, frames)
@@ -187,50 +197,33 @@ class Predictor:
                     f"frame {index} of {len(frames)} must be (rgb, sparse_depth): {error}"
                 ) from error
             preprocess_ms.append(_ms_since(begun))
-        groups: dict[object, list[int]] = {}
-        for index, ready in enumerate(prepared):
-            groups.setdefault(ready.network_size if self.free_batch else index, []).append(index)
-        outputs: dict[int, dict[str, NDArray[Any]]] = {}
-        inference_ms = {}
-        for members in groups.values():
-            begun = time.perf_counter()
-            answered = self._run([prepared[index] for index in members])
-            outputs.update(zip(members, answered, strict=True))
-            inference_ms.update(dict.fromkeys(members, _ms_since(begun)))
-        answers, found, postprocess_ms = [], [], []
-        for index, ready in enumerate(prepared):
-            begun = time.perf_counter()
-            found.append(faults(outputs[index], self.contract))
-            answers.append(to_frame(outputs[index], ready))
-            postprocess_ms.append(_ms_since(begun))
-        total_ms = _ms_since(started)
-        return [
-            _prediction(
-                answers[index],
-                found[index],
-                ready,
-                Latency(preprocess_ms[index], inference_ms[index], postprocess_ms[index], total_ms),
-                stamps[index],
-                self.contract,
-            )
-            for index, ready in enumerate(prepared)
-        ]
+        return self._predict(prepared, preprocess_ms, stamps, started)
 
     def network_size(self, frame_size: tuple[int, int]) -> tuple[int, int]:
-        """Return the (height, width) at which the network runs for a frame of such a size.
+        """Return the (height, width) at which the network runs for a frame.
 
-        Raises InputError if the frame's aspect makes the rows that were asked for too wide.
+        Args:
+            frame_size: (height, width) of the frame.
+
+        Raises:
+            InputError: if the requested rows are too wide at the frame's aspect.
         """
         return self.input_size or network_size(
             self.size, frame_size, trained_height=self.contract.trained_height
         )
 
     def warm_up(self, size: tuple[int, int], *, runs: int = 1) -> None:
-        """Predict empty frames of `size` (height, width), so that memory and caches are ready.
+        """Predict empty frames, so that memory and caches are ready.
 
-        size: of the frames to come; the network runs at `network_size` of it. The time of the very
-            first prediction is kept as `first_inference_ms`.
-        Raises InputError for a size that cannot be, and what `predict` raises.
+        The time of the very first prediction is kept as `first_inference_ms`.
+
+        Args:
+            size: (height, width) of the frames to come; the network runs at `network_size` of it.
+            runs: number of predictions.
+
+        Raises:
+            InputError: for an invalid size.
+            InferenceError: as `predict`.
         """
         runs = _require_count("runs", runs, at_least=0)
         if not isinstance(size, Sequence):
@@ -247,18 +240,20 @@ class Predictor:
                 self.first_inference_ms = latency.total_ms
 
     def reset(self) -> None:
-        """Open the session anew from the model file, on the same provider and device.
+        """Open the session again from the model file, on the same provider and device.
 
-        For a provider that failed while running: `predict` raised InferenceError and goes on doing
-        so, and a stream counts errors. Other threads may go on predicting meanwhile. Raises
-        ContractError if the file is no longer the one that was opened, ProviderError if the
-        provider cannot run it any more; the old session then stays.
+        For a provider that failed while running, so that `predict` keeps raising InferenceError.
+        Other threads may continue to predict meanwhile. After an error the old session is kept.
+
+        Raises:
+            ContractError: if the file is no longer the one that was opened.
+            ProviderError: if the provider cannot run it any more.
         """
         file = load_model_file(Path(self.model), sha256=self.digest)
         self._session = self._open_session(file.content)
 
     def close(self) -> None:
-        """Free the session. Predicting afterwards raises InferenceError."""
+        """Free the session; calls in progress end normally, later ones raise InferenceError."""
         self._session = None
 
     def __enter__(self) -> "Predictor":
@@ -283,8 +278,50 @@ class Predictor:
             focal_length_px=self.focal_length_px if focal is None else focal,
         )
 
+    def _predict(
+        self,
+        frames: Sequence[NetworkInput],
+        preprocess_ms: Sequence[float],
+        stamps: Sequence[Any],
+        started: float,
+    ) -> list[Prediction]:
+        """Run prepared frames, those of one network size together, and convert the outputs."""
+        batches: dict[object, list[int]] = {}
+        for index, frame in enumerate(frames):
+            batches.setdefault(frame.network_size if self.free_batch else index, []).append(index)
+        outputs: dict[int, dict[str, NDArray[Any]]] = {}
+        inference_ms: dict[int, float] = {}
+        for members in batches.values():
+            begun = time.perf_counter()
+            outputs.update(zip(members, self._run([frames[i] for i in members]), strict=True))
+            inference_ms.update(dict.fromkeys(members, _ms_since(begun)))
+        answered = []
+        for index, frame in enumerate(frames):
+            begun = time.perf_counter()
+            found = faults(outputs[index], self.contract)
+            heads = to_frame(outputs[index], frame)
+            answered.append((heads, found, _ms_since(begun)))
+        total_ms = _ms_since(started)
+        return [
+            Prediction(
+                heads=heads,
+                frame_size=frame.frame_size,
+                network_size=frame.network_size,
+                latency=Latency(before_ms, inference_ms[index], after_ms, total_ms),
+                valid=not found,
+                degraded=frame.degraded + found,
+                cleaned=frame.cleaned,
+                depth_returns=frame.depth_returns,
+                stamp=stamp,
+                contract=self.contract,
+            )
+            for index, (frame, before_ms, stamp, (heads, found, after_ms)) in enumerate(
+                zip(frames, preprocess_ms, stamps, answered, strict=True)
+            )
+        ]
+
     def _run(self, frames: Sequence[NetworkInput]) -> list[dict[str, NDArray[Any]]]:
-        """Run frames of one network size as one batch; head -> array, of each."""
+        """Run frames of one network size as one batch: head -> array, of each."""
         session = self._session
         if session is None:
             raise InferenceError("the predictor is closed: make a new one")
@@ -309,7 +346,7 @@ class Predictor:
 
 
 def _batch(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Arrays of one shape, one behind the other; a single one is not copied."""
+    """Stack arrays of one shape; a single one is not copied."""
     return arrays[0][np.newaxis] if len(arrays) == 1 else np.stack(arrays)
 
 
@@ -328,28 +365,6 @@ def _one_each(name: str, values: Any, frames: Any) -> list[Any]:
     if len(given) != len(frames):
         raise InputError(f"{name} must hold one entry for each of {len(frames)} frames")
     return given
-
-
-def _prediction(
-    heads: dict[str, NDArray[Any]],
-    found: tuple[str, ...],
-    frame: NetworkInput,
-    latency: Latency,
-    stamp: Any,
-    contract: Contract,
-) -> Prediction:
-    return Prediction(
-        heads=heads,
-        frame_size=frame.frame_size,
-        network_size=frame.network_size,
-        latency=latency,
-        valid=not found,
-        degraded=frame.degraded + found,
-        cleaned=frame.cleaned,
-        depth_returns=frame.depth_returns,
-        stamp=stamp,
-        contract=contract,
-    )
 
 
 def _check_focal_length(focal_px: Any) -> float | None:

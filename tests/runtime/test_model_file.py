@@ -12,7 +12,7 @@ from onnx import helper
 
 from runtime import ContractError, Predictor
 from runtime.contract import METADATA_KEY
-from runtime.model_file import load_model_file, read_contract, with_contract
+from runtime.model_file import load_model_file, parse_model_file, with_contract
 
 
 def test_the_layout_as_the_onnx_library_reads_it(model_file):
@@ -62,12 +62,12 @@ def test_every_byte_counts(model_file):
         damaged = bytearray(whole)
         damaged[place] ^= int(random.integers(1, 256))
         with pytest.raises(ContractError):
-            read_contract(bytes(damaged))
+            parse_model_file(bytes(damaged))
     for place in range(0, len(whole), 40):
         damaged = bytearray(whole)
         damaged[place : place + 64] = bytes(len(damaged[place : place + 64]))
         with pytest.raises(ContractError):
-            read_contract(bytes(damaged))
+            parse_model_file(bytes(damaged))
 
 
 def test_bytes_that_come_or_go(model_file):
@@ -79,7 +79,7 @@ def test_bytes_that_come_or_go(model_file):
             whole[: place - 1] + whole[place:] if place else whole[1:],
         ):
             with pytest.raises(ContractError):
-                read_contract(change)
+                parse_model_file(change)
 
 
 def test_what_is_appended_is_refused(model_file, contract):
@@ -92,16 +92,16 @@ def test_what_is_appended_is_refused(model_file, contract):
         onnx.ModelProto(doc_string="a note"),
     ):
         with pytest.raises(ContractError, match="truncated or damaged"):
-            read_contract(whole + extra.SerializeToString())
+            parse_model_file(whole + extra.SerializeToString())
 
 
 def test_two_contracts_are_refused_in_an_old_file_too(model_file, contract):
     old = json.dumps(json.loads(contract.to_json()) | {"schema_version": "1.0"})
     entry = onnx.ModelProto(metadata_props=[{"key": METADATA_KEY, "value": old}])
     whole = model_file(contract=None, metadata=old).read_bytes()
-    assert read_contract(whole).content is None
+    assert parse_model_file(whole).contract.content is None
     with pytest.raises(ContractError, match="2 times"):
-        read_contract(whole + entry.SerializeToString())
+        parse_model_file(whole + entry.SerializeToString())
 
 
 def test_a_file_of_schema_1_0_still_loads(model_file, contract, make_frame):
@@ -116,7 +116,10 @@ def test_a_file_of_schema_1_0_still_loads(model_file, contract, make_frame):
 def test_metadata_of_others_may_stand_before_ours(model_file, contract):
     model = onnx.load(model_file(contract=None))
     helper.set_model_props(model, {"author": "somebody"})
-    assert read_contract(with_contract(model.SerializeToString(), contract)).content is not None
+    assert (
+        parse_model_file(with_contract(model.SerializeToString(), contract)).contract.content
+        is not None
+    )
 
 
 @pytest.mark.parametrize("value", [b"\xff\xfe", b"{\xc3}", b"\0"])
@@ -125,7 +128,7 @@ def test_metadata_that_is_no_text(model_file, value):
     entry = bytes([0x0A, len(key)]) + key + bytes([0x12, len(value)]) + value
     whole = model_file(contract=None).read_bytes() + bytes([0x72, len(entry)]) + entry
     with pytest.raises(ContractError, match=r"not UTF-8|not JSON"):
-        read_contract(whole)
+        parse_model_file(whole)
 
 
 def test_metadata_of_many_megabytes_is_not_parsed(model_file):
@@ -150,4 +153,4 @@ def test_metadata_of_many_megabytes_is_not_parsed(model_file):
 )
 def test_what_is_no_protobuf(content):
     with pytest.raises(ContractError, match="damaged"):
-        read_contract(content)
+        parse_model_file(content)

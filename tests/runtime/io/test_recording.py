@@ -49,7 +49,10 @@ def test_after_an_error_there_is_nothing(tmp_path):
 
 
 def test_a_model_that_was_replaced_meanwhile_is_refused(tmp_path, model_file):
-    with pytest.raises(ContractError, match="asked for was"), record(tmp_path / "r", SETTINGS) as r:
+    with (
+        pytest.raises(ContractError, match="expected"),
+        record(tmp_path / "r", SETTINGS) as r,
+    ):
         r.finish(model_file(), sha256="0" * 64)
 
 
