@@ -22,7 +22,7 @@ class Stub:
 
     def predict(self, rgb, sparse_depth, **options):
         size, latency = sparse_depth.shape, Latency(0, 0, 0, 0)
-        return Prediction(None, sparse_depth, None, size, size, latency)
+        return Prediction({"depth": sparse_depth}, size, size, latency)
 
 def push():
     stream.push_image(rgb, number / 10)
