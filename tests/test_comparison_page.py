@@ -14,7 +14,7 @@ from models import create_model
 from models.registry import NETWORKS
 from models.registry import Entry as Registered
 from training.evaluation.classical import METHODS
-from training.evaluation.exported_model import open_method
+from training.evaluation.scored_model import open_method
 from training.network import build_network
 from training.recipe import read_recipe
 

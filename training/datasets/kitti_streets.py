@@ -1,5 +1,6 @@
 """Streets of KITTI stereo 2015 (Menze and Geiger 2015), each with its whole LiDAR scan."""
 
+from bisect import bisect_right
 from pathlib import Path
 from typing import Literal
 
@@ -23,6 +24,9 @@ from training.datasets.sample import IGNORE, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT, Index
+
+#: Validation frames by place: the first number of each, up to the next one.
+_PLACES = (70, 71, 72, 83, 84, 85, 88, 89, 99)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -101,6 +105,7 @@ class KittiStreets:
             scan_line=scan_line,
             focal_baseline_px_m=self._focal_baseline,
             road_mask=self._read_mask(path.stem, size),
+            place=_place(int(path.stem)),
         )
 
     def _read_mask(self, number: str, size: tuple[int, int]) -> NDArray[np.uint8] | None:
@@ -115,6 +120,12 @@ class KittiStreets:
                 "unknown."
             )
         return mask
+
+
+def _place(number: int) -> str | None:
+    """Name the place of a validation frame by its first frame; None for the other frames."""
+    index = bisect_right(_PLACES, number)
+    return f"{_PLACES[index - 1]:06d}" if 0 < index < len(_PLACES) else None
 
 
 def _to_depth(stored: NDArray[np.uint16], focal_baseline: float) -> NDArray[np.float32]:

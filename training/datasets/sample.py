@@ -38,6 +38,8 @@ class Sample:
     #: uint8 (H, W), the road drawn by hand where that is all that is labelled: 0 = not road, 1 =
     #: road, 255 = unknown. None where the set has no such mask.
     road_mask: NDArray[np.uint8] | None = None
+    #: Which of the set's places the frame shows; None where the set does not know.
+    place: str | None = None
 
     @property
     def size(self) -> tuple[int, int]:

@@ -63,11 +63,22 @@ def evaluate(
     plot: Annotated[
         Path | None, typer.Option(help="Draw accuracy against the LiDAR here (PNG).")
     ] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the depth of every answer below this folder, as 16-bit PNGs of metres x "
+            "256 in MODEL/SET/LIDAR/FRAME.png, also of frames without ground truth."
+        ),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace depth of the same names below --save.")
+    ] = False,
 ) -> None:
     """Score models on data sets; prints a table."""
     with reported_errors("cpu,train"):
         # Heavy imports here, so that --help answers at once.
         from runtime.network_size import parse_network_size
+        from training.evaluation.evaluate import DepthFolder
         from training.evaluation.evaluate import evaluate as run
         from training.evaluation.score_report import (
             draw_lidar_quality,
@@ -81,6 +92,9 @@ def evaluate(
             require_writable(json, "--json")
         if plot is not None:
             require_writable(plot, "--plot", suffix=".png")
+        folder = None if save is None else DepthFolder(save, overwrite)
+        if folder is not None:
+            folder.require_free()
         files, methods = _split_names([*models, *(_BASELINES if baselines else ())])
         with interruptible():
             rows: list[Row] = run(
@@ -93,6 +107,7 @@ def evaluate(
                 threads=threads,
                 size=parse_network_size(size),
                 limit=limit,
+                save=folder,
             )
             typer.echo(format_table(rows))
             if json is not None:

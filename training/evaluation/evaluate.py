@@ -1,23 +1,65 @@
 """Every model on every set with every LiDAR and fault."""
 
+import re
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from tqdm import tqdm
 
-from runtime.errors import InputError
+from runtime.errors import InputError, OutputError
+from runtime.io.atomic_write import atomic_write
+from runtime.io.encode import encode_metres
 from runtime.network_size import NetworkSize
 from training.datasets.sample import SampleSource
 from training.datasets.source_recipe import SourceRecipe
-from training.evaluation.exported_model import ScoredModel, open_method, open_model
 from training.evaluation.score_report import Row
-from training.evaluation.scoring import Answer, Scores
+from training.evaluation.scored_model import ScoredModel, open_method, open_model
+from training.evaluation.scoring import Answer, Scores, figures_over_places
 from training.lidar.faults import Fault, add_fault
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
+
+
+@dataclass(frozen=True)
+class DepthFolder:
+    """Where depth is written: ``folder/MODEL/SET/LIDAR/FRAME.png``, 16-bit, metres x 256.
+
+    Attributes:
+        folder: is made with the first depth.
+        overwrite: whether depth of the same names is replaced.
+    """
+
+    folder: Path
+    overwrite: bool = False
+
+    def require_free(self) -> None:
+        """Raise an OutputError if the folder holds anything that may not be replaced."""
+        if self.folder.exists() and not self.folder.is_dir():
+            raise OutputError(f"{self.folder} is no folder: choose another --save")
+        if not self.overwrite and self.folder.is_dir() and any(self.folder.iterdir()):
+            raise OutputError(
+                f"{self.folder} is not empty: choose another --save, or replace depth of the same "
+                "names with --overwrite"
+            )
+
+    def write(self, parts: Sequence[str], depth: NDArray[np.float32] | None) -> None:
+        """Write a depth, float32 (H, W) [m], to the file of these folders and this name.
+
+        Raises InputError where there is no depth, OutputError for what cannot be written.
+        """
+        if depth is None:
+            raise InputError(f"{parts[0]} answers no depth, which --save writes; leave it out.")
+        names = [re.sub(r"[^\w.-]+", "_", part).lstrip(".") or "_" for part in parts]
+        path = self.folder.joinpath(*names[:-1], f"{names[-1]}.png")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"{path.parent}: cannot be made: {error.strerror}") from error
+        atomic_write(path, encode_metres(depth), overwrite=self.overwrite)
 
 
 def evaluate(
@@ -31,18 +73,33 @@ def evaluate(
     threads: int = 2,
     size: NetworkSize = None,
     limit: int | None = None,
+    save: DepthFolder | None = None,
 ) -> list[Row]:
     """Score models, and classical methods of depth completion by name.
 
-    ``data`` are sets whose paths stand by themselves. What a LiDAR stands for on each kind of set
-    says `training.lidar.split`; a set that cannot give one has no row with it. Where nothing was
-    fed in any frame of a set there is one row, with the LiDAR "none" and no fault, whatever was
-    asked for. Every model gets the same inputs, whatever else is asked for. ``limit`` takes that
-    many frames of a set, evenly spread. ``size`` is that at which every model runs, as
-    `Predictor` takes it.
+    Every model gets the same inputs. A set that cannot give a LiDAR has no row with it, see
+    `training.lidar.split`. Where nothing was fed in any frame of a set there is one row, with the
+    LiDAR "none" and no fault.
 
-    Raises DatasetError, InputError, CheckpointError, ContractError and ProviderError for what
-    cannot be opened, InputError if nothing could be scored.
+    Args:
+        models: checkpoints and exported models.
+        data: sets with absolute paths, or paths relative to the working directory.
+        lidars: inputs that each set is scored with.
+        faults: of these inputs; "none" for the input as it is.
+        methods: names in `METHODS`.
+        device: "cpu", "cuda" or "cuda:N".
+        threads: of the processor.
+        size: at which models run, as `Predictor` takes it.
+        limit: number of frames of each set, evenly spread; None = all.
+        save: where the depth of every answer is written; None = nowhere.
+
+    Returns:
+        A row a model, set, LiDAR and fault; without figures where a set has no ground truth.
+
+    Raises:
+        DatasetError, CheckpointError, ContractError, ProviderError: for what cannot be opened.
+        InputError: for an invalid argument, or if no set can give any of the LiDARs.
+        OutputError: for depth that cannot be written.
     """
     rows: list[Row] = []
     with ExitStack() as stack:
@@ -50,16 +107,14 @@ def evaluate(
             path: stack.enter_context(open_model(path, device=device, threads=threads, size=size))
             for path in models
         }
-        model_names = short_names(list(opened))
-        scored = dict(zip(model_names, opened.values(), strict=True))
+        scored = dict(zip(short_names(list(opened)), opened.values(), strict=True))
         scored |= {name: open_method(name) for name in methods}
         folders = short_names([Path(recipe.path) for recipe in data])
         for recipe, folder in zip(data, folders, strict=True):
             title = " ".join([folder, *_changed_keys(recipe)])
-
             for name, model in scored.items():
                 source = open_dataset(recipe, [Path()], classes=model.class_table)
-                rows += _score_all(name, model, title, source, lidars, faults, limit)
+                rows += _score_all(name, model, title, source, lidars, faults, limit, save)
     if not rows:
         raise InputError(
             "nothing could be scored: these sets give none of the LiDARs asked for. Lines need "
@@ -96,35 +151,47 @@ def _score_all(
     lidars: Sequence[LidarInput],
     faults: Sequence[Fault],
     limit: int | None,
+    save: DepthFolder | None,
 ) -> list[Row]:
     count = len(source) if limit is None else min(limit, len(source))
     indices = np.unique(np.linspace(0, len(source) - 1, count).round().astype(int))
     inputs = [(lidar, fault) for lidar in lidars for fault in faults]
-    scores = {item: Scores(len(model.classes)) for item in inputs}
+    # Of every input by place, None = a place that the set does not know.
+    scores: dict[tuple[LidarInput, Fault], dict[str | None, Scores]] = {item: {} for item in inputs}
     was_fed = dict.fromkeys(inputs, False)
     for index in tqdm(indices, desc=f"{name}, {title}", disable=None):
         sample = source[int(index)]  # once: reading it may cost more than an answer
-        camera_alone: Answer | None = None  # the same for all inputs that feed nothing
+        answers: dict[str, Answer] = {}  # inputs that feed nothing share one
         for lidar, fault in inputs:
             rng = frame_generator(int(index))  # the same for every model, whatever the limit
             frame = split_lidar(sample, lidar, rng)
             if frame is None:
                 continue
-            if frame.fed.any():
+            fed, label = frame.fed, "none"
+            if fed.any():
                 was_fed[lidar, fault] = True
-                fed = add_fault(frame.fed, fault, rng)
-                answer = model.predict(sample.rgb, fed, sample.focal_length_px)
-            else:
-                if camera_alone is None:
-                    camera_alone = model.predict(sample.rgb, frame.fed, sample.focal_length_px)
-                answer = camera_alone
-            scores[lidar, fault].update(answer, frame)
+                fed = add_fault(fed, fault, rng)
+                label = str(lidar) if fault == "none" else f"{lidar}-{fault}"
+            if label not in answers:
+                answers[label] = model.predict(sample.rgb, fed, sample.focal_length_px)
+                if save is not None:
+                    parts = (name, title, label, *sample.name.split("/"))
+                    save.write(parts, answers[label].depth)
+            places = scores[lidar, fault]
+            places.setdefault(sample.place, Scores(len(model.classes)))
+            places[sample.place].update(answers[label], frame)
     class_names = [info.name for info in model.classes]
-    rows = {}
-    for (lidar, fault), item in scores.items():
-        if item.frames:
-            names = (str(lidar), fault) if was_fed[lidar, fault] else ("none", "none")
-            if names not in rows:
-                figures = item.figures(class_names)
-                rows[names] = Row(name, model.engine, title, *names, item.frames, figures)
+    rows: dict[tuple[str, str], Row] = {}
+    for (lidar, fault), places in scores.items():
+        key = (str(lidar), fault) if was_fed[lidar, fault] else ("none", "none")
+        if places and key not in rows:
+            of_places = {} if None in places else figures_over_places(places.values(), class_names)
+            total = Scores(len(model.classes))
+            for part in places.values():
+                total.merge(part)
+            rows[key] = Row(
+                *(name, model.engine, title, *key, total.frames, total.figures(class_names)),
+                places=len(places) if of_places else 0,
+                figures_over_places=of_places,
+            )
     return list(rows.values())

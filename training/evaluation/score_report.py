@@ -4,7 +4,7 @@ import json
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from runtime.errors import OutputError
@@ -51,7 +51,13 @@ _LINE_STYLES = ("-", "--", ":", "-.")
 
 @dataclass(frozen=True)
 class Row:
-    """What one model scored on one set with one LiDAR and one fault; figures in SI and shares."""
+    """What one model scored on one set with one LiDAR and one fault.
+
+    Attributes:
+        figures: over the pixels of all frames, in SI units and shares; empty without ground truth.
+        places: how many places the frames show; 0 where the set does not know.
+        figures_over_places: the mean over these places, see `scoring.figures_over_places`.
+    """
 
     model: str
     engine: str
@@ -60,29 +66,47 @@ class Row:
     fault: str
     frames: int
     figures: dict[str, float]
+    places: int = 0
+    figures_over_places: dict[str, float] = field(default_factory=dict)
 
 
 def format_table(rows: Sequence[Row]) -> str:
-    """Lay rows out as a Markdown table; columns that no row has are left out."""
+    """Lay rows out as a Markdown table; a row without figures is a line below it.
+
+    Columns that no row has are left out. A row with places has a second line, the mean over them.
+    """
     columns = [column for column in _COLUMNS if any(column[0] in row.figures for row in rows)]
     titles = ["model", "engine", "data", "frames", "LiDAR", "fault"]
     cells = [[*titles, *(title for _, title, _ in columns)]]
+    notes = []
     for row in rows:
-        values = [
-            f"{row.figures[key] * factor:.3f}" if key in row.figures else ""
-            for key, _, factor in columns
-        ]
-        words = [row.model, row.engine, row.data, str(row.frames), row.lidar, row.fault]
-        cells.append([*words, *values])
+        if not row.figures:
+            notes.append(
+                f"{row.model} on {row.data}, LiDAR {row.lidar}: nothing to score, as none of the "
+                f"{row.frames} frames has ground truth"
+            )
+            continue
+        lines = [(str(row.frames), row.figures)]
+        if row.places:
+            lines.append((f"mean over {row.places} places", row.figures_over_places))
+        for frames, figures in lines:
+            values = [
+                f"{figures[key] * factor:.3f}" if key in figures else ""
+                for key, _, factor in columns
+            ]
+            words = [row.model, row.engine, row.data, frames, row.lidar, row.fault]
+            cells.append([*words, *values])
+    if len(cells) == 1:
+        return "\n".join(notes)
     widths = [max(len(line[index]) for line in cells) for index in range(len(cells[0]))]
-    lines = [
+    table = [
         "| "
         + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True))
         + " |"
         for line in cells
     ]
-    lines.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
-    return "\n".join(lines)
+    table.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
+    return "\n".join([*table, *notes])
 
 
 def require_writable(path: Path, option: str, *, suffix: str = "") -> None:
@@ -98,12 +122,20 @@ def require_writable(path: Path, option: str, *, suffix: str = "") -> None:
 
 
 def write_json(rows: Sequence[Row], path: Path) -> None:
-    """Write every figure of every row. Raises OutputError."""
-    # NaN is no JSON: a figure that nothing was measured for is null.
-    documents = []
-    for row in rows:
-        figures = {k: None if math.isnan(value) else value for k, value in row.figures.items()}
-        documents.append({**asdict(row), "figures": figures})
+    """Write every figure of every row; one that nothing was measured for is null.
+
+    Raises:
+        OutputError: if the file cannot be written.
+    """
+    documents = [
+        {
+            key: {k: None if math.isnan(v) else v for k, v in value.items()}
+            if isinstance(value, dict)
+            else value
+            for key, value in asdict(row).items()
+        }
+        for row in rows
+    ]
     atomic_write(path, json.dumps(documents, indent=2, allow_nan=False).encode())
 
 

@@ -1,7 +1,7 @@
 """Scores of a network on whole frames, the same for PyTorch and for an exported file."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -127,13 +127,16 @@ class Scores:
     def merge(self, other: "Scores") -> None:
         """Add another's counts."""
         self.frames += other.frames
-        self.semantic.merge(other.semantic)
-        self.depth.merge(other.depth)
-        self.boundary.merge(other.boundary)
-        self.disparity.merge(other.disparity)
-        self.regions.merge(other.regions)
-        self.uncertainty.merge(other.uncertainty)
-        self.road.merge(other.road)
+        for part in (
+            "semantic",
+            "depth",
+            "boundary",
+            "disparity",
+            "regions",
+            "uncertainty",
+            "road",
+        ):
+            getattr(self, part).merge(getattr(other, part))
 
     def figures(self, class_names: Sequence[str] = ()) -> dict[str, float]:
         """Return what was scored as named numbers: shares 0..1, metres, 1/km.
@@ -207,6 +210,21 @@ def _category_figures(semantic: SemanticScores, class_names: Sequence[str]) -> d
     known = [value for value in categories.values() if not math.isnan(value)]
     figures = {f"category_iou_{name}": value for name, value in categories.items()}
     return {"category_miou": sum(known) / len(known), **figures} if known else {}
+
+
+def figures_over_places(places: Collection[Scores], class_names: Sequence[str]) -> dict[str, float]:
+    """Return the mean of each figure over places that have it; nothing for fewer than two places.
+
+    Each place counts alike, however many of the frames show it.
+    """
+    if len(places) < 2:
+        return {}
+    values: dict[str, list[float]] = {}
+    for place in places:
+        for key, value in place.figures(class_names).items():
+            if not math.isnan(value):
+                values.setdefault(key, []).append(value)
+    return {key: sum(items) / len(items) for key, items in values.items()}
 
 
 def score(predict: Predict, frames: Iterable[LidarSplit], *, num_classes: int) -> Scores:

@@ -81,6 +81,17 @@ def test_blocks_are_of_numbers_not_of_places(streets, first, last, names):
     ]
 
 
+def test_validation_frames_show_eight_places(tmp_path):
+    numbers = (*range(69, 82), 83, 84, 85, 86, *range(88, 100))
+    write_streets(tmp_path, numbers)
+    source = KittiStreets(tmp_path)
+    places = [source[index].place for index in range(len(source))]
+    assert places[0] is places[-1] is None  # 69 and 99
+    assert len(set(places[1:-1])) == 8
+    counts = [places.count(place) for place in dict.fromkeys(places[1:-1])]
+    assert counts == [1, 1, 10, 1, 1, 2, 1, 10]
+
+
 def test_images_as_they_were_published_are_read_too(tmp_path):
     write_streets(tmp_path, suffix=".png")
     assert (KittiStreets(tmp_path)[0].rgb == (200, 20, 40)).all()

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from training.datasets.kitti_stream import KittiStream
-from training.evaluation.exported_model import open_method
 from training.evaluation.metrics import DepthScores
+from training.evaluation.scored_model import open_method
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 
 

@@ -11,15 +11,24 @@ import pytest
 from typer.testing import CliRunner
 
 from export.exporter import export_checkpoint
+from layouts import kitti_streets
 from models import create_model, load_checkpoint, save_checkpoint
 from runtime import Latency, Prediction
+from runtime.bundled_models import find_model
 from runtime.errors import InputError
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.evaluation.cli import app, parse_source
 from training.evaluation.evaluate import short_names
-from training.evaluation.exported_model import ScoredModel, engine_predict
 from training.evaluation.score_report import Row, format_table
+from training.evaluation.scored_model import ScoredModel, engine_predict, open_method, open_model
+
+#: ssdnet-lite with few channels.
+THIN = {
+    "encoder_channels": (8, 8, 8, 8),
+    "decoder_channels": (8, 8, 8),
+    "stem_channels": (8, 8),
+}
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +55,9 @@ def folder(tmp_path_factory):
     for name, pixels in (("val", image), ("valannot", np.full((64, 96), 3, np.uint8))):
         (root / "camvid" / name).mkdir(parents=True)
         cv2.imwrite(str(root / "camvid" / name / "a.png"), pixels)
-    save_checkpoint(root / "lite.pt", create_model("ssdnet-lite").eval())
-    export_checkpoint(root / "lite.pt", root / "lite.onnx", size=(64, 96))
+    network = create_model("ssdnet-lite", canonical_focal_px=150.0, **THIN).eval()
+    save_checkpoint(root / "lite.pt", network, training={"trained_height": 40})
+    export_checkpoint(root / "lite.pt", root / "lite.onnx", size=(64, 96), dynamic=True)
     return root
 
 
@@ -62,6 +72,7 @@ def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, tmp_
         folder / "lite.onnx",
         *("--data", f"rendered:{folder}/scenes", "--data", f"camvid:{folder}/camvid,split=val"),
         *("--lidar", "64,random:0.05,none", "--faults", "nan,dropout", "--baselines"),
+        *("--size", "frame"),
         *("--json", out, "--plot", plot),
     )
     assert result.exit_code == 0, result.output
@@ -98,14 +109,10 @@ def test_checkpoint_and_export_run_at_one_size(folder, tmp_path):
 
     It works in canonical depth: both take the focal length of the scenes, at the size they run at.
     """
-    network = load_checkpoint(folder / "lite.pt").model
-    network.config = replace(network.config, canonical_focal_px=150.0)
-    save_checkpoint(tmp_path / "a.pt", network, training={"trained_height": 40})
-    export_checkpoint(tmp_path / "a.pt", tmp_path / "a.onnx", size=(64, 96), dynamic=True)
     data = ["--data", f"rendered:{folder}/scenes", "--json", tmp_path / "rows.json"]
     figures = {}
     for size in ("auto", "frame", "40", "48x80"):
-        result = run(tmp_path / "a.pt", tmp_path / "a.onnx", *data, "--size", size)
+        result = run(folder / "lite.pt", folder / "lite.onnx", *data, "--size", size)
         assert result.exit_code == 0, result.output
         torch_row, file_row = json.loads((tmp_path / "rows.json").read_text())
         assert file_row["figures"]["mae_m"] == pytest.approx(torch_row["figures"]["mae_m"], 1e-4)
@@ -113,15 +120,18 @@ def test_checkpoint_and_export_run_at_one_size(folder, tmp_path):
         figures[size] = torch_row["figures"]
     assert figures["auto"] == figures["40"]
     assert figures["auto"]["mae_m"] != figures["frame"]["mae_m"] != figures["48x80"]["mae_m"]
-    plain = run(folder / "lite.pt", *data, "--size", "frame")
+    network = load_checkpoint(folder / "lite.pt").model
+    network.config = replace(network.config, canonical_focal_px=None)
+    save_checkpoint(tmp_path / "plain.pt", network)
+    plain = run(tmp_path / "plain.pt", *data, "--size", "frame")
     assert plain.exit_code == 0, plain.output
     (row,) = json.loads((tmp_path / "rows.json").read_text())
     assert row["figures"]["mae_m"] != pytest.approx(figures["frame"]["mae_m"], 1e-2)
 
 
-def test_a_file_of_fixed_size_is_scored_at_no_other(folder):
+def test_a_file_of_fixed_size_is_scored_at_no_other(folder, model_file):
     data = ["--data", f"camvid:{folder}/camvid,split=val"]
-    result = run(folder / "lite.onnx", *data, "--size", "frame")
+    result = run(model_file(size=(48, 64)), *data, "--size", "frame")
     assert result.exit_code == 1
     assert "the model is of fixed size" in result.output
     result = run(folder / "lite.pt", *data, "--size", "large")
@@ -184,6 +194,100 @@ def test_limit_takes_so_many_frames(folder, tmp_path):
     data = f"rendered:{folder}/scenes"
     assert run(folder / "lite.pt", "--data", data, "--limit", 1, "--json", out).exit_code == 0
     assert [row["frames"] for row in json.loads(out.read_text())] == [1]
+
+
+def write_folders(root, count=2):
+    """Pictures with recorded returns beside them, without ground truth."""
+    rng = np.random.default_rng(0)
+    (root / "images").mkdir()
+    (root / "returns").mkdir()
+    for number in range(count):
+        returns = np.zeros((40, 64), np.uint16)
+        returns.flat[rng.choice(returns.size, 200, replace=False)] = rng.integers(512, 9999, 200)
+        cv2.imwrite(str(root / f"images/{number}.png"), np.full((40, 64, 3), 90, np.uint8))
+        cv2.imwrite(str(root / f"returns/{number}.png"), returns)
+    return f"folders:{root},sparse_depth=returns"
+
+
+def test_depth_of_models_and_methods_is_saved_without_ground_truth(tmp_path):
+    data, save = write_folders(tmp_path), tmp_path / "depth"
+    models = ["nearest", "ssdnet-nano"]
+    result = run(*models, "--data", data, "--lidar", "own,none", "--save", save)
+    assert result.exit_code == 0, result.output
+    for model in ("nearest", "ssdnet-nano.onnx"):
+        text = f"{model} on {tmp_path.name} sparse_depth=returns, LiDAR own: nothing to score"
+        assert text in result.output
+    assert "|" not in result.output.splitlines()[0]
+    files = sorted(path.relative_to(save) for path in save.rglob("*") if path.is_file())
+    set_name = f"{tmp_path.name}_sparse_depth_returns"
+    assert files == sorted(
+        Path(model, set_name, lidar, tmp_path.name, f"{frame}.png")
+        for model in ("nearest", "ssdnet-nano.onnx")
+        for lidar in ("own", "none")
+        for frame in (0, 1)
+    )
+    returns = cv2.imread(str(tmp_path / "returns/1.png"), cv2.IMREAD_UNCHANGED)
+    with open_model(find_model("ssdnet-nano")) as network:
+        for name, model in (("nearest", open_method("nearest")), ("ssdnet-nano.onnx", network)):
+            rgb = np.full((40, 64, 3), 90, np.uint8)
+            depth = model.predict(rgb, (returns / 256).astype(np.float32), None).depth
+            path = save / name / set_name / "own" / tmp_path.name / "1.png"
+            written = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            np.testing.assert_array_equal(written, np.rint(depth * 256))
+
+
+def test_saved_depth_is_replaced_only_when_asked(tmp_path):
+    data, save = write_folders(tmp_path, 1), tmp_path / "depth"
+    command = ["nearest", "--data", data, "--save", save]
+    assert run(*command).exit_code == 0
+    (path,) = save.rglob("*.png")
+    content = path.read_bytes()
+    path.write_bytes(b"old")
+    (save / "notes.txt").write_text("mine")
+    result = run(*command)
+    assert result.exit_code == 1
+    assert f"{save} is not empty" in result.output
+    assert "--overwrite" in result.output
+    assert path.read_bytes() == b"old"
+    assert run(*command, "--overwrite").exit_code == 0
+    assert path.read_bytes() == content
+    assert (save / "notes.txt").read_text() == "mine"
+    result = run("nearest", "--data", data, "--save", path)
+    assert result.exit_code == 1
+    assert "is no folder" in result.output
+
+
+def test_depth_is_saved_of_no_model_without_it(tmp_path):
+    config = {"encoder_channels": (8,), "encoder_blocks": (1,), "decoder_channels": (8,)}
+    network = create_model("ssdnet-small-sem", **config)
+    save_checkpoint(tmp_path / "semantic.pt", network.eval())
+    data, save = write_folders(tmp_path, 1), tmp_path / "depth"
+    result = run(tmp_path / "semantic.pt", "--data", data, "--save", save)
+    assert result.exit_code == 1
+    assert "semantic.pt answers no depth, which --save writes" in result.output
+    assert not save.exists()
+
+
+def test_frames_of_one_place_count_as_one_in_the_mean_over_places(tmp_path):
+    """Errors of 0 m in two frames of one place, of 10 m in a frame of another."""
+    kitti_streets.write_streets(tmp_path, (72, 73, 83))
+    far = np.zeros((kitti_streets.HEIGHT, kitti_streets.WIDTH), np.uint16)
+    far[:, : kitti_streets.WIDTH // 2] = 2 * 256  # 20 m
+    cv2.imwrite(str(tmp_path / "disp_occ_0/000083.png"), far)
+    out = tmp_path / "rows.json"
+    command = ["nearest", "--lidar", "64", "--json", out, "--data"]
+    result = run(*command, f"kitti_streets:{tmp_path}")
+    assert result.exit_code == 0, result.output
+    (row,) = json.loads(out.read_text())
+    assert row["figures"]["mae_m"] == pytest.approx(10 / 3)
+    assert row["figures_over_places"]["mae_m"] == pytest.approx(5)
+    assert row["places"] == 2
+    assert "mean over 2 places" in result.output.splitlines()[-1]
+    for last in (71, 73):  # no place is known of the first, and the others show one
+        kitti_streets.write_streets(tmp_path, (last - 2,))
+        assert run(*command, f"kitti_streets:{tmp_path},last={last}").exit_code == 0
+        (row,) = json.loads(out.read_text())
+        assert (row["places"], row["figures_over_places"]) == (0, {})
 
 
 def test_errors_say_what_to_do(folder, tmp_path):

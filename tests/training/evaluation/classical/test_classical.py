@@ -6,7 +6,7 @@ import pytest
 from runtime.errors import InputError, SSDNetError
 from training.evaluation.classical import METHODS, create_method
 from training.evaluation.classical.ip_basic import IPBasic
-from training.evaluation.exported_model import method_predict, open_method
+from training.evaluation.scored_model import method_predict, open_method
 
 FILLS_EVERYTHING = ("nearest", "mrf", "tgv")
 

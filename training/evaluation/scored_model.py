@@ -24,21 +24,26 @@ from training.evaluation.scoring import Answer, Predict, torch_predict
 
 @dataclass(frozen=True)
 class ScoredModel:
-    """What is ready to predict, and what its file says about it."""
+    """What is ready to predict, and what its file records about it.
+
+    Attributes:
+        predict: answers one frame.
+        classes: of its semantic head; empty without one.
+        engine: how it runs: "torch on cpu", "onnxruntime on cpu", "no network".
+        training: the training as the file records it, with the resolved recipe.
+    """
 
     predict: Predict
     classes: tuple[ClassInfo, ...]
-    #: How it runs: "torch on cpu", "onnxruntime on cpu", "no network".
     engine: str
-    #: What the file says of its training, as the recipe put it.
     training: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def class_table(self) -> ClassTable:
         """The classes it was trained with: a name in `models.CLASS_TABLES`, or its own table.
 
-        Without a semantic head they still drew the boundaries that it learned; CamVid's where the
-        file does not say.
+        A network without a semantic head learned the boundaries of these classes, too. CamVid's
+        where the file does not name them.
         """
         if not self.classes:
             recipe = self.training.get("recipe", {})
@@ -58,9 +63,18 @@ def open_model(
 ) -> Iterator[ScoredModel]:
     """Open ``*.pt`` through PyTorch, ``*.onnx`` through the engine that ships.
 
-    Either runs at ``size`` as `Predictor` takes it, by default about the height it was trained for.
-    Raises InputError for another kind of file, CheckpointError, ContractError and ProviderError for
-    what cannot be opened.
+    Args:
+        path: a checkpoint or an exported model.
+        device: "cpu", "cuda" or "cuda:N".
+        threads: of the processor.
+        size: at which it runs, as `Predictor` takes it.
+
+    Yields:
+        The model; an exported one is closed at the end.
+
+    Raises:
+        InputError: for another kind of file, a missing device or an invalid size.
+        CheckpointError, ContractError, ProviderError: for what cannot be opened.
     """
     if path.suffix == ".pt":
         torch.set_num_threads(threads)
@@ -112,9 +126,10 @@ def open_method(name: str) -> ScoredModel:
 
 
 def method_predict(method: CompletionMethod) -> Predict:
-    """Return a classical method as a predictor; depth 0, no answer, is scored as the number it is.
+    """Return a classical method as a predictor.
 
-    As for a model, what is negative, not finite or beyond `FARTHEST_M` is no measurement.
+    As for a model, what is negative, not finite or beyond `FARTHEST_M` is no measurement. A depth
+    of 0, no answer, is scored as a depth.
     """
 
     def predict(
@@ -130,7 +145,7 @@ def method_predict(method: CompletionMethod) -> Predict:
 
 
 def engine_predict(predictor: Predictor) -> Predict:
-    """Return the engine as a predictor; an answer that it calls invalid is an error."""
+    """Return the engine as a predictor; an invalid answer is an SSDNetError."""
 
     def predict(
         rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
