@@ -19,13 +19,13 @@ from models.surfaces import (
     FINE_CELL,
     HEAD_CHANNELS,
     Surfaces,
-    carry_surfaces,
     choose_surface,
+    dilate_returns,
     error_scale,
+    propagate_surfaces,
+    reduce_scale,
     refine_surfaces,
-    return_trust,
-    sharpen_scale,
-    spread_returns,
+    return_confidence,
     surface_features,
     take_returns,
 )
@@ -71,7 +71,7 @@ class SSDNet(Network):
             )
         if config.depth_surfaces:
             self.surface_project = nn.Conv2d(FEATURE_CHANNELS, finest, 1)
-            # What is a car has a roof and windows where the LiDAR saw none.
+            # Classes imply surfaces without returns: a car has a roof and windows.
             self.surface_semantics = nn.Conv2d(finest, finest, 1) if config.semantic_head else None
             channels = finest
             if config.depth_refine_channels:
@@ -82,7 +82,7 @@ class SSDNet(Network):
             self.surface_head = nn.Conv2d(channels, HEAD_CHANNELS, 1)
         self.apply(initialise)
         if config.depth_surfaces and self.surface_semantics is not None:
-            # An older network's weights go on as they were.
+            # Zero, so that weights trained without this layer give the same depth.
             nn.init.zeros_(self.surface_semantics.weight)
 
     @property
@@ -120,8 +120,7 @@ class SSDNet(Network):
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on the heads' own grids, see `Network.predict_coarse`.
 
-        A network with a strided stem pads the image to a multiple of its stride; the others do
-        not pad.
+        A network with a strided stem pads the image to a multiple of its stride, others do not.
         """
         config = self.config
         exact = bool(config.stem_channels)
@@ -142,7 +141,7 @@ class SSDNet(Network):
         x_stem = stem_features[-1]
         measured, surfaces, cues = x[:, -2:], None, None
         if self.surface_stem is not None:
-            surfaces, density = carry_surfaces(measured, levels=config.num_skips)
+            surfaces, density = propagate_surfaces(measured, levels=config.num_skips)
             cues = surface_features(surfaces, density)
             x_stem = x_stem + self.surface_stem(cues)
 
@@ -185,7 +184,7 @@ class SSDNet(Network):
         measured: Tensor,
         boundary_logits: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Depth, its uncertainty and the boundary's logits at full size from the choice's head.
+        """Return the depth, its uncertainty and the boundary's logits at full size.
 
         One upsampling for all maps of a grid: ONNX Runtime splits the work of a Resize by channels.
         """
@@ -196,15 +195,17 @@ class SSDNet(Network):
             stride = FINE_CELL
             maps = torch.cat([*surfaces, regressed, boundary_logits], dim=1)
             maps = upsample(maps, factor=COARSE_CELL // FINE_CELL)
-            *raised, regressed, boundary_logits = maps.split(1, dim=1)
-            surfaces = refine_surfaces(Surfaces(*raised), measured)
+            *upsampled, regressed, boundary_logits = maps.split(1, dim=1)
+            surfaces = refine_surfaces(Surfaces(*upsampled), measured)
         depth = choose_surface(head, regressed, surfaces)
         scale = error_scale(head, depth)
         maps = upsample(torch.cat([depth, scale, boundary_logits], dim=1), factor=stride)
         depth, scale, boundary_logits = maps.split(1, dim=1)
-        # A share a cell will do: the returns say where an edge is.
-        trust = F.interpolate(return_trust(head), scale_factor=float(stride), mode="nearest")
-        before, behind, surer = trust.split(1, dim=1)
-        returns = spread_returns(measured)
+        # One value a cell is enough: the returns give the position of an edge.
+        confidence = F.interpolate(
+            return_confidence(head), scale_factor=float(stride), mode="nearest"
+        )
+        before, behind, reduction = confidence.split(1, dim=1)
+        returns = dilate_returns(measured)
         depth = take_returns(depth, returns, before, behind)
-        return depth, sharpen_scale(scale, returns, surer), boundary_logits
+        return depth, reduce_scale(scale, returns, reduction), boundary_logits

@@ -11,18 +11,18 @@ from models.surfaces import (
     FINE_CELL,
     HEAD_CHANNELS,
     LOG_SCALE,
-    MOST_SURER,
+    MAX_SCALE_REDUCTION,
     NEAREST,
     RETURN_REACH,
     WINDOWS,
     Surfaces,
-    carry_surfaces,
     choose_surface,
+    dilate_returns,
     error_scale,
+    propagate_surfaces,
+    reduce_scale,
     refine_surfaces,
-    return_trust,
-    sharpen_scale,
-    spread_returns,
+    return_confidence,
     surface_features,
     take_returns,
 )
@@ -41,13 +41,22 @@ def measured(**returns: float) -> torch.Tensor:
     return maps
 
 
-def carried(maps: torch.Tensor) -> Surfaces:
-    return carry_surfaces(maps, levels=4)[0]
+def propagated(maps: torch.Tensor) -> Surfaces:
+    return propagate_surfaces(maps, levels=4)[0]
 
 
 def head_of(**logits: float) -> torch.Tensor:
-    """Logits of trust in three surfaces, a correction, a scale and trust in returns."""
-    channels = ("mean", "farthest", "nearest", "correction", "scale", "before", "behind", "surer")
+    """Logits of the named channels; the others are 0."""
+    channels = (
+        "mean",
+        "farthest",
+        "nearest",
+        "correction",
+        "scale",
+        "before",
+        "behind",
+        "reduction",
+    )
     assert len(channels) == HEAD_CHANNELS
     values = [logits.get(name, -30.0 if name in channels[:3] else 0.0) for name in channels]
     return torch.tensor(values).view(1, -1, 1, 1).expand(1, -1, *GRID)
@@ -55,7 +64,7 @@ def head_of(**logits: float) -> torch.Tensor:
 
 def test_two_surfaces_in_one_cell_are_kept_apart():
     """5 m and 80 m: the mean of depths, 42.5 m, is a surface that is nowhere."""
-    found, density = carry_surfaces(measured(r40c40=0.05, r41c41=0.8), levels=4)
+    found, density = propagate_surfaces(measured(r40c40=0.05, r41c41=0.8), levels=4)
     cell = (0, 0, 10, 10)
     assert found.nearest[cell].item() == pytest.approx(0.05, rel=1e-4)
     assert found.farthest[cell].item() == pytest.approx(0.8, rel=1e-4)
@@ -64,8 +73,8 @@ def test_two_surfaces_in_one_cell_are_kept_apart():
     assert density[cell].item() == pytest.approx(2 / COARSE_CELL**2)
 
 
-def test_a_surface_is_carried_as_far_as_the_windows_reach_and_no_further():
-    found = carried(measured(r64c96=0.3))
+def test_a_surface_is_propagated_as_far_as_the_windows_reach_and_no_further():
+    found = propagated(measured(r64c96=0.3))
     reach = sum(window // 2 for window in WINDOWS)
     row, columns = found.support[0, 0, 16], found.nearest[0, 0, 16]
     ends = [int(index) for index in torch.nonzero(row).flatten()[[0, -1]]]
@@ -81,7 +90,7 @@ def test_the_nearest_surface_is_the_nearest_of_a_plain_loop_before_smoothing():
     taken = torch.from_numpy(rng.random(SIZE) < 0.1)
     maps[0, 1] = taken.float()
     maps[0, 0] = torch.from_numpy(rng.uniform(0.02, 0.9, SIZE).astype(np.float32)) * taken
-    found = carried(maps)
+    found = propagated(maps)
     depth, side = maps[0, 0].numpy(), COARSE_CELL
     for row, column in ((5, 7), (20, 33), (25, 40)):
         cells = []
@@ -98,25 +107,25 @@ def test_the_nearest_surface_is_the_nearest_of_a_plain_loop_before_smoothing():
 
 
 def test_nothing_measured_supports_nothing():
-    found, density = carry_surfaces(measured(), levels=4)
+    found, density = propagate_surfaces(measured(), levels=4)
     assert not found.support.any()
     assert not found.mean_support.any()
     assert not surface_features(found, density).any()
     own = torch.full((1, 1, *GRID), 0.4)
-    trusting = head_of(mean=30.0, farthest=30.0, nearest=30.0)
-    assert torch.allclose(choose_surface(trusting, own, found), own)
+    confident = head_of(mean=30.0, farthest=30.0, nearest=30.0)
+    assert torch.allclose(choose_surface(confident, own, found), own)
 
 
-@pytest.mark.parametrize("trusted", ["mean", "farthest", "nearest"])
-def test_a_trusted_candidate_is_the_answer(trusted):
-    found = carried(measured(r40c40=0.05, r41c41=0.8))
+@pytest.mark.parametrize("candidate", ["mean", "farthest", "nearest"])
+def test_a_candidate_of_full_confidence_is_the_answer(candidate):
+    found = propagated(measured(r40c40=0.05, r41c41=0.8))
     own = torch.full((1, 1, *GRID), 0.4)
-    chosen = choose_surface(head_of(**{trusted: 30.0}), own, found)[0, 0, 10, 10]
-    share = found.mean_support[0, 0, 10, 10].item() if trusted == "mean" else 1.0
+    chosen = choose_surface(head_of(**{candidate: 30.0}), own, found)[0, 0, 10, 10]
+    share = found.mean_support[0, 0, 10, 10].item() if candidate == "mean" else 1.0
     assert share > 0.99
-    expected = 0.4 + share * (getattr(found, trusted)[0, 0, 10, 10].item() - 0.4)
+    expected = 0.4 + share * (getattr(found, candidate)[0, 0, 10, 10].item() - 0.4)
     assert chosen.item() == pytest.approx(expected, rel=1e-3)
-    largest = head_of(**{trusted: 30.0}, correction=30.0)
+    largest = head_of(**{candidate: 30.0}, correction=30.0)
     corrected = choose_surface(largest, own, found)[0, 0, 10, 10]
     assert corrected.item() == pytest.approx(min(1.0, chosen.item() * np.exp(0.5)), rel=1e-3)
 
@@ -124,29 +133,29 @@ def test_a_trusted_candidate_is_the_answer(trusted):
 def test_a_return_takes_the_place_of_the_surface_that_it_lies_on():
     maps = measured(r40c40=0.05, r41c41=0.8, r42c42=0.2, r60c60=1.0)
     shape = (1, 1, SIZE[0] // FINE_CELL, SIZE[1] // FINE_CELL)
-    raised = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.6, 0.4, 1.0, 0.9)))
-    fine = refine_surfaces(raised, maps)
+    upsampled = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.6, 0.4, 1.0, 0.9)))
+    fine = refine_surfaces(upsampled, maps)
     # Of 0.3 and 0.6, 0.2 lies on the nearer surface, 1.0 on the farther.
     expected = {(20, 20): (0.05, 0.8), (21, 21): (0.2, 0.6), (30, 30): (0.3, 1.0)}
     for (row, column), (nearest, farthest) in expected.items():
         assert fine.nearest[0, 0, row, column].item() == pytest.approx(nearest, rel=1e-4)
         assert fine.farthest[0, 0, row, column].item() == pytest.approx(farthest, rel=1e-4)
         fine.nearest[0, 0, row, column], fine.farthest[0, 0, row, column] = 0.3, 0.6
-    assert all(torch.equal(one, other) for one, other in zip(fine, raised, strict=True))
+    assert all(torch.equal(one, other) for one, other in zip(fine, upsampled, strict=True))
 
 
-def test_a_return_on_the_one_surface_there_is_stands_for_both():
+def test_a_return_on_the_only_surface_replaces_both():
     maps = measured(r40c40=0.33)
     shape = (1, 1, SIZE[0] // FINE_CELL, SIZE[1] // FINE_CELL)
-    raised = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.36, 0.33, 1.0, 0.9)))
-    fine = refine_surfaces(raised, maps)
+    upsampled = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.36, 0.33, 1.0, 0.9)))
+    fine = refine_surfaces(upsampled, maps)
     for surface in (fine.nearest, fine.farthest):
         assert surface[0, 0, 20, 20].item() == pytest.approx(0.33, rel=1e-4)
 
 
 def test_features_lie_in_0_1():
     maps = measured(r0c0=NEAREST / 10, r10c90=1.0, r50c50=0.2)
-    features = surface_features(*carry_surfaces(maps, levels=4))
+    features = surface_features(*propagate_surfaces(maps, levels=4))
     assert features.min() >= -1e-6
     assert features.max() <= 1 + 1e-6
 
@@ -166,7 +175,7 @@ def test_the_nearest_return_is_that_of_a_plain_loop():
     maps = torch.zeros(1, 2, *SIZE)
     maps[0, 0] = torch.from_numpy(rng.uniform(0.02, 0.99, SIZE).astype(np.float32)) * taken
     maps[0, 1] = taken.float()
-    spread, near, here = (maps[0, 0].numpy() for maps in spread_returns(maps))
+    dilated, near, here = (maps[0, 0].numpy() for maps in dilate_returns(maps))
     depth = maps[0, 0].numpy()
     assert np.array_equal(here > 0, depth > 0)
     found = 0
@@ -181,25 +190,25 @@ def test_the_nearest_return_is_that_of_a_plain_loop():
                     break
             assert near[row, column] == (expected > 0)
             if expected:
-                assert spread[row, column] == pytest.approx(expected, rel=1e-5)
+                assert dilated[row, column] == pytest.approx(expected, rel=1e-5)
             found += expected > 0
     assert 0.3 < found / (43 * 64) < 0.7
 
 
-def test_the_trust_in_returns_is_the_sigmoid_of_its_own_channels():
-    trust = return_trust(head_of(before=30.0, behind=-30.0, mean=30.0, scale=30.0))
-    assert trust.shape == (1, 3, *GRID)
-    assert torch.allclose(trust[0, :, 3, 5], torch.tensor([1.0, 0.0, 0.5]))
+def test_the_confidence_in_returns_is_the_sigmoid_of_its_own_channels():
+    confidence = return_confidence(head_of(before=30.0, behind=-30.0, mean=30.0, scale=30.0))
+    assert confidence.shape == (1, 3, *GRID)
+    assert torch.allclose(confidence[0, :, 3, 5], torch.tensor([1.0, 0.0, 0.5]))
 
 
 @pytest.mark.parametrize(("returned", "channel"), [(0.05, 0), (0.9, 1)])
-def test_a_trusted_return_is_taken_beside_it_and_nowhere_else(returned, channel):
-    """A return before the predicted depth is trusted by one channel, one behind it by the other."""
-    depth, returns = torch.full((1, 1, *SIZE), 0.5), spread_returns(measured(r40c40=returned))
+def test_a_return_of_full_confidence_is_taken_beside_it_and_nowhere_else(returned, channel):
+    """Returns before and behind the predicted depth have a channel of confidence each."""
+    depth, returns = torch.full((1, 1, *SIZE), 0.5), dilate_returns(measured(r40c40=returned))
     for share, expected in ((1.0, returned), (0.5, (0.5 + returned) / 2), (0.0, 0.5)):
-        trust = [torch.zeros_like(depth), torch.zeros_like(depth)]
-        trust[channel] += share
-        taken = take_returns(depth, returns, *trust)[0, 0]
+        confidence = [torch.zeros_like(depth), torch.zeros_like(depth)]
+        confidence[channel] += share
+        taken = take_returns(depth, returns, *confidence)[0, 0]
         assert torch.allclose(taken[38:43, 38:43], torch.tensor(expected))
         taken[38:43, 38:43] = 0.5
         assert torch.equal(taken, depth[0, 0])
@@ -207,26 +216,28 @@ def test_a_trusted_return_is_taken_beside_it_and_nowhere_else(returned, channel)
 
 def test_nothing_measured_is_nothing_taken():
     depth = torch.full((1, 1, *SIZE), 0.5)
-    returns, fully = spread_returns(measured()), torch.ones_like(depth)
+    returns, fully = dilate_returns(measured()), torch.ones_like(depth)
     assert torch.equal(take_returns(depth, returns, fully, fully), depth)
-    assert torch.equal(sharpen_scale(depth, returns, fully), depth)
+    assert torch.equal(reduce_scale(depth, returns, fully), depth)
 
 
 def test_the_error_is_surer_near_returns_alone():
     scale = torch.full((1, 1, *SIZE), 0.5)
-    surer = torch.full_like(scale, 0.4)
-    sharpened = sharpen_scale(scale, spread_returns(measured(r40c40=0.05)), surer)[0, 0]
-    assert torch.allclose(sharpened[38:43, 38:43], torch.tensor(0.5 * (1 - 0.4 * MOST_SURER)))
-    sharpened[38:43, 38:43] = 0.5
-    assert torch.equal(sharpened, scale[0, 0])
+    reduction = torch.full_like(scale, 0.4)
+    reduced = reduce_scale(scale, dilate_returns(measured(r40c40=0.05)), reduction)[0, 0]
+    assert torch.allclose(
+        reduced[38:43, 38:43], torch.tensor(0.5 * (1 - 0.4 * MAX_SCALE_REDUCTION))
+    )
+    reduced[38:43, 38:43] = 0.5
+    assert torch.equal(reduced, scale[0, 0])
 
 
-def test_returns_that_agree_are_taken_without_trust_and_others_are_not():
+def test_returns_that_agree_are_taken_without_confidence_and_others_are_not():
     depth = torch.full((1, 1, *SIZE), 0.5)
     near, far, close = 0.5 * (1 - 0.9 * AGREEMENT), 0.8, 0.5 * (1 + 1.5 * AGREEMENT)
     returns = measured(r1c1=near, r2c20=far, r3c40=close)
-    untrusted = torch.zeros_like(depth)
-    kept = take_returns(depth, spread_returns(returns), untrusted, untrusted)[0, 0]
+    zero = torch.zeros_like(depth)
+    kept = take_returns(depth, dilate_returns(returns), zero, zero)[0, 0]
     assert kept[1, 1].item() == pytest.approx(near)
     assert kept[2, 20].item() == pytest.approx(0.5)
     assert kept[3, 40].item() == pytest.approx((0.5 + close) / 2)
@@ -265,7 +276,7 @@ def test_it_needs_the_sparse_depth_as_it_is_and_a_stem_of_a_quarter(changes, mes
         create_model("ssdnet-lite", **changes)
 
 
-def test_the_choice_reads_what_the_classes_are_told_by():
+def test_the_choice_reads_the_features_of_the_semantic_decoder():
     """Nothing of it at first, so that weights without it go on as they were; then it is learned."""
     network = create_model("ssdnet-nano").eval()
     rgb, sparse = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
