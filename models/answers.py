@@ -41,8 +41,10 @@ def head_maps(output: NetworkOutput) -> dict[str, Tensor]:
 
 
 def to_unit(head: str, values: Tensor, max_depth_m: float) -> Tensor:
-    """Convert what a network gives for a head: a share of the range to metres, a logit to a
-    probability, class scores (N, C, H, W) to class ids uint8 (N, H, W).
+    """Convert a head's map to its unit.
+
+    A share of the range becomes metres, a logit a probability, class scores (N, C, H, W) become
+    class ids uint8 (N, H, W).
     """
     unit = HEADS[head].unit
     if unit is Unit.METRES:

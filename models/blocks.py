@@ -1,4 +1,4 @@
-"""Building blocks that every network of the family shares."""
+"""Building blocks of the networks."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-#: Up to so many channels maps are raised one by one, see `_UpsampleFew`.
+#: Up to this number of channels maps are upsampled one by one, see `_UpsampleFew`.
 _FEW_CHANNELS = 8
 
 
@@ -26,8 +26,8 @@ class ConvBNReLU(nn.Sequential):
 class BaConv(nn.Module):
     """Boundary-aware convolution, Eq. 1: y(p) = sum_n w(p_n) x(p_n) (1 - B(p_n)).
 
-    Gating the input and convolving it is the same sum, so no custom operator is needed and an
-    exported graph holds `Mul` and `Conv` alone.
+    Gating the input before an ordinary convolution gives the same sum, so an exported graph needs
+    no custom operator, only `Mul` and `Conv`.
 
     Shapes: x (N, C, H, W), boundary (N, 1, H, W) in 0..1, None = 0; returns (N, C', H, W). No
     bias.
@@ -38,12 +38,12 @@ class BaConv(nn.Module):
         self.conv = nn.Conv2d(in_channels, out_channels, kernel, padding=kernel // 2, bias=False)
 
     def forward(self, x: Tensor, boundary: Tensor | None) -> Tensor:
-        """Convolve x with the share of each pixel that is not boundary."""
+        """Convolve x * (1 - boundary)."""
         if boundary is not None:
             inside = 1.0 - boundary
             channels_last = x.is_contiguous(memory_format=torch.channels_last)
             if channels_last and not torch.compiler.is_exporting():
-                # Spread over the channels first: a product with a map of one channel is scalar
+                # Expand over the channels first: a product with a map of one channel is scalar
                 # code in bfloat16, which takes four times as long.
                 inside = inside.expand_as(x).contiguous(memory_format=torch.channels_last)
             x = x * inside
@@ -78,7 +78,7 @@ class GlobalContext(nn.Module):
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        # No batch normalisation: one value a channel and image is too little to normalise over.
+        # No batch normalisation: one value a channel and image is too few to normalise over.
         self.project = nn.Conv2d(channels, channels, 1)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -93,26 +93,27 @@ def upsample(x: Tensor, *, factor: int = 2, size: tuple[int, int] | None = None)
     if factor == 1:
         return x
     if x.shape[1] <= _FEW_CHANNELS and x.requires_grad:
-        raised: Tensor = _UpsampleFew.apply(x, factor)
-        return raised
+        upsampled: Tensor = _UpsampleFew.apply(x, factor)
+        return upsampled
     return F.interpolate(x, scale_factor=float(factor), mode="bilinear", align_corners=False)
 
 
 class _UpsampleFew(torch.autograd.Function):
     """Bilinear upsampling of few channels, whose gradient is sums of shifted maps.
 
-    PyTorch's own gradient takes three to nine times as long on them on a CPU; on sixteen channels
-    and more it is the quicker one. The maps go through it one by one, which it is made for.
+    On a CPU PyTorch's own gradient takes three to nine times as long for so few channels; from
+    sixteen channels on it is faster. The forward pass treats each map as a picture of its own,
+    which PyTorch does faster too.
     """
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, factor: int) -> Tensor:
         ctx.factor = factor
         maps = x.float().flatten(0, 1).unsqueeze(1)
-        raised = F.interpolate(
+        upsampled = F.interpolate(
             maps, scale_factor=float(factor), mode="bilinear", align_corners=False
         )
-        return raised.reshape(*x.shape[:2], *raised.shape[2:]).to(x.dtype)
+        return upsampled.reshape(*x.shape[:2], *upsampled.shape[2:]).to(x.dtype)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
@@ -123,7 +124,7 @@ class _UpsampleFew(torch.autograd.Function):
 
 
 def _sum_under_tents(gradient: Tensor, dim: int, factor: int) -> Tensor:
-    """The adjoint of linear upsampling along one dimension."""
+    """Adjoint of linear upsampling along one dimension."""
     cells = gradient.unflatten(dim, (-1, factor))
     count = cells.shape[dim]
     total = torch.zeros_like(cells.select(dim + 1, 0))
@@ -131,7 +132,7 @@ def _sum_under_tents(gradient: Tensor, dim: int, factor: int) -> Tensor:
         part = cells.select(dim + 1, place)
         offset = (place + 0.5) / factor - 0.5  # from the middle of its cell
         total.add_(part, alpha=1.0 - abs(offset))
-        # The rest is the neighbour's; at the edge there is none, and it is the cell's own again.
+        # The rest belongs to the neighbour; at the edge, where there is none, to the cell itself.
         here, there = (0, 1) if offset > 0 else (1, 0)
         edge = count - 1 if offset > 0 else 0
         total.narrow(dim, there, count - 1).add_(
@@ -146,15 +147,15 @@ def pad_to_multiple(x: Tensor, multiple: int) -> Tensor:
     height, width = x.shape[2], x.shape[3]
     padding = (0, -width % multiple, 0, -height % multiple)
     if not torch.compiler.is_exporting() and not any(padding):
-        return x  # padding by nothing is a copy
+        return x  # padding by 0 would copy
     return F.pad(x, padding)
 
 
 def extend_to_multiple(x: Tensor, multiple: int) -> Tensor:
     """Repeat the last row and column of (N, C, H, W) up to a multiple of ``multiple``.
 
-    For what is pooled next: ONNX Runtime joins zeros to a pooling, and then refuses the model where
-    they are as many as the window is wide.
+    For maps that are pooled next: ONNX Runtime fuses zero padding into a pooling, and then refuses
+    a model whose padding is as wide as the window.
     """
     height, width = x.shape[2], x.shape[3]
     padding = (0, -width % multiple, 0, -height % multiple)

@@ -7,7 +7,7 @@ from models.blocks import ConvBNReLU, upsample
 
 
 class BoundaryDecoder(nn.Module):
-    """A side output on every skip, all of them fused into one boundary map.
+    """A side output on every skip, and their fusion into one boundary map.
 
     Side i: 3x3 convolution to ``channels``, BN, ReLU, 1x1 to one logit; B_i is its sigmoid.
     Fusion: the logits are upsampled to the finest skip, concatenated, 1x1 to the logit of P_b.
@@ -24,12 +24,12 @@ class BoundaryDecoder(nn.Module):
     def forward(self, skips: list[Tensor], *, exact: bool) -> tuple[Tensor, list[Tensor]]:
         """Return the fused logits (N, 1, h, w) and the side logits, finest first.
 
-        ``exact``: every skip is exactly half its finer neighbour, so integer factors do.
+        ``exact``: every skip has exactly half the size of the finer one; factors are integers.
         """
         sides = [side(skip) for side, skip in zip(self.sides, skips, strict=True)]
         size = (skips[0].shape[2], skips[0].shape[3])
-        raised = [
+        upsampled = [
             upsample(logit, factor=2**index) if exact else upsample(logit, size=size)
             for index, logit in enumerate(sides)
         ]
-        return self.fuse(torch.cat(raised, dim=1)), sides
+        return self.fuse(torch.cat(upsampled, dim=1)), sides

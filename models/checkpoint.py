@@ -20,26 +20,27 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A network with what its file says about it."""
+    """The content of a checkpoint file."""
 
     #: The network, on the CPU, in evaluation mode.
     model: Network
-    #: What it was trained on and under which terms, as the recipe put it; plain values.
+    #: Training data, terms and the recipe; plain values.
     training: Mapping[str, Any]
-    #: State of the training loop (optimiser, step, ...); empty in a checkpoint made to ship.
+    #: State of the training loop (optimiser, step, ...); empty in a released checkpoint.
     trainer: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def trained_height(self) -> int | None:
-        """Rows of the pictures it was trained for, as its recipe said; None = not known.
+        """Height [px] of the images that the recipe trained it for; None = unknown.
 
-        Raises CheckpointError for what no picture has.
+        Raises:
+            CheckpointError: if it is no height of an image.
         """
         value = self.training.get("trained_height")
         try:
             return None if value is None else check_side(value, "trained_height")
         except ValueError as error:
-            raise CheckpointError(f"the checkpoint's {error}. Train anew.") from error
+            raise CheckpointError(f"the checkpoint's {error}. Train again.") from error
 
 
 def save_checkpoint(
@@ -50,13 +51,20 @@ def save_checkpoint(
     trainer: Mapping[str, Any] | None = None,
     state_dict: Mapping[str, torch.Tensor] | None = None,
 ) -> None:
-    """Write a checkpoint whole or not at all.
+    """Write a checkpoint whole or not at all; an existing file is replaced.
 
-    It holds the name of the network's class, its configuration (classes, depth range and
-    normalisation with it) and the weights: the model's, or ``state_dict`` (averaged weights, say).
-    ``training`` and ``trainer`` hold plain values and tensors. An existing file is replaced.
-    Raises CheckpointError when it cannot be written; a file that stood there before is then
-    untouched.
+    It holds the name of the network's class, its configuration (with classes, depth range and
+    normalisation) and its weights.
+
+    Args:
+        path: file to write; its folder is made.
+        model: the network.
+        training: training data, terms and the recipe; plain values.
+        trainer: state of the training loop; plain values and tensors.
+        state_dict: weights in place of the model's own, for example averaged ones.
+
+    Raises:
+        CheckpointError: if it cannot be written; an existing file is then untouched.
     """
     path = Path(path)
     document = {
@@ -82,12 +90,18 @@ def save_checkpoint(
 def load_checkpoint(path: Path | str) -> Checkpoint:
     """Read a checkpoint strictly, without running any code from it.
 
-    Nothing is allocated beyond the file's own size before its weights are known to fit its
-    configuration. Weights in half precision come back in single precision.
+    Nothing is allocated beyond the file's own size before its weights are checked against its
+    configuration. Weights in half precision are converted to single precision.
 
-    Raises CheckpointError that says whether the file is missing, truncated or no checkpoint at
-    all, is not one of this project, is of a newer version, or holds other weights than its
-    configuration wants.
+    Args:
+        path: file that `save_checkpoint` wrote.
+
+    Returns:
+        The network on the CPU in evaluation mode, and the rest of the file's content.
+
+    Raises:
+        CheckpointError: if the file is missing, truncated or no checkpoint of this project, is of
+            another version, or its weights do not fit its configuration.
     """
     path = Path(path)
     if not path.is_file():
@@ -115,8 +129,8 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         )
     for key in ("config", "weights", "training", "trainer"):
         if not isinstance(document.get(key), dict):
-            raise CheckpointError(f"{path}: the checkpoint lacks {key}. Train anew.")
-    # Files of before there were other networks do not name theirs.
+            raise CheckpointError(f"{path}: the checkpoint lacks {key}. Train again.")
+    # The first files do not name their network: there was only one.
     kind = str(document.get("network", "SSDNet"))
     kinds = {entry.network.__name__: entry for entry in NETWORKS.values()}
     if kind not in kinds:
@@ -138,7 +152,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     except ValueError as error:
         raise CheckpointError(
             f"{path}: its weights do not fit its own configuration {config.name!r}: {error}. "
-            "The file was changed, or is of another release: use it with that one, or train anew."
+            "The file was changed, or is of another release: use it with that one, or train again."
         ) from error
     model = kinds[kind].network(config)
     model.load_state_dict(document["weights"], strict=True)

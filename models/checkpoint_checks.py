@@ -1,4 +1,4 @@
-"""What a checkpoint file may hold, checked before anything of its size is allocated."""
+"""Checks of a checkpoint file before anything of its size is allocated."""
 
 import pickletools
 import zipfile
@@ -8,11 +8,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-#: The largest network of the registry with an optimiser's state takes a tenth of it.
+#: Ten times the largest network of the registry with its optimiser's state.
 MAX_BYTES = 8 * 2**30
 _ZIP_START = b"PK\x03\x04"
 _PICKLE = "data.pkl"
-#: What tensors and plain values are pickled with; more could call, and allocate, anything.
+#: Globals in pickles of tensors and plain values; others could call, and allocate, anything.
 _KNOWN_GLOBALS = frozenset(
     {"collections OrderedDict", "torch._utils _rebuild_tensor_v2"}
     | {
@@ -26,9 +26,9 @@ _KNOWN_GLOBALS = frozenset(
 def check_archive(path: Path) -> None:
     """Raise ValueError unless the file is a zip archive as torch.save writes it.
 
-    It must be whole, unpack to no more than its own size (torch.save does not compress), and name
-    nothing beside tensors and plain values. Raises OSError for a file that cannot be read, and
-    whatever zipfile and pickletools raise for a damaged one.
+    It must be whole, unpack to no more than its own size (torch.save does not compress), and hold
+    only tensors and plain values. A damaged file may also raise any error of zipfile and
+    pickletools, an unreadable one OSError.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:
@@ -55,18 +55,18 @@ def check_archive(path: Path) -> None:
 
 
 def check_weights(weights: Mapping[str, object], expected: Mapping[str, Tensor]) -> None:
-    """Raise ValueError unless the weights are those of a network, of whatever precision.
+    """Raise ValueError unless the weights fit ``expected``, a network's state on any device.
 
-    ``expected``: the network's own state, which may lie on the device "meta". Names and shapes must
-    be the same; floating-point numbers may be of any precision, others of the same type; every
-    tensor must hold its own values, since one that repeats a few would grow when it is copied.
+    Names and shapes must be the same; floating-point values may have any precision, others must
+    have the same type. Every tensor must hold its own values: an expanded one would grow when
+    copied.
     """
     missing = sorted(expected.keys() - weights.keys())
     unknown = sorted(map(str, weights.keys() - expected.keys()))
-    for said, names in (("lacks", missing), ("has besides", unknown)):
+    for problem, names in (("lacks", missing), ("has in addition", unknown)):
         if names:
             more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-            raise ValueError(f"it {said} {', '.join(names[:3])}{more}")
+            raise ValueError(f"it {problem} {', '.join(names[:3])}{more}")
     held: dict[int, int] = {}
     wanted = 0
     for name, value in expected.items():
@@ -92,8 +92,8 @@ def _check_pickle(content: bytes) -> None:
     for opcode, argument, _ in pickletools.genops(content):
         foreign = opcode.name == "GLOBAL" and argument not in _KNOWN_GLOBALS
         if foreign or opcode.name in ("STACK_GLOBAL", "INST"):
-            # Nothing is said of how to run it all the same.
+            # The message does not say how to load it anyway.
             raise ValueError(
                 "it holds something else than tensors and plain values, which could run code when "
-                "read. Give a file that ssdnet-train wrote."
+                "loaded. Give a file that ssdnet-train wrote."
             )

@@ -1,4 +1,4 @@
-"""Class tables that networks of this project are trained with."""
+"""Class tables of the data sets that networks are trained with."""
 
 from collections.abc import Mapping
 
@@ -61,7 +61,7 @@ VIRTUAL_KITTI_CLASSES: tuple[ClassInfo, ...] = (
     ClassInfo("van", (0, 139, 139)),
 )
 
-#: The tables by the name that a recipe gives them.
+#: The tables by their names in recipes.
 CLASS_TABLES: Mapping[str, tuple[ClassInfo, ...]] = {
     "camvid": CAMVID_CLASSES,
     "cityscapes": CITYSCAPES_CLASSES,
@@ -81,17 +81,16 @@ CATEGORIES: Mapping[str, frozenset[str]] = {
 
 
 def numbered_classes(count: int) -> tuple[ClassInfo, ...]:
-    """Return ``count`` classes named ``class_0`` ... with distinct, fixed colours.
+    """Return ``count`` (0..255) classes named ``class_0`` ... in the colours of PASCAL VOC.
 
-    For networks whose class names are not known. Colours follow the bit-interleaved palette
-    of PASCAL VOC. ``count`` is 0..255.
+    For networks whose class names are unknown.
     """
     return tuple(ClassInfo(f"class_{index}", _voc_color(index)) for index in range(count))
 
 
 def _voc_color(index: int) -> tuple[int, int, int]:
     channels = [0, 0, 0]
-    value = index + 1  # VOC's index 0 is black, which reads as "nothing"
+    value = index + 1  # VOC's index 0 is black, the colour of unlabelled pixels
     for bit in range(7, -1, -1):
         for channel in range(3):
             channels[channel] |= ((value >> channel) & 1) << bit

@@ -1,4 +1,4 @@
-"""The shared encoder (paper, section 2.1.1 and Figure 2a) in its two forms."""
+"""The shared encoder (paper, section 2.1.1 and Figure 2a): plain or residual."""
 
 from torch import Tensor, nn
 from torch.nn import functional as F

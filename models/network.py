@@ -1,4 +1,4 @@
-"""What every network shares: its configuration, its input, its answer at full size."""
+"""The base of every network: its configuration, its inputs and its output at full size."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
@@ -22,7 +22,7 @@ from runtime.contract import (
 
 
 class NetworkOutput(NamedTuple):
-    """What a network answers. A head that the network lacks is None."""
+    """The output of a network; a head that the network lacks is None."""
 
     #: (N, C, H, W) before the soft-max.
     semantic_logits: Tensor | None = None
@@ -45,25 +45,25 @@ class NetworkOutput(NamedTuple):
 class NetworkConfig:
     """The settings of every network; a network with more of them adds fields in a subclass.
 
-    Raises ValueError, which says what is wrong, for what cannot be built.
+    Raises:
+        ValueError: if a value is outside its range.
     """
 
     name: str
     #: Semantic classes in the order of their ids; empty without a semantic head.
     classes: tuple[ClassInfo, ...] = CAMVID_CLASSES
-    #: Depth that the normalised output 1.0 stands for; a measurement beyond it counts as none.
+    #: Depth [m] of the normalised output 1.0; a measurement beyond it is treated as missing.
     max_depth_m: float = 100.0
-    #: Focal length [px] of the camera in whose depth the network works (Yin et al. 2023, Metric3D):
-    #: what it is fed is depth * this / f and what it answers is multiplied by f / this, f the focal
-    #: length in pixels of the picture that it sees. Both are done outside the network. None = the
-    #: network works in plain metres.
+    #: Focal length [px] of the canonical camera (Yin et al. 2023, Metric3D): the input depth is
+    #: multiplied by this / f and the output depth by f / this, f the focal length fx [px] of the
+    #: image that the network gets. Both are done outside the network. None = plain metres.
     canonical_focal_px: float | None = None
-    #: Mean and standard deviation of RGB in 0..255, part of the network (ImageNet's figures).
+    #: Mean and standard deviation of RGB in 0..255, part of the network (ImageNet's values).
     rgb_mean: tuple[float, float, float] = (123.675, 116.28, 103.53)
     rgb_std: tuple[float, float, float] = (58.395, 57.12, 57.375)
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be built, with a ValueError that says why."""
+        """Check the values."""
         check_name(self.name, "name")
         check_classes(self.classes)
         check_max_depth(self.max_depth_m)
@@ -83,9 +83,10 @@ class NetworkConfig:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Build a configuration from `to_dict`'s form.
+        """Build a configuration from the values of `to_dict`.
 
-        Raises ValueError for unknown keys, values of the wrong type and what cannot be built.
+        Raises:
+            ValueError: for unknown keys, values of the wrong type or outside their range.
         """
         known = {field.name for field in fields(cls)}
         unknown = sorted(str(key) for key in set(values) - known)
@@ -98,10 +99,9 @@ class NetworkConfig:
 class Network(nn.Module):
     """Base of every network.
 
-    A network gives `predict_coarse`. If it has classes, `semantic_head` is its last convolution,
-    with a bias, which gives their scores: training starts it anew where the classes are others.
-    ``heads``, ``stride`` and the heads' own strides are class attributes of a network that has them
-    fixed.
+    A network implements `predict_coarse`, and names its heads and strides: as class attributes
+    where they are fixed. If it has classes, `semantic_head` is its last convolution, with a bias,
+    which gives their scores: training initialises it again where the classes differ.
 
     Args:
         config: the settings that the network is built from.
@@ -161,10 +161,18 @@ class Network(nn.Module):
     ) -> NetworkOutput:
         """Predict at full size.
 
-        rgb: float (N, 3, H, W), RGB in 0..255. sparse_depth: float (N, 1, H, W), metres; 0,
-        negative, NaN, Inf or beyond ``config.max_depth_m`` = no measurement. H, W >= MIN_SIDE, odd
-        sizes too. Raises ValueError on other shapes. Without ``upsample_semantic`` the semantic
-        logits stay on their own grid of ceil(H / s) x ceil(W / s), s = ``semantic_stride``.
+        Args:
+            rgb: float (N, 3, H, W), RGB in 0..255; H, W >= MIN_SIDE, odd sizes too.
+            sparse_depth: float (N, 1, H, W), metres; 0, negative, NaN, Inf or beyond
+                ``config.max_depth_m`` = no measurement.
+            upsample_semantic: False leaves the semantic logits on their own grid of
+                ceil(H / s) x ceil(W / s), s = ``semantic_stride``.
+
+        Returns:
+            Every head at (H, W); the coarser depths and the side outputs on their own grids.
+
+        Raises:
+            ValueError: on other shapes.
         """
         height, width = _check_shapes(rgb, sparse_depth)
         coarse = self.predict_coarse(rgb, sparse_depth)
@@ -209,11 +217,11 @@ class Network(nn.Module):
         raise NotImplementedError
 
     def normalise_rgb(self, rgb: Tensor) -> Tensor:
-        """RGB in 0..255 less its mean over its standard deviation: (N, 3, H, W) -> same."""
+        """Subtract the mean of RGB in 0..255 and divide by its standard deviation."""
         return (rgb - self.rgb_mean) / self.rgb_std
 
     def normalise_depth(self, sparse_depth: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the depth as a share 0..1 of the range, 0 = none, and the bool mask of measured.
+        """Return the depth as a share 0..1 of the range, 0 = none, and the bool valid mask.
 
         All (N, 1, H, W). `sparse_depth` is in metres, see `forward`.
         """
@@ -223,7 +231,7 @@ class Network(nn.Module):
 
 
 def initialise(module: nn.Module) -> None:
-    """Xavier weights and zero biases, as the paper's experiments; for ``module.apply``."""
+    """Set Xavier weights and zero biases, as the paper does; for ``module.apply``."""
     if isinstance(module, nn.Conv2d):
         nn.init.xavier_uniform_(module.weight)
         if module.bias is not None:
@@ -231,7 +239,7 @@ def initialise(module: nn.Module) -> None:
 
 
 def _check_shapes(rgb: Tensor, sparse_depth: Tensor) -> tuple[int, int]:
-    """Return (height, width), or raise a ValueError that says what was expected."""
+    """Return (height, width); ValueError if a shape is wrong."""
     if rgb.ndim != 4 or rgb.shape[1] != 3:
         raise ValueError(f"rgb must be (N, 3, H, W), got {tuple(rgb.shape)}")
     batch, _, height, width = rgb.shape
@@ -246,7 +254,7 @@ def _check_shapes(rgb: Tensor, sparse_depth: Tensor) -> tuple[int, int]:
 
 
 def _checked(value: Any, hint: Any, key: str) -> Any:
-    """Return a plain value as a configuration's field holds it, or raise a ValueError."""
+    """Convert a plain value to the type of a field; ValueError if it does not fit."""
     kind, arguments = get_origin(hint) or hint, get_args(hint)
     if kind is UnionType:  # X | None
         return None if value is None else _checked(value, arguments[0], key)

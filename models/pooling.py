@@ -1,7 +1,7 @@
 """Pooling of maps of one or two channels, as sums and maxima of shifted maps.
 
-PyTorch's own poolings on a CPU take 10 to 100 times as long on so few channels. An exported graph
-has poolings all the same: there they are the quick ones.
+On a CPU PyTorch's own poolings take 10 to 100 times as long for so few channels. An exported graph
+uses pooling operators, which are faster in ONNX Runtime.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ def cell_maxima(x: Tensor, side: int) -> Tensor:
 
 def _join_cells(x: Tensor, side: int, join: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
     for _ in range(side.bit_length() - 1):
-        x = join(x[:, :, ::2], x[:, :, 1::2])  # rows first: they lie together
+        x = join(x[:, :, ::2], x[:, :, 1::2])  # rows first: contiguous in memory
         x = join(x[..., ::2], x[..., 1::2])
     return x
 
@@ -50,11 +50,11 @@ def means_around(x: Tensor, window: int) -> Tensor:
 def maxima_around(x: Tensor, window: int) -> Tensor:
     """Maximum over the square window around each pixel: (N, C, H, W) -> same.
 
-    Over its columns and then over its rows: 30 steps for a window of 225 pixels.
+    First over columns, then over rows: 30 steps for a window of 225 pixels.
     """
     half = window // 2
     if torch.compiler.is_exporting() and window == 3:
-        return F.max_pool2d(x, window, 1, half)  # so few are quicker at once
+        return F.max_pool2d(x, window, 1, half)  # faster than two steps
     if torch.compiler.is_exporting():
         columns = F.max_pool2d(x, (window, 1), 1, (half, 0))
         return F.max_pool2d(columns, (1, window), 1, (0, half))

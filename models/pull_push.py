@@ -1,4 +1,4 @@
-"""Sparse values made dense by the pull-push pyramid (Gortler et al. 1996)."""
+"""Pull-push pyramid: dense values from sparse ones (Gortler et al. 1996)."""
 
 from torch import Tensor
 
@@ -17,10 +17,10 @@ def pull_push(measured: Tensor, *, factor: int, levels: int) -> tuple[Tensor, Te
     cells without a measurement. measured (N, 2, H, W): the value, 0 where not measured, and the
     mask of measured pixels, 0 or 1; height and width are multiples of ``factor * 2**levels``.
     Returns the weighted value and its support 0..1, (N, 2, h, w), whose ratio is a weighted mean of
-    measurements, both 0 in cells that no level reaches, and the share of measured pixels,
-    (N, 1, h, w).
+    the measurements and which are 0 beyond the reach of the coarsest level, and the share of
+    measured pixels, (N, 1, h, w).
     """
-    # Both go through the same steps as one tensor: a level costs one pooling and one upsampling.
+    # Value and mask as one tensor: a level costs one pooling and one upsampling.
     pyramid = [cell_means(measured, factor)]
     for _ in range(levels):
         pyramid.append(cell_means(pyramid[-1], 2))

@@ -1,4 +1,4 @@
-"""Every network by name."""
+"""All networks by name."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -24,14 +24,14 @@ from runtime.contract import ClassInfo
 
 
 class Entry(NamedTuple):
-    """A network's class, and the configuration from which it is built by default."""
+    """A network's class and its default configuration."""
 
-    #: Takes the configuration alone.
+    #: Its only argument is the configuration.
     network: type[Network]
     config: NetworkConfig
 
 
-#: Name -> network; a new one is a line here.
+#: Name -> network; a new network is a line here.
 NETWORKS: dict[str, Entry] = {
     **{config.name: Entry(SSDNet, config) for config in FAMILY},
     "bacnn": Entry(BaCNN, NetworkConfig("bacnn")),
@@ -50,7 +50,7 @@ NETWORKS: dict[str, Entry] = {
 
 
 def list_models() -> list[str]:
-    """Return the names that `create_model` knows."""
+    """Return the names for `create_model`."""
     return list(NETWORKS)
 
 
@@ -64,11 +64,20 @@ def create_model(
 ) -> Network:
     """Build a network by name, with random weights.
 
-    ``classes`` (or ``num_classes`` for numbered ones) replaces CamVid's eleven; ``max_depth_m`` is
-    the depth range in metres; ``changes`` are other fields of the network's configuration, for
-    example ``boundary_gating=False`` of `SSDNetConfig`.
-    Raises ValueError for an unknown name, for both kinds of classes at once, for classes on a
-    network without a semantic head, and for a field that the network does not have.
+    Args:
+        name: one of `list_models`.
+        classes: the semantic classes; by default CamVid's eleven.
+        num_classes: numbered classes in place of ``classes``.
+        max_depth_m: the depth range in metres.
+        **changes: other fields of the network's configuration, for example
+            ``boundary_gating=False`` of `SSDNetConfig`.
+
+    Returns:
+        The network in training mode, on the CPU.
+
+    Raises:
+        ValueError: for an unknown name, for ``classes`` together with ``num_classes``, for classes
+            on a network without a semantic head, and for a field that the network does not have.
     """
     if name not in NETWORKS:
         raise ValueError(f"unknown model {name!r}; known: {', '.join(NETWORKS)}")

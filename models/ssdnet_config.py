@@ -6,7 +6,7 @@ from typing import Any, Literal
 from models.network import NetworkConfig
 from models.surfaces import COARSE_CELL
 
-# What can be built: far beyond any network that was.
+# Limits, far beyond any network in use.
 MAX_STAGES = 8
 MAX_BLOCKS = 100
 MAX_CHANNELS = 8192
@@ -14,10 +14,13 @@ MAX_CHANNELS = 8192
 
 @dataclass(frozen=True)
 class SSDNetConfig(NetworkConfig):
-    """Everything that fixes a network: heads, inputs, channels, depth range and normalisation.
+    """The configuration of a network of the family: heads, inputs, channels.
 
     The defaults are the paper's full network (SSDNet, Sensors 2020) with the channel list that
     reproduces its printed parameters and multiply-accumulates.
+
+    Raises:
+        ValueError: if a value is outside its range, or a combination cannot be built.
     """
 
     name: str = "ssdnet"
@@ -37,30 +40,30 @@ class SSDNetConfig(NetworkConfig):
     encoder_block: Literal["plain", "residual"] = "plain"
     #: Channels of the UpBlocks, coarse to fine: one for each skip.
     decoder_channels: tuple[int, ...] = (512, 192, 96, 64, 16)
-    #: How a decoder takes in a skip: the paper's concatenation, or a 1x1 projection added.
+    #: How a decoder joins a skip: the paper's concatenation, or a 1x1 projection added.
     skip_fusion: Literal["concat", "add"] = "concat"
     #: Channels of one more UpBlock of the semantic decoder, on the grid of the stem's first
     #: convolution; 0 = none. Poles and signs are thinner than a cell of the coarser grid.
     semantic_refine_channels: int = 0
-    #: Feed the surfaces that were measured around a pixel beside the sparse depth, let the depth
-    #: head choose among them and say how sure it is, see `models.surfaces`.
+    #: Add the candidate surfaces around each pixel to the input, choose among them in the depth
+    #: head, and predict the depth's uncertainty, see `models.surfaces`.
     depth_surfaces: bool = False
     #: Channels of one more UpBlock of the depth decoder, on the same grid, for that choice; 0 =
-    #: none: the choice is made on the grid of the stem.
+    #: none, the choice is made on the grid of the stem.
     depth_refine_channels: int = 0
     boundary_channels: int = 16
     #: Gate the decoders by 1 - B (Eq. 1); without it B = 0 and a BaConv is a plain convolution.
     boundary_gating: bool = True
-    #: Factor on the normalised sparse depth at the input: at 5 % of the pixels it is a twentieth
-    #: of what the normalised colours are, and is learned from late.
+    #: Factor on the normalised sparse depth at the input. At 5 % of the pixels its mean is a
+    #: twentieth of that of the normalised colours, and the network learns to use it late.
     sparse_depth_gain: float = 1.0
-    #: Feed the mask of measured pixels beside the sparse depth.
+    #: Add the mask of measured pixels to the input.
     valid_mask_input: bool = False
     #: Add the projected global mean of the bottom features to them.
     global_context: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse combinations that cannot be built, with a ValueError that says why."""
+        """Check the values and their combinations."""
         if not (self.semantic_head or self.depth_head):
             raise ValueError("a network needs a semantic head, a depth head or both")
         if not (self.use_rgb or self.use_sparse_depth):
@@ -86,15 +89,15 @@ class SSDNetConfig(NetworkConfig):
             raise ValueError("depth_surfaces needs valid_mask_input")
         if self.depth_surfaces and self.sparse_depth_gain != 1:
             raise ValueError(
-                "depth_surfaces takes the sparse depth as it is: sparse_depth_gain is 1"
+                "depth_surfaces needs the unscaled sparse depth: sparse_depth_gain = 1"
             )
         if not self.sparse_depth_gain > 0:
             raise ValueError(f"sparse_depth_gain must be positive, got {self.sparse_depth_gain}")
         if self.depth_surfaces and self.output_stride != COARSE_CELL:
-            raise ValueError(f"depth_surfaces works on a stem of stride {COARSE_CELL}")
+            raise ValueError(f"depth_surfaces needs a stem of stride {COARSE_CELL}")
 
     def _check_sizes(self) -> None:
-        """Refuse more layers or channels than any network has, before they are made."""
+        """Check the numbers of layers and channels before they are allocated."""
         counts = {
             "stem layers": (len(self.stem_channels), 0, MAX_STAGES),
             "encoder stages": (len(self.encoder_channels), 1, MAX_STAGES),
@@ -112,7 +115,7 @@ class SSDNetConfig(NetworkConfig):
 
     @property
     def num_skips(self) -> int:
-        """Number of encoder features that go to the decoders."""
+        """Number of encoder features that the decoders get."""
         stages = len(self.encoder_channels)
         return stages if self.encoder_block == "plain" else stages - 1
 
@@ -165,7 +168,7 @@ _DEPTH_ALONE: dict[str, Any] = {"semantic_head": False, "classes": ()}
 
 
 def _with_ablations(config: SSDNetConfig) -> tuple[SSDNetConfig, ...]:
-    """The network and the rows of the paper's ablation; SSDNet_ind differs in its losses only."""
+    """Return a network and the rows of the paper's ablation; SSDNet_ind differs only in losses."""
 
     def variant(suffix: str, **changes: Any) -> SSDNetConfig:
         return replace(config, name=f"{config.name}-{suffix}", **changes)
@@ -179,7 +182,7 @@ def _with_ablations(config: SSDNetConfig) -> tuple[SSDNetConfig, ...]:
     )
 
 
-#: Named members of the family.
+#: The named networks of the family.
 FAMILY: tuple[SSDNetConfig, ...] = (
     *_with_ablations(SSDNET),
     *_with_ablations(SSDNET_SMALL),

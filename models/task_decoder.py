@@ -9,7 +9,7 @@ from models.ssdnet_config import SSDNetConfig
 
 
 class UpBlock(nn.Module):
-    """Upsample, take in the skip, boundary-aware convolution.
+    """Upsample, join the skip, boundary-aware convolution.
 
     "concat" is the paper's: concat(up(x), S_i), BaConv 3x3, BN, ReLU, conv 3x3, BN, ReLU.
     "add" is the lite form: up(x) + 1x1(S_i), BaConv 3x3, BN, ReLU.
@@ -33,7 +33,7 @@ class UpBlock(nn.Module):
         self.norm = nn.BatchNorm2d(channels)
 
     def forward(self, x: Tensor, skip: Tensor, boundary: Tensor | None, *, exact: bool) -> Tensor:
-        """x (N, C, h, w), skip (N, S, H, W), boundary (N, 1, H, W) in 0..1 -> (N, C', H, W)."""
+        """Join x (N, C, h, w), skip (N, S, H, W) and boundary (N, 1, H, W) to (N, C', H, W)."""
         if self.fusion == "add":
             x = self.reduce(x)  # before upsampling: a quarter of the work
         x = upsample(x) if exact else upsample(x, size=(skip.shape[2], skip.shape[3]))

@@ -1,1 +1,1 @@
-"""Other people's networks, to compare with: one file each."""
+"""Published networks to compare with: one file each."""

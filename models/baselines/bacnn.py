@@ -2,7 +2,7 @@
 
 Paper: Zou, He, Wang, Bi, Shang, "Boundary-Aware CNN for Semantic Segmentation", IEEE Access 2019:
 FCN8s whose first convolution of each block is boundary-aware, behind a boundary network. The paper
-leaves open how the boundary reaches the coarser blocks: here by max-pooling, so that none is lost.
+leaves open how the boundary gets to the coarser blocks: here by max-pooling, so that none is lost.
 The boundary network has a side output on each block and fuses them, as Xie and Tu's (2015).
 """
 
@@ -17,7 +17,7 @@ from models.network import NetworkConfig, NetworkOutput, initialise
 
 
 class BaCNN(FCN8s):
-    """A boundary network, and FCN8s gated by what it finds."""
+    """A boundary network, and FCN8s gated by its boundaries."""
 
     heads = ("semantic", "boundary")
 
@@ -55,8 +55,8 @@ class BoundaryNetwork(nn.Module):
         height, width = x.shape[2], x.shape[3]
         features, _ = self.backbone(x)
         sides = [side(feature) for side, feature in zip(self.sides, features, strict=True)]
-        raised = [
+        upsampled = [
             upsample(logit, factor=2**index)[:, :, :height, :width]
             for index, logit in enumerate(sides)
         ]
-        return self.fuse(torch.cat(raised, dim=1)), sides
+        return self.fuse(torch.cat(upsampled, dim=1)), sides

@@ -2,7 +2,7 @@
 
 Paper: Long, Shelhamer, Darrell, "Fully Convolutional Networks for Semantic Segmentation", CVPR
 2015, section 4.2. Pooling rounds up where the paper pads the image by 100 pixels, and scores are
-raised bilinearly, which is what the paper's deconvolutions start from.
+upsampled bilinearly, as the paper's deconvolutions are initialised.
 """
 
 from torch import Tensor, nn

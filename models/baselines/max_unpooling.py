@@ -1,4 +1,4 @@
-"""Where the largest value of each 2x2 window is, in operators that every ONNX runtime has."""
+"""Max-unpooling over 2x2 windows, in operators that every ONNX runtime has."""
 
 from functools import reduce
 
@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-#: Values this share apart are equal: two implementations of one convolution round differently, and
-#: shall not put the maximum of an even window in different places.
+#: Values within this share of each other count as equal: implementations of a convolution round
+#: differently, and the position of the maximum must not depend on that.
 _ROUNDING = 1e-5
 
 

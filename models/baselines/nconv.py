@@ -17,12 +17,12 @@ from models.network import Network, NetworkConfig, NetworkOutput
 _CHANNELS = 2
 #: Halvings; the layers between them are the same at every size.
 _LEVELS = 3
-#: Less confidence than this is none; more than any rounding in an empty window.
+#: Confidence below this is 0; above any rounding error in an empty window.
 _NO_CONFIDENCE = 1e-6
 
 
 class NConv(Network):
-    """A pyramid of normalised convolutions: data and its confidence go through every layer."""
+    """A pyramid of normalised convolutions, which propagate data and its confidence."""
 
     heads = ("depth",)
     stride = 2**_LEVELS
@@ -53,7 +53,7 @@ class NConv(Network):
             joined = torch.cat((fine, _double(x)), dim=1)
             x, confidence = merge(joined, torch.cat((fine_confidence, _double(confidence)), dim=1))
         answer, _ = self.depth_head(x, confidence)
-        # The answer is linear: only what is used is held within the range, not what learns.
+        # The output is linear; it is clamped to the range in evaluation only.
         return NetworkOutput(depths=(answer if self.training else answer.clamp(0, 1),))
 
 
@@ -61,7 +61,7 @@ class NormalisedConv(nn.Module):
     """A convolution weighted by confidence, with weights that are never negative.
 
     Shapes: x (N, C, H, W), confidence (N, C, H, W) in 0..1; returns both, (N, C', H, W). The
-    confidence that goes on is the share of the weights that met confident data.
+    returned confidence is the confidence of the inputs, averaged by the weights.
     """
 
     def __init__(self, in_channels: int, out_channels: int, *, kernel: int) -> None:

@@ -48,7 +48,7 @@ class PIDNetS(Network):
         self.stage2 = basic_stage(c, 2 * c, stride=2)
         self.context3 = basic_stage(2 * c, 4 * c, count=3, stride=2)
         self.context4 = basic_stage(4 * c, 8 * c, count=3, stride=2)
-        # Without a ReLU between, as the authors' code has it; their figures do not tell.
+        # Without a ReLU between, as in the authors' code; their figures do not show it.
         self.context5 = nn.Sequential(Bottleneck(8 * c, 8 * c, stride=2), Bottleneck(16 * c, 8 * c))
         self.pyramid = ParallelPyramidContext(16 * c, _CONTEXT, 4 * c)
         self.detail3 = basic_stage(2 * c, 2 * c)
@@ -90,8 +90,8 @@ class PIDNetS(Network):
 class AttentionGuide(nn.Module):
     """The paper's Pag: context where it is like the detail, detail elsewhere. All (N, C, H, W).
 
-    The context is raised to the detail's size before it is compared, not after: the 1x1 convolution
-    and the upsampling can change places.
+    The context is upsampled to the detail's size before the comparison, not after: the 1x1
+    convolution and the upsampling commute.
     """
 
     def __init__(self, channels: int, narrow: int) -> None:

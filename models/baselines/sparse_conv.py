@@ -38,7 +38,7 @@ class SparseConvNet(Network):
             x, mask = layer(x, mask)
             x = torch.relu(x)
         depth, _ = self.depth_head(x, mask)
-        # The answer is linear: only what is used is held within the range, not what learns.
+        # The output is linear; it is clamped to the range in evaluation only.
         return NetworkOutput(depths=(depth if self.training else depth.clamp(0, 1),))
 
 

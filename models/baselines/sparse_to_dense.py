@@ -59,5 +59,5 @@ class SparseToDense(Network):
         x = torch.cat((self.normalise_rgb(rgb), depth * self.config.max_depth_m), dim=1)
         x = self.encoder(pad_to_multiple(x, self.stride))
         answer = self.depth_head(self.decoder(x))
-        # The answer is linear: only what is used is held within the range, not what learns.
+        # The output is linear; it is clamped to the range in evaluation only.
         return NetworkOutput(depths=(answer if self.training else answer.clamp(0, 1),))

@@ -1,8 +1,8 @@
-"""VGG16's convolutions, on which FCN8s, BaCNN and DeepLab stand.
+"""VGG16's convolutions, the backbone of FCN8s, BaCNN and DeepLab.
 
 Paper: Simonyan, Zisserman, "Very Deep Convolutional Networks for Large-Scale Image Recognition",
 ICLR 2015, configuration D. Batch normalisation is ours: without it the network hardly learns from
-random weights, and an exported file holds it in the convolutions.
+random weights, and export fuses it into the convolutions.
 """
 
 from collections.abc import Sequence

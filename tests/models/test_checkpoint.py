@@ -193,7 +193,7 @@ def little_memory():
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"encoder_blocks": (10**9, 1, 1, 1)}, "blocks of a stage: 1 to 100"),
         ({"encoder_channels": (10**9, 8, 8, 8)}, "encoder_channels 1000000000: 1 to 8192"),
@@ -212,12 +212,12 @@ def little_memory():
     ],
 )
 def test_absurd_configurations_are_refused_before_they_are_built(
-    tmp_path, changes, said, little_memory
+    tmp_path, changes, message, little_memory
 ):
     path = tmp_path / "a.pt"
     save_checkpoint(path, SSDNet(SMALL))
     change(path, config={**SMALL.to_dict(), **changes})
-    with pytest.raises(CheckpointError, match=said):
+    with pytest.raises(CheckpointError, match=message):
         load_checkpoint(path)
 
 

@@ -419,12 +419,12 @@ def test_non_finite_loss_names_the_frames(data, tmp_path, monkeypatch):
     monkeypatch.setattr(loop, "_compute_loss", spoil)
     with pytest.raises(NonFiniteLossError, match=r"step 0: the loss is nan.*non_finite\.json"):
         train(recipe(), data=[data], out=tmp_path / "run")
-    said = json.loads((tmp_path / "run" / "non_finite.json").read_text())
-    assert said["step"] == 0
-    assert len(said["frames"]) == recipe().data.batch_size
-    assert all(name.startswith("camvid/") for name in said["frames"])
-    assert said["terms"]["total"] == "nan"
-    assert float(said["terms"]["semantic"]) > 0
+    text = json.loads((tmp_path / "run" / "non_finite.json").read_text())
+    assert text["step"] == 0
+    assert len(text["frames"]) == recipe().data.batch_size
+    assert all(name.startswith("camvid/") for name in text["frames"])
+    assert text["terms"]["total"] == "nan"
+    assert float(text["terms"]["semantic"]) > 0
 
 
 def test_accumulated_batches_make_the_step_of_their_mean_gradient(data, tmp_path, monkeypatch):
@@ -482,8 +482,8 @@ def test_init_takes_over_what_fits_and_says_what_starts_anew(data, tmp_path, mon
     monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNet, wider))
     frozen = replace(recipe(steps=1), optimizer=replace(recipe().optimizer, learning_rate=0.0))
     second = train(frozen, data=[data], out=tmp_path / "b", init=first)
-    said = capsys.readouterr().err
-    assert "starting anew: semantic_head, semantic_refine." in said
+    text = capsys.readouterr().err
+    assert "starting anew: semantic_head, semantic_refine." in text
     old, new = weights(first), weights(second)
     assert torch.equal(old["depth_heads.0.weight"], new["depth_heads.0.weight"])
     assert old["semantic_head.weight"].shape != new["semantic_head.weight"].shape

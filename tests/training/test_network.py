@@ -59,19 +59,19 @@ def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "text"),
     [
         ({"max_depth_m": 80.0}, "the depth range [m] was 100.0, here it is 80.0"),
         ({"boundary_gating": False}, "the gating by boundaries was True, here it is False"),
     ],
 )
-def test_init_says_when_weights_come_to_mean_something_else(tmp_path, capsys, changed, said):
+def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys, changed, text):
     other = tmp_path / "other.pt"
     save_checkpoint(other, create_model("ssdnet-lite"))
     build_network(ModelRecipe("ssdnet-lite"), other)
     assert capsys.readouterr().err == ""
     build_network(ModelRecipe("ssdnet-lite", **changed), other)
-    assert said in capsys.readouterr().err
+    assert text in capsys.readouterr().err
 
 
 def test_only_some_parts_are_trained():
@@ -121,7 +121,7 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
 
 
 @pytest.mark.parametrize(
-    ("name", "config", "said"),
+    ("name", "config", "text"),
     [
         ("ssdnet-lite", {"encoder_block": [1]}, "encoder_block has the wrong type"),
         ("ssdnet-lite", {"boundary_channels": "8"}, "boundary_channels has the wrong type"),
@@ -130,6 +130,6 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
         ("fast-scnn", {"boundary_channels": 8}, "unknown model configuration keys"),
     ],
 )
-def test_a_configuration_that_cannot_be_is_refused(name, config, said):
-    with pytest.raises(InputError, match=said):
+def test_an_invalid_configuration_is_refused(name, config, text):
+    with pytest.raises(InputError, match=text):
         build_network(ModelRecipe(name, config=config), None)

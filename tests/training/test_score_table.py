@@ -51,11 +51,11 @@ def test_the_best_is_the_highest_score_or_the_smallest_error(
     tmp_path, best, figure, values, expected
 ):
     table = ScoreTable(tmp_path / "scores.csv", 0)
-    said = [
+    shown = [
         table.add(step, {"a/b": {"rmse_px": 1.0 - step, figure: value}}, best)
         for step, value in enumerate(values)
     ]
-    assert said == expected
+    assert shown == expected
 
 
 def test_the_default_is_the_first_set(tmp_path):

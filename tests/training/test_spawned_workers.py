@@ -69,9 +69,9 @@ def test_a_run_with_spawned_workers_trains_and_stops(tmp_path):
     lines = [process.stdout.readline() for _ in range(3)]
     if lines[-1]:
         os.killpg(process.pid, signal.SIGINT)  # the worker gets it, too
-    said, errors = process.communicate(timeout=180)
+    output, errors = process.communicate(timeout=180)
     assert process.returncode == 130, errors[-3000:]
     assert "Traceback" not in errors
     # The worker went on to the end of the step, beyond what it had prepared.
-    assert 3 + said.count("batch\n") == 8
+    assert 3 + output.count("batch\n") == 8
     assert load_checkpoint(out / "last.pt").trainer["step"] == 1

@@ -96,12 +96,12 @@ def test_the_first_signal_saves_and_stops(command, tmp_path, number):
     for _ in range(3):
         assert process.stdout.readline().endswith(" step\n")
     os.killpg(process.pid, number)  # the loader's worker gets it, too
-    said, errors = process.communicate(timeout=120)
+    output, errors = process.communicate(timeout=120)
     last = tmp_path / "run" / "last.pt"
     assert process.returncode == 130
     assert f"stopped; the same command goes on from {last}" in errors
     assert "Traceback" not in errors
-    assert load_checkpoint(last).trainer["step"] == 3 + said.count(" step\n")
+    assert load_checkpoint(last).trainer["step"] == 3 + output.count(" step\n")
     assert not (tmp_path / "run" / "model.pt").exists()
 
 
@@ -129,16 +129,16 @@ def test_several_processes_stop_at_the_same_step(command, tmp_path):
     launcher = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2")
     process = start(command, *launcher)
     first: dict[str, str] = {}
-    said = ""
+    output = ""
     while len(first) < 2:
         line = process.stdout.readline()
         rank, number, _ = line.split()
         first[rank] = number
-        said += line
+        output += line
     os.kill(int(first["1"]), signal.SIGTERM)  # one of them alone
-    said += process.communicate(timeout=180)[0]
+    output += process.communicate(timeout=180)[0]
     steps = load_checkpoint(tmp_path / "run" / "last.pt").trainer["step"]
-    assert [sum(line[0] == rank for line in said.splitlines()) for rank in "01"] == [steps] * 2
+    assert [sum(line[0] == rank for line in output.splitlines()) for rank in "01"] == [steps] * 2
 
 
 def test_two_signals_of_one_key_do_not_cut_torchrun_s_processes_short(monkeypatch):
