@@ -1,8 +1,10 @@
 """What tests of every part share: small models whose right answers can be worked out by hand."""
 
+import contextlib
 import dataclasses
 import os
 import shutil
+import signal
 import subprocess
 from collections.abc import Callable
 from html.parser import HTMLParser
@@ -20,6 +22,13 @@ from runtime.contract import METADATA_KEY, SCHEMA_VERSION, ClassInfo, Contract
 from runtime.model_file import with_contract
 
 cv2.setNumThreads(1)
+
+
+def pytest_configure():
+    """Hear Ctrl-C, as the processes of tests do: a shell's background ignores it."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
 
 MAX_DEPTH_M = 80.0
 DEPTH_OFFSET_M = 1.5
@@ -224,6 +233,28 @@ class Page(HTMLParser):
 def read_page():
     """Read the source of a page."""
     return Page
+
+
+@pytest.fixture
+def start_process():
+    """Start a process in a group of its own, with pipes; none outlives its test."""
+    started = []
+
+    def start(*command, **options):
+        pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE) | options
+        command = [str(part) for part in command]
+        started.append(subprocess.Popen(command, text=True, start_new_session=True, **pipes))
+        return started[-1]
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.terminate()  # torchrun ends its own
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(5)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
 
 
 @pytest.fixture

@@ -2,11 +2,15 @@
 
 from dataclasses import replace
 
+import onnx
 import pytest
 import torch
 
+from export import exporter
+from export.deploy import DeployGraph
 from export.exporter import export_checkpoint
 from export.probe_frames import probe_frames
+from export.trace import trace
 from models import SSDNet, SSDNetConfig, save_checkpoint
 from models.registry import NETWORKS
 
@@ -75,6 +79,18 @@ def exported(lite_checkpoint, beside, tmp_path_factory):
         record_dir=beside / "recording",
         triton_dir=beside / "repository",
     )
+
+
+@pytest.fixture(scope="session")
+def dynamic_model(lite):
+    """The graph of any size, with logits."""
+    return trace(DeployGraph(lite, with_logits=True), size=SIZE, dynamic=True)
+
+
+@pytest.fixture
+def traced(exported, monkeypatch):
+    """Exports of `lite_checkpoint` at SIZE take the graph of `exported`: tracing takes seconds."""
+    monkeypatch.setattr(exporter, "trace", lambda *_, **__: onnx.load(exported.path))
 
 
 @pytest.fixture(scope="session")

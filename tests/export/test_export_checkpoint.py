@@ -2,7 +2,6 @@
 
 import copy
 import hashlib
-import subprocess
 import sys
 from dataclasses import replace
 
@@ -45,6 +44,7 @@ def test_contract_says_where_the_file_comes_from(exported, lite_checkpoint):
     assert 0 < contract.parity["depth"]["max_abs_m"] < 0.005
 
 
+@pytest.mark.usefixtures("traced")
 def test_what_it_was_trained_for_goes_from_the_checkpoint_into_the_file(lite_checkpoint, tmp_path):
     network = load_checkpoint(lite_checkpoint).model
     network.config = replace(network.config, canonical_focal_px=721.5)
@@ -82,12 +82,17 @@ def test_a_damaged_file_is_refused(exported, tmp_path):
             Predictor(path, warmup=0)
 
 
-def test_a_file_of_any_size_is_verified_at_the_frames_own(lite_checkpoint, tmp_path):
+def test_a_file_of_any_size_is_verified_at_the_frames_own(
+    lite_checkpoint, dynamic_model, tmp_path, monkeypatch
+):
     """Frames far above the trained height would be shrunk, and differ from PyTorch's answers."""
     trained = tmp_path / "trained.pt"
     model = load_checkpoint(lite_checkpoint).model
     save_checkpoint(trained, model, training={"trained_height": 40})
-    report = export_checkpoint(trained, tmp_path / "lite.onnx", size=SIZE, dynamic=True)
+    monkeypatch.setattr(exporter, "trace", lambda *_, **__: copy.deepcopy(dynamic_model))
+    report = export_checkpoint(
+        trained, tmp_path / "lite.onnx", size=SIZE, dynamic=True, with_logits=True
+    )
     assert report.parity["depth"].passed
     with Predictor(report.path, warmup=0) as predictor:
         assert predictor.network_size(SIZE) == (40, 60)
@@ -151,30 +156,25 @@ def test_parity_notices_outputs_that_are_not_finite(lite, exported):
     assert not measure_parity(broken, exported.path, frames)["depth"].passed
 
 
-def trace_of_a_perturbed_network(graph, **options):
-    graph = copy.deepcopy(graph)
+@pytest.mark.usefixtures("traced")
+def test_a_file_that_differs_is_not_left_on_disk(lite, tmp_path):
+    perturbed = copy.deepcopy(lite)
     with torch.no_grad():
-        graph.model.semantic_head.bias[0] += 0.2
-    return exporter_trace(graph, **options)
-
-
-exporter_trace = exporter.trace
-
-
-def test_a_file_that_differs_is_not_left_on_disk(lite_checkpoint, tmp_path, monkeypatch):
-    monkeypatch.setattr(exporter, "trace", trace_of_a_perturbed_network)
+        perturbed.semantic_head.bias[0] += 0.2
+    save_checkpoint(tmp_path / "c.pt", perturbed)
     old = tmp_path / "m.onnx"
     old.write_bytes(b"an older model")
-    arguments = [str(lite_checkpoint), str(old), "--height", "64", "--width", "96", "--overwrite"]
+    arguments = [str(tmp_path / "c.pt"), str(old), "--height", "64", "--width", "96", "--overwrite"]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 1
     assert "does not answer as PyTorch does" in result.output
     assert "semantic {'agreement'" in result.output
     assert "depth" not in result.output  # only what differs is named
     assert old.read_bytes() == b"an older model"
-    assert list(tmp_path.iterdir()) == [old]
+    assert {path.name for path in tmp_path.iterdir()} == {"c.pt", old.name}
 
 
+@pytest.mark.usefixtures("traced")
 def test_a_full_disk_leaves_the_old_file_and_nothing_else(lite_checkpoint, mount_disk):
     target = mount_disk(64) / "m.onnx"
     target.write_bytes(b"the old one")
@@ -184,6 +184,7 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_else(lite_checkpoint, mount
     assert list(target.parent.iterdir()) == [target]
 
 
+@pytest.mark.usefixtures("traced")
 def test_existing_file_is_replaced_only_on_demand(lite_checkpoint, tmp_path):
     path = tmp_path / "m.onnx"
     path.write_bytes(b"an older model")
@@ -248,13 +249,13 @@ def test_wrong_arguments_are_refused(lite_checkpoint, tmp_path):
 
 
 @pytest.fixture
-def export_in_another_process(lite_checkpoint):
+def export_in_another_process(lite_checkpoint, exported, start_process):
     """Start an export that waits for a line while it verifies what it wrote."""
-    started = []
 
     def start(target):
         program = (
-            "import sys; from pathlib import Path; from export import exporter\n"
+            "import sys, onnx; from export import exporter\n"
+            f"exporter.trace = lambda *_, **__: onnx.load({str(exported.path)!r})\n"
             "verify = exporter.measure_parity\n"
             "def wait_and_verify(*arguments, **options):\n"
             "    print('verifying', flush=True); sys.stdin.readline()\n"
@@ -262,23 +263,14 @@ def export_in_another_process(lite_checkpoint):
             "exporter.measure_parity = wait_and_verify\n"
             f"exporter.export_checkpoint({str(lite_checkpoint)!r}, {str(target)!r}, size={SIZE})\n"
         )
-        process = subprocess.Popen(
-            [sys.executable, "-c", program],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        started.append(process)
+        process = start_process(sys.executable, "-c", program)
         assert process.stdout.readline() == "verifying\n", process.communicate()[1]
         return process
 
-    yield start
-    for process in started:
-        process.kill()
-        process.communicate()
+    return start
 
 
+@pytest.mark.usefixtures("traced")
 def test_a_killed_export_leaves_nothing_to_the_next(
     lite_checkpoint, tmp_path, export_in_another_process
 ):
@@ -292,6 +284,7 @@ def test_a_killed_export_leaves_nothing_to_the_next(
     assert list(tmp_path.iterdir()) == [target]
 
 
+@pytest.mark.usefixtures("traced")
 def test_of_two_exports_to_one_path_one_succeeds(
     lite_checkpoint, tmp_path, export_in_another_process
 ):
@@ -305,6 +298,7 @@ def test_of_two_exports_to_one_path_one_succeeds(
     assert Predictor(target, warmup=0).input_size == SIZE
 
 
+@pytest.mark.usefixtures("traced")
 def test_a_file_that_appears_during_an_export_stays(lite_checkpoint, tmp_path, monkeypatch):
     target = tmp_path / "m.onnx"
 

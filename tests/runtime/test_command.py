@@ -97,21 +97,14 @@ def test_every_command_is_known_here():
 @posix
 @pytest.mark.parametrize("name", COMMANDS)
 @pytest.mark.parametrize("imported", ["typer.", "numpy."])
-def test_ctrl_c_while_a_command_imports(tmp_path, name, imported):
+def test_ctrl_c_while_a_command_imports(tmp_path, start_process, name, imported):
     """-X importtime tells how far it is."""
     module, function = SCRIPTS[name].split(":")
     if not module.startswith("runtime.") and importlib.util.find_spec("torch") is None:
         pytest.skip("the engine alone is installed")
     program = f"from {module} import {function}; {function}()"
-    process = subprocess.Popen(
-        [sys.executable, "-X", "importtime", "-c", program, *COMMANDS[name]],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=tmp_path,
-        # A shell starts what runs in its background deaf to Ctrl-C, and children inherit that.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
+    command = [sys.executable, "-X", "importtime", "-c", program, *COMMANDS[name]]
+    process = start_process(*command, cwd=tmp_path)
     for line in process.stderr:
         if line.rpartition("|")[2].strip().startswith(imported):
             break

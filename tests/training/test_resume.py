@@ -59,22 +59,15 @@ def data(tmp_path):
     return tmp_path / "data"
 
 
-def start(data: Path, out: Path) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-W", "ignore", "-c", TRAIN, str(data), str(out)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
-
-
 def finish(process: subprocess.Popen[str]) -> None:
-    process.communicate()
-    assert process.returncode == 0
+    _, errors = process.communicate()
+    assert process.returncode == 0, errors[-3000:]
 
 
-def test_killed_at_any_moment_it_goes_on_to_the_same_weights(data, tmp_path):
+def test_killed_at_any_moment_it_goes_on_to_the_same_weights(data, tmp_path, start_process):
+    def start(data: Path, out: Path) -> subprocess.Popen[str]:
+        return start_process(sys.executable, "-W", "ignore", "-c", TRAIN, data, out)
+
     finish(start(data, tmp_path / "whole"))
     out = tmp_path / "killed"
     # In the middle of writing the first, of writing a later one, and somewhere after writing one.

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 
 import pytest
@@ -52,20 +51,14 @@ accumulate = 8
 """
 
 
-def test_a_run_with_spawned_workers_trains_and_stops(tmp_path):
+def test_a_run_with_spawned_workers_trains_and_stops(tmp_path, start_process):
     pytest.importorskip("embreex", reason="the renderer needs the train extra")
     kitti_stream.write_stream(tmp_path / "stream", magnify=5)
     (tmp_path / "r.toml").write_text(RECIPE)
     (tmp_path / "spawned.py").write_text(TRAIN)
     out = tmp_path / "run"
     arguments = [str(tmp_path / "r.toml"), "--data", str(tmp_path), "--out", str(out)]
-    process = subprocess.Popen(
-        [sys.executable, "-W", "ignore", str(tmp_path / "spawned.py"), *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    process = start_process(sys.executable, "-W", "ignore", tmp_path / "spawned.py", *arguments)
     lines = [process.stdout.readline() for _ in range(3)]
     if lines[-1]:
         os.killpg(process.pid, signal.SIGINT)  # the worker gets it, too

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 
 import numpy as np
@@ -78,20 +77,19 @@ def command(tmp_path):
     return [str(tmp_path / "stopped.py"), str(tmp_path / run[0]), *run[1:]]
 
 
-def start(command, *launcher, wait=""):
-    return subprocess.Popen(
-        [sys.executable, "-W", "ignore", *launcher, *command],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,  # a group of its own, as a terminal gives it
-        env={**os.environ, "WAIT": wait},
-    )
+@pytest.fixture
+def start(start_process):
+    """Start the command in a group of its own, as a terminal does."""
+
+    def start(command, *launcher, wait=""):
+        environment = {**os.environ, "WAIT": wait}
+        return start_process(sys.executable, "-W", "ignore", *launcher, *command, env=environment)
+
+    return start
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_first_signal_saves_and_stops(command, tmp_path, number):
+def test_the_first_signal_saves_and_stops(command, tmp_path, number, start):
     process = start(command)
     for _ in range(3):
         assert process.stdout.readline().endswith(" step\n")
@@ -105,7 +103,7 @@ def test_the_first_signal_saves_and_stops(command, tmp_path, number):
     assert not (tmp_path / "run" / "model.pt").exists()
 
 
-def test_a_second_one_stops_at_once(command, tmp_path):
+def test_a_second_one_stops_at_once(command, tmp_path, start):
     process = start(command, wait="step")
     assert process.stdout.readline().endswith(" step\n")
     os.killpg(process.pid, signal.SIGINT)
@@ -116,7 +114,7 @@ def test_a_second_one_stops_at_once(command, tmp_path):
     assert not (tmp_path / "run" / "last.pt").exists()
 
 
-def test_no_traceback_while_it_is_still_importing(command):
+def test_no_traceback_while_it_is_still_importing(command, start):
     process = start(command, wait="importing")
     assert process.stdout.readline().endswith(" importing\n")
     os.killpg(process.pid, signal.SIGINT)
@@ -125,7 +123,7 @@ def test_no_traceback_while_it_is_still_importing(command):
     assert "Traceback" not in errors
 
 
-def test_several_processes_stop_at_the_same_step(command, tmp_path):
+def test_several_processes_stop_at_the_same_step(command, tmp_path, start):
     launcher = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2")
     process = start(command, *launcher)
     first: dict[str, str] = {}

@@ -3,7 +3,6 @@
 import csv
 import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -104,23 +103,12 @@ def test_at_every_line_of_the_main_thread(tmp_path, command, sensitive_to_ctrl_c
     assert set(listed) >= {0, 1, 2, 3, N}
 
 
-def deaf_to_nothing():
-    """A shell starts what runs in its background deaf to Ctrl-C, and children inherit that."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("imported", ["typer.", "numpy.", "cv2.", "onnxruntime."])
-def test_while_it_imports(tmp_path, number, imported):
+def test_while_it_imports(tmp_path, start_process, number, imported):
     """-X importtime tells how far it is."""
     command = [sys.executable, "-X", "importtime", "-m", "runtime.run", "--demo"]
-    process = subprocess.Popen(
-        [*command, "--out", tmp_path / "out"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=deaf_to_nothing,
-    )
+    process = start_process(*command, "--out", tmp_path / "out")
     for line in process.stderr:
         if line.rpartition("|")[2].strip().startswith(imported):
             break
@@ -137,18 +125,12 @@ def test_while_it_imports(tmp_path, number, imported):
     [(signal.SIGINT,), (signal.SIGTERM,), (signal.SIGINT, signal.SIGTERM) * 10],
     ids=["Ctrl-C", "SIGTERM", "many"],
 )
-def test_from_another_process(tmp_path, command, signals):
+def test_from_another_process(tmp_path, command, start_process, signals):
     """As soon as it says that it runs, on a stream that would take it long."""
     for folder in ("cam", "lidar"):
         for index in range(N, 6000):
             os.link(tmp_path / folder / f"f{index % N}.png", tmp_path / folder / f"f{index}.png")
-    process = subprocess.Popen(
-        [sys.executable, "-m", "runtime.run", *command],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=deaf_to_nothing,
-    )
+    process = start_process(sys.executable, "-m", "runtime.run", *command)
     assert process.stdout.readline().startswith("by-hand sha256:")
     for number in signals:
         process.send_signal(number)
