@@ -1,4 +1,4 @@
-"""What the commands share: how errors and Ctrl-C end them. Light, since it is loaded first."""
+"""What all commands share: reporting of errors, and Ctrl-C. Light, since it is loaded first."""
 
 import contextlib
 import os
@@ -15,17 +15,16 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Provider(StrEnum):
-    """The providers that can be asked for."""
+    """Choices of --provider."""
 
     cpu = "cpu"
     cuda = "cuda"
 
 
 def end_quietly() -> None:
-    """Let Ctrl-C and SIGTERM end the process at once, as the first thing that a command does.
+    """Let Ctrl-C and SIGTERM end the process at once; the first call of every command.
 
-    For as long as it imports and reads: a KeyboardInterrupt in the middle of an import comes out as
-    a traceback, or as another error.
+    During imports a KeyboardInterrupt would end as a traceback, or as another error.
     """
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as a shell starts background jobs
@@ -33,16 +32,13 @@ def end_quietly() -> None:
 
 
 def end_now(number: int, frame: FrameType | None) -> None:
-    """End the process as `end_quietly` says: a signal handler."""
+    """Signal handler that ends the process."""
     os._exit(INTERRUPTED)
 
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM raise KeyboardInterrupt in the block, which cleans up after itself.
-
-    A second one ends the process at once.
-    """
+    """Let Ctrl-C and SIGTERM raise KeyboardInterrupt in the block; the second ends the process."""
     before = {number: signal.getsignal(number) for number in SIGNALS}
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -60,19 +56,19 @@ def interruptible() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def stop_asked() -> Iterator[Callable[[], bool]]:
-    """Yield what says whether Ctrl-C or SIGTERM came, which do nothing else in the block.
+def stop_requested() -> Iterator[Callable[[], bool]]:
+    """Yield a function that returns whether Ctrl-C or SIGTERM was received in the block.
 
-    An exception could come between the writing of a frame and its line in the table. What is left
-    to do after a signal is three frames and the report: whoever stops a service wants it, too.
+    The signals have no other effect there: an exception could be raised between the writing of a
+    frame and its row in the table.
     """
-    came: list[int] = []
+    received: list[int] = []
     before = {number: signal.getsignal(number) for number in SIGNALS}
     for number, handler in before.items():
-        if handler is not signal.SIG_IGN:  # as a shell starts what runs in its background
-            signal.signal(number, lambda number, frame: came.append(number))
+        if handler is not signal.SIG_IGN:  # as a shell starts background jobs
+            signal.signal(number, lambda number, frame: received.append(number))
     try:
-        yield lambda: bool(came)
+        yield lambda: bool(received)
     finally:
         for number, handler in before.items():
             if handler is end_now:  # the command is done: nothing is left to stop
@@ -82,9 +78,9 @@ def stop_asked() -> Iterator[Callable[[], bool]]:
 
 @contextlib.contextmanager
 def reported_errors(extras: str) -> Iterator[None]:
-    """Turn what a command's block raises into a line on stderr and an exit code.
+    """Turn an exception of the block into a line on stderr and an exit code.
 
-    SSDNetError is exit code 1, and so is ImportError, which says to install ``ssdnet[extras]``;
+    SSDNetError is exit code 1. ImportError, too; the line then says to install ``ssdnet[extras]``.
     KeyboardInterrupt is exit code 130 without a line.
     """
     try:
@@ -97,13 +93,19 @@ def reported_errors(extras: str) -> Iterator[None]:
         sys.exit(INTERRUPTED)
 
 
-def say(text: str, *, otherwise: str = "") -> bool:
-    """Print a command's result on stdout; returns whether it could be printed.
+def print_result(text: str, *, elsewhere: str = "") -> bool:
+    """Print the result of a command on stdout.
 
-    otherwise: where else the result is, for the line on stderr if stdout has no room. Whoever reads
-    may have left: that is no error.
+    A closed pipe is no error; other failures are reported on stderr.
+
+    Args:
+        text: to print; it need not be valid Unicode.
+        elsewhere: end of the line on stderr: where the result can be found.
+
+    Returns:
+        Whether the text was printed.
     """
-    text = text.encode(errors="backslashreplace").decode()  # file names need not be valid text
+    text = text.encode(errors="backslashreplace").decode()
     try:
         sys.stdout.write(text + "\n")
         sys.stdout.flush()
@@ -113,12 +115,12 @@ def say(text: str, *, otherwise: str = "") -> bool:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):
             with contextlib.suppress(OSError):
-                sys.stderr.write(f"cannot print ({error.strerror}){otherwise}\n")
+                sys.stderr.write(f"cannot print ({error.strerror}){elsewhere}\n")
         return False
     return True
 
 
 def _end(text: str, error: Exception) -> None:
-    with contextlib.suppress(OSError):  # nobody reads
+    with contextlib.suppress(OSError):  # stderr may be closed
         sys.stderr.write(text + "\n")
     raise SystemExit(ERROR) from error

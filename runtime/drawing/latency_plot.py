@@ -1,4 +1,4 @@
-"""A picture of the latency of every frame over time."""
+"""A picture of the latency over the frames of a run."""
 
 from collections.abc import Mapping
 
@@ -18,10 +18,14 @@ _FRAME_TICKS = 10  # at most
 def draw_latency(
     latencies_ms: Mapping[int, float], *, deadline_ms: float | None = None
 ) -> NDArray[np.uint8]:
-    """Draw latencies [ms] against the number of the frame, the deadline as a red line.
+    """Draw latencies over the frames; the deadline and late frames are red.
 
-    latencies_ms: number of the frame -> latency, at least one; later than the deadline = red.
-    Returns uint8 (H, W, 3), blue first.
+    Args:
+        latencies_ms: number of the frame -> latency; at least one.
+        deadline_ms: None = there is none.
+
+    Returns:
+        uint8 (H, W, 3), blue first.
     """
     picture = np.full((_HEIGHT, _WIDTH, 3), 255, dtype=np.uint8)
     times_ms = sorted(latencies_ms.values())

@@ -1,4 +1,4 @@
-"""`ssdnet-run`: a stream of frames in, pictures, tables and latencies out."""
+"""`ssdnet-run`: the command line of `runtime.run.run`."""
 
 import contextlib
 import sys
@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
-from runtime.command import ERROR, Provider, reported_errors, say
+from runtime.command import ERROR, Provider, print_result, reported_errors
 from runtime.contract import MAX_PIXELS
 from runtime.io.encode import METRES_PNG_SCALE
 from runtime.io.images import KITTI_DEPTH_SCALE
@@ -24,28 +24,26 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions
 
 
 @app.command(
-    epilog="Exit codes: 0 done; 1 error; 2 usage; 3 finished, but frames were skipped or their "
-    "answers not usable, or Ctrl-C or SIGTERM came; 4 --deadline-ms was missed by any frame, even "
-    "if others were skipped; 130 Ctrl-C or SIGTERM came before the run began."
+    epilog="Exit codes: 0 done; 1 error; 2 usage; 3 finished, but frames were skipped, answers "
+    "were invalid, or the run was stopped by Ctrl-C or SIGTERM; 4 a frame missed --deadline-ms, "
+    "also if others were skipped; 130 stopped by Ctrl-C or SIGTERM before the first frame."
 )
 def main(
     rgb: Annotated[
         Path | None,
         typer.Option(
-            help=f"Folder of the pictures (PNG or JPEG, at most {MAX_PIXELS // 10**6} megapixels)."
+            help=f"Folder of the images (PNG or JPEG, at most {MAX_PIXELS // 10**6} megapixels)."
         ),
     ] = None,
     depth: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder of the sparse depth maps (16-bit PNG). [default: the camera alone]"
-        ),
+        typer.Option(help="Folder of the sparse depth maps (16-bit PNG). [default: camera only]"),
     ] = None,
     source: Annotated[
         str | None,
         typer.Option(
             metavar="KIND:PATH",
-            help=f"Where frames come from: {', '.join(SOURCES)}; --rgb DIR is folders:DIR. See "
+            help=f"Source of the frames: {', '.join(SOURCES)}. --rgb DIR is folders:DIR. See "
             "docs/streams.md.",
         ),
     ] = None,
@@ -54,29 +52,30 @@ def main(
         str | None,
         typer.Option(
             metavar="NAME|PATH",
-            help=f"A bundled model ({', '.join(list_bundled_models())}), or an ONNX file made by "
-            f"ssdnet-export: what ends in .onnx or holds a folder. [default: {DEFAULT_MODEL}]",
+            help=f"Name of a bundled model ({', '.join(list_bundled_models())}), or path of an "
+            f"ONNX file made by ssdnet-export (ends in .onnx or contains a /). "
+            f"[default: {DEFAULT_MODEL}]",
         ),
     ] = None,
     sha256: Annotated[
-        str | None, typer.Option(help="SHA-256 that the model file must have. [default: any]")
+        str | None, typer.Option(help="Required SHA-256 of the model file. [default: any]")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("ssdnet-run"),
-    provider: Annotated[Provider, typer.Option(help="What runs the model.")] = Provider.cpu,
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("ssdnet-run"),
+    provider: Annotated[Provider, typer.Option(help="Where the model runs.")] = Provider.cpu,
     size: Annotated[
         str,
         typer.Option(
-            help="Size at which the model runs: auto (about the height it was trained for, where "
-            "the frame is much larger), frame (the frame's own), ROWS, or HEIGHTxWIDTH. Answers "
-            "come at the frame's size."
+            help="Size at which the network runs: auto (about the height it was trained for, if "
+            "the frame is much larger), frame (size of the frame), ROWS, or HEIGHTxWIDTH. Results "
+            "have the size of the frame."
         ),
     ] = "auto",
     focal_length: Annotated[
         float | None,
         typer.Option(
-            help="Focal length of the camera (fx) in pixels of the pictures: a model that knows a "
-            "canonical focal length then fits any camera; others do not heed it. "
-            "[default: that of the source's calibration, else not known]",
+            help="Focal length of the camera (fx) in pixels of the images. A model with a "
+            "canonical focal length then fits any camera; other models ignore it. "
+            "[default: from the calibration of the source, else unknown]",
         ),
     ] = None,
     threads: Annotated[
@@ -85,15 +84,15 @@ def main(
     depth_scale: Annotated[
         float | None,
         typer.Option(
-            help="Units of the depth PNG a metre: KITTI 256, Virtual KITTI 100. "
+            help="Units per metre of the depth PNGs: KITTI 256, Virtual KITTI 100. "
             f"[default: {KITTI_DEPTH_SCALE:g}]"
         ),
     ] = None,
     calibration: Annotated[
         Path | None,
         typer.Option(
-            help="Calibration of camera and LiDAR: TOML, or KITTI's file or folder. "
-            "[default: what the source holds]"
+            help="Calibration of camera and LiDAR: a TOML file, or a file or folder of KITTI. "
+            "[default: from the source]"
         ),
     ] = None,
     camera: Annotated[
@@ -101,124 +100,123 @@ def main(
         typer.Option(
             min=0,
             max=3,
-            help="Which camera of kitti-raw (2 left, 3 right) or vkitti (0 left, 1 right). "
+            help="Camera of kitti-raw (2 left, 3 right) or vkitti (0 left, 1 right). "
             "[default: left]",
         ),
     ] = None,
     image_topic: Annotated[
         str | None,
-        typer.Option(help="Topic of a bag's pictures. [default: the only one]"),
+        typer.Option(help="Topic of the images in a bag. [default: the only one]"),
     ] = None,
     depth_topic: Annotated[
         str | None,
         typer.Option(
-            help="Topic of a bag's point clouds or depth images; none: the camera alone. "
+            help="Topic of the point clouds or depth images in a bag; none = camera only. "
             "[default: the only one]"
         ),
     ] = None,
     info_topic: Annotated[
         str | None,
-        typer.Option(help="Topic of the camera's CameraInfo. [default: the one beside the images]"),
+        typer.Option(help="Topic of the CameraInfo. [default: the one beside the images]"),
     ] = None,
     max_skew_ms: Annotated[
         float | None,
         typer.Option(
-            help="How far the stamps of an image and its depth may lie apart, where a source has "
+            help="Largest difference of the stamps of an image and its depth, for sources with "
             f"stamps of both. [default: {DEFAULT_MAX_SKEW_MS:g}]"
         ),
     ] = None,
     deadline_ms: Annotated[
         float | None,
         typer.Option(
-            help="Time a prediction may take, without reading and writing; with --rate: from when "
-            "the frame was due until its answer is there."
+            help="Deadline of a prediction, without reading and writing; with --rate it counts "
+            "from when the frame is due."
         ),
     ] = None,
     rate: Annotated[
         float | None,
         typer.Option(
-            help="Frames a second, due at fixed times as from a sensor (constant-stream); age and "
-            "jitter are then told. [default: each when the one before is done (single-stream)]"
+            help="Frames per second: frames are due at fixed times as from a sensor "
+            "(constant-stream), and age and jitter are reported. [default: each when the one "
+            "before is done (single-stream)]"
         ),
     ] = None,
-    limit: Annotated[
-        int | None, typer.Option(min=1, help="Stop after so many complete frames.")
-    ] = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="Stop after N complete frames.")] = None,
     shard: Annotated[
         str | None,
         typer.Option(
             metavar="I/N",
-            help="Run the I-th of N parts of the stream (1/N to N/N: every N-th frame, of --limit "
-            "frames if that is given): all parts together answer what one run does.",
+            help="Run part I of N of the stream, from 1/N to N/N: every N-th frame (of --limit "
+            "frames if given). All parts together give the results of one run.",
         ),
     ] = None,
     warmup: Annotated[
-        int, typer.Option(min=0, help="Predictions before the first frame, kept apart.")
+        int, typer.Option(min=0, help="Predictions before the first frame, not in the statistics.")
     ] = 3,
     save: Annotated[
         str,
         typer.Option(
-            help=f"What to write: {', '.join(SUFFIXES)}; or all that the model answers but the "
-            "cloud, or none. Depth and its uncertainty are 16-bit PNGs, metres x "
-            f"{METRES_PNG_SCALE}; a cloud is a PLY file with colours and class ids, 16 bytes a "
-            "pixel, and needs the camera: --calibration, or --focal-length."
+            help=f"Files to write of each frame: {', '.join(SUFFIXES)}; all = everything that the "
+            "model answers, except clouds; or none. Depth and uncertainty are 16-bit PNGs, "
+            f"metres x {METRES_PNG_SCALE}. A cloud is a PLY file with colours and class ids, 16 "
+            "bytes per pixel, and needs --calibration or --focal-length."
         ),
     ] = "all",
     record: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Folder for a recording of frames, answers and model, which ssdnet-verify holds "
-            "later runs against; about 17 bytes a pixel and frame.",
+            help="Record frames, results and model for ssdnet-verify; about 17 bytes per pixel and "
+            "frame.",
         ),
     ] = None,
     video: Annotated[
         Path | None,
         typer.Option(
             metavar=f"FILE{FILE_SUFFIXES['video']}",
-            help=f"Write the overlays as a video, too; at --rate, or {DEFAULT_RATE_HZ:g} Hz.",
+            help=f"Write the overlays as a video, at --rate or {DEFAULT_RATE_HZ:g} Hz.",
         ),
     ] = None,
     report: Annotated[
         Path | None,
         typer.Option(
             metavar=f"FILE{FILE_SUFFIXES['report']}",
-            help="Write one page to look at: latency over time, stages, health, sample pictures "
-            "and the facts of the run.",
+            help="Write an HTML page: latency over time, stages, health, sample images, and facts "
+            "of the run.",
         ),
     ] = None,
     mcap: Annotated[
         Path | None,
         typer.Option(
             metavar=f"FILE{FILE_SUFFIXES['mcap']}",
-            help="Write the answers as ROS 2's standard messages, too (extra bag), with the "
-            "stamps of the camera; where there are none, at --rate.",
+            help="Write the results as standard ROS 2 messages (extra bag), with the stamps of the "
+            "camera, or at --rate where there are none.",
         ),
     ] = None,
     rerun: Annotated[
         str | None,
         typer.Option(
             metavar=f"FILE{FILE_SUFFIXES['rerun']}|{RERUN_LIVE}|URL",
-            help="Log the run for the viewer Rerun (extra rerun), too: to a file, to the viewer on "
-            "this machine, or to one at an address rerun+http://HOST:PORT/proxy. The cloud needs "
-            "the camera, as --save cloud does.",
+            help="Log the run for the viewer Rerun (extra rerun): to a file, to the viewer on this "
+            "machine, or to rerun+http://HOST:PORT/proxy. The cloud needs --calibration or "
+            "--focal-length.",
         ),
     ] = None,
     overwrite: Annotated[
         bool,
         typer.Option(
             "--overwrite",
-            help="Replace the files of an earlier run in --out, no others, and the recording and "
-            "other files that were asked for by name.",
+            help="Replace the files of an earlier run in --out, and existing files of the options "
+            "above. Files of others are never replaced.",
         ),
     ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print report.json instead of the tables.")
     ] = False,
 ) -> None:
-    """Predict classes, depth and boundaries of every frame of a stream, with the latency of each.
+    """Predict classes, depth and boundaries of every frame of a stream, and report the latency.
 
-    Frames are pairs of files with the same stem, in natural order, or what another --source has.
+    Frames are pairs of files with the same stem, in natural order, or come from --source.
     """
     with reported_errors("cpu"), contextlib.ExitStack() as progress:
         try:
@@ -259,7 +257,7 @@ def main(
 
         def start(about: str, frames: int) -> OnRecord:
             if not as_json:
-                _say(about, out)
+                _print(about, out)
             if not sys.stderr.isatty():
                 return lambda record: None
             bar = typer.progressbar(length=frames, file=sys.stderr, label="frames")
@@ -269,10 +267,10 @@ def main(
         done = run(options, on_start=start)
         progress.close()
         results = "\n".join([describe_run(done), *list_results(done, options)])
-        printed = _say(report_json(done) if as_json else results, out)
+        printed = _print(report_json(done) if as_json else results, out)
         raise typer.Exit(done.exit_code if printed or not as_json else ERROR)
 
 
-def _say(text: str, out: Path) -> bool:
-    """Print, or report why not: the results on disk matter more. Returns whether it was printed."""
-    return say(text, otherwise=f": see {out}")
+def _print(text: str, out: Path) -> bool:
+    """Print, or report why not. Returns whether it was printed."""
+    return print_result(text, elsewhere=f": see {out}")

@@ -15,16 +15,15 @@ _KEPT_FREE_BYTES = 256 << 20
 def dedicate_process() -> None:
     """Give the cores to inference, and keep freed memory for the next frame.
 
-    It changes OpenCV and the allocator for the whole process: for ssdnet-run and benchmarks, not
-    for a program that embeds a Predictor.
+    Changes OpenCV and the allocator of the whole process: for ssdnet-run and benchmarks, not for a
+    program that embeds a Predictor.
     """
     cv2.setNumThreads(1)  # its threads would compete with those of an operator
-    # What cannot be decoded becomes a flagged frame; OpenCV would print about it as well, as the
-    # libraries below it (libpng, libjpeg) still do.
+    # A file that cannot be decoded becomes a skipped frame: OpenCV need not print about it.
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     if sys.platform == "linux":
-        # glibc gives a picture's memory back when it is freed, and the kernel clears every page of
-        # the next one; other C libraries have no mallopt.
+        # glibc returns the memory of a freed picture, and the kernel clears every page of the next
+        # one. Other C libraries have no mallopt.
         with contextlib.suppress(AttributeError, OSError):
             mallopt = ctypes.CDLL(None).mallopt
             mallopt(_M_MMAP_THRESHOLD, _KEPT_BUFFER_BYTES)

@@ -1,4 +1,4 @@
-"""Answer a log on a cluster: `Predictor` as a stateful actor of Ray Data (extra `ray`).
+"""Predict a log on a cluster: `Predictor` as a stateful actor of Ray Data (extra `ray`).
 
     from runtime.run.ray_data import predict_source
     from runtime.sources.registry import choose_source
@@ -7,9 +7,9 @@
     answers = predict_source(log, actors=8)  # nothing runs yet
     answers.write_parquet("answers")  # or iter_rows(), map(), ...
 
-Only the numbers of the frames travel to the actors, which open the log and the model themselves:
-both must lie at the same absolute paths on every node. Ray starts an actor that died anew and
-repeats what it had not handed over, so each frame is answered once, whatever is killed.
+Only the numbers of the frames are sent to the actors, which open the log and the model themselves:
+both must have the same absolute paths on every node. Ray restarts an actor that died and repeats
+its unfinished task, so each frame has one row.
 """
 
 import math
@@ -30,18 +30,7 @@ from runtime.run.process import dedicate_process
 from runtime.sources.frames import Frame
 from runtime.sources.source import Source
 
-#: What a row holds besides an array a head.
-COLUMNS = (
-    "index",
-    "name",
-    "status",
-    "reason",
-    "degraded",
-    "latency_ms",
-    "image_stamp_ns",
-    "depth_stamp_ns",
-)
-_TASK_FRAMES = 8  # that an actor takes at a time: what is repeated when it dies
+_TASK_FRAMES = 8  # of a task, which is repeated when its actor dies
 
 
 def predict_source(
@@ -57,25 +46,30 @@ def predict_source(
 ) -> Any:
     """Return a `ray.data.Dataset` of the answers to every frame of a source, a row a frame.
 
-    open_source: what `choose_source` gives, or anything that can be pickled and opens a `Source`
-    heads: of the model, which of them the rows hold; None = all
-    limit: as of `Source.list_frames`
-    actors: how many predict at a time, each in a process of its own; give as many as the cluster
-        has `threads` processors for
-    threads: of an actor, which Ray counts as its processors
-    gpus: of an actor, with provider="cuda": 1, or 0.5 if two share one
-    options: further ones of `Predictor`; the focal length is that of the source's calibration,
-        where there is one and no other is given
-
-    A row: index (in the list of frames), name, status ("ok"; "skipped": could not be read or
+    A row holds: index (in the list of frames), name, status ("ok"; "skipped": could not be read or
     predicted; "invalid": the answer cannot be used), reason (of the other two), degraded (as
-    `Prediction.degraded`, joined with commas), latency_ms (NaN where skipped), the stamps of both
-    sensors (None where not known), and an array a head as `Prediction` has it, without an element
-    unless the status is "ok". Rows come in any order.
+    `Prediction.degraded`, joined with commas), latency_ms (NaN if skipped), the stamps of both
+    sensors (None = not known), and an array a head as in `Prediction.heads`, empty unless the
+    status is "ok". The order of the rows is not defined.
 
-    Raises InputError for a source without frames and for what Ray cannot take, ContractError for a
-    model that cannot be read. That the answers come from the same model file everywhere is checked
-    by its digest; what an actor raises when it starts comes out of Ray as its own error.
+    Args:
+        open_source: what `choose_source` returns, or anything that can be pickled and opens a
+            `Source`.
+        model: as `Predictor` takes it. Its digest is checked by every actor.
+        heads: of the model, which of them the rows hold; None = all.
+        limit: see `Source.list_frames`.
+        actors: processes that predict at a time. The cluster should have `threads` processors for
+            each.
+        threads: of an actor, which Ray counts as its processors.
+        gpus: of an actor, with provider="cuda": 1, or 0.5 if two share one.
+        **options: further ones of `Predictor`. The focal length is by default that of the source's
+            calibration.
+
+    Raises:
+        InputError: if the source has no frames, or a count is out of range.
+        ContractError: if the model cannot be read.
+
+    Errors of an actor while it starts are raised by Ray as its own errors.
     """
     import ray.data
 
@@ -107,7 +101,7 @@ def predict_source(
 
 
 class FramePredictor:
-    """The actor: a `Predictor` that reads and answers the frames it is given the numbers of."""
+    """The actor: reads and predicts frames by their numbers."""
 
     def __init__(
         self,
@@ -131,7 +125,7 @@ class FramePredictor:
             )
 
     def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
-        """Answer the frame of a row; see `predict_source`."""
+        """Predict the frame of a row; see `predict_source`."""
         index, name = int(row["index"]), str(row["name"])
         answer = answer_frame(self._predictor, index, name, lambda: self._read(index, name))
         record, prediction = answer.record, answer.prediction
@@ -155,5 +149,5 @@ class FramePredictor:
 
 
 def _nothing(head: str) -> NDArray[Any]:
-    """An array without an element, of the type of a head: a column holds one rank and type."""
+    """An empty array of the dtype and rank of a head: a column holds one of each."""
     return np.zeros((0,) * (3 if HEADS[head].per_class else 2), HEADS[head].dtype)

@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from runtime.command import stop_asked
+from runtime.command import stop_requested
 from runtime.drawing.overlay import SharedOverlay
 from runtime.engine_facts import engine_facts
 from runtime.errors import InputError, OutputError, SSDNetError
@@ -66,7 +66,7 @@ def run(
             frame_size = _warm_up(predictor, frames, source, runs=options.warmup)
             _require_outputs(options, source)
             about = "\n".join([*source.notes, describe_predictor(predictor, frame_size)])
-            with stop_asked() as stop, _open_page(options, predictor) as page:
+            with stop_requested() as stop, _open_page(options, predictor) as page:
                 with _open_outputs(options, predictor, kinds, frames, page) as outputs:
                     result = run_stream(
                         predictor,

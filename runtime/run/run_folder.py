@@ -1,4 +1,4 @@
-"""The folder of a run: known to be ours, and replaced without touching what others put there."""
+"""The folder of a run: an earlier run in it can be replaced, files of others are never touched."""
 
 import json
 import os
@@ -23,22 +23,26 @@ KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
 FRAMES_FILE, REPORT_FILE, LATENCY_FILE = "frames.csv", "report.json", "latency.png"
 _MARKER = ".ssdnet-run"
 _MARKER_TEXT = (
-    "Made by ssdnet-run, which may replace its own files here when told --overwrite: "
-    "those of the frames below.\n"
+    "Made by ssdnet-run. With --overwrite it may replace its own files here: those of the frames "
+    "below.\n"
 )
 
 
 class RunFolder:
-    """A folder that is empty, or whose earlier run may be replaced.
+    """The folder of a run, with a subfolder for each kind of file.
 
-    path: is made, with a subfolder for each kind. One that exists must be empty, or, with
-        `overwrite`, made by an earlier run, whose own files are then removed and nothing else: a
-        hidden file says which they are.
-    kinds: the kinds of answers, of SUFFIXES, that will be written
-    names: the frames they will be written of
+    A hidden file in it lists the frames whose files belong to the run.
 
-    Raises OutputError if the folder cannot be used, or if writing there would replace somebody
-    else's file or follow a link out of the folder; the earlier run is then untouched.
+    Args:
+        path: is made; a folder that exists must be empty, or, with `overwrite`, hold an earlier
+            run, whose files are then removed.
+        kinds: kinds of files that will be written, of SUFFIXES.
+        names: of the frames.
+        overwrite: whether an earlier run may be replaced.
+
+    Raises:
+        OutputError: if the folder cannot be used, or if writing there would replace a foreign file
+            or follow a link out of the folder; the earlier run is then untouched.
     """
 
     def __init__(
@@ -61,7 +65,7 @@ class RunFolder:
         if used and not self._marker.is_file():
             raise OutputError(
                 f"the output folder {path} holds files that ssdnet-run did not make: it "
-                "replaces nothing but its own runs, choose another --out"
+                "replaces only its own runs, choose another --out"
             )
         if used:
             earlier = _read_names(self._marker)
@@ -81,9 +85,11 @@ class RunFolder:
             ) from error
 
     def note(self, name: str) -> None:
-        """Remember, on disk, that files of the frame `name` are ours. Raises OutputError."""
+        """Add a frame to the list on disk, before its files are written. Raises OutputError."""
         try:
-            os.write(self._names, (json.dumps(name) + "\n").encode())  # names may hold a line's end
+            os.write(
+                self._names, (json.dumps(name) + "\n").encode()
+            )  # names may contain line feeds
         except OSError as error:
             raise OutputError(
                 f"cannot write {self._marker} ({error.strerror}): make room or choose another "
@@ -95,7 +101,7 @@ class RunFolder:
         os.close(self._names)
 
     def _remove_run(self, names: Collection[str]) -> None:
-        """Remove what an earlier run wrote; the report first, since it says that a run is whole."""
+        """Remove an earlier run; the report first, since a run with a report is whole."""
         try:
             for file in (REPORT_FILE, FRAMES_FILE, LATENCY_FILE):
                 _remove(self.path / file)
@@ -123,10 +129,10 @@ def _make(folder: Path) -> None:
 
 
 def _require_free(folder: Path, suffix: str, names: Collection[str], ours: Collection[str]) -> None:
-    """Raise OutputError if files of `names` in `folder` would not be ours alone."""
+    """Raise OutputError if a file of `names` in `folder` exists and is not of the earlier run."""
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise OutputError(
-            f"{folder} is a link or a file in the place of the run's own folder: remove it, or "
+            f"{folder} is a link or a file where the run makes a folder: remove it, or "
             "choose another --out"
         )
     for name in names:
@@ -139,7 +145,7 @@ def _require_free(folder: Path, suffix: str, names: Collection[str], ours: Colle
 
 
 def _read_names(marker: Path) -> set[str]:
-    """The frames whose files are ours. Raises OutputError."""
+    """Names of the frames whose files belong to the earlier run. Raises OutputError."""
     names = set()
     try:
         lines = marker.read_text(encoding="ascii", errors="replace").splitlines()[1:]
@@ -158,7 +164,7 @@ def _read_names(marker: Path) -> set[str]:
 
 
 def _remove(path: Path) -> None:
-    """Remove a file and what a killed run left of it; a folder of that name is not ours."""
+    """Remove a file and what a killed run left of it, but no folder."""
     if _removable(path):
         path.unlink()
     remove_leftover(path)

@@ -1,1 +1,1 @@
-"""Commands for whoever builds the engine in: ssdnet-info, ssdnet-doctor, ssdnet-verify."""
+"""Commands for integrators: ssdnet-info, ssdnet-doctor, ssdnet-verify."""

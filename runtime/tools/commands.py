@@ -1,4 +1,4 @@
-"""Entry points of the commands; each loads its own file only."""
+"""Entry points of the commands; each imports only its own file."""
 
 from runtime.command import end_quietly
 

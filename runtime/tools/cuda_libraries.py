@@ -1,4 +1,4 @@
-"""The CUDA and cuDNN libraries that ONNX Runtime's CUDA provider loads, looked for by file name.
+"""The CUDA and cuDNN libraries that ONNX Runtime's CUDA provider loads, found by file name.
 
 As `onnxruntime.preload_dlls` does it: in NVIDIA's pip packages first
 (`site-packages/nvidia/*/lib`), then wherever the system's loader looks. Linux only.
@@ -9,7 +9,7 @@ import re
 import sys
 from pathlib import Path
 
-#: Where ONNX Runtime does not say for which CUDA it was built (the CPU's does not).
+#: Assumed where ONNX Runtime does not report the CUDA version it was built for (CPU wheels).
 NEWEST_CUDA_MAJOR = 13
 DRIVER = "libcuda.so.1"
 
@@ -19,7 +19,7 @@ _CUFFT_MAJOR = {12: 11, 13: 12}
 
 
 def cuda_major(cuda_version: str | None) -> int:
-    """Return the major number of "13.0" or the like; NEWEST_CUDA_MAJOR where it says nothing."""
+    """Return the major number of "13.0" or the like; NEWEST_CUDA_MAJOR where it is unknown."""
     found = re.match("[0-9]+", cuda_version or "")
     return int(found.group()) if found else NEWEST_CUDA_MAJOR
 
@@ -39,10 +39,9 @@ def library_names(major: int) -> tuple[str, ...]:
 
 
 def find_library(name: str) -> str | None:
-    """Return where the library of that file name is, None if nowhere.
+    """Return the path of a library, or "on the loader's path"; None if it is not found.
 
-    A path, or "on the loader's path". What the loader finds is loaded: for a process that ends
-    soon.
+    What the loader finds is also loaded: call it in a process that ends soon.
     """
     for folder in sys.path:
         for path in sorted(Path(folder).glob(f"nvidia/*/lib/{name}")):

@@ -1,7 +1,6 @@
-"""What is installed, what works, what is missing, and the line that mends it.
+"""What is installed, what works, what is missing, and the command that fixes it.
 
-Nothing heavy is imported with this file: where a package is broken the others are told all the
-same.
+Packages are imported one by one, so a broken one does not hide the others.
 """
 
 import importlib
@@ -17,7 +16,7 @@ from typing import Any, Literal
 from runtime.errors import SSDNetError
 from runtime.tools.cuda_libraries import DRIVER, cuda_major, find_library, library_names
 
-#: "ok" and "note" (a fact, or what is missing and not needed) are no fault, nor is "warning".
+#: "note" is a fact, or something missing that is not needed; only "fault" fails.
 Status = Literal["ok", "note", "warning", "fault"]
 
 _ENGINE = {"numpy": "numpy", "cv2": "opencv-python-headless"}  # module -> distribution
@@ -25,12 +24,12 @@ _ENGINE = {"numpy": "numpy", "cv2": "opencv-python-headless"}  # module -> distr
 _EXTRAS = {"torch": "train,export", "onnx": "export", "scipy": "train"}
 _ORT_WHEELS = ("onnxruntime", "onnxruntime-gpu")
 _CUDA_PROVIDER = "CUDAExecutionProvider"
-_MOST_DEPTH_ERROR = 0.1  # of a return, at the median: broken arithmetic is worse, the model is not
+_MOST_DEPTH_ERROR = 0.1  # of a return, at the median: more than the model's error
 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at; `remedy` is a command line or what else to do."""
+    """The result of one check; `remedy` is a command line, or an instruction."""
 
     name: str
     status: Status
@@ -39,10 +38,12 @@ class Check:
 
 
 def examine(provider: str, *, seconds: float = 1.0) -> Iterator[Check]:
-    """Look at everything, and yield each result as it is known.
+    """Run all checks, and yield each result as it is known.
 
-    provider: "cpu" or "cuda": what the self-test runs on, and whether what a GPU needs is needed
-    seconds: how long the self-test predicts
+    Args:
+        provider: "cpu" or "cuda": where the self-test runs, and whether the GPU's libraries are
+            required.
+        seconds: time of the self-test.
     """
     yield Check("python", "ok", f"{platform.python_version()} on {platform.platform()}")
     yield _package("ssdnet", "ssdnet")
@@ -79,14 +80,14 @@ def pip(*arguments: str) -> str:
 
 
 def _package(module: str, distribution: str) -> Check:
-    """Whether a package can be imported; ours runs at this moment."""
+    """Whether a package can be imported."""
     found = installed(distribution)
     try:
         imported = None if module == "ssdnet" else importlib.import_module(module)
     except ImportError as error:
         remedy = pip("install", "--force-reinstall", "--no-deps", distribution)
         return Check(module, "fault", f"{error}", remedy)
-    # OpenCV has several distributions of one module: its own word counts.
+    # OpenCV has several distributions of one module: the module's own version counts.
     return Check(module, "ok", getattr(imported, "__version__", None) or found or "not installed")
 
 
@@ -126,7 +127,7 @@ def _libraries(ort: Any, provider: str) -> Iterator[Check]:
         elif provider != "cuda":
             yield Check(name, "note", 'missing, only needed for "--provider cuda"')
         elif not has_cuda and name != DRIVER:
-            yield Check(name, "note", "missing, comes with the wheel that is missing, too")
+            yield Check(name, "note", "missing, installed with the missing wheel")
         elif name == DRIVER:
             remedy = "install NVIDIA's driver: it comes with the system, not with pip"
             yield Check(name, "fault", "missing", remedy)
@@ -136,7 +137,7 @@ def _libraries(ort: Any, provider: str) -> Iterator[Check]:
 
 
 def self_test(provider: str, *, seconds: float) -> Check:
-    """Predict bundled frames with the bundled model for so long, and look at the answers."""
+    """Predict bundled frames with the bundled model, and check the answers."""
     name = f"self-test on {provider}"
     reinstall = pip("install", "--force-reinstall", "--no-deps", "ssdnet")
     try:
@@ -157,11 +158,11 @@ def self_test(provider: str, *, seconds: float) -> Check:
 
 
 class _WrongAnswerError(Exception):
-    """The engine answered, and what it says cannot be."""
+    """The answers of the engine are impossible."""
 
 
 def _predict_bundled(provider: str, seconds: float) -> tuple[list[float], float]:
-    """Give the time of each prediction [ms], and the worst frame's depth error as a share."""
+    """Return the time of each prediction [ms], and the worst frame's depth error as a share."""
     import numpy as np
 
     from runtime.predictor import Predictor

@@ -1,4 +1,4 @@
-"""`ssdnet-doctor`: is what is installed fit to run, and what mends it if not."""
+"""`ssdnet-doctor`: whether the installation works, and the command that fixes it if not."""
 
 import json
 from dataclasses import asdict
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from runtime.command import ERROR, Provider, reported_errors, say
+from runtime.command import ERROR, Provider, print_result, reported_errors
 from runtime.tools.doctor import Check, examine
 
 DOCTOR_FORMAT, DOCTOR_VERSION = "ssdnet-doctor", "1.0"
@@ -15,24 +15,24 @@ DOCTOR_FORMAT, DOCTOR_VERSION = "ssdnet-doctor", "1.0"
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
-@app.command(epilog="Exit codes: 0 what was asked for works; 1 a fault was found; 2 usage.")
+@app.command(epilog="Exit codes: 0 the engine works; 1 a fault was found; 2 usage.")
 def doctor(
     provider: Annotated[
         Provider,
-        typer.Option(help="What shall run the model: with cuda a missing GPU is a fault."),
+        typer.Option(help="Where the model shall run; with cuda a missing GPU is a fault."),
     ] = Provider.cpu,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print a JSON document instead of the lines.")
     ] = False,
 ) -> None:
-    """Tell versions, providers and libraries, and run the bundled model for a second."""
+    """Report versions, providers and libraries, and run the bundled model for a second."""
     with reported_errors("cpu"):
         checks = []
         printed = True
         for check in examine(provider.value):
             checks.append(check)
             if not as_json:
-                printed = say(_line(check)) and printed
+                printed = print_result(_line(check)) and printed
         faults = sum(check.status == "fault" for check in checks)
         if as_json:
             document = {
@@ -42,9 +42,9 @@ def doctor(
                 "ok": not faults,
                 "checks": [asdict(check) for check in checks],
             }
-            printed = say(json.dumps(document, indent=2))
+            printed = print_result(json.dumps(document, indent=2))
         else:
-            printed = say(_verdict(faults, provider.value)) and printed
+            printed = print_result(_verdict(faults, provider.value)) and printed
         raise typer.Exit(ERROR if faults or not printed else 0)
 
 
@@ -56,6 +56,6 @@ def _line(check: Check) -> str:
 def _verdict(faults: int, provider: str) -> str:
     if faults:
         return (
-            f"{faults} fault{'s' * (faults > 1)}: do what stands behind the arrows, in this order"
+            f"{faults} fault{'s' * (faults > 1)}: run the commands behind the arrows, in this order"
         )
     return f"the engine works on {provider}"

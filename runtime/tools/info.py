@@ -1,4 +1,4 @@
-"""`ssdnet-info`: what a model file says of itself."""
+"""`ssdnet-info`: the metadata of a model file."""
 
 import json
 from dataclasses import asdict
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from runtime.bundled_models import list_bundled_models
-from runtime.command import ERROR, reported_errors, say
+from runtime.command import ERROR, print_result, reported_errors
 from runtime.predictor import Predictor
 
 INFO_FORMAT, INFO_VERSION = "ssdnet-info", "1.0"
@@ -22,15 +22,15 @@ def info(
         str | None,
         typer.Argument(
             metavar="[NAME|PATH]",
-            help="A bundled model, or an ONNX file made by ssdnet-export. Without it the names of "
-            "the bundled models are printed.",
+            help="Name of a bundled model, or path of an ONNX file made by ssdnet-export. "
+            "[default: list the bundled models]",
         ),
     ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print a JSON document instead of the table.")
     ] = False,
 ) -> None:
-    """Tell what is in a model file: heads, sizes, classes, terms, parity and digest."""
+    """Print what a model file holds: heads, sizes, classes, terms, parity and digest."""
     with reported_errors("cpu"):
         if model is None:
             names = list_bundled_models()
@@ -39,12 +39,12 @@ def info(
             with Predictor(model, warmup=0) as predictor:
                 described = describe_model(predictor)
             text = json.dumps(described, indent=2) if as_json else model_table(described)
-        if not say(text):
+        if not print_result(text):
             raise typer.Exit(ERROR)
 
 
 def describe_model(predictor: Predictor) -> dict[str, Any]:
-    """What is known of a predictor's model: the file, its tensors, and its metadata as it is."""
+    """Return the content of --json: the file, its tensors, and its metadata."""
     return {
         "format": INFO_FORMAT,
         "version": INFO_VERSION,
@@ -59,7 +59,7 @@ def describe_model(predictor: Predictor) -> dict[str, Any]:
 
 
 def model_table(described: dict[str, Any]) -> str:
-    """The document of `describe_model` for people, a line a fact."""
+    """The document of `describe_model` as a table, a line a fact."""
     metadata = described["metadata"]
     focal_px = metadata["canonical_focal_px"]
     rows = metadata["trained_height"]
@@ -85,8 +85,8 @@ def model_table(described: dict[str, Any]) -> str:
         ),
         ("precision", metadata["precision"]),
         ("resize", _pairs(metadata["resize"])),
-        ("terms", _plain(metadata["training"].get("terms", "not said"))),
-        ("trained on", _plain(metadata["training"].get("data", "not said"))),
+        ("terms", _plain(metadata["training"].get("terms", "not stated"))),
+        ("trained on", _plain(metadata["training"].get("data", "not stated"))),
         ("made by", _pairs(metadata["versions"])),
         ("checkpoint sha256", metadata["checkpoint_sha256"]),
         ("parity with PyTorch", "" if metadata["parity"] else "not measured"),
@@ -109,7 +109,7 @@ def _pairs(mapping: dict[str, str]) -> str:
 
 
 def _plain(value: Any) -> str:
-    """What metadata may hold of any kind, without the marks of JSON around lists and objects."""
+    """A JSON value without the brackets of lists and objects."""
     if isinstance(value, dict):
         return ", ".join(f"{name} {_plain(entry)}" for name, entry in value.items())
     if isinstance(value, list | tuple):
@@ -118,7 +118,7 @@ def _plain(value: Any) -> str:
 
 
 def _printable(text: str) -> str:
-    """A file's text without what would steer a terminal."""
+    """Text with control characters escaped: a file must not control the terminal."""
     return "".join(
         char if char.isprintable() else char.encode("unicode_escape").decode() for char in text
     )

@@ -1,4 +1,4 @@
-"""`ssdnet-verify`: does a recording's model still give the answers that were recorded?"""
+"""`ssdnet-verify`: compare the answers of now with those of a recording."""
 
 import json
 import math
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from runtime.command import ERROR, Provider, reported_errors, say
+from runtime.command import ERROR, Provider, print_result, reported_errors
 from runtime.io.recording import read_recording
 from runtime.predictor import Predictor
 from runtime.tools.verify import FrameCheck, VerifyReport, verify
@@ -20,25 +20,24 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions
 
 @app.command(
     "verify",
-    epilog="Exit codes: 0 the same answers; 1 error; 2 usage; 4 a frame's answers differ by more "
-    "than their limit, or --max-slowdown was exceeded.",
+    epilog="Exit codes: 0 the same answers; 1 error; 2 usage; 4 an answer differs by more "
+    "than its limit, or --max-slowdown was exceeded.",
 )
 def main(
     recording_dir: Annotated[
         Path,
         typer.Argument(
-            metavar="DIR", help="A recording, of ssdnet-run --record or ssdnet-export --record."
+            metavar="DIR", help="Recording made by ssdnet-run --record or ssdnet-export --record."
         ),
     ],
     model: Annotated[
         str | None,
         typer.Option(
             metavar="NAME|PATH",
-            help="Another model, to be held against the recorded answers. [default: the model in "
-            "the recording]",
+            help="Model to compare with the recorded answers. [default: the recorded model]",
         ),
     ] = None,
-    provider: Annotated[Provider, typer.Option(help="What runs the model.")] = Provider.cpu,
+    provider: Annotated[Provider, typer.Option(help="Where the model runs.")] = Provider.cpu,
     threads: Annotated[
         int | None, typer.Option(min=1, help="Threads of inference. [default: physical cores]")
     ] = None,
@@ -46,15 +45,15 @@ def main(
         list[str] | None,
         typer.Option(
             metavar="HEAD=LIMIT",
-            help="Limit of a head in place of the recording's, more than once: the least share of "
-            "equal pixels for semantic, the largest difference for others (metres, probability; "
-            "share of the largest score for semantic_logits).",
+            help="Limit of a head in place of the recorded limit; can be repeated. semantic: least "
+            "share of equal pixels; others: largest difference (metres, probability; for "
+            "semantic_logits relative to the largest score).",
         ),
     ] = None,
     max_slowdown: Annotated[
         float | None,
         typer.Option(
-            help="Fail where the median prediction takes more than so many times the recorded one. "
+            help="Largest ratio of the median prediction time to the recorded one. "
             "[default: times are not compared]"
         ),
     ] = None,
@@ -62,7 +61,7 @@ def main(
         bool, typer.Option("--json", help="Print a JSON document instead of the tables.")
     ] = False,
 ) -> None:
-    """Predict a recording's frames again, and compare every answer with the recorded one."""
+    """Predict the frames of a recording again, and compare the answers with the recorded ones."""
     tolerances = _tolerances(tolerance or [])
     if max_slowdown is not None and not 0 < max_slowdown < math.inf:
         raise typer.BadParameter(f"--max-slowdown must be more than 0, got {max_slowdown}")
@@ -78,7 +77,7 @@ def main(
             warmup=0,
         ) as predictor:
             report = verify(predictor, recording, tolerances=tolerances, max_slowdown=max_slowdown)
-        if not say(_json(report.document()) if as_json else _table(report)):
+        if not print_result(_json(report.document()) if as_json else _table(report)):
             raise typer.Exit(ERROR)
         raise typer.Exit(0 if report.passed else DIFFERS)
 
@@ -97,7 +96,7 @@ def _tolerances(texts: Sequence[str]) -> dict[str, float]:
 
 
 def _json(document: dict[str, Any]) -> str:
-    """JSON knows no NaN: a figure that is none is null, and its frame has not passed."""
+    """JSON has no NaN: such a figure is null, and its frame has not passed."""
     for frame in document["frames"]:
         for figures in frame["figures"].values():
             figures.update({n: None for n, value in figures.items() if not math.isfinite(value)})

@@ -1,1 +1,1 @@
-"""One page of HTML that says how a run went, to open in a browser."""
+"""The report page of a run: one HTML file."""

@@ -1,4 +1,4 @@
-"""Charts of a page as inline SVG; their colours are the page's (page.css)."""
+"""Charts of the report page as inline SVG; page.css has their colours."""
 
 from collections.abc import Sequence
 from html import escape
@@ -8,19 +8,20 @@ from runtime.drawing.report_page.timeline import Span
 from runtime.sync.latency import LatencyStatistics
 
 LATE, SKIPPED, INVALID = "late", "skipped", "invalid"
-_DROPS = (SKIPPED, INVALID)  # frames without an answer that can be used
+_DROPS = (SKIPPED, INVALID)  # frames without a usable answer
 _LEFT, _RIGHT, _TOP, _BOTTOM = 48, 14, 22, 34  # pixels
-_SPAN_WIDTH, _POINT_WIDTH = 2, 7  # pixels at least, for a span and for a point of its own
-_STRIP = 1000  # units across a strip without words, which the page stretches
+_SPAN_WIDTH, _POINT_WIDTH = 2, 7  # least pixels of a span, and of a span with a point
+_STRIP = 1000  # units across a strip, which the page stretches
 
 
 def latency_chart(
     spans: Sequence[Span], *, width: int, height: int, deadline_ms: float | None, title: str
 ) -> str:
-    """Draw the answers' times over the frames: a line, a band between the least and the most where
-    frames share a span, the deadline, late frames, and those that got no answer.
+    """Draw latencies over the frames, with the deadline, late frames, and frames without an answer.
 
-    title: what the times are of
+    Where several frames share a span, a band shows the smallest and largest latency.
+
+    title: what the latencies are of
     """
     answered = [span for span in spans if span.answered]
     if not answered:
@@ -91,12 +92,12 @@ def latency_chart(
 
 
 def spans_across(width: int) -> int:
-    """How many spans a chart of this width shows."""
+    """Number of spans in a chart of this width."""
     return max((width - _LEFT - _RIGHT) // _SPAN_WIDTH, 1)
 
 
 def mark_strip(spans: Sequence[Span], mark: str) -> str:
-    """Draw where along the frames a mark was, for the page to stretch; no words in it."""
+    """Draw where along the frames a mark occurs, without text: the page stretches it."""
     scale = _STRIP / (spans[-1].last + 1)
     blocks: list[list[float]] = []  # [from, to, share]
     for span in spans:
@@ -115,7 +116,7 @@ def mark_strip(spans: Sequence[Span], mark: str) -> str:
 
 
 def returns_strip(spans: Sequence[Span]) -> str:
-    """Draw how many LiDAR returns the frames had, from 0 to the most of them."""
+    """Draw the number of LiDAR returns of the frames."""
     scale = _STRIP / (spans[-1].last + 1)
     known = [(span, span.mean_returns) for span in spans if span.mean_returns is not None]
     most = max((returns for _, returns in known if returns is not None), default=0) or 1
@@ -128,7 +129,7 @@ def returns_strip(spans: Sequence[Span]) -> str:
 
 
 def range_strip(statistics: LatencyStatistics, most_ms: float) -> str:
-    """Draw how long a stage took: a bar to the median, a lighter one to the most."""
+    """Draw the latency of a stage: a bar to the median, a lighter one to the maximum."""
     median, highest = (
         _STRIP * value / most_ms for value in (statistics.median_ms, statistics.max_ms)
     )
@@ -159,12 +160,12 @@ def _drop(span: Span, x: float, bottom: float) -> str:
 def _of_several(span: Span) -> str:
     return (
         f"frames {span.first} to {span.last}: mean {span.mean_ms:.1f} ms, "
-        f"most {span.high_ms:.1f} ms, {span.marks[LATE]} late"
+        f"max {span.high_ms:.1f} ms, {span.marks[LATE]} late"
     )
 
 
 def _unbroken(spans: Sequence[Span]) -> list[list[Span]]:
-    """The answered spans, parted where one without an answer lies between."""
+    """Runs of answered spans, without gaps."""
     runs: list[list[Span]] = [[]]
     for span in spans:
         if span.answered:

@@ -1,4 +1,4 @@
-"""The facts that stand at the end of a page."""
+"""The facts at the end of the report page."""
 
 import sys
 from collections.abc import Mapping
@@ -12,10 +12,7 @@ _LIBRARIES = {"onnxruntime": "ONNX Runtime", "cv2": "OpenCV", "numpy": "NumPy"}
 def collect_facts(
     engine: EngineFacts, heading: str, more: Mapping[str, Any]
 ) -> dict[str, dict[str, str]]:
-    """Heading -> name -> value of what is known of model, engine, machine and versions.
-
-    heading, more: a further group
-    """
+    """Return heading -> name -> value: facts of model, engine and machine, and a further group."""
     model, provider, machine = engine.model, engine.provider, engine.machine
     canonical, first_ms = model.canonical_focal_px, engine.first_inference_ms
     nodes = provider.nodes or {}
@@ -46,7 +43,7 @@ def collect_facts(
             "logical cores": machine.logical_cores,
             "system": machine.system,
             "ssdnet": engine.ssdnet,
-            # Of what this process has loaded.
+            # Of the libraries that this process has loaded.
             **{
                 title: getattr(sys.modules.get(name), "__version__", None)
                 for name, title in _LIBRARIES.items()

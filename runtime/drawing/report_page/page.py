@@ -1,4 +1,4 @@
-"""The page itself: sections of HTML around charts and pictures, nothing of it from elsewhere."""
+"""The report page: HTML with inline charts and pictures, without external resources."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -29,25 +29,25 @@ _PARTS = ("preprocess", "inference", "postprocess")  # of a prediction
 _BAD = (SKIPPED, INVALID, LATE)
 _FEW_PROBLEMS, _MOST_PROBLEMS = 10, 200
 _BAR_WIDTH = 640
-#: Mark -> what it says.
+#: Mark -> its meaning.
 _MEANINGS = {
     SKIPPED: "could not be read or predicted",
     INVALID: "the answer cannot be used",
-    LATE: "the answer came after the deadline",
-    "no_depth": "not one LiDAR return: from the camera alone",
+    LATE: "later than the deadline",
+    "no_depth": "no LiDAR return: camera only",
     "sparse_depth_low": "LiDAR returns in too few places",
-    "image_constant": "every pixel of the picture is alike",
-    "image_frozen": "the very bytes of the picture before",
-    "image_black": "nearly every pixel is dark",
-    "image_overexposed": "half of the pixels are blinded",
-    "lidar_sector_lost": "a sector of the LiDAR is gone",
-    "lidar_lines_lost": "lines of the LiDAR are gone",
+    "image_constant": "all pixels are equal",
+    "image_frozen": "same bytes as the image before",
+    "image_black": "nearly all pixels are dark",
+    "image_overexposed": "half of the pixels are saturated",
+    "lidar_sector_lost": "a sector of the LiDAR is missing",
+    "lidar_lines_lost": "scan lines of the LiDAR are missing",
 }
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A frame without an answer that can be used: its name, status and why."""
+    """A frame without a usable answer."""
 
     name: str
     status: str
@@ -56,17 +56,24 @@ class Problem:
 
 @dataclass(frozen=True)
 class PageContent:
-    """All that a page shows.
+    """The content of a page.
 
-    title: the model's name, say
-    command: how to get it again; "" = none
-    interrupted: whether it was stopped before its end
-    response: what the deadline is held against and the chart shows
-    responses: its statistics; None = no answer
-    stages: stage -> its statistics
-    frames: status -> how many
-    frames_per_second: None = not known
-    facts: heading -> name -> value
+    Attributes:
+        title: heading.
+        command: command line of the run; "" = none.
+        interrupted: whether the run was stopped before its end.
+        contract: of the model.
+        timeline: outcomes of the frames.
+        response: name of the latency that the chart shows and the deadline limits.
+        responses: its statistics; None = no answer.
+        stages: stage -> statistics.
+        deadline_ms: None = there was none.
+        missed: None = there was no deadline.
+        frames: status -> frames.
+        frames_per_second: None = not known.
+        problems: frames without a usable answer.
+        samples: pictures.
+        facts: heading -> name -> value.
     """
 
     title: str
@@ -87,7 +94,7 @@ class PageContent:
 
 
 def render_page(content: PageContent) -> bytes:
-    """Return the whole page, HTML in UTF-8 that asks for nothing from anywhere."""
+    """Return the page, HTML in UTF-8 without external resources."""
     style = resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
     badge = '<span class="badge warn">interrupted</span>' if content.interrupted else ""
     command = f'<code class="command">{escape(content.command)}</code>' if content.command else ""
@@ -102,7 +109,7 @@ def render_page(content: PageContent) -> bytes:
     page = (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        # The browser itself then refuses to ask for anything.
+        # The browser then refuses to load anything.
         '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
         "img-src data:; style-src 'unsafe-inline'\">"
         f'<link rel="icon" href="data:,"><title>{escape(content.title)}: run report</title>'
@@ -130,7 +137,7 @@ def _tiles(content: PageContent) -> str:
         tiles.append(("missed deadlines", f"{missed.count:,}", note, kind))
     if content.frames_per_second is not None:
         rate = f"{content.frames_per_second:.1f}"
-        tiles.append(("frames a second", rate, "reading and writing included", ""))
+        tiles.append(("frames per second", rate, "reading and writing included", ""))
     flagged = content.timeline.flagged
     kind = "warn" if flagged else "good"
     tiles.append(("flagged frames", f"{flagged:,}", "late, unanswered or degraded", kind))
@@ -162,15 +169,13 @@ def _latency(content: PageContent) -> str:
     marks = content.timeline.marks
     keys = ['<span class="key dot"></span>' + escape(content.response)]
     if shared:
-        keys.append('<span class="key range"></span>from the least to the most of the frames there')
+        keys.append('<span class="key range"></span>smallest to largest of the frames there')
     if content.deadline_ms is not None:
         keys.append(f'<span class="key dash"></span>deadline {content.deadline_ms:g} ms')
     if marks[LATE]:
         keys.append(f'<span class="key dot red"></span>late ({marks[LATE]:,})')
     if dropped := marks[SKIPPED] + marks[INVALID]:
-        keys.append(
-            f'<span class="key cross">&times;</span>no answer that can be used ({dropped:,})'
-        )
+        keys.append(f'<span class="key cross">&times;</span>no usable answer ({dropped:,})')
     legend = "".join(f"<span>{key}</span>" for key in keys)
     return _section("Latency over time", "".join(charts) + f'<div class="legend">{legend}</div>')
 
@@ -184,7 +189,7 @@ def _stages(content: PageContent) -> str:
     bar = ""
     if whole:
         bar = (
-            '<p class="note">Where the time of a prediction goes, mean</p><div class="stack">'
+            '<p class="note">Parts of a prediction, mean</p><div class="stack">'
             + "".join(
                 f'<div class="{name}" style="width:{mean / whole:.2%}"></div>'
                 for name, mean in means.items()
@@ -211,9 +216,9 @@ def _stages(content: PageContent) -> str:
     table = (
         f'<div class="scroll"><table><thead><tr>{heads}<th class="wide"></th></tr></thead>'
         f"<tbody>{rows}</tbody></table></div>"
-        '<p class="note">A percentile is told where enough frames lie beyond it: p99 from 100 '
-        "frames on. Reading and writing run beside the prediction. Bars: median, and up to the "
-        "most.</p>"
+        '<p class="note">A percentile needs enough frames beyond it: p99 is shown from 100 '
+        "frames on. Reading and writing run in parallel with the prediction. Bars: median and "
+        "maximum.</p>"
     )
     return _section("Percentiles and stages", bar + table)
 
@@ -231,18 +236,18 @@ def _health(content: PageContent) -> str:
         )
     known = [span.mean_returns for span in spans if span.mean_returns is not None]
     if not lanes and timeline.frames:
-        lanes.append('<p class="good">Every frame was answered, none is flagged.</p>')
+        lanes.append('<p class="good">All frames were answered, none is flagged.</p>')
     if known:
         least, most = min(known), max(known)
         lanes.append(
             '<div class="lane"><div><b>LiDAR returns</b> <span class="count">'
-            f"{least:,.0f} to {most:,.0f}</span><small>used of a frame</small></div>"
+            f"{least:,.0f} to {most:,.0f}</span><small>used per frame</small></div>"
             f'<div class="tall">{returns_strip(spans)}</div></div>'
         )
     if not lanes:
         return ""
     last = f"{timeline.frames - 1:,}"
-    lanes.append(f'<p class="note">From frame 0 on the left to {last} on the right.</p>')
+    lanes.append(f'<p class="note">From frame 0 (left) to {last} (right).</p>')
     return _section("Health over time", "".join(lanes))
 
 
@@ -297,8 +302,8 @@ def _samples(content: PageContent) -> str:
     png = bytes(encode_png(bar))
     key = f'<div class="legend">{chips}</div>' if chips else ""
     if any("depth" in title for sample in content.samples for title, _ in sample.panels):
-        key += f'<div class="bar"><img alt="colours of the depth" src="{_data("image/png", png)}">'
-        key += "</div>"
+        scale = f'<img alt="colour scale of the depth" src="{_data("image/png", png)}">'
+        key += f'<div class="bar">{scale}</div>'
     return _section("Samples", "".join(figures) + key)
 
 
@@ -319,12 +324,12 @@ def _section(title: str, content: str) -> str:
 
 
 def _rank(mark: str, count: int) -> tuple[int, int, str]:
-    """What is worst first, then what is most frequent."""
+    """Sort key: the worst marks first, then the most frequent."""
     return (_BAD.index(mark) if mark in _BAD else len(_BAD)), -count, mark
 
 
 def _highest_percentile(times: LatencyStatistics) -> tuple[str, float]:
-    """The highest that the number of frames supports, but p99.9; else the most."""
+    """The highest percentile up to p99 that the number of frames supports, else the maximum."""
     for name, value in (("p99", times.p99_ms), ("p90", times.p90_ms)):
         if value is not None:
             return name, value

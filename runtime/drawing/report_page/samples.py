@@ -1,4 +1,4 @@
-"""Pictures of a few frames of a run: evenly spread, the slowest, the first that were not well."""
+"""Pictures of a few frames of a run: evenly spaced, the slowest, and the first flagged ones."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,14 +11,14 @@ from runtime.drawing.overlay import Overlay
 from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
 
-_EVEN, _UNWELL = 6, 3  # at most
-_PANELS, _WIDEST = 3, 480  # the picture and the first two heads; columns
+_EVEN, _FLAGGED = 6, 3  # at most
+_PANELS, _WIDEST = 3, 480  # image and first two heads; columns
 _JPEG_QUALITY = 82
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One frame: its number and name, its time [ms], what was not well, title -> JPEG."""
+    """One frame: number, name, latency, marks, and (title, JPEG) of its panels."""
 
     index: int
     name: str
@@ -29,14 +29,14 @@ class Sample:
 
 
 class SampleKeeper:
-    """Looks at one answered frame after another and keeps a few pictures, however many come."""
+    """Keeps pictures of a few frames of a stream of any length."""
 
     def __init__(self, contract: Contract) -> None:
         self._overlay = Overlay(contract.classes, contract.max_depth_m)
         self._seen = 0
         self._step = 1
         self._even: list[Sample] = []
-        self._unwell: dict[tuple[str, ...], Sample] = {}  # the first of each kind
+        self._flagged: dict[tuple[str, ...], Sample] = {}  # the first of each kind
         self._slowest: Sample | None = None
 
     def look(
@@ -46,23 +46,23 @@ class SampleKeeper:
         prediction: Prediction,
         marks: Sequence[str] = (),
     ) -> None:
-        """Take a frame in; it is drawn only where it is kept.
+        """Add a frame; it is drawn only if it is kept.
 
-        marks: what was not well, besides `prediction.degraded`
+        marks: findings besides `prediction.degraded`
         """
         index, self._seen = self._seen, self._seen + 1
         reasons = (*prediction.degraded, *marks)
         time_ms = prediction.latency.total_ms
         even = index % self._step == 0
         slowest = self._slowest is None or time_ms > self._slowest.predict_ms
-        unwell = bool(reasons) and reasons not in self._unwell and len(self._unwell) < _UNWELL
-        if not (even or slowest or unwell):
+        flagged = bool(reasons) and reasons not in self._flagged and len(self._flagged) < _FLAGGED
+        if not (even or slowest or flagged):
             return
         sample = Sample(index, name, time_ms, reasons, self._draw(rgb, prediction))
         if slowest:
             self._slowest = sample
-        if unwell:
-            self._unwell[reasons] = sample
+        if flagged:
+            self._flagged[reasons] = sample
         if even:
             self._even.append(sample)
             if len(self._even) > _EVEN:
@@ -70,8 +70,8 @@ class SampleKeeper:
                 self._step *= 2
 
     def samples(self) -> list[Sample]:
-        """Those that were kept, in their order."""
-        kept = {sample.index: sample for sample in (*self._even, *self._unwell.values())}
+        """The kept frames, in order."""
+        kept = {sample.index: sample for sample in (*self._even, *self._flagged.values())}
         if self._slowest is not None:
             kept[self._slowest.index] = replace(self._slowest, slowest=self._seen > 1)
         return [kept[index] for index in sorted(kept)]

@@ -1,17 +1,17 @@
-"""What became of the frames of a run, one after another, in memory that does not grow."""
+"""Outcomes of the frames of a run over time, in bounded memory."""
 
 from collections import Counter
 from dataclasses import dataclass, field
 
-_MOST_SPANS = 2048  # more than a screen has columns
+_MAX_SPANS = 2048  # more than a screen has columns
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What became of one frame.
+    """The outcome of one frame.
 
-    response_ms: what a deadline is held against; None = there was no answer
-    marks: what was out of order: its status, "late", reasons of `Prediction.degraded`, of health
+    response_ms: what the deadline limits; None = there was no answer
+    marks: its status unless "ok", "late", reasons of `Prediction.degraded`, findings of health
     returns: LiDAR returns that were used; None = not known
     """
 
@@ -23,10 +23,10 @@ class Moment:
 
 @dataclass
 class Span:
-    """Frames that follow one another; the times are those of the answered ones among them [ms].
+    """Successive frames; the times are of the answered ones among them.
 
     first, last: numbers of the frames, from 0
-    name: of the frame where it is one
+    name: of the frame, if it is only one
     marks: mark -> frames that have it
     """
 
@@ -43,37 +43,37 @@ class Span:
 
     @property
     def frames(self) -> int:
-        """How many it holds."""
+        """Number of frames."""
         return self.last - self.first + 1
 
     @property
     def middle(self) -> float:
-        """Its place among the frames."""
+        """Position of its middle."""
         return (self.first + self.last) / 2
 
     @property
     def mean_ms(self) -> float:
-        """Of at least one answered frame."""
+        """Mean latency; at least one frame must be answered."""
         return self.sum_ms / self.answered
 
     @property
     def mean_returns(self) -> float | None:
-        """None where no frame says them."""
+        """Mean number of returns; None = not known."""
         return self.returns / self.returns_known if self.returns_known else None
 
 
 class Timeline:
-    """Gathers moments; once there are many, several frames share a span."""
+    """Collects moments; in long runs several frames share a span."""
 
     def __init__(self) -> None:
         self.frames = 0
         self.marks: Counter[str] = Counter()  # mark -> frames that have it
         self.flagged = 0  # frames with any mark
         self._spans: list[Span] = []
-        self._width = 1  # frames to a span
+        self._span_frames = 1  # frames a span
 
     def add(self, moment: Moment) -> None:
-        """Take the next frame in."""
+        """Add the next frame."""
         response = moment.response_ms
         span = Span(
             self.frames,
@@ -89,17 +89,17 @@ class Timeline:
         )
         self.marks.update(span.marks)
         self.flagged += bool(span.marks)
-        if self._spans and self._spans[-1].frames < self._width:
+        if self._spans and self._spans[-1].frames < self._span_frames:
             self._spans[-1] = _joined([self._spans[-1], span])
         else:
             self._spans.append(span)
         self.frames += 1
-        if len(self._spans) > _MOST_SPANS:
+        if len(self._spans) > _MAX_SPANS:
             self._spans = _by(self._spans, 2)
-            self._width *= 2
+            self._span_frames *= 2
 
-    def spans(self, at_most: int = _MOST_SPANS) -> list[Span]:
-        """The spans in order, joined until there are few enough."""
+    def spans(self, at_most: int = _MAX_SPANS) -> list[Span]:
+        """The spans in order, joined until they are at most `at_most`."""
         return _by(self._spans, -(-len(self._spans) // at_most) or 1)
 
 

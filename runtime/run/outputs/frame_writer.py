@@ -1,4 +1,4 @@
-"""Write the answers of a run, a frame's files all or none."""
+"""Write the files of each frame of a run: all files of a frame, or none."""
 
 import contextlib
 from collections.abc import Collection, Sequence
@@ -20,13 +20,19 @@ from runtime.sources.frames import Frame
 
 
 class FrameWriter:
-    """Write each frame's answers into a folder of `RunFolder`, one subfolder a kind.
+    """Write the answers to each frame into a `RunFolder`, one subfolder a kind.
 
-    folder, names, overwrite: as `RunFolder` takes them
-    kinds: which of SUFFIXES to write; a head that the model lacks is left out
-    focal_length_px: for clouds of frames without a calibration, see `intrinsics_of`
-    overlay: that draws; None = one of its own
-    Raises OutputError if the folder cannot be used.
+    Args:
+        folder: see `RunFolder`.
+        contract: of the model.
+        kinds: of SUFFIXES; heads that the model lacks are left out.
+        names: see `RunFolder`.
+        overwrite: see `RunFolder`.
+        focal_length_px: for clouds of frames without a calibration, see `intrinsics_of`.
+        overlay: draws the overlays; None = a new one.
+
+    Raises:
+        OutputError: if the folder cannot be used.
     """
 
     def __init__(

@@ -47,7 +47,7 @@ class McapWriter:
         self._frames = 0
 
     def write(self, frame: Frame, prediction: Prediction) -> None:
-        """Append what a frame was answered. Raises OutputError for a stamp that ROS cannot hold."""
+        """Append the answers to a frame. Raises OutputError for a stamp out of range for ROS."""
         stamp_ns = frame.image_stamp_ns
         if stamp_ns is None:
             stamp_ns = round(self._frames / self._rate_hz * _S)
@@ -129,12 +129,10 @@ class McapWriter:
 def open_mcap(
     path: Path, contract: Contract, overlay: Overlay, *, rate_hz: float | None = None
 ) -> Iterator[McapWriter]:
-    """Make an MCAP file that gets its name when the block ends; after an error there it is gone.
+    """Make an MCAP file that gets its name when the block ends; after an error there it is removed.
 
     path: is replaced; a run without a frame leaves no file
-    overlay: that draws the frames
     rate_hz: of frames without stamps, the first of which is at 0; None = DEFAULT_RATE_HZ
-    Raises OutputError, also where `rosbags` is not installed.
     """
     try:
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer

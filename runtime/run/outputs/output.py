@@ -1,4 +1,4 @@
-"""What every output of a run is: it takes the answers, one frame after another."""
+"""The interface of the outputs of a run, and checks before it starts."""
 
 import importlib.util
 import tempfile
@@ -28,9 +28,9 @@ class Output(Protocol):
 
 
 def require_free(path: Path, *, overwrite: bool, inputs: Collection[Path] = ()) -> None:
-    """Raise OutputError unless a file can be made at `path`: before a run, not after it.
+    """Raise OutputError unless a file can be made at `path`.
 
-    inputs: files that are read, and folders in which no file is replaced
+    inputs: files that the run reads, and folders in which no file may be replaced
     """
     if path.is_dir():
         raise OutputError(f"{path} is a folder: name a file to write")

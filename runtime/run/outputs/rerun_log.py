@@ -57,7 +57,7 @@ class RerunLogger:
         self._frames += 1
         if frame.image_stamp_ns is None:
             log.disable_timeline(SENSOR_TIME)
-        else:  # of a clock that nobody knows the start of
+        else:  # of a clock with an unknown epoch
             log.set_time(SENSOR_TIME, duration=np.timedelta64(frame.image_stamp_ns, "ns"))
         picture = encode_jpeg(frame.rgb[..., ::-1])
         log.log(IMAGE, rerun.EncodedImage(contents=bytes(picture), media_type="image/jpeg"))
@@ -82,7 +82,7 @@ class RerunLogger:
             text = f"{frame.name}: {', '.join(prediction.degraded)}"
             log.log(HEALTH, rerun.TextLog(text, level=rerun.TextLogLevel.WARN))
         try:
-            log.flush(timeout_sec=_PATIENCE_S)  # what waits would take memory
+            log.flush(timeout_sec=_PATIENCE_S)  # what is queued takes memory
         except RuntimeError as error:
             raise OutputError(
                 f"{self._target} does not take {frame.name} ({error}): {_REMEDY}"
@@ -93,13 +93,11 @@ class RerunLogger:
 def open_rerun(
     target: str, contract: Contract, *, focal_length_px: float | None = None
 ) -> Iterator[RerunLogger]:
-    """Log a run to a file, which gets its name when the block ends and after an error there is
-    gone, or to a viewer.
+    """Log a run to a viewer, or to a file that gets its name when the block ends.
 
     target: a path that ends in .rrd, which is replaced; RERUN_LIVE, the viewer on this machine,
         which is started unless one is open; or a viewer's address, rerun+http://HOST:PORT/proxy
     focal_length_px: for the clouds of frames without a calibration, see `intrinsics_of`
-    Raises OutputError, also where `rerun-sdk` is not installed and where there is no viewer.
     """
     try:
         import rerun
@@ -131,7 +129,7 @@ def open_rerun(
 
 @contextlib.contextmanager
 def _scripts_on_path() -> Iterator[None]:
-    """Let the viewer of this environment be found, also where it was not activated."""
+    """Put the viewer of this environment on PATH, also where the environment is not activated."""
     before = os.environ.get("PATH", os.defpath)
     os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), before])
     try:
@@ -141,10 +139,9 @@ def _scripts_on_path() -> Iterator[None]:
 
 
 def _close(log: Any) -> bool:
-    """Disconnect; returns whether all that was logged has left.
+    """Disconnect; returns whether everything was written or sent.
 
-    Where its file has no room or its viewer is gone, the SDK would wait for ever, also when the
-    interpreter ends.
+    With a full disk or a closed viewer the SDK would wait for ever, also at exit.
     """
     import rerun
 
@@ -157,7 +154,7 @@ def _close(log: Any) -> bool:
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether a file has its footer: where there is no room, the SDK only prints so."""
+    """Whether a file has its footer: of a full disk the SDK only prints a message."""
     with path.open("rb") as file:
         file.seek(0, os.SEEK_END)
         file.seek(max(file.tell() - len(_FOOTER) - 8, 0))
@@ -165,7 +162,7 @@ def _is_whole(path: Path) -> bool:
 
 
 def _blueprint() -> Any:
-    """What the viewer shows at first: pictures on the left, cloud and times on the right."""
+    """The initial layout of the viewer: images on the left, cloud and times on the right."""
     import rerun.blueprint as views
 
     pictures = (

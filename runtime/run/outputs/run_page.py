@@ -30,7 +30,7 @@ class RunPage:
         self._samples = SampleKeeper(contract)
 
     def write(self, frame: Frame, prediction: Prediction) -> None:
-        """Look at a frame and its answer; nothing is written yet."""
+        """Keep a frame and its answer as a sample, perhaps; nothing is written yet."""
         self._samples.look(frame.name, frame.rgb, prediction, frame.health)
 
     def finish(self, report: RunReport) -> None:
@@ -62,11 +62,7 @@ class RunPage:
 
 @contextlib.contextmanager
 def open_page(path: Path, contract: Contract) -> Iterator[RunPage]:
-    """Make a page that gets its name when the block ends; after an error there it is gone.
-
-    path: is replaced
-    Raises OutputError.
-    """
+    """Make a page that gets its name when the block ends; after an error there it is removed."""
     with atomic_path(path) as temporary:
         yield RunPage(temporary, contract)
 

@@ -28,7 +28,7 @@ class RunRecording:
 def open_recording(
     folder: Path, settings: Settings, predictor: Predictor, *, overwrite: bool
 ) -> Iterator[RunRecording]:
-    """Make a recording in `folder`, whole when the block ends, gone after an error there."""
+    """Make a recording in `folder`, whole when the block ends, removed after an error there."""
     with record(folder, settings, overwrite=overwrite) as recorder:
         yield RunRecording(recorder)
         recorder.finish(Path(predictor.model), sha256=predictor.digest)

@@ -29,10 +29,7 @@ class VideoWriter:
         self._frames = 0
 
     def write(self, frame: Frame, prediction: Prediction) -> None:
-        """Draw a frame and append it. The first one gives the size: others are fitted into it.
-
-        Raises OutputError.
-        """
+        """Draw a frame and append it, fitted into the size of the first one. Raises OutputError."""
         picture = self._overlay.draw(frame.rgb, prediction)
         if self._file is None:
             self._size = _video_size(*picture.shape[:2])
@@ -41,12 +38,12 @@ class VideoWriter:
         self._frames += 1
 
     def finish(self) -> None:
-        """Write the index. Raises OutputError if the file does not hold all frames then."""
+        """Write the index. Raises OutputError if the file does not hold all frames."""
         if self._file is None:
             return
         self._file.release()
         self._file = None
-        written = cv2.VideoCapture(str(self._path))  # the encoder tells nobody that a disk is full
+        written = cv2.VideoCapture(str(self._path))  # the encoder does not report a full disk
         frames = int(written.get(cv2.CAP_PROP_FRAME_COUNT))
         written.release()
         if frames != self._frames:
@@ -73,12 +70,10 @@ class VideoWriter:
 def open_video(
     path: Path, overlay: Overlay, *, rate_hz: float | None = None
 ) -> Iterator[VideoWriter]:
-    """Make a video that gets its name when the block ends; after an error there it is gone.
+    """Make a video that gets its name when the block ends; after an error there it is removed.
 
     path: is replaced; a run without a frame leaves no file
-    overlay: that draws the frames
-    rate_hz: frames a second; None = DEFAULT_RATE_HZ
-    Raises OutputError.
+    rate_hz: None = DEFAULT_RATE_HZ
     """
     with atomic_path(path) as temporary:
         writer = VideoWriter(temporary, overlay, rate_hz or DEFAULT_RATE_HZ)
@@ -87,13 +82,13 @@ def open_video(
 
 
 def _video_size(height: int, width: int) -> tuple[int, int]:
-    """The size for a picture: at most _LARGEST_SIDE, and even, as the colours are halved."""
+    """The size of the video: sides of at most _LARGEST_SIDE, and even for chroma subsampling."""
     shrunk = min(1.0, _LARGEST_SIDE / max(height, width))
     return max(round(height * shrunk / 2) * 2, 2), max(round(width * shrunk / 2) * 2, 2)
 
 
 def _fit(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """A picture in the middle of a black one of `size`, shrunk where it is larger."""
+    """Place a picture in the middle of a black one of `size`, shrunk where it is larger."""
     height, width = picture.shape[:2]
     if (height, width) == size:
         return picture

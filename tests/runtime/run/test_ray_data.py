@@ -15,6 +15,11 @@ from runtime.run.cli import app
 from runtime.sources.bundled_stream import bundled_frames, bundled_stream
 from runtime.sources.registry import choose_source
 
+COLUMNS = {
+    *("index", "name", "status", "reason", "degraded", "latency_ms"),
+    *("image_stamp_ns", "depth_stamp_ns"),
+}
+
 
 def folders_of(rgb, depth):
     return choose_source(f"folders:{rgb}", depth=depth)
@@ -25,7 +30,7 @@ def rows_of(dataset):
 
 
 def test_rows_are_the_files_of_a_plain_run(cluster, tmp_path):
-    from runtime.run.ray_data import COLUMNS, predict_source
+    from runtime.run.ray_data import predict_source
 
     frames = bundled_frames()
     folders = tmp_path / "rgb", tmp_path / "depth"
@@ -38,11 +43,11 @@ def test_rows_are_the_files_of_a_plain_run(cluster, tmp_path):
         cv2.imwrite(str(folders[1] / f"{number}.png"), np.rint(depth * 256).astype(np.uint16))
     (folders[0] / "3.png").write_bytes(b"damaged")
     out = tmp_path / "out"
-    said = CliRunner().invoke(
+    result = CliRunner().invoke(
         app,
         ["--rgb", folders[0], "--depth", folders[1], "--out", out, "--threads", "1"],
     )
-    assert said.exit_code == 3, said.output
+    assert result.exit_code == 3, result.output
     rows = rows_of(predict_source(folders_of(*folders), actors=2))
     assert [row["name"] for row in rows] == [str(number) for number in range(len(frames))]
     assert [row["status"] for row in rows] == ["ok"] * 3 + ["skipped"] + ["ok"] * (len(rows) - 4)

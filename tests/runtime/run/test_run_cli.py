@@ -551,9 +551,7 @@ def test_a_reader_that_left_does_not_stop_the_run(tmp_path, stream, model_file):
 
 def test_a_reader_that_left_does_not_fail_the_exit():
     """More than any buffer holds: the rest is flushed once more at the end."""
-    program = (
-        "from pathlib import Path; from runtime.run.cli import _say; _say('x' * 100_000, Path())"
-    )
+    program = "from runtime.command import print_result; print_result('x' * 100_000)"
     reader, writer = os.pipe()
     os.close(reader)
     command = [sys.executable, "-c", program]

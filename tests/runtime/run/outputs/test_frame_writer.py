@@ -119,7 +119,7 @@ def refuse_to_overwrite(out, contract, text, **options):
 def test_overwrite_writes_nothing_through_a_link(tmp_path, contract, earlier_run):
     (earlier_run / "depth").rename(tmp_path / "pictures")
     (earlier_run / "depth").symlink_to(tmp_path / "pictures")
-    text = r"out/depth is a link or a file in the place"
+    text = r"out/depth is a link or a file where"
     refuse_to_overwrite(earlier_run, contract, text, kinds=("semantic", "depth"))
     (earlier_run / "depth").unlink()
     (earlier_run / "depth").symlink_to(tmp_path / "none")

@@ -100,7 +100,7 @@ def test_a_constant_stream_shows_the_age(page_of):
 
 def test_nothing_wrong_is_said_to_be_nothing_wrong(page_of):
     _, page, _ = page_of()
-    assert "Every frame was answered, none is flagged." in page.texts
+    assert "All frames were answered, none is flagged." in page.texts
     assert "missed deadlines" not in page.texts
 
 
