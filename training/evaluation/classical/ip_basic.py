@@ -3,8 +3,8 @@
 Ku, Harakeh and Waslander, "In Defense of Classical Image Processing: Fast Depth Completion on the
 CPU", Conference on Computer and Robot Vision 2018, with its kernels, chosen for KITTI's 64 lines.
 
-Depth is inverted first (`max_depth_m` minus depth), so that a dilation, a local maximum, lets near
-surfaces win over far ones. Below, "inverted" is that depth, and 0 in it is unknown.
+Depth is inverted first (`max_depth_m` minus depth), so that near surfaces win over far ones in a
+dilation, which is a local maximum. "Inverted" below is that depth; 0 in it is unknown.
 """
 
 from dataclasses import dataclass
@@ -21,24 +21,25 @@ Blur = Literal["gaussian", "bilateral"]
 
 #: Nearer than this is no measurement, and an inverted depth below it is unknown (Ku et al.).
 _MEASURED_M = 0.1
-#: Where "near" and "medium" depths end, for dilations of their own [m].
+#: Where "near" and "medium" depths end, which are dilated apart [m].
 _NEAR_M, _MEDIUM_M = 15.0, 30.0
 _BILATERAL_SIGMA_M, _BILATERAL_SIGMA_PX = 1.5, 2.0
 
 
 @dataclass(frozen=True)
 class IPBasic:
-    """The fast variant, the paper's result: about a dozen of OpenCV's filters.
+    """The fast variant, which gives the paper's result: about a dozen OpenCV filters.
 
     Dilation by a diamond, closing of small holes, filling of larger ones, continuation of every
-    column up to the top of the picture, filling of the largest, median, blur. It answers where a
-    return is in reach of the kernels (20 px along rows and columns), and in all of a column above
-    that, 0 elsewhere. rgb is not used.
+    column up to the top of the image, filling of the largest, median, blur. There is depth in reach
+    of the kernels (20 px from a return along rows and columns), and in all of a column above that,
+    0 elsewhere. The image is not used.
 
-    max_depth_m: at and beyond it is no measurement, as nearer than 0.1 m
-    extrapolate: continue the columns and fill what is left by a window of 31 x 31; without, only
-        holes of up to 7 px about a return are filled
-    blur: "gaussian" for the lowest RMSE, "bilateral" to keep edges, as the paper compares them
+    Attributes:
+        max_depth_m: at and beyond it is no measurement, as nearer than 0.1 m.
+        extrapolate: continue the columns, and fill the rest by a window of 31 x 31; without, only
+            holes of up to 7 px about a return are filled.
+        blur: "gaussian" for the lowest RMSE, "bilateral" to keep edges, as in the paper.
     """
 
     max_depth_m: float = 100.0
@@ -55,22 +56,25 @@ class IPBasic:
         inverted = _fill_unknown(inverted, _full(7))
         if self.extrapolate:
             inverted = _fill_unknown(_extend_to_top(inverted), _full(31))
-        # The median removes single outliers. As published it takes the zeros of unknown pixels
-        # with it, and so does the blur: the outermost two known pixels come out too far.
+        # The median removes single outliers. As published it includes the zeros of unknown pixels,
+        # and so does the blur: the outermost two known pixels come out too far.
         inverted = cv2.medianBlur(inverted, 5)
         return _revert(_blur(inverted, self.blur), self.max_depth_m)
 
 
 @dataclass(frozen=True)
 class IPBasicMultiscale:
-    """The variant with a dilation a range of depths and removal of noise, slower.
+    """A slower variant with a dilation a range of depths and removal of noise.
 
-    The authors offer it beside the paper's. Near things, whose returns lie far apart, are dilated
-    by a larger cross than far ones, so that thin far things keep their width: 7 px to 15 m, 5 px to
-    30 m, 3 px beyond. A median follows, to which a return far from all others is noise: it is
-    dropped, and a frame of such returns has no answer. Then holes are filled, step by step, by up
-    to 16 px; nothing but `extrapolate` reaches above a column's topmost depth, and a column without
-    any stays without. Fields and range as of `IPBasic`.
+    It follows the variant that the authors' code offers beside the paper's, with two differences:
+    the bilateral blur has a sigma of 1.5 m of depth (0.5 m there), and a column without any depth
+    stays without.
+
+    Near things, whose returns lie far apart, are dilated by a larger cross than far ones, so that
+    thin far things keep their width: 7 px to 15 m, 5 px to 30 m, 3 px beyond. The median that
+    follows drops a return far from all others as noise; a frame of such returns has no depth. Then
+    holes are filled, step by step, by up to 16 px. Nothing but `extrapolate` reaches above a
+    column's topmost depth. Fields and range as of `IPBasic`.
     """
 
     max_depth_m: float = 100.0
@@ -108,7 +112,7 @@ def _revert(inverted: MatLike, max_depth_m: float) -> Depth:
 
 
 def _dilate_by_range(inverted: Depth, method: IPBasicMultiscale) -> MatLike:
-    """Dilate far, medium and near depths apart; near ones lie over medium ones over far ones."""
+    """Dilate far, medium and near depths apart; near ones replace medium ones and far ones."""
     depth = method.max_depth_m - inverted
     combined: MatLike = np.zeros_like(inverted)
     for size, chosen in (
@@ -116,8 +120,8 @@ def _dilate_by_range(inverted: Depth, method: IPBasicMultiscale) -> MatLike:
         (5, (depth > _NEAR_M) & (depth <= _MEDIUM_M)),
         (7, depth <= _NEAR_M),
     ):
-        spread = cv2.dilate(np.where(chosen, inverted, np.float32(0)), _cross(size))
-        combined = np.where(spread > _MEASURED_M, spread, combined)
+        dilated = cv2.dilate(np.where(chosen, inverted, np.float32(0)), _cross(size))
+        combined = np.where(dilated > _MEASURED_M, dilated, combined)
     return combined
 
 
@@ -146,7 +150,7 @@ def _fill_unknown(
 
 
 def _where_known(inverted: MatLike, changed: MatLike) -> MatLike:
-    """Take the changed depths, but for unknown pixels, which stay unknown."""
+    """Take the changed depths; unknown pixels stay unknown."""
     return np.where(inverted > _MEASURED_M, changed, inverted)
 
 

@@ -1,4 +1,4 @@
-"""What every method of depth completion is."""
+"""The protocol of depth completion methods."""
 
 from typing import Protocol
 
@@ -9,18 +9,21 @@ Depth = NDArray[np.float32]
 
 
 class CompletionMethod(Protocol):
-    """A method with its settings, one verb."""
+    """A method of depth completion: a frozen dataclass of its settings with one function."""
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
-        """Complete one frame; nothing of the inputs is written to or given back.
+        """Complete the depth of one frame; the inputs are not written to, nor returned.
 
-        rgb: uint8 (H, W, 3), red first; not every method looks at it
-        sparse_depth: float32 (H, W) [m]; 0, negative and not finite = no measurement
-        Returns float32 (H, W) [m], 0 where the method gives no depth: everywhere without any
-        measurement.
+        Args:
+            rgb: uint8 (H, W, 3), red first; not every method uses it.
+            sparse_depth: float32 (H, W), metres; 0, negative and not finite = no measurement.
+
+        Returns:
+            float32 (H, W), metres; 0 where the method gives no depth, which is everywhere without
+            any measurement.
         """
 
 
 def is_measured(sparse_depth: Depth) -> NDArray[np.bool_]:
-    """Whether a pixel of `sparse_depth` holds a depth."""
+    """Return where `sparse_depth` holds a measurement, bool (H, W)."""
     return np.asarray((sparse_depth > 0) & np.isfinite(sparse_depth))

@@ -1,4 +1,4 @@
-"""Completion by a Markov random field whose neighbours hold together where the colours are alike.
+"""Completion by a Markov random field whose smoothness depends on the colours.
 
 Diebel and Thrun, "An Application of Markov Random Fields to Range Sensing", NIPS 2005. The most
 probable depth y minimises
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from runtime.errors import InferenceError, ProviderError
 from training.evaluation.classical.method import Depth, is_measured
 
-#: Of a weight: exp() of two unlike colours is so small that a region would be cut off.
+#: Least weight of neighbours: exp() of two different colours would cut a region off.
 _LEAST_WEIGHT = 1e-4
 
 
@@ -26,12 +26,15 @@ class MRF:
     """The Markov random field, by one direct solution of its sparse linear system with SciPy.
 
     The paper iterates by conjugate gradients; the direct solution is the same minimum without a
-    tolerance. It takes seconds and about 1.3 GB a megapixel. Every answer is a weighted mean of
-    returns, so it lies between the smallest and the largest, and one return answers everywhere.
+    tolerance. It takes seconds and about 1.3 GB a megapixel. Each depth is a weighted mean of
+    returns, so it lies between the smallest and the largest. One return fills the frame.
 
-    data_weight: k of the paper, against weights of at most 1
-    edge_sharpness: c of the paper; 1000 halves a weight at 7 grey values of one colour
-    Raises ProviderError without SciPy.
+    Attributes:
+        data_weight: k of the paper, against weights of at most 1.
+        edge_sharpness: c of the paper; 1000 halves a weight at 7 grey values of one colour.
+
+    Raises:
+        ProviderError: if SciPy is not installed.
     """
 
     data_weight: float = 10.0
@@ -41,21 +44,23 @@ class MRF:
         _import_sparse()
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
-        """See `CompletionMethod.complete`. Raises InferenceError where memory does not suffice."""
+        """See `CompletionMethod.complete`. Raises InferenceError if memory does not suffice."""
         measured = is_measured(sparse_depth)
         if not measured.any():
             return np.zeros(sparse_depth.shape, dtype=np.float32)
         sparse = _import_sparse()
         count = sparse_depth.size
         first, second, weight = neighbours(rgb, self.edge_sharpness)
-        together = sparse.coo_array((weight, (first, second)), shape=(count, count))
-        pulled = self.data_weight * measured.ravel()
-        diagonal = pulled + np.bincount(first, weight, count) + np.bincount(second, weight, count)
-        system = sparse.diags_array(diagonal) - together - together.T
-        wanted = pulled * np.where(measured, sparse_depth, 0).ravel()
+        coupling = sparse.coo_array((weight, (first, second)), shape=(count, count))
+        data_term = self.data_weight * measured.ravel()
+        diagonal = (
+            data_term + np.bincount(first, weight, count) + np.bincount(second, weight, count)
+        )
+        system = sparse.diags_array(diagonal) - coupling - coupling.T
+        right_side = data_term * np.where(measured, sparse_depth, 0).ravel()
         try:
             # The ordering for symmetric patterns: half the memory of the default one.
-            solution = sparse.linalg.spsolve(system.tocsc(), wanted, permc_spec="MMD_AT_PLUS_A")
+            solution = sparse.linalg.spsolve(system.tocsc(), right_side, permc_spec="MMD_AT_PLUS_A")
         except (MemoryError, RuntimeError) as error:  # SuperLU's allocations raise either
             height, width = sparse_depth.shape
             raise InferenceError(
@@ -69,12 +74,12 @@ class MRF:
 def neighbours(
     rgb: NDArray[np.uint8], edge_sharpness: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
-    """Every pair of pixels beside or below each other, once: both indices and the weight, (P,)."""
+    """Return each pair of neighbouring pixels once: both indices and the weight, (P,) each."""
     height, width = rgb.shape[:2]
     index = np.arange(height * width, dtype=np.int32).reshape(height, width)
     colors = rgb.astype(np.float64) / 255
-    unlike = [np.square(np.diff(colors, axis=axis)).sum(axis=-1).ravel() for axis in (1, 0)]
-    weight = np.maximum(np.exp(-edge_sharpness * np.concatenate(unlike)), _LEAST_WEIGHT)
+    squared = [np.square(np.diff(colors, axis=axis)).sum(axis=-1).ravel() for axis in (1, 0)]
+    weight = np.maximum(np.exp(-edge_sharpness * np.concatenate(squared)), _LEAST_WEIGHT)
     first = np.concatenate([index[:, :-1].ravel(), index[:-1].ravel()])
     second = np.concatenate([index[:, 1:].ravel(), index[1:].ravel()])
     return first, second, weight

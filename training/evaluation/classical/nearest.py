@@ -1,4 +1,4 @@
-"""Every pixel takes the depth of the return nearest to it: the least that completion must beat."""
+"""Nearest-neighbour filling: the baseline that every other method must beat."""
 
 from dataclasses import dataclass
 
@@ -13,11 +13,11 @@ _MASK_SIZE = 5
 
 @dataclass(frozen=True)
 class Nearest:
-    """Nearest-neighbour filling, by OpenCV's distance transform with labels.
+    """Each pixel takes the depth of the nearest return, by OpenCV's distance transform with labels.
 
-    Near is Euclidean in the image, but for a chamfer mask of 5 x 5 (Borgefors 1986): the return
-    taken is at most 5 % farther away than the nearest one, and of several about as near it is any.
-    One return answers everywhere. rgb is not used.
+    The distance is Euclidean, approximated by a chamfer mask of 5 x 5 (Borgefors 1986): the return
+    taken is at most 5 % farther away than the nearest one. One return fills the frame. The image is
+    not used.
     """
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:

@@ -1,15 +1,15 @@
-"""Completion by total generalised variation: planes, that end where the picture has edges.
+"""Completion by total generalised variation: planes that end where the image has edges.
 
 Ferstl, Reinbacher, Ranftl, Ruether and Bischof, "Image Guided Depth Upsampling using Anisotropic
-Total Generalized Variation", ICCV 2013. Sought are a depth u and its slope v, a vector for each
-pixel, that minimise
+Total Generalized Variation", ICCV 2013. The depth u and its slope v, a vector for each pixel,
+minimise
 
     smoothness * sum |T^(1/2) (grad u - v)| + slope_smoothness * sum |grad v|
         + data_weight * sum over returns (u - depth)^2
 
-A plane in the depth map costs nothing. In the tensor T^(1/2) = e n n' + m m' the direction of the
-picture's gradient is n, that along its edge m, and e = exp(-edge_sharpness *
-|gradient|^edge_exponent) makes steps of the depth across edges cheap.
+A plane in the depth map costs nothing. In the tensor T^(1/2) = e n n' + m m', n is the direction of
+the image's gradient and m that along its edge; e = exp(-edge_sharpness * |gradient|^edge_exponent)
+makes steps of the depth across edges cheap.
 """
 
 from dataclasses import dataclass
@@ -33,15 +33,17 @@ class TGV:
 
     The iterations are those of Chambolle and Pock 2011 with the step sizes of Pock and Chambolle
     2011, in float32. They start at the bottom of a pyramid with the nearest filling, and on each
-    level with the answer of the one below: a void of many pixels would need thousands on the finest
-    level alone. The answer lies between the smallest and the largest depth that was measured, and
-    one return answers everywhere.
+    level with the result of the level below: a gap of many pixels would need thousands of
+    iterations on the finest level alone. The depth lies between the smallest and the largest
+    return. One return fills the frame.
 
-    smoothness: cost of a step of the depth [1/m], alpha_1 of the paper
-    slope_smoothness: cost of a change of its slope [1/m], alpha_0
-    data_weight: of the squared error at returns [1/m^2]; each return counts alike
-    edge_sharpness, edge_exponent: beta and gamma, of grey values 0..1
-    iterations: on each level of the pyramid
+    Attributes:
+        smoothness: cost of a step of the depth [1/m], alpha_1 of the paper.
+        slope_smoothness: cost of a change of its slope [1/m], alpha_0.
+        data_weight: of the squared error at returns [1/m^2]; all returns count alike.
+        edge_sharpness: beta, of grey values 0..1.
+        edge_exponent: gamma, of the same.
+        iterations: on each level of the pyramid.
     """
 
     smoothness: float = 0.1
@@ -77,7 +79,7 @@ class TGV:
         measured = sparse_depth > 0
         low, high = sparse_depth[measured].min(), sparse_depth[measured].max()
         alpha_1, alpha_0 = self.smoothness, self.slope_smoothness
-        # Rows and columns of the operator: the inverse sums of what stands in them.
+        # Inverse sums of the entries in each row and column of the operator.
         tensor_row = np.stack([abs(tensor[0]) + abs(tensor[2]), abs(tensor[1]) + abs(tensor[2])])
         step_p = (1 / (3 * alpha_1 * tensor_row)).astype(np.float32)
         step_q = 1 / (2 * alpha_0)
@@ -109,7 +111,7 @@ def edge_tensor(rgb: NDArray[np.uint8], method: TGV) -> NDArray[np.float32]:
     grey = np.divide(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), 255, dtype=np.float32)
     gradient = _gradient(grey)
     length = np.sqrt(np.square(gradient).sum(axis=0))
-    x, y = gradient / np.maximum(length, 1e-6)  # of a flat pixel (0, 0): every direction alike
+    x, y = gradient / np.maximum(length, 1e-6)  # (0, 0) for a flat pixel: isotropic
     across = 1 - np.exp(-method.edge_sharpness * length**method.edge_exponent)
     return np.stack([1 - across * x * x, 1 - across * y * y, -across * x * y])
 

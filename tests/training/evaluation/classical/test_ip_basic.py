@@ -76,7 +76,7 @@ def test_ip_basic_equals_scipy(share):
     np.testing.assert_allclose(ours, ip_basic_in_scipy(sparse_depth, 90.0), atol=1e-3)
 
 
-def test_ip_basic_spreads_one_point_and_extends_its_columns_up():
+def test_ip_basic_dilates_one_point_and_extends_its_columns_up():
     filled = ip_basic(one_point(20.0))
     assert filled[40, 30] == pytest.approx(20.0, abs=1e-4)
     assert filled[0, 30] == pytest.approx(20.0, abs=1e-4)  # top of its column
@@ -131,15 +131,15 @@ def multiscale_in_scipy(sparse_depth, max_depth_m, *, extrapolate):
     x = np.zeros((height, width))
     for size, low, high in ((3, 30.0, np.inf), (5, 15.0, 30.0), (7, 0.1, 15.0)):
         reach = size // 2
-        spread = np.zeros_like(x)
+        dilated = np.zeros_like(x)
         for v, u in zip(*np.nonzero(sparse_depth), strict=True):
             if low < sparse_depth[v, u] <= high:
                 value = max_depth_m - float(sparse_depth[v, u])
                 for step in range(-reach, reach + 1):
                     for row, column in ((v + step, u), (v, u + step)):
                         if 0 <= row < height and 0 <= column < width:
-                            spread[row, column] = max(spread[row, column], value)
-        x = np.where(spread > 0.1, spread, x)
+                            dilated[row, column] = max(dilated[row, column], value)
+        x = np.where(dilated > 0.1, dilated, x)
     x = close(x, full(5))
     x = np.where(x > 0.1, ndimage.median_filter(x, size=5, mode="nearest"), x)
     below = np.maximum.accumulate(x > 0.1, axis=0)
@@ -170,7 +170,7 @@ def one_line(depth_m, row=40):
     return sparse_depth
 
 
-def test_near_things_spread_further_than_far_ones_and_neither_above_its_dilation():
+def test_near_things_are_dilated_further_than_far_ones_and_neither_above_its_dilation():
     tops = []
     for depth_m in (10.0, 20.0, 50.0):
         filled = ip_basic(one_line(depth_m), IPBasicMultiscale, extrapolate=False)
@@ -199,9 +199,9 @@ def test_how_far_the_variants_reach_beside_and_below():
 def test_the_bilateral_blur_keeps_a_step_that_the_gaussian_softens(method):
     step = np.full((60, 80), 10.0, np.float32)
     step[:, 40:] = 30.0
-    spread = {}
+    between = {}
     for blur_name in ("gaussian", "bilateral"):
         filled = ip_basic(step, method, blur=blur_name)
-        spread[blur_name] = int(((filled > 11) & (filled < 29)).sum())
-    assert spread["bilateral"] == 0
-    assert spread["gaussian"] > 0
+        between[blur_name] = int(((filled > 11) & (filled < 29)).sum())
+    assert between["bilateral"] == 0
+    assert between["gaussian"] > 0
