@@ -1,0 +1,164 @@
+"""A head that no code knows by name is one row of `HEADS`, and goes all the way."""
+
+import json
+import pickle
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from export.exporter import export_checkpoint
+from models import Network, NetworkConfig, NetworkOutput, save_checkpoint
+from models.blocks import pad_to_multiple
+from models.registry import NETWORKS, Entry
+from runtime import Predictor
+from runtime.heads import HEADS, Difference, Encoding, Head, Panel, Unit
+from runtime.io.encode import ENCODERS
+from runtime.io.recording import read_recording
+from runtime.tools.verify import verify
+
+ROW = Head(
+    "drivable",
+    "float32",
+    Unit.PROBABILITY,
+    resize="bilinear",
+    difference=Difference.ABSOLUTE,
+    tolerance=4e-4,
+    least=0.0,
+    most=1.0,
+    saved_as="free-space",
+    encoding=Encoding.PROBABILITY_PNG,
+    panel=Panel.GRAY,
+)
+#: Runs ssdnet-run with the row.
+COMMAND = f"""
+import pickle
+from runtime.heads import HEADS
+HEADS["drivable"] = pickle.loads({pickle.dumps(ROW)!r})
+from runtime.run.__main__ import main
+main()
+"""
+SIZE = (64, 96)
+
+
+class Drivable(Network):
+    """The new head alone, on half of the image's grid."""
+
+    heads = ("drivable",)
+    stride = 2
+
+    def __init__(self, config):
+        super().__init__(config)
+        self.layer = nn.Conv2d(4, 1, 3, stride=2, padding=1)
+
+    def head_stride(self, head):
+        return 2
+
+    def predict_coarse(self, rgb, sparse_depth):
+        depth, _ = self.normalise_depth(sparse_depth)
+        inputs = torch.cat((self.normalise_rgb(rgb), depth), dim=1)
+        return NetworkOutput(others={"drivable": self.layer(pad_to_multiple(inputs, 2))})
+
+
+@pytest.fixture
+def frame():
+    rng = np.random.default_rng(0)
+    depth = np.where(rng.random(SIZE) < 0.1, 50 * rng.random(SIZE), 0).astype(np.float32)
+    return rng.integers(0, 256, (*SIZE, 3), dtype=np.uint8), depth
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Holds the exported file `m.onnx` and the recording `exported`; the row is in the table."""
+    folder = tmp_path_factory.mktemp("new-head")
+    config = NetworkConfig("tiny-drivable", classes=())
+    torch.manual_seed(0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(HEADS, "drivable", ROW)
+        patch.setitem(NETWORKS, config.name, Entry(Drivable, config))
+        save_checkpoint(folder / "c.pt", Drivable(config).eval(), training={})
+        report = export_checkpoint(
+            folder / "c.pt",
+            folder / "m.onnx",
+            size=SIZE,
+            dynamic=True,
+            record_dir=folder / "exported",
+        )
+        assert report.heads == ("drivable",)
+        assert report.parity["drivable"].figures["max_abs"] <= ROW.tolerance
+        yield folder
+
+
+def test_a_head_of_one_row_goes_all_the_way(folder, tmp_path, frame):
+    rgb, depth = frame
+    with Predictor(folder / "m.onnx") as predictor:
+        assert predictor.heads == ("drivable",)
+        prediction = predictor.predict(rgb, depth)
+        recording = read_recording(folder / "exported")
+        report = verify(predictor, recording, tolerances=recording.limits)
+        assert report.checks
+        assert report.passed
+    answer = prediction.heads["drivable"]
+    assert prediction.valid
+    assert (answer.shape, answer.dtype) == (SIZE, np.float32)
+    assert 0 < answer.min() < answer.max() < 1
+
+    with Predictor(folder / "m.onnx", size=32) as predictor:
+        resized = predictor.predict(rgb, depth)
+    assert resized.network_size == (32, 48)
+    assert resized.heads["drivable"].shape == SIZE
+
+    drawn = prediction.draw(rgb)[24:64, 96:192]  # below the title of the second panel
+    np.testing.assert_allclose(drawn, np.repeat(answer[24:, :, None] * 255, 3, axis=2), atol=1)
+
+    prediction.save(tmp_path / "a.npz")
+    with np.load(tmp_path / "a.npz") as arrays:
+        np.testing.assert_array_equal(arrays["drivable"], answer)
+    png = cv2.imdecode(
+        np.frombuffer(ENCODERS[HEADS["drivable"].encoding](answer), np.uint8), cv2.IMREAD_UNCHANGED
+    )
+    np.testing.assert_allclose(png / 255, answer, atol=0.5 / 255 + 1e-6)
+
+
+def test_a_broken_answer_of_it_is_invalid(folder, frame):
+    rgb, depth = frame
+    with Predictor(folder / "m.onnx") as predictor:
+        run = predictor._run
+        for bad, reason in ((np.nan, "drivable_not_finite"), (1.1, "drivable_out_of_range")):
+            predictor._run = lambda frames, bad=bad: [
+                {head: np.full_like(values, bad) for head, values in outputs.items()}
+                for outputs in run(frames)
+            ]
+            prediction = predictor.predict(rgb, depth)
+            assert not prediction.valid
+            assert prediction.degraded[-1] == reason
+
+
+def test_ssdnet_run_saves_and_records_it(folder, tmp_path):
+    out = tmp_path / "out"
+    arguments = [
+        "--demo",
+        "--limit",
+        "1",
+        "--model",
+        str(folder / "m.onnx"),
+        "--size",
+        "64",
+        "--warmup",
+        "0",
+    ]
+    result = subprocess.run(
+        [sys.executable, "-c", COMMAND, *arguments, "--out", out, "--record", tmp_path / "r"],
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 0, result.stderr
+    (saved,) = (out / "free-space").iterdir()
+    assert cv2.imread(str(saved), cv2.IMREAD_UNCHANGED).shape == (256, 832)
+    assert json.loads((tmp_path / "r" / "recording.json").read_text())["limits"].keys() == {
+        "drivable"
+    }
