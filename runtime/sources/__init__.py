@@ -1,1 +1,1 @@
-"""Where frames come from, a file a kind; `registry` names them all."""
+"""Sources of frames, a file a kind; `registry` names them all."""

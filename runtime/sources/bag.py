@@ -30,25 +30,28 @@ COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-#: As depth_topic: the camera alone, on purpose.
+#: As depth_topic: the camera alone.
 NO_TOPIC = "none"
 
 
 class BagSource(Source):
-    """Images and, matched with them by the stamps in their headers, point clouds or depth images.
+    """Images and, matched by the time stamps in their headers, point clouds or depth images.
 
-    path: as `RosBag` takes it
-    image_topic: of Image or CompressedImage; None = the only one there is
-    depth_topic: of PointCloud2, or of Image in 16UC1 [mm] or 32FC1 [m], which must be of the
-        picture's size; "none" = the camera alone; None = the only one there is
-    info_topic: of CameraInfo; None = the one beside the images
-    calibration: as `Calibration.from_file`, in place of CameraInfo and /tf_static
-    max_skew_ms: an image and a depth message whose stamps lie further apart do not belong together
+    A header without a stamp counts with the time at which it was recorded. An image without depth
+    is a frame of the camera alone; depth without an image is left out. Listing reads the bag once.
 
-    A header without a stamp has the time at which it was recorded. An image without depth is a
-    frame of the camera alone; depth without an image is left out. Listing reads the bag once.
-    Raises InputError where `rosbags` is not installed, for what is no bag or is damaged, for topics
-    that are not there or not told apart, and for clouds without a calibration.
+    Args:
+        path: as `RosBag`.
+        image_topic: of Image or CompressedImage; None: the only one.
+        depth_topic: of PointCloud2, or of Image in 16UC1 [mm] or 32FC1 [m] of the image's size;
+            "none": the camera alone; None: the only one.
+        info_topic: of CameraInfo; None: the one beside the images.
+        calibration: as `Calibration.from_file`, in place of CameraInfo and /tf_static.
+        max_skew_ms: largest difference of the time stamps of an image and its depth.
+
+    Raises:
+        InputError: if `rosbags` is not installed, the bag is damaged, a topic does not exist or
+            must be chosen, or clouds have no calibration.
     """
 
     options = ("image_topic", "depth_topic", "info_topic", "calibration", "max_skew_ms")
@@ -76,7 +79,7 @@ class BagSource(Source):
         except BaseException:
             self.close()
             raise
-        # The frames that messages belong to by their place in the bag; what was read for later.
+        # Position of a message in the bag -> its frame; messages read ahead of their frame.
         self._owners: dict[int, int] = {}
         self._kept: dict[int, RecordedMessage] = {}
         self._messages: Iterator[RecordedMessage] = iter(())
@@ -87,7 +90,7 @@ class BagSource(Source):
     def _find_topics(
         self, image_topic: str | None, depth_topic: str | None
     ) -> tuple[str, str | None]:
-        """The topics of pictures and of depth, as asked for or guessed."""
+        """The topics of images and of depth, as requested or guessed."""
         pictures, depths = [], []
         for topic, kind in self._bag.types.items():
             if kind == POINT_CLOUD:
@@ -109,13 +112,13 @@ class BagSource(Source):
     def _choose(
         self, name: str, asked: str | None, fitting: list[str], candidates: list[str]
     ) -> str:
-        """The topic asked for, or the only candidate. Raises InputError."""
+        """The requested topic, or the only candidate. Raises InputError."""
         if asked is not None and asked in fitting:
             return asked
         if asked is None and len(candidates) == 1:
             self._guessed.append(f"{name.replace('_', ' ')} {candidates[0]}")
             return candidates[0]
-        what = "pictures" if name == "image_topic" else "point clouds or depth images"
+        what = "images" if name == "image_topic" else "point clouds or depth images"
         option, path = f"--{name.replace('_', '-')}", self._bag.path
         if asked is not None:
             problem = f"{option} {asked} is no topic of {what} in {path}"
@@ -146,26 +149,26 @@ class BagSource(Source):
         return None
 
     def _calibrate(self) -> Calibration | None:
-        """The calibration that was given, or that of CameraInfo and /tf_static."""
+        """The given calibration, or that of CameraInfo and /tf_static."""
         if self._calibration_path is not None:
             return Calibration.from_file(self._calibration_path)
         info = None if self._info_topic is None else self._first(self._info_topic)
         if self._depth_topic is None or self._bag.types[self._depth_topic] != POINT_CLOUD:
-            # Nothing is projected: it only tells the focal length, if it can.
+            # Nothing is projected: only the focal length is of use.
             with contextlib.suppress(InputError):
                 return None if info is None else Calibration.from_camera_info(_fields(info), _EYE)
             return None
         if info is None:
             raise InputError(
-                f"{self._bag.path} has no CameraInfo beside {self._image_topic}, by which to "
-                f"project {self._depth_topic}: give --info-topic or --calibration"
+                f"{self._bag.path} has no CameraInfo beside {self._image_topic} to project "
+                f"{self._depth_topic} with: give --info-topic or --calibration"
             )
         fields = _fields(info)
         if np.any(fields.get("d", ())) and "rect" not in self._image_topic:
             raise InputError(
-                f"{self._info_topic} tells of distortion, and the name {self._image_topic} not "
-                "that its images are rectified: rectify them (image_proc), or, if they are, give "
-                "their --calibration"
+                f"{self._info_topic} has distortion, and the name {self._image_topic} does not say "
+                "'rect': rectify the images (image_proc), or, if they are rectified, give their "
+                "--calibration"
             )
         camera = self._first(self._image_topic).header.frame_id or info.header.frame_id
         lidar = self._first(self._depth_topic).header.frame_id
@@ -202,7 +205,7 @@ class BagSource(Source):
         return frames
 
     def _match(self) -> Iterator[ListedFrame]:
-        """The frames; the places of their two messages among those of both topics."""
+        """The frames, with the positions of their two messages among those of both topics."""
 
         def stamped() -> Iterator[tuple[Sensor, int, int]]:
             for place, message in enumerate(self._recorded()):
@@ -220,7 +223,7 @@ class BagSource(Source):
             names[name] += 1
             yield ListedFrame(
                 sequence,
-                name if names[name] == 1 else f"{name}-{names[name]}",  # it was played in a loop
+                name if names[name] == 1 else f"{name}-{names[name]}",  # played in a loop
                 image.data,
                 None if depth is None else depth.data,
                 image.stamp_ns,
@@ -229,7 +232,7 @@ class BagSource(Source):
             )
 
     def _recorded(self) -> Iterator[RecordedMessage]:
-        """The messages of both topics, the same in each turn."""
+        """The messages of both topics, in the same order each time."""
         topics = (self._image_topic, self._depth_topic)
         return self._bag.messages([topic for topic in topics if topic is not None])
 
@@ -246,7 +249,7 @@ class BagSource(Source):
             if self._bag.types[messages[frame.depth].topic] != POINT_CLOUD:
                 sparse_depth = decode_depth_image(depth)
             else:
-                assert self.calibration is not None  # `_calibrate` saw to it
+                assert self.calibration is not None  # see `_calibrate`
                 height, width = rgb.shape[:2]
                 sparse_depth = self.calibration.project(decode_points(depth), (height, width))
         return Frame(
@@ -254,7 +257,7 @@ class BagSource(Source):
         )
 
     def _take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
-        """The messages of a frame, by place. On the way to them those of later frames are kept."""
+        """The messages of a frame by position; those of later frames on the way are kept."""
 
         def is_wanted(place: int) -> bool:
             return self._owners.get(place, -1) >= frame.sequence
@@ -305,6 +308,6 @@ _EYE = np.eye(4)
 
 
 def _fields(info: Any) -> Mapping[str, Any]:
-    """The fields of a CameraInfo, whose names ROS 1 wrote in capitals."""
+    """The fields of a CameraInfo; ROS 1 has them in capitals."""
     names = ("height", "width", "D", "K", "P", "d", "k", "p")
     return {name.lower(): getattr(info, name) for name in names if hasattr(info, name)}

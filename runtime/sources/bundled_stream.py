@@ -12,7 +12,7 @@ BUNDLED_FOCAL_LENGTH_PX = 721.54 * 832 / 1242
 
 
 def bundled_stream() -> tuple[Path, Path]:
-    """The folders of its pictures and of its sparse depth maps. Raises InputError."""
+    """Return the folders of its images and of its sparse depth maps. Raises InputError."""
     stream = Path(str(resources.files("runtime"))) / "assets" / "stream"
     if not stream.is_dir():
         raise InputError(

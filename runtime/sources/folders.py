@@ -1,4 +1,4 @@
-"""Pictures and depth maps of the same names in two folders."""
+"""Images and depth maps of the same names in two folders."""
 
 from collections.abc import Callable
 from functools import partial
@@ -25,10 +25,11 @@ from runtime.sources.source import ListedFrame, Source, no_depth, pair_up
 class FolderSource(Source):
     """Pairs of files with the same stem, in natural order ("9" before "10").
 
-    rgb: folder of PNG and JPEG files
-    depth: folder of 16-bit PNGs; None = the camera alone, on purpose
-    depth_scale: their units a metre
-    calibration: TOML or KITTI file, see `Calibration.from_file`
+    Args:
+        rgb: folder of PNG and JPEG files.
+        depth: folder of 16-bit PNGs; None: the camera alone.
+        depth_scale: units of the depth PNGs per metre.
+        calibration: TOML or KITTI file, see `Calibration.from_file`.
     """
 
     options = ("depth", "depth_scale", "calibration")
@@ -49,15 +50,16 @@ class FolderSource(Source):
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`. A name without a partner is listed too.
 
-        Raises InputError if a folder is missing or has no pictures, if a stem occurs twice in a
-        folder, or if no name occurs in both.
+        Raises:
+            InputError: if a folder is missing or has no images, if a stem occurs twice in a folder,
+                or if no stem occurs in both.
         """
         pictures = list_pictures(self._rgb)
         maps = None if self._depth is None else list_pictures(self._depth, DEPTH_SUFFIXES)
         if maps is not None and not pictures.keys() & maps.keys():
             raise InputError(
                 f"no name occurs in both folders: {self._rgb} has {_few(pictures)}, {self._depth} "
-                f"has {_few(maps)}: the picture and the depth map of a frame need the same file "
+                f"has {_few(maps)}: the image and the depth map of a frame need the same file "
                 "stem"
             )
         names = sorted(pictures.keys() | (maps or {}).keys(), key=natural_order)
@@ -83,11 +85,11 @@ def read_pair(
     read_depth: Callable[[Path], NDArray[np.float32]],
     calibration: Calibration | None,
 ) -> Frame:
-    """Read a picture and its depth map. Raises InputError if one is missing or damaged."""
+    """Read an image and its depth map. Raises InputError if one is missing or damaged."""
     if frame.image is None:
-        raise InputError(f"{frame.name} has a depth map, but no picture")
+        raise InputError(f"{frame.name} has a depth map, but no image")
     if frame.depth is None:
-        raise InputError(f"{frame.name} has a picture, but no depth map")
+        raise InputError(f"{frame.name} has an image, but no depth map")
     return Frame(read_rgb(frame.image), read_depth(frame.depth), calibration=calibration)
 
 

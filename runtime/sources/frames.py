@@ -10,14 +10,19 @@ from runtime.io.calibration import Calibration
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A picture, uint8 (H, W, 3), and its sparse depth map, float32 (H, W) [m], 0 = no return.
+    """An image with its sparse depth map.
 
-    image_stamp_ns, depth_stamp_ns: when the sensors took them, by their own clock [ns]; None where
-        that is not known, and where there is no depth
-    calibration: of the camera, and of the LiDAR to it; None = not known
-    name: of the frame in its stream; a run sets it
-    health: what `runtime.health` found in the frame; a run sets it
-    Raises InputError for a calibration of pictures of another size.
+    Attributes:
+        rgb: uint8 (H, W, 3), RGB.
+        sparse_depth: float32 (H, W), metres along the optical axis, 0 where there is no return.
+        image_stamp_ns: time of the image by its sensor's clock [ns], None if unknown.
+        depth_stamp_ns: the same of the depth; None without depth.
+        calibration: of the camera and the LiDAR, None if unknown.
+        name: of the frame in its stream; a run sets it.
+        health: what `runtime.health` found in the frame; a run sets it.
+
+    Raises:
+        InputError: if the calibration is of images of another size.
     """
 
     rgb: NDArray[np.uint8]
@@ -29,6 +34,6 @@ class Frame:
     health: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check what a cloud and the focal length would silently get wrong."""
+        """Check the size, which would silently falsify clouds and the focal length."""
         if self.calibration is not None:
             self.calibration.require_size(self.rgb.shape[:2])

@@ -20,15 +20,20 @@ from runtime.sync.stamp_matching import left_out_note, match_by_stamp
 class KittiRawSource(Source):
     """``image_0<camera>/data/*.png`` and ``velodyne_points/data/*.bin`` of a drive.
 
-    drive: folder like 2011_09_26_drive_0001_sync
-    camera: 2 = left, 3 = right; 0 and 1 are grey
-    calibration: as `Calibration.from_file`; None = the files of the drive's own folder or of the
-        one above, where KITTI has them
-    max_skew_ms: an image and a scan whose stamps lie further apart do not belong together; None =
-        they are matched by their numbers
+    Images and scans are matched by the time stamps in timestamps.txt, or by their numbers where a
+    sensor has no such file. An image without a scan is a frame of the camera alone; a scan without
+    an image is left out.
 
-    Where a sensor has no timestamps.txt, images and scans are matched by their numbers, too. An
-    image without a scan is a frame of the camera alone, a scan without one is left out.
+    Args:
+        drive: folder like 2011_09_26_drive_0001_sync.
+        camera: 2 = left, 3 = right; 0 and 1 are grey.
+        calibration: as `Calibration.from_file`; None: KITTI's files in the drive's folder or the
+            one above.
+        max_skew_ms: largest difference of the time stamps of an image and its scan; None: match by
+            number.
+
+    Raises:
+        InputError: if a folder, the calibration or a time stamp is missing or damaged.
     """
 
     options = ("camera", "calibration", "max_skew_ms")

@@ -1,4 +1,4 @@
-"""The kinds of sources that are known. A new one: its file, and a line here."""
+"""The kinds of sources. A new one: its file and a line here."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -24,11 +24,17 @@ SOURCES: dict[str, type[Source]] = {
 
 
 def choose_source(text: str, **options: Any) -> Callable[[], Source]:
-    """Return what opens the source that "KIND:PATH" names.
+    """Return a function that opens a source, and that can be pickled.
 
-    options: of the kind, see its class; those that are None were not given
-    Raises InputError for an unknown kind, without a path, and for options that the kind does not
-    take. Opening may raise it for what the path holds.
+    Args:
+        text: "KIND:PATH".
+        **options: those of the kind, see its class; None: not given.
+
+    Returns:
+        The function; it raises InputError for a path that is no recording of this kind.
+
+    Raises:
+        InputError: for an unknown kind, without a path, or for options that the kind does not take.
     """
     kind, _, path = text.partition(":")
     if kind not in SOURCES or not path:
@@ -43,12 +49,12 @@ def choose_source(text: str, **options: Any) -> Callable[[], Source]:
             f"a source of the kind {kind} takes {_as_options(source.options)}, not "
             f"{_as_options(foreign)}"
         )
-    # Of KIND:~/PATH no shell expands the home.
+    # The shell does not expand the home in KIND:~/PATH.
     return partial(source, Path(os.path.expanduser(path)), **given)
 
 
 def open_source(text: str, **options: Any) -> Source:
-    """Open the source that "KIND:PATH" names, see `choose_source`. Raises InputError."""
+    """Open the source that "KIND:PATH" names; arguments and errors as of `choose_source`."""
     return choose_source(text, **options)()
 
 

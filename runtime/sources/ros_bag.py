@@ -16,7 +16,7 @@ _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
 
 
 class RecordedMessage(NamedTuple):
-    """A message as it lies in the bag; recorded_ns: when it was recorded."""
+    """A message as stored; `recorded_ns` is when it was recorded."""
 
     topic: str
     recorded_ns: int
@@ -24,11 +24,16 @@ class RecordedMessage(NamedTuple):
 
 
 class RosBag:
-    """An open bag; `types` is the message type of each topic, by the names of ROS 2.
+    """An open bag.
 
-    path: ROS 1 bag (.bag), ROS 2 bag (folder with metadata.yaml, or .db3), or .mcap
-    Raises InputError where `rosbags` is not installed and for what is no bag or is damaged; so does
-    every method, and nothing else.
+    Args:
+        path: ROS 1 bag (.bag), ROS 2 bag (folder with metadata.yaml, or .db3), or .mcap.
+
+    Attributes:
+        types: topic -> message type, by the names of ROS 2.
+
+    Raises:
+        InputError: if `rosbags` is not installed, or the bag is damaged; so does every method.
     """
 
     def __init__(self, path: Path) -> None:
@@ -44,7 +49,7 @@ class RosBag:
         """Yield the messages of the topics in the order in which they were recorded."""
         with self._reading():
             connections = [c for c in self._reader.connections if c.topic in topics]
-            if connections:  # rosbags takes none for all
+            if connections:  # rosbags reads all of them otherwise
                 for connection, recorded_ns, raw in self._reader.messages(connections):
                     yield RecordedMessage(connection.topic, recorded_ns, raw)
 
@@ -53,21 +58,21 @@ class RosBag:
         return (self.decode(message) for message in self.messages([topic]))
 
     def decode(self, message: RecordedMessage) -> Any:
-        """Return a message of a type that ROS itself defines, with its fields."""
+        """Return a message of one of the types of ROS itself, with its fields. Raises InputError."""
         try:
             if self._reader.is2:
                 return self._definitions.deserialize_cdr(message.raw, self.types[message.topic])
             return self._definitions.deserialize_ros1(message.raw, self.types[message.topic])
-        except Exception as error:  # whatever rubbish makes its parser raise
+        except Exception as error:  # its parser raises anything
             raise InputError(
-                f"a message of {message.topic} in {self.path} is damaged ({_told(error)})"
+                f"a message of {message.topic} in {self.path} is damaged ({_describe(error)})"
             ) from error
 
     def stamp_ns(self, message: RecordedMessage) -> int | None:
-        """The stamp of a message that starts with a std_msgs/Header, 0 = none was set [ns].
+        """The time stamp [ns] of a message that starts with a std_msgs/Header; 0: none was set.
 
-        None for a message that is too short. It is read without the rest of the message: in both
-        formats it stands at byte 4, after `seq` in ROS 1, after what tells the byte order in CDR.
+        None for a message that is too short. The rest of the message is not decoded: the stamp is
+        at byte 4 in both formats, after `seq` in ROS 1, after the byte order in CDR.
         """
         is_cdr = self._reader.is2
         try:
@@ -79,8 +84,8 @@ class RosBag:
         return int(seconds) * 10**9 + int(nanoseconds)
 
     def close(self) -> None:
-        """Let go of the files. May be called again."""
-        with contextlib.suppress(Exception):  # it was closed before
+        """Close the files. May be called again."""
+        with contextlib.suppress(Exception):  # closed before
             self._reader.close()
 
     @contextlib.contextmanager
@@ -90,13 +95,13 @@ class RosBag:
 
 
 def _open(path: Path) -> "tuple[AnyReader, Typestore]":
-    """The open bag, and the definitions of ROS's own messages: those in the bag may be damaged."""
+    """The open bag, and ROS's own message definitions: those in the bag may be damaged."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
         raise InputError(
-            f'rosbags is not installed ({error}), which reads bags: pip install "ssdnet[bag]"'
+            f'rosbags, which reads bags, is not installed ({error}): pip install "ssdnet[bag]"'
         ) from error
     if not path.exists():
         raise InputError(f"cannot read the bag {path}: there is no such file or folder")
@@ -114,17 +119,17 @@ def _open(path: Path) -> "tuple[AnyReader, Typestore]":
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn into InputError whatever a damaged bag makes the libraries below raise."""
+    """Raise as InputError whatever a damaged bag makes the libraries raise."""
     try:
         yield
     except SSDNetError:
         raise
     except Exception as error:
         raise InputError(
-            f"cannot read the bag {path} ({_told(error)}): it is truncated, damaged or no bag. "
-            "rosbag reindex, ros2 bag reindex or mcap recover may mend it"
+            f"cannot read the bag {path} ({_describe(error)}): it is truncated, damaged or no bag. "
+            "rosbag reindex, ros2 bag reindex or mcap recover may repair it"
         ) from error
 
 
-def _told(error: Exception) -> str:
+def _describe(error: Exception) -> str:
     return f"{type(error).__name__}: {error}"[:200]

@@ -1,7 +1,7 @@
-"""Arrays of ROS sensor messages, whoever deserialised them; layouts are those of sensor_msgs.
+"""Arrays from deserialised ROS sensor messages; layouts are those of sensor_msgs.
 
-Every function takes a message with the fields of its type and raises InputError where it says
-something that cannot be, before memory is taken for it.
+Every function takes a message with the fields of its type and raises InputError for inconsistent
+fields before it allocates memory.
 """
 
 from typing import Any
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from runtime.errors import InputError
 from runtime.io.images import decode_content, require_pixels
 
-#: Encoding of a picture -> channels and the conversion to RGB.
+#: Encoding of an image -> channels and the conversion to RGB.
 _PICTURES: dict[str, tuple[int, int | None]] = {
     "rgb8": (3, None),
     "bgr8": (3, cv2.COLOR_BGR2RGB),
@@ -21,7 +21,7 @@ _PICTURES: dict[str, tuple[int, int | None]] = {
     "bgra8": (4, cv2.COLOR_BGRA2RGB),
     "mono8": (1, cv2.COLOR_GRAY2RGB),
 }
-#: Encoding of a depth map -> type and units a metre (REP 118).
+#: Encoding of a depth map -> type and units per metre (REP 118).
 _DEPTHS: dict[str, tuple[str, float]] = {"16UC1": ("u2", 1000.0), "32FC1": ("f4", 1.0)}
 #: Datatypes of a PointField that a coordinate may have.
 _FLOATS = {7: "f4", 8: "f8"}
@@ -29,15 +29,21 @@ _DATATYPE_NAMES = {1: "int8", 2: "uint8", 3: "int16", 4: "uint16", 5: "int32", 6
 
 
 def is_depth_encoding(encoding: str) -> bool:
-    """Whether an Image of this encoding is a depth map rather than a picture."""
+    """Whether an Image of this encoding is a depth map rather than an image."""
     return encoding in _DEPTHS
 
 
 def decode_image(message: Any) -> NDArray[np.uint8]:
-    """Return the picture of an Image: uint8 (H, W, 3), red first.
+    """Decode an Image.
 
-    Raises InputError for encodings other than rgb8, bgr8, rgba8, bgra8 and mono8, and for fields
-    that contradict each other.
+    Args:
+        message: sensor_msgs/Image in rgb8, bgr8, rgba8, bgra8 or mono8.
+
+    Returns:
+        uint8 (H, W, 3), RGB.
+
+    Raises:
+        InputError: for another encoding and for inconsistent fields.
     """
     encoding = message.encoding
     if encoding not in _PICTURES:
@@ -58,14 +64,21 @@ def decode_image(message: Any) -> NDArray[np.uint8]:
 
 
 def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
-    """Return the picture of a CompressedImage, JPEG or PNG of 8 bits: uint8 (H, W, 3), red first.
+    """Decode a CompressedImage.
 
-    Raises InputError for other formats and damaged content.
+    Args:
+        message: sensor_msgs/CompressedImage of an 8-bit JPEG or PNG.
+
+    Returns:
+        uint8 (H, W, 3), RGB.
+
+    Raises:
+        InputError: for another format and for damaged content.
     """
     if "compressedDepth" in str(message.format):
         raise InputError(
-            f"a CompressedImage has the format {message.format!r:.60}, a depth map as "
-            "compressed_depth_image_transport packs it: republish it as raw"
+            f"a CompressedImage has the format {message.format!r:.60}, a depth map of "
+            "compressed_depth_image_transport: republish it as raw"
         )
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     content = bytes(memoryview(message.data))
@@ -78,10 +91,16 @@ def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
 
 
 def decode_depth_image(message: Any) -> NDArray[np.float32]:
-    """Return the depth map of an Image: float32 (H, W) [m]; 0 and NaN = no measurement.
+    """Decode a depth Image.
 
-    Raises InputError for encodings other than 16UC1 [mm] and 32FC1 [m], and for fields that
-    contradict each other.
+    Args:
+        message: sensor_msgs/Image in 16UC1 [mm] or 32FC1 [m].
+
+    Returns:
+        float32 (H, W), metres; 0 and NaN = no measurement.
+
+    Raises:
+        InputError: for another encoding and for inconsistent fields.
     """
     encoding = message.encoding
     if encoding not in _DEPTHS:
@@ -97,10 +116,17 @@ def decode_depth_image(message: Any) -> NDArray[np.float32]:
 
 
 def decode_points(message: Any) -> NDArray[np.float32]:
-    """Return the points of a PointCloud2: float32 (N, 3), x, y, z [m]; NaN = no return.
+    """Decode a PointCloud2.
 
-    Raises InputError where x, y or z is missing, twice there or not of float32 or float64, and
-    where offsets, steps and the length of the data contradict each other.
+    Args:
+        message: sensor_msgs/PointCloud2 with x, y, z in float32 or float64.
+
+    Returns:
+        float32 (N, 3), x, y, z in metres; NaN = no return.
+
+    Raises:
+        InputError: if x, y or z is missing, doubled or of another type, and for inconsistent
+            offsets, steps and length of the data.
     """
     height, width = _count("height", message.height), _count("width", message.width)
     point_step, row_step = (
@@ -116,7 +142,7 @@ def decode_points(message: Any) -> NDArray[np.float32]:
                 f"a PointCloud2 must have one field {axis}, it has {names or 'none':.200}"
             )
         (field,) = found
-        if field.datatype not in _FLOATS or field.count not in (0, 1):  # some drivers say 0
+        if field.datatype not in _FLOATS or field.count not in (0, 1):  # some drivers write 0
             name = _DATATYPE_NAMES.get(field.datatype, field.datatype)
             raise InputError(
                 f"the field {axis} of a PointCloud2 is {field.count} of the datatype {name}, "
@@ -178,14 +204,14 @@ def _pixels(message: Any, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
 
 
 def _bytes(data: Any) -> NDArray[np.uint8]:
-    """The data of a message as bytes in a row, not copied."""
+    """The data of a message as bytes, not copied."""
     if isinstance(data, np.ndarray):
         return np.ascontiguousarray(data).reshape(-1).view(np.uint8)
     return np.frombuffer(data, np.uint8)
 
 
 def _count(name: str, value: Any) -> int:
-    """A field that counts something. Raises InputError."""
+    """A field that is a count. Raises InputError."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
         raise InputError(f"the field {name} of a message must be a count, got {value!r:.40}")
     return int(value)

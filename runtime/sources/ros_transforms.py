@@ -1,4 +1,4 @@
-"""Where the frames of a robot are: the tree that /tf_static tells."""
+"""Poses of the frames of a robot: the tree of /tf_static."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -10,9 +10,13 @@ from runtime.errors import InputError
 
 
 class TransformTree:
-    """Transforms between frames, from messages of tf2_msgs/TFMessage; the last of a child counts.
+    """Transforms between frames; the last one of a child counts.
 
-    Raises InputError for a rotation that is none and for numbers that are not finite.
+    Args:
+        messages: tf2_msgs/TFMessage.
+
+    Raises:
+        InputError: for an invalid rotation and for numbers that are not finite.
     """
 
     def __init__(self, messages: Iterable[Any]) -> None:
@@ -23,16 +27,17 @@ class TransformTree:
                 self._parents[child] = (parent, _matrix(stamped.transform, f"{parent} to {child}"))
 
     def between(self, source: str, target: str) -> NDArray[np.float64]:
-        """Return float64 (4, 4) that takes points of the frame `source` to the frame `target`.
+        """Return the matrix, float64 (4, 4), from the frame `source` to the frame `target` [m].
 
-        Raises InputError where the two are not connected.
+        Raises:
+            InputError: if the two are not connected.
         """
         from_source, from_target = self._ancestors(_name(source)), self._ancestors(_name(target))
         common = next((frame for frame in from_source if frame in from_target), None)
         if common is None:
             frames = {*self._parents, *(parent for parent, _ in self._parents.values())}
             raise InputError(
-                f"/tf_static has no way from the frame {source!r:.80} to {target!r:.80}, it has "
+                f"/tf_static does not connect the frame {source!r:.80} to {target!r:.80}, it has "
                 f"{', '.join(sorted(frames)) or 'no frames':.300}: give --calibration"
             )
         matrix: NDArray[np.float64] = np.linalg.inv(from_target[common]) @ from_source[common]
@@ -40,20 +45,20 @@ class TransformTree:
         return matrix
 
     def _ancestors(self, frame: str) -> dict[str, NDArray[np.float64]]:
-        """Each ancestor and the matrix that takes points of `frame` there, the nearest first."""
+        """Each ancestor and the matrix from `frame` to it, the nearest first."""
         matrices = {frame: np.eye(4)}
         matrix = np.eye(4)
         while frame in self._parents:
             frame, to_parent = self._parents[frame]
             if frame in matrices:
-                raise InputError(f"/tf_static goes in a circle at the frame {frame!r:.80}")
+                raise InputError(f"/tf_static has a cycle at the frame {frame!r:.80}")
             matrix = to_parent @ matrix
             matrices[frame] = matrix
         return matrices
 
 
 def _name(frame: Any) -> str:
-    """ROS 1 wrote some frames with a slash in front."""
+    """Without the slash that ROS 1 wrote in front of some frames."""
     return str(frame).removeprefix("/")
 
 

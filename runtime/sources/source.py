@@ -1,4 +1,4 @@
-"""What every source of frames is: a list of its frames, and a way to read each of them."""
+"""The interface of every source of frames: it lists its frames and reads each of them."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
@@ -15,13 +15,16 @@ from runtime.sources.frames import Frame
 
 @dataclass(frozen=True)
 class ListedFrame:
-    """A frame that a source has, not read yet.
+    """A frame that a source has not read yet.
 
-    sequence: its place in the source, from 0 on
-    name: of the frame and of its answers' files; no other frame of the source has it
-    image, depth: where the source finds them, its own matter; None = there is none
-    image_stamp_ns, depth_stamp_ns: when the sensors took them [ns]; None = not known
-    complete: whether it has all that a frame of this source should have
+    Attributes:
+        sequence: index in the source, from 0.
+        name: of the frame and of its output files, unique in the source.
+        image: where the source finds the image (a path, an index, ...), None without one.
+        depth: the same of the depth.
+        image_stamp_ns: time of the image by its sensor's clock [ns], None if unknown.
+        depth_stamp_ns: the same of the depth.
+        complete: whether it has both, or all that the source was asked to read.
     """
 
     sequence: int
@@ -34,51 +37,63 @@ class ListedFrame:
 
 
 class Source(ABC):
-    """A stream of frames that can be listed and read again.
+    """A stream of frames that can be listed and read again, by one thread at a time.
 
-    It is made of a path and of options by keyword; what cannot be one raises InputError then, or
-    when it is listed. One thread at a time reads. `calibration` is None where it is not known.
+    Attributes:
+        options: names of its options, each a keyword of its constructor.
+        calibration: of the camera and, where there is one, the LiDAR; None if unknown.
+        folders: folders that frames are read from; predictions must not be written there.
+        recordings: files or whole folders that outputs must not replace or write into.
     """
 
-    #: Names of its options, each a keyword of its constructor.
     options: ClassVar[tuple[str, ...]] = ()
-
     calibration: Calibration | None = None
-    #: Folders that frames are read from: no answers may be written there.
     folders: tuple[Path, ...] = ()
-    #: Recordings, files or whole folders: no output may take their place or a file's in them.
     recordings: tuple[Path, ...] = ()
 
     @abstractmethod
     def __init__(self, path: Path, **options: Any) -> None:
-        """Open what lies at `path`. Raises InputError."""
+        """Open the recording.
+
+        Args:
+            path: file or folder.
+            **options: those that `options` names.
+
+        Raises:
+            InputError: if it is no recording of this kind.
+        """
 
     @abstractmethod
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
-        """List the frames in their order; with `limit` up to that many complete ones.
+        """List the frames in order.
 
-        Raises InputError.
+        Args:
+            limit: end the list with so many complete frames; None: list all.
+
+        Raises:
+            InputError: if the source has no frames or cannot be listed.
         """
 
     @abstractmethod
     def read(self, frame: ListedFrame) -> Frame:
-        """Read a frame of the list; frames in the list's order are the quickest.
+        """Read a frame of the list; reading in the list's order is fastest.
 
-        Raises InputError if it is damaged or misses what it needs; others can still be read.
+        Raises:
+            InputError: if the frame is damaged or incomplete; others can still be read.
         """
 
     @property
     @abstractmethod
     def inputs(self) -> dict[str, Any]:
-        """Say in the words of report.json what is read, and, once listed, what was left out."""
+        """The inputs as they stand in report.json; after listing with what was left out."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Lines for people: what was guessed, and, once listed, what was left out."""
+        """Lines for the terminal: what was guessed and, after listing, what was left out."""
         return ()
 
     def close(self) -> None:  # noqa: B027 - most hold nothing open
-        """Let go of open files. May be called again."""
+        """Close open files. May be called again."""
 
     def __enter__(self) -> Self:
         return self
@@ -88,7 +103,7 @@ class Source(ABC):
 
 
 def up_to(frames: Iterable[ListedFrame], limit: int | None) -> tuple[ListedFrame, ...]:
-    """List frames up to the `limit`-th complete one."""
+    """The frames up to the `limit`-th complete one."""
     listed: list[ListedFrame] = []
     complete = 0
     for frame in frames:
@@ -110,7 +125,7 @@ def pair_up(
     limit: int | None,
     name: Callable[[_Key], str] = str,
 ) -> tuple[ListedFrame, ...]:
-    """List a frame for each key; complete are those with both files, `depths` None = with one."""
+    """List a frame for each key, complete with an image and, unless `depths` is None, depth."""
     frames = (
         ListedFrame(
             sequence,

@@ -25,13 +25,17 @@ from runtime.sources.source import ListedFrame, Source, no_depth, pair_up
 class VideoSource(Source):
     """The frames of a video, numbered from 0, and the depth maps with those numbers.
 
-    path: whatever OpenCV's FFmpeg decodes
-    depth: folder of 16-bit PNGs whose names end in the frame's number (7.png, depth_0007.png);
-        None = the camera alone, on purpose
-    depth_scale: their units a metre
-    calibration: TOML or KITTI file, see `Calibration.from_file`
+    A frame's time stamp is its presentation time in the video.
 
-    A frame's stamp is its presentation time in the video.
+    Args:
+        path: a file that OpenCV's FFmpeg decodes.
+        depth: folder of 16-bit PNGs whose names end in the frame's number (7.png, depth_0007.png);
+            None: the camera alone.
+        depth_scale: units of the depth PNGs per metre.
+        calibration: TOML or KITTI file, see `Calibration.from_file`.
+
+    Raises:
+        InputError: if the video or the calibration cannot be read.
     """
 
     options = ("depth", "depth_scale", "calibration")
@@ -52,7 +56,7 @@ class VideoSource(Source):
         if calibration is not None:
             self.calibration = Calibration.from_file(calibration)
         self._video = _open(path)
-        self._next = 0  # the frame that the video gives next
+        self._next = 0  # index of the next frame that the video decodes
         height, width = (
             int(self._video.get(side))
             for side in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
@@ -79,9 +83,9 @@ class VideoSource(Source):
         )
 
     def read(self, frame: ListedFrame) -> Frame:
-        """See `Source.read`. Raises InputError also where the picture or depth map is missing."""
+        """See `Source.read`. Raises InputError also where the image or depth map is missing."""
         if frame.image is None:
-            raise InputError(f"{frame.name} has a depth map, but the video no such frame")
+            raise InputError(f"{frame.name} has a depth map, but the video has no such frame")
         if frame.depth is None and self._depth is not None:
             raise InputError(f"{frame.name} is in the video, but has no depth map")
         rgb, stamp_ns = self._decode(frame.image)
@@ -92,7 +96,7 @@ class VideoSource(Source):
         return Frame(rgb, sparse_depth, stamp_ns, None, self.calibration)
 
     def _decode(self, number: int) -> tuple[NDArray[np.uint8], int | None]:
-        """A frame, uint8 (H, W, 3), red first, and its time [ns]."""
+        """A frame, uint8 (H, W, 3), RGB, and its time [ns]."""
         if number < self._next:
             self._rewind()
         grabbed = False
@@ -104,19 +108,19 @@ class VideoSource(Source):
         done, image = self._video.retrieve() if grabbed else (False, None)
         if not done or image is None:
             raise InputError(
-                f"{self._path} ends or is damaged before its frame {number}: what was decoded "
-                "before is answered"
+                f"{self._path} ends or is damaged before its frame {number}: earlier frames were "
+                "read"
             )
         if image.dtype != np.uint8 or image.ndim != 3:
-            raise InputError(f"{self._path} holds {image.dtype} pictures, expected 8 bits of RGB")
+            raise InputError(f"{self._path} holds {image.dtype} images, expected 8-bit RGB")
         rgb = np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
         milliseconds = self._video.get(cv2.CAP_PROP_POS_MSEC)
         return rgb, round(milliseconds * 1e6) if math.isfinite(milliseconds) else None
 
     def _count(self) -> int:
-        """How many frames the video has: as its header says it, or else counted."""
-        told = self._video.get(cv2.CAP_PROP_FRAME_COUNT)
-        count = int(told) if 0 < told <= self._path.stat().st_size else 0
+        """Number of frames: from the video's header, or counted."""
+        stated = self._video.get(cv2.CAP_PROP_FRAME_COUNT)
+        count = int(stated) if 0 < stated <= self._path.stat().st_size else 0
         if count == 0:
             self._rewind()
             while self._video.grab():
@@ -142,21 +146,21 @@ class VideoSource(Source):
 
 
 def _open(path: Path) -> cv2.VideoCapture:
-    """Raises InputError unless it is a video that OpenCV can decode."""
-    # In the thread that reads, which gives way to inference; decoders' own threads would not.
+    """The open video. Raises InputError unless OpenCV can decode it."""
+    # One thread, the reading one: it has a lower priority than inference, FFmpeg's own do not.
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
     if not video.isOpened():
         raise InputError(
             f"cannot read the video {path}: it is truncated, damaged, or of a format that OpenCV "
             "does not decode"
         )
-    # As for pictures: pixels stay where the sensor has them.
+    # As with images, pixels stay where the sensor has them.
     video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return video
 
 
 def _by_number(folder: Path) -> dict[int, Path]:
-    """Depth maps by the number that their stem ends in. Raises InputError."""
+    """Depth maps by the number at the end of their stem. Raises InputError."""
     maps: dict[int, Path] = {}
     for stem, path in list_pictures(folder, DEPTH_SUFFIXES).items():
         digits = re.search("[0-9]+$", stem)

@@ -21,11 +21,19 @@ _SKY_M = np.float32(65535) / np.float32(_UNITS_A_METRE)
 class VirtualKittiSource(Source):
     """``frames/rgb/Camera_<n>/rgb_*.jpg`` and ``frames/depth/Camera_<n>/depth_*.png`` [cm].
 
-    variant: folder like Scene01/clone
-    camera: 0 = left, 1 = right
+    Depth is dense, 0 for the sky. Frames have no time stamps. Intrinsics come from intrinsic.txt
+    if it exists.
 
-    Depth is that of every pixel, 0 for the sky. Frames have no stamps. Calibrations come from
-    intrinsic.txt, if that is there; `calibration` is the first frame's.
+    Args:
+        variant: folder like Scene01/clone.
+        camera: 0 = left, 1 = right.
+
+    Attributes:
+        calibration: of the first frame, None without intrinsic.txt.
+        calibrations: frame number -> calibration.
+
+    Raises:
+        InputError: if a folder is missing or intrinsic.txt is damaged.
     """
 
     options = ("camera",)
@@ -40,7 +48,6 @@ class VirtualKittiSource(Source):
                     "give a folder like Scene01/clone, or another --camera"
                 )
         self.folders = (rgb, depth)
-        #: Of each frame, by its number; empty without intrinsic.txt.
         self.calibrations: dict[int, Calibration] = {}
         intrinsics = variant / "intrinsic.txt"
         if intrinsics.exists():

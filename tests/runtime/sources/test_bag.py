@@ -272,11 +272,11 @@ def test_topics_that_cannot_be_guessed_are_listed(make_bag, make_frame, make_sca
     answers = run("--source", f"bag:{path}")
     text = answers.text.replace("\n", " ")
     assert answers.exit_code == 1
-    assert "has 2 topics of pictures, choose one by --image-topic" in text
+    assert "has 2 topics of images, choose one by --image-topic" in text
     assert "/rear/image_rect (sensor_msgs/msg/Image)" in text
     assert run("--source", f"bag:{path}", "--image-topic", "/cam/image_rect").exit_code == 0
     answers = run("--source", f"bag:{path}", "--image-topic", "/nowhere")
-    assert "--image-topic /nowhere is no topic of pictures" in answers.text.replace("\n", " ")
+    assert "--image-topic /nowhere is no topic of images" in answers.text.replace("\n", " ")
     answers = run("--source", f"bag:{path}", "--image-topic", "/rear/image_rect")
     assert "no CameraInfo beside /rear/image_rect" in answers.text.replace("\n", " ")
     given = ["--image-topic", "/rear/image_rect", "--info-topic", "/cam/camera_info"]
@@ -289,7 +289,7 @@ def test_a_bag_without_pictures_or_depth_says_what_it_has(make_bag, make_frame, 
     bag = make_bag("ros1")
     add_lidar(bag, make_scan)
     answers = run("--source", f"bag:{bag.write('blind')}")
-    assert "has no topic of pictures. It has the topics /lidar/points" in answers.text.replace(
+    assert "has no topic of images. It has the topics /lidar/points" in answers.text.replace(
         "\n", " "
     )
     bag = make_bag("ros1")
@@ -307,7 +307,7 @@ def test_clouds_need_a_calibration_and_take_a_file(make_bag, make_frame, make_sc
     answers = run("--source", f"bag:{path}")
     assert answers.exit_code == 1
     assert re.search(
-        r"no way from the frame 'lidar' to 'camera', it has base, camera: give --calibration",
+        r"does not connect the frame 'lidar' to 'camera', it has base, camera: give --calibration",
         answers.text.replace("\n", " "),
     )
     extrinsics = [[0, -1.0, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]]
@@ -324,7 +324,7 @@ def test_images_that_are_not_rectified_are_told(make_bag, make_frame, make_scan)
     bag.info("/left/camera_info", INTRINSICS, SIZE, distortion=(0.1, 0, 0, 0, 0))
     add_lidar(bag, make_scan)
     add_tree(bag)
-    with pytest.raises(InputError, match="/left/camera_info tells of distortion"):
+    with pytest.raises(InputError, match="/left/camera_info has distortion"):
         BagSource(bag.write(), image_topic="/left/image_raw")
 
 

@@ -26,8 +26,8 @@ def test_a_folder_source_answers_what_rgb_and_depth_do(folders, run):
     by_source = run("--source", f"folders:{rgb}", "--depth", depth, out="other")
     assert by_options.exit_code == by_source.exit_code == 3
     assert by_options.column("status") == by_source.column("status")
-    assert by_source.column("reason")[1] == "1 has a picture, but no depth map"
-    assert by_source.column("reason")[3] == "3 has a depth map, but no picture"
+    assert by_source.column("reason")[1] == "1 has an image, but no depth map"
+    assert by_source.column("reason")[3] == "3 has a depth map, but no image"
     assert by_options.report["inputs"] == by_source.report["inputs"]
     for name in ("0", "2", "4"):
         assert abs(by_source.fed_depth(name) - depths[int(name)]).max() < 0.01
@@ -151,7 +151,7 @@ def test_a_frame_without_partner_cannot_be_read(empty_folders):
     rgb, depth = empty_folders(["1.png", "2.png"], ["2.png", "3.png"])
     source = FolderSource(rgb, depth=depth)
     alone, _, missing = source.list_frames()
-    with pytest.raises(InputError, match="a picture, but no depth map"):
+    with pytest.raises(InputError, match="an image, but no depth map"):
         source.read(alone)
-    with pytest.raises(InputError, match="a depth map, but no picture"):
+    with pytest.raises(InputError, match="a depth map, but no image"):
         source.read(missing)

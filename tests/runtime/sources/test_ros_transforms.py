@@ -51,9 +51,9 @@ def test_a_quaternion_a_little_off_is_made_a_rotation():
 @pytest.mark.parametrize(
     ("transforms", "text"),
     [
-        ([], "no way from the frame 'b' to 'a', it has no frames: give --calibration"),
+        ([], "does not connect the frame 'b' to 'a', it has no frames: give --calibration"),
         ([stamped("a", "c")], "it has a, c: give --calibration"),
-        ([stamped("a", "b"), stamped("b", "a")], "in a circle at the frame 'b'"),
+        ([stamped("a", "b"), stamped("b", "a")], "a cycle at the frame 'b'"),
         ([stamped("a", "b", (0, 0, 0, 0))], "expected a unit quaternion"),
         ([stamped("a", "b", (0, 0, 0, np.nan))], "expected a unit quaternion"),
         ([stamped("a", "b", shift=(np.inf, 0, 0))], "expected a unit quaternion and metres"),

@@ -51,7 +51,7 @@ def test_a_frame_that_lacks_its_partner_or_is_damaged_is_counted(variant, run):
     answers = run("--source", f"vkitti:{variant}")
     assert answers.exit_code == 3
     assert answers.column("status") == ["ok", "skipped", "skipped", "ok"]
-    assert answers.column("reason")[1] == "00001 has a depth map, but no picture"
+    assert answers.column("reason")[1] == "00001 has a depth map, but no image"
     assert run("--source", f"vkitti:{variant}", "--limit", 2, "--overwrite").names == [
         "00000",
         "00001",

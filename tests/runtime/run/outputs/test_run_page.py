@@ -62,7 +62,7 @@ def test_the_page_tells_of_the_run(tmp_path, page_of, stream):
     assert frames["health"] == {"image_frozen": 1}, "as on the page"
     assert "health: image_frozen: 1" in result.stdout
     assert page.after("skipped") == "2 of 12"
-    assert "f6 has a picture, but no depth map" in page.texts
+    assert "f6 has an image, but no depth map" in page.texts
     assert page.after("name") == "by-hand"
     assert len(page.after("SHA-256")) == 64
     assert page.after("answers") == "semantic, depth, boundary, depth_uncertainty"
