@@ -1,6 +1,7 @@
 """Recipes: one TOML file says everything about a training; unknown keys are errors."""
 
 import json
+import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import field, fields
@@ -12,6 +13,7 @@ from pydantic.dataclasses import dataclass
 
 from runtime.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
 from runtime.errors import InputError
+from runtime.io.read_input import read_toml
 from training.datasets.class_mapping import ClassTable, list_classes
 from training.datasets.registry import DATASETS
 from training.datasets.source_recipe import SourceRecipe
@@ -293,21 +295,16 @@ def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:
 
 def _read_table(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
     """The recipe's table on top of its base's."""
-    if path.resolve() in above:
+    resolved = Path(os.path.realpath(path))
+    if resolved in above:
         raise InputError(f"{path}: is its own base.")
-    try:
-        with path.open("rb") as stream:
-            table = tomllib.load(stream)
-    except OSError as error:
-        raise InputError(f"{path}: the recipe cannot be read: {error.strerror}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not valid TOML: {error}.") from error
+    table = read_toml(path)
     base = table.pop("base", None)
     if base is None:
         return table
     if not isinstance(base, str):
         raise InputError(f"{path}: base = {base!r}; expected the name of a recipe beside it.")
-    return _merge(_read_table(path.parent / base, (*above, path.resolve())), table)
+    return _merge(_read_table(path.parent / base, (*above, resolved)), table)
 
 
 def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

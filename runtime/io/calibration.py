@@ -1,6 +1,6 @@
-"""How LiDAR returns fall into a camera's image: read from the files that stacks have."""
+"""Calibration of a camera and a LiDAR, and the files that it is read from."""
 
-import tomllib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.kitti_calibration import NumbersFile, chain
+from runtime.io.read_input import read_toml
 from runtime.projection import OcclusionFilter, project_points
 
 _TOML_KEYS = {"intrinsics", "extrinsics", "size"}
@@ -21,12 +22,15 @@ _RAW_FILES = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt")
 class Calibration:
     """Intrinsics and extrinsics of one camera and one LiDAR.
 
-    intrinsics: float64 (3, 3) of the rectified camera, in pixels of its images
-    extrinsics: float64 (4, 4) from the LiDAR's frame to the camera's [m]; the camera looks along z,
-        x to the right
-    size: (height, width) of the images; None = not said
-    occlusion: takes returns away that the camera cannot see; None = keeps them
-    Raises InputError for matrices that cannot be those.
+    Attributes:
+        intrinsics: float64 (3, 3) of the rectified camera, in pixels of its images.
+        extrinsics: float64 (4, 4) from the LiDAR's frame to the camera's [m]; the camera looks
+            along z, x to the right.
+        size: (height, width) of the images, None if unknown.
+        occlusion: removes returns that the camera cannot see; None: keeps them.
+
+    Raises:
+        InputError: for invalid matrices.
     """
 
     intrinsics: NDArray[np.float64]
@@ -35,7 +39,7 @@ class Calibration:
     occlusion: OcclusionFilter | None = None
 
     def __post_init__(self) -> None:
-        """Check by projecting nothing."""
+        """Check the matrices."""
         project_points(
             np.zeros((0, 3), np.float32), self.intrinsics, self.extrinsics, self.size or (1, 1)
         )
@@ -46,9 +50,17 @@ class Calibration:
         return float(self.intrinsics[0, 0])
 
     def project(self, points: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
-        """Return the sparse depth map, float32 (H, W) [m], of a scan, see `project_points`.
+        """Project a scan into the image, see `project_points`.
 
-        size: (height, width) of the image. Raises InputError if it is not the calibration's.
+        Args:
+            points: float32 (N, 3) or wider, metres, LiDAR frame.
+            size: (height, width) of the image.
+
+        Returns:
+            float32 (height, width), metres along the optical axis, 0 where there is no return.
+
+        Raises:
+            InputError: if the size is not the calibration's or the points are invalid.
         """
         self.require_size(size)
         return project_points(
@@ -70,9 +82,14 @@ class Calibration:
 
     @classmethod
     def from_file(cls, path: Path | str, *, camera: int = 2) -> "Calibration":
-        """Read a TOML file (`from_toml`), or, of any other name, KITTI's (`from_kitti`).
+        """Read a .toml file with `from_toml`, anything else with `from_kitti`.
 
-        Raises InputError as they do.
+        Args:
+            path: TOML file, or KITTI's file or folder.
+            camera: whose images, 0 to 3; of KITTI's alone.
+
+        Raises:
+            InputError: if the calibration cannot be read.
         """
         if Path(path).suffix.lower() == ".toml":
             return cls.from_toml(path)
@@ -82,14 +99,17 @@ class Calibration:
     def from_kitti(cls, path: Path | str, *, camera: int = 2) -> "Calibration":
         """Read KITTI's calibration.
 
-        path: a folder of raw data's calib_cam_to_cam.txt and calib_velo_to_cam.txt, or one file
-            with P2, R0_rect and Tr_velo_to_cam (object) or P2 and Tr (odometry)
-        camera: whose images, 0 to 3
-        Raises InputError for a missing file, a missing name or a wrong count of numbers.
+        Args:
+            path: folder of raw data's calib_cam_to_cam.txt and calib_velo_to_cam.txt, or one file
+                with P2, R0_rect and Tr_velo_to_cam (object) or P2 and Tr (odometry).
+            camera: whose images, 0 to 3.
+
+        Raises:
+            InputError: for a missing file, a missing name or a wrong count of numbers.
         """
         path = Path(path)
         size, rectify = None, np.eye(3)
-        if path.is_dir():
+        if os.path.isdir(path):
             cameras = NumbersFile(path / "calib_cam_to_cam.txt")
             scanner = NumbersFile(path / "calib_velo_to_cam.txt")
             projection = cameras.matrix(f"P_rect_{camera:02d}", 3, 4)
@@ -112,16 +132,20 @@ class Calibration:
     def from_camera_info(cls, info: Mapping[str, Any], extrinsics: Any) -> "Calibration":
         """Take the fields of a ROS CameraInfo: P of its rectified images, else K.
 
-        info: "p" or "P" (12 numbers), "k" or "K" (9) and "d" or "D", "height", "width"
-        extrinsics: (4, 4) from the LiDAR's frame to the camera's optical frame, as tf gives it
-        Raises InputError if they are missing, or if the image is distorted and only K is there.
+        Args:
+            info: "p" or "P" (12 numbers), "k" or "K" (9) and "d" or "D", "height", "width".
+            extrinsics: (4, 4) from the LiDAR's frame to the camera's optical frame, as in tf.
+
+        Raises:
+            InputError: if fields are missing, or the image is distorted without P.
         """
         fields = {str(key).lower(): value for key, value in info.items()}
         projection = _matrix("P of the CameraInfo", fields.get("p", [0] * 12), 3, 4)
         shift = np.eye(4)
         if projection.any():
             intrinsics = projection[:, :3]
-            shift[0, 3] = projection[0, 3] / (projection[0, 0] or 1)  # the right one of two
+            # Of the right image of a stereo camera.
+            shift[0, 3] = projection[0, 3] / (projection[0, 0] or 1)
         elif "k" in fields:
             intrinsics = _matrix("K of the CameraInfo", fields["k"], 3, 3)
             if np.any(np.asarray(fields.get("d", []), dtype=np.float64)):
@@ -138,19 +162,16 @@ class Calibration:
 
     @classmethod
     def from_toml(cls, path: Path | str) -> "Calibration":
-        """Read a TOML file of `intrinsics` (3 rows of 3), `extrinsics` (4 of 4) and, optionally,
-        `size` ([height, width]).
+        """Read a TOML file.
 
-        Raises InputError for a file that cannot be read, and for unknown and missing keys.
+        Args:
+            path: file of `intrinsics` (3 rows of 3), `extrinsics` (4 of 4) and optionally `size`
+                ([height, width]).
+
+        Raises:
+            InputError: if the file cannot be read, and for unknown and missing keys.
         """
-        try:
-            keys = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise InputError(
-                f"cannot read the calibration {path} ({reason}): give a TOML file of intrinsics, "
-                "extrinsics and optionally size"
-            ) from error
+        keys = read_toml(Path(path))
         if not {"intrinsics", "extrinsics"} <= keys.keys() <= _TOML_KEYS:
             raise InputError(
                 f"{path} has the keys {', '.join(sorted(keys)) or 'none'}, expected intrinsics, "
@@ -167,7 +188,7 @@ class Calibration:
 def _matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:
     try:
         matrix = np.asarray(numbers, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         matrix = np.empty(0)
     if matrix.size != rows * columns or not np.isfinite(matrix).all():
         raise InputError(f"{name} must be {rows} x {columns} finite numbers, got {numbers!r:.60}")

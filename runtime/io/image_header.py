@@ -1,4 +1,4 @@
-"""The size of a picture as its header says it, before the pixels take memory."""
+"""The size of an image from its header, before its pixels take memory."""
 
 import re
 import struct
@@ -9,13 +9,13 @@ _JPEG_START = b"\xff\xd8"
 _MARKER = re.compile(rb"\xff([^\x00\xff])")
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _NO_SEGMENT = frozenset({0x01, *range(0xD0, 0xD8)})
-_MOST_SEGMENTS = 1000  # before the size; a colour profile takes up to 255
+_MAX_SEGMENTS = 1000  # before the size; a colour profile takes up to 255
 
 
 def picture_size(content: bytes) -> tuple[int, int] | None:
-    """(height, width) in the header of a PNG or JPEG file; None for any other content.
+    """(height, width) from the header of a PNG or JPEG file; None for any other content.
 
-    content: the whole file. Looks where OpenCV's decoders look (libpng, libjpeg).
+    It is read where OpenCV's decoders (libpng, libjpeg) read it.
     """
     try:
         if content.startswith(_PNG_START):
@@ -23,14 +23,14 @@ def picture_size(content: bytes) -> tuple[int, int] | None:
             return height, width
         if content.startswith(_JPEG_START):
             return _jpeg_size(content)
-    except struct.error:  # the file ends
+    except struct.error:  # truncated
         pass
     return None
 
 
 def _jpeg_size(content: bytes) -> tuple[int, int] | None:
     position = len(_JPEG_START)
-    for _ in range(_MOST_SEGMENTS):
+    for _ in range(_MAX_SEGMENTS):
         marker = _MARKER.search(content, position)
         if marker is None:
             return None

@@ -1,7 +1,6 @@
-"""Read pictures and depth maps: PNG and JPEG files of bounded size."""
+"""Read images and depth maps: PNG and JPEG files of bounded size."""
 
 import re
-import stat
 from pathlib import Path
 from typing import Any
 
@@ -12,58 +11,68 @@ from numpy.typing import NDArray
 from runtime.contract import MAX_PIXELS
 from runtime.errors import InputError
 from runtime.io.image_header import picture_size
+from runtime.io.read_input import read_input
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png",)
-KITTI_DEPTH_SCALE = 256.0  # PNG units a metre; Virtual KITTI has 100
-MAX_FILE_BYTES = 256_000_000
+KITTI_DEPTH_SCALE = 256.0  # PNG units per metre; Virtual KITTI has 100
 
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:
-    """Read a PNG or JPEG file as uint8 (H, W, 3), red first.
+    """Read an 8-bit PNG or JPEG file.
 
-    A picture of one channel comes back with three equal ones. The pixels stay where the sensor
-    has them, as in the depth map: an EXIF orientation is not followed.
+    One channel becomes three equal ones. Pixels stay where the sensor has them, as in the depth
+    map: an EXIF orientation is not applied. A JPEG that is complete but damaged inside is decoded
+    as far as possible: its format has no checksum, PNG's has.
 
-    Raises InputError if the file cannot be read, is truncated or damaged, or has more than 8 bits
-    a channel. A JPEG that is whole but damaged inside is decoded as far as it goes: its format has
-    no checksum, PNG's has.
+    Args:
+        path: the file, of at most `MAX_FILE_BYTES` and `MAX_PIXELS`.
+
+    Returns:
+        uint8 (H, W, 3), RGB.
+
+    Raises:
+        InputError: if the file cannot be read, is truncated or damaged, or has more than 8 bits a
+            channel.
     """
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     image = decode(path, flags)
     if image.dtype != np.uint8:
         raise InputError(
-            f"{path} must be a picture of 8 bits a channel, got {image.dtype.itemsize * 8} bits: "
+            f"{path} must be an image of 8 bits a channel, got {image.dtype.itemsize * 8} bits: "
             "is it a depth map, the folders swapped?"
         )
     return image
 
 
 def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> NDArray[np.float32]:
-    """Read a 16-bit PNG depth map as float32 (H, W) [m], 0 = no measurement.
+    """Read a 16-bit PNG depth map.
 
-    depth_scale: PNG units a metre, 256 for KITTI, 100 for Virtual KITTI.
-    Raises InputError if the file cannot be read, is truncated or damaged, or is not one channel
-    of 16 bits.
+    Args:
+        path: the file, of at most `MAX_FILE_BYTES` and `MAX_PIXELS`.
+        depth_scale: PNG units per metre, 256 for KITTI, 100 for Virtual KITTI.
+
+    Returns:
+        float32 (H, W), metres, 0 = no measurement.
+
+    Raises:
+        InputError: if the file cannot be read, is truncated or damaged, or is not one channel of 16
+            bits.
     """
     image = decode(path, cv2.IMREAD_UNCHANGED)
     if image.dtype != np.uint16 or image.ndim != 2:
         channels = 1 if image.ndim == 2 else image.shape[2]
         raise InputError(
             f"{path} must be a depth map of one channel of 16 bits, got {channels} of "
-            f"{image.dtype.itemsize * 8} bits: a picture made for looking at holds no metres"
+            f"{image.dtype.itemsize * 8} bits: an image for display holds no metres"
         )
     depth: NDArray[np.float32] = np.divide(image, np.float32(depth_scale), dtype=np.float32)
     return depth
 
 
 def decode(path: Path, flags: int) -> NDArray[Any]:
-    """Decode a PNG or JPEG file with OpenCV's IMREAD_* `flags`.
-
-    Raises InputError if the file cannot be read, is larger than MAX_FILE_BYTES, holds more than
-    MAX_PIXELS, is of another format, or is truncated or damaged.
-    """
-    return decode_content(read_file(path), flags, name=str(path))
+    """Decode a PNG or JPEG file with OpenCV's IMREAD_* `flags`. Raises InputError."""
+    return decode_content(read_input(path), flags, name=str(path))
 
 
 def decode_content(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
@@ -83,48 +92,30 @@ def decode_content(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
 
 
 def require_pixels(size: tuple[int, int], *, name: str) -> None:
-    """Raise InputError for a picture of (height, width) that has more than MAX_PIXELS."""
+    """Raise InputError for an image of (height, width) that has more than `MAX_PIXELS`."""
     if size[0] * size[1] > MAX_PIXELS:
         raise InputError(
-            f"{name} says that it has {size[0]} x {size[1]} pixels, expected at most "
+            f"{name} has {size[0]} x {size[1]} pixels, expected at most "
             f"{MAX_PIXELS:,}: is it damaged?"
         )
 
 
-def read_file(path: Path) -> bytes:
-    """The content of a regular file of at most MAX_FILE_BYTES. Raises InputError."""
-    try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):  # reading a pipe would wait for ever
-            raise InputError(f"cannot read {path}: it is not a regular file")
-        if status.st_size > MAX_FILE_BYTES:
-            raise InputError(
-                f"{path} has {status.st_size:,} bytes, expected a picture of at most "
-                f"{MAX_FILE_BYTES:,}"
-            )
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read {path} ({error.strerror})") from error
-
-
 def list_pictures(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[str, Path]:
-    """Stem -> path of the files of a folder that end in one of `suffixes`, hidden ones apart.
+    """Stem -> path of the files of a folder that end in one of `suffixes`, without hidden ones.
 
     Raises InputError if there is none, if the folder cannot be listed, or if a stem occurs twice.
     """
     try:
         paths = sorted(folder.iterdir())
-    except OSError as error:
-        raise InputError(f"cannot list the folder {folder} ({error.strerror})") from error
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot list the folder {str(folder)[:200]} ({reason})") from error
     pictures: dict[str, Path] = {}
     for path in paths:
         if path.suffix.lower() not in suffixes or path.name.startswith("."):
             continue
         if path.stem in pictures:
-            raise InputError(
-                f"{pictures[path.stem]} and {path} have the same stem: which one belongs to the "
-                "frame cannot be known, remove one"
-            )
+            raise InputError(f"{pictures[path.stem]} and {path} have the same stem: remove one")
         pictures[path.stem] = path
     if not pictures:
         raise InputError(

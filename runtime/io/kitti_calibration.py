@@ -1,4 +1,4 @@
-"""KITTI's calibration files (Geiger et al. 2013): matrices by name, and what they say together."""
+"""KITTI's calibration files (Geiger et al. 2013): matrices by name, and their product."""
 
 from pathlib import Path
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
+from runtime.io.read_input import read_text
 from runtime.projection import check_intrinsics
 
 
@@ -14,13 +15,7 @@ class NumbersFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            lines = path.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or error  # its path is told already
-            raise InputError(
-                f"cannot read the calibration {path} ({reason}): restore it, or give another"
-            ) from error
+        lines = read_text(path).splitlines()
         entries = (line.partition(":") for line in lines if not line.lstrip().startswith("#"))
         self._entries = {name.strip(): numbers for name, colon, numbers in entries if colon}
 
@@ -30,7 +25,7 @@ class NumbersFile:
     def matrix(self, name: str, rows: int, columns: int) -> NDArray[np.float64]:
         """The numbers under a name, float64 (rows, columns).
 
-        Raises InputError if they are missing, not as many, or not finite.
+        Raises InputError if they are missing, of another count, or not finite.
         """
         count = rows * columns
         if name not in self:
@@ -41,7 +36,9 @@ class NumbersFile:
         try:
             numbers = np.array(self._entries[name].split(), dtype=np.float64)
         except ValueError as error:
-            raise InputError(f"{self.path}: '{name}' holds something not a number") from error
+            raise InputError(
+                f"{self.path}: '{name}' holds something that is not a number"
+            ) from error
         if numbers.size != count:
             raise InputError(f"{self.path}: '{name}' has {numbers.size} numbers, expected {count}")
         if not np.isfinite(numbers).all():
@@ -56,13 +53,13 @@ def chain(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the camera's intrinsics (3, 3) and the extrinsics (4, 4) from the LiDAR to it.
 
-    projection: P_rect (3, 4). rectify: R_rect (3, 3). to_camera: R and T of the LiDAR (3, 4).
-    Raises InputError for a projection that is none of a rectified camera.
+    The arguments are P_rect (3, 4), R_rect (3, 3) and the LiDAR's R and T (3, 4). Raises InputError
+    for a projection that is not a rectified camera's.
     """
     intrinsics = projection[:, :3]
     check_intrinsics(intrinsics, "P of KITTI's calibration, without its last column,")
     beside, rectified = np.eye(4), np.eye(4)
-    # P = K [I | t]: the camera sits beside the one that the LiDAR is measured to.
+    # P = K [I | t]: t is the offset from the camera that the LiDAR is calibrated to.
     beside[:3, 3] = np.linalg.solve(intrinsics, projection[:, 3])
     rectified[:3, :3] = rectify
     return intrinsics, beside @ rectified @ np.vstack([to_camera, np.eye(4)[3]])

@@ -6,17 +6,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.io.images import read_file
+from runtime.io.read_input import read_input
 
 _RECORD_BYTES = 16  # x, y, z, reflectance
 
 
 def read_scan(path: Path) -> NDArray[np.float32]:
-    """Read a Velodyne scan: float32 (N, 4) of x, y, z [m] in the LiDAR's frame and reflectance.
+    """Read a Velodyne scan.
 
-    Raises InputError if the file cannot be read or is not whole records of four float32.
+    Args:
+        path: the .bin file.
+
+    Returns:
+        float32 (N, 4): x, y, z [m] in the LiDAR's frame and reflectance 0..1.
+
+    Raises:
+        InputError: if the file cannot be read or is not whole records of four float32.
     """
-    content = read_file(path)
+    content = read_input(path)
     if len(content) % _RECORD_BYTES:
         raise InputError(
             f"{path} has {len(content)} bytes, expected a multiple of {_RECORD_BYTES} (x, y, z, "

@@ -1,6 +1,7 @@
 """A camera and a LiDAR or depth camera in a bag of ROS 1 or ROS 2 or an MCAP file."""
 
 import contextlib
+import os
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -67,7 +68,7 @@ class BagSource(Source):
         max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
     ) -> None:
         self._max_skew_ms, self._calibration_path = max_skew_ms, calibration
-        self.folders = (path if path.is_dir() else path.resolve().parent,)
+        self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
         self.recordings = (path,)
         self._left_out: Counter[str] = Counter()
         self._guessed: list[str] = []
@@ -215,6 +216,9 @@ class BagSource(Source):
                     self._left_out[f"{sensor}: {Outcome.BAD_STAMP}"] += 1
                 else:
                     yield sensor, stamp_ns or message.recorded_ns, place
+            for topic, count in self._bag.lost.items():
+                sensor = Sensor.IMAGE if topic == self._image_topic else Sensor.DEPTH
+                self._left_out[f"{sensor}: in the index, but lost"] += count
 
         names: Counter[str] = Counter()
         pairs = match_by_stamp(stamped(), max_skew_ms=self._max_skew_ms, left_out=self._left_out)

@@ -1,5 +1,6 @@
 """A drive of KITTI raw data (Geiger et al. 2013), its scans projected into the camera."""
 
+import os
 from collections import Counter
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -10,6 +11,7 @@ from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.io.images import RGB_SUFFIXES, list_pictures, read_rgb
 from runtime.io.kitti_scan import read_scan
+from runtime.io.read_input import read_text
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source, no_depth, pair_up, up_to
 from runtime.sync.outcome import Outcome, Sensor
@@ -48,7 +50,7 @@ class KittiRawSource(Source):
     ) -> None:
         images, scans = drive / f"image_{camera:02d}", drive / "velodyne_points"
         for folder in (images / "data", scans / "data"):
-            if not folder.is_dir():
+            if not os.path.isdir(folder):
                 raise InputError(
                     f"{drive} is no drive of KITTI raw data, {folder} is missing: give a folder "
                     "like 2011_09_26/2011_09_26_drive_0001_sync, or another --camera"
@@ -56,9 +58,9 @@ class KittiRawSource(Source):
         self.folders = (images / "data", scans / "data")
         self._drive, self._camera = drive, camera
         if calibration is None:
-            own = (drive / "calib_cam_to_cam.txt").exists()
-            calibration = drive if own else drive.resolve().parent
-            if not (calibration / "calib_cam_to_cam.txt").exists():
+            own = os.path.exists(drive / "calib_cam_to_cam.txt")
+            calibration = drive if own else Path(os.path.realpath(drive)).parent
+            if not os.path.exists(calibration / "calib_cam_to_cam.txt"):
                 raise InputError(
                     f"neither {drive} nor {calibration} has KITTI's calib_cam_to_cam.txt and "
                     "calib_velo_to_cam.txt: put the day's there, or give --calibration"
@@ -153,12 +155,9 @@ def _read_stamps(path: Path, numbers: dict[int, Path]) -> dict[int, int]:
 
     Raises InputError for a line that is no time, and for a number without one.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:
+    if not os.path.lexists(path):
         return {}
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read the time stamps {path}: {error}") from error
+    lines = read_text(path).splitlines()
     last = max(numbers)
     if last >= len(lines):
         raise InputError(

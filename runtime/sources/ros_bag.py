@@ -1,17 +1,26 @@
 """Bags of ROS 1 and ROS 2 and MCAP files: topics and messages, through `rosbags` (extra `bag`)."""
 
 import contextlib
+import os
 import struct
-from collections.abc import Collection, Iterator
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from io import BytesIO
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from runtime.errors import InputError, SSDNetError
+from runtime.io.read_input import MAX_TEXT_BYTES, require_regular
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys.store import Typestore
 
+#: Of a compressed part of a bag, decompressed: of the largest message.
+MAX_CHUNK_BYTES = 2**28
+
+_BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".zstd")
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
 
 
@@ -31,6 +40,7 @@ class RosBag:
 
     Attributes:
         types: topic -> message type, by the names of ROS 2.
+        lost: topic -> messages that the bag's index has and the last complete reading did not.
 
     Raises:
         InputError: if `rosbags` is not installed, or the bag is damaged; so does every method.
@@ -38,6 +48,7 @@ class RosBag:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.lost: Counter[str] = Counter()
         self._reader, self._definitions = _open(path)
         with self._reading():
             self.types = {
@@ -50,15 +61,18 @@ class RosBag:
         with self._reading():
             connections = [c for c in self._reader.connections if c.topic in topics]
             if connections:  # rosbags reads all of them otherwise
+                left = Counter({topic: self._reader.topics[topic].msgcount for topic in topics})
                 for connection, recorded_ns, raw in self._reader.messages(connections):
+                    left[connection.topic] -= 1
                     yield RecordedMessage(connection.topic, recorded_ns, raw)
+                self.lost = +left  # those of which messages are left
 
     def decoded(self, topic: str) -> Iterator[Any]:
         """Yield the messages of a topic with their fields."""
         return (self.decode(message) for message in self.messages([topic]))
 
     def decode(self, message: RecordedMessage) -> Any:
-        """Return a message of one of the types of ROS itself, with its fields. Raises InputError."""
+        """Return a message of a type of ROS itself, with its fields. Raises InputError."""
         try:
             if self._reader.is2:
                 return self._definitions.deserialize_cdr(message.raw, self.types[message.topic])
@@ -103,8 +117,12 @@ def _open(path: Path) -> "tuple[AnyReader, Typestore]":
         raise InputError(
             f'rosbags, which reads bags, is not installed ({error}): pip install "ssdnet[bag]"'
         ) from error
-    if not path.exists():
-        raise InputError(f"cannot read the bag {path}: there is no such file or folder")
+    _bound_decompression()
+    files = [path]
+    if os.path.isdir(path):
+        files = [file for file in path.iterdir() if file.suffix in _BAG_SUFFIXES]
+    for file in files:
+        require_regular(file, max_bytes=MAX_TEXT_BYTES if file.suffix == ".yaml" else None)
     is_ros1 = path.suffix == ".bag"
     definitions = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
     if is_ros1:
@@ -115,6 +133,35 @@ def _open(path: Path) -> "tuple[AnyReader, Typestore]":
         reader = AnyReader([path], default_typestore=definitions)
         reader.open()
     return reader, definitions
+
+
+def _bound_decompression() -> None:
+    """Make rosbags decompress at most `MAX_CHUNK_BYTES` at a time: by itself it has no limit."""
+    import bz2
+
+    import lz4.frame  # type: ignore[import-untyped]
+    from rosbags.rosbag1 import reader as rosbag1
+    from rosbags.rosbag2 import reader as rosbag2
+    from rosbags.rosbag2 import storage_mcap
+
+    zstd: Any = vars(storage_mcap)["zstd"]
+    lz4_bounded, zstd_bounded = bounded(lz4.frame.open), bounded(zstd.open)
+    rosbag1.decompressors |= {"bz2": bounded(bz2.open), "lz4": lz4_bounded}
+    storage_mcap.DECOMPRESSORS |= {"lz4": lz4_bounded, "zstd": zstd_bounded}
+    vars(rosbag2)["zstd"] = SimpleNamespace(open=zstd.open, decompress=zstd_bounded)
+
+
+def bounded(open_stream: Callable[[BytesIO], Any]) -> Callable[..., bytes]:
+    """Return a function that decompresses by `bz2.open` or the like, with a limit."""
+
+    def decompress(data: bytes, *_: int) -> bytes:
+        with open_stream(BytesIO(data)) as stream:
+            content: bytes = stream.read(MAX_CHUNK_BYTES + 1)
+        if len(content) > MAX_CHUNK_BYTES:
+            raise InputError(f"a compressed part has more than {MAX_CHUNK_BYTES:,} bytes")
+        return content
+
+    return decompress
 
 
 @contextlib.contextmanager

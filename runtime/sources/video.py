@@ -1,6 +1,7 @@
 """A video file, with depth maps in a folder beside it."""
 
 import math
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from runtime.io.images import (
     read_sparse_depth,
     require_pixels,
 )
+from runtime.io.read_input import require_regular
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source, no_depth, pair_up
 
@@ -48,10 +50,10 @@ class VideoSource(Source):
         depth_scale: float = KITTI_DEPTH_SCALE,
         calibration: Path | None = None,
     ) -> None:
-        if not path.is_file():
-            raise InputError(f"cannot read the video {path}: there is no such file")
+        require_regular(path)
         self._path, self._depth, self._depth_scale = path, depth, depth_scale
-        self.folders = (path.resolve().parent,) if depth is None else (path.resolve().parent, depth)
+        folder = Path(os.path.realpath(path)).parent
+        self.folders = (folder,) if depth is None else (folder, depth)
         self.recordings = (path,)
         if calibration is not None:
             self.calibration = Calibration.from_file(calibration)

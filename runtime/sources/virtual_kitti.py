@@ -1,5 +1,6 @@
 """A variant of a Virtual KITTI 2 scene (Cabon et al. 2020), also as `ssdnet-render` writes it."""
 
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.io.images import DEPTH_SUFFIXES, list_pictures, read_sparse_depth
+from runtime.io.read_input import read_text
 from runtime.sources.folders import read_pair
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source, pair_up
@@ -42,7 +44,7 @@ class VirtualKittiSource(Source):
         self._variant, self._camera = variant, camera
         rgb, depth = (variant / "frames" / kind / f"Camera_{camera}" for kind in ("rgb", "depth"))
         for folder in (rgb, depth):
-            if not folder.is_dir():
+            if not os.path.isdir(folder):
                 raise InputError(
                     f"{variant} is no variant of a Virtual KITTI 2 scene, {folder} is missing: "
                     "give a folder like Scene01/clone, or another --camera"
@@ -50,7 +52,7 @@ class VirtualKittiSource(Source):
         self.folders = (rgb, depth)
         self.calibrations: dict[int, Calibration] = {}
         intrinsics = variant / "intrinsic.txt"
-        if intrinsics.exists():
+        if os.path.lexists(intrinsics):
             self.calibrations = _read_calibrations(intrinsics, camera)
             self.calibration = next(iter(self.calibrations.values()))
 
@@ -92,10 +94,7 @@ def _read_calibrations(path: Path, camera: int) -> dict[int, Calibration]:
     Equal ones are one object, and their depth is the camera's own. Raises InputError for rows of
     another form and for a file without a row of the camera.
     """
-    try:
-        rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()[1:]]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read the intrinsics {path}: {error}") from error
+    rows = [line.split() for line in read_text(path).splitlines()[1:]]
     made: dict[tuple[float, ...], Calibration] = {}
     calibrations: dict[int, Calibration] = {}
     for row in filter(None, rows):

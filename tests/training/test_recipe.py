@@ -87,12 +87,12 @@ def test_mistakes_are_named(tmp_path, old, new, text):
 
 def test_file_that_is_not_text(tmp_path):
     (tmp_path / "r.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="not valid TOML"):
+    with pytest.raises(InputError, match="it is not UTF-8 text"):
         read_recipe(tmp_path / "r.toml")
 
 
 def test_missing_file(tmp_path):
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="cannot read"):
         read_recipe(tmp_path / "none.toml")
 
 
@@ -195,9 +195,9 @@ def test_mistaken_changes_are_named(tmp_path, change, text):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('base = "none.toml"', r"none\.toml: the recipe cannot be read"),
+        ('base = "none.toml"', r"cannot read .*none\.toml"),
         ("base = 3", r"r\.toml: base = 3; expected the name"),
-        ('base = "broken.toml"', r"broken\.toml: not valid TOML"),
+        ('base = "broken.toml"', r"broken\.toml is not valid TOML"),
         ('base = "r.toml"', r"r\.toml: is its own base"),
         ('base = "../{folder}/r.toml"', r"r\.toml: is its own base"),
         ('base = "back.toml"', r"r\.toml: is its own base"),

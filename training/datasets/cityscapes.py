@@ -10,8 +10,15 @@ from pydantic.dataclasses import dataclass
 
 from models import CLASS_TABLES
 from runtime.errors import DatasetError
+from runtime.io.read_input import read_text
 from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.files import read_gray, read_rgb, require_folder, require_partners
+from training.datasets.files import (
+    dataset_errors,
+    read_gray,
+    read_rgb,
+    require_folder,
+    require_partners,
+)
 from training.datasets.sample import Sample, nothing_known
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
@@ -146,13 +153,14 @@ def disparity_to_depth(stored: NDArray[np.uint16], focal_baseline: float) -> NDA
     return depth
 
 
+@dataset_errors()
 def _read_camera(path: Path) -> tuple[NDArray[np.float64], float]:
     """K (3, 3) and fx * baseline (px m) of a camera file."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_text(path))
         camera, baseline = document["intrinsic"], float(document["extrinsic"]["baseline"])
         fx, fy, u0, v0 = (float(camera[key]) for key in ("fx", "fy", "u0", "v0"))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (KeyError, RecursionError, TypeError, ValueError) as error:
         raise DatasetError(
             f"{path}: expected JSON with intrinsic fx, fy, u0, v0 and extrinsic baseline "
             f"({type(error).__name__}: {error}). Restore the original file."

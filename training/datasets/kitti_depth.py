@@ -13,6 +13,7 @@ from pydantic.dataclasses import dataclass as checked_dataclass
 from runtime.errors import DatasetError
 from runtime.io.images import KITTI_DEPTH_SCALE
 from runtime.io.kitti_calibration import NumbersFile
+from runtime.io.read_input import read_text
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import (
     dataset_errors,
@@ -160,16 +161,16 @@ def _list_selection(root: Path) -> list[_Frame]:
     ]
 
 
+@dataset_errors()
 def _read_intrinsics(frame: _Frame) -> NDArray[np.float64] | None:
     path = frame.intrinsics
     if path is None:
         return None
     if path.name == "calib_cam_to_cam.txt":
-        with dataset_errors():
-            return NumbersFile(path).matrix(f"P_rect_{frame.camera:02d}", 3, 4)[:, :3]
+        return NumbersFile(path).matrix(f"P_rect_{frame.camera:02d}", 3, 4)[:, :3]
     try:
-        numbers = np.array(path.read_text(encoding="utf-8").split(), dtype=np.float64)
-    except (OSError, ValueError) as error:
+        numbers = np.array(read_text(path).split(), dtype=np.float64)
+    except ValueError as error:
         raise DatasetError(f"{path}: expected nine numbers: {error}.") from error
     if numbers.size != 9:
         raise DatasetError(f"{path}: {numbers.size} numbers, expected the nine of a 3x3 matrix.")

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import DatasetError
+from runtime.io.read_input import read_text
 from training.datasets.class_mapping import ClassTable, class_ids
-from training.datasets.files import read_rgb, require_size
+from training.datasets.files import dataset_errors, read_rgb, require_size
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,13 +23,10 @@ class ColorTable:
     path: Path
 
 
-def read_rows(path: Path) -> list[list[str]]:
+@dataset_errors()
+def _read_rows(path: Path) -> list[list[str]]:
     """Rows of a text table without its header. Raises DatasetError."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{path}: cannot be read: {error}.") from error
-    rows = [line.split() for line in lines[1:] if line.strip()]
+    rows = [line.split() for line in read_text(path).splitlines()[1:] if line.strip()]
     if not rows:
         raise DatasetError(f"{path}: no rows under its header.")
     return rows
@@ -42,7 +40,7 @@ def read_colors(path: Path, classes: ClassTable) -> ColorTable:
     """
     known = class_ids("virtual_kitti", classes)
     found: dict[int, int] = {}
-    for row in read_rows(path):
+    for row in _read_rows(path):
         name, values = row[0].split(":")[0], row[-3:]
         if name not in known:
             raise DatasetError(f"{path}: unknown category {name!r}; known: {', '.join(known)}.")

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Literal
 
 from runtime.errors import DatasetError
+from runtime.io.read_input import read_text
+from training.datasets.files import dataset_errors
 
 Split = Literal["train", "val", "test", "all"]
 
@@ -63,12 +65,10 @@ class Selection:
         return (scene_number == _TEST_SCENE) == (self.split == "test") and not is_val
 
 
+@dataset_errors()
 def read_frame_list(path: Path) -> frozenset[str]:
     """Read a list of frames, a row "scene/variant/number" each. Raises DatasetError."""
-    try:
-        rows = path.read_text(encoding="utf-8").split()
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{path}: the list of frames cannot be read: {error}.") from error
+    rows = read_text(path).split()
     wrong = [row for row in rows if row.count("/") != 2]
     if wrong or not rows:
         raise DatasetError(

@@ -202,10 +202,13 @@ class BagMaker:
         )
         self.add("/tf_static", self.make("tf2_msgs/msg/TFMessage", transforms=[stamped]), 1)
 
-    def write(self, name="drive"):
-        """Write the bag and give back what --source takes."""
+    def write(self, name="drive", *, compression=None):
+        """Write the bag and give back what --source takes.
+
+        compression: of ROS 1 "bz2" or "lz4"; of ROS 2 "storage" (of MCAP its chunks) or "message"
+        """
         from rosbags.rosbag1 import Writer as Writer1
-        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
         from rosbags.rosbag2 import Writer as Writer2
 
         path = self._folder / (f"{name}.bag" if self.is_ros1 else f"{name}-{self.kind}")
@@ -214,6 +217,11 @@ class BagMaker:
         else:
             plugin = StoragePlugin.SQLITE3 if self.kind == "ros2" else StoragePlugin.MCAP
             writer = Writer2(path, version=9, storage_plugin=plugin)
+        if compression is not None and self.is_ros1:
+            writer.set_compression(Writer1.CompressionFormat[compression.upper()])
+        elif compression is not None:
+            mode = CompressionMode[compression.upper()]
+            writer.set_compression(mode, CompressionFormat.ZSTD)
         with writer:
             connections = {}
             for topic, kind, raw, recorded_ns in sorted(self.messages, key=lambda m: m[3]):

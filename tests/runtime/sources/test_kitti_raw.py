@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from runtime import InputError
 from runtime.io.calibration import Calibration
 from runtime.sources.kitti_raw import KittiRawSource
 
@@ -182,7 +183,7 @@ def cut_stamps(drive):
         (cut_stamps, r"has 2 lines, 0000000005.bin is number 5"),
         (
             lambda d: (d.parent / "calib_velo_to_cam.txt").unlink(),
-            r"cannot read the calibration \S+calib_velo_to_cam.txt \(No such file or directory\): ",
+            r"cannot read \S+calib_velo_to_cam.txt \(No such file or directory\)",
         ),
         (
             lambda d: (d.parent / "calib_cam_to_cam.txt").unlink(),
@@ -242,3 +243,11 @@ def test_a_real_drive_gives_the_depth_maps_that_were_made_of_it(tmp_path):
         assert np.median(abs(ours[both] - theirs[both])) < 0.01
     own = Calibration.from_kitti(kitti)
     assert np.array_equal(source.calibration.extrinsics, own.extrinsics)
+
+
+@pytest.mark.parametrize("name", ["image_02/timestamps.txt", "../calib_velo_to_cam.txt"])
+def test_a_pipe_in_place_of_a_text_file_is_not_waited_for(drive, name):
+    (drive / name).unlink()
+    os.mkfifo(drive / name)
+    with pytest.raises(InputError, match="not a regular file"):
+        KittiRawSource(drive)

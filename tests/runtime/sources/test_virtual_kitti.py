@@ -1,9 +1,12 @@
 """A variant of a Virtual KITTI 2 scene through ssdnet-run."""
 
+import os
+
 import cv2
 import numpy as np
 import pytest
 
+from runtime import InputError
 from runtime.sources.virtual_kitti import VirtualKittiSource
 
 ROWS = "frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]\n"
@@ -95,3 +98,10 @@ def test_folders_that_share_no_number_are_told(variant, run):
     answers = run("--source", f"vkitti:{variant}")
     assert answers.exit_code == 1
     assert "no number occurs both" in answers.text.replace("\n", " ")
+
+
+def test_a_pipe_in_place_of_the_intrinsics_is_not_waited_for(variant):
+    (variant / "intrinsic.txt").unlink()
+    os.mkfifo(variant / "intrinsic.txt")
+    with pytest.raises(InputError, match="not a regular file"):
+        VirtualKittiSource(variant)

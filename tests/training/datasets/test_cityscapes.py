@@ -186,7 +186,7 @@ def test_broken_camera_files_are_named(cityscapes, content, text):
 
 def test_a_camera_file_that_is_not_text_is_named(cityscapes):
     (cityscapes / f"camera/train/{STEM}_camera.json").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(DatasetError, match=f"{STEM}_camera.json: expected JSON"):
+    with pytest.raises(DatasetError, match=f"{STEM}_camera.json: it is not UTF-8"):
         Cityscapes(cityscapes)[0]
 
 

@@ -16,7 +16,7 @@ def test_what_is_too_large_is_an_error_that_names_the_file(tmp_path, monkeypatch
     assert read_rgb(colour).shape == (40, 50, 3)
     assert read_gray(gray, np.uint16, (40, 50)).shape == (40, 50)
     monkeypatch.setattr(runtime.io.images, "MAX_PIXELS", 1999)
-    with pytest.raises(DatasetError, match=r"colour\.png says that it has 40 x 50 pixels"):
+    with pytest.raises(DatasetError, match=r"colour\.png has 40 x 50 pixels"):
         read_rgb(colour)
-    with pytest.raises(DatasetError, match=r"gray\.png says that it has 40 x 50 pixels"):
+    with pytest.raises(DatasetError, match=r"gray\.png has 40 x 50 pixels"):
         read_gray(gray, np.uint16, (40, 50))

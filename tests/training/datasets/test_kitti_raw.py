@@ -216,8 +216,8 @@ def test_the_four_images_published_without_a_scan_are_left_out(tmp_path):
             r"velodyne_points/data has no \.bin files",
         ),
         (f"{DATE}/{DRIVE}/image_02/data/0000000000.png", r"image_02/data has no \.png"),
-        (f"{DATE}/calib_cam_to_cam.txt", r"cannot read the calibration .*calib_cam_to_cam\.txt"),
-        (f"{DATE}/calib_velo_to_cam.txt", r"cannot read the calibration .*calib_velo_to_cam\.txt"),
+        (f"{DATE}/calib_cam_to_cam.txt", r"cannot read .*calib_cam_to_cam\.txt"),
+        (f"{DATE}/calib_velo_to_cam.txt", r"cannot read .*calib_velo_to_cam\.txt"),
     ],
 )
 def test_missing_parts_are_named(raw, lost, text):
@@ -231,7 +231,7 @@ def test_missing_parts_are_named(raw, lost, text):
     [
         ("cam_to_cam", "P_rect_02", "P_02", r"has no line 'P_rect_02:'; expected 12 numbers"),
         ("cam_to_cam", "R_rect_00: 1 0", "R_rect_00: 1", "'R_rect_00' has 8 numbers, expected 9"),
-        ("velo_to_cam", "T: 0 0", "T: left right", "'T' holds something not a number"),
+        ("velo_to_cam", "T: 0 0", "T: left right", "'T' holds something that is not a number"),
         ("velo_to_cam", "R: 0", "R: ", "'R' has 8 numbers, expected 9"),
     ],
 )

@@ -104,7 +104,7 @@ def test_images_as_they_were_published_are_read_too(tmp_path):
         ("velodyne_fov", "velodyne_fov: no such folder"),
         ("disp_occ_0/000003.png", r"disp_occ_0/000003\.png: missing \(1 of 3"),
         ("velodyne_fov/000007.bin", r"velodyne_fov/000007\.bin: missing"),
-        ("calib.txt", r"cannot read the calibration .*calib\.txt"),
+        ("calib.txt", r"cannot read .*calib\.txt"),
     ],
 )
 def test_missing_parts_are_named(streets, lost, text):
@@ -120,7 +120,7 @@ def test_missing_parts_are_named(streets, lost, text):
         ("fb_disp: 40", "fb_disp: 0", "fb_disp is 0.0, expected a positive"),
         ("fb_disp: 40", "fb_disp: nan", "'fb_disp' holds NaN"),
         ("P2: 10", "P2: ", "'P2' has 11 numbers, expected 12"),
-        ("R0_rect: 1", "R0_rect: one", "'R0_rect' holds something not a number"),
+        ("R0_rect: 1", "R0_rect: one", "'R0_rect' holds something that is not a number"),
     ],
 )
 def test_broken_calibrations_are_named(streets, old, new, text):

@@ -90,7 +90,7 @@ def spoil_label(folder, image):
 @pytest.mark.parametrize(
     ("spoil", "text"),
     [
-        (lambda f: (f / "colors.txt").unlink(), r"colors\.txt: cannot be read"),
+        (lambda f: (f / "colors.txt").unlink(), r"cannot read .*colors\.txt"),
         (
             lambda f: (f / "colors.txt").write_text("Category r g b\n"),
             r"colors\.txt: no rows under its header",
@@ -242,7 +242,7 @@ def test_first_edition_tells_instances_by_their_category(first, classes):
         ),
         (
             lambda f: (f / "vkitti_1.3.1_scenegt/0001_clone_scenegt_rgb_encoding.txt").unlink(),
-            r"0001_clone_scenegt_rgb_encoding\.txt: cannot be read",
+            r"cannot read .*0001_clone_scenegt_rgb_encoding\.txt",
         ),
         (
             lambda f: (f / "vkitti_1.3.1_scenegt/0001_clone_scenegt_rgb_encoding.txt").write_text(
@@ -383,7 +383,7 @@ def test_frame_list_is_a_row_a_frame(tmp_path):
     path.write_text("\n")
     with pytest.raises(DatasetError, match=r"train\.txt: 'nothing' is not"):
         read_frame_list(path)
-    with pytest.raises(DatasetError, match=r"none\.txt: the list of frames cannot be read"):
+    with pytest.raises(DatasetError, match=r"cannot read .*none\.txt"):
         read_frame_list(tmp_path / "none.txt")
 
 
@@ -420,7 +420,7 @@ def test_recipes_choose_edition_split_and_list(tmp_path):
         InputError, match="split = 'trainval'; choose one of 'train', 'val', 'test' or"
     ):
         names("virtual_kitti", "vkitti2", split="trainval")
-    with pytest.raises(DatasetError, match=r"vkitti2/no\.txt: the list of frames cannot be read"):
+    with pytest.raises(DatasetError, match=r"cannot read .*vkitti2/no\.txt"):
         names("rendered", "vkitti2", frames="no.txt")
 
 

@@ -1,0 +1,89 @@
+"""Input files: regular files of bounded size, read at once.
+
+Reading a pipe, a device or a file of the kernel can block forever or never end, whatever link or
+name leads there: every reader of the project opens its files here.
+"""
+
+import os
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from runtime.errors import InputError
+
+MAX_FILE_BYTES = 256_000_000  # of an image or a scan
+MAX_TEXT_BYTES = 32_000_000  # of a calibration, time stamps, a table or a recipe
+
+
+def read_input(path: Path, *, max_bytes: int | None = None) -> bytes:
+    """Read a regular file of bounded size.
+
+    Args:
+        path: the file; links are followed.
+        max_bytes: its largest size; None: `MAX_FILE_BYTES`.
+
+    Returns:
+        Its content.
+
+    Raises:
+        InputError: if it cannot be read, is no regular file or is larger.
+    """
+    max_bytes = MAX_FILE_BYTES if max_bytes is None else max_bytes
+    try:
+        with open(path, "rb", opener=_open_at_once) as file:
+            status = os.fstat(file.fileno())
+            _require_regular(path, status, max_bytes)
+            return file.read(status.st_size)  # a file of the kernel has the size 0
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read {_shown(path)} ({_reason(error)})") from error
+
+
+def read_text(path: Path) -> str:
+    """Read a UTF-8 file of at most `MAX_TEXT_BYTES`; errors as of `read_input`."""
+    try:
+        return read_input(path, max_bytes=MAX_TEXT_BYTES).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(f"cannot read {_shown(path)}: it is not UTF-8 text ({error})") from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file of at most `MAX_TEXT_BYTES`; errors as of `read_input`."""
+    text = read_text(path)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # also of an integer of 5,000 digits
+        raise InputError(f"{_shown(path)} is not valid TOML: {str(error)[:200]}") from error
+
+
+def require_regular(path: Path, *, max_bytes: int | None = None) -> None:
+    """Check a file that a library opens by its name; None: of any size. Errors as `read_input`."""
+    try:
+        status = os.stat(path)
+        _require_regular(path, status, max_bytes)
+        if status.st_size == 0:  # as files of the kernel, of which reading can block
+            raise InputError(f"cannot read {_shown(path)}: it is empty")
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read {_shown(path)} ({_reason(error)})") from error
+
+
+def _require_regular(path: Path, status: os.stat_result, max_bytes: int | None) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(f"cannot read {_shown(path)}: it is not a regular file")
+    if max_bytes is not None and status.st_size > max_bytes:
+        raise InputError(
+            f"{_shown(path)} has {status.st_size:,} bytes, expected at most {max_bytes:,}: is it "
+            "another file?"
+        )
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NONBLOCK)  # does not wait for a pipe's writer
+
+
+def _reason(error: OSError | ValueError) -> str:
+    return getattr(error, "strerror", None) or str(error)  # ValueError: a zero byte in the name
+
+
+def _shown(path: Path) -> str:
+    return f"{str(path)[:200]}…" if len(str(path)) > 200 else str(path)
