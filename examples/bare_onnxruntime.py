@@ -1,9 +1,9 @@
-"""The engine's answers from bare ONNX Runtime, resize rule and lens included: what to port.
+"""The engine's answers from bare ONNX Runtime alone, for ports to other languages.
 
     python examples/bare_onnxruntime.py MODEL.onnx RGB.png DEPTH.png [FOCAL_LENGTH_PX]
 
 Nothing of this project is imported. `predict` answers as `Predictor` does, without its checks of
-arrays, file and answers (docs/model_file.md tells what to check).
+arrays, file and answers (docs/model_file.md lists them).
 """
 
 import json
@@ -15,7 +15,7 @@ import onnxruntime
 
 
 def open_model(path: str) -> tuple[onnxruntime.InferenceSession, dict]:
-    """The session, and what the file says of itself."""
+    """The session and the metadata of the file."""
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     return session, json.loads(session.get_modelmeta().custom_metadata_map["ssdnet"])
 
@@ -30,14 +30,14 @@ def predict(
     """Head -> answer at the frame's size, of uint8 (H, W, 3) and float32 (H, W) [m]."""
     frame = height, width = rgb.shape[:2]
     size = session.get_inputs()[0].shape[1:3]
-    if not isinstance(size[0], int):  # free: about the trained height, for a frame much larger
+    if not isinstance(size[0], int):  # free size: the trained height, if the frame is much larger
         rows = contract.get("trained_height") or height
         size = (rows, max(32, round(width * rows / height))) if height > 1.25 * rows else frame
     factor = 1.0  # to the metres of the model's canonical camera
     if focal_length_px and contract.get("canonical_focal_px"):
         magnified = np.sqrt(size[0] * size[1] / (height * width))
         factor = contract["canonical_focal_px"] / (focal_length_px * magnified)
-    # Each usable return goes to its pixel, rint((u + 0.5) * new / old - 0.5); the nearest stays.
+    # Each usable return moves to pixel rint((u + 0.5) * new / old - 0.5), where the nearest stays.
     usable = (sparse_depth > 0) & (sparse_depth <= contract["max_depth_m"] / factor)
     places = zip(np.nonzero(usable), size, frame, strict=True)
     to = [np.rint(((2 * u + 1) * new - old) / (2 * old)).astype(int) for u, new, old in places]
@@ -53,13 +53,13 @@ def predict(
             values = values * np.float32(1 / factor)
         if head == "boundary":
             answers[head] = resize(values, frame)
-        else:  # neither classes nor depths are ever mixed
+        else:  # classes and depths are never interpolated
             answers[head] = cv2.resize(values, frame[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
     return answers
 
 
 def resize(image: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """By area along each side that shrinks, bilinear along one that grows."""
+    """Area interpolation along each side that shrinks, bilinear along one that grows."""
     smaller = min(size[0], image.shape[0]), min(size[1], image.shape[1])
     image = cv2.resize(image, smaller[::-1], interpolation=cv2.INTER_AREA)
     return cv2.resize(image, size[::-1], interpolation=cv2.INTER_LINEAR)

@@ -1,9 +1,9 @@
-"""The engine between the callbacks of a stack: sensors push from their threads, answers come back.
+"""The engine between the callbacks of a stack: sensors push from their own threads.
 
     python examples/callbacks.py [--frames N] [--period-s S]
 
 Two threads stand in for the drivers of a camera and a LiDAR and push the bundled stream; a third,
-the stream's own, calls `on_result` with each answer. Nobody waits for inference.
+the stream's own, calls `on_result` with each result. No driver waits for inference.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from runtime.live.frame_result import FrameResult
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
 DEADLINE_MS = 80.0
-LIDAR_LATE_S = 0.01  # its stamps, against the camera's
+LIDAR_LATE_S = 0.01  # its stamps minus the camera's
 
 
 def main() -> None:

@@ -1,9 +1,9 @@
-"""The engine inside a 10 Hz loop: what to look at before trusting an answer.
+"""The engine inside a 10 Hz loop: what to check before using a prediction.
 
     python examples/driving_loop.py [--rgb DIR --depth DIR --focal-length PX]
 
 Plays a stream (the bundled one by default) at the sensor's rate, always takes the newest frame,
-and shows how a stack tells a good answer from a degraded, an invalid or a late one.
+and shows how a stack distinguishes a good prediction from a degraded, invalid or late one.
 """
 
 import argparse
@@ -25,7 +25,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rgb", type=Path)
     parser.add_argument("--depth", type=Path)
-    parser.add_argument("--focal-length", type=float, help="fx in pixels of the pictures")
+    parser.add_argument("--focal-length", type=float, help="fx in pixels of the images")
     arguments = parser.parse_args()
     if (arguments.rgb is None) != (arguments.depth is None):
         parser.error("give both --rgb and --depth, or neither")
@@ -68,7 +68,7 @@ def main() -> None:
             if ahead.size > 50:
                 pixel = np.argsort(ahead)[ahead.size // 20]
                 nearest = f"{ahead[pixel]:5.1f} m"
-                if prediction.depth_uncertainty is not None:  # of a model that says it
+                if prediction.depth_uncertainty is not None:  # of a model with that head
                     scale = prediction.depth_uncertainty[:, middle][road_user][pixel]
                     nearest += f" give or take {scale:.1f} m"
             print(

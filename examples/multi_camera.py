@@ -1,9 +1,9 @@
-"""Several cameras, one call: all frames of one moment in, an answer a camera out.
+"""Several cameras in one call: the frames of one moment in, a prediction for each camera out.
 
     python examples/multi_camera.py [--cameras N] [--moments M]
 
-The bundled stream stands in for the cameras: each sees it a few frames later than the one before.
-The last one has another resolution, and so runs as a batch of its own.
+The bundled stream replaces the cameras, each a few frames behind the one before. The last one has
+another resolution, and therefore runs as a batch of its own.
 """
 
 import argparse
@@ -46,9 +46,9 @@ def main() -> None:
             for prediction in predictions:
                 height, width = prediction.frame_size
                 ahead = prediction.depth[height // 2 :, width * 2 // 5 : width * 3 // 5]
-                trust = "" if prediction.valid else "do not use: "
+                warning = "" if prediction.valid else "do not use: "
                 print(
-                    f"moment {moment}, {prediction.stamp}, {height} x {width}: {trust}"
+                    f"moment {moment}, {prediction.stamp}, {height} x {width}: {warning}"
                     f"{np.median(ahead):5.1f} m ahead at the median "
                     f"{' '.join(prediction.degraded)}".rstrip()
                 )

@@ -1,11 +1,10 @@
-"""Whether camera and LiDAR still tell of the same world: figures of a stream, off by default.
+"""Whether camera and LiDAR are still calibrated and in sync: figures of a stream, off by default.
 
-Which of them moves depends on the fault (measured in docs/streams.md): the edges and the error at
-the returns held out when the calibration is rotated or the stamps are shifted, the scale when the
-depths are wrong as a whole. Returns are held out in squares: between returns that are left a
-network that completes depth follows them, whatever the camera sees. None has a limit of its own:
-what is usual depends on model, sensors and streets, so a stack compares them with what they were on
-its own healthy streams.
+Which figure changes depends on the fault (measured in docs/streams.md): edge agreement and hold-out
+error with a rotated calibration or shifted stamps, the scale error with wrong depths. Returns are
+held out in squares, because between the remaining returns the network interpolates them, whatever
+is in the image. There are no limits: the usual values depend on model, sensors and roads, so a
+stack compares the figures with those of its own healthy streams.
 """
 
 from dataclasses import dataclass
@@ -18,11 +17,11 @@ from runtime.errors import InputError
 from runtime.prediction import Prediction
 
 _WEIGHT = 0.1  # of a new frame in the running means
-_SCALE_EVERY = 10  # frames: it takes a prediction of its own
-_SQUARES = 8  # over the picture's height: how large those are that are held out
+_SCALE_EVERY = 10  # frames: the scale takes a second prediction
+_SQUARES = 8  # that are held out, over the height of the image
 _NEIGHBOUR_PX = 8  # returns of a line or column that are compared with each other
 _JUMP = 1.25  # ratio of their depths
-_NEAR_M = 30.0  # where returns are dense enough
+_NEAR_M = 30.0  # up to here returns are dense enough
 _LEAST_DEPTH_M = 0.1
 
 
@@ -30,12 +29,13 @@ _LEAST_DEPTH_M = 0.1
 class Consistency:
     """Running means over the frames of a stream; None until the first frame that has the figure.
 
-    holdout_error: mean |log(depth / return)| over the returns that the network was not given
-    edge_agreement: mean boundary probability where the depth of neighbouring returns jumps, less
-        that where it does not; it falls when the returns no longer lie on what the camera sees
-    scale_error: median log(depth / return), the depth being predicted from the camera alone, every
-        10th frame; it shifts with the LiDAR's scale, and for a model without the camera's focal
-        length it need not be near 0
+    Attributes:
+        holdout_error: mean |log(depth / return)| over the returns that were held out.
+        edge_agreement: mean boundary probability where the depth of neighbouring returns jumps,
+            minus that where it does not; it falls when returns no longer fit the image.
+        scale_error: median log(depth / return) where depth is predicted from the camera alone,
+            every 10th frame; it shifts with the LiDAR's scale, and is not near 0 for a model
+            without the camera's focal length.
     """
 
     holdout_error: float | None = None
@@ -44,9 +44,13 @@ class Consistency:
 
 
 class ConsistencyCheck:
-    """Takes a share of each frame's returns away and compares the prediction with them.
+    """Holds a share of each frame's returns out and compares the prediction with them.
 
-    share: of the returns, above 0 and at most 0.5. Raises InputError for another.
+    Args:
+        share: of the returns, above 0 and at most 0.5.
+
+    Raises:
+        InputError: if the share is out of range.
     """
 
     def __init__(self, share: float) -> None:
@@ -62,13 +66,13 @@ class ConsistencyCheck:
 
     @property
     def scale_is_due(self) -> bool:
-        """Whether `score` wants a prediction without returns this time."""
+        """Whether `score` needs a prediction without returns for this frame."""
         return self._frames % _SCALE_EVERY == 0
 
     def hold_out(
         self, sparse_depth: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Return what is left, a new array, and which pixels were taken away."""
+        """Return the remaining returns in a new array, and the mask of those held out."""
         height, width = sparse_depth.shape
         side = max(height // _SQUARES, 1)
         squares = self._random.random((-(-height // side), -(-width // side))) < self._share
@@ -83,10 +87,13 @@ class ConsistencyCheck:
         sparse_depth: NDArray[np.float32],
         held_out: NDArray[np.bool_],
     ) -> Consistency:
-        """Take a frame in and return the running means.
+        """Add a frame and return the running means.
 
-        prediction: of what was left. camera_only: without any return, None = not this time.
-        sparse_depth: all returns.
+        Args:
+            prediction: from the remaining returns.
+            camera_only: prediction without any return; None unless `scale_is_due`.
+            sparse_depth: float32 (H, W), metres, all returns.
+            held_out: bool (H, W), as of `hold_out`.
         """
         self._frames += 1
         returns = (sparse_depth > 0) & (sparse_depth < np.inf)
@@ -119,7 +126,7 @@ def _log_ratio(
 def _edge_agreement(
     boundary: NDArray[np.float32], sparse_depth: NDArray[np.float32]
 ) -> float | None:
-    """The mean boundary between returns whose depths jump, less that between others."""
+    """Mean boundary between returns whose depths jump, minus that between others."""
     around = cv2.dilate(boundary, np.ones((3, 3), np.uint8))
     at_jumps, elsewhere = [], []
     for depth, values in ((sparse_depth, around), (sparse_depth.T, around.T)):

@@ -1,29 +1,26 @@
-"""A camera that stands still, sees nothing, or is blinded."""
+"""Checks of the image: frozen, black, overexposed."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-IMAGE_FROZEN = "image_frozen"  # the very bytes of the image before
+IMAGE_FROZEN = "image_frozen"  # the same bytes as the image before
 IMAGE_BLACK = "image_black"  # nearly every pixel is dark
-IMAGE_OVEREXPOSED = "image_overexposed"  # half of the pixels are at the sensor's end
+IMAGE_OVEREXPOSED = "image_overexposed"  # half of the pixels are saturated
 
-_GLANCE = 16  # so many rows and columns apart, nearly every image differs from the one before
-_STEP = 4  # every 4th row and column are looked at
+_GLANCE = 16  # every 16th row and column are compared first, which nearly always is enough
+_STEP = 4  # every 4th row and column are checked for brightness
 _DARK, _DARK_SHARE = 12, 0.99  # brightest channel, of 255
 _BRIGHT, _BRIGHT_SHARE = 250, 0.5  # darkest channel
 
 
 class ImageHealth:
-    """Looks at one image of a camera after the other."""
+    """Checks one image of a camera after another."""
 
     def __init__(self) -> None:
         self._before: NDArray[np.uint8] | None = None
 
     def check(self, rgb: NDArray[np.uint8]) -> tuple[str, ...]:
-        """Return what is wrong with uint8 (H, W, 3), red first; () if nothing.
-
-        The image is kept until the next one, and must not be written to.
-        """
+        """Return what is wrong with an image, which is kept until the next one."""
         before, self._before = self._before, rgb
         seen = rgb[::_STEP, ::_STEP]
         found = []

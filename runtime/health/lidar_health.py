@@ -1,9 +1,9 @@
-"""A LiDAR of which a part is gone: a sector behind dirt, lines whose lasers have failed.
+"""Checks of the LiDAR: a lost sector (dirt), lost scan lines (failed lasers).
 
-What a LiDAR gives depends on its make and its mounting, so each stream is compared with itself: the
-returns in 16 columns and 8 rows of cells over the picture with their running means over the frames
-that were found whole. A street changes them less than a failure does: none of 60 frames of KITTI's
-drive 2011_09_26 is flagged. What is missing from the first frame on is not found.
+The usual returns depend on the LiDAR and its mounting, so a stream is compared with itself: the
+returns in 16 columns and in 8 rows of the image, against their running means over the frames
+without a fault. Scenes change them less than a failure: none of 60 frames of KITTI's drive
+2011_09_26 is flagged. A part that is missing from the first frame on is not detected.
 """
 
 from typing import Any
@@ -16,26 +16,23 @@ LIDAR_SECTOR_LOST = "lidar_sector_lost"
 LIDAR_LINES_LOST = "lidar_lines_lost"
 
 _COLUMNS, _ROWS = 16, 8
-_LEARNED_FROM = 5  # frames before anything is said
+_LEARNED_FROM = 5  # frames before the first check
 _MEMORY = 0.1  # weight of a new frame in the running mean
-_LEAST_RETURNS = 30  # of a cell's mean, to be looked at
-_LEAST_SHARE = 0.03  # of all returns, to be looked at
-_CELL_LOST = 0.25  # of its mean
-_TOTAL_LOST = 0.7  # of all returns: lines between the others are gone
+_LEAST_RETURNS = 30  # mean of a cell, to be checked
+_LEAST_SHARE = 0.03  # of all returns in a cell, to be checked
+_CELL_LOST = 0.25  # of the cell's mean
+_TOTAL_LOST = 0.7  # of the mean of all returns: lines between others are lost
 
 
 class LidarHealth:
-    """Looks at one sparse depth map of a LiDAR after the other."""
+    """Checks one sparse depth map of a LiDAR after another."""
 
     def __init__(self) -> None:
         self._means: list[NDArray[np.float64]] | None = None
         self._frames = 0
 
     def check(self, sparse_depth: NDArray[np.float32]) -> tuple[str, ...]:
-        """Return what is wrong with float32 (H, W) [m], 0 = no return; () if nothing.
-
-        A map without any return is not looked at: `Prediction.degraded` tells of it.
-        """
+        """Return what is wrong with a depth map; one without any return is not checked."""
         mask = ((sparse_depth > 0) & (sparse_depth < np.inf)).view(np.uint8)
         returns = [
             _cells(cv2.reduce(mask, 0, cv2.REDUCE_SUM, dtype=cv2.CV_32S).ravel(), _COLUMNS),
@@ -70,11 +67,11 @@ class LidarHealth:
 
 
 def _cells(counts: NDArray[Any], cells: int) -> NDArray[np.float64]:
-    """Sum counts a row or column over `cells` parts of about the same width."""
+    """Sum the counts of rows or columns over `cells` parts of about the same width."""
     edges = np.arange(cells) * len(counts) // cells
     return np.add.reduceat(counts, edges).astype(np.float64)
 
 
 def _lost(now: NDArray[np.float64], mean: NDArray[np.float64]) -> bool:
-    looked_at = (mean >= _LEAST_RETURNS) & (mean >= _LEAST_SHARE * mean.sum())
-    return bool((looked_at & (now < _CELL_LOST * mean)).any())
+    checked = (mean >= _LEAST_RETURNS) & (mean >= _LEAST_SHARE * mean.sum())
+    return bool((checked & (now < _CELL_LOST * mean)).any())

@@ -1,1 +1,1 @@
-"""Frames pushed by a driving stack's own callbacks: synchronised, answered, accounted for."""
+"""Streams: sensors push from their own threads; frames are matched, predicted and counted."""

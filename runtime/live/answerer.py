@@ -1,4 +1,4 @@
-"""From an image and its depth to an answer, and what is wrong with what it was made of."""
+"""The prediction of a matched frame, and the checks of its sensors."""
 
 from typing import Any, NamedTuple, Protocol
 
@@ -14,7 +14,7 @@ from runtime.sync.synchronizer import Pair
 
 
 class FramePredictor(Protocol):
-    """What a stream needs of a `Predictor`."""
+    """The part of a `Predictor` that a stream uses."""
 
     focal_length_px: float | None
 
@@ -29,7 +29,7 @@ class FramePredictor(Protocol):
 
 
 class Answer(NamedTuple):
-    """What is known of a frame, see `FrameResult`."""
+    """Part of a `FrameResult`."""
 
     prediction: Prediction
     health: tuple[str, ...]
@@ -37,11 +37,7 @@ class Answer(NamedTuple):
 
 
 class Answerer:
-    """Projects, predicts and checks, a frame of the stream after the other.
-
-    Not for several threads at a time: it remembers the frames before. Raises InputError for a
-    `consistency` that is no share.
-    """
+    """Projects, predicts and checks one frame of a stream after another. Not thread-safe."""
 
     def __init__(
         self, predictor: FramePredictor, calibration: Calibration | None, consistency: float | None
@@ -51,13 +47,13 @@ class Answerer:
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
 
     def answer(self, pair: Pair) -> Answer:
-        """Answer a frame. Raises what `Predictor.predict` raises."""
+        """Answer a frame; raises what `Predictor.predict` raises."""
         rgb = pair.image.data
         size = rgb.shape[:2]
         if pair.depth is None:
             sparse_depth = np.zeros(size, np.float32)
         elif isinstance(pair.depth.data, Points):
-            assert self._calibration is not None  # push_points asked for it
+            assert self._calibration is not None  # push_points requires it
             sparse_depth = self._calibration.project(pair.depth.data.points, size)
         else:
             sparse_depth = pair.depth.data
@@ -69,7 +65,7 @@ class Answerer:
             if self._consistency.scale_is_due:
                 camera_only = self._predict(rgb, np.zeros(size, np.float32), pair)
             consistency = self._consistency.score(prediction, camera_only, sparse_depth, held_out)
-        health = self._health.check(rgb, sparse_depth)  # only now are they known to fit
+        health = self._health.check(rgb, sparse_depth)  # predict has checked that they fit
         return Answer(prediction, health, consistency)
 
     def _predict(

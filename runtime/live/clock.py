@@ -1,4 +1,4 @@
-"""The clock that a stream waits by, so that a test can put another in its place."""
+"""The clock of a stream, which tests replace."""
 
 import threading
 import time
@@ -12,5 +12,5 @@ class MonotonicClock:
         return time.monotonic_ns()
 
     def wait(self, changed: threading.Condition, timeout_ns: int | None) -> None:
-        """Wait until `changed`, which is held, is notified or the time is over; None = for ever."""
+        """Wait until `changed`, whose lock is held, is notified; None = without a limit."""
         changed.wait(None if timeout_ns is None else max(timeout_ns, 0) / 1e9)

@@ -50,10 +50,7 @@ class StreamCounts(MessageCounts):
 
 
 class MessageCounter:
-    """Counts every message once when it is pushed and once when its outcome is known.
-
-    Not thread-safe: the stream's lock guards it.
-    """
+    """Counts every message when it is pushed and when its outcome is known; the lock guards it."""
 
     def __init__(self) -> None:
         self._pushed: Counter[Sensor] = Counter()

@@ -1,4 +1,4 @@
-"""What a LiDAR may push, a depth map or a scan, checked as far as it can be without its image."""
+"""Checks of what a LiDAR pushes, a depth map or a scan, before its image is known."""
 
 from typing import Any, NamedTuple
 
@@ -11,29 +11,27 @@ from runtime.preprocess import check_sparse_depth
 
 
 class Points(NamedTuple):
-    """A scan that waits for its image, to be projected into it."""
+    """A scan, to be projected into its image."""
 
     points: NDArray[np.float32]
 
     def copy(self) -> "Points":
-        """Of its array, as of a depth map."""
+        """A copy with an array of its own."""
         return Points(self.points.copy())
 
 
 def check_depth(sparse_depth: Any) -> NDArray[np.float32]:
-    """Give back a depth map, contiguous. Raises InputError for what is none, of whatever size."""
+    """Return a depth map of any size, contiguous; raises InputError."""
     if isinstance(sparse_depth, np.ndarray) and sparse_depth.ndim == 2:
         size = sparse_depth.shape
     else:
-        size = (0, 0)  # of which no array is
+        size = (0, 0)  # which no array has
     return check_sparse_depth(sparse_depth, size=size)
 
 
 def check_points(points: Any, *, calibration: Calibration | None) -> Points:
-    """Raise InputError for what is no scan, and where it cannot be projected."""
+    """Check a scan and that it can be projected; raises InputError."""
     if calibration is None:
-        raise InputError(
-            "push_points needs to know where the LiDAR is: make the stream with calibration="
-        )
+        raise InputError("push_points needs a calibration: make the stream with calibration=")
     calibration.check(points)
     return Points(points)

@@ -1,4 +1,4 @@
-"""The page of a stream of pushed frames."""
+"""The page of a stream."""
 
 import threading
 from datetime import UTC, datetime
@@ -19,18 +19,21 @@ from runtime.predictor import Predictor
 
 
 class StreamPage:
-    """Gathers the answers of a stream, in memory that does not grow, and makes its page.
+    """Collects the results of a stream in bounded memory and writes its page.
 
     ```python
     page = StreamPage(predictor)
-    with predictor.stream(mode="live", deadline_ms=50) as stream:
+    with PushStream(predictor, mode="live", deadline_ms=50) as stream:
         for result in stream:
             page.add(result)
     page.write("report.html", stream)
     ```
 
-    `add` costs a picture now and then. Both may be called from any thread, and `write` as often as
-    wanted, also while the stream runs.
+    `add` draws a picture now and then. Both methods may be called from any thread, and `write`
+    repeatedly, also while the stream runs.
+
+    Args:
+        predictor: of the stream.
     """
 
     def __init__(self, predictor: Predictor) -> None:
@@ -42,7 +45,7 @@ class StreamPage:
         self._invalid = 0
 
     def add(self, result: FrameResult) -> None:
-        """Take the next answer in."""
+        """Add the next result."""
         prediction = result.prediction
         marks = [*prediction.degraded, *result.health]
         if not prediction.valid:
@@ -61,10 +64,14 @@ class StreamPage:
             self._samples.look(moment.name, result.rgb, prediction, result.health)
 
     def write(self, path: str | PathLike[str], stream: PushStream) -> None:
-        """Write the page of what was added so far; a file that is there is replaced.
+        """Write the page of the results so far; an existing file is replaced.
 
-        stream: that gave the answers, open or closed: its statistics and counts stand on the page
-        Raises OutputError.
+        Args:
+            path: of the HTML file.
+            stream: of the results, open or closed; the page shows its statistics and counts.
+
+        Raises:
+            OutputError: if the file cannot be written.
         """
         statistics, counts, state = stream.statistics, stream.counts, stream.state
         about = {

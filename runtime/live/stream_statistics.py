@@ -1,4 +1,4 @@
-"""How a stream keeps its time: latency, age, skew, jitter and missed deadlines, however long."""
+"""Statistics of a stream: latency, age, skew, jitter and missed deadlines."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -13,20 +13,21 @@ from runtime.sync.latency import (
     latency_table,
 )
 
-# A name a figure of FrameResult; "jitter" lies between two of them.
 _FIGURES = ("preprocess", "inference", "postprocess", "predict", "latency", "age", "skew", "jitter")
 
 
 @dataclass(frozen=True)
 class StreamStatistics:
-    """Statistics of all answers of a stream so far.
+    """Statistics of all results of a stream so far.
 
-    stages: figure -> statistics over n answers [ms], None where there is none. preprocess,
-        inference, postprocess and predict: of `Prediction.latency`. latency and age: of
-        `FrameResult`. skew: its absolute value. jitter: |(t2 - t1) - (s2 - s1)| of two successive
-        answers at t with the image stamps s, the transit-time difference of RFC 3550
-    deadline_ms: as asked for
-    missed: late answers and the longest run of them; None without a deadline
+    Attributes:
+        stages: figure -> statistics in milliseconds, None without a value. "preprocess",
+            "inference", "postprocess" and "predict" are those of `Prediction.latency`, "latency"
+            and "age" those of `FrameResult`, "skew" is its absolute value, and "jitter" is
+            |(t2 - t1) - (s2 - s1)| of two successive results at t with image stamps s (the
+            transit-time difference of RFC 3550).
+        deadline_ms: as given to the stream.
+        missed: late results; None without a deadline.
     """
 
     stages: dict[str, LatencyStatistics | None]
@@ -34,7 +35,7 @@ class StreamStatistics:
     missed: MissedDeadlines | None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what report.json says of a run's stages and deadline, ready for `json.dumps`."""
+        """Return the entries "stages" and "deadline" of a report.json, ready for `json.dumps`."""
         return {
             "stages": {
                 name: None if figures is None else asdict(figures)
@@ -46,7 +47,7 @@ class StreamStatistics:
         }
 
     def table(self) -> str:
-        """A text table, a line a figure."""
+        """Return a text table, a line a figure."""
         lines = [latency_table(self.stages)]
         if self.missed is not None:
             lines.append(
@@ -57,10 +58,7 @@ class StreamStatistics:
 
 
 class StatisticsRecorder:
-    """Gathers the figures of one answer after another, in memory that does not grow.
-
-    Not thread-safe: the stream's lock guards it.
-    """
+    """Collects the figures of results in constant memory; the stream's lock guards it."""
 
     def __init__(self, deadline_ms: float | None) -> None:
         self._deadline_ms = deadline_ms
@@ -69,10 +67,7 @@ class StatisticsRecorder:
         self._jitter = Jitter()
 
     def record(self, result: FrameResult, *, transit_ns: int) -> None:
-        """Take the figures of one answer in.
-
-        transit_ns: time of the answer - stamp of the image, each by its own clock
-        """
+        """Add a result; transit: its time - the image's stamp, each by its own clock."""
         latency = result.prediction.latency
         figures_ms = {
             "preprocess": latency.preprocess_ms,

@@ -1,4 +1,4 @@
-"""Whether a stream is fit to be trusted: OK, WARN or ERROR, and why."""
+"""The state of a stream, OK, WARN or ERROR, with its reasons."""
 
 from dataclasses import dataclass, fields
 from enum import StrEnum
@@ -6,13 +6,13 @@ from enum import StrEnum
 from runtime.errors import InputError
 from runtime.sync.stamp import NS_PER_MS
 
-Limits = tuple[float | None, float | None]  # from when on WARN, from when on ERROR; None = never
+Limits = tuple[float | None, float | None]  # least values for WARN and for ERROR; None = never
 
 
 class Level(StrEnum):
-    """How a stream is doing."""
+    """State of a stream."""
 
-    NOT_YET = "n/a"  # nothing has come yet
+    NOT_YET = "n/a"  # no message yet
     OK = "OK"
     WARN = "WARN"
     ERROR = "ERROR"
@@ -20,13 +20,16 @@ class Level(StrEnum):
 
 @dataclass(frozen=True)
 class WatchdogLimits:
-    """When to warn, and when it is an error: a pair of limits each, None = never.
+    """Limits for WARN and for ERROR, a pair each; None = never.
 
-    late: answers in a row that missed the deadline
-    degraded: answers in a row of which `Prediction.degraded` or `FrameResult.health` holds a reason
-    failed: frames in a row that were an error or whose answer is not valid
-    silence_ms: time since the last answer, or since the first message; live streams alone
-    Raises InputError for limits that are no such pairs.
+    Attributes:
+        late: results in a row that missed the deadline.
+        degraded: results in a row with a reason in `Prediction.degraded` or `FrameResult.health`.
+        failed: frames in a row that were an error or whose prediction is not valid.
+        silence_ms: time since the last result, or else since the first message; live only.
+
+    Raises:
+        InputError: if a limit is not such a pair.
     """
 
     late: Limits = (1, 5)
@@ -35,7 +38,7 @@ class WatchdogLimits:
     silence_ms: Limits = (500, 2000)
 
     def __post_init__(self) -> None:
-        """Refuse limits that cannot be."""
+        """Check the limits."""
         for field in fields(self):
             pair = getattr(self, field.name)
             if not isinstance(pair, tuple) or len(pair) != 2 or not all(map(_is_limit, pair)):
@@ -47,31 +50,33 @@ class WatchdogLimits:
 
 @dataclass(frozen=True)
 class WatchdogState:
-    """level: the worst of all; reasons: the names of the limits that were reached."""
+    """State of a stream.
+
+    Attributes:
+        level: the worst of all limits that were reached.
+        reasons: the names of those limits.
+    """
 
     level: Level
     reasons: tuple[str, ...] = ()
 
 
 class Watchdog:
-    """Counts what is wrong in a row. Times are handed in [ns].
-
-    Not for several threads at a time: the stream guards it with its lock.
-    """
+    """Counts faults in a row. Times are arguments [ns]; the stream's lock guards it."""
 
     def __init__(self, limits: WatchdogLimits, *, live: bool) -> None:
         self._limits, self._live = limits, live
         self._runs = {"late": 0, "degraded": 0, "failed": 0}
-        self._heard_ns: int | None = None
+        self._last_ns: int | None = None
 
     def start(self, now_ns: int) -> None:
-        """A message has come; the first of them ends "n/a"."""
-        if self._heard_ns is None:
-            self._heard_ns = now_ns
+        """A message was pushed; the first one ends "n/a"."""
+        if self._last_ns is None:
+            self._last_ns = now_ns
 
     def answered(self, now_ns: int, *, late: bool, degraded: bool, valid: bool) -> None:
         """A frame was answered."""
-        self._heard_ns = now_ns
+        self._last_ns = now_ns
         self._count("late", late)
         self._count("degraded", degraded)
         self._count("failed", not valid)
@@ -81,12 +86,12 @@ class Watchdog:
         self._count("failed", True)
 
     def state(self, now_ns: int) -> WatchdogState:
-        """How the stream is doing at this moment."""
-        if self._heard_ns is None:
+        """The state at this moment."""
+        if self._last_ns is None:
             return WatchdogState(Level.NOT_YET)
         figures: dict[str, float] = dict(self._runs)
         if self._live:
-            figures["silence_ms"] = (now_ns - self._heard_ns) / NS_PER_MS
+            figures["silence_ms"] = (now_ns - self._last_ns) / NS_PER_MS
         level, reasons = Level.OK, []
         for name, figure in figures.items():
             warn, error = getattr(self._limits, name)
@@ -99,11 +104,11 @@ class Watchdog:
         return WatchdogState(level, tuple(reasons))
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When silence alone will change the state next; None = never."""
-        if self._heard_ns is None or not self._live:
+        """When silence changes the state next; None = never."""
+        if self._last_ns is None or not self._live:
             return None
         limits_ns = [
-            self._heard_ns + round(limit * NS_PER_MS)
+            self._last_ns + round(limit * NS_PER_MS)
             for limit in self._limits.silence_ms
             if limit is not None
         ]

@@ -1,8 +1,8 @@
-"""Percentiles of a stream that runs for days, in memory that does not grow.
+"""Percentiles of a stream of any length in constant memory.
 
-The buckets are those of HdrHistogram (hdrhistogram.org): as wide as the unit of 1 µs up to 2 ms,
-then 1024 to each doubling, so that a percentile is at most a thousandth too high. Nothing is
-clipped: the largest value is kept as it was, and values beyond three days share the last bucket.
+The buckets are those of HdrHistogram (hdrhistogram.org): 1 µs wide up to 2 ms, then 1024 to each
+doubling, so that a percentile is at most 0.1 % too high. Nothing is clipped: the largest value is
+kept exactly, and values beyond three days share the last bucket.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ _DOUBLINGS = 38 - _BITS  # up to 2^38 µs = 76 h
 
 
 class DurationHistogram:
-    """Counts durations [ms] in buckets; what is below zero counts as zero but in the mean."""
+    """Counts durations [ms] in buckets; negative ones count as zero, but not in the mean."""
 
     def __init__(self) -> None:
         self._counts = np.zeros((_DOUBLINGS + 1) << _BITS, dtype=np.int64)
@@ -24,7 +24,7 @@ class DurationHistogram:
         self._max_ms = float("-inf")
 
     def record(self, duration_ms: float) -> None:
-        """Count one more."""
+        """Count one more duration."""
         units = max(round(duration_ms * _UNITS_PER_MS), 0)
         shift = max(units.bit_length() - _BITS - 1, 0)
         index = (shift << _BITS) + (units >> shift)
@@ -34,7 +34,7 @@ class DurationHistogram:
         self._max_ms = max(self._max_ms, duration_ms)
 
     def statistics(self) -> LatencyStatistics | None:
-        """Statistics as `latency_statistics` has them; None if there is nothing."""
+        """Statistics as of `latency_statistics`; None if nothing was recorded."""
         cumulative = np.cumsum(self._counts)
 
         def at_rank(rank: int) -> float:

@@ -1,17 +1,20 @@
-"""Latency statistics that say no more than the number of frames supports."""
+"""Latency statistics: percentiles, deadline misses, jitter."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 from runtime.sync.stamp import NS_PER_MS
 
 
 @dataclass(frozen=True)
 class LatencyStatistics:
-    """How long a stage took over n frames [ms]. Percentiles are by nearest rank, none is clipped.
+    """How long a stage took over n frames, in milliseconds; no outlier is clipped.
 
-    A percentile is None where no frame lies beyond it: it takes 10 frames for p90, 100 for p99 and
-    1000 for p99.9.
+    Attributes:
+        n: frames.
+        mean_ms, median_ms, max_ms: over all frames.
+        p90_ms, p99_ms, p99_9_ms: percentiles by nearest rank; None where n is too small for at
+            least one frame to lie beyond (10, 100 and 1000 frames).
     """
 
     n: int
@@ -25,14 +28,19 @@ class LatencyStatistics:
 
 @dataclass(frozen=True)
 class MissedDeadlines:
-    """How many frames took longer than the deadline, and how many of them in a row."""
+    """Frames that took longer than the deadline.
+
+    Attributes:
+        count: all of them.
+        longest_run: most of them in a row.
+    """
 
     count: int
     longest_run: int
 
 
 def latency_statistics(durations_ms: Iterable[float]) -> LatencyStatistics | None:
-    """Exact statistics of some durations [ms]; None if there are none."""
+    """Return the exact statistics of some durations in milliseconds; None if there are none."""
     ordered = sorted(durations_ms)
     return statistics_by_rank(len(ordered), sum(ordered), lambda rank: ordered[rank - 1])
 
@@ -40,10 +48,7 @@ def latency_statistics(durations_ms: Iterable[float]) -> LatencyStatistics | Non
 def statistics_by_rank(
     n: int, sum_ms: float, at_rank: Callable[[int], float]
 ) -> LatencyStatistics | None:
-    """Statistics of n durations; None for n = 0.
-
-    at_rank: returns the duration of a rank [ms]; 1 is the shortest, n the longest
-    """
+    """Statistics of n durations, `at_rank(1)` the shortest and `at_rank(n)` the longest [ms]."""
     if n == 0:
         return None
 
@@ -91,43 +96,22 @@ class Jitter:
         self._last_ns: int | None = None
 
     def record(self, transit_ns: int) -> float | None:
-        """Return |this - last| [ms]; None for the first.
-
-        transit_ns: time of the answer - time of the frame, each by its own clock
-        """
+        """Return |this - last| [ms], None for the first; transit: time of answer - stamp."""
         last_ns, self._last_ns = self._last_ns, transit_ns
         return None if last_ns is None else abs(transit_ns - last_ns) / NS_PER_MS
 
     def reset(self) -> None:
-        """The clock of the frames was set anew: the next answer has no jitter."""
+        """The stamps jumped: the next answer has no jitter."""
         self._last_ns = None
 
 
 def latency_table(stages: dict[str, LatencyStatistics | None]) -> str:
     """A text table, a line a stage; "n/a" where there is nothing or n is too small [ms]."""
     columns = ("n", "mean", "median", "p90", "p99", "p99.9", "max")
-    width = max(len(stage) for stage in stages)
-    lines = ["stage [ms]".ljust(max(width, 10)) + "".join(f"{column:>9}" for column in columns)]
+    width = max(len(stage) for stage in (*stages, "stage [ms]"))
+    lines = ["stage [ms]".ljust(width) + "".join(f"{column:>9}" for column in columns)]
     for stage, statistics in stages.items():
-        cells = (
-            [str(statistics.n), *map(_cell, _times(statistics))]
-            if statistics is not None
-            else ["0", *["n/a"] * 6]
-        )
-        lines.append(stage.ljust(max(width, 10)) + "".join(f"{cell:>9}" for cell in cells))
+        n, *times_ms = (0, *[None] * 6) if statistics is None else astuple(statistics)
+        cells = [str(n), *("n/a" if time_ms is None else f"{time_ms:.2f}" for time_ms in times_ms)]
+        lines.append(stage.ljust(width) + "".join(f"{cell:>9}" for cell in cells))
     return "\n".join(lines)
-
-
-def _times(statistics: LatencyStatistics) -> tuple[float | None, ...]:
-    return (
-        statistics.mean_ms,
-        statistics.median_ms,
-        statistics.p90_ms,
-        statistics.p99_ms,
-        statistics.p99_9_ms,
-        statistics.max_ms,
-    )
-
-
-def _cell(duration_ms: float | None) -> str:
-    return "n/a" if duration_ms is None else f"{duration_ms:.2f}"

@@ -15,7 +15,7 @@ class Outcome(StrEnum):
 
     ANSWERED = "answered"
     # Dropped:
-    OVERTAKEN = "overtaken"  # live: a newer frame was complete before its turn came
+    OVERTAKEN = "overtaken"  # live: a newer frame was complete before its turn
     INCOMPLETE = "incomplete"  # live: an image without depth gave way to a complete frame
     UNREAD = "unread"  # live: its result was not fetched before the next one was there
     OVERFLOW = "overflow"  # live: more messages than can wait

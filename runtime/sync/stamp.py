@@ -1,4 +1,4 @@
-"""Time stamps of sensors: seconds as a float, or nanoseconds as an int, of whatever clock."""
+"""Time stamps of sensors: seconds as a float or nanoseconds as an int, of any clock."""
 
 import math
 import operator
@@ -20,8 +20,11 @@ _LIMIT_NS = 2**63  # what 64 bits hold: 292 years
 def stamp_ns(stamp: Any) -> int:
     """Return a stamp in nanoseconds.
 
-    stamp: seconds if a float, nanoseconds if an int; also of NumPy's types.
-    Raises InputError for anything else, for NaN and infinity, and beyond 64 bits.
+    Args:
+        stamp: seconds if a float, nanoseconds if an int; Python's or NumPy's.
+
+    Raises:
+        InputError: if it is of another type, not finite, or beyond 64 bits of nanoseconds.
     """
     if isinstance(stamp, float | np.floating):
         nanoseconds_float = float(stamp) * 1e9
@@ -34,7 +37,7 @@ def stamp_ns(stamp: Any) -> int:
         except TypeError:
             raise InputError(
                 "stamp must be seconds (float) or nanoseconds (int), got "
-                f"{type(stamp).__name__}: give the sensor's own, of whatever clock"
+                f"{type(stamp).__name__}: give the sensor's own stamp, of any clock"
             ) from None
     if not -_LIMIT_NS <= nanoseconds < _LIMIT_NS:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Match the recorded messages of two sensors by their stamps, as a replayed stream does."""
+"""Match the recorded messages of two sensors by their stamps, as a replay does."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -9,8 +9,8 @@ from runtime.sync.outcome import Sensor
 from runtime.sync.stamp import NS_PER_MS
 from runtime.sync.synchronizer import Message, Pair, Synchronizer
 
-_MAX_WAIT_NS = 50 * NS_PER_MS  # by stamps: how late a sensor's messages may come in its own order
-_WAITING = 64  # messages a sensor; more, and one of them is far ahead or the other is silent
+_MAX_WAIT_NS = 50 * NS_PER_MS  # by stamps: how far a sensor's messages may be out of order
+_WAITING = 64  # messages of a sensor; more mean that it is far ahead, or the other one silent
 
 
 def match_by_stamp(
@@ -18,9 +18,13 @@ def match_by_stamp(
 ) -> Iterator[Pair]:
     """Yield each image with its depth map or None, in the order of the images' stamps.
 
-    messages: (sensor, stamp [ns], data) in the order in which they were recorded
-    left_out: is told of each message that comes into no pair: "image: duplicate", and so on
-    Raises InputError for a skew that cannot be one.
+    Args:
+        messages: (sensor, stamp in nanoseconds, data) in the order of the recording.
+        max_skew_ms: largest difference between the stamps of a pair.
+        left_out: counts each message that is in no pair: "image: duplicate", and so on.
+
+    Raises:
+        InputError: if the skew is out of range.
     """
     if not 0 <= max_skew_ms <= 1e6:
         raise InputError(f"max_skew_ms must be a number from 0 to 1e6, got {max_skew_ms}")
@@ -44,7 +48,7 @@ def match_by_stamp(
 
 
 def left_out_note(left_out: Counter[str]) -> tuple[str, ...]:
-    """The line that tells people of messages that came into no frame; none if there are none."""
+    """A line for people about the messages that are in no frame; none if there are none."""
     if not left_out:
         return ()
     counts = ", ".join(f"{reason} {count}" for reason, count in sorted(left_out.items()))

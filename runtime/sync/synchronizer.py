@@ -1,17 +1,16 @@
-"""Which image and which depth map belong together, by the sensors' own stamps.
+"""Matching of images and depth maps by the sensors' own stamps.
 
-No thread, no clock and no array is known here: times are handed in, so that every sequence of
-messages can be played to it exactly.
+There are no threads, clocks or arrays here: times are arguments, so that a test can play every
+sequence of messages exactly.
 
 An image is matched with the depth map nearest to it within `max_skew_ns`, a depth map with the
-image nearest to it. Who is nearest is certain once nothing that can still come would be nearer:
-stamps of a sensor are taken to rise, those of a live one by no less than they lately did (the
-"inter-message lower bound" of ROS's approximate time policy, learned), so that a frame of regular
-sensors does not wait for the next one. What is not certain waits. Live: until `max_wait_ns` after
-it arrived; then an image is decided with what is there, and a depth map is unmatched. Replayed:
-without a partner until the other sensor's stamps are `max_skew_ns + max_wait_ns` ahead, with one
-until it is certain, so that the same messages give the same pairs however the threads that push
-them take turns.
+image nearest to it. A match is certain once no later message can be nearer: the stamps of a sensor
+are assumed to rise, live by at least their shortest recent interval (a learned "inter-message lower
+bound" of ROS's approximate time policy), so that a frame of regular sensors does not wait for the
+next one. A message whose match is not certain waits. Live: until `max_wait_ns` after it arrived;
+then an image is decided with what is there, and a depth map is unmatched. In a replay: without a
+partner until the other sensor's stamps are `max_skew_ns + max_wait_ns` ahead, with one until it is
+certain, so that the pairs do not depend on the turns of the threads that push.
 """
 
 from bisect import insort
@@ -21,14 +20,14 @@ from typing import Any, NamedTuple
 
 from runtime.sync.outcome import Outcome, Sensor
 
-JUMP_BACK_NS = 1_000_000_000  # further back than this, a sensor's clock was set anew
-_REMEMBERED = 64  # stamps a sensor, to know a duplicate by
-_INTERVALS = 16  # of a sensor, the least of which is taken for what it keeps to
+JUMP_BACK_NS = 1_000_000_000  # a sensor's clock was reset if its stamps go back further
+_REMEMBERED = 64  # latest stamps of a sensor, to detect duplicates
+_INTERVALS = 16  # latest intervals of a sensor; the shortest bounds the next one
 
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """One push. stamp: as it was given; arrived_ns: by the stream's clock."""
+    """One push. stamp: as pushed; arrived_ns: by the stream's clock."""
 
     stamp: Any
     stamp_ns: int
@@ -37,14 +36,14 @@ class Message:
 
 
 class Pair(NamedTuple):
-    """An image and its depth map, None = none was near enough in time."""
+    """An image and its depth map; None = none was near enough in time."""
 
     image: Message
     depth: Message | None
 
 
 class Discarded(NamedTuple):
-    """A message that will not be answered, and why."""
+    """A message that will not be answered."""
 
     sensor: Sensor
     message: Message
@@ -53,17 +52,17 @@ class Discarded(NamedTuple):
 
 @dataclass
 class Decided:
-    """What is known now: pairs in the order of their images, and discarded messages."""
+    """The pairs, in the order of their images, and the discarded messages of one step."""
 
     pairs: list[Pair] = field(default_factory=list)
     discarded: list[Discarded] = field(default_factory=list)
 
 
 class Synchronizer:
-    """Holds what waits for its partner, at most `capacity` messages a sensor.
+    """Holds messages that wait for a partner, at most `capacity` of each sensor.
 
-    live: older images give way to a newer one that is decided; waiting goes by the clock. Else
-        every image is decided, in the order of the stamps; waiting goes by the stamps.
+    live: an image that is decided discards older ones, and `max_wait_ns` is by the clock. Else
+    every image is decided, in the order of the stamps, and `max_wait_ns` is by the stamps.
     """
 
     def __init__(self, *, live: bool, max_skew_ns: int, max_wait_ns: int, capacity: int) -> None:
@@ -80,7 +79,7 @@ class Synchronizer:
         return len(self._sensors[sensor].messages) >= self._capacity
 
     def add(self, sensor: Sensor, message: Message, now_ns: int) -> Decided:
-        """Take a message in, and tell what can be decided with it."""
+        """Take a message, and decide what is certain with it."""
         decided = Decided()
         waiting = self._sensors[sensor]
         if message.stamp_ns in waiting.remembered:
@@ -99,19 +98,19 @@ class Synchronizer:
             return decided
         waiting.add(message)
         self._decide(decided, now_ns)
-        if len(waiting.messages) > self._capacity:  # live; who replays asks `full` first
+        if len(waiting.messages) > self._capacity:  # live; a replay checks `full` first
             oldest = waiting.messages.pop(0)
             decided.discarded.append(Discarded(sensor, oldest, Outcome.OVERFLOW))
         return decided
 
     def advance(self, now_ns: int) -> Decided:
-        """Tell what can be decided because time has passed."""
+        """Decide what has waited long enough."""
         decided = Decided()
         self._decide(decided, now_ns)
         return decided
 
     def due_ns(self) -> int | None:
-        """When `advance` will decide something next, by the clock; None = only a message will."""
+        """When `advance` will decide something next; None = not without another message."""
         if not self._live:
             return None
         # A depth map near a waiting image is decided with it.
@@ -131,7 +130,7 @@ class Synchronizer:
         return decided
 
     def flush(self) -> Decided:
-        """Decide everything with what is there: no more messages will come."""
+        """Decide everything with what is there, at the end."""
         decided = Decided()
         self._flush(decided, Outcome.NO_IMAGE)
         return decided
@@ -207,7 +206,7 @@ class Synchronizer:
         return min(own, key=lambda depth: _distance(image, depth), default=None)
 
     def _is_certain(self, image: Message, depth: Message) -> bool:
-        """Whether no message to come would be nearer to one of two partners."""
+        """Whether no later message can be nearer to one of two partners."""
         skew = _distance(image, depth)
         next_depth_ns = self._sensors[Sensor.DEPTH].next_ns(self._live)
         next_image_ns = self._sensors[Sensor.IMAGE].next_ns(self._live)
@@ -217,7 +216,7 @@ class Synchronizer:
         )
 
     def _is_over(self, message: Message, other: Sensor, now_ns: int) -> bool:
-        """Whether a message has waited long enough for one of the `other` sensor."""
+        """Whether a message has waited long enough for the `other` sensor."""
         if self._live:
             return now_ns - message.arrived_ns >= self._max_wait_ns
         ahead_ns = self._sensors[other].newest_ns
@@ -225,12 +224,12 @@ class Synchronizer:
         return ahead_ns is not None and ahead_ns > message.stamp_ns + wait_ns
 
     def _near(self, depth: Message) -> bool:
-        """Whether an image waits that may yet take this depth map."""
+        """Whether an image waits that may still be matched with this depth map."""
         return any(_distance(image, depth) <= self._max_skew_ns for image in self._images)
 
 
 class _Waiting:
-    """What waits of one sensor, and what is known of its stamps."""
+    """Waiting messages of one sensor, and the history of its stamps."""
 
     def __init__(self) -> None:
         self.messages: list[Message] = []  # by stamp
@@ -247,7 +246,7 @@ class _Waiting:
             self.newest_ns = message.stamp_ns
 
     def next_ns(self, live: bool) -> int:
-        """No message to come is stamped earlier; asked only where there was one."""
+        """The earliest possible next stamp; only after a first message."""
         assert self.newest_ns is not None
         return self.newest_ns + (min(self._intervals, default=0) if live else 0)
 

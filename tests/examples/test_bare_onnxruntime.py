@@ -1,4 +1,4 @@
-"""Bare ONNX Runtime by the example gives the engine's answers, at every size and lens."""
+"""The example of bare ONNX Runtime gives the engine's answers, at every size and lens."""
 
 import dataclasses
 import runpy
@@ -50,7 +50,7 @@ def test_the_answers_are_the_engines_to_the_bit(
 
 
 def test_a_large_camera_with_the_bundled_model():
-    """What the network reads off the picture depends on the resize rule as well."""
+    """The prediction depends on the resize rule as well."""
     frame = bundled_frames()[0]
     rgb = cv2.resize(frame.rgb, (1664, 512), interpolation=cv2.INTER_CUBIC)[:, :700].copy()
     depth = np.zeros((512, 1664), np.float32)
@@ -82,6 +82,6 @@ def test_it_needs_nothing_of_this_project(tmp_path):
         check=True,
         cwd=tmp_path,
     )
-    told = dict(line.split(": ") for line in done.stdout.splitlines())
-    assert told["semantic"].startswith("uint8 (256, 832), 0 to ")
-    assert told["depth"].startswith("float32 (256, 832), ")
+    printed = dict(line.split(": ") for line in done.stdout.splitlines())
+    assert printed["semantic"].startswith("uint8 (256, 832), 0 to ")
+    assert printed["depth"].startswith("float32 (256, 832), ")

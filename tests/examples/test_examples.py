@@ -1,4 +1,4 @@
-"""Each example runs and says what it is there to say."""
+"""Each example runs and prints what it should."""
 
 import re
 import runpy
@@ -16,7 +16,7 @@ TESTED = {"bare_onnxruntime.py", "callbacks.py", "driving_loop.py", "multi_camer
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """Run an example as a program, and give the lines that it prints."""
+    """Run an example as a program, and return the lines that it prints."""
 
     def invoke(name, *arguments):
         monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
@@ -45,13 +45,13 @@ def test_the_driving_loop(run, tmp_path):
 def test_several_cameras(run):
     lines = run("multi_camera.py", "--cameras", 3, "--moments", 2)
     assert len(lines) == 8
-    told = [
+    expected = [
         (moment, camera, size)
         for moment in (0, 1)
         for camera, size in enumerate(["256 x 832", "256 x 832", "192 x 624"])
     ]
     cameras = [line for line in lines if not line.startswith("  all of them in ")]
-    for line, (moment, camera, size) in zip(cameras, told, strict=True):
+    for line, (moment, camera, size) in zip(cameras, expected, strict=True):
         pattern = rf"moment {moment}, camera {camera}, {size}: +[0-9.]+ m ahead at the median"
         assert re.fullmatch(pattern, line), line
 

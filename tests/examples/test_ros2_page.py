@@ -20,10 +20,10 @@ def stamped(**fields):
 
 
 class Node:
-    """What the node on the page needs of rclpy's."""
+    """The part of rclpy's node that the page's node uses."""
 
     def __init__(self, name):
-        self.name, self.sent, self.callbacks, self.said = name, {}, {}, []
+        self.name, self.sent, self.callbacks, self.logged = name, {}, {}, []
 
     def create_publisher(self, kind, topic, qos):
         return SimpleNamespace(publish=lambda message: self.sent.update({topic: message}))
@@ -32,10 +32,10 @@ class Node:
         self.callbacks[topic] = callback
 
     def get_logger(self):
-        def say(text, throttle_duration_sec=None):
-            self.said.append(text)
+        def log(text, throttle_duration_sec=None):
+            self.logged.append(text)
 
-        return SimpleNamespace(error=say, info=say, warn=say)
+        return SimpleNamespace(error=log, info=log, warn=log)
 
     def destroy_node(self):
         self.destroyed = True
@@ -52,7 +52,7 @@ class CvBridge:
 
 @pytest.fixture
 def spun(monkeypatch):
-    """Run the page's main; spin with what is given, and give back the node."""
+    """Run the page's main; spin with some messages, and return the node."""
 
     def run(messages):
         nodes = []
@@ -97,10 +97,10 @@ def test_an_image_and_a_scan_are_answered(spun):
     assert (depth.header.stamp.sec, depth.header.stamp.nanosec) == (SECONDS, NANOSECONDS)
     assert node.destroyed
     assert node.stream.counts.depths.answered == 1
-    assert not [text for text in node.said if "must" in text], node.said
+    assert not [text for text in node.logged if "must" in text], node.logged
 
 
 def test_a_scan_of_the_wrong_shape_is_an_error_that_the_node_outlives(spun):
     node = spun([("points", stamped(points=np.zeros((5, 2))))])
-    assert any("points must" in text for text in node.said), node.said
+    assert any("points must" in text for text in node.logged), node.logged
     assert node.destroyed

@@ -42,9 +42,9 @@ def test_lost_lines_at_an_edge_and_between_others():
     assert learned().check(depth) == ("lidar_lines_lost",)
 
 
-def test_what_is_no_failure():
+def test_no_failure():
     health = learned()
-    assert health.check(np.zeros(SIZE, np.float32)) == (), "told by degraded: no_depth"
+    assert health.check(np.zeros(SIZE, np.float32)) == (), "reported as no_depth by degraded"
     depth = scan(9)
     depth[60:100, 200:215] = 0  # a dark car
     assert health.check(depth) == ()
@@ -59,7 +59,7 @@ def test_values_that_are_no_returns_do_not_count(value):
 
 
 @pytest.mark.skipif("SSDNET_DATA" not in os.environ, reason="needs SSDNET_DATA/kitti_stream")
-def test_a_recorded_drive_is_healthy_until_something_is_lost():
+def test_a_recorded_drive_is_healthy_until_a_part_is_lost():
     health = LidarHealth()
     folder = Path(os.environ["SSDNET_DATA"]) / "kitti_stream" / "sparse_depth_02"
     depths = [read_sparse_depth(path) for path in sorted(folder.iterdir())]

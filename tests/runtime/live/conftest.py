@@ -13,14 +13,14 @@ MS = 1_000_000
 
 
 class ManualClock:
-    """Moved by the test alone. Who waits for a time is woken when it has come."""
+    """Moved by the test alone; a thread that waits for a time wakes up when it is reached."""
 
     def __init__(self):
         self._now_ns = 0
         self._conditions = set()
         self._lock = threading.Lock()
         self._waiting = set()  # threads
-        self._someone_waits = threading.Condition()
+        self._a_thread_waits = threading.Condition()
 
     def now_ns(self):
         return self._now_ns
@@ -29,28 +29,28 @@ class ManualClock:
         with self._lock:
             self._conditions.add(changed)
         if timeout_ns is None or timeout_ns > 0:
-            with self._someone_waits:
+            with self._a_thread_waits:
                 self._waiting.add(threading.get_ident())
-                self._someone_waits.notify_all()
+                self._a_thread_waits.notify_all()
             assert changed.wait(60), "a test that hangs fails"
-            with self._someone_waits:
+            with self._a_thread_waits:
                 self._waiting.discard(threading.get_ident())
 
-    def tell(self):
+    def notify(self):
         """Wake `holds_up`."""
-        with self._someone_waits:
-            self._someone_waits.notify_all()
+        with self._a_thread_waits:
+            self._a_thread_waits.notify_all()
 
     def holds_up(self, thread, changed, *, still=lambda: True, ended=lambda: False):
-        """Whether `thread` comes to wait while `still` holds, instead of being `ended`."""
+        """Whether `thread` starts to wait while `still` holds, instead of being `ended`."""
         while True:
-            with self._someone_waits:
-                seen = self._someone_waits.wait_for(
+            with self._a_thread_waits:
+                seen = self._a_thread_waits.wait_for(
                     lambda: ended() or thread.ident in self._waiting, timeout=60
                 )
             if not seen or ended():
                 return False
-            with changed:  # nobody is on the way: whoever was notified waits again or has moved
+            with changed:  # no thread is between: a notified one waits again or has moved
                 if thread.ident in self._waiting and still():
                     return True
 
@@ -66,7 +66,7 @@ class ManualClock:
 class CheckedPredictor:
     """Checks a frame as the engine does and answers depth + 1.
 
-    gate: is asked for leave before each prediction; hold it with `gate.clear()`
+    gate: predictions wait until it is set; `gate.clear()` holds them
     """
 
     focal_length_px = None

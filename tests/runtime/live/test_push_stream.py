@@ -35,7 +35,7 @@ def push_pair(stream, number):
 
 
 def add_up(counts):
-    """Check that every message is accounted for, and give the counts back."""
+    """Check that every message is accounted for, and return the counts."""
     for of in (counts.images, counts.depths, counts):
         others = sum(sum(each.values()) for each in (of.dropped, of.unmatched, of.errors))
         assert of.pushed == of.answered + of.pending + others
@@ -97,14 +97,14 @@ def test_a_replay_answers_every_frame_in_order_from_two_threads(setup):
 
 
 def push_all(made, frames):
-    """Start a thread that pushes so many pairs. Returns it and what says that it is through."""
+    """Start a thread that pushes so many pairs. Returns it and the event of its end."""
     done = threading.Event()
 
     def push():
         for number in range(frames):
             push_pair(made.stream, number)
         done.set()
-        made.clock.tell()
+        made.clock.notify()
 
     pusher = threading.Thread(target=push)
     pusher.start()
@@ -129,7 +129,7 @@ def test_a_replay_makes_the_pusher_wait_until_there_is_room(setup):
 
 
 @pytest.mark.parametrize("mode", ["live", "replay"])
-def test_who_waits_for_an_answer_is_woken_once(setup, mode):
+def test_a_reader_is_woken_once_for_each_result(setup, mode):
     made = setup(mode=mode)
     waits = Counter()
     wait = made.clock.wait
@@ -244,7 +244,7 @@ def test_a_replay_of_one_sensor_alone_pauses_once_and_goes_on(setup, max_wait_ms
         for number in range(40):
             made.stream.push_image(image(number), number / 10)
         pushed.set()
-        made.clock.tell()
+        made.clock.notify()
 
     camera = threading.Thread(target=push_images)
     camera.start()
@@ -267,7 +267,7 @@ def test_a_replay_of_depth_alone_is_unmatched_to_the_last(setup):
         for number in range(17):
             made.stream.push_depth(depth(number), number / 10)
         pushed.set()
-        made.clock.tell()
+        made.clock.notify()
 
     lidar = threading.Thread(target=push_depths)
     lidar.start()
@@ -300,7 +300,7 @@ def test_in_a_replay_latency_begins_with_the_turn_and_there_is_no_age(setup):
     assert [(r.latency_ms, r.age_ms, r.deadline_met) for r in made.stream] == [(30, None, None)] * 3
 
 
-def test_what_was_pushed_may_be_written_to_afterwards(setup):
+def test_pushed_arrays_may_be_reused_afterwards(setup):
     made = setup(mode="replay")
     made.predictor.gate.clear()
     rgb, sparse_depth = image(3), depth(3)
@@ -316,7 +316,7 @@ def test_what_was_pushed_may_be_written_to_afterwards(setup):
 # --- errors ------------------------------------------------------------------------------------
 
 
-def test_what_cannot_be_a_message_is_refused_and_counted(setup):
+def test_invalid_messages_are_refused_and_counted(setup):
     stream = setup().stream
     with pytest.raises(InputError, match="rgb must be uint8"):
         stream.push_image(image().astype(np.float32), 0)
@@ -332,10 +332,10 @@ def test_what_cannot_be_a_message_is_refused_and_counted(setup):
 
 
 def test_frames_that_do_not_fit_and_a_failing_session_are_errors_and_the_stream_goes_on(setup):
-    told, heard = [], threading.Semaphore(0)
+    reported, heard = [], threading.Semaphore(0)
 
     def hear(error):
-        told.append(type(error))
+        reported.append(type(error))
         heard.release()
 
     made = setup(mode="replay", on_error=hear)
@@ -349,7 +349,7 @@ def test_frames_that_do_not_fit_and_a_failing_session_are_errors_and_the_stream_
     push_pair(made.stream, 2)
     made.stream.close()
     assert [result.image_stamp for result in made.stream] == [0.2]
-    assert told == [InputError, InferenceError]
+    assert reported == [InputError, InferenceError]
     counts = add_up(made.stream.counts)
     assert counts.images.errors == {"input_error": 1, "inference_error": 1}
     assert counts.depths.errors == {"input_error": 1, "inference_error": 1}
@@ -390,7 +390,7 @@ def test_close_answers_what_waits_and_may_be_called_again_and_from_any_thread(se
     assert counts.dropped["closed"] == 2
 
 
-def test_close_lets_go_who_waits_for_room_and_who_waits_for_answers(setup):
+def test_close_releases_pushes_and_readers_that_wait(setup):
     made = setup(mode="replay")
     made.predictor.gate.clear()
     done = threading.Event()
@@ -535,7 +535,7 @@ def test_an_error_of_the_callback_ends_the_stream_and_comes_out_at_close(setup):
     assert add_up(made.stream.counts).pending == 0
 
 
-def test_an_error_of_the_callback_lets_go_who_waits_for_room(setup):
+def test_an_error_of_the_callback_releases_pushes_that_wait(setup):
     made = setup(mode="replay", on_result=lambda result: 1 / 0)
     made.predictor.gate.clear()
     raised = []
@@ -568,13 +568,13 @@ def test_an_error_of_the_sensors_clock_ends_the_stream_and_its_frame_is_counted(
     assert counts.errors == {"inference_error": 2}
 
 
-def test_a_sensors_clock_that_tells_no_time_is_an_error_of_each_frame(setup):
-    told = []
-    made = setup(mode="replay", sensor_clock=lambda: float("nan"), on_error=told.append)
+def test_an_invalid_time_of_the_sensors_clock_is_an_error_of_each_frame(setup):
+    reported = []
+    made = setup(mode="replay", sensor_clock=lambda: float("nan"), on_error=reported.append)
     for number in range(3):
         push_pair(made.stream, number)
     made.stream.close()
-    assert [str(error)[:13] for error in told] == ["stamp must be"] * 3
+    assert [str(error)[:13] for error in reported] == ["stamp must be"] * 3
     assert add_up(made.stream.counts).errors == {"input_error": 6}
 
 
@@ -595,7 +595,7 @@ def test_an_error_of_the_block_is_not_hidden_by_one_of_the_callback(setup):
 
 
 def arrays(*good):
-    """Any shape and type, some of the shapes that are right with another type, and what is good."""
+    """Arrays of any shape and type, other objects, and valid arrays."""
     shapes = st.one_of(
         hnp.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=40),
         st.sampled_from([(32, 40), (32, 40, 3), (1, 1, 3), (0, 3), (5, 3), (5, 4), (5, 2), (8, 8)]),
@@ -637,7 +637,7 @@ messages_of_all_sensors = st.lists(
 
 
 def is_stamp(stamp):
-    """Seconds or nanoseconds that 64 bits of nanoseconds hold, said without the code's help."""
+    """Whether it fits in 64 bits of nanoseconds, computed independently of the code."""
     if isinstance(stamp, float | np.floating):
         return bool(abs(stamp) * 1e9 < 2**63)
     return type(stamp) in (int, np.uint64) and -(2**63) <= stamp < 2**63
@@ -693,11 +693,11 @@ def test_10_000_bad_messages_are_refused_or_flagged_and_accounted_for(checked_pr
                     expected = "stamp must"
                 try:
                     getattr(stream, method)(data, stamp)
-                    said = None
+                    message = None
                 except InputError as error:
-                    said = str(error)
-                if (said is None) != (expected is None) or (said and expected not in said):
-                    wrong.append((method, data, stamp, said))
+                    message = str(error)
+                if (message is None) != (expected is None) or (message and expected not in message):
+                    wrong.append((method, data, stamp, message))
 
         pushers = [
             threading.Thread(target=push, args=(messages[k::threads],)) for k in range(threads)
@@ -753,11 +753,11 @@ def test_statistics_hold_every_answer(setup):
     assert (statistics.missed.count, statistics.missed.longest_run) == (2, 2)
 
 
-def test_the_watchdog_tells_changes_and_is_right_when_asked(setup):
-    told, heard = [], threading.Semaphore(0)
+def test_the_watchdog_reports_changes_and_its_present_state(setup):
+    reported, heard = [], threading.Semaphore(0)
 
     def hear(state):
-        told.append((str(state.level), state.reasons))
+        reported.append((str(state.level), state.reasons))
         heard.release()
 
     made = setup(mode="live", deadline_ms=30, on_state=hear)
@@ -774,24 +774,24 @@ def test_the_watchdog_tells_changes_and_is_right_when_asked(setup):
     made.predictor.gate.clear()
     push_pair(made.stream, 2)
     made.clock.advance_ms(2000)
-    assert str(made.stream.state.level) == "ERROR", "although the worker hangs"
+    assert str(made.stream.state.level) == "ERROR", "while the worker hangs"
     made.predictor.gate.set()
     made.predictor.takes_ms = 0
     made.stream.close()
-    assert told[:3] == [("OK", ()), ("WARN", ("late",)), ("WARN", ("late", "silence_ms"))]
+    assert reported[:3] == [("OK", ()), ("WARN", ("late",)), ("WARN", ("late", "silence_ms"))]
 
 
 def test_errors_reach_the_watchdog(setup):
-    told, heard = [], threading.Semaphore(0)
+    reported, heard = [], threading.Semaphore(0)
 
     def hear(state):
-        told.append(state.reasons)
+        reported.append(state.reasons)
         heard.release()
 
     made = setup(mode="replay", on_state=hear)
     made.predictor.fail_with = InferenceError("the device was lost")
     push_pair(made.stream, 0)
-    while ("failed",) not in told:
+    while ("failed",) not in reported:
         assert heard.acquire(timeout=60)
 
 
@@ -848,7 +848,7 @@ def test_bad_points_are_refused_and_counted(setup):
         setup().stream.push_points(np.zeros((3, 3), np.float32), 0)
 
 
-def test_returns_are_held_out_where_it_was_asked_for(setup):
+def test_returns_are_held_out_with_the_option_consistency(setup):
     made = setup(mode="replay", consistency=0.5)
     plain = setup(mode="replay")
     for stream in (made.stream, plain.stream):

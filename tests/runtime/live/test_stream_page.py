@@ -1,4 +1,4 @@
-"""A stream of pushed frames has the same page, made of its statistics and counts."""
+"""The page of a stream, made of its statistics and counts."""
 
 import pytest
 
@@ -10,7 +10,7 @@ N = 9
 
 @pytest.fixture
 def streamed(model_file, make_frame):
-    """(page, stream) after N frames, one without depth, one that stands still, and a lone depth."""
+    """(page, stream) after N frames, one without depth, one frozen, and one depth map alone."""
     with Predictor(model_file(), threads=1) as predictor:
         page = StreamPage(predictor)
         with PushStream(predictor, mode="replay", deadline_ms=1e-3, on_result=page.add) as stream:
@@ -23,7 +23,7 @@ def streamed(model_file, make_frame):
         yield page, stream
 
 
-def test_the_page_tells_of_the_stream(tmp_path, streamed, read_page):
+def test_the_page_shows_the_stream(tmp_path, streamed, read_page):
     page, stream = streamed
     path = tmp_path / "deep" / "report.html"
     page.write(str(path), stream)
@@ -45,7 +45,7 @@ def test_the_page_tells_of_the_stream(tmp_path, streamed, read_page):
     assert all(link.startswith("data:") for link in read.links)
 
 
-def test_it_is_written_as_often_as_wanted_and_while_the_stream_runs(
+def test_it_may_be_written_repeatedly_and_while_the_stream_runs(
     tmp_path, model_file, make_frame, read_page
 ):
     path = tmp_path / "report.html"
@@ -59,7 +59,7 @@ def test_it_is_written_as_often_as_wanted_and_while_the_stream_runs(
     assert read_page(path.read_text()).after("frames") == "1"
 
 
-def test_a_place_that_cannot_be_written_is_an_output_error(tmp_path, streamed):
+def test_a_path_that_cannot_be_written_is_an_output_error(tmp_path, streamed):
     page, stream = streamed
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="cannot write"):

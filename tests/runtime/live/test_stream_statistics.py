@@ -57,7 +57,7 @@ def test_misses_and_their_longest_run():
     assert names[5:9] == ["latency", "age", "skew", "jitter"]
 
 
-def test_without_a_deadline_nothing_is_said_of_it():
+def test_without_a_deadline_there_are_no_misses():
     recorder = StatisticsRecorder(None)
     record(recorder, 0, 0, latency=1.0)
     assert recorder.statistics().missed is None

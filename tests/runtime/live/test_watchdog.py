@@ -50,7 +50,7 @@ def test_frames_that_were_errors_count_as_failed():
     assert levels(watchdog) == ("ERROR", ("failed",))
 
 
-def test_silence_is_told_by_the_clock_and_ends_with_an_answer():
+def test_silence_is_reported_by_the_clock_and_ends_with_a_result():
     watchdog = Watchdog(WatchdogLimits(silence_ms=(500, 2000)), live=True)
     watchdog.start(0)
     watchdog.start(400 * MS)  # only the first message counts
@@ -81,6 +81,6 @@ def test_the_worst_counts_and_none_is_never():
 
 
 @pytest.mark.parametrize("pair", [None, (1,), (0, 2), (1, True), ("1", 2), [1, 2], (-1, None)])
-def test_limits_that_are_none(pair):
+def test_invalid_limits(pair):
     with pytest.raises(InputError, match="late must be a pair"):
         WatchdogLimits(late=pair)

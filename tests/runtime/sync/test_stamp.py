@@ -23,7 +23,7 @@ def test_floats_are_seconds_and_ints_nanoseconds(stamp, nanoseconds):
 
 
 @pytest.mark.parametrize(
-    ("stamp", "said"),
+    ("stamp", "message"),
     [
         (None, "got NoneType"),
         ("1.0", "got str"),
@@ -38,6 +38,6 @@ def test_floats_are_seconds_and_ints_nanoseconds(stamp, nanoseconds):
         (np.zeros(3), "got ndarray"),
     ],
 )
-def test_what_is_no_stamp_is_refused(stamp, said):
-    with pytest.raises(InputError, match=said):
+def test_invalid_stamps_are_refused(stamp, message):
+    with pytest.raises(InputError, match=message):
         stamp_ns(stamp)

@@ -38,7 +38,7 @@ def test_a_sensor_that_was_recorded_late_still_finds_its_partners():
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_a_sensor_that_is_silent_holds_nothing_up(order):
+def test_a_silent_sensor_does_not_block(order):
     messages = (
         [("image", 100 * i) for i in range(1000)],
         [("depth", 500_000 + i) for i in range(600)],
@@ -60,13 +60,13 @@ def test_duplicates_and_late_images_are_left_out_and_counted():
     assert left_out_note(Counter()) == ()
 
 
-def test_a_recording_that_starts_again_goes_on():
+def test_stamps_that_start_again_are_matched_again():
     messages = [(sensor, t) for t in (9000, 9100, 0, 100) for sensor in ("image", "depth")]
     stamps, _ = match(messages)
     assert stamps == [(9000, 9000), (9100, 9100), (0, 0), (100, 100)]
 
 
 @pytest.mark.parametrize("skew", [-1, float("nan"), 1e9])
-def test_a_skew_that_cannot_be_one(skew):
+def test_an_invalid_skew(skew):
     with pytest.raises(InputError, match="max_skew_ms"):
         match([], max_skew_ms=skew)

@@ -1,4 +1,4 @@
-"""Matching by stamps: by hand, against a plain loop, and what holds for any sequence at all."""
+"""Matching by stamps: by hand, against a plain loop, and invariants of any sequence."""
 
 import numpy as np
 import pytest
@@ -65,7 +65,7 @@ def test_equal_stamps_are_matched_at_once(live):
 
 
 @pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
-def test_the_nearest_wins_also_when_it_comes_last(live):
+def test_the_nearest_wins_also_when_it_is_last(live):
     played = Played(live=live)
     played.depth(0)
     assert played.image(18) == [], "18 ms apart: a nearer one may come"
@@ -115,7 +115,7 @@ def test_live_an_image_waits_for_max_wait_by_the_clock_and_no_longer():
     assert played.outcomes() == [(DEPTH, 0, Outcome.NO_IMAGE)]
 
 
-def test_live_what_is_uncertain_is_decided_with_what_is_there():
+def test_live_an_uncertain_match_is_made_after_max_wait():
     played = Played(live=True)
     played.depth(-10, at=0)
     assert played.image(0, at=5) == []
@@ -150,7 +150,7 @@ def test_replayed_images_stay_in_order_behind_one_that_waits():
 
 
 @pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
-def test_duplicates_and_late_images_are_told(live):
+def test_duplicates_and_late_images_are_discarded(live):
     played = Played(live=live)
     played.image(100)
     played.image(100)
@@ -166,7 +166,7 @@ def test_duplicates_and_late_images_are_told(live):
     assert played.synchronizer.out_of_order == 1
 
 
-def test_out_of_order_messages_that_wait_are_put_in_order():
+def test_out_of_order_messages_that_wait_are_sorted():
     played = Played(live=False)
     for stamp in (40, 0):
         played.image(stamp)
@@ -234,7 +234,7 @@ rising = st.lists(st.integers(1, 80), max_size=12).map(lambda steps: np.cumsum(s
 
 @settings(max_examples=100, deadline=None)
 @given(images=rising, depths=rising, turns=st.randoms(use_true_random=False))
-def test_a_replay_matches_as_a_plain_loop_whoever_pushes_first(images, depths, turns):
+def test_a_replay_matches_as_a_plain_loop_in_any_order_of_pushes(images, depths, turns):
     played = Played(live=False)
     sensors = [IMAGE] * len(images) + [DEPTH] * len(depths)
     turns.shuffle(sensors)
@@ -259,7 +259,7 @@ anything = st.lists(
 
 @settings(max_examples=150, deadline=None)
 @given(messages=anything, live=st.booleans(), capacity=st.integers(1, 5))
-def test_any_sequence_is_accounted_for(messages, live, capacity):
+def test_every_message_of_any_sequence_is_accounted_for(messages, live, capacity):
     played = Played(live=live, capacity=capacity)
     now, jumps, epoch = 0, 0, 0
     for sensor, stamp, after in messages:
