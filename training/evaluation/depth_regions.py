@@ -1,24 +1,23 @@
-"""Depth errors by what could be known: near a return, near a return at an edge, and elsewhere.
+"""Depth errors by region: near a return, near a return at a depth edge, and elsewhere.
 
-For dense ground truth alone, as of rendered scenes. The regions of a frame:
+Only for dense ground truth, as of rendered scenes. The regions of a frame:
 
 - depth edge: a pixel with true depths in the 3 x 3 pixels around it of which the farthest is more
-  than `EDGE_RATIO` times the nearest. Unknown depth (sky) and what counts in no figure makes none.
+  than `EDGE_RATIO` times the nearest. Pixels of unknown depth (sky), and those that are not scored,
+  make no edge.
 - "interior": at most `RETURN_REACH_PX` from a return that was fed and farther than `EDGE_REACH_PX`
-  from every depth edge: what the LiDAR knows already.
+  from every depth edge.
 - "edge": as near to a return, and at most `EDGE_REACH_PX` from a depth edge.
-- "uncovered": the rest, where only the picture can tell.
+- "uncovered": the rest, where only the image can tell.
 
 Distances are Euclidean between centres of pixels, at the size of the frame.
 """
-
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import ErrorSums, require_same_shape, scored
+from training.evaluation.metrics import Errors, ErrorSums, require_same_shape, scored
 
 RETURN_REACH_PX = 12
 EDGE_REACH_PX = 3
@@ -26,28 +25,15 @@ EDGE_RATIO = 1.1
 
 REGIONS = ("interior", "edge", "uncovered")
 
-#: Dense is a truth whose known pixels have so large a share of known ones around them. Rendered
-#: depth has 0.99, the accumulated scans of KITTI's streets 0.5.
+#: Share of known pixels around the known pixels of a dense true depth. Rendered depth has 0.99, the
+#: accumulated scans of KITTI's streets 0.5.
 _DENSE_SHARE = 0.9
 _AROUND = (3, 3)
-_BEYOND_M = 1e6  # stands for no depth where the nearest is looked for
-
-
-@dataclass(frozen=True)
-class DepthRegionMetrics:
-    """Errors of depth in one of the `REGIONS`."""
-
-    region: str
-    pixels: int
-    mae_m: float
-    rmse_m: float
+_BEYOND_M = 1e6  # in place of unknown depth in a minimum
 
 
 class DepthRegionScores:
-    """MAE and RMSE of each of the `REGIONS`, over the same pixels as `DepthScores`.
-
-    Accumulates with `update`, takes in another's sums with `merge`.
-    """
+    """MAE and RMSE of each of the `REGIONS`, over the same pixels as `DepthScores`."""
 
     def __init__(self) -> None:
         self._sums = {region: ErrorSums() for region in REGIONS}
@@ -58,10 +44,15 @@ class DepthRegionScores:
         depth: NDArray[np.floating],
         fed: NDArray[np.floating],
     ) -> None:
-        """Count a frame: float (H, W) [m], the answer, the dense truth and the depth that was fed.
+        """Count a frame.
 
-        0, negative or not finite in `depth` = no truth, 0 in `fed` = no return. Raises ValueError
-        if the shapes differ.
+        Args:
+            prediction: float (H, W) [m].
+            depth: the dense true depth, float (H, W) [m]; 0, negative or not finite = unknown.
+            fed: the depth that was fed, float (H, W) [m]; 0 = no return.
+
+        Raises:
+            ValueError: if the shapes differ.
         """
         require_same_shape(prediction=prediction, depth=depth, fed=fed)
         known = scored(depth)
@@ -74,16 +65,13 @@ class DepthRegionScores:
         for region, sums in self._sums.items():
             sums.merge(other._sums[region])
 
-    def compute(self) -> tuple[DepthRegionMetrics, ...]:
-        """Return the metrics of all frames so far, in the order of `REGIONS`."""
-        return tuple(
-            DepthRegionMetrics(region, sums.pixels, sums.mae, sums.rmse)
-            for region, sums in self._sums.items()
-        )
+    def compute(self) -> dict[str, Errors]:
+        """Return the errors [m] of all frames so far, by region."""
+        return {region: sums.compute() for region, sums in self._sums.items()}
 
 
 def is_dense(depth: NDArray[np.floating]) -> bool:
-    """Whether a true depth (H, W) is dense where it is known; without any it is not."""
+    """Whether a true depth (H, W) [m] is dense where it is known; not if nothing is known."""
     known = scored(depth)
     if not known.any():
         return False
@@ -94,10 +82,7 @@ def is_dense(depth: NDArray[np.floating]) -> bool:
 def split_regions(
     depth: NDArray[np.floating], fed: NDArray[np.floating]
 ) -> dict[str, NDArray[np.bool_]]:
-    """Return the mask (H, W) of each of the `REGIONS`; every pixel is in one of them.
-
-    depth: the dense truth [m]; fed: what was fed [m], 0 = no return.
-    """
+    """Return the mask, bool (H, W), of each of the `REGIONS`; every pixel is in one of them."""
     covered = _within(fed > 0, RETURN_REACH_PX)
     at_edge = _within(depth_edges(depth), EDGE_REACH_PX)
     return {
@@ -118,8 +103,10 @@ def depth_edges(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
 
 
 def _within(mask: NDArray[np.bool_], reach_px: int) -> NDArray[np.bool_]:
-    """Where a pixel of the mask is at most so far away."""
+    """Return the pixels at most `reach_px` from a pixel of the mask."""
     if not mask.any():  # OpenCV's distance to nothing is finite
         return mask
-    to_it = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return np.asarray(to_it <= reach_px)
+    distance_px = cv2.distanceTransform(
+        (~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
+    )
+    return np.asarray(distance_px <= reach_px)

@@ -1,8 +1,8 @@
 """The metrics of Table 1, KITTI's inverse-depth errors, boundary precision and recall, road IoU.
 
-Each `...Scores` accumulates over frames with `update`, takes in another's counts with `merge`, and
-`compute` says what all frames together come to. Everything is counted over pixels, not averaged
-over frames. A number that nothing was measured for is NaN.
+Each `...Scores` accumulates over frames with `update`, adds another's counts with `merge`, and
+`compute` returns the metrics of all frames together. Everything is counted over pixels, not
+averaged over frames. A number that nothing was measured for is NaN.
 """
 
 from collections.abc import Mapping, Sequence, Set
@@ -18,40 +18,50 @@ from torchmetrics.functional.classification import multiclass_confusion_matrix
 from training.losses.boundary import boundary_target
 from training.losses.semantic import IGNORE
 
-#: The widest range of Table 1: what truly lies beyond it counts in no figure of depth [m].
+#: The widest range of Table 1 [m]: pixels whose true depth is beyond it are not scored.
 FARTHEST_M = 100.0
-#: Predictions nearer than this are taken as this where depth is inverted [m].
+#: Where depth is inverted, nearer predictions count as this [m].
 _NEAREST_M = 0.1
 
 
 @dataclass(frozen=True)
 class SemanticMetrics:
-    """Table 1, shares 0..1."""
+    """Table 1, shares 0..1.
+
+    Attributes:
+        class_iou: by class id; NaN for a class neither labelled nor predicted.
+    """
 
     accuracy: float
     mean_accuracy: float
     mean_iou: float
     frequency_weighted_iou: float
-    #: IoU by class id; NaN for a class neither labelled nor predicted.
     class_iou: tuple[float, ...]
 
 
 class SemanticScores:
     """Acc, mAcc, mIoU and fwIoU from one confusion matrix.
 
-    A class that is neither in the ground truth nor predicted is left out of mIoU; one that is
-    predicted only counts with IoU 0. mAcc is over the classes in the ground truth.
+    A class that is neither in the ground truth nor predicted is left out of mIoU; one that is only
+    predicted counts with IoU 0. mAcc is over the classes in the ground truth.
+
+    Attributes:
+        confusion: int64 (C, C), pixels by label (row) and prediction (column).
     """
 
     def __init__(self, num_classes: int) -> None:
         self.num_classes = num_classes
-        #: int64 (C, C): pixels by label (row) and prediction (column).
         self.confusion: NDArray[np.int64] = np.zeros((num_classes, num_classes), dtype=np.int64)
 
     def update(self, prediction: NDArray[np.integer], semantic: NDArray[np.integer]) -> None:
-        """Count a frame: class ids of any integer type (H, W); 255 in `semantic` = ignore.
+        """Count a frame.
 
-        Raises ValueError if the shapes differ or an id is not a class.
+        Args:
+            prediction: class ids of any integer type (H, W).
+            semantic: the labels, class ids (H, W); 255 = ignore.
+
+        Raises:
+            ValueError: if the shapes differ or an id is not a class.
         """
         require_same_shape(prediction=prediction, semantic=semantic)
         known = semantic != IGNORE
@@ -79,9 +89,13 @@ class SemanticScores:
     ) -> dict[str, float]:
         """Return the IoU of every category (Cityscapes' IoU_cat is their mean).
 
-        class_names: of the ids 0..C-1. groups: category -> names of its classes; a category
-        without any of these classes is left out. A pixel labelled as a class of no category does
-        not count; one only predicted so is wrong for the category it is labelled as.
+        A pixel labelled as a class of no category does not count; one that is only predicted so is
+        wrong for the category it is labelled as.
+
+        Args:
+            class_names: of the ids 0..C-1.
+            groups: category -> names of its classes; a category without any of these classes is
+                left out.
         """
         groups = {name: group for name, group in groups.items() if group & set(class_names)}
         if not groups:
@@ -113,21 +127,27 @@ class SemanticScores:
 class RoadScores:
     """IoU of the road against a mask of it that was drawn by hand.
 
-    Predicted road is the class of that name, whatever else its table has. Accumulates with
-    `update`, takes in another's counts with `merge`.
+    Predicted road is the class of that name, whatever other classes there are.
+
+    Attributes:
+        counts: int64 (2, C), pixels by mask (no road, road) and predicted class.
     """
 
     #: Values of a mask.
     NO_ROAD, ROAD = 0, 1
 
     def __init__(self, num_classes: int) -> None:
-        #: int64 (2, C): pixels by mask (no road, road) and predicted class.
         self.counts: NDArray[np.int64] = np.zeros((2, num_classes), dtype=np.int64)
 
     def update(self, prediction: NDArray[np.integer], road_mask: NDArray[np.integer]) -> None:
-        """Count a frame: class ids (H, W) against 0 = not road, 1 = road, anything else unknown.
+        """Count a frame.
 
-        Raises ValueError if the shapes differ or an id is not a class.
+        Args:
+            prediction: class ids (H, W).
+            road_mask: (H, W), 0 = not road, 1 = road, anything else = unknown.
+
+        Raises:
+            ValueError: if the shapes differ or an id is not a class.
         """
         require_same_shape(prediction=prediction, road_mask=road_mask)
         num_classes = self.counts.shape[1]
@@ -152,8 +172,17 @@ class RoadScores:
         return float(_ratio(hit, self.counts[1].sum() + self.counts[0, road]))
 
 
+@dataclass(frozen=True)
+class Errors:
+    """Mean absolute and root mean square error, in the unit of the errors; NaN of no pixels."""
+
+    pixels: int
+    mae: float
+    rmse: float
+
+
 class ErrorSums:
-    """Count, mean absolute and root mean square of errors, from sums."""
+    """`Errors` from sums over frames."""
 
     def __init__(self) -> None:
         self._sums = np.zeros(3)  # pixels, sum |e|, sum e^2
@@ -166,63 +195,51 @@ class ErrorSums:
         """Add another's sums."""
         self._sums += other._sums
 
-    @property
-    def pixels(self) -> int:
-        """How many were counted."""
-        return int(self._sums[0])
-
-    @property
-    def mae(self) -> float:
-        """Mean absolute error; NaN of nothing."""
-        return float(_ratio(self._sums[1], self._sums[0]))
-
-    @property
-    def rmse(self) -> float:
-        """Root mean square error; NaN of nothing."""
-        return float(np.sqrt(_ratio(self._sums[2], self._sums[0])))
-
-
-@dataclass(frozen=True)
-class DepthRangeMetrics:
-    """Errors over the pixels whose true depth lies in (0, `up_to_m`]."""
-
-    up_to_m: float
-    pixels: int
-    mae_m: float
-    rmse_m: float
+    def compute(self) -> Errors:
+        """Return the errors of all frames so far."""
+        pixels, absolute, square = self._sums
+        return Errors(
+            int(pixels), float(_ratio(absolute, pixels)), float(np.sqrt(_ratio(square, pixels)))
+        )
 
 
 @dataclass(frozen=True)
 class DepthMetrics:
-    """Errors of depth over the pixels up to `FARTHEST_M`, and over Table 1's nearer ranges."""
+    """Errors of depth.
 
-    pixels: int
-    mae_m: float
-    rmse_m: float
-    #: Errors of inverse depth, as KITTI scores depth completion.
-    imae_per_km: float
-    irmse_per_km: float
-    ranges: tuple[DepthRangeMetrics, ...]
+    Attributes:
+        metres: over all scored pixels.
+        per_km: of inverse depth over the same pixels, as KITTI scores depth completion [1/km].
+        ranges: end of a range from 0 [m] -> errors in metres where the true depth lies in it.
+    """
+
+    metres: Errors
+    per_km: Errors
+    ranges: Mapping[float, Errors]
 
 
 class DepthScores:
     """MAE, RMSE, iMAE and iRMSE over the same pixels, and MAE and RMSE within nearer ranges.
 
-    What truly lies beyond `FARTHEST_M` is not scored.
+    Pixels whose true depth is beyond `FARTHEST_M` are not scored.
     """
 
     def __init__(self, up_to_m: Sequence[float] = (20.0, 50.0)) -> None:
         self.up_to_m = tuple(up_to_m)
-        # Rows: each range, then all scored pixels. Columns: pixels, sum |e|, sum e^2.
-        self._sums = np.zeros((len(self.up_to_m) + 1, 3))
-        self._inverse_sums = np.zeros(2)
+        self._metres, self._per_km = ErrorSums(), ErrorSums()
+        self._ranges = {limit: ErrorSums() for limit in self.up_to_m}
 
     def update(self, prediction: NDArray[np.floating], depth: NDArray[np.floating]) -> None:
-        """Count a frame: float (H, W) [m]; 0, negative or not finite in `depth` = no truth.
+        """Count a frame.
 
-        A prediction of 0 ("no answer") is scored as the number it is; where depth is inverted
-        what is nearer than 0.1 m is taken as 0.1 m. Raises ValueError if the shapes differ or a
-        prediction is not finite where there is truth.
+        Args:
+            prediction: float (H, W) [m]; 0, "no answer", is scored as a depth. Where depth is
+                inverted, below 0.1 m counts as 0.1 m.
+            depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
+
+        Raises:
+            ValueError: if the shapes differ, or a prediction is not finite where the true depth is
+                known.
         """
         require_same_shape(prediction=prediction, depth=depth)
         known = scored(depth)
@@ -233,37 +250,24 @@ class DepthScores:
                 f"{int((~np.isfinite(answer)).sum())} of {answer.size} predicted depths are NaN or "
                 "infinite where there is ground truth; expected metres"
             )
-        error = np.abs(answer - truth)
-        for row, limit in enumerate((*self.up_to_m, np.inf)):
-            within = error[truth <= limit]
-            self._sums[row] += within.size, within.sum(), np.square(within).sum()
-        inverse_error = 1000 * np.abs(1 / np.maximum(answer, _NEAREST_M) - 1 / truth)
-        self._inverse_sums += inverse_error.sum(), np.square(inverse_error).sum()
+        error = answer - truth
+        self._metres.add(error)
+        for limit, sums in self._ranges.items():
+            sums.add(error[truth <= limit])
+        self._per_km.add(1000 * (1 / np.maximum(answer, _NEAREST_M) - 1 / truth))
 
     def merge(self, other: "DepthScores") -> None:
         """Add another's sums. Raises ValueError for other ranges."""
         require_equal("up_to_m", self.up_to_m, other.up_to_m)
-        self._sums += other._sums
-        self._inverse_sums += other._inverse_sums
+        self._metres.merge(other._metres)
+        self._per_km.merge(other._per_km)
+        for limit, sums in self._ranges.items():
+            sums.merge(other._ranges[limit])
 
     def compute(self) -> DepthMetrics:
         """Return the metrics of all frames so far."""
-        pixels = self._sums[:, 0]
-        mae = _ratio(self._sums[:, 1], pixels)
-        rmse = np.sqrt(_ratio(self._sums[:, 2], pixels))
-        imae, inverse_square = _ratio(self._inverse_sums, pixels[-1])
-        ranges = tuple(
-            DepthRangeMetrics(limit, int(pixels[row]), float(mae[row]), float(rmse[row]))
-            for row, limit in enumerate(self.up_to_m)
-        )
-        return DepthMetrics(
-            pixels=int(pixels[-1]),
-            mae_m=float(mae[-1]),
-            rmse_m=float(rmse[-1]),
-            imae_per_km=float(imae),
-            irmse_per_km=float(np.sqrt(inverse_square)),
-            ranges=ranges,
-        )
+        ranges = {limit: sums.compute() for limit, sums in self._ranges.items()}
+        return DepthMetrics(self._metres.compute(), self._per_km.compute(), ranges)
 
 
 @dataclass(frozen=True)
@@ -274,15 +278,6 @@ class BoundaryMetrics:
     precision: float
     recall: float
     f_score: float
-
-
-@dataclass(frozen=True)
-class DisparityMetrics:
-    """Errors of stereo disparity in pixels of the data set's images."""
-
-    pixels: int
-    mae_px: float
-    rmse_px: float
 
 
 class DisparityScores:
@@ -300,10 +295,15 @@ class DisparityScores:
         depth: NDArray[np.floating],
         focal_baseline_px_m: float,
     ) -> None:
-        """Count a frame: depth float (H, W) [m], 0 in `depth` = no truth; f * b in px m.
+        """Count a frame.
 
-        A prediction nearer than 0.1 m is taken as 0.1 m. Raises ValueError if the shapes differ
-        or the focal length times baseline is not positive.
+        Args:
+            prediction: float (H, W) [m]; below 0.1 m counts as 0.1 m.
+            depth: the true depth, float (H, W) [m]; 0 = unknown.
+            focal_baseline_px_m: focal length times baseline [px m].
+
+        Raises:
+            ValueError: if the shapes differ or the focal length times baseline is not positive.
         """
         require_same_shape(prediction=prediction, depth=depth)
         if not focal_baseline_px_m > 0:
@@ -316,9 +316,9 @@ class DisparityScores:
         """Add another's sums."""
         self._sums.merge(other._sums)
 
-    def compute(self) -> DisparityMetrics:
-        """Return the metrics of all frames so far."""
-        return DisparityMetrics(self._sums.pixels, self._sums.mae, self._sums.rmse)
+    def compute(self) -> Errors:
+        """Return the errors of all frames so far, in pixels of the data set's images."""
+        return self._sums.compute()
 
 
 class BoundaryScores:
@@ -326,10 +326,10 @@ class BoundaryScores:
 
     Predicted boundary is where the probability exceeds a threshold; true boundary where the label
     changes, see `training.losses.boundary.boundary_target`. A predicted pixel is right if a true
-    one lies within `tolerance_px` of it (Euclidean), a true one is found if a predicted one does;
-    that is dilation, not one-to-one matching. Predictions are not thinned: a line that is thick,
-    but within the tolerance of the truth, is right. Pixels whose truth is unknown are left out.
-    With several thresholds `compute` gives the one of the best F-score over the whole set (ODS).
+    pixel lies within `tolerance_px` of it (Euclidean), and the reverse is a found pixel; that is
+    dilation, not one-to-one matching. Predictions are not thinned: a line that is thick, but within
+    the tolerance of the truth, is right. Pixels whose truth is unknown are left out. Of several
+    thresholds `compute` takes that of the best F-score over the whole set (ODS).
     """
 
     def __init__(self, thresholds: Sequence[float] = (0.5,), *, tolerance_px: int = 2) -> None:
@@ -339,9 +339,14 @@ class BoundaryScores:
         self._counts = np.zeros((len(self.thresholds), 4), dtype=np.int64)
 
     def update(self, probability: NDArray[np.floating], semantic: NDArray[np.integer]) -> None:
-        """Count a frame: float (H, W) in 0..1 against class ids (H, W), 255 = ignore.
+        """Count a frame.
 
-        Raises ValueError if the shapes differ.
+        Args:
+            probability: of a boundary, float (H, W), 0..1.
+            semantic: the labels, class ids (H, W); 255 = ignore.
+
+        Raises:
+            ValueError: if the shapes differ.
         """
         require_same_shape(probability=probability, semantic=semantic)
         target, valid = boundary_target(torch.from_numpy(semantic.astype(np.int64))[None])

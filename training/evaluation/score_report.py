@@ -32,9 +32,9 @@ _COLUMNS = (
         for region in REGIONS
         for error in ("mae", "rmse")
     ),
-    ("mae_m_surest_50", "MAE [mm] of the surest 50 %", 1000.0),
-    ("mae_m_surest_80", "80 %", 1000.0),
-    ("mae_m_surest_100", "100 %", 1000.0),
+    ("mae_m_confident_50", "MAE [mm] of the most confident 50 %", 1000.0),
+    ("mae_m_confident_80", "80 %", 1000.0),
+    ("mae_m_confident_100", "100 %", 1000.0),
     ("coverage_1", "errors within 1 scale %", 100.0),
     ("coverage_2", "2 scales %", 100.0),
     ("mae_px", "disparity MAE [px]", 1.0),

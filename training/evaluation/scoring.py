@@ -22,6 +22,7 @@ from training.evaluation.metrics import (
     BoundaryScores,
     DepthScores,
     DisparityScores,
+    Errors,
     RoadScores,
     SemanticScores,
 )
@@ -139,50 +140,48 @@ class Scores:
             getattr(self, part).merge(getattr(other, part))
 
     def figures(self, class_names: Sequence[str] = ()) -> dict[str, float]:
-        """Return what was scored as named numbers: shares 0..1, metres, 1/km.
+        """Return the scores as named numbers: shares 0..1, metres, 1/km, pixels.
 
-        class_names: of the ids; without them there is no IoU of a single class.
+        Args:
+            class_names: of the ids; without them there is no IoU of single classes.
         """
         figures: dict[str, float] = {}
-        semantic, depth, boundary = (
-            self.semantic.compute(),
-            self.depth.compute(),
-            self.boundary.compute(),
-        )
         if self.semantic.confusion.any():
+            semantic = self.semantic.compute()
             figures |= {
                 "miou": semantic.mean_iou,
                 "accuracy": semantic.accuracy,
                 "mean_accuracy": semantic.mean_accuracy,
                 "fwiou": semantic.frequency_weighted_iou,
             }
-            figures |= {
-                f"iou_{name}": value
-                for name, value in zip(class_names, semantic.class_iou, strict=bool(class_names))
-            }
             if class_names:
+                of_classes = zip(class_names, semantic.class_iou, strict=True)
+                figures |= {f"iou_{name}": value for name, value in of_classes}
                 figures |= _category_figures(self.semantic, class_names)
         names = [name.lower() for name in class_names]
         if self.road.counts.any() and ROAD in names:
             figures["road_iou"] = self.road.compute(names.index(ROAD))
-        if depth.pixels:
-            figures |= {"mae_m": depth.mae_m, "rmse_m": depth.rmse_m}
-            for part in depth.ranges:
-                figures |= {
-                    f"mae_m_0_{part.up_to_m:g}": part.mae_m,
-                    f"rmse_m_0_{part.up_to_m:g}": part.rmse_m,
-                }
-            figures |= {"imae_per_km": depth.imae_per_km, "irmse_per_km": depth.irmse_per_km}
-        for item in self.regions.compute():
-            if item.pixels:
-                figures |= {
-                    f"mae_m_{item.region}": item.mae_m,
-                    f"rmse_m_{item.region}": item.rmse_m,
-                }
-        figures |= _uncertainty_figures(self.uncertainty)
+        depth = self.depth.compute()
+        if depth.metres.pixels:
+            figures |= _error_figures(depth.metres)
+            for limit, errors in depth.ranges.items():
+                figures |= _error_figures(errors, f"m_0_{limit:g}")
+            figures |= {"imae_per_km": depth.per_km.mae, "irmse_per_km": depth.per_km.rmse}
+        for region, errors in self.regions.compute().items():
+            if errors.pixels:
+                figures |= _error_figures(errors, f"m_{region}")
+        uncertainty = self.uncertainty.compute()
+        if uncertainty.pixels:
+            for share, mae_m in uncertainty.confident_mae_m.items():
+                figures[f"mae_m_confident_{100 * share:.0f}"] = mae_m
+            figures |= {
+                "coverage_1": uncertainty.coverage_1,
+                "coverage_2": uncertainty.coverage_2,
+            }
         disparity = self.disparity.compute()
         if disparity.pixels:
-            figures |= {"mae_px": disparity.mae_px, "rmse_px": disparity.rmse_px}
+            figures |= _error_figures(disparity, "px")
+        boundary = self.boundary.compute()
         if not math.isnan(boundary.recall):
             figures |= {
                 "boundary_f": boundary.f_score,
@@ -193,16 +192,8 @@ class Scores:
         return figures
 
 
-def _uncertainty_figures(scores: UncertaintyScores) -> dict[str, float]:
-    uncertainty = scores.compute()
-    if not uncertainty.pixels:
-        return {}
-    surest = {f"mae_m_surest_{100 * item.share:.0f}": item.mae_m for item in uncertainty.surest}
-    return {
-        **surest,
-        "coverage_1": uncertainty.coverage_1,
-        "coverage_2": uncertainty.coverage_2,
-    }
+def _error_figures(errors: Errors, name: str = "m") -> dict[str, float]:
+    return {f"mae_{name}": errors.mae, f"rmse_{name}": errors.rmse}
 
 
 def _category_figures(semantic: SemanticScores, class_names: Sequence[str]) -> dict[str, float]:

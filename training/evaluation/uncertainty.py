@@ -1,6 +1,6 @@
-"""Whether a network knows how far its depth is off: the surest pixels, and coverage."""
+"""How well an uncertainty of depth ranks the errors, and how well it covers them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,31 +16,28 @@ _LOWEST_M, _HIGHEST_M, _BINS = 1e-3, 1e3, 4096
 
 
 @dataclass(frozen=True)
-class SurestMetrics:
-    """Mean absolute error of the surest share of the pixels."""
-
-    share: float
-    mae_m: float
-
-
-@dataclass(frozen=True)
 class UncertaintyMetrics:
-    """What an uncertainty is worth."""
+    """How well an uncertainty fits the errors.
+
+    Attributes:
+        confident_mae_m: share of the pixels, those of the least uncertainty -> their mean absolute
+            error [m].
+        coverage_1: share of the errors of at most one scale, see `LAPLACE_COVERAGE`.
+        coverage_2: share of the errors of at most two scales.
+    """
 
     pixels: int
-    surest: tuple[SurestMetrics, ...]
-    #: Shares 0..1 of the errors of at most one and two scales, see `LAPLACE_COVERAGE`.
+    confident_mae_m: Mapping[float, float]
     coverage_1: float
     coverage_2: float
 
 
 class UncertaintyScores:
-    """Error of the surest shares of the pixels of all frames together, and coverage.
+    """Error of the most confident shares of the pixels of all frames together, and coverage.
 
-    Over the same pixels as `DepthScores`. The pixels of all frames are ranked together, by a
-    histogram of `_BINS` bins over the logarithm of the uncertainty, so that memory is bounded; of
-    the bin in which a share ends, part is taken, as if its pixels were alike. Accumulates with
-    `update`, takes in another's counts with `merge`.
+    Over the same pixels as `DepthScores`. The pixels of all frames are ranked together by a
+    histogram of `_BINS` bins over the logarithm of the uncertainty, so that memory is bounded. Of
+    the bin in which a share ends, a part is taken, as if its pixels had equal errors.
     """
 
     def __init__(self, shares: Sequence[float] = (0.5, 0.8, 1.0)) -> None:
@@ -55,10 +52,16 @@ class UncertaintyScores:
         prediction: NDArray[np.floating],
         depth: NDArray[np.floating],
     ) -> None:
-        """Count a frame: float (H, W) [m]; 0, negative or not finite in `depth` = no truth.
+        """Count a frame.
 
-        Raises ValueError if the shapes differ, or an uncertainty is negative or not finite where
-        there is truth.
+        Args:
+            uncertainty: scale of a Laplace distribution around the prediction, float (H, W) [m].
+            prediction: float (H, W) [m].
+            depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
+
+        Raises:
+            ValueError: if the shapes differ, or an uncertainty is negative or not finite where the
+                true depth is known.
         """
         require_same_shape(uncertainty=uncertainty, prediction=prediction, depth=depth)
         known = scored(depth)
@@ -86,13 +89,11 @@ class UncertaintyScores:
         """Return the metrics of all frames so far; NaN without any pixel."""
         pixels = float(self._bins[:, 0].sum())
         if not pixels:
-            nothing = tuple(SurestMetrics(share, float("nan")) for share in self.shares)
-            return UncertaintyMetrics(0, nothing, float("nan"), float("nan"))
+            nan = float("nan")
+            return UncertaintyMetrics(0, dict.fromkeys(self.shares, nan), nan, nan)
         counts, errors = np.vstack([np.zeros(2), self._bins.cumsum(axis=0)]).T
-        surest = tuple(
-            SurestMetrics(
-                share, float(np.interp(share * pixels, counts, errors) / (share * pixels))
-            )
+        confident = {
+            share: float(np.interp(share * pixels, counts, errors) / (share * pixels))
             for share in self.shares
-        )
-        return UncertaintyMetrics(int(pixels), surest, *(self._within / pixels).tolist())
+        }
+        return UncertaintyMetrics(int(pixels), confident, *(self._within / pixels).tolist())

@@ -29,5 +29,5 @@ def test_ip_basic_beats_nearest_on_withheld_scan_lines(stream):
         for name, score in scores.items():
             score.update(predict[name](frame.sample.rgb, frame.fed, None).depth, frame.target)
     nearest, morphology = (score.compute() for score in scores.values())
-    assert 0.40 < morphology.mae_m < nearest.mae_m < 0.60
-    assert 1.9 < morphology.rmse_m < nearest.rmse_m < 3.0
+    assert 0.40 < morphology.metres.mae < nearest.metres.mae < 0.60
+    assert 1.9 < morphology.metres.rmse < nearest.metres.rmse < 3.0

@@ -80,16 +80,16 @@ def test_errors_by_hand_and_merged():
     scores, other = DepthRegionScores(), DepthRegionScores()
     scores.update(answer, depth, fed)
     other.update(depth, depth, fed)
-    interior, edge, uncovered = scores.compute()
+    interior, edge, uncovered = (scores.compute()[region] for region in REGIONS)
     count = int((masks["interior"] & known).sum())
-    assert (interior.region, interior.pixels) == ("interior", count)
-    assert interior.mae_m == pytest.approx((count + 2) / count)
-    assert interior.rmse_m == pytest.approx(np.sqrt((count + 8) / count))
+    assert interior.pixels == count
+    assert interior.mae == pytest.approx((count + 2) / count)
+    assert interior.rmse == pytest.approx(np.sqrt((count + 8) / count))
     assert edge.pixels == 0  # the post is farther than 12 px
-    assert np.isnan(edge.mae_m)
-    assert uncovered.mae_m == uncovered.rmse_m == 4
+    assert np.isnan(edge.mae)
+    assert uncovered.mae == uncovered.rmse == 4
     scores.merge(other)
-    assert scores.compute()[2].mae_m == 2
+    assert scores.compute()["uncovered"].mae == 2
     with pytest.raises(ValueError, match="shapes differ"):
         scores.update(answer, depth, fed[1:])
 

@@ -9,6 +9,7 @@ from training.evaluation.metrics import (
     BoundaryScores,
     DepthScores,
     DisparityScores,
+    Errors,
     RoadScores,
     SemanticScores,
 )
@@ -80,16 +81,15 @@ def test_depth_metrics_by_hand():
         np.array([[10.0, 20.0, 40.0, 80.0, 0.0, np.nan, 100.5, np.inf]], dtype=np.float32),
     )
     metrics = scores.compute()  # errors 2, 1, 4, 10
-    assert [(r.up_to_m, r.pixels) for r in metrics.ranges] == [(20.0, 2), (50.0, 3)]
-    assert [r.mae_m for r in metrics.ranges] == pytest.approx([1.5, 7 / 3])
-    assert [r.rmse_m for r in metrics.ranges] == pytest.approx(
-        [math.sqrt(5 / 2), math.sqrt(21 / 3)]
-    )
-    assert (metrics.pixels, metrics.mae_m) == (4, pytest.approx(17 / 4))
-    assert metrics.rmse_m == pytest.approx(math.sqrt(121 / 4))
+    assert metrics.ranges == {
+        20.0: Errors(2, pytest.approx(1.5), pytest.approx(math.sqrt(5 / 2))),
+        50.0: Errors(3, pytest.approx(7 / 3), pytest.approx(math.sqrt(21 / 3))),
+    }
+    assert (metrics.metres.pixels, metrics.metres.mae) == (4, pytest.approx(17 / 4))
+    assert metrics.metres.rmse == pytest.approx(math.sqrt(121 / 4))
     inverse = [1000 / 10 - 1000 / 12, 1000 / 19 - 1000 / 20, 1000 / 40 - 1000 / 44, 12.5 - 100 / 9]
-    assert metrics.imae_per_km == pytest.approx(sum(inverse) / 4)
-    assert metrics.irmse_per_km == pytest.approx(math.sqrt(sum(x * x for x in inverse) / 4))
+    assert metrics.per_km.mae == pytest.approx(sum(inverse) / 4)
+    assert metrics.per_km.rmse == pytest.approx(math.sqrt(sum(x * x for x in inverse) / 4))
 
 
 def test_depth_scores_accumulate_over_pixels_not_frames():
@@ -101,13 +101,13 @@ def test_depth_scores_accumulate_over_pixels_not_frames():
         one.update(prediction, depth)
         merged.merge(one)
     error = np.concatenate([(prediction - depth).ravel() for prediction, depth in frames])
-    assert merged.compute().mae_m == pytest.approx(np.abs(error).mean())
-    assert merged.compute().rmse_m == pytest.approx(np.sqrt((error**2).mean()))
+    assert merged.compute().metres.mae == pytest.approx(np.abs(error).mean())
+    assert merged.compute().metres.rmse == pytest.approx(np.sqrt((error**2).mean()))
     inverse = np.concatenate(
         [(1e3 / prediction - 1e3 / depth).ravel() for prediction, depth in frames]
     )
-    assert merged.compute().imae_per_km == pytest.approx(np.abs(inverse).mean())
-    assert merged.compute().irmse_per_km == pytest.approx(np.sqrt((inverse**2).mean()))
+    assert merged.compute().per_km.mae == pytest.approx(np.abs(inverse).mean())
+    assert merged.compute().per_km.rmse == pytest.approx(np.sqrt((inverse**2).mean()))
     with pytest.raises(ValueError, match="up_to_m"):
         merged.merge(DepthScores((10.0,)))
 
@@ -116,11 +116,11 @@ def test_no_answer_is_scored_and_nan_is_refused():
     scores = DepthScores()
     scores.update(np.zeros((1, 1)), np.full((1, 1), 10.0))
     metrics = scores.compute()
-    assert metrics.mae_m == 10.0
-    assert metrics.imae_per_km == pytest.approx(1000 / 0.1 - 1000 / 10)
+    assert metrics.metres.mae == 10.0
+    assert metrics.per_km.mae == pytest.approx(1000 / 0.1 - 1000 / 10)
     with pytest.raises(ValueError, match="1 of 1 predicted depths are NaN"):
         scores.update(np.full((1, 1), np.nan), np.ones((1, 1)))
-    assert math.isnan(DepthScores().compute().mae_m)
+    assert math.isnan(DepthScores().compute().metres.mae)
 
 
 def two_halves(edge, size=(6, 12)):
@@ -245,9 +245,9 @@ def test_disparity_errors_equal_the_hand_computed_ones():
     metrics = scores.compute()
     # 400 / 10 - 400 / 20 = 20 px; 0; unknown; 0 m is taken as 0.1 m: 4000 - 10 px; too far.
     assert metrics.pixels == 3
-    assert metrics.mae_px == pytest.approx((20 + 0 + 3990) / 3)
-    assert metrics.rmse_px == pytest.approx(math.sqrt((20**2 + 3990**2) / 3))
-    assert math.isnan(DisparityScores().compute().mae_px)
+    assert metrics.mae == pytest.approx((20 + 0 + 3990) / 3)
+    assert metrics.rmse == pytest.approx(math.sqrt((20**2 + 3990**2) / 3))
+    assert math.isnan(DisparityScores().compute().mae)
     with pytest.raises(ValueError, match="positive"):
         scores.update(answer, depth, 0.0)
 

@@ -158,12 +158,12 @@ def test_uncertainty_is_scored_where_a_model_has_one():
     answer = depth + np.where(np.arange(120) < 60, np.float32(1), np.float32(4))
     scale = np.where(np.arange(120) < 60, np.float32(0.9), np.float32(3)) + np.zeros_like(depth)
     result = figures(lambda rgb, fed: Answer(None, answer, None, scale))
-    assert result["mae_m_surest_50"] == pytest.approx(1)
-    assert result["mae_m_surest_80"] == pytest.approx((0.5 * 1 + 0.3 * 4) / 0.8)
-    assert result["mae_m_surest_100"] == pytest.approx(result["mae_m"])
+    assert result["mae_m_confident_50"] == pytest.approx(1)
+    assert result["mae_m_confident_80"] == pytest.approx((0.5 * 1 + 0.3 * 4) / 0.8)
+    assert result["mae_m_confident_100"] == pytest.approx(result["mae_m"])
     assert (result["coverage_1"], result["coverage_2"]) == (0, 1)
     without = figures(lambda rgb, fed: Answer(None, answer, None))
-    assert not any("surest" in name or "coverage" in name for name in without)
+    assert not any("confident" in name or "coverage" in name for name in without)
 
 
 def test_the_class_road_is_scored_against_a_mask_of_it():

@@ -15,7 +15,7 @@ def frames(rng, count=3):
         yield scale, (depth + rng.laplace(0, scale)).astype(np.float32), depth
 
 
-def test_the_surest_are_those_of_all_frames_sorted():
+def test_the_most_confident_pixels_are_those_of_all_frames_sorted():
     scores, other = UncertaintyScores((0.1, 0.5, 0.8, 1.0)), UncertaintyScores((0.1, 0.5, 0.8, 1.0))
     scales, errors = [], []
     for index, (scale, prediction, depth) in enumerate(frames(np.random.default_rng(0))):
@@ -26,10 +26,10 @@ def test_the_surest_are_those_of_all_frames_sorted():
     by_scale = np.concatenate(errors)[np.argsort(np.concatenate(scales))]
     metrics = scores.compute()
     assert metrics.pixels == by_scale.size == 3 * 55 * 90
-    for item in metrics.surest:
-        expected = by_scale[: round(item.share * by_scale.size)].mean()
-        assert item.mae_m == pytest.approx(expected, rel=0.01), item.share
-    assert metrics.surest[0].mae_m < 0.3 * metrics.surest[-1].mae_m
+    for share, mae_m in metrics.confident_mae_m.items():
+        expected = by_scale[: round(share * by_scale.size)].mean()
+        assert mae_m == pytest.approx(expected, rel=0.01), share
+    assert metrics.confident_mae_m[0.1] < 0.3 * metrics.confident_mae_m[1.0]
 
 
 def test_coverage_of_a_true_scale_is_that_of_laplace_and_of_others_is_not():
@@ -48,7 +48,7 @@ def test_equal_uncertainties_rank_nothing():
     prediction = depth + np.linspace(0, 4, 100, dtype=np.float32).reshape(10, 10)
     for scale in (0.0, 1.0, 1e9):  # below and beyond the histogram, too
         scores.update(np.full_like(depth, scale), prediction, depth)
-    assert [item.mae_m for item in scores.compute().surest] == pytest.approx([2, 2, 2], rel=1e-4)
+    assert list(scores.compute().confident_mae_m.values()) == pytest.approx([2, 2, 2], rel=1e-4)
 
 
 def test_what_is_no_uncertainty_is_refused():
@@ -69,4 +69,4 @@ def test_what_is_no_uncertainty_is_refused():
 def test_of_nothing_is_nan():
     metrics = UncertaintyScores().compute()
     assert metrics.pixels == 0
-    assert np.isnan([metrics.coverage_1, metrics.surest[0].mae_m]).all()
+    assert np.isnan([metrics.coverage_1, metrics.confident_mae_m[0.5]]).all()
