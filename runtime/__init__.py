@@ -7,8 +7,8 @@ predictor = Predictor()  # the bundled model on the CPU
 prediction = predictor.predict(rgb, sparse_depth)
 ```
 
-Names are loaded when they are first asked for (PEP 562): whoever takes only the contract or the
-errors, as the networks do, loads neither OpenCV nor ONNX Runtime.
+Names are loaded on first use (PEP 562): code that needs only the contract or the errors, as the
+networks do, loads neither OpenCV nor ONNX Runtime.
 """
 
 from importlib import import_module
@@ -86,7 +86,7 @@ def __getattr__(name: str) -> Any:
         value = getattr(import_module(_MODULES[name]), name)
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = value  # asked for once
+    globals()[name] = value  # looked up once
     return value
 
 

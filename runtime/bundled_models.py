@@ -1,4 +1,4 @@
-"""The models that are installed with the engine: each a file `assets/NAME.onnx`."""
+"""The models that are installed with the engine, files `assets/NAME.onnx`."""
 
 import os
 from importlib import resources
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from runtime.errors import ContractError, InputError
 
-#: What runs where no model is named.
+#: The model that runs by default.
 DEFAULT_MODEL = "ssdnet-lite"
 
 _SUFFIX = ".onnx"
@@ -19,14 +19,19 @@ def list_bundled_models() -> list[str]:
 
 
 def find_model(model: str | bytes | PathLike[str] | None) -> Path:
-    """Return the file of a model that is named by a path, by its name, or not at all.
+    """Return the file of a model.
 
-    None is DEFAULT_MODEL. Text that ends in ".onnx" or holds a folder, and any `PathLike`, is a
-    path; other text is a name of `list_bundled_models`, also where a file of that name lies in the
-    current folder ("./NAME" is that file): what runs does not depend on where it is started.
+    Args:
+        model: text that ends in ".onnx" or holds a folder, and any `PathLike`, is a path; other
+            text is a name of `list_bundled_models`, even where the current folder has a file of
+            that name ("./NAME" is that file); None = DEFAULT_MODEL.
 
-    Raises ContractError for an unknown name and InputError for what is no text. A path is not
-    looked at.
+    Returns:
+        The path; whether there is a file is not checked.
+
+    Raises:
+        ContractError: for an unknown name.
+        InputError: for anything that is neither text nor a path.
     """
     if isinstance(model, PathLike):
         return Path(os.fsdecode(model))

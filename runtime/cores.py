@@ -1,4 +1,4 @@
-"""How many processor cores this process may keep busy."""
+"""Number of processor cores that this process may use."""
 
 import math
 import os
@@ -9,10 +9,10 @@ _CGROUP_QUOTA = Path("/sys/fs/cgroup/cpu.max")
 
 
 def available_cores() -> int:
-    """Physical cores this process may use, at least 1.
+    """Return the number of physical cores this process may use, at least 1.
 
-    Counts hyper-threads of one core once (they share its arithmetic units) and heeds the
-    process's affinity and a container's CPU quota, where the system tells them.
+    Hyper-threads of one core count once, since they share its arithmetic units. The process's
+    affinity and a container's CPU quota are respected where the system reports them.
     """
     try:
         logical = os.sched_getaffinity(0)

@@ -1,4 +1,4 @@
-"""The errors this project raises on purpose: one small family, each text says what to do."""
+"""The errors that this project raises on purpose; each message says what to do."""
 
 
 class SSDNetError(Exception):
@@ -10,15 +10,15 @@ class ContractError(SSDNetError):
 
 
 class InputError(SSDNetError):
-    """An array, file or folder handed in is not what was asked for."""
+    """An array, file, folder or argument is invalid."""
 
 
 class OutputError(SSDNetError):
-    """A result cannot be written where it was asked to go."""
+    """A result cannot be written to the given place."""
 
 
 class ProviderError(SSDNetError):
-    """The execution provider that was asked for is not what would run."""
+    """The requested execution provider cannot be used."""
 
 
 class InferenceError(SSDNetError):
@@ -30,4 +30,4 @@ class CheckpointError(SSDNetError):
 
 
 class DatasetError(SSDNetError):
-    """A data set folder or one of its files is not what its layout promises."""
+    """A data set folder or one of its files does not have the expected layout."""

@@ -1,4 +1,4 @@
-"""At which size a network runs for a frame: the one rule of engine and evaluation."""
+"""The size at which a network runs for a frame: the rule of engine and evaluation."""
 
 import operator
 from typing import Any, Literal
@@ -9,16 +9,20 @@ from runtime.errors import InputError
 #: None = about the trained height, "frame" = the frame's own, rows, or (height, width).
 NetworkSize = Literal["frame"] | int | tuple[int, int] | None
 
-#: A network looks alike at a frame of up to so many times the height it was trained for.
+#: Frames of up to this many times the trained height run at their own size.
 LARGEST_RATIO = 1.25
 
 
 def check_network_size(asked: Any, *, fixed: bool) -> NetworkSize:
-    """Give back what was asked for, in plain integers.
+    """Return a requested size in plain integers.
 
-    fixed: whether the model takes one size only.
-    Raises InputError for anything but a NetworkSize, for sides out of range, and for anything but
-    None where the model is of fixed size.
+    Args:
+        asked: a NetworkSize.
+        fixed: whether the model takes one size only.
+
+    Raises:
+        InputError: for anything but a NetworkSize, for sides out of range, and for anything but
+            None where the model is of fixed size.
     """
     if asked is None:
         return None
@@ -60,10 +64,16 @@ def network_size(
 ) -> tuple[int, int]:
     """Return the (height, width) at which a network of free size runs for a frame.
 
-    asked: None = `trained_height` rows for a frame that has more than a quarter more, with its
-        aspect kept, and the frame's own size for any other or where no height is known;
-        "frame" = the frame's own size; so many rows, with the aspect kept; or (height, width)
-    Raises InputError if the frame's aspect makes so many rows too wide.
+    Args:
+        asked: None = `trained_height` rows with the aspect kept for a frame that has more than a
+            quarter more of them, the frame's own size for any other or where no height is known;
+            "frame" = the frame's own size; a number of rows with the aspect kept; or
+            (height, width).
+        frame_size: (height, width).
+        trained_height: rows of the images that the network was trained on; None = not known.
+
+    Raises:
+        InputError: if the rows are too wide at the frame's aspect.
     """
     if isinstance(asked, tuple):
         return asked
@@ -83,14 +93,14 @@ def network_size(
 
 
 def _in_range(asked: Any) -> int | tuple[int, int]:
-    """Rows, or (height, width), in plain integers; ValueError for anything else."""
+    """Return rows or (height, width) in plain integers; ValueError for anything else."""
     if isinstance(asked, tuple | list):
         return check_size([_integer(side) for side in asked])
     return check_side(_integer(asked), "size")
 
 
 def _integer(value: Any) -> int:
-    """A whole number of any library; ValueError for anything else, for a truth value too."""
+    """Return a whole number of any library; ValueError for anything else, booleans included."""
     try:
         number = operator.index(value)
     except TypeError:

@@ -1,4 +1,4 @@
-"""From a predicted depth map to a cloud of points, without the pixels that fly between objects."""
+"""From a predicted depth map to a point cloud, without the points between objects."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from runtime.errors import InputError
 from runtime.projection import check_intrinsics
 
-# Above this probability a pixel lies on an object's edge, where predicted depth passes from the
-# near surface to the far one through places where nothing is.
+# Above this probability a pixel is an object's edge, where predicted depth passes from the near
+# surface to the far one through empty space.
 EDGE_BOUNDARY = 0.5
 
 
@@ -18,10 +18,12 @@ EDGE_BOUNDARY = 0.5
 class PointCloud:
     """Points in the camera's frame: x to the right, y down, z along the optical axis.
 
-    points: float32 (N, 3) [m]
-    rgb: uint8 (N, 3), colours of the picture; None where no picture was given
-    semantic: uint8 (N,), class ids; None where the model has no such head
-    rows, columns: int32 (N,), the pixel of each point
+    Attributes:
+        points: float32 (N, 3), metres.
+        rgb: uint8 (N, 3), colours of the image; None without an image.
+        semantic: uint8 (N,), class ids; None without that head.
+        rows: int32 (N,), the pixel's row of each point.
+        columns: int32 (N,), the pixel's column of each point.
     """
 
     points: NDArray[np.float32]
@@ -43,12 +45,18 @@ def to_points(
 ) -> PointCloud:
     """Return a point for each pixel that has depth, row after row.
 
-    depth: float32 (H, W) [m]; 0, negative, NaN and Inf have no point
-    intrinsics: (3, 3) of the rectified camera, in pixels of this depth map; integers are pixel
-        centres
-    boundary: pixels above `edge_boundary` have no point either; None = all stay
-    sky: class id whose pixels have no point either; None = there is none
-    Raises InputError for arrays that do not fit.
+    Args:
+        depth: float32 (H, W), metres; 0, negative, NaN and Inf have no point.
+        intrinsics: float (3, 3) of the rectified camera, in pixels of this depth map; integers are
+            pixel centres.
+        rgb: uint8 (H, W, 3), colours of the points.
+        semantic: uint8 (H, W), class ids.
+        boundary: float32 (H, W), probability; pixels above `edge_boundary` have no point.
+        edge_boundary: None = all are kept.
+        sky: class id whose pixels have no point; None = there is none.
+
+    Raises:
+        InputError: for arrays that do not fit.
     """
     check_intrinsics(intrinsics)
     if rgb is not None and (rgb.dtype != np.uint8 or rgb.ndim != 3 or rgb.shape[2] != 3):

@@ -1,4 +1,4 @@
-"""What one call of the predictor gives back."""
+"""What `Predictor.predict` returns."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from runtime.contract import Contract
     from runtime.point_cloud import PointCloud
 
-# Reasons in Prediction.degraded. The answer is usable, with less behind it than usual:
+# Reasons in Prediction.degraded. The answer is usable, but worth less than usual:
 NO_DEPTH = "no_depth"  # not one usable return: the answer comes from the camera alone
 SPARSE_DEPTH_LOW = "sparse_depth_low"  # in too few places, see `preprocess.covers_little`
-IMAGE_CONSTANT = "image_constant"  # every pixel alike: a covered or dead camera
-# The answer is not usable (valid is False), as for the reasons of `postprocess.faults`:
+IMAGE_CONSTANT = "image_constant"  # all pixels are equal: a covered or dead camera
+# Those that make the answer unusable (valid is False) are listed in `postprocess.faults`.
 
 
 @dataclass(frozen=True)
 class Latency:
-    """Where the time of one prediction went, by the monotonic clock [ms]."""
+    """Times of one prediction by the monotonic clock, in milliseconds."""
 
     preprocess_ms: float  # checking, cleaning and resizing the inputs
     inference_ms: float  # the session
@@ -48,21 +48,21 @@ class Cleaned:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The answer for one frame, at the frame's own size (H, W). The arrays belong to the caller.
+    """The answers for one frame, at the frame's own size (H, W). The arrays belong to the caller.
 
-    heads: head -> answer, by the rows of `runtime.heads`; as far as the model has the head
-    frame_size: (height, width)
-    network_size: (height, width) at which the network ran; the answers were resized if it is
-        another than the frame's
-    latency: where the time went
-    valid: False when an output holds NaN, Inf, an unknown class or a value out of its range;
-        `degraded` says which
-    degraded: reasons why the answer is worth less than usual; () in the normal case
-    cleaned: depth pixels that were treated as no measurement
-    depth_returns: number of depth pixels used
-    stamp: what was handed to `predict`, untouched
-    contract: of the model that answered: its classes, their colours, the depth's range; None in a
-        prediction made by hand
+    Attributes:
+        heads: head -> answer, see `runtime.heads`; the heads of the model.
+        frame_size: (height, width).
+        network_size: (height, width) at which the network ran; the answers are resized if it is not
+            the frame's.
+        latency: of the stages.
+        valid: False when an output holds NaN, Inf, an unknown class or a value out of its range;
+            `degraded` names it.
+        degraded: reasons why the answer is worth less than usual; () in the normal case.
+        cleaned: depth pixels that were treated as no measurement.
+        depth_returns: number of depth pixels used.
+        stamp: as given to `predict`.
+        contract: of the model that answered; None in a prediction made by hand.
     """
 
     heads: Mapping[str, NDArray[Any]]
@@ -105,15 +105,20 @@ class Prediction:
         return self.heads.get("semantic_logits")
 
     def draw(self, rgb: NDArray[np.uint8] | None = None) -> NDArray[np.uint8]:
-        """Return one picture of the frame and its answers, to look at.
+        """Draw one picture of the frame and its answers.
 
-        rgb: uint8 (H, W, 3), the frame's picture, red first; None = answers alone
-        Returns uint8 (H', W', 3), red first: panels of picture, classes, depth, its uncertainty
-            and boundary, shrunk by a whole number where the frame is large, over a legend; see
-            `runtime.drawing.overlay.Overlay`. Answers with `valid` False are drawn, too.
-        Raises InputError for a picture that is not the frame's, and where `contract` is None.
+        Args:
+            rgb: uint8 (H, W, 3), the frame's image, RGB; None = the answers alone.
+
+        Returns:
+            uint8 (H', W', 3), RGB: panels of image and heads over a legend, shrunk by a whole
+            number where the frame is large, see `runtime.drawing.overlay.Overlay`. Answers with
+            `valid` False are drawn, too.
+
+        Raises:
+            InputError: for an image that is not the frame's, and where `contract` is None.
         """
-        from runtime.drawing.draw_prediction import draw_prediction  # only who looks needs it
+        from runtime.drawing.draw_prediction import draw_prediction  # on demand
 
         return draw_prediction(self, rgb)
 
@@ -124,18 +129,21 @@ class Prediction:
         *,
         intrinsics: NDArray[np.floating[Any]] | None = None,
     ) -> None:
-        """Write a file, whole or not at all; its ending says of what.
+        """Write a file, whole or not at all; a file that is there is replaced.
 
-        path: ``.png``, ``.jpg``, ``.jpeg``: the picture of `draw`. ``.npz``: all arrays by their
-            names here, with `valid` and `degraded`. ``.ply``: the cloud of `points`, binary, with
-            colours where `rgb` is given and class ids as ``label``. A file that is there is
-            replaced.
-        rgb: uint8 (H, W, 3), the frame's picture, red first
-        intrinsics: (3, 3) of the rectified camera, in pixels of the frame; for ``.ply``
-        Raises InputError for another ending and for what `draw` and `points` do, OutputError if
-            the file cannot be written.
+        Args:
+            path: the ending decides: ``.png``, ``.jpg``, ``.jpeg``: the picture of `draw`;
+                ``.npz``: all arrays by their head's name, with `valid` and `degraded`; ``.ply``:
+                the cloud of `points`, binary, with colours where `rgb` is given and class ids as
+                ``label``.
+            rgb: uint8 (H, W, 3), the frame's image, RGB.
+            intrinsics: float (3, 3) of the rectified camera, in pixels of the frame; for ``.ply``.
+
+        Raises:
+            InputError: for another ending, and as `draw` and `points`.
+            OutputError: if the file cannot be written.
         """
-        from runtime.drawing.draw_prediction import save_prediction  # only who looks needs it
+        from runtime.drawing.draw_prediction import save_prediction  # on demand
 
         save_prediction(self, path, rgb, intrinsics=intrinsics)
 
@@ -147,21 +155,23 @@ class Prediction:
         edge_boundary: float | None = 0.5,
         keep_sky: bool = False,
     ) -> "PointCloud":
-        """Return the depth as a cloud of points in the camera's frame, labelled with `semantic`.
+        """Return the depth as a point cloud in the camera's frame, labelled with `semantic`.
 
-        intrinsics: (3, 3) of the rectified camera, in pixels of the frame
-        rgb: uint8 (H, W, 3), the frame's picture, for the colours of the points
-        edge_boundary: pixels whose `boundary` is above it have no point: there depth passes from
-            one surface to the next through places where nothing is; None = all have one
-        keep_sky: pixels of the class "sky", if there is one, have points, too: of a depth that
-            means nothing
-        Raises InputError for arrays that do not fit, for a model without depth, and where `valid`
-        is False.
+        Args:
+            intrinsics: float (3, 3) of the rectified camera, in pixels of the frame.
+            rgb: uint8 (H, W, 3), the frame's image, for the colours of the points.
+            edge_boundary: pixels whose `boundary` is above it have no point: depth passes from one
+                surface to the next there; None = all have one.
+            keep_sky: keep the points of the class "sky", whose depth is meaningless.
+
+        Raises:
+            InputError: for arrays that do not fit, for a model without depth, and where `valid` is
+                False.
         """
         if self.depth is None or not self.valid:
             reason = ", ".join(self.degraded) if self.depth is not None else "it has no such head"
-            raise InputError(f"the prediction holds no depth that can be used: {reason}")
-        from runtime.point_cloud import to_points  # only where a cloud is asked for
+            raise InputError(f"the prediction has no usable depth: {reason}")
+        from runtime.point_cloud import to_points  # on demand
 
         return to_points(
             self.depth,

@@ -1,4 +1,4 @@
-"""From a frame to what goes into the network: check, clean, resize."""
+"""From a frame to the input of the network: check, clean, resize."""
 
 import math
 from collections.abc import Callable
@@ -15,8 +15,8 @@ from runtime.errors import InputError
 from runtime.prediction import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW, Cleaned
 from runtime.resize import Size, move_returns, resize_image
 
-_CONSTANT_STEP = 16  # a look at every 16th pixel is enough to rule out a constant picture
-# Cells over the whole picture, whatever the camera's pixels. Of a 64-line scan of KITTI, 16 lines
+_CONSTANT_STEP = 16  # every 16th pixel usually rules out a constant image
+# Cells over the whole image, whatever its resolution. Of a 64-line scan of KITTI, 16 lines
 # have a return in 6.6 % of them and 4 lines in 1.8 %, at 125 x 414 as at 2160 x 3840; two lines
 # (0.5 %), or 16 lines that lost nine returns of ten (0.75 %), are a fault.
 _GRID = (128, 416)
@@ -25,16 +25,17 @@ _LOW_SHARE = 0.01  # of the cells
 
 @dataclass(frozen=True, eq=False)
 class NetworkInput:
-    """A frame as the network takes it, and what was found on the way.
+    """A frame as the network takes it.
 
-    rgb: uint8 (H, W, 3) at the network's size
-    sparse_depth: float32 (H, W) at the network's size, metres times `depth_factor`, 0 = no
-        measurement
-    frame_rgb: uint8 (H, W, 3) as the camera gave it
-    cleaned: depth pixels of the frame that were treated as no measurement
-    depth_returns: depth pixels of the frame that are left
-    degraded: reasons why the answer will be worth less than usual
-    depth_factor: what the network's depth is divided by to be metres, see `canonical_factor`
+    Attributes:
+        rgb: uint8 (h, w, 3) at the network's size.
+        sparse_depth: float32 (h, w) at the network's size, metres times `depth_factor`, 0 = no
+            measurement.
+        frame_rgb: uint8 (H, W, 3) as given.
+        cleaned: depth pixels of the frame that were treated as no measurement.
+        depth_returns: number of depth pixels of the frame that are left.
+        degraded: reasons why the answer is worth less than usual.
+        depth_factor: the network's depth divided by it is metres, see `canonical_factor`.
     """
 
     rgb: NDArray[np.uint8]
@@ -67,11 +68,16 @@ def preprocess(
 ) -> NetworkInput:
     """Check and clean a frame and bring it to the network's size.
 
-    rgb, sparse_depth: as `Predictor.predict` takes them
-    max_depth_m, canonical_focal_px: see `Contract`
-    size_for: frame size -> network size
-    focal_length_px: of the frame; None = not known
-    Raises InputError for arrays of another type or shape.
+    Args:
+        rgb: uint8 (H, W, 3), RGB.
+        sparse_depth: float32 (H, W), metres.
+        max_depth_m: see `Contract`.
+        size_for: frame size -> network size, both (height, width).
+        canonical_focal_px: see `Contract`.
+        focal_length_px: of the frame; None = not known.
+
+    Raises:
+        InputError: for arrays of another type or shape.
     """
     rgb = check_rgb(rgb)
     frame_size = (rgb.shape[0], rgb.shape[1])
@@ -104,11 +110,7 @@ def preprocess(
 
 
 def check_rgb(rgb: Any) -> NDArray[np.uint8]:
-    """Give back `rgb`, contiguous.
-
-    rgb: uint8 (H, W, 3), red first, H and W at least MIN_SIDE.
-    Raises InputError for anything else.
-    """
+    """Return `rgb`, contiguous; InputError unless it is uint8 (H, W, 3), each side >= MIN_SIDE."""
     if not isinstance(rgb, np.ndarray) or isinstance(rgb, np.ma.MaskedArray):
         raise InputError(
             f"rgb must be a plain numpy array, got {type(rgb).__name__}: a mask would be lost"
@@ -116,11 +118,11 @@ def check_rgb(rgb: Any) -> NDArray[np.uint8]:
     if rgb.ndim != 3 or rgb.shape[2] != 3:
         hint = ""
         if rgb.ndim == 3 and rgb.shape[0] == 3:
-            hint = ": channels come last here, use rgb.transpose(1, 2, 0)"
+            hint = ": channels come last, use rgb.transpose(1, 2, 0)"
         raise InputError(f"rgb must have the shape (H, W, 3), got {rgb.shape}{hint}")
     if rgb.dtype != np.uint8:
         raise InputError(
-            f"rgb must be uint8 with values 0..255, got {rgb.dtype}: hand over the camera's "
+            f"rgb must be uint8 with values 0..255, got {rgb.dtype}: give the camera's "
             "pixels as they are, the network normalises them itself"
         )
     if min(rgb.shape[:2]) < MIN_SIDE:
@@ -129,15 +131,10 @@ def check_rgb(rgb: Any) -> NDArray[np.uint8]:
 
 
 def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Give back `sparse_depth`, contiguous.
-
-    sparse_depth: float32 (H, W) [m], 0 = no measurement.
-    size: (height, width) of the picture it belongs to.
-    Raises InputError for another type, rank or size.
-    """
+    """Return `sparse_depth`, contiguous; InputError unless it is float32 (H, W) of `size`."""
     if isinstance(sparse_depth, np.ma.MaskedArray):
         raise InputError(
-            "sparse_depth must be a plain numpy array, got a masked one: 0 says that there is no "
+            "sparse_depth must be a plain numpy array, got a masked one: 0 = no "
             "measurement, use sparse_depth.filled(0)"
         )
     if not isinstance(sparse_depth, np.ndarray):
@@ -161,11 +158,15 @@ def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[n
 def clean_sparse_depth(
     sparse_depth: NDArray[np.float32], *, max_depth_m: float
 ) -> tuple[NDArray[np.float32], Cleaned, int]:
-    """Turn every impossible depth into "no measurement".
+    """Replace every invalid depth by 0.
 
-    sparse_depth: float32 (H, W) [m]; never written to.
-    Returns the depth (the same array if it was clean), what was cleaned, and the number of
-    measurements left.
+    Args:
+        sparse_depth: float32 (H, W), metres; not written to.
+        max_depth_m: what is beyond it is invalid.
+
+    Returns:
+        The depth (the same array if it was clean), what was cleaned, and the number of measurements
+        left.
     """
     low, high = sparse_depth.min(), sparse_depth.max()  # both NaN if any pixel is
     if low >= 0 and high <= max_depth_m:
@@ -184,10 +185,10 @@ def clean_sparse_depth(
 
 
 def covers_little(sparse_depth: NDArray[np.float32], *, returns: int) -> bool:
-    """Whether returns lie in fewer than `_LOW_SHARE` of the cells of `_GRID` over the picture.
+    """Whether returns lie in fewer than `_LOW_SHARE` of the cells of `_GRID` over the image.
 
-    returns: how many there are. A cell of a picture smaller than the grid is a pixel. Counted so, a
-    sparse LiDAR beside a camera of many pixels is as good as beside a small one.
+    So the camera's resolution does not matter. A cell is at least a pixel; `returns` is the number
+    of returns.
     """
     height, width = sparse_depth.shape
     rows, columns = min(_GRID[0], height), min(_GRID[1], width)
@@ -202,7 +203,7 @@ def covers_little(sparse_depth: NDArray[np.float32], *, returns: int) -> bool:
 
 
 def is_constant(rgb: NDArray[np.uint8]) -> bool:
-    """Whether every pixel of `rgb`, uint8 (H, W, 3), has the same colour."""
+    """Whether all pixels of `rgb`, uint8 (H, W, 3), have the same colour."""
     first = rgb[0, 0]
     if (rgb[::_CONSTANT_STEP, ::_CONSTANT_STEP] != first).any():
         return False

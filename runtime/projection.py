@@ -1,7 +1,7 @@
 """From LiDAR returns to the sparse depth map of a camera.
 
 Integers are pixel centres: the pixel in row v and column u reaches from v - 0.5 to v + 0.5 and from
-u - 0.5 to u + 0.5, as in the intrinsics of KITTI and OpenCV. So a return at (u, v) falls into pixel
+u - 0.5 to u + 0.5, as in the intrinsics of KITTI and OpenCV. A return at (u, v) falls into pixel
 (rint(u), rint(v)).
 """
 
@@ -20,14 +20,21 @@ _INDEX_BITS = 32
 
 @dataclass(frozen=True)
 class OcclusionFilter:
-    """Takes away returns that the camera cannot see because something nearer is in front of them.
+    """Removes returns that the camera cannot see because something nearer is in front of them.
 
     A LiDAR above or beside the camera looks past near objects, so far returns show through them in
-    the projection. A return at depth d is taken away if one nearer than
-    ``d * (1 - relative_gap) - gap_m`` lies in the ``window`` (height, width, both odd) [px] around
-    it. Background seen right beside an object's edge goes too; surfaces at a grazing angle stay.
-    The default window is for 64 lines in pictures of 1242 x 375: it has to bridge the gap between
-    two lines.
+    the projection. A return at depth d is removed if one nearer than ``d * (1 - relative_gap) -
+    gap_m`` lies in the window around it. Background seen right beside an object's edge goes too;
+    surfaces at a grazing angle stay.
+
+    Attributes:
+        window: (height, width), odd, pixels. The default bridges the gap between two of 64 scan
+            lines in images of 1242 x 375.
+        relative_gap: 0 <= relative_gap < 1.
+        gap_m: metres, not negative.
+
+    Raises:
+        InputError: for values out of range.
     """
 
     window: tuple[int, int] = (15, 9)
@@ -47,10 +54,15 @@ class OcclusionFilter:
     def apply(
         self, target: NDArray[np.float32], returns: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Return ``target`` without what is hidden: float32 (H, W) [m], a new array.
+        """Return a depth map without its hidden returns.
 
-        target, returns: float32 (H, W) [m], 0 = none. ``returns`` are all those of the frame,
-        whatever part of them ``target`` holds.
+        Args:
+            target: float32 (H, W), metres, 0 = none.
+            returns: float32 (H, W), metres: all returns of the frame, whatever part of them
+                `target` holds.
+
+        Returns:
+            float32 (H, W), a new array.
         """
         measured = np.where(returns > 0, returns, np.float32(np.inf))
         nearest = cv2.erode(measured, np.ones(self.window, dtype=np.uint8))
@@ -59,8 +71,12 @@ class OcclusionFilter:
 
 
 class ProjectedPoints(NamedTuple):
-    """``sparse_depth`` float32 (H, W) [m], 0 = no return; ``rows`` int32 (H, W), where in the
-    points the return of a pixel stands, -1 = none."""
+    """A sparse depth map and where its returns come from.
+
+    Attributes:
+        sparse_depth: float32 (H, W), metres, 0 = no return.
+        rows: int32 (H, W), index of each pixel's return in the points, -1 = none.
+    """
 
     sparse_depth: NDArray[np.float32]
     rows: NDArray[np.int32]
@@ -74,17 +90,25 @@ def project_points(
     *,
     occlusion: OcclusionFilter | None = None,
 ) -> NDArray[np.float32]:
-    """Project LiDAR returns into a camera: float32 (H, W) [m] along its optical axis, 0 = none.
+    """Project LiDAR returns into a camera as a sparse depth map.
 
-    points: float32 (N, 3) or wider, x, y, z [m] first, in the LiDAR's frame. intrinsics: float
-    (3, 3) [px] of the rectified camera. extrinsics: float (4, 4), from the LiDAR's frame to the
-    camera's (x right, y down, z ahead) [m]. size: (height, width) [px].
+    Of several returns on one pixel the nearest is kept. Returns behind the camera, outside the
+    image or with a coordinate that is not finite are dropped. The arithmetic is float32: a return
+    within about 1e-3 px of the border of two pixels may fall into either.
 
-    Of several returns in one pixel the nearest stays. Returns behind the camera, outside the
-    picture or with a coordinate that is not finite are left out. The arithmetic is float32: a
-    return within about 1e-3 px of the border of two pixels may fall into either. Raises InputError
-    for points, matrices or a size of another type or shape, and for matrices that are not finite
-    or whose last row is not 0, 0, 1.
+    Args:
+        points: float32 (N, 3) or wider, x, y, z first, metres, LiDAR frame.
+        intrinsics: float (3, 3) of the rectified camera, pixels.
+        extrinsics: float (4, 4), LiDAR to camera (x right, y down, z ahead), metres.
+        size: (height, width) of the image.
+        occlusion: removes returns that the camera cannot see; None = keeps them.
+
+    Returns:
+        float32 (height, width), metres along the optical axis, 0 = no return.
+
+    Raises:
+        InputError: for points, matrices or a size of another type or shape, and for matrices that
+            are not those of a camera.
     """
     return project_with_rows(points, intrinsics, extrinsics, size, occlusion=occlusion).sparse_depth
 
@@ -97,7 +121,7 @@ def project_with_rows(
     *,
     occlusion: OcclusionFilter | None = None,
 ) -> ProjectedPoints:
-    """Project as `project_points` and say which point each pixel holds; of equals, the first."""
+    """Project as `project_points`, and return the point of each pixel, too; of equals the first."""
     _check_points(points)
     check_intrinsics(intrinsics)
     _check_matrix("extrinsics", extrinsics, 4)
@@ -143,8 +167,7 @@ def _transform(
 ) -> list[NDArray[np.float32]]:
     """Each row of ``matrix``, float32 (3, 4), times (x, y, z, 1) of every point.
 
-    Not by a matrix product: that wakes the threads of a BLAS, which waits for them where inference
-    keeps the cores busy.
+    Not by a matrix product: it uses the threads of a BLAS, which compete with inference.
     """
     x, y, z = np.ascontiguousarray(points[:, :3].T)
     products = []

@@ -1,11 +1,8 @@
-"""The one resize rule: the contract's, for the frames of a stream and for those of a training.
+"""Resizing of frames and answers, the same for inference and training.
 
-Integers are pixel centres, as `runtime.projection` has them. In a side of `old` pixels that is
-brought to `new` of them, a centre u comes to lie at u' = (u + 0.5) * new / old - 0.5; what was
-measured there falls in the pixel rint(u'), half to even, as a projected return does.
-
-Pictures are averaged by area along each side that shrinks and are bilinear along one that grows.
-LiDAR returns are moved one by one. Labels and dense depth take the nearest pixel.
+Integers are pixel centres, as in `runtime.projection`. When a side of `old` pixels is resized to
+`new`, a centre u moves to u' = (u + 0.5) * new / old - 0.5, and a return there falls into the pixel
+rint(u'), half to even, as a projected return does.
 """
 
 from typing import Any
@@ -28,7 +25,7 @@ def resize_answer(head: str, values: NDArray[Any], size: Size) -> NDArray[Any]:
 
 
 def resize_image(image: NDArray[Any], size: Size) -> NDArray[Any]:
-    """Resize a picture or a map of probabilities or scores, (H, W) or (H, W, C), to `size`.
+    """Resize an image or a map of probabilities or scores, (H, W) or (H, W, C), to `size`.
 
     By area along each side that shrinks, so that no pixel is skipped; bilinear along one that
     grows.
@@ -44,17 +41,24 @@ def resize_image(image: NDArray[Any], size: Size) -> NDArray[Any]:
 
 
 def resize_nearest(values: NDArray[Any], size: Size) -> NDArray[Any]:
-    """Resize labels or dense depth, (H, W), to `size`: each pixel takes the nearest centre."""
+    """Resize class ids or dense depth, (H, W), to `size`: each pixel takes the nearest centre."""
     height, width = size
     # Plain INTER_NEAREST would shift the map by up to half a pixel.
     return cv2.resize(values, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
 
 
 def move_returns(sparse_depth: NDArray[np.float32], size: Size) -> NDArray[np.float32]:
-    """Move each return of `sparse_depth`, float32 (H, W) [m], 0 = none, to its place in `size`.
+    """Move each return of a sparse depth map to its pixel in a map of another size.
 
-    No return is doubled, lost or mixed with another, but that of several in one pixel the nearest
-    to the camera stays, as in a projected scan. NaN and what is negative are not taken along.
+    No return is duplicated or mixed with another; of several in one pixel the nearest to the camera
+    is kept, as in a projected scan. NaN and negative values are dropped.
+
+    Args:
+        sparse_depth: float32 (H, W), metres, 0 = no return.
+        size: (height, width) of the result.
+
+    Returns:
+        float32 of `size`, metres, 0 = no return.
     """
     source, target = _moves(sparse_depth, size)
     return _moved(sparse_depth, source, target, size, nothing=0)
@@ -63,10 +67,7 @@ def move_returns(sparse_depth: NDArray[np.float32], size: Size) -> NDArray[np.fl
 def move_scan_lines(
     sparse_depth: NDArray[np.float32], scan_line: NDArray[np.int16], size: Size
 ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
-    """Move the returns as `move_returns` does, and the scan line of each with it.
-
-    scan_line: int16 (H, W), -1 where there is no return.
-    """
+    """Move returns as `move_returns` does, and the scan line, int16 (H, W), -1 = none, of each."""
     source, target = _moves(sparse_depth, size)
     return (
         _moved(sparse_depth, source, target, size, nothing=0),
@@ -83,7 +84,7 @@ def _moved(
 
 
 def _moves(sparse_depth: NDArray[np.float32], size: Size) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Flat indices of the returns that stay and of the pixels of `size` that they fall in."""
+    """Flat indices of the returns that are kept and of their pixels in `size`."""
     (height, width), (new_height, new_width) = sparse_depth.shape, size
     # A mask first: numpy is four times as fast in it as in floats.
     source = np.flatnonzero(sparse_depth > 0)

@@ -1,4 +1,4 @@
-"""Open an ONNX Runtime session that runs on the provider that was asked for, or not at all."""
+"""Open an ONNX Runtime session on the requested provider, or raise an error."""
 
 import contextlib
 import io
@@ -20,12 +20,12 @@ _INSTALL = (
 _GPU_NEEDS = (
     'it needs an NVIDIA driver and: pip uninstall -y onnxruntime; pip install "ssdnet[gpu]"'
 )
-# A convolution on another provider means that the work was not done where it was asked for.
+# A convolution on another provider means that the requested one does not do the work.
 _HEAVY_OPERATORS = frozenset({"Conv", "FusedConv", "QLinearConv", "ConvInteger", "NhwcConv"})
 
 
 def import_onnxruntime() -> Any:
-    """The onnxruntime module; ProviderError with the two commands if it is not installed."""
+    """Return the onnxruntime module; ProviderError with the two commands if it is missing."""
     try:
         import onnxruntime
     except ImportError as error:
@@ -34,18 +34,24 @@ def import_onnxruntime() -> Any:
 
 
 def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -> Any:
-    """Open a session on `provider` ("cpu" or "cuda") with `threads` threads within an operator.
+    """Open a session.
 
-    model: the bytes of one self-contained ONNX file.
-    Raises ProviderError if the provider cannot be used, and ContractError if the model cannot be
-    loaded.
+    Args:
+        model: the bytes of one self-contained ONNX file.
+        provider: "cpu" or "cuda".
+        device_id: index of the GPU.
+        threads: threads within an operator.
+
+    Raises:
+        ProviderError: if the provider cannot be used.
+        ContractError: if the model cannot be loaded.
     """
     if not isinstance(provider, str) or provider not in PROVIDERS:
         raise ProviderError(f"unknown provider {provider!r}: expected one of {sorted(PROVIDERS)}")
     ort = import_onnxruntime()
     name = PROVIDERS[provider]
     _require_available(ort, provider, name)
-    said = _preload(ort) if provider == "cuda" else ""
+    printed = _preload(ort) if provider == "cuda" else ""
     try:
         session = ort.InferenceSession(
             model,
@@ -56,17 +62,17 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
     except Exception as error:
         if provider == "cpu":
             raise _unloadable(error) from error
-        # The file's fault or the provider's? The CPU, which is always there, knows.
+        # A damaged file fails on the CPU, too, which raises the right error.
         open_session(model, provider="cpu", device_id=0, threads=threads)
         raise ProviderError(
-            f"provider {provider!r} could not be started ({error}) {said}: {_GPU_NEEDS}"
+            f"provider {provider!r} could not be started ({error}) {printed}: {_GPU_NEEDS}"
         ) from error
-    _require_running(session, provider, name, said)
+    _require_running(session, provider, name, printed)
     return session
 
 
 def node_counts(session: Any) -> dict[str, int] | None:
-    """Execution provider -> number of graph nodes it runs; None if this runtime cannot tell."""
+    """Return execution provider -> number of graph nodes; None if it is not reported."""
     nodes = _assigned_nodes(session)
     return None if nodes is None else dict(Counter(provider for provider, _ in nodes))
 
@@ -77,13 +83,13 @@ def _options(ort: Any, threads: int) -> Any:
     options.inter_op_num_threads = 1
     options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
-    options.log_severity_level = 4  # what goes wrong comes as an exception
+    options.log_severity_level = 4  # errors are exceptions
     entries = {
-        # A spinning thread burns a core between the frames of a stream, and is no faster.
+        # A spinning thread occupies a core between the frames of a stream, and is no faster.
         "session.intra_op.allow_spinning": "0",
         "session.inter_op.allow_spinning": "0",
         "session.record_ep_graph_assignment_info": "1",
-        # One file is the whole model: a folder that cannot exist makes weights elsewhere fail.
+        # One file is the whole model: with an impossible folder external weights fail to load.
         "session.model_external_initializers_file_folder_path": os.devnull,
     }
     for key, value in entries.items():
@@ -109,24 +115,24 @@ def _require_available(ort: Any, provider: str, name: str) -> None:
 
 
 def _preload(ort: Any) -> str:
-    """Load CUDA and cuDNN from their pip packages; give back what was printed about it."""
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.suppress(Exception):
+    """Load CUDA and cuDNN from their pip packages; return what was printed."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.suppress(Exception):
         ort.preload_dlls()
-    return " ".join(said.getvalue().split())
+    return " ".join(printed.getvalue().split())
 
 
-def _require_running(session: Any, provider: str, name: str, said: str) -> None:
-    """ONNX Runtime moves to the CPU with a mere warning: find out, and refuse.
+def _require_running(session: Any, provider: str, name: str, printed: str) -> None:
+    """Raise ProviderError where ONNX Runtime fell back to the CPU, which it only warns about.
 
-    Shape arithmetic of a model of free size belongs on the CPU, so single nodes there are right
-    (`session.disable_cpu_ep_fallback` would refuse them); a convolution there is not.
+    Shape arithmetic of a model of free size belongs on the CPU (`session.disable_cpu_ep_fallback`
+    would refuse it); a convolution does not.
     """
     running = session.get_providers()
     if name not in running:
         raise ProviderError(
-            f"asked for provider {provider!r}, but ONNX Runtime would run {', '.join(running)} "
-            f"{said}: {_GPU_NEEDS}"
+            f"provider {provider!r} was requested, but ONNX Runtime would use {', '.join(running)} "
+            f"{printed}: {_GPU_NEEDS}"
         )
     strays = sorted(
         {
@@ -137,7 +143,7 @@ def _require_running(session: Any, provider: str, name: str, said: str) -> None:
     )
     if strays:
         raise ProviderError(
-            f"asked for provider {provider!r}, but ONNX Runtime would run {', '.join(strays)}: "
+            f"provider {provider!r} was requested, but ONNX Runtime would run {', '.join(strays)}: "
             "use another provider, or export the model again"
         )
 
@@ -154,7 +160,7 @@ def _assigned_nodes(session: Any) -> list[tuple[str, str]] | None:
 
 
 def _unloadable(error: Exception) -> ContractError:
-    """Say what is wrong with a file that ONNX Runtime refuses."""
+    """The error for a file that ONNX Runtime refuses."""
     text = str(error)
     if "external data" in text.lower():
         return ContractError(

@@ -1,4 +1,4 @@
-"""Whether a graph has the inputs and outputs of the contract, and answers by it."""
+"""Checks that a graph has the inputs and outputs of the contract."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,11 +16,12 @@ _ONNX_TYPES = {"uint8": "tensor(uint8)", "float32": "tensor(float)"}
 
 @dataclass(frozen=True)
 class Signature:
-    """What the tensors of a model say.
+    """Inputs and outputs of a model.
 
-    size: (height, width) of its inputs, or None if it takes any
-    heads: the names of the contract's outputs it has, in the contract's order
-    free_batch: whether one run takes any number of frames, or one only
+    Attributes:
+        size: (height, width) of its inputs; None = any.
+        heads: names of its heads, in the order of `HEADS`.
+        free_batch: whether one run takes any number of frames, or one only.
     """
 
     size: tuple[int, int] | None
@@ -29,16 +30,19 @@ class Signature:
 
 
 def read_signature(session: Any, *, num_classes: int) -> Signature:
-    """Read the signature of an ONNX Runtime session.
+    """Read the signature of an ONNX Runtime session; outputs that are no heads are ignored.
 
-    num_classes: how many classes the model's metadata names.
-    Outputs that the contract does not know are left alone.
-    Raises ContractError where a tensor of the contract is missing or of another type or shape.
+    Args:
+        session: the open session.
+        num_classes: number of classes in the model's metadata.
+
+    Raises:
+        ContractError: where a tensor is missing or of another type or shape.
     """
     try:
         return _read(session, num_classes)
     except UnicodeDecodeError as error:
-        raise _foreign("names in UTF-8", f"others ({error})") from error
+        raise _foreign("names in UTF-8", f"other bytes ({error})") from error
 
 
 def _read(session: Any, num_classes: int) -> Signature:
@@ -80,13 +84,13 @@ def _read(session: Any, num_classes: int) -> Signature:
     try:
         return Signature(size=check_size((height, width)), heads=names, free_batch=free_batch)
     except ValueError as error:
-        raise _foreign("inputs of a size that pictures have", str(error)) from error
+        raise _foreign("inputs of the size of images", str(error)) from error
 
 
 def check_outputs(
     outputs: Mapping[str, NDArray[Any]], *, frames: int, size: tuple[int, int], num_classes: int
 ) -> None:
-    """Raise InferenceError unless each output, by its head, answers so many frames of `size`."""
+    """Raise InferenceError unless each output, head -> array, has the shape for these frames."""
     for head, values in outputs.items():
         expected = (frames, *((num_classes,) if HEADS[head].per_class else ()), *size)
         if values.shape != expected:

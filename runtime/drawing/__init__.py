@@ -1,1 +1,1 @@
-"""Pictures of answers, to look at."""
+"""Pictures of answers."""

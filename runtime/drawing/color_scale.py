@@ -1,4 +1,4 @@
-"""Colours for a map of numbers, and the bar that says what they mean."""
+"""Colours for a map of numbers, and the colour bar."""
 
 import math
 from dataclasses import dataclass
@@ -11,18 +11,21 @@ from numpy.typing import NDArray
 from runtime.drawing.picture_text import text_width, write_text
 
 NO_VALUE_COLOR = (110, 110, 110)
-_NO_VALUE = 255  # its place among the colours
+_NO_VALUE = 255  # its index in the colour map
 _TICKS = tuple(step * 10.0**power for power in range(-3, 5) for step in (1, 2, 3, 5))
 
 
 @dataclass(frozen=True)
 class ColorScale:
-    """Colours that run with the logarithm of a value: equal ratios look equally different.
+    """A logarithmic colour scale: equal ratios look equally different.
 
-    title, unit: what the bar says of the values
-    low, high: the values of the first and the last colour; what is beyond takes the nearer of them
-    color_map: one of OpenCV's
-    bright_low: the map's last and brightest colour stands for `low`, not for `high`
+    Attributes:
+        title: of the colour bar.
+        unit: of the values.
+        low: value of the first colour; smaller values have it, too.
+        high: value of the last colour; larger values have it, too.
+        color_map: one of OpenCV's.
+        bright_low: whether the map's last and brightest colour is that of `low`.
     """
 
     title: str
@@ -35,10 +38,7 @@ class ColorScale:
     def paint(
         self, values: NDArray[np.float32], *, hidden: NDArray[np.bool_] | None = None
     ) -> NDArray[np.uint8]:
-        """Colour a map (H, W): uint8 (H, W, 3), blue first.
-
-        hidden: (H, W), where there is no value: NO_VALUE_COLOR
-        """
+        """Colour a map (H, W): uint8 (H, W, 3), BGR, NO_VALUE_COLOR where `hidden` (H, W)."""
         logarithms = cv2.log(np.clip(values, self.low, self.high))
         steps = (_NO_VALUE - 1) / math.log(self.high / self.low)
         index = cv2.convertScaleAbs(logarithms, alpha=steps, beta=-steps * math.log(self.low))
@@ -48,16 +48,13 @@ class ColorScale:
 
     @cached_property
     def _colors(self) -> NDArray[np.uint8]:
-        """From `low` to `high`, then NO_VALUE_COLOR: (256, 1, 3), blue first."""
+        """From `low` to `high`, then NO_VALUE_COLOR: (256, 1, 3), BGR."""
         ramp = np.linspace(0, 255, _NO_VALUE).astype(np.uint8).reshape(-1, 1)
         colors = cv2.applyColorMap(ramp[::-1] if self.bright_low else ramp, self.color_map)
         return np.concatenate([colors, np.full((1, 1, 3), NO_VALUE_COLOR, dtype=np.uint8)])
 
     def draw_bar(self, width: int, height: int) -> NDArray[np.uint8]:
-        """Draw all the colours from `low` to `high` with values written on them.
-
-        Returns uint8 (height, width, 3), blue first.
-        """
+        """Draw the colours from `low` to `high` with values on them: uint8 (H, W, 3), BGR."""
         bar = np.zeros((height, width, 3), dtype=np.uint8)
         ramp = np.geomspace(self.low, self.high, width, dtype=np.float32)
         bar[3:-3] = self.paint(ramp[np.newaxis])

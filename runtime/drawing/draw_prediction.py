@@ -1,4 +1,4 @@
-"""What `Prediction.draw` and `Prediction.save` do, for whoever wants to look at an answer."""
+"""`Prediction.draw` and `Prediction.save`."""
 
 import io
 from collections.abc import Sequence
@@ -24,18 +24,18 @@ _PICTURES, _ARRAYS, _CLOUD = (".png", ".jpg", ".jpeg"), ".npz", ".ply"
 def draw_prediction(
     prediction: Prediction, rgb: NDArray[np.uint8] | None = None
 ) -> NDArray[np.uint8]:
-    """Return the picture of `Prediction.draw`, uint8 (H', W', 3), red first. Raises InputError."""
+    """Return the picture of `Prediction.draw`, uint8 (H', W', 3), RGB. Raises InputError."""
     contract = prediction.contract
     if contract is None:
         raise InputError(
-            "the prediction holds no contract, which names the classes and their colours: draw "
-            "what Predictor.predict gives, or make it with contract=predictor.contract"
+            "the prediction has no contract, which names the classes and their colours: draw "
+            "what Predictor.predict returns, or set contract=predictor.contract"
         )
     size = prediction.frame_size
     if rgb is not None:
         given = f"{rgb.dtype} {rgb.shape}" if isinstance(rgb, np.ndarray) else type(rgb).__name__
         if given != f"uint8 {(*size, 3)}":
-            raise InputError(f"rgb must be the frame's picture, uint8 {(*size, 3)}, got {given}")
+            raise InputError(f"rgb must be the frame's image, uint8 {(*size, 3)}, got {given}")
     overlay = _overlay(tuple(contract.classes), contract.max_depth_m)
     return cv2.cvtColor(overlay.draw(rgb, prediction), cv2.COLOR_BGR2RGB)  # type: ignore[return-value]
 
@@ -62,19 +62,19 @@ def save_prediction(
     elif suffix == _CLOUD:
         if intrinsics is None:
             raise InputError(
-                f"{path.name} is a cloud of points: give intrinsics=, the camera's 3 x 3 matrix in "
+                f"{path.name} is a point cloud: give intrinsics=, the camera's 3 x 3 matrix in "
                 "pixels of the frame"
             )
         classes = prediction.contract.classes if prediction.contract is not None else ()
         content = encode_ply(prediction.points(intrinsics, rgb), classes)
     else:
         known = ", ".join((*_PICTURES, _ARRAYS, _CLOUD))
-        raise InputError(f"{path.name} must end in one of {known}: it says what is saved")
+        raise InputError(f"{path.name} must end in one of {known}")
     atomic_write(path, content)
 
 
 def _npz(prediction: Prediction) -> memoryview:
-    """All arrays by their heads' names, and whether they may be used."""
+    """All arrays by their heads' names, with `valid` and `degraded`."""
     arrays: dict[str, Any] = dict(prediction.heads)
     arrays["valid"] = np.bool_(prediction.valid)
     arrays["degraded"] = np.array(prediction.degraded, dtype=np.str_)
@@ -85,5 +85,5 @@ def _npz(prediction: Prediction) -> memoryview:
 
 @lru_cache(maxsize=8)
 def _overlay(classes: Sequence[ClassInfo], max_depth_m: float) -> Overlay:
-    """One for all frames of a model: it keeps what it draws below each."""
+    """The overlay of a model; it keeps the legend for the next frame."""
     return Overlay(classes, max_depth_m)

@@ -1,4 +1,4 @@
-"""One picture of a frame and its answers, to look at."""
+"""One picture of a frame and its answers."""
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -15,12 +15,12 @@ from runtime.heads import HEADS, Panel
 
 # Larger frames are shrunk by a whole number until they fit: a JPEG side has at most 65500 pixels.
 _PANEL_WIDTH, _PANEL_HEIGHT = 640, 4096
-_STACK_ASPECT = 2.0  # panels wider than this stand below one another
+_STACK_ASPECT = 2.0  # wider panels are stacked
 _STACKED_WIDTH = 960
 _CLASS_OPACITY = 0.7
 _LEGEND_LINE = 22  # pixels
-_NO_DEPTH = ClassInfo("no depth", NO_VALUE_COLOR)  # as the legend has it
-_NEAREST_M = 3.0  # what is nearer is in front of the bonnet
+_NO_DEPTH = ClassInfo("no depth", NO_VALUE_COLOR)  # in the legend
+_NEAREST_M = 3.0  # of the depth's colours; the bonnet is nearer
 _UNCERTAINTY_PERCENT = (1.0, 100.0)
 
 
@@ -33,13 +33,16 @@ class Answers(Protocol):
 
 
 class Overlay:
-    """Draw strips of panels: image, classes, depth, its uncertainty, boundary.
+    """Draws a frame and its heads as panels over a legend, by the `panel` of each head.
 
-    Heads that are missing are left out. The colours of the depth are metric and the same for every
-    frame: they run with its logarithm, as half of a street is within 20 m, from bright (near) to
-    dark, so that they tell it without their hue. Those of the uncertainty run with the logarithm of
-    its share of the depth: what is bright is not to be trusted. Where the class is sky, and where
-    a depth is not above 0, neither is drawn. The legend below the panels says what they mean.
+    The colours of the depth are the same for every frame: logarithmic, from bright (near) to dark,
+    so that they are readable without hue. The uncertainty is drawn as a share of the depth,
+    logarithmic, bright = uncertain. Neither is drawn where the class is sky and where a depth is
+    not above 0.
+
+    Args:
+        classes: in the order of the ids.
+        max_depth_m: depth of the darkest colour.
     """
 
     def __init__(self, classes: Sequence[ClassInfo], max_depth_m: float) -> None:
@@ -57,8 +60,12 @@ class Overlay:
     def draw(self, rgb: NDArray[np.uint8] | None, prediction: Answers) -> NDArray[np.uint8]:
         """Draw one frame.
 
-        rgb: uint8 (H, W, 3), red first; None = answers alone
-        Returns uint8, blue first, as OpenCV writes it.
+        Args:
+            rgb: uint8 (H, W, 3), RGB; None = the answers alone.
+            prediction: answers at the image's size.
+
+        Returns:
+            uint8 (H', W', 3), BGR, as OpenCV writes it.
         """
         panels = self.panels(rgb, prediction)
         height, width = _size(rgb, prediction)
@@ -74,16 +81,19 @@ class Overlay:
     def panels(
         self, rgb: NDArray[np.uint8] | None, prediction: Answers, *, widest: int | None = None
     ) -> dict[str, NDArray[np.uint8]]:
-        """Draw what `draw` puts together: title -> panel, without words, all of one size.
+        """Draw the panels of `draw`: title -> uint8 (H', W', 3), BGR, without text, of one size.
 
-        widest: columns of a panel, at most; None = those of `draw`
+        Args:
+            rgb: uint8 (H, W, 3), RGB; None = the answers alone.
+            prediction: answers at the image's size.
+            widest: largest width of a panel; None = that of `draw`.
         """
         height, width = _size(rgb, prediction)
         if widest is None:
             stacked = width >= _STACK_ASPECT * height
             widest = _STACKED_WIDTH if stacked else _PANEL_WIDTH
         step = max(-(-width // widest), -(-height // _PANEL_HEIGHT))
-        step = min(step, height, width)  # at least a line of a very long frame is left
+        step = min(step, height, width)  # a very long frame keeps a line
         image = None if rgb is None else cv2.cvtColor(_shrink(rgb, step), cv2.COLOR_RGB2BGR)
         panels: dict[str, NDArray[Any]] = {} if image is None else {"image": image}
         heads = prediction.heads
@@ -112,15 +122,19 @@ class Overlay:
     def paint_depth(
         self, depth: NDArray[np.float32], semantic: NDArray[np.uint8] | None = None
     ) -> NDArray[np.uint8]:
-        """Draw a depth alone, at its own size and without words, coloured as `draw` does.
+        """Draw a depth map alone, at its own size and without text, coloured as in `draw`.
 
-        depth: metres (H, W). semantic: class ids (H, W), whose sky has no depth; None = not known.
-        Returns uint8 (H, W, 3), blue first.
+        Args:
+            depth: float32 (H, W), metres.
+            semantic: uint8 (H, W), class ids, whose sky has no depth; None = not known.
+
+        Returns:
+            uint8 (H, W, 3), BGR.
         """
         return self._depth_scale.paint(depth, hidden=self._without_depth(depth, semantic))
 
     def draw_depth_bar(self, width: int) -> NDArray[np.uint8]:
-        """Draw what the colours of a depth mean: uint8 (H', width, 3), blue first."""
+        """Draw the colour bar of the depth: uint8 (H', width, 3), BGR."""
         return self._depth_scale.draw_bar(width, _LEGEND_LINE)
 
     def _without_depth(
@@ -154,16 +168,13 @@ class Overlay:
 
 
 class SharedOverlay(Overlay):
-    """An overlay for several that look at one frame after another: each frame is drawn once.
-
-    What `draw` gives belongs to all of them.
-    """
+    """An overlay shared by several outputs: each frame is drawn once, and the picture is shared."""
 
     _of: tuple[NDArray[np.uint8] | None, Answers] | None = None
     _drawn: NDArray[np.uint8]
 
     def draw(self, rgb: NDArray[np.uint8] | None, prediction: Answers) -> NDArray[np.uint8]:
-        """Draw a frame, or give back what was drawn of it last."""
+        """Draw a frame, or return the picture if it was the last one drawn."""
         if self._of is None or self._of[0] is not rgb or self._of[1] is not prediction:
             self._of, self._drawn = (rgb, prediction), super().draw(rgb, prediction)
         return self._drawn
@@ -176,7 +187,7 @@ def _size(rgb: NDArray[np.uint8] | None, prediction: Answers) -> tuple[int, int]
 
 
 def _class_lines(swatches: Sequence[ClassInfo], width: int) -> list[NDArray[np.uint8]]:
-    """Swatches with names, in as many lines as they need."""
+    """Swatches with names, in as many lines as needed."""
     lines: list[NDArray[np.uint8]] = []
     x = width
     for info in swatches:
@@ -191,7 +202,7 @@ def _class_lines(swatches: Sequence[ClassInfo], width: int) -> list[NDArray[np.u
 
 
 def _shrink(image: NDArray[Any], step: int) -> NDArray[np.uint8]:
-    """Average blocks of step x step pixels; the few beyond the last whole block are left out."""
+    """Average blocks of step x step pixels; an incomplete last block is cropped."""
     height, width = image.shape[0] // step, image.shape[1] // step
     whole = image[: height * step, : width * step]
     if step == 1:

@@ -1,4 +1,4 @@
-"""White words with black edges, legible on any picture."""
+"""White text with black edges, legible on any picture."""
 
 from typing import Any
 
@@ -10,14 +10,14 @@ _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 
 
 def write_text(picture: NDArray[Any], text: str, at: tuple[int, int]) -> None:
-    """Write on a picture; `at` is (x, y) of the baseline's left end."""
+    """Write text; `at` is (x, y) of the baseline's left end."""
     x, y = at
-    # Thicker letters of some versions of OpenCV are wider, too: edges of letters of one size.
+    # Thicker letters are wider in some versions of OpenCV, so the edges have the same thickness.
     for corner in ((x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)):
         cv2.putText(picture, text, corner, _FONT, _FONT_SCALE, _BLACK, 1, cv2.LINE_AA)
     cv2.putText(picture, text, at, _FONT, _FONT_SCALE, _WHITE, 1, cv2.LINE_AA)
 
 
 def text_width(text: str) -> int:
-    """Pixels that `write_text` takes for a text, without its edges."""
+    """Width of a text of `write_text` in pixels, without its edges."""
     return int(cv2.getTextSize(text, _FONT, _FONT_SCALE, 1)[0][0])

@@ -1,4 +1,4 @@
-"""Clouds of points as PLY files, which every viewer of clouds reads.
+"""Point clouds as PLY files.
 
 Format: Greg Turk, "The PLY Polygon File Format", 1994; binary, little-endian.
 """
@@ -16,10 +16,12 @@ _PLY_TYPES = {"<f4": "float", "|u1": "uchar"}
 
 
 def encode_ply(cloud: PointCloud, classes: Sequence[ClassInfo] = ()) -> bytes:
-    """Return a PLY file of the points' x, y, z [m] in the camera's frame, and, where the cloud has
-    them, of their red, green, blue and their class id as `label`.
+    """Return the content of a PLY file.
 
-    classes: in the order of the ids; their names and colours stand in comments of the header
+    Args:
+        cloud: its points have x, y, z in metres in the camera's frame, and, where it has them, red,
+            green, blue, and the class id as `label`.
+        classes: in the order of the ids; names and colours are written as comments of the header.
     """
     columns: list[tuple[str, str, NDArray[Any]]] = [
         (axis, "<f4", cloud.points[:, index]) for index, axis in enumerate("xyz")
@@ -50,5 +52,5 @@ def encode_ply(cloud: PointCloud, classes: Sequence[ClassInfo] = ()) -> bytes:
 
 
 def _ascii(name: str) -> str:
-    """A name on a line of the header, which is ASCII."""
+    """A name as ASCII text on one line."""
     return " ".join(name.encode("ascii", "replace").decode().split())

@@ -1,4 +1,4 @@
-"""A recording: frames and the answers that were given, kept to be held against later ones.
+"""A recording: frames and the answers to them, for comparison with later ones.
 
 A folder that needs nothing else:
 
@@ -42,12 +42,13 @@ _MAX_DOCUMENT_BYTES = 2**28
 
 @dataclass(frozen=True)
 class RecordedFrame:
-    """What is known of a frame beside its arrays.
+    """Facts about a frame beside its arrays.
 
-    name: of the frame, for people
-    valid: whether the answers could be used; if not, none are kept
-    degraded: reasons of `Prediction.degraded`; None = not known (PyTorch answered)
-    predict_ms: time of `Predictor.predict`; None = not known
+    Attributes:
+        name: of the frame, for people.
+        valid: whether the answers are usable; if not, none are kept.
+        degraded: reasons of `Prediction.degraded`; None = not known (PyTorch answered).
+        predict_ms: time of `Predictor.predict`; None = not known.
     """
 
     name: str
@@ -58,12 +59,13 @@ class RecordedFrame:
 
 @dataclass(frozen=True)
 class Settings:
-    """How the answers came about: what a `Predictor` needs to give them again.
+    """What a `Predictor` needs to repeat the answers.
 
-    made_by: the command
-    size: as `Predictor` takes it
-    focal_length_px: as `Predictor` takes it
-    provider: "cpu" or "cuda"; "torch" where PyTorch answered
+    Attributes:
+        made_by: the command.
+        size: as `Predictor` takes it.
+        focal_length_px: as `Predictor` takes it.
+        provider: "cpu" or "cuda"; "torch" where PyTorch answered.
     """
 
     made_by: str
@@ -76,8 +78,13 @@ class Settings:
 class Recording:
     """A recording on disk; its arrays are read a frame at a time.
 
-    model_sha256: digest of the model that answered
-    limits: head -> limit of its first figure, see `runtime.io.agreement`
+    Attributes:
+        folder: where it is.
+        settings: of the predictor.
+        model_name: of the model that answered.
+        model_sha256: digest of that model's file.
+        limits: head -> limit of its first figure, see `runtime.io.agreement`.
+        frames: facts about each frame.
     """
 
     folder: Path
@@ -115,9 +122,7 @@ class Recording:
 
 
 class Recorder:
-    """Write a recording into a folder, a frame at a time, see `record`, which raises OutputError
-    where there is no room.
-    """
+    """Writes a recording into a folder, a frame at a time, see `record`."""
 
     def __init__(self, folder: Path, settings: Settings) -> None:
         self._folder, self._settings = folder, settings
@@ -130,22 +135,25 @@ class Recorder:
         frame: RecordedFrame,
         rgb: NDArray[np.uint8],
         sparse_depth: NDArray[np.float32],
-        answers: Mapping[str, NDArray[Any] | None],
+        answers: Mapping[str, NDArray[Any]],
     ) -> None:
         """Keep a frame and, where it is valid, its answers, head -> array."""
-        kept = {head: values for head, values in answers.items() if values is not None}
-        self._heads |= kept.keys()
+        self._heads |= answers.keys()
         path = _frame_path(self._folder, len(self._frames))
-        # As `Predictor` takes them, NaN and all: only so can the same be asked again.
-        arrays = {"rgb": rgb, "sparse_depth": sparse_depth, **(kept if frame.valid else {})}
-        np.savez(path, **arrays)  # type: ignore[arg-type]  # its stub knows one array
+        # As given to `Predictor`, NaN included, so that the prediction can be repeated.
+        arrays = {"rgb": rgb, "sparse_depth": sparse_depth, **(answers if frame.valid else {})}
+        np.savez(path, **arrays)  # type: ignore[arg-type]  # numpy's stub
         self._frames.append(frame)
 
     def finish(self, model: Path, *, sha256: str | None = None) -> None:
         """Add the model that answered, and the document.
 
-        sha256: of the file when it was loaded, since another may have its name by now.
-        Raises ContractError.
+        Args:
+            model: its file.
+            sha256: of the file when it was loaded, since it may have been replaced.
+
+        Raises:
+            ContractError: if the file cannot be read or has another digest.
         """
         file = load_model_file(model, sha256=sha256)
         depth_m = file.contract.max_depth_m
@@ -166,10 +174,18 @@ class Recorder:
 
 @contextlib.contextmanager
 def record(path: Path, settings: Settings, *, overwrite: bool = False) -> Iterator[Recorder]:
-    """Make a recording that gets its name when the block ends; after an error there it is gone.
+    """Write a recording, whole or not at all.
 
-    overwrite: an older recording at `path` is replaced; nothing else ever is.
-    The block adds frames and calls `Recorder.finish`. Raises OutputError.
+    Args:
+        path: the folder, which gets its name when the block ends without an error.
+        settings: of the predictor.
+        overwrite: replace an older recording at `path`; nothing else is replaced.
+
+    Yields:
+        The recorder; the block adds frames and calls `Recorder.finish`.
+
+    Raises:
+        OutputError: if the folder cannot be written or replaced.
     """
     if path.exists() and overwrite and not (path / RECORDING_FILE).is_file():
         raise OutputError(
@@ -182,7 +198,11 @@ def record(path: Path, settings: Settings, *, overwrite: bool = False) -> Iterat
 
 
 def read_recording(folder: Path) -> Recording:
-    """Read what a recording says of itself. Raises InputError where it is none, or damaged."""
+    """Read the document of a recording.
+
+    Raises:
+        InputError: where the folder is no recording, or it is damaged.
+    """
     path = folder / RECORDING_FILE
     try:
         if path.stat().st_size > _MAX_DOCUMENT_BYTES:
@@ -199,7 +219,7 @@ def read_recording(folder: Path) -> Recording:
         return _parse(folder, document)
     except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise InputError(
-            f"{path} does not say what a recording does ({type(error).__name__}: {error}): it was "
+            f"{path} is not the document of a recording ({type(error).__name__}: {error}): it was "
             "changed, or is of another version; record again"
         ) from error
 
@@ -209,7 +229,7 @@ def _parse(folder: Path, document: Any) -> Recording:
         raise ValueError(f"format is {document['format']!r:.80}, expected {RECORDING_FORMAT!r}")
     major = str(document["version"]).partition(".")[0]
     if major != RECORDING_VERSION.partition(".")[0]:
-        raise ValueError(f"version is {document['version']!r:.80}, this one reads {major}.x")
+        raise ValueError(f"version is {document['version']!r:.80}, this reader reads {major}.x")
     settings = document["settings"]
     size, focal_px = settings["size"], settings["focal_length_px"]
     return Recording(

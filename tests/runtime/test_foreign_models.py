@@ -132,7 +132,7 @@ def test_logits_of_another_number_of_classes(model_file, contract):
 
 @pytest.mark.parametrize("size", [(48, 20_000), (16, 64), (16_384, 16_384)])
 def test_a_fixed_size_that_no_picture_has(model_file, size):
-    with pytest.raises(ContractError, match="a size that pictures have"):
+    with pytest.raises(ContractError, match="the size of images"):
         Predictor(model_file(size=size))
 
 

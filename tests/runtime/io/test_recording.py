@@ -22,7 +22,7 @@ def recording(tmp_path, model_file, make_frame) -> Path:
         for index in range(2):
             rgb, depth = make_frame(seed=index)
             frame = RecordedFrame(f"frame {index}", index == 0, ("no_depth",), 12.5)
-            recorder.add(frame, rgb, depth, {"depth": depth + 1, "boundary": None})
+            recorder.add(frame, rgb, depth, {"depth": depth + 1})
         recorder.finish(model_file())
     return folder
 
@@ -97,7 +97,7 @@ def edit(folder, **changes):
 )
 def test_a_document_that_was_changed_is_refused(recording, changes):
     edit(recording, **changes)
-    with pytest.raises(InputError, match="does not say what a recording does"):
+    with pytest.raises(InputError, match="is not the document of a recording"):
         read_recording(recording)
 
 
