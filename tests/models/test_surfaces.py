@@ -267,11 +267,11 @@ def test_a_network_with_it_answers_at_full_size_and_keeps_the_coarser_depths(nam
         ({"depth_surfaces": False}, "depth_refine_channels needs depth_surfaces"),
         ({"stem_channels": (16, 32, 32)}, "a stem of stride 4"),
         ({"valid_mask_input": False}, "valid_mask_input"),
-        ({"sparse_depth_gain": 2.0}, "sparse_depth_gain is 1"),
+        ({"sparse_depth_gain": 2.0}, "sparse_depth_gain = 1"),
         ({"use_sparse_depth": False}, "sparse depth and a depth head"),
     ],
 )
-def test_it_needs_the_sparse_depth_as_it_is_and_a_stem_of_a_quarter(changes, message):
+def test_it_needs_unscaled_sparse_depth_and_a_stem_of_a_quarter(changes, message):
     with pytest.raises(ValueError, match=message):
         create_model("ssdnet-lite", **changes)
 

@@ -419,12 +419,12 @@ def test_non_finite_loss_names_the_frames(data, tmp_path, monkeypatch):
     monkeypatch.setattr(loop, "_compute_loss", spoil)
     with pytest.raises(NonFiniteLossError, match=r"step 0: the loss is nan.*non_finite\.json"):
         train(recipe(), data=[data], out=tmp_path / "run")
-    text = json.loads((tmp_path / "run" / "non_finite.json").read_text())
-    assert text["step"] == 0
-    assert len(text["frames"]) == recipe().data.batch_size
-    assert all(name.startswith("camvid/") for name in text["frames"])
-    assert text["terms"]["total"] == "nan"
-    assert float(text["terms"]["semantic"]) > 0
+    document = json.loads((tmp_path / "run" / "non_finite.json").read_text())
+    assert document["step"] == 0
+    assert len(document["frames"]) == recipe().data.batch_size
+    assert all(name.startswith("camvid/") for name in document["frames"])
+    assert document["terms"]["total"] == "nan"
+    assert float(document["terms"]["semantic"]) > 0
 
 
 def test_accumulated_batches_make_the_step_of_their_mean_gradient(data, tmp_path, monkeypatch):
