@@ -22,35 +22,37 @@ def _print_recipes(wanted: bool) -> None:
 
 @app.command(
     epilog="Exit codes: 0 done; 1 error; 2 usage; 130 stopped by Ctrl-C or SIGTERM, after which "
-    "the same command goes on."
+    "the same command resumes."
 )
 def train(
     recipe: Annotated[
         str,
         typer.Argument(
-            help="Name of a recipe, see --list, or a file: what ends in .toml or holds a slash."
+            help="Name of a recipe, see --list, or a path that ends in .toml or holds a slash."
         ),
     ],
     data: Annotated[
-        list[Path], typer.Option(help="Folder with the recipe's data sets; may be repeated.")
+        list[Path], typer.Option(help="Folder with the recipe's data sets. May be repeated.")
     ],
     out: Annotated[
-        Path, typer.Option(help="Run folder; one of the same recipe goes on where it stopped.")
+        Path, typer.Option(help="Folder of the run. A run of the same recipe is resumed.")
     ],
     init: Annotated[
         str | None,
         typer.Option(
-            help="Weights to start from: by name those that are installed (ssdnet-lite), or a "
-            "file: what ends in .pt or holds a slash."
+            help="Initial weights: a name of installed ones (ssdnet-lite), or a path that ends in "
+            ".pt or holds a slash."
         ),
     ] = None,
     change: Annotated[
         list[str] | None,
-        typer.Option("--set", help="Change a key of the recipe: 'schedule.steps = 500'."),
+        typer.Option(
+            "--set", help="Change a key of the recipe, for example 'schedule.steps = 500'."
+        ),
     ] = None,
     device: Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")] = "cpu",
     stop_after: Annotated[
-        int | None, typer.Option(min=1, help="End at this step; the run can be resumed.")
+        int | None, typer.Option(min=1, help="Stop at this step. The run can be resumed.")
     ] = None,
     _list: Annotated[
         bool,
@@ -59,7 +61,7 @@ def train(
 ) -> None:
     """Train a network; writes checkpoints, TensorBoard curves, scores and the resolved recipe."""
     with reported_errors("train"):
-        # Heavy imports here, so that --help answers at once.
+        # Heavy imports here, so that --help is quick.
         from training.initial_weights import find_weights
         from training.loop import train as run
         from training.recipe import read_recipe
@@ -77,5 +79,5 @@ def train(
             )
     typer.echo(str(path))
     if stop() and path.name == "last.pt":
-        typer.echo(f"stopped; the same command goes on from {path}", err=True)
+        typer.echo(f"stopped; the same command resumes from {path}", err=True)
         raise typer.Exit(INTERRUPTED)

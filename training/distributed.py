@@ -1,7 +1,7 @@
-"""Several processes that train one network: started by torchrun, each with its share of a batch.
+"""Distributed training: processes that torchrun started, each with its share of a batch.
 
-A sum over processes is differentiable, and every loss divides a sum over all processes by a count
-over all of them. So N processes with batches of B compute what one computes with a batch of N * B,
+Sums over processes are differentiable, and every loss divides a sum over all processes by a count
+over all processes. So N processes with batches of B compute the same as one with a batch of N * B,
 batch normalisation included.
 """
 
@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Processes:
-    """This process among those that train together, and where it computes."""
+    """This process among those that train together, and its device."""
 
     rank: int
     count: int
@@ -31,24 +31,24 @@ class Processes:
 
     @property
     def is_first(self) -> bool:
-        """Whether this is the process that writes files and shows progress."""
+        """Whether this process writes files and shows progress."""
         return self.rank == 0
 
     def wait(self) -> None:
-        """Wait until every process has come here."""
+        """Wait for all processes."""
         if self.count > 1:
             dist.barrier()
 
     def any(self, flag: bool) -> bool:
-        """Whether any process says so; all of them get the same answer."""
+        """Return whether the flag is set in any process; the same result in all of them."""
         if self.count == 1:
             return flag
-        said = torch.tensor(int(flag), device=self.device)
-        dist.all_reduce(said)
-        return bool(said.item())
+        count = torch.tensor(int(flag), device=self.device)
+        dist.all_reduce(count)
+        return bool(count.item())
 
     def gather(self, item: T) -> list[T]:
-        """Return what every process gives here, in their order; plain Python objects."""
+        """Return the items of all processes in their order; plain Python objects."""
         if self.count == 1:
             return [item]
         items: list[Any] = [None] * self.count
@@ -56,10 +56,10 @@ class Processes:
         return items
 
     def shares(self, first: int, last: int, batch_size: int) -> list[int]:
-        """Which of the samples first..last - 1 are this process's: a batch of each round.
+        """Return this process's samples of first..last - 1: one batch of each round.
 
-        Every round of ``count`` batches is a run of samples, so that it holds the same ones
-        whether one process takes it as one batch or several take their parts.
+        Every round of ``count`` batches is a contiguous range, so that it has the same samples
+        whatever the number of processes.
         """
         return [
             index
@@ -72,8 +72,12 @@ class Processes:
 def join_processes(device: str) -> Iterator[Processes]:
     """Join the processes that torchrun started, or be the only one.
 
-    ``device`` is "cpu" (gloo), "cuda" (nccl; each process of a machine takes its own card), or
-    "cuda:N" for a single process. Raises InputError if there is no such device.
+    Args:
+        device: "cpu" (gloo), "cuda" (nccl; each process of a machine takes its own GPU), or
+            "cuda:N" for a single process.
+
+    Raises:
+        InputError: if there is no such device.
     """
     count = int(os.environ.get("WORLD_SIZE", "1"))
     try:
@@ -82,7 +86,9 @@ def join_processes(device: str) -> Iterator[Processes]:
             place = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
         torch.zeros(1, device=place)
     except (RuntimeError, AssertionError) as error:
-        raise InputError(f"device {device!r} is not there: {error}. Try --device cpu.") from error
+        raise InputError(
+            f"device {device!r} is not available: {error}. Try --device cpu."
+        ) from error
     if count == 1:
         yield Processes(0, 1, place)
         return
@@ -96,7 +102,7 @@ def join_processes(device: str) -> Iterator[Processes]:
 
 
 def sum_over_processes(x: Tensor) -> Tensor:
-    """Sum a tensor over all processes, differentiably; itself where there is one process."""
+    """Sum a tensor over all processes, differentiably; with one process return it."""
     if not (dist.is_available() and dist.is_initialized()):
         return x
     total: Tensor = _SumOverProcesses.apply(x)  # type: ignore[no-untyped-call]
@@ -104,7 +110,7 @@ def sum_over_processes(x: Tensor) -> Tensor:
 
 
 class _SumOverProcesses(torch.autograd.Function):
-    """Every process gets the sum, so the gradient of each is the sum of all of theirs."""
+    """Every process gets the sum, so its gradient is the sum of all gradients."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor) -> Tensor:
@@ -128,16 +134,13 @@ def share_gradients(network: nn.Module, processes: Processes) -> nn.Module:
         network,
         device_ids=[processes.device.index] if cuda else None,
         broadcast_buffers=False,  # equal already: batch statistics are over all processes
-        # Heads whose losses have weight 0 get no gradient.
+        # Heads whose losses have weight 0 have no gradient.
         find_unused_parameters=True,
     )
 
 
 def synchronise_batch_norm(network: nn.Module, processes: Processes) -> None:
-    """Let a network normalise over the batches of all processes, not each process's own.
-
-    In place, for networks that are not themselves a batch normalisation.
-    """
+    """Let a network normalise over the batches of all processes; in place."""
     if processes.count == 1:
         return
     if processes.device.type == "cuda":
@@ -151,11 +154,11 @@ def synchronise_batch_norm(network: nn.Module, processes: Processes) -> None:
 
 
 class _SharedBatchNorm(nn.BatchNorm2d):
-    """What torch.nn.SyncBatchNorm is on GPUs, for processes on CPUs, which it refuses."""
+    """torch.nn.SyncBatchNorm for processes on CPUs, which it does not support."""
 
     @classmethod
     def of(cls, norm: nn.BatchNorm2d) -> "_SharedBatchNorm":
-        """Take over a batch normalisation with its parameters and buffers."""
+        """Copy a batch normalisation with its parameters and buffers."""
         if norm.momentum is None or not (norm.affine and norm.track_running_stats):
             raise ValueError("expected a batch normalisation with momentum, scale and statistics")
         shared = cls(norm.num_features, eps=norm.eps, momentum=norm.momentum)
@@ -163,7 +166,7 @@ class _SharedBatchNorm(nn.BatchNorm2d):
         return shared.train(norm.training)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(N, C, H, W) -> same, by the mean and variance over all processes."""
+        """Normalise (N, C, H, W) by the mean and variance over all processes."""
         running_mean, running_var, momentum = self.running_mean, self.running_var, self.momentum
         if not self.training or running_mean is None or running_var is None or momentum is None:
             return super().forward(x)

@@ -1,7 +1,7 @@
-"""What the values of a recipe may be, in one place.
+"""The limits of a recipe's values, in one place.
 
-The limits lie far beyond what is of use: a value outside is a slip of the pen, refused before it
-takes the memory or the days that it asks for.
+They are far beyond useful values: a value outside is a typing error, refused before it takes memory
+or days.
 """
 
 from typing import Annotated
@@ -17,14 +17,14 @@ from runtime.contract import (
     MIN_SIDE,
 )
 
-#: For every table of a recipe: "3" is not 3, true is not 1, no unknown keys, no NaN or infinity.
+#: Of every table of a recipe: "3" is not 3, true is not 1, no unknown keys, no NaN or infinity.
 STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
-#: Of a batch: 5 GiB of what the loader hands over.
+#: Of a batch: 5 GiB of loaded tensors.
 MAX_BATCH_PIXELS = 2**28
-#: Of the window that a frame's part is magnified from: 1.6 GiB.
+#: Of the window of a frame before it is magnified to the crop: 1.6 GiB.
 MAX_WINDOW_PIXELS = 2**27
-#: Of a training; their order is drawn at its start, 16 bytes each.
+#: Of a training; their order takes 16 bytes each.
 MAX_SAMPLES = 10**8
 
 Index = Annotated[int, Field(ge=0, le=10**9)]
@@ -44,7 +44,7 @@ Positive = Annotated[float, Field(gt=0, le=1e9)]
 #: Of a relative change of colours.
 Strength = Annotated[float, Field(ge=0, le=10)]
 Degrees = Annotated[float, Field(ge=0, le=180)]
-#: Of what is added to a logit.
+#: An offset of a logit.
 Logit = Annotated[float, Field(ge=-100, le=100)]
 NotNegative = Annotated[float, Field(ge=0, le=1e9)]
 
@@ -57,13 +57,13 @@ def _require_order(limits: tuple[float, float]) -> tuple[float, float]:
 
 _PositiveShare = Annotated[float, Field(gt=0, le=1)]
 _Factor = Annotated[float, Field(ge=0.01, le=100)]
-#: (low, high) of what is drawn at random.
+#: (low, high) of a value that is drawn at random.
 ShareRange = Annotated[tuple[_PositiveShare, _PositiveShare], AfterValidator(_require_order)]
 FactorRange = Annotated[tuple[_Factor, _Factor], AfterValidator(_require_order)]
 
 
 def require_window(key: str, crop: tuple[int, int], scale: tuple[float, float]) -> None:
-    """Raise a ValueError that names the key if a crop magnified so little needs a vast window."""
+    """Raise ValueError, which names the key, if the crop at this scale needs too large a window."""
     pixels = crop[0] * crop[1] / scale[0] ** 2
     if pixels > MAX_WINDOW_PIXELS:
         raise ValueError(

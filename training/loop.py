@@ -49,10 +49,10 @@ from training.run_folder import (
 from training.score_table import SHOWN, ScoreTable
 from training.stop_signal import leave_signals_to_parent
 
-#: What `Network.forward` is, perhaps shared among processes or compiled.
+#: `Network.forward`, perhaps distributed or compiled.
 Forward = Callable[..., NetworkOutput]
 
-#: Types of arithmetic other than float32, as recipes call them.
+#: The recipe's names of types other than float32.
 _AUTOCAST = {"bf16": torch.bfloat16, "fp16": torch.float16}
 
 
@@ -66,17 +66,32 @@ def train(
     stop_after: int | None = None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Path:
-    """Train as the recipe says and return the path of the final checkpoint, model.pt.
+    """Train a network by a recipe.
 
-    Writes ``out``: recipe.json (resolved), last.pt (to resume from), model.pt (the averaged
-    weights, to ship), best.pt (those of the best validation so far), scores.csv (every figure of
-    every validation) and tensorboard/. An ``out`` with a last.pt of the same recipe goes on where
-    it stopped; of another recipe it is an InputError that names the key. ``init`` starts from
-    another checkpoint's weights, as far as they fit.
+    Writes to ``out``: recipe.json (resolved), last.pt (to resume from), model.pt (the averaged
+    weights, to release), best.pt (those of the best validation so far), scores.csv (every score of
+    every validation) and tensorboard/. An ``out`` with a last.pt of the same recipe is resumed.
+    Started by torchrun, each process takes its share of every batch, see `training.distributed`;
+    the first one writes, and all stop at the same step.
 
-    ``stop_after`` ends early at that step, resumable, and returns last.pt; so does ``stop`` once it
-    says True, which is asked between two steps. Started by torchrun each process takes its share of
-    every batch, see `training.distributed`; the first one writes, and all stop at the same step.
+    Args:
+        recipe: what to train and how.
+        data: folders with the recipe's data sets.
+        out: folder of the run.
+        init: a checkpoint to start from; weights that do not fit are initialised as usual.
+        device: "cpu", "cuda" or "cuda:N".
+        stop_after: stop at this step; the run can be resumed.
+        stop: called between two steps; True stops the run, which can be resumed.
+
+    Returns:
+        model.pt, or last.pt if the run was stopped early.
+
+    Raises:
+        InputError: if the recipe, the device or ``out`` cannot be used, for example an ``out`` of
+            another recipe.
+        DatasetError: if a data set is missing or damaged.
+        CheckpointError: if a checkpoint cannot be read or written.
+        NonFiniteLossError: if the loss or its gradient is NaN or infinite.
     """
     with join_processes(device) as processes:
         return _train(recipe, processes, data, out, init, stop_after, stop)
@@ -114,15 +129,15 @@ def _train(
     heads = network.heads
     if not recipe.loss.terms_for(heads):
         raise InputError(
-            f"no term of the loss is about what {network.config.name!r} answers "
-            f"({', '.join(heads)}). Set the weight of one that is."
+            f"no term of the loss has a weight for the heads of {network.config.name!r} "
+            f"({', '.join(heads)}). Set the weight of one that needs these heads."
         )
     weights = None
     if "semantic" in heads and recipe.loss.weighs_classes:
         weights = _weigh_classes(recipe, sources, network.config.num_classes)
     offsets = class_offsets(network, recipe.loop.logit_offsets)
     if processes.is_first:
-        prepare_folder(out, resolved)  # only now: what cannot start leaves no folder behind
+        prepare_folder(out, resolved)  # only now: a training that cannot start leaves no folder
     processes.wait()
     network = network.to(device)
     if recipe.loop.channels_last:
@@ -141,7 +156,7 @@ def _train(
         network, multi_avg_fn=exponential_average(recipe.loop.ema_decay), use_buffers=True
     )
     averaged: Network = average.module  # type: ignore[assignment]
-    # What a resumed run goes on with, beside the network and the step.
+    # The state of a resumed run, beside the network and the step.
     parts: dict[str, Any] = {
         "optimizer": optimizer,
         "average": average,
@@ -151,8 +166,8 @@ def _train(
     step = _resume(out / LAST, resolved, network, parts)
     if len(set(processes.gather(step))) > 1:
         raise InputError(
-            f"{out}: the processes do not find the same checkpoint in it. Give an --out that all "
-            "machines share."
+            f"{out}: the processes find different checkpoints in it. Give an --out on a file "
+            "system that all machines share."
         )
     if step == recipe.schedule.steps and (out / FINAL).is_file():
         return out / FINAL
@@ -217,7 +232,7 @@ def _train(
             norm = torch.nn.utils.get_total_norm(
                 [p.grad for p in network.parameters() if p.grad is not None]
             )
-            if not scaler.is_enabled():  # it leaves out a step that overflows by itself
+            if not scaler.is_enabled():  # the scaler skips a step that overflows
                 require_finite(sums, norm, step, names, out, processes)
             if recipe.loop.clip_norm:
                 torch.nn.utils.clip_grads_with_norm_(
@@ -242,7 +257,7 @@ def _train(
                     step,
                 )
                 progress.set_postfix(loss=f"{sums['total'].item():.3f}")
-            # Before the checkpoint: a run killed meanwhile comes here again.
+            # Before the checkpoint: a run killed in between validates again after it resumes.
             if validation and (step % recipe.validation.every == 0 or step == steps):
                 figures = _validate(averaged, validation, recipe, processes, board, step)
                 if scores is not None and scores.add(step, figures, recipe.validation.best):
@@ -253,14 +268,14 @@ def _train(
     save_last()
     if step == steps and processes.is_first:
         save_averaged(out / FINAL)
-    processes.wait()  # whoever reads the file next finds it
-    return out / (FINAL if step == steps else LAST)  # stopped early: nothing to ship yet
+    processes.wait()  # until the file is written
+    return out / (FINAL if step == steps else LAST)  # stopped early: nothing to release yet
 
 
 def _open_loader(
     recipe: Recipe, sources: Sequence[SampleSource], processes: Processes, step: int
 ) -> DataLoader[dict[str, Any]]:
-    """Batches of this process from a step on, to the end of the training."""
+    """Return the batches of this process from a step to the end of the training."""
     steps, batch = recipe.schedule.steps, recipe.data.batch_size
     per_step = recipe.loop.accumulate * batch * processes.count
     return DataLoader(
@@ -275,10 +290,10 @@ def _open_loader(
 
 
 class _Board:
-    """TensorBoard, or nothing in the processes that do not write."""
+    """TensorBoard, or nothing in processes that do not write."""
 
     def __init__(self, folder: Path | None, step: int) -> None:
-        # What an interrupted run wrote of later steps goes; that of `step` itself stays.
+        # Entries of later steps, of an interrupted run, are removed.
         purge = step + 1 if step else None
         self._writer = None if folder is None else SummaryWriter(str(folder), purge_step=purge)
 
@@ -307,7 +322,7 @@ def _validate(
     board: _Board,
     step: int,
 ) -> dict[str, dict[str, float]]:
-    """Score the network, each process its share of the frames; show figures and pictures."""
+    """Score the network, each process on its share of the frames; show scores and pictures."""
     lidar = LidarInput.parse(recipe.validation.lidar)
     scores = score_sources(network, sources, processes, lidar=lidar)
     shown = {
@@ -335,7 +350,7 @@ def _validate(
 
 
 def _start_worker(_: int) -> None:
-    """Set up a process of the loader, whichever way it was started."""
+    """Set up a worker process of the loader."""
     leave_signals_to_parent()
     # OpenCV's threads would compete with those of the training.
     cv2.setNumThreads(0)
@@ -383,8 +398,11 @@ def _weigh_classes(recipe: Recipe, sources: Sequence[SampleSource], num_classes:
 
 @contextlib.contextmanager
 def _batches(loader: DataLoader[Any]) -> Iterator[Iterator[dict[str, Any]]]:
-    """The loader's batches. Its workers end with the block, also where an error's traceback keeps
-    the iterator: they heed no SIGTERM, so whoever waits for them at exit would wait for ever."""
+    """Yield the loader's batches, and end its workers with the block.
+
+    Workers ignore SIGTERM: while a traceback keeps the iterator, Python would wait for them at
+    exit for ever.
+    """
     batches = iter(loader)
     try:
         yield batches
@@ -394,7 +412,7 @@ def _batches(loader: DataLoader[Any]) -> Iterator[Iterator[dict[str, Any]]]:
 
 
 def _next_batch(batches: Iterator[dict[str, Any]]) -> dict[str, Any]:
-    """The loader's next batch; what a worker says of a damaged file, without its traceback."""
+    """Return the next batch; a worker's error about a damaged file comes without its traceback."""
     try:
         return next(batches)
     except DatasetError as error:
@@ -408,7 +426,7 @@ def _resume(
     network: Network,
     parts: Mapping[str, Any],
 ) -> int:
-    """Load the loop's state if there is one; return the step to go on from."""
+    """Load the state of the run if there is one; return the step to resume from."""
     if not path.is_file():
         return 0
     checkpoint = load_checkpoint(path)
@@ -421,5 +439,5 @@ def _resume(
     except (KeyError, ValueError) as error:
         raise CheckpointError(
             f"{path}: lacks part of the optimiser's state ({error}), so it cannot be resumed. "
-            "Start a new --out from it with --init."
+            "Start a new --out with --init and this file."
         ) from error

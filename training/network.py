@@ -1,4 +1,4 @@
-"""The network of a recipe, with random or known weights."""
+"""The network of a recipe: built, initialised, and its semantic bias adjusted."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,11 +16,13 @@ from training.recipe import ModelRecipe
 
 
 def build_network(recipe: ModelRecipe, init: Path | None) -> Network:
-    """Build a recipe's network; ``init`` is a checkpoint whose weights it starts from.
+    """Build a recipe's network, with the weights of the checkpoint ``init`` as far as they fit.
 
-    Raises InputError for what cannot be built, CheckpointError for what cannot be taken over.
+    Raises:
+        InputError: if the network cannot be built.
+        CheckpointError: if ``init`` cannot be read or nothing of it fits.
     """
-    # Only what the recipe changes: not every network has these.
+    # Only what the recipe changes: not every network has these fields.
     changes: dict[str, Any] = {}
     if not recipe.boundary_gating:
         changes["boundary_gating"] = False
@@ -42,10 +44,7 @@ def build_network(recipe: ModelRecipe, init: Path | None) -> Network:
 
 
 def _configuration(config: NetworkConfig, changes: Mapping[str, Any]) -> NetworkConfig:
-    """Change fields of a configuration by plain values; a network without semantics has no classes.
-
-    Raises ValueError for unknown fields, values of the wrong type and what cannot be built.
-    """
+    """Change fields of a configuration; without a semantic head there are no classes."""
     values = {**config.to_dict(), **changes}
     if changes.get("semantic_head") is False:
         values["classes"] = ()
@@ -55,8 +54,8 @@ def _configuration(config: NetworkConfig, changes: Mapping[str, Any]) -> Network
 def train_parts(network: Network, only: tuple[str, ...]) -> None:
     """Put the parts whose names begin with one of ``only`` into training mode; () = all.
 
-    The others are frozen: no gradient, and the batch statistics that they have. Raises InputError
-    for a beginning that fits no part.
+    The others are frozen: no gradient, and constant batch statistics. InputError for a beginning
+    that fits no part.
     """
     parts = dict(network.named_children())
     unknown = [start for start in only if not any(name.startswith(start) for name in parts)]
@@ -74,9 +73,9 @@ def train_parts(network: Network, only: tuple[str, ...]) -> None:
 
 
 def class_offsets(network: Network, offsets: Sequence[tuple[str, float]]) -> Tensor | None:
-    """What is added to the logit of each class, (num_classes,); None where that is nothing.
+    """Return the offset of each class's logit, (num_classes,), or None without offsets.
 
-    Raises InputError for a class that the network does not tell, or that is named twice.
+    InputError for a class that the network does not have, or that is named twice.
     """
     if not offsets:
         return None
@@ -98,16 +97,15 @@ def adjust_logits(
     share: float,
     offsets: Tensor | None = None,
 ) -> dict[str, Tensor]:
-    """Return the weights of a network whose semantic bias is lowered by share * log(class weight).
+    """Return weights whose semantic bias is lowered by share * log(class weight).
 
-    ``offsets`` (num_classes,) are added to it. A network trained with class weights w answers with
-    the odds of w * p; taking the log of them off the logits gives p back (Menon et al. 2021), a
-    share of it lies between. Nothing changes without class weights and offsets.
+    ``offsets`` (num_classes,) are added to it. A network trained with class weights w predicts the
+    odds of w * p; subtracting log w from the logits gives p (Menon et al. 2021).
     """
     adjusted = dict(state_dict)
     if weights is not None and share:
         bias = adjusted["semantic_head.bias"]
-        logs = torch.where(weights > 0, weights, 1.0).log()  # a class without weight stays
+        logs = torch.where(weights > 0, weights, 1.0).log()  # a class without weight is not changed
         adjusted["semantic_head.bias"] = bias - share * logs.to(bias)
     if offsets is not None:
         bias = adjusted["semantic_head.bias"]

@@ -1,4 +1,4 @@
-"""How weights move: the optimiser, its rate over the steps, and the average that ships."""
+"""The optimiser, the schedule of its learning rate, and the average of the weights."""
 
 import math
 from collections.abc import Callable
@@ -11,15 +11,15 @@ from models import Network
 from training.losses import SSDNetLoss
 from training.recipe import OptimizerRecipe, ScheduleRecipe
 
-#: What AveragedModel hands to its update rule.
+#: Arguments of AveragedModel's update rule.
 Tensors = tuple[Tensor, ...] | list[Tensor]
 
 
 def build_optimizer(
     recipe: OptimizerRecipe, network: Network, criterion: SSDNetLoss
 ) -> torch.optim.Optimizer:
-    """Return AdamW or SGD over the network's parameters and what the loss learns."""
-    # Biases, normalisation and what the loss learns are not decayed.
+    """Return AdamW or SGD over the parameters of the network and of the loss."""
+    # No decay of biases, normalisation and the parameters of the loss.
     kernels = [p for p in network.parameters() if p.ndim > 1]
     others = [p for p in network.parameters() if p.ndim <= 1]
     others += criterion.parameters()
@@ -33,8 +33,7 @@ def build_optimizer(
 
 
 def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
-    """Rate of a step: a warm-up in equal steps (the first is
-    peak / warmup_steps), then cosine down to its final share, or constant."""
+    """Return the rate of a step: linear warm-up from peak / warmup_steps, then the schedule."""
     if step < schedule.warmup_steps:
         return peak * (step + 1) / schedule.warmup_steps
     if schedule.shape == "constant":
@@ -47,10 +46,10 @@ def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
 def exponential_average(
     decay: float,
 ) -> Callable[[Tensors, Tensors, Tensor | int], None]:
-    """Return AveragedModel's update rule: an exponential average that forgets its start.
+    """Return AveragedModel's update rule: an exponential average.
 
-    The decay grows as (1 + n) / (10 + n) up to ``decay``: with the full decay from the first step
-    a short run would still carry a good part of its random start.
+    The decay grows as (1 + n) / (10 + n) up to ``decay``, so that the random initial weights do not
+    remain in the average of a short run.
     """
 
     @torch.no_grad()

@@ -1,4 +1,4 @@
-"""Recipes: one TOML file says everything about a training; unknown keys are errors."""
+"""Recipes: one TOML file describes a training; unknown keys are errors."""
 
 import json
 import os
@@ -44,27 +44,27 @@ T = TypeVar("T")
 if TYPE_CHECKING:
     AnySource = SourceRecipe
 else:
-    #: A data set of any kind, told apart by its key ``kind``.
+    #: A data set of any kind, by its key ``kind``.
     AnySource = Annotated[
         Union[tuple(DATASETS.values())],  # noqa: UP007
         Field(discriminator="kind"),
     ]
 
 
-#: How the two forms of ``model.classes`` are told apart.
+#: Tags of the two forms of ``model.classes``.
 _NAMED, _OWN = "(named)", "(own)"
 _Channel = Annotated[int, Field(ge=0, le=255)]
 
 
 @dataclass(frozen=True, config=STRICT)
 class ClassRecipe:
-    """A class of a table of one's own: its name, and its red, green and blue in pictures."""
+    """A class of a custom table: its name and its RGB colour in pictures."""
 
     name: Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH)]
     color: tuple[_Channel, _Channel, _Channel]
 
 
-#: What pydantic puts into the place of a mistake to say which member of a union it tried.
+#: Tags that pydantic adds to the location of an error: the member of a union that it tried.
 _TAGS: Mapping[str, type] = {**DATASETS, _NAMED: str, _OWN: ClassRecipe}
 
 
@@ -74,12 +74,11 @@ class ModelRecipe:
 
     name: str
     max_depth_m: DepthRange = 100.0
-    #: Focal length of the canonical camera, see `models.NetworkConfig`: the network is trained on
-    #: depth * this / f, f the focal length of each picture as it sees it, magnification included.
-    #: A set that does not say its focal length counts as of the canonical camera before it is
-    #: magnified. None = plain metres.
+    #: Focal length of the canonical camera [px], see `models.NetworkConfig`: the network is trained
+    #: on depth * this / f, f the focal length fx of each crop, after magnification. A set without
+    #: intrinsics is treated as of the canonical camera before magnification. None = plain metres.
     canonical_focal_px: FocalLength | None = None
-    #: The table of the class ids: a name in `models.CLASS_TABLES`, or one's own.
+    #: The table of the class ids: a name in `models.CLASS_TABLES`, or a custom table.
     classes: Annotated[
         Annotated[Literal["camvid", "cityscapes", "virtual_kitti"], Tag(_NAMED)]
         | Annotated[
@@ -87,20 +86,18 @@ class ModelRecipe:
         ],
         Discriminator(lambda value: _OWN if isinstance(value, list | tuple) else _NAMED),
     ] = "camvid"
-    #: False = the network's decoders are not gated by the boundary.
+    #: False = the decoders are not gated by the boundary.
     boundary_gating: bool = True
     #: Factor on the sparse depth at the network's input.
     sparse_depth_gain: Positive = 1.0
-    #: Rows of the pictures as it sees them, magnification included. Goes into the exported file: a
-    #: camera of many more rows is brought down to it. None = not known: every frame runs at its own
-    #: size.
+    #: Height [px] of the training images after magnification, stored in the exported file: images
+    #: of a much higher camera are resized to it. None = unknown: every frame runs at its own size.
     trained_height: Side | None = None
-    #: Other fields of the network's configuration, by their names there, for example
-    #: `encoder_blocks = [1, 1, 1, 1]`; the rest stays as it is by the network's name.
+    #: Other fields of the network's configuration, for example `encoder_blocks = [1, 1, 1, 1]`.
     config: Annotated[dict[str, Any], Field(max_length=100)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself, with a ValueError that names the key."""
+        """Check that no key is given twice."""
         doubled = sorted({item.name for item in fields(self)} & set(self.config))
         if doubled:
             raise ValueError(f"config has {doubled[0]!r}, which is a key of its own: {doubled[0]}")
@@ -110,13 +107,13 @@ class ModelRecipe:
             raise ValueError(f"classes has {twice[0]!r} twice")
 
     def class_id(self, name: str) -> int | None:
-        """Return the id of the class of this name, in any case of its letters; None = no such."""
+        """Return the id of the class of this name, ignoring case; None = no such class."""
         names = [info.name.lower() for info in list_classes(self.class_table)]
         return names.index(name) if name in names else None
 
     @property
     def class_table(self) -> ClassTable:
-        """What `classes` says, as networks and data sets take it."""
+        """The classes, as networks and data sets take them."""
         if isinstance(self.classes, str):
             return self.classes
         return tuple(ClassInfo(info.name, info.color) for info in self.classes)
@@ -124,25 +121,23 @@ class ModelRecipe:
 
 @dataclass(frozen=True, config=STRICT)
 class DataRecipe:
-    """What is drawn, how it is changed and how it is batched."""
+    """The data sets, their augmentation and batches."""
 
     source: Annotated[tuple[AnySource, ...], Field(min_length=1, max_length=100)]
     augment: AugmentConfig = field(default_factory=AugmentConfig)
-    #: Of each process.
+    #: Per process.
     batch_size: BatchSize = 8
     workers: Workers = 1
-    #: Memory for decoded frames, all workers of a process together [GiB]; 0 = each is decoded
-    #: every time.
+    #: Memory for decoded frames, all workers of a process together [GiB]; 0 = no cache.
     cache_gib: NotNegative = 0.0
     seed: Seed = 0
-    #: Train depth to the far end of the range where the class is called "sky" and nothing was
-    #: measured.
+    #: Train unmeasured pixels of the class "sky" to the far end of the depth range.
     sky_depth: bool = False
-    #: Samples from which the class frequencies for the loss are counted.
+    #: Number of samples from which the class frequencies of the loss are counted.
     frequency_samples: Count = 400
 
     def __post_init__(self) -> None:
-        """Refuse what no memory holds, with a ValueError that names the key."""
+        """Check that a batch and its crops fit into memory."""
         crop = self.augment.crop
         if min(crop) < MIN_SIDE:
             raise ValueError(f"augment.crop = {list(crop)}; both must be at least {MIN_SIDE}")
@@ -165,7 +160,7 @@ class OptimizerRecipe:
     weight_decay: NotNegative = 1e-2
     momentum: Share = 0.9
     #: Parts of the network that are trained, by the beginning of their names ("depth_"); the others
-    #: stay as they are, their batch statistics too. () = all.
+    #: are frozen with their batch statistics. () = all.
     only: Annotated[tuple[str, ...], Field(max_length=100)] = ()
 
 
@@ -181,26 +176,26 @@ class ScheduleRecipe:
 
 @dataclass(frozen=True, config=STRICT)
 class LoopRecipe:
-    """How steps are computed and what is kept."""
+    """Arithmetic, averaging and output of the training loop."""
 
     #: Type of the network's arithmetic. fp16 scales the loss; a step whose gradients overflow is
-    #: left out and the scale is halved.
+    #: skipped and the scale is halved.
     autocast: Literal["none", "bf16", "fp16"] = "none"
     channels_last: bool = True
-    #: Let torch.compile make kernels of its own.
+    #: Use torch.compile.
     compile: bool = False
-    #: Decay of the averaged weights that ship; 0 = no averaging.
+    #: Decay of the averaged weights in model.pt; 0 = no averaging.
     ema_decay: Share = 0.999
     #: Largest norm of the gradient; 0 = no clipping.
     clip_norm: NotNegative = 0.0
-    #: Share of the log class weights that model.pt's semantic bias gives back (Menon et al. 2021):
-    #: weighted training finds rare classes too often. 0 = none, 1 = all.
+    #: Share of the log class weights that is subtracted from model.pt's semantic bias (Menon et al.
+    #: 2021): training with class weights predicts rare classes too often. 0 = none, 1 = all.
     logit_adjustment: Share = 0.0
     #: (class, what is added to its logit) in model.pt, where training frames say that a class is
     #: found too often or too seldom; benchmarks/logit_offsets.py finds them.
     logit_offsets: Annotated[tuple[tuple[str, Logit], ...], Field(max_length=255)] = ()
-    #: Batches, of each process, whose gradients are averaged for one step; batch normalisation
-    #: sees each of them alone.
+    #: Batches per process whose gradients are averaged for one step; batch normalisation is over
+    #: each batch.
     accumulate: BatchSize = 1
     checkpoint_every: Steps = 500
     log_every: Steps = 20
@@ -216,35 +211,34 @@ def _require_lidar(text: str) -> str:
 
 @dataclass(frozen=True, config=STRICT)
 class ValidationRecipe:
-    """Sets that the averaged weights are scored on while training."""
+    """Data sets on which the averaged weights are scored during training."""
 
     every: Steps = 1000
-    #: The LiDAR that is fed, as `training.lidar.split.LidarInput` reads it: what the network is
-    #: trained with.
+    #: The LiDAR input, see `training.lidar.split.LidarInput`: the one that it is trained with.
     lidar: Annotated[str, AfterValidator(_require_lidar)] = "own"
     source: Annotated[tuple[AnySource, ...], Field(max_length=100)] = ()
-    #: Frames of each set, evenly spread, that TensorBoard shows as pictures.
+    #: Number of frames of each set, at equal distances, that TensorBoard shows as pictures.
     pictures: Annotated[int, Field(ge=0, le=1000)] = 3
-    #: The score that best.pt has the best of, "SET/FIGURE" as "camvid/miou", columns of scores.csv.
-    #: "" = of the first set: miou, or mae_m where it has no labels.
+    #: The score by which best.pt is chosen, "SET/SCORE", for example "camvid/miou"; scores are the
+    #: columns of scores.csv. "" = of the first set: miou, or mae_m where it has no labels.
     best: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse sets that are mixed up, with a ValueError that names the key."""
+        """Check the names of the sets and of the best score."""
         paths = [item.name for item in self.source]
         twice = sorted({path for path in paths if paths.count(path) > 1})
         if twice:
             raise ValueError(f"source has {twice[0]!r} twice; scores are named by the path")
         if self.best and self.best.rpartition("/")[0] not in paths:
             raise ValueError(
-                f"best = {self.best!r}; expected SET/FIGURE of one of the sets {paths}, for "
+                f"best = {self.best!r}; expected SET/SCORE of one of the sets {paths}, for "
                 "example 'camvid/miou'"
             )
 
 
 @dataclass(frozen=True, config=STRICT)
 class Recipe:
-    """A whole training, as its TOML file says it."""
+    """A training: the content of a recipe's TOML file."""
 
     model: ModelRecipe
     data: DataRecipe
@@ -253,11 +247,11 @@ class Recipe:
     optimizer: OptimizerRecipe = field(default_factory=OptimizerRecipe)
     loop: LoopRecipe = field(default_factory=LoopRecipe)
     validation: ValidationRecipe = field(default_factory=ValidationRecipe)
-    #: Data and terms that a model card and an exported file must name.
+    #: Data and terms that a model card and an exported file must state.
     terms: Annotated[str, Field(max_length=10_000)] = ""
 
     def __post_init__(self) -> None:
-        """Refuse a training without end, or of classes that are not there, by a ValueError."""
+        """Check the classes that the loss needs and the number of samples."""
         if self.data.sky_depth and self.model.class_id("sky") is None:
             raise ValueError("data.sky_depth needs a class called 'sky' in model.classes")
         if self.loss.road_weight and self.model.class_id("road") is None:
@@ -273,11 +267,15 @@ class Recipe:
 def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:
     """Read a recipe.
 
-    ``base = "other.toml"`` at its top takes another recipe, beside it, and changes single keys of
-    it; a list (``data.source``) is replaced as a whole. ``changes`` are further ones, each
-    "table.key = value" in TOML's own spelling.
+    ``base = "other.toml"`` at its top starts from another recipe in the same folder and changes
+    single keys of it; a list (``data.source``) is replaced as a whole.
 
-    Raises InputError for a missing file, bad TOML, unknown or mistyped keys.
+    Args:
+        path: the TOML file.
+        changes: further changes, each "table.key = value" in TOML.
+
+    Raises:
+        InputError: for a missing file, invalid TOML, unknown keys or values of the wrong type.
     """
     table = _read_table(Path(path), ())
     for change in changes:
@@ -294,7 +292,7 @@ def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:
 
 
 def _read_table(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
-    """The recipe's table on top of its base's."""
+    """Read the table of a recipe, merged into that of its base."""
     resolved = Path(os.path.realpath(path))
     if resolved in above:
         raise InputError(f"{path}: is its own base.")
@@ -308,7 +306,7 @@ def _read_table(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
 
 
 def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Tables merge key by key; anything else is replaced."""
+    """Merge tables key by key; other values are replaced."""
     merged = dict(base)
     for key, value in changes.items():
         below = merged.get(key)
@@ -321,25 +319,25 @@ def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
 
 
 def build(kind: type[T], table: object) -> T:
-    """Build ``kind`` from a table of TOML, strictly. Raises InputError that names the place."""
+    """Build ``kind`` from a TOML table, strictly; InputError names the wrong key."""
     try:
-        # By way of JSON, where a list may be a tuple and yet "3" is no 3.
+        # Through JSON: there a list may be a tuple, and "3" is not 3.
         return TypeAdapter(kind).validate_json(json.dumps(table))
     except TypeError as error:  # dates and times
         raise InputError(f"{error}; expected text, numbers, true or false.") from error
     except ValidationError as error:
-        mistakes = error.errors(include_url=False)
-        unknown = [item for item in mistakes if item["type"] == "unexpected_keyword_argument"]
-        raise InputError(_describe((unknown or mistakes)[0], kind)) from error
+        errors = error.errors(include_url=False)
+        unknown = [item for item in errors if item["type"] == "unexpected_keyword_argument"]
+        raise InputError(_describe((unknown or errors)[0], kind)) from error
 
 
-def _describe(mistake: Mapping[str, Any], kind: Any) -> str:
-    """What pydantic says of a value, in the words of a recipe."""
-    place = mistake["loc"]
+def _describe(error: Mapping[str, Any], kind: Any) -> str:
+    """Return the message for an error of pydantic, in terms of the recipe."""
+    place = error["loc"]
     key = _join(place)
-    value, context = mistake["input"], mistake.get("ctx", {})
+    value, context = error["input"], error.get("ctx", {})
     shown = repr(value) if len(repr(value)) <= 200 else f"{value!r:.200}..."
-    match mistake["type"]:
+    match error["type"]:
         case "unexpected_keyword_argument":
             known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
             return f"unknown key {key}; known here: {known}. Correct its name."
@@ -359,11 +357,11 @@ def _describe(mistake: Mapping[str, Any], kind: Any) -> str:
         case "value_error":
             return f"{key} = {shown}: {context['error']}."
         case _:
-            return f"{key} = {shown}: {mistake['msg'].lower()}."
+            return f"{key} = {shown}: {error['msg'].lower()}."
 
 
 def _table_at(kind: Any, place: Sequence[str | int]) -> Any:
-    """The dataclass of the table at a place below ``kind``."""
+    """Return the dataclass of the table at a location below ``kind``."""
     for part in place:
         if part in _TAGS:
             kind = _TAGS[str(part)]
@@ -373,7 +371,7 @@ def _table_at(kind: Any, place: Sequence[str | int]) -> Any:
 
 
 def _join(place: Sequence[str | int]) -> str:
-    """A place as a recipe's reader calls it: data.source[0].split; tags of unions are none."""
+    """Return a location as in the recipe, data.source[0].split, without tags of unions."""
     inner = [part for part in place[:-1] if part not in _TAGS]
     parts = [*inner, *(part for part in place[-1:] if part not in (_NAMED, _OWN))]
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts)

@@ -1,4 +1,4 @@
-"""The folder of a training: whose it is, and what lies in it."""
+"""The folder of a run: its files, and whether it belongs to a recipe."""
 
 import hashlib
 import json
@@ -23,7 +23,7 @@ SCORES = "scores.csv"
 NON_FINITE = "non_finite.json"
 TENSORBOARD = "tensorboard"
 
-#: What a run may go on with in another way: its weights stay the same.
+#: Keys that may change when a run is resumed: they do not change its weights.
 _WITHOUT_EFFECT = (
     "recipe.data.workers",
     "recipe.data.cache_gib",
@@ -35,11 +35,11 @@ _WITHOUT_EFFECT = (
 
 
 class NonFiniteLossError(SSDNetError):
-    """The loss became NaN or infinite; names the step and the file with the frames."""
+    """The loss is NaN or infinite; the message names the step and the file with the frames."""
 
 
 def prepare_folder(out: Path, resolved: Mapping[str, Any]) -> None:
-    """Make ``out`` this training's folder, or say in what it is another's. Raises InputError."""
+    """Make ``out`` the folder of this training; InputError if it belongs to another one."""
     path = out / RECIPE
     try:
         if path.is_file():
@@ -53,15 +53,16 @@ def prepare_folder(out: Path, resolved: Mapping[str, Any]) -> None:
 
 
 def require_same(before: Mapping[str, Any], now: Mapping[str, Any], path: Path) -> None:
-    """Raise InputError that names the first key in which two trainings differ in their result.
+    """Raise InputError that names the first key in which two trainings differ.
 
-    A key that a recipe of before does not have counts with its default.
+    Keys that do not change the weights are ignored; a missing key of an older recipe has its
+    default.
     """
     try:
         recipe = asdict(build(Recipe, before.get("recipe")))
     except InputError as error:
         raise InputError(
-            f"{path}: is of a training with another recipe, which is none here: {error} Choose "
+            f"{path}: belongs to a training with a recipe that is invalid here: {error} Choose "
             "another --out."
         ) from error
     old = _flatten({**{key: before.get(key) for key in now}, "recipe": recipe})
@@ -69,14 +70,14 @@ def require_same(before: Mapping[str, Any], now: Mapping[str, Any], path: Path) 
     for key in [*old, *(key for key in new if key not in old)]:
         if old.get(key) != new.get(key) and not key.startswith(_WITHOUT_EFFECT):
             raise InputError(
-                f"{path}: is of a training with another recipe: {key.removeprefix('recipe.')} was "
-                f"{old.get(key)!r}, now it is {new.get(key)!r}. Choose another --out, or what it "
-                "was started with."
+                f"{path}: belongs to a training with another recipe: "
+                f"{key.removeprefix('recipe.')} was {old.get(key)!r}, now it is {new.get(key)!r}. "
+                "Choose another --out, or resume with the same recipe."
             )
 
 
 def _flatten(value: Any, place: str = "") -> dict[str, Any]:
-    """Every value by its place: {"recipe.data.source[0].path": ...}."""
+    """Return every value by its key: {"recipe.data.source[0].path": ...}."""
     if isinstance(value, Mapping):
         parts = [(f"{place}.{key}".removeprefix("."), item) for key, item in value.items()]
     elif isinstance(value, list | tuple):
@@ -90,19 +91,19 @@ def _read_json(path: Path) -> Mapping[str, Any]:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise InputError(f"{path}: is no JSON ({error}). Choose another --out.") from error
+        raise InputError(f"{path}: is not JSON ({error}). Choose another --out.") from error
     if not isinstance(document, dict):
         raise InputError(f"{path}: holds no recipe. Choose another --out.")
     return document
 
 
 def to_text(resolved: Mapping[str, Any]) -> str:
-    """A resolved recipe as the text of recipe.json."""
+    """Return a resolved recipe as the text of recipe.json."""
     return json.dumps(resolved, indent=2, default=str)
 
 
 def name_weights(path: Path) -> str:
-    """Name a checkpoint by its file and the start of its SHA-256."""
+    """Return the file name of a checkpoint with the start of its SHA-256."""
     try:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
@@ -118,10 +119,10 @@ def require_finite(
     out: Path,
     processes: Processes,
 ) -> None:
-    """Stop if ``value``, the loss or the gradient's norm, is NaN or infinite.
+    """Raise NonFiniteLossError if ``value``, the loss or the gradient's norm, is not finite.
 
-    The terms and the frames of the batch are saved in ``out``. The value is of all processes, so
-    all of them stop. Raises NonFiniteLossError.
+    The terms and the frames of the batch are written to ``out``. The value is the same in all
+    processes, so all of them stop.
     """
     if torch.isfinite(value):
         return
@@ -133,7 +134,7 @@ def require_finite(
         document = {"step": step, "terms": values, "frames": frames}
         atomic_write(path, json.dumps(document, indent=2).encode())
     raise NonFiniteLossError(
-        f"step {step}: the loss is {values['total']}, the loss or its gradient not finite; its "
-        f"terms and the {len(frames)} frames of its batch are in {path}. Look at them, or start a "
-        f"new --out with --init {out / LAST} and a lower learning rate."
+        f"step {step}: the loss ({values['total']}) or its gradient is not finite; the terms and "
+        f"the {len(frames)} frames of the batch are in {path}. Check them, or start a new --out "
+        f"with --init {out / LAST} and a lower learning rate."
     )

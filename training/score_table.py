@@ -1,4 +1,4 @@
-"""The scores of every validation as a table, and which of them is the best."""
+"""The scores of all validations as a table, and the best of them."""
 
 import csv
 import io
@@ -9,17 +9,17 @@ from pathlib import Path
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
 
-#: What progress and TensorBoard show of a set's figures.
+#: Scores of a set that the progress line and TensorBoard show.
 SHOWN = ("miou", "mae_m", "rmse_m", "boundary_f")
-#: Figures that start so are errors: the smaller the better.
+#: Prefixes of scores that are errors: the smaller the better.
 _ERRORS = ("mae", "rmse", "imae", "irmse")
 
 
 class ScoreTable:
-    """A file of a row a step and set: "step", "set", and a column a figure.
+    """A CSV file with a row a step and set: "step", "set", and a column a score.
 
-    What it has of steps beyond ``step`` is of an interrupted run that comes there again: it is left
-    out. Raises InputError for a file that is none of these.
+    Rows of steps after ``step`` are dropped: an interrupted run computes them again. InputError for
+    a file of another kind.
     """
 
     def __init__(self, path: Path, step: int) -> None:
@@ -35,14 +35,15 @@ class ScoreTable:
             self._rows = [row for row in rows if int(row["step"]) <= step]
         except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
             raise InputError(
-                f"{path}: is no table of scores ({type(error).__name__}: {error}). Move it away."
+                f"{path}: is not a table of scores ({type(error).__name__}: {error}). Move it away."
             ) from error
 
     def add(self, step: int, scores: Mapping[str, Mapping[str, float]], best: str) -> bool:
         """Write the scores of a step; return whether the score ``best`` is the best so far.
 
-        ``best`` is "SET/FIGURE", or "" for the first set's miou or, without labels, mae_m. Raises
-        InputError for a figure that the set does not have, OutputError for what cannot be written.
+        ``best`` is "SET/SCORE", or "" for the first set's miou or, without labels, mae_m.
+        InputError for a score that the set does not have, OutputError if the file cannot be
+        written.
         """
         name, figure = _choose(scores, best)
         before = [
@@ -68,13 +69,13 @@ class ScoreTable:
 
 
 def _choose(scores: Mapping[str, Mapping[str, float]], best: str) -> tuple[str, str]:
-    """Set and figure; an empty figure where the first set has neither labels nor depth."""
+    """Return set and score; the score is empty if the first set has neither labels nor depth."""
     if best:
         name, _, figure = best.rpartition("/")
         if figure not in scores[name]:
             raise InputError(
                 f"validation.best = {best!r}; {name} has {', '.join(scores[name])}. Choose one; "
-                "the run can go on."
+                "the run can be resumed."
             )
         return name, figure
     name = next(iter(scores))

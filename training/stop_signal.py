@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a question that a loop asks between two steps."""
+"""Ctrl-C and SIGTERM as a flag that a loop polls between two steps."""
 
 import contextlib
 import os
@@ -10,23 +10,23 @@ from runtime.command import SIGNALS, end_quietly
 
 
 class StopSignal:
-    """Whether Ctrl-C or SIGTERM came while the block runs; a second one ends the process at once.
+    """True once Ctrl-C or SIGTERM arrived in the block; a second signal ends the process at once.
 
-    Of torchrun's processes a second one does nothing: they get the first from the terminal and from
-    torchrun, which kills those that do not stop in time.
+    In processes of torchrun a second signal is ignored: they get the first one twice, from the
+    terminal and from torchrun, which kills those that do not stop in time.
     """
 
     def __init__(self) -> None:
-        self._came = False
+        self._arrived = False
 
     def __call__(self) -> bool:
         """Whether to stop."""
-        return self._came
+        return self._arrived
 
     def __enter__(self) -> "StopSignal":
         self._before = {number: signal.getsignal(number) for number in SIGNALS}
         for number, handler in self._before.items():
-            if handler is not signal.SIG_IGN:  # as a shell starts what runs in its background
+            if handler is not signal.SIG_IGN:  # a shell's background jobs ignore it
                 signal.signal(number, self._remember)
         return self
 
@@ -38,15 +38,15 @@ class StopSignal:
         alone = int(os.environ.get("WORLD_SIZE", "1")) == 1
         if alone:
             end_quietly()
-        if not self._came:
-            self._came = True
+        if not self._arrived:
+            self._arrived = True
             again = "; Ctrl-C again stops at once" if alone else ""
-            # Not through the buffer of sys.stderr, in whose middle this may have come.
+            # Not through the buffer of sys.stderr: the signal may have interrupted a write to it.
             with contextlib.suppress(OSError, ValueError):
                 os.write(sys.stderr.fileno(), f"\nstopping after this step{again}\n".encode())
 
 
 def leave_signals_to_parent() -> None:
-    """Let a worker process go on until its parent, who gets the same signals, ends it."""
+    """Ignore the signals in a worker process: its parent gets them too, and ends it."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)

@@ -250,7 +250,7 @@ def test_only_gated_decoders_heed_the_boundary(name, gating):
     assert torch.equal(free.depths[0], bound.depths[0]) != gating
 
 
-def test_depth_gain_multiplies_the_sparse_depth_alone():
+def test_depth_gain_multiplies_the_sparse_depth_only():
     plain, strong = (SSDNet(small("ssdnet-small", sparse_depth_gain=g)).eval() for g in (1.0, 20.0))
     strong.load_state_dict(plain.state_dict())
     rgb, depth = frame(64, 96)
@@ -259,5 +259,5 @@ def test_depth_gain_multiplies_the_sparse_depth_alone():
     assert not torch.equal(plain(rgb, depth).depths[0], answer)
     plain.stem[0][0].weight.data[:, 3] *= 20.0  # the depth is the fourth channel
     torch.testing.assert_close(plain(rgb, depth).depths[0], answer)
-    with pytest.raises(ValueError, match="sparse_depth_gain is 1"):
+    with pytest.raises(ValueError, match="sparse_depth_gain = 1"):
         small("ssdnet-lite", sparse_depth_gain=2.0)

@@ -277,7 +277,7 @@ def test_it_needs_unscaled_sparse_depth_and_a_stem_of_a_quarter(changes, message
 
 
 def test_the_choice_reads_the_features_of_the_semantic_decoder():
-    """Nothing of it at first, so that weights without it go on as they were; then it is learned."""
+    """The layer is zero at first, so that weights without it give the same depth."""
     network = create_model("ssdnet-nano").eval()
     rgb, sparse = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
     sparse[..., ::4, ::4] = 12.0

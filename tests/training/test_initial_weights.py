@@ -64,7 +64,9 @@ def test_a_name_is_neither_a_slash_nor_an_ending():
     assert find_weights("ssdnet-lite").is_file()
     assert str(find_weights("ssdnet-lite.pt")) == "ssdnet-lite.pt"
     assert str(find_weights("run/ssdnet-lite")) == "run/ssdnet-lite"
-    with pytest.raises(InputError, match=rf"called 'ssdnet'; known: {', '.join(list_weights())}\."):
+    with pytest.raises(
+        InputError, match=rf"unknown weights 'ssdnet'; known: {', '.join(list_weights())}\."
+    ):
         find_weights("ssdnet")
 
 

@@ -280,7 +280,7 @@ def test_a_lidar_that_a_validation_set_cannot_give_is_refused_at_the_start(data,
     assert not (tmp_path / "run").exists()
 
 
-def test_a_run_that_goes_on_keeps_its_curves(data, tmp_path, monkeypatch):
+def test_a_resumed_run_keeps_its_curves(data, tmp_path, monkeypatch):
     run = recipe(steps=4)
     run = replace(run, validation=replace(run.validation, every=2))
     train(run, data=[data], out=tmp_path / "run", stop_after=2)
@@ -331,10 +331,10 @@ def test_best_weights_are_those_of_the_best_validation(data, tmp_path, monkeypat
     )
 
 
-def test_a_checkpoint_of_another_recipe_is_not_gone_on_from(data, tmp_path):
+def test_a_checkpoint_of_another_recipe_is_not_resumed(data, tmp_path):
     train(recipe(steps=4), data=[data], out=tmp_path / "run", stop_after=2)
     (tmp_path / "run" / "recipe.json").unlink()
-    with pytest.raises(InputError, match=r"last.pt: is of a training with another recipe"):
+    with pytest.raises(InputError, match=r"last.pt: belongs to a training with another recipe"):
         train(recipe(steps=6), data=[data], out=tmp_path / "run")
 
 
@@ -475,15 +475,15 @@ def test_init_starts_from_other_weights_of_the_same_kind(data, tmp_path, monkeyp
         assert torch.equal(weights(first)[name], weights(second)[name])
 
 
-def test_init_takes_over_what_fits_and_says_what_starts_anew(data, tmp_path, monkeypatch, capsys):
+def test_init_loads_what_fits_and_reports_the_rest(data, tmp_path, monkeypatch, capsys):
     first = train(recipe(steps=1), data=[data], out=tmp_path / "a")
-    assert "starting anew" not in capsys.readouterr().err
+    assert "with random weights" not in capsys.readouterr().err
     wider = replace(TINY, semantic_refine_channels=TINY.semantic_refine_channels + 4)
     monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNet, wider))
     frozen = replace(recipe(steps=1), optimizer=replace(recipe().optimizer, learning_rate=0.0))
     second = train(frozen, data=[data], out=tmp_path / "b", init=first)
     text = capsys.readouterr().err
-    assert "starting anew: semantic_head, semantic_refine." in text
+    assert "with random weights: semantic_head, semantic_refine." in text
     old, new = weights(first), weights(second)
     assert torch.equal(old["depth_heads.0.weight"], new["depth_heads.0.weight"])
     assert old["semantic_head.weight"].shape != new["semantic_head.weight"].shape
@@ -568,7 +568,7 @@ def test_final_checkpoint_is_adjusted_and_the_resumable_one_is_not(data, tmp_pat
     ("changes", "device", "text"),
     [
         ({"model": ModelRecipe("foo")}, "cpu", "unknown model 'foo'"),
-        ({}, "nowhere", "device 'nowhere' is not there"),
+        ({}, "nowhere", "device 'nowhere' is not available"),
     ],
 )
 def test_what_cannot_start_leaves_no_folder(data, tmp_path, changes, device, text):

@@ -53,7 +53,7 @@ def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
         network.semantic_head.bias.fill_(77.0)
     save_checkpoint(other, network)
     built = build_network(ModelRecipe("ssdnet-lite"), other)
-    assert "starting anew: semantic_head\n" in capsys.readouterr().err
+    assert "with random weights: semantic_head\n" in capsys.readouterr().err
     assert not (built.semantic_head.bias == 77.0).any()
     assert torch.equal(built.state_dict()["depth_heads.0.weight"], network.depth_heads[0].weight)
 
@@ -61,8 +61,8 @@ def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("changed", "text"),
     [
-        ({"max_depth_m": 80.0}, "the depth range [m] was 100.0, here it is 80.0"),
-        ({"boundary_gating": False}, "the gating by boundaries was True, here it is False"),
+        ({"max_depth_m": 80.0}, "the depth range [m] was 100.0 and is 80.0 here"),
+        ({"boundary_gating": False}, "the gating by boundaries was True and is False here"),
     ],
 )
 def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys, changed, text):

@@ -370,7 +370,7 @@ def test_the_score_of_the_best_weights_is_of_a_validation_set(base):
     best = read_recipe(base / "base.toml", [sets, "validation.best = 'r/val/miou'"])
     assert best.validation.best == "r/val/miou"
     for name in ("miou", "camvid/miou"):
-        with pytest.raises(InputError, match=rf"validation\.best = '{name}'; expected SET/FIGURE"):
+        with pytest.raises(InputError, match=rf"validation\.best = '{name}'; expected SET/SCORE"):
             read_recipe(base / "base.toml", [sets, f"validation.best = '{name}'"])
 
 

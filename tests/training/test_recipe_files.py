@@ -28,11 +28,11 @@ def test_what_ends_in_toml_or_holds_a_slash_is_a_path(tmp_path, monkeypatch):
 
 
 def test_unknown_names_list_the_known():
-    with pytest.raises(InputError, match=r"no recipe 'city'; known: cityscapes, kitti-depth"):
+    with pytest.raises(InputError, match=r"unknown recipe 'city'; known: cityscapes, kitti-depth"):
         find_recipe("city")
     result = CliRunner().invoke(app, ["city", "--data", "x", "--out", "y"])
     assert result.exit_code == 1
-    assert "no recipe 'city'; known: cityscapes" in result.output
+    assert "unknown recipe 'city'; known: cityscapes" in result.output
 
 
 def test_list_needs_no_other_option():

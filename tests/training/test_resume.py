@@ -1,4 +1,4 @@
-"""A training killed at any moment goes on to the same weights."""
+"""A training killed at any moment resumes to the same weights."""
 
 import subprocess
 import sys
@@ -64,7 +64,7 @@ def finish(process: subprocess.Popen[str]) -> None:
     assert process.returncode == 0, errors[-3000:]
 
 
-def test_killed_at_any_moment_it_goes_on_to_the_same_weights(data, tmp_path, start_process):
+def test_killed_at_any_moment_it_resumes_to_the_same_weights(data, tmp_path, start_process):
     def start(data: Path, out: Path) -> subprocess.Popen[str]:
         return start_process(sys.executable, "-W", "ignore", "-c", TRAIN, data, out)
 

@@ -26,7 +26,7 @@ def test_a_row_a_step_and_set_with_every_figure(tmp_path):
     ]
 
 
-def test_a_run_that_goes_on_has_no_step_twice(tmp_path):
+def test_a_resumed_run_has_no_step_twice(tmp_path):
     path = tmp_path / "scores.csv"
     table = ScoreTable(path, 0)
     for step, miou in ((2, 0.1), (4, 0.9), (6, 0.2)):
@@ -75,5 +75,5 @@ def test_a_figure_that_the_set_lacks_is_named_with_those_it_has(tmp_path):
 def test_a_file_that_is_no_table_is_refused(tmp_path, text):
     path = tmp_path / "scores.csv"
     path.write_bytes(text.encode("latin-1"))
-    with pytest.raises(InputError, match=r"scores\.csv: is no table of scores"):
+    with pytest.raises(InputError, match=r"scores\.csv: is not a table of scores"):
         ScoreTable(path, 5)

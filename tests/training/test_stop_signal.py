@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM save and stop; the same command goes on."""
+"""Ctrl-C and SIGTERM save and stop; the same command resumes."""
 
 import os
 import signal
@@ -97,7 +97,7 @@ def test_the_first_signal_saves_and_stops(command, tmp_path, number, start):
     output, errors = process.communicate(timeout=120)
     last = tmp_path / "run" / "last.pt"
     assert process.returncode == 130
-    assert f"stopped; the same command goes on from {last}" in errors
+    assert f"stopped; the same command resumes from {last}" in errors
     assert "Traceback" not in errors
     assert load_checkpoint(last).trainer["step"] == 3 + output.count(" step\n")
     assert not (tmp_path / "run" / "model.pt").exists()

@@ -468,7 +468,7 @@ def test_sectors_drop_out_of_the_input_and_not_of_the_target():
 
 
 def test_what_is_off_draws_no_random_number():
-    """A training that was begun before these keys came goes on with the samples it would have."""
+    """New keys at their defaults draw nothing: a run begun without them resumes unchanged."""
     ours, expected = np.random.default_rng(5), np.random.default_rng(5)
     draw_lidar(rendered(), ALWAYS, ours)
     # Missing or not, at random or not, how many lines, the first of them.
