@@ -1,1 +1,1 @@
-"""Data sets that all give the same `Sample`."""
+"""Data sets; each item is a `Sample`."""

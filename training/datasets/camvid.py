@@ -20,7 +20,7 @@ _LABELS: tuple[str | None, ...] = (*(info.name for info in CLASS_TABLES["camvid"
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class CamVidRecipe(SourceRecipe):
-    """What a recipe says about CamVid."""
+    """Options of CamVid in a recipe."""
 
     kind: Literal["camvid"] = "camvid"
     #: train, val or test.
@@ -34,9 +34,17 @@ class CamVidRecipe(SourceRecipe):
 class CamVid:
     """Frames of ``root/<split>`` with labels of ``root/<split>annot`` (uint8 PNG, 11 = none).
 
-    No depth and no calibration. ``classes`` is the table of the class ids. Raises DatasetError
-    for a missing folder, an image without a label file, and unreadable or wrongly
-    sized files.
+    It has no depth and no calibration.
+
+    Args:
+        root: the folder.
+        split: train, val or test.
+        decimate: take every n-th frame.
+        classes: table of the class ids.
+
+    Raises:
+        DatasetError: for a missing folder, an image without a label file, and unreadable or wrongly
+            sized files.
     """
 
     def __init__(

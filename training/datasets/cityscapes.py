@@ -23,7 +23,7 @@ from training.datasets.sample import Sample, nothing_known
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
-#: The labelIds 0..33 in order: those of evaluation by name, None = ignored.
+#: The labelIds 0..33 in order; None = ignored.
 _LABELS: tuple[str | None, ...] = (
     *[None] * 7,
     "road",
@@ -58,7 +58,7 @@ _IMAGE = "_leftImg8bit.png"
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class CityscapesRecipe(SourceRecipe):
-    """What a recipe says about Cityscapes."""
+    """Options of Cityscapes in a recipe."""
 
     kind: Literal["cityscapes"] = "cityscapes"
     #: train, val or test.
@@ -72,11 +72,18 @@ class CityscapesRecipe(SourceRecipe):
 class Cityscapes:
     """Frames of ``root/leftImg8bit/<split>/<city>/<frame>_leftImg8bit.png``.
 
-    Labels from ``gtFine`` (``_gtFine_labelIds.png``). Where the folders ``disparity`` and
-    ``camera`` are there, depth is baseline * fx / d with the disparity d = (p - 1) / 256 px of a
-    16-bit pixel p > 0, float32 metres; without them it is unknown. ``classes`` is the table of the
-    class ids. Raises DatasetError for missing folders or partners, unknown ids, wrong sizes and
-    incomplete camera files.
+    Labels are those of ``gtFine`` (``_gtFine_labelIds.png``). With the folders ``disparity`` and
+    ``camera`` depth is baseline * fx / d with the disparity d = (p - 1) / 256 px of a 16-bit pixel
+    p > 0; without them it is unknown.
+
+    Args:
+        root: the folder.
+        split: train, val or test.
+        classes: table of the class ids.
+
+    Raises:
+        DatasetError: for missing folders or partners, unknown ids, wrong sizes and incomplete
+            camera files.
     """
 
     def __init__(
@@ -142,10 +149,15 @@ class Cityscapes:
 
 
 def disparity_to_depth(stored: NDArray[np.uint16], focal_baseline: float) -> NDArray[np.float32]:
-    """Depth of Cityscapes' disparity pictures: float32 (H, W), metres, 0 = none.
+    """Convert a disparity image of Cityscapes to depth.
 
-    stored: uint16 (H, W), p > 0 means d = (p - 1) / 256 px; a disparity of 0 lies at infinity and
-    counts as none. focal_baseline: fx * baseline, px m.
+    Args:
+        stored: uint16 (H, W); p > 0 means d = (p - 1) / 256 px. A disparity of 0 is at infinity and
+            counts as none.
+        focal_baseline: fx * baseline [px m].
+
+    Returns:
+        float32 (H, W), metres, 0 = none.
     """
     disparity = (stored.astype(np.float32) - 1.0) / 256.0
     depth = np.zeros(stored.shape, dtype=np.float32)

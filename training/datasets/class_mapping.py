@@ -1,8 +1,8 @@
-"""What the labels of one data set are called in the class table of another.
+"""Mapping of the labels of one data set to the class table of another.
 
 A network has one class table, and the labels of every data set of a mixture become its ids. A pair
-of data set and table that is not here would mix up classes (CamVid's car holds trucks and buses, so
-it has no place among Cityscapes' classes).
+of data set and table that is not here has no mapping (CamVid's car includes trucks and buses, which
+are separate classes of Cityscapes).
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from runtime.contract import ClassInfo
 from runtime.errors import DatasetError
 from training.datasets.sample import IGNORE
 
-#: A name in `models.CLASS_TABLES`, or a table of its own.
+#: A name in `models.CLASS_TABLES`, or a table.
 ClassTable = str | tuple[ClassInfo, ...]
 
 #: Virtual KITTI's categories, and those that rendered scenes add, by the names in their files.
@@ -122,10 +122,17 @@ def list_classes(table: ClassTable) -> tuple[ClassInfo, ...]:
 
 
 def class_ids(labels: str, table: ClassTable) -> dict[str, int]:
-    """Id in a class table of every label of a data set; 255 = ignored.
+    """Return the id in a class table of every label of a data set.
 
-    ``labels`` is "camvid", "cityscapes" or "virtual_kitti" (rendered scenes too). Raises
-    DatasetError for a table that the labels are not mapped to; a table of one's own is none.
+    Args:
+        labels: "camvid", "cityscapes" or "virtual_kitti" (rendered scenes too).
+        table: the class table; a user's own has no mapping.
+
+    Returns:
+        label -> id; 255 = ignored.
+
+    Raises:
+        DatasetError: if the labels are not mapped to the table.
     """
     if not isinstance(table, str) or (labels, table) not in _MAPPINGS:
         known = sorted(t for s, t in _MAPPINGS if s == labels)
@@ -140,7 +147,10 @@ def class_ids(labels: str, table: ClassTable) -> dict[str, int]:
 
 
 def id_lookup(labels: str, table: ClassTable, order: Sequence[str | None]) -> NDArray[np.uint8]:
-    """Table of 256 entries from a file's ids to ours; ``order`` names the file's ids from 0."""
+    """Look-up table (256,) from a file's ids to those of the class table.
+
+    `order` has the labels of the file's ids from 0.
+    """
     ids = class_ids(labels, table)
     lookup = np.full(256, IGNORE, dtype=np.uint8)
     for index, label in enumerate(order):

@@ -1,4 +1,4 @@
-"""Pictures, depth and labels of one's own: a folder each, files paired by their stem."""
+"""A user's images, depth and labels: a folder each, files paired by their stem."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -30,24 +30,24 @@ _Folder = Annotated[str, Field(min_length=1)]
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class FoldersRecipe(SourceRecipe):
-    """What a recipe says about data of one's own; folders are relative to ``path``."""
+    """Options of a user's data in a recipe; folders are relative to ``path``."""
 
     kind: Literal["folders"] = "folders"
-    #: 8-bit PNG or JPEG pictures.
+    #: 8-bit PNG or JPEG images.
     rgb: _Folder = "images"
     #: 16-bit PNGs, the depth target.
     depth: _Folder | None = None
-    #: 16-bit PNGs, a recorded input beside that target.
+    #: 16-bit PNGs, a recorded input in addition to that target.
     sparse_depth: _Folder | None = None
     #: 8-bit one-channel PNGs of ids in ``model.classes``.
     labels: _Folder | None = None
-    #: Units of the 16-bit PNGs that make a metre; 0 = no measurement.
+    #: Units of the 16-bit PNGs per metre; 0 = no measurement.
     depth_scale: Positive = KITTI_DEPTH_SCALE
     #: The id of pixels without a class.
     ignore: Annotated[int, Field(ge=0, le=255)] = IGNORE
-    #: fx, fy, cx, cy of every picture [px]; without them no LiDAR lines are drawn.
+    #: fx, fy, cx, cy of every image [px]; without them no LiDAR lines are simulated.
     intrinsics: tuple[Positive, Positive, float, float] | None = None
-    #: How much the labels count, below 1 for those made by a network.
+    #: Weight of the labels, below 1 for those made by a network.
     semantic_weight: Share = 1.0
 
     def open(self, folder: Path, classes: ClassTable) -> "Folders":
@@ -56,11 +56,14 @@ class FoldersRecipe(SourceRecipe):
 
 
 class Folders:
-    """The pictures of ``root/<recipe.rgb>`` in the order of their names, with what lies beside.
+    """The images of ``root/<recipe.rgb>`` in the order of their names, with depth and labels.
 
-    A picture a.jpg has its depth in a.png of the depth folder, and so on; every folder that the
-    recipe names must have a file for every picture. Raises DatasetError for missing folders or
-    partners, files of another kind or size, and ids that the class table does not have.
+    An image a.jpg has its depth in a.png of the depth folder, and so on; every folder that the
+    recipe names must have a file for every image.
+
+    Raises:
+        DatasetError: for missing folders or partners, files of another kind or size, and ids that
+            the class table does not have.
     """
 
     @dataset_errors()
@@ -77,7 +80,7 @@ class Folders:
             require_complete(self._frames, depth)
         for name in (recipe.sparse_depth, recipe.labels):
             if name is not None:
-                folder = require_folder(self._root / name, "a PNG a picture")
+                folder = require_folder(self._root / name, "a PNG for every image")
                 require_partners(folder, [f"{frame.name}.png" for frame in self._frames])
 
     def __len__(self) -> int:

@@ -29,7 +29,7 @@ from training.limits import STRICT
 
 @checked_dataclass(frozen=True, kw_only=True, config=STRICT)
 class KittiDepthRecipe(SourceRecipe):
-    """What a recipe says about KITTI's depth completion benchmark."""
+    """Options of KITTI's depth completion benchmark in a recipe."""
 
     kind: Literal["kitti_depth"] = "kitti_depth"
     split: Literal["train", "val", "selection"] = "train"
@@ -47,7 +47,7 @@ class _Frame:
     velodyne: Path
     groundtruth: Path
     name: str
-    #: calib_cam_to_cam.txt of the date, or the nine numbers of the selection.
+    #: The date's calib_cam_to_cam.txt, or the selection's file of nine numbers.
     intrinsics: Path | None
     camera: int
 
@@ -55,15 +55,18 @@ class _Frame:
 class KittiDepth:
     """LiDAR scans with semi-dense ground truth from eleven of them; no classes.
 
-    split "train" and "val": ``root/<split>/<drive>/proj_depth/{velodyne_raw,groundtruth}/image_0<c>
-    /<number>.png``, as the archives unpack, with the images of the raw data, either at
-    ``root/<split>/<drive>/image_0<c>/data`` or at ``root/raw/<date>/<drive>/image_0<c>/data``; the
-    benchmark leaves out each drive's first and last five frames. "selection" is the selected
-    validation set: ``root/[depth_selection/]val_selection_cropped/{image,velodyne_raw,
-    groundtruth_depth,intrinsics}``.
+    Args:
+        root: the folder.
+        split: "train" and "val": ``root/<split>/<drive>/proj_depth/{velodyne_raw,groundtruth}/
+            image_0<c>/<number>.png``, as the archives unpack, with the images of the raw data, at
+            ``root/<split>/<drive>/image_0<c>/data`` or ``root/raw/<date>/<drive>/image_0<c>/data``;
+            the benchmark leaves out each drive's first and last five frames. "selection": the
+            selected validation set, ``root/[depth_selection/]val_selection_cropped/{image,
+            velodyne_raw,groundtruth_depth,intrinsics}``.
+        cameras: 2 = left, 3 = right.
 
-    Depth is metres, 16-bit PNGs hold 256 units a metre. Raises DatasetError for missing folders or
-    partners, files of another kind and wrong sizes.
+    Raises:
+        DatasetError: for missing folders or partners, files of another kind and wrong sizes.
     """
 
     def __init__(

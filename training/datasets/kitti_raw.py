@@ -35,7 +35,7 @@ _WITHOUT_SCAN: Mapping[str, frozenset[str]] = {
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class KittiRawRecipe(SourceRecipe):
-    """What a recipe says about KITTI raw data."""
+    """Options of KITTI raw data in a recipe."""
 
     kind: Literal["kitti_raw"] = "kitti_raw"
     #: All by default.
@@ -59,13 +59,18 @@ class KittiRaw:
     """Frames of ``root/<date>/<drive>/image_0<camera>/data/<number>.png`` with their scans.
 
     The scan of a frame is ``<drive>/velodyne_points/data/<number>.bin``, the calibration
-    ``<date>/calib_cam_to_cam.txt`` and ``calib_velo_to_cam.txt``. ``drives`` names folders like
-    "2011_09_26_drive_0001_sync"; all by default. ``cameras`` are 2 (left) and 3 (right).
+    ``<date>/calib_cam_to_cam.txt`` and ``calib_velo_to_cam.txt``. The depth is every return in view
+    (the nearest of those in one pixel), with its scan line; there are no classes.
 
-    The depth is every return in view, the nearest where several fall into one pixel; ``scan_line``
-    says which line measured it. With ``withhold_hidden`` the returns that the camera cannot see
-    behind nearer ones are left out. No classes. Raises DatasetError for missing folders, frames
-    without a scan, truncated scans, incomplete calibrations and images of another size than it.
+    Args:
+        root: the folder.
+        drives: names like "2011_09_26_drive_0001_sync"; None: all.
+        cameras: 2 = left, 3 = right.
+        withhold_hidden: leave out the returns that the camera cannot see behind nearer ones.
+
+    Raises:
+        DatasetError: for missing folders, frames without a scan, truncated scans, incomplete
+            calibrations and images of another size than the calibration's.
     """
 
     def __init__(

@@ -26,13 +26,13 @@ from training.limits import STRICT, Index, Share
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class KittiStreamRecipe(SourceRecipe):
-    """What a recipe says about a recorded KITTI stream."""
+    """Options of a recorded KITTI stream in a recipe."""
 
     kind: Literal["kitti_stream"] = "kitti_stream"
     #: First and last frame, inclusive.
     first: Index = 0
     last: Index | None = None
-    #: How much the labels count: they were made by a network.
+    #: Weight of the labels, which were made by a network.
     semantic_weight: Share = 1.0
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiStream":
@@ -49,10 +49,19 @@ class KittiStreamRecipe(SourceRecipe):
 class KittiStream:
     """Frames ``first`` .. ``last`` (inclusive) of a stream folder.
 
-    Reads ``image_02``, ``velodyne_fov``, the calibration and, where present, ``pseudo_semantic``
-    (Cityscapes trainIds made by a network; they count with ``semantic_weight``). The depth target
-    is every return in view; ``scan_line`` says which of the lines measured it, so that some lines
-    can be the input and the others the target. Raises DatasetError.
+    It has ``image_02``, ``velodyne_fov``, the calibration and, optionally, ``pseudo_semantic``
+    (Cityscapes trainIds made by a network). The depth target is every return in view, with its scan
+    line, so that some lines can be the input and the others the target.
+
+    Args:
+        root: the folder.
+        first: first frame.
+        last: last frame; None: the stream's last.
+        semantic_weight: weight of the labels in the loss.
+        classes: table of the class ids.
+
+    Raises:
+        DatasetError: for missing folders or files, and damaged ones.
     """
 
     def __init__(

@@ -31,7 +31,7 @@ _PLACES = (70, 71, 72, 83, 84, 85, 88, 89, 99)
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class KittiStreetsRecipe(SourceRecipe):
-    """What a recipe says about KITTI's streets."""
+    """Options of KITTI's streets in a recipe."""
 
     kind: Literal["kitti_streets"] = "kitti_streets"
     #: First and last number of the frames taken, inclusive. Neighbours often show one place:
@@ -47,14 +47,21 @@ class KittiStreetsRecipe(SourceRecipe):
 class KittiStreets:
     """Frames numbered ``first`` .. ``last`` (inclusive) of ``root/image_02/<number>.jpg`` or .png.
 
-    The input is the scan of the frame, ``velodyne_fov/<number>.bin``, with its scan lines, so that
-    any of them can be fed. The target beside it is ``disp_occ_0/<number>.png``: a stereo disparity
-    of d = p / 256 px for a 16-bit pixel p > 0, measured by seven scans and by models fitted to
-    moving cars; depth is ``fb_disp`` / d. ``calib.txt`` has P2, R0_rect, Tr_velo_to_cam and fb_disp
-    (focal length times baseline, px m) of all frames. No classes, but the road, where the folder
-    ``road_mask`` is there: ``<number>.png``, 0 = not road, 1 = road, 255 = unknown. Raises
-    DatasetError for missing folders, files or calibrations, no frame of these numbers, files of
-    another kind or size, and other values in a mask.
+    The input is the scan of the frame, ``velodyne_fov/<number>.bin``, with its scan lines. The
+    target is ``disp_occ_0/<number>.png``: a stereo disparity of d = p / 256 px for a 16-bit pixel
+    p > 0, measured by seven scans and by models fitted to moving cars; depth is ``fb_disp`` / d.
+    ``calib.txt`` has P2, R0_rect, Tr_velo_to_cam and fb_disp (focal length times baseline, px m) of
+    all frames. There are no classes, but a mask of the road if the folder ``road_mask`` exists:
+    ``<number>.png``, 0 = not road, 1 = road, 255 = unknown.
+
+    Args:
+        root: the folder.
+        first: first number.
+        last: last number; None: the largest.
+
+    Raises:
+        DatasetError: for missing folders, files or calibrations, no frame of these numbers, files
+            of another kind or size, and other values in a mask.
     """
 
     def __init__(self, root: Path | str, *, first: int = 0, last: int | None = None) -> None:
@@ -129,7 +136,7 @@ def _place(number: int) -> str | None:
 
 
 def _to_depth(stored: NDArray[np.uint16], focal_baseline: float) -> NDArray[np.float32]:
-    """Metres of a picture of disparities in 1/256 px, 0 = unknown."""
+    """Metres from disparities in 1/256 px, 0 = unknown."""
     depth = np.zeros(stored.shape, dtype=np.float32)
     np.divide(np.float32(256 * focal_baseline), stored, out=depth, where=stored > 0)
     return depth

@@ -1,4 +1,4 @@
-"""Rendered scenes on the fly: nothing is written, a frame is rendered when it is asked for."""
+"""Scenes rendered on the fly: nothing is written, a frame is rendered when it is read."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class RenderedOnTheFlyRecipe(SourceRecipe):
-    """What a recipe says about scenes that are rendered while training."""
+    """Options of scenes that are rendered while training, in a recipe."""
 
     kind: Literal["rendered_on_the_fly"] = "rendered_on_the_fly"
-    #: Nothing lies there; a name for the scores.
+    #: No folder; a name for the scores.
     path: str = ""
     #: All by default.
     variants: Annotated[tuple[Variant, ...], Field(min_length=1)] = VARIANTS
@@ -52,13 +52,23 @@ class RenderedOnTheFlyRecipe(SourceRecipe):
 
 
 class RenderedScenes:
-    """``scenes`` streets of ``frames`` frames each, as `ssdnet-render` would write them.
+    """Streets of several frames each, as `ssdnet-render` would write them.
 
-    The scenes have the seeds ``seed`` ... ``seed + scenes - 1`` and take turns through
-    ``variants``; ``size`` is (height, width). Rendering a frame takes far longer than
-    reading one, so a mixture of them wants many workers, or a cache. Equal arguments give equal
-    frames. ``classes`` is the table of the class ids. Raises DatasetError for more frames than a
-    street has room for.
+    Equal arguments give equal frames. Rendering a frame takes much longer than reading one: use
+    many workers or a cache.
+
+    Args:
+        scenes: number of streets; they have the seeds ``seed`` ... ``seed + scenes - 1``.
+        frames: frames of a street.
+        seed: of the first street.
+        size: (height, width).
+        camera: name of the camera.
+        step_s: time between frames [s].
+        variants: weather and light; the streets use them in turn.
+        classes: table of the class ids.
+
+    Raises:
+        DatasetError: for more frames than a street has room for.
     """
 
     def __init__(
@@ -73,7 +83,7 @@ class RenderedScenes:
         variants: Sequence[Variant] = VARIANTS,
         classes: ClassTable = "camvid",
     ) -> None:
-        # Only here: it needs the ray caster.
+        # Imported here: it needs the ray caster.
         from training.scenes.scene_job import LONGEST_S, SceneJob
 
         if (frames - 1) * step_s > LONGEST_S:
@@ -117,7 +127,7 @@ class RenderedScenes:
         )
 
     def _open_scene(self, index: int) -> Scene:
-        """The scene, kept until another is asked for: a street is built once for its frames."""
+        """The scene, cached until another is read: a street is built once for its frames."""
         from training.scenes.scene_job import open_scene
 
         if self._opened is None or self._opened[0] != index:

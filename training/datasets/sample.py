@@ -1,4 +1,4 @@
-"""What every data set yields: one frame with all that is known about it."""
+"""An item of a data set: one frame with all that is known about it."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -11,7 +11,7 @@ IGNORE = 255
 
 @dataclass(frozen=True)
 class Sample:
-    """One frame; H and W are the image's. A target that a set lacks is all 'none'."""
+    """One frame; H and W are the image's. A target that a set lacks is unknown everywhere."""
 
     #: uint8 (H, W, 3), RGB.
     rgb: NDArray[np.uint8]
@@ -19,24 +19,24 @@ class Sample:
     depth: NDArray[np.float32]
     #: uint8 (H, W), class ids, the semantic target; 255 = unknown.
     semantic: NDArray[np.uint8]
-    #: float64 (3, 3), pixels; None where the set does not say.
+    #: float64 (3, 3), pixels; None if unknown.
     intrinsics: NDArray[np.float64] | None
     #: Set and frame, for messages.
     name: str
-    #: float32 (H, W), metres along the optical axis, the network's input; 0 = no measurement. Of a
-    #: data set it is what was recorded beside ``depth``: it can be thinned, but no other LiDAR can
-    #: be drawn from the target. None where nothing was; the input is then drawn from ``depth``.
+    #: float32 (H, W), metres along the optical axis, the network's input; 0 = no measurement. From
+    #: a data set it is an input recorded in addition to ``depth``, which can be thinned; None: the
+    #: input is sampled from ``depth``.
     sparse_depth: NDArray[np.float32] | None = None
     #: int16 (H, W), the LiDAR scan line that measured each pixel, -1 = none: of ``sparse_depth``,
     #: or, where that is None, of ``depth``. None where no lines are known.
     scan_line: NDArray[np.int16] | None = None
-    #: How much the semantic target counts in the loss: below 1 for labels made by a network.
+    #: Weight of the semantic target in the loss, below 1 for labels made by a network.
     semantic_weight: float = 1.0
-    #: Focal length times stereo baseline [px m], where depth was measured as disparity: d = this /
-    #: depth, in pixels of the set's own images whatever size they were brought to.
+    #: Focal length times stereo baseline [px m] if depth was measured as disparity: d = this /
+    #: depth, in pixels of the data set's images at their original size.
     focal_baseline_px_m: float | None = None
-    #: uint8 (H, W), the road drawn by hand where that is all that is labelled: 0 = not road, 1 =
-    #: road, 255 = unknown. None where the set has no such mask.
+    #: uint8 (H, W), a hand-drawn mask of the road: 0 = not road, 1 = road, 255 = unknown. None
+    #: if the data set has none.
     road_mask: NDArray[np.uint8] | None = None
     #: Which of the set's places the frame shows; None where the set does not know.
     place: str | None = None
@@ -53,7 +53,7 @@ class Sample:
 
 
 class SampleSource(Protocol):
-    """A data set: anything with a length that yields samples."""
+    """A data set: a length and samples by index."""
 
     def __len__(self) -> int: ...
 

@@ -1,4 +1,4 @@
-"""What a recipe says about a data set: the keys that every kind has."""
+"""Options of a data set in a recipe: the keys of every kind."""
 
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -18,16 +18,16 @@ Names = Annotated[tuple[str, ...], Field(min_length=1, max_length=10_000)]
 class SourceRecipe:
     """One data set of the mixture, or one of the validation sets.
 
-    Each kind is a subclass beside its reader, listed in `training.datasets.registry`: its name as
-    the default of ``kind``, a Literal, its own keys, and `open`.
+    Each kind is a subclass in its reader's file, listed in `training.datasets.registry`: it has its
+    name as the default of ``kind``, a Literal, its own keys, and `open`.
     """
 
     kind: str
     #: Folder, relative to one of the ``--data`` folders.
     path: Annotated[str, Field(min_length=1)]
-    #: How often it is drawn, relative to the others.
+    #: How often it is sampled, relative to the others.
     weight: Positive = 1.0
-    #: (height, width) that every frame is brought to first; its own size by default.
+    #: (height, width) that every frame is resized to first; its own size by default.
     size: tuple[Side, Side] | None = None
     #: Range of the random magnification; the common one by default.
     scale: FactorRange | None = None
@@ -37,9 +37,17 @@ class SourceRecipe:
 
     @property
     def name(self) -> str:
-        """What scores of the set are called."""
+        """Name in score tables."""
         return self.path or self.kind
 
     def open(self, folder: Path, classes: ClassTable) -> SampleSource:
-        """Open the data set; ``classes`` is the table of the class ids. Raises DatasetError."""
+        """Open the data set.
+
+        Args:
+            folder: where it is.
+            classes: table of the class ids.
+
+        Raises:
+            DatasetError: if the folder does not have its layout.
+        """
         raise NotImplementedError

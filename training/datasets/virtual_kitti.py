@@ -1,5 +1,6 @@
-"""Virtual KITTI, editions 2 (Cabon et al. 2020) and 1.3.1 (Gaidon et al. 2016), and scenes that
-`ssdnet-render` writes in the layout of edition 2.
+"""Virtual KITTI 2 (Cabon et al. 2020) and 1.3.1 (Gaidon et al. 2016), and rendered scenes.
+
+`ssdnet-render` writes its scenes in the layout of edition 2.
 """
 
 from collections.abc import Sequence
@@ -59,7 +60,7 @@ class _SelectionRecipe(SourceRecipe):
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class VirtualKittiRecipe(_SelectionRecipe):
-    """What a recipe says about Virtual KITTI 2."""
+    """Options of Virtual KITTI 2 in a recipe."""
 
     kind: Literal["virtual_kitti"] = "virtual_kitti"
     split: Split = "train"
@@ -74,11 +75,11 @@ class VirtualKittiRecipe(_SelectionRecipe):
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class RenderedRecipe(_SelectionRecipe):
-    """What a recipe says about scenes that `ssdnet-render` wrote; the folder is the split."""
+    """Options of scenes that `ssdnet-render` wrote; the folder is the split."""
 
     kind: Literal["rendered"] = "rendered"
-    #: Feed the scans of the LiDAR that was rendered, with its parallax and its panes, instead of
-    #: lines drawn from the camera's depth.
+    #: Feed the scans of the rendered LiDAR, with parallax and panes, instead of lines simulated
+    #: from the camera's depth.
     scans: bool = False
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
@@ -89,7 +90,7 @@ class RenderedRecipe(_SelectionRecipe):
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
 class VirtualKitti1Recipe(_SelectionRecipe):
-    """What a recipe says about Virtual KITTI 1.3.1, the edition of the paper's experiments."""
+    """Options of Virtual KITTI 1.3.1, the edition of the paper's experiments."""
 
     kind: Literal["virtual_kitti_1"] = "virtual_kitti_1"
     split: Split = "train"
@@ -102,12 +103,17 @@ class VirtualKitti1Recipe(_SelectionRecipe):
 class VirtualKitti:
     """Frames of ``root/<scene>/<variant>/frames/{rgb,depth,classSegmentation}/Camera_<n>``.
 
-    ``selection`` says which frames, ``cameras`` which of 0 and 1, ``classes`` the table of the
-    class ids. Depth is metres, 0 for the sky. With ``scans`` the input is the rendered LiDAR's,
-    ``frames/lidar/Camera_<n>`` and ``calib.txt``, with its scan lines.
+    Args:
+        root: the folder.
+        selection: which frames; None: all.
+        cameras: 0 = left, 1 = right.
+        classes: table of the class ids.
+        scans: whether the input is the rendered LiDAR's, ``frames/lidar/Camera_<n>`` and
+            ``calib.txt``, with its scan lines.
 
-    Raises DatasetError for missing folders, files without their partners, unknown colours and wrong
-    sizes.
+    Raises:
+        DatasetError: for missing folders, files without their partners, unknown colours and wrong
+            sizes.
     """
 
     def __init__(
@@ -198,9 +204,16 @@ class VirtualKitti1:
     """Frames of ``root/vkitti_1.3.1_{rgb,depthgt,scenegt}/<scene>/<variant>/<number>.png``.
 
     Colours of the classes are listed in ``vkitti_1.3.1_scenegt/<scene>_<variant>_scenegt_rgb_
-    encoding.txt``. ``selection`` says which frames (scenes are called "0001" here), ``classes`` the
-    class table. Depth is metres, 0 for the sky. Raises DatasetError for missing folders, files
-    without their partners, unknown colours and wrong sizes.
+    encoding.txt``.
+
+    Args:
+        root: the folder.
+        selection: which frames (scenes are called "0001" here); None: all.
+        classes: table of the class ids.
+
+    Raises:
+        DatasetError: for missing folders, files without their partners, unknown colours and wrong
+            sizes.
     """
 
     def __init__(

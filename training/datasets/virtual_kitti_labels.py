@@ -1,4 +1,4 @@
-"""Class pictures of Virtual KITTI: one colour a category, listed in a text file beside them."""
+"""Class images of Virtual KITTI: a colour for each category, listed in a text file."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +15,13 @@ from training.datasets.files import dataset_errors, read_rgb, require_size
 
 @dataclass(frozen=True, eq=False)
 class ColorTable:
-    """Classes of the colours of a file: ``colors`` int32 (n,), ascending, r << 16 | g << 8 | b;
-    ``ids`` uint8 (n,); ``path``, the file."""
+    """Classes of the colours of a file.
+
+    Attributes:
+        colors: int32 (n,), ascending, r << 16 | g << 8 | b.
+        ids: uint8 (n,).
+        path: the file.
+    """
 
     colors: NDArray[np.int32]
     ids: NDArray[np.uint8]
@@ -33,7 +38,7 @@ def _read_rows(path: Path) -> list[list[str]]:
 
 
 def read_colors(path: Path, classes: ClassTable) -> ColorTable:
-    """Read the colours of a file and their ids in the class table ``classes``.
+    """Read the colours of a file and their ids in the class table `classes`.
 
     Rows are 'Category r g b', as in Virtual KITTI 2, or 'Category:instance r g b', as in 1.3.1.
     Raises DatasetError for an unknown category and for rows of another form.
@@ -57,7 +62,7 @@ def read_colors(path: Path, classes: ClassTable) -> ColorTable:
 
 
 def read_classes(path: Path, table: ColorTable, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Class ids uint8 (H, W) of a colour picture; an unlisted colour is a DatasetError."""
+    """Class ids uint8 (H, W) of a colour image; an unlisted colour is a DatasetError."""
     label = read_rgb(path)
     require_size(path, label.shape, size)
     # Bytes blue, green, red and 0: r << 16 | g << 8 | b as a little-endian integer.

@@ -1,4 +1,4 @@
-"""Which frames of Virtual KITTI are for training, validation and test."""
+"""The frames of Virtual KITTI for training, validation and test."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from training.datasets.files import dataset_errors
 
 Split = Literal["train", "val", "test", "all"]
 
-#: The paper counts eight of the ten variants without naming them. Ours are those whose view is
+#: The paper uses eight of the ten variants without naming them. These are the ones whose view is
 #: nearest to the recorded one.
 PAPER_VARIANTS = (
     "15-deg-left",
@@ -31,10 +31,13 @@ _VAL_SCENE, _VAL_FIRST = 20, 547  # the last 290 of its 837 frames: the paper's 
 class Selection:
     """Which frames of a set to take.
 
-    split: "train", "val" and "test" are the paper's sizes (11,112 / 2,320 / 3,576): Scene01 is the
-    test, the last 290 frames of Scene20 are for validation, and all else, the start of that same
-    street included, is for training; "all" is every frame. scenes or variants given by name replace
-    the split's own; `frames`, rows of "scene/variant/number", replaces everything.
+    Attributes:
+        split: "train", "val" and "test" have the paper's sizes (11,112 / 2,320 / 3,576): Scene01 is
+            the test, the last 290 frames of Scene20 are for validation, and all others, the start
+            of that street included, are for training; "all" is every frame.
+        scenes: by name, in place of the split's.
+        variants: by name, in place of the split's.
+        frames: rows of "scene/variant/number", in place of all the others.
     """
 
     split: Split = "all"
@@ -86,6 +89,6 @@ def require_every_frame(selection: Selection, found: Sequence[str], root: Path) 
     if not found:
         raise DatasetError(
             f"{root}: no frames of the split {selection.split!r} (scenes "
-            f"{selection.scenes or 'as the split says'}, variants "
-            f"{selection.variants or 'as the split says'})."
+            f"{selection.scenes or 'of the split'}, variants "
+            f"{selection.variants or 'of the split'})."
         )

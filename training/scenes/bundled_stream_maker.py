@@ -1,8 +1,8 @@
-"""From a rendered scene to the folder pair that `ssdnet-run` reads.
+"""Make the two folders of images and sparse depth that `ssdnet-run` reads from a rendered scene.
 
     python -m training.scenes.bundled_stream_maker SCENE/VARIANT OUT [--lines 64] [--seed 0]
 
-The bundled stream was made so.
+The bundled stream was made with it.
 """
 
 from pathlib import Path
@@ -21,11 +21,21 @@ from training.lidar.simulate import scan_lines
 
 
 def write_lidar_stream(variant: Path, out: Path, *, lines: int = 64, seed: int = 0) -> int:
-    """Write ``out/rgb/*.jpg`` and ``out/depth/*.png``; return the number of frames.
+    """Write ``out/rgb/*.jpg`` and ``out/depth/*.png``.
 
-    variant: ``<root>/<scene>/<variant>`` in the Virtual KITTI 2 layout; its pictures are copied as
-    they are, and its dense depth is scanned by ``lines`` LiDAR lines (uint16, metres x 256, 0 = no
-    return). Raises DatasetError for what cannot be read, OutputError for what cannot be written.
+    Args:
+        variant: ``<root>/<scene>/<variant>`` in the Virtual KITTI 2 layout. Its images are copied;
+            its dense depth is sampled by a simulated LiDAR (uint16, metres x 256, 0 = no return).
+        out: folder for the two folders.
+        lines: scan lines of the LiDAR.
+        seed: of its noise.
+
+    Returns:
+        The number of frames.
+
+    Raises:
+        DatasetError: for files that cannot be read.
+        OutputError: for files that cannot be written.
     """
     variant = variant.resolve()
     selection = Selection(scenes=(variant.parent.name,), variants=(variant.name,))
@@ -53,7 +63,7 @@ def main(
     lines: Annotated[int, typer.Option(help="a divisor of 64")] = 64,
     seed: int = 0,
 ) -> None:
-    """Scan a rendered scene with a LiDAR and lay its frames out for ssdnet-run."""
+    """Scan a rendered scene with a LiDAR and write its frames for ssdnet-run."""
     with reported_errors("train"):
         typer.echo(f"{write_lidar_stream(variant, out, lines=lines, seed=seed)} frames in {out}")
 

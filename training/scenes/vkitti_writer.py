@@ -31,15 +31,24 @@ def write_variant(
 ) -> Path:
     """Write the frames of one variant of a scene; the folder appears when it is complete.
 
-    root/scene/variant gets frames/{rgb,depth,classSegmentation}/Camera_0, colors.txt,
-    intrinsic.txt and extrinsic.txt. Depth is uint16 centimetres, 65535 the sky; extrinsics map
-    world to camera. Where a LiDAR was rendered too, and beyond that layout,
-    frames/lidar/Camera_0/lidar_<number>.bin holds its returns as KITTI has them (float32 x, y, z
-    [m], reflectance, ring after ring), and calib.txt the matrix Tr_velo_to_cam (3 x 4) that maps
-    them to the camera.
+    It has frames/{rgb,depth,classSegmentation}/Camera_0, colors.txt, intrinsic.txt and
+    extrinsic.txt. Depth is uint16 centimetres, 65535 the sky; extrinsics map world to camera.
+    Beyond that layout, if a LiDAR was rendered, frames/lidar/Camera_0/lidar_<number>.bin has its
+    returns in KITTI's format (float32 x, y, z [m], reflectance, ring after ring), and calib.txt the
+    matrix Tr_velo_to_cam (3 x 4) from the LiDAR to the camera.
 
-    Raises OutputError if the folder exists and `overwrite` is not given, or if it cannot be
-    written.
+    Args:
+        root: folder of the scenes.
+        scene: name of the scene.
+        variant: name of its variant.
+        frames: the rendered frames in order.
+        overwrite: replace the folder if it exists.
+
+    Returns:
+        The folder root/scene/variant.
+
+    Raises:
+        OutputError: if the folder exists and may not be replaced, or cannot be written.
     """
     target = root / scene / variant
     if target.exists() and not overwrite:
@@ -89,7 +98,7 @@ def _centimetres(depth: Floats) -> NDArray[np.uint16]:
 
 
 def _write_image(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
-    """Encode first, then write: OpenCV's own writing only returns False where the disk is full."""
+    """Encode, then write: OpenCV's own writing only returns False if the disk is full."""
     pixels = image[..., ::-1] if image.ndim == 3 else image
     options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if path.suffix == ".jpg" else []
     done, data = cv2.imencode(path.suffix, np.ascontiguousarray(pixels), options)

@@ -60,7 +60,7 @@ def test_kitti_raw(raw):
 
 
 @pytest.mark.parametrize("name", ["calib_cam_to_cam.txt", "calib_velo_to_cam.txt"])
-def test_one_of_the_two_files_of_kitti_raw_is_told_to_be_one(raw, name):
+def test_one_of_the_two_files_of_kitti_raw_is_refused(raw, name):
     with pytest.raises(InputError, match=f"{name} is one of two, .*: give their folder"):
         Calibration.from_file(raw / name)
 
@@ -113,7 +113,7 @@ def test_toml(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "has the keys none"),
         ("intrinsics = 1", "has the keys intrinsics"),
@@ -123,15 +123,15 @@ def test_toml(tmp_path):
         ("=", "is not valid TOML"),
     ],
 )
-def test_damaged_toml(tmp_path, text, said):
+def test_damaged_toml(tmp_path, text, message):
     path = tmp_path / "camera.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         Calibration.from_toml(path)
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda raw: (raw / "calib_velo_to_cam.txt").unlink(), "cannot read"),
         (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("R: 1 2 3"), "'R' has 3 numbers"),
@@ -144,9 +144,9 @@ def test_damaged_toml(tmp_path, text, said):
         (lambda raw: (raw / "calib_velo_to_cam.txt").write_bytes(b"\xff"), "cannot read"),
     ],
 )
-def test_damaged_kitti(raw, change, said):
+def test_damaged_kitti(raw, change, message):
     change(raw)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         Calibration.from_kitti(raw)
 
 

@@ -323,7 +323,7 @@ def test_clouds_need_a_calibration_and_take_a_file(make_bag, make_frame, make_sc
     assert abs(answers.fed_depth(name_of(2)) - projected(make_scan(2))).max() < 0.01
 
 
-def test_images_that_are_not_rectified_are_told(make_bag, make_frame, make_scan):
+def test_images_that_are_not_rectified_are_refused(make_bag, make_frame, make_scan):
     bag = make_bag("ros1")
     add_camera(bag, make_frame, topic="/left/image_raw")
     bag.info("/left/camera_info", INTRINSICS, SIZE, distortion=(0.1, 0, 0, 0, 0))
@@ -359,7 +359,7 @@ def test_a_broken_message_is_a_frame_that_is_skipped(make_bag, make_frame, make_
     assert answers.report["inputs"]["left_out"] == {"image: bad_stamp": 1, "depth: no_image": 1}
 
 
-def test_bayer_is_told_to_be_debayered(make_bag, make_frame, run):
+def test_bayer_images_are_refused_with_what_to_do(make_bag, make_frame, run):
     bag = make_bag("mcap")
     bag.image("/cam", make_frame(*SIZE)[0][..., 0], "bayer_rggb8", START_NS)
     answers = run("--source", f"bag:{bag.write()}", "--depth-topic", "none")
@@ -398,7 +398,7 @@ def test_definitions_that_are_damaged_in_the_bag_do_not_matter(make_bag, make_fr
     assert np.count_nonzero(read.sparse_depth) > 100
 
 
-def test_without_rosbags_the_line_that_installs_it_is_told(recorded, run, monkeypatch):
+def test_without_rosbags_the_error_names_the_install_command(recorded, run, monkeypatch):
     import builtins
 
     import_module = builtins.__import__
@@ -429,7 +429,7 @@ def read_all(path):
 
 
 @pytest.mark.parametrize("name", ["empty.bag", "text.mcap", "folder", "drive.db3"])
-def test_what_is_no_bag_is_told(tmp_path, run, name):
+def test_what_is_no_bag_is_an_error(tmp_path, run, name):
     path = tmp_path / name
     if name == "folder":
         path.mkdir()

@@ -42,7 +42,7 @@ def test_a_limit_counts_complete_frames(folders):
     assert [f.complete for f in source.list_frames()] == [True, False, True, False, True]
 
 
-def test_without_depth_the_camera_alone_is_answered_and_said(folders, run):
+def test_without_depth_the_camera_alone_is_predicted_and_reported(folders, run):
     answers = run("--rgb", folders[0])
     assert answers.exit_code == 0
     assert answers.names == ["0", "1", "2", "4"]
@@ -51,7 +51,7 @@ def test_without_depth_the_camera_alone_is_answered_and_said(folders, run):
     assert answers.report["inputs"]["depth"] is None
 
 
-def test_a_calibration_tells_the_focal_length_unless_one_is_given(folders, run, tmp_path):
+def test_a_calibration_sets_the_focal_length_unless_one_is_given(folders, run, tmp_path):
     rows = [[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]
     text = f"intrinsics = {rows}\nextrinsics = {np.eye(4).tolist()}\n"
     (tmp_path / "camera.toml").write_text(text)

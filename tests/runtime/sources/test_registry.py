@@ -10,7 +10,7 @@ from runtime.sources.registry import SOURCES, open_source
 
 
 @pytest.mark.parametrize("text", ["", "folders", "folders:", "folder:/tmp", ":/tmp", "/tmp"])
-def test_what_is_no_kind_and_path_is_told_the_kinds(text):
+def test_what_is_no_kind_and_path_is_an_error_with_the_kinds(text):
     with pytest.raises(InputError, match="KIND:PATH with one of the kinds folders, kitti-raw"):
         open_source(text)
 
@@ -32,7 +32,7 @@ def test_options_of_another_kind_are_refused_by_name(kind):
         open_source(f"{kind}:x", no_such=1)
 
 
-def test_the_command_tells_options_of_another_kind_as_wrong_usage(run, tmp_path):
+def test_options_of_another_kind_are_wrong_usage_of_the_command(run, tmp_path):
     answers = run("--source", f"vkitti:{tmp_path}", "--depth", tmp_path)
     assert answers.exit_code == 2
     assert "takes --camera, not --depth" in answers.text

@@ -177,7 +177,7 @@ def test_a_cloud_that_says_anything_is_points_or_an_input_error(seed):
         ({"width": -3}, "width of a message must be a count, got -3"),
     ],
 )
-def test_what_is_wrong_with_a_cloud_is_said(changes, text):
+def test_what_is_wrong_with_a_cloud_is_in_the_error(changes, text):
     with pytest.raises(InputError, match=text):
         decode_points(cloud(**changes))
 
@@ -236,7 +236,7 @@ def test_an_image_that_says_anything_is_an_array_or_an_input_error(seed):
         (decode_depth_image, image("32FC1", width=4), "has step 12, expected at least 16"),
     ],
 )
-def test_what_is_wrong_with_an_image_is_said(decode, message, text):
+def test_what_is_wrong_with_an_image_is_in_the_error(decode, message, text):
     with pytest.raises(InputError, match=text):
         decode(message)
 
@@ -265,7 +265,7 @@ PNG = cv2.imencode(".png", np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
         ("mono16; png compressed", np.zeros((2, 2), np.uint16), "must hold 8 bits"),
     ],
 )
-def test_what_is_wrong_with_a_compressed_image_is_said(form, array, text):
+def test_what_is_wrong_with_a_compressed_image_is_in_the_error(form, array, text):
     content = cv2.imencode(".png", array)[1].ravel()
     with pytest.raises(InputError, match=text):
         decode_compressed_image(SimpleNamespace(format=form, data=content))

@@ -59,6 +59,6 @@ def test_a_quaternion_a_little_off_is_made_a_rotation():
         ([stamped("a", "b", shift=(np.inf, 0, 0))], "expected a unit quaternion and metres"),
     ],
 )
-def test_trees_that_tell_nothing(transforms, text):
+def test_invalid_trees_are_refused(transforms, text):
     with pytest.raises(InputError, match=text):
         tree(*transforms).between("b", "a")

@@ -92,7 +92,7 @@ def test_frames_and_depth_maps_without_a_partner_are_counted(video, depth_maps, 
     assert not any(reasons.values())
 
 
-def test_maps_that_count_from_one_are_told(video, depth_maps, run):
+def test_maps_that_count_from_one_are_an_error(video, depth_maps, run):
     for index in reversed(range(N)):
         (depth_maps / f"depth_{index:03d}.png").rename(depth_maps / f"depth_{index + 1:03d}.png")
     answers = run("--source", f"video:{video}", "--depth", depth_maps)
@@ -142,14 +142,14 @@ def test_frames_that_no_header_counts_are_counted(tmp_path):
     assert np.allclose(reds, [red_of(index) for index in range(N)], atol=6)
 
 
-def test_a_depth_map_without_a_number_is_told(video, depth_maps, run):
+def test_a_depth_map_without_a_number_is_an_error(video, depth_maps, run):
     (depth_maps / "depth_003.png").rename(depth_maps / "first.png")
     answers = run("--source", f"video:{video}", "--depth", depth_maps)
     assert answers.exit_code == 1
     assert "must end in the number of its frame" in answers.text.replace("\n", " ")
 
 
-def test_what_is_no_video_is_told(tmp_path, run):
+def test_what_is_no_video_is_an_error(tmp_path, run):
     (tmp_path / "drive.mp4").write_bytes(b"no video" * 100)
     answers = run("--source", f"video:{tmp_path / 'drive.mp4'}")
     assert answers.exit_code == 1

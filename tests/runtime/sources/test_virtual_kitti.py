@@ -77,20 +77,20 @@ def test_without_intrinsics_the_focal_length_is_not_known(variant, run):
 
 
 @pytest.mark.parametrize("content", ["", ROWS, "0 1 70 70 32 24\n", "0 0 x 70 32 24\n"])
-def test_intrinsics_without_the_camera_are_told(variant, run, content):
+def test_intrinsics_without_the_camera_are_an_error(variant, run, content):
     (variant / "intrinsic.txt").write_text(content)
     answers = run("--source", f"vkitti:{variant}")
     assert answers.exit_code == 1
     assert "has no row 'frame cameraID fx fy cx cy' of camera 0" in answers.text.replace("\n", " ")
 
 
-def test_a_whole_scene_is_told_to_give_a_variant(variant, run):
+def test_the_error_for_a_whole_scene_asks_for_a_variant(variant, run):
     answers = run("--source", f"vkitti:{variant.parent}")
     assert answers.exit_code == 1
     assert "give a folder like Scene01/clone" in answers.text.replace("\n", " ")
 
 
-def test_folders_that_share_no_number_are_told(variant, run):
+def test_folders_that_share_no_number_are_an_error(variant, run):
     for number in range(4):
         (variant / f"frames/rgb/Camera_0/rgb_{number:05d}.jpg").rename(
             variant / f"frames/rgb/Camera_0/rgb_{number + 4:05d}.jpg"

@@ -190,6 +190,6 @@ def test_a_camera_file_that_is_not_text_is_named(cityscapes):
         Cityscapes(cityscapes)[0]
 
 
-def test_cityscapes_cannot_be_told_in_virtual_kittis_classes(cityscapes):
+def test_cityscapes_has_no_mapping_to_virtual_kittis_classes(cityscapes):
     with pytest.raises(DatasetError, match=r"recipe's model\.classes to one of camvid, city"):
         Cityscapes(cityscapes, classes="virtual_kitti")

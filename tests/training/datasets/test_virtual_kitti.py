@@ -206,7 +206,7 @@ def test_first_edition_is_metres_without_the_sky(first):
 
 
 @pytest.mark.parametrize("classes", list(IDS))
-def test_first_edition_tells_instances_by_their_category(first, classes):
+def test_first_edition_maps_instances_by_their_category(first, classes):
     semantic = VirtualKitti1(first, classes=classes)[0].semantic
     *stuff, car, van, _ = IDS[classes]
     expected = [*stuff, car, car, van]
