@@ -1,17 +1,26 @@
-"""Push live frames above capacity, with faults, for a long time: nothing crashes, grows or is lost.
+"""Try to break streams by chance: faulty sensors, threads in any order, signals at any moment.
 
-    python benchmarks/soak.py [--minutes 30] [--load 1.5] [--size 375x1242] [--threads 2]
+    python benchmarks/soak.py [--minutes 1] [--rounds 20] [--load 1.5] [--size 375x1242]
 
-A camera and a LiDAR thread push at `--load` times the rate that the model reaches here. Both send
-rubbish now and then: bursts of NaN, empty, half and wrongly sized depth maps, black, frozen and
-wrongly sized images, late, double, missing and jumping stamps; readers are killed and come back.
-Ends with 1 if a message is not accounted for, if the stream ended by itself, or if the process grew
-by more than 64 MB between the first fifth and the end.
+Three parts, each with random cases of `--seed`:
+
+live     A camera and a LiDAR thread push for `--minutes` at `--load` times the rate that the model
+         reaches here. Both send faults now and then: bursts of NaN, empty, half and wrongly sized
+         depth maps, black, frozen and wrongly sized images, late, double, missing and jumping
+         stamps; readers are killed and started again.
+replays  Recordings with jitter, gaps and lost messages are pushed by two threads `--rounds` times
+         each; the pairs must be the same each time.
+signals  `--rounds` programs push, read or iterate until a signal handler closes the stream, then
+         exit while another stream predicts.
+
+Exits with 1 if a message is not accounted for, if a stream ended by itself, if the process grew by
+more than 64 MB after the first fifth, if pairs differ, or if a program hangs or fails.
 """
 
 import argparse
 import itertools
 import random
+import subprocess
 import sys
 import threading
 import time
@@ -38,15 +47,15 @@ _FAULTY = 0.1  # share of the messages
 
 
 class ReaderKilledError(Exception):
-    """What ends a reader's thread in the middle of its work."""
+    """Ends a reader's thread in the middle of its work."""
 
 
 @dataclass
 class Soaked:
-    """What came of it.
+    """The result of the live part.
 
-    called: pushes by sensor, counted where they are made. faults: injected, by kind. resident_mb:
-    of the process, over time
+    called: pushes by sensor, counted by the sensors. faults: injected, by kind. resident_mb: of the
+    process, over time.
     """
 
     called: Counter[str] = field(default_factory=Counter)
@@ -66,7 +75,7 @@ class Soaked:
         return warm[-1] - warm[0] if warm else 0.0
 
     def problems(self) -> list[str]:
-        """What must not be; [] if all is well."""
+        """Violations; [] if there are none."""
         assert self.counts is not None
         found = []
         if self.counts.pending:
@@ -93,7 +102,7 @@ def soak(
 ) -> Soaked:
     """Push frames of a camera and a LiDAR until `go_on(number of the frame)` is False.
 
-    period_s: between frames of a sensor; 0 = as fast as can be
+    period_s: between frames of a sensor; 0 = as fast as possible
     """
     soaked = Soaked()
     lock = threading.Lock()
@@ -136,7 +145,7 @@ def soak(
                 time.sleep(max(0.0, started + number * period_s - time.perf_counter()))
 
     def keep_reading(sensor: str) -> None:
-        """Start the reader anew whenever it was killed, three frames later."""
+        """Start the reader again whenever it was killed, three frames later."""
         while go_on(reached[sensor]):
             try:
                 read(sensor, reached[sensor])
@@ -224,6 +233,121 @@ def _stamp_fault(kind: str, stamp: float, shift: float) -> tuple[Any, float]:
     return stamp, shift
 
 
+def replayed_pairs(
+    predictor: Any, frame: Frame, *, seed: int, turns: int, max_wait_ms: float
+) -> list[tuple[float, float | None]]:
+    """Replay a recording from two threads; (image stamp, depth stamp) of each result.
+
+    seed: of the recording. turns: of the pauses of the threads.
+    """
+    chance = random.Random(seed)
+    gap_s = chance.uniform(0, 4)  # without depth
+
+    def stamps(period_s: float, *, gap_s: float = 0.0) -> list[float]:
+        regular = (number * period_s for number in range(int(6 / period_s)))
+        return sorted(
+            stamp + chance.gauss(0, 0.1 * period_s)
+            for stamp in regular
+            if not 1 < stamp < 1 + gap_s and chance.random() > 0.05
+        )
+
+    recording = (
+        (stamps(chance.choice([0.05, 0.1])), frame.rgb),
+        (stamps(chance.choice([0.1, 0.2]), gap_s=gap_s), frame.sparse_depth),
+    )
+    pairs = []
+    with PushStream(
+        predictor,
+        mode="replay",
+        max_wait_ms=max_wait_ms,
+        on_result=lambda result: pairs.append((result.image_stamp, result.depth_stamp)),
+    ) as stream:
+
+        def push(method: Any, sensor: int) -> None:
+            pause = random.Random(f"{turns} {sensor}")
+            for stamp in recording[sensor][0]:
+                if pause.random() < 0.2:
+                    time.sleep(pause.uniform(0, 0.02))
+                method(recording[sensor][1], stamp)
+
+        pushers = [
+            threading.Thread(target=push, args=(method, sensor))
+            for sensor, method in enumerate((stream.push_image, stream.push_depth))
+        ]
+        for pusher in pushers:
+            pusher.start()
+        for pusher in pushers:
+            pusher.join()
+    return pairs
+
+
+def soak_replays(predictor: Any, frame: Frame, *, rounds: int, seed: int) -> list[str]:
+    """Replay random recordings several times; a line for each that gave different pairs."""
+    found = []
+    for max_wait_ms in (0, 5, 50):
+        pairs = [
+            replayed_pairs(predictor, frame, seed=seed, turns=turns, max_wait_ms=max_wait_ms)
+            for turns in range(rounds)
+        ]
+        different = sum(each != pairs[0] for each in pairs)
+        if different:
+            found.append(
+                f"{different} of {rounds} replays with max_wait_ms={max_wait_ms} gave other pairs"
+            )
+    return found
+
+
+_CLOSED_BY_SIGNALS = """
+import random, signal, sys, threading, time
+import numpy as np
+from runtime import Predictor, PushStream
+
+chance = random.Random(int(sys.argv[1]))
+predictor = Predictor("ssdnet-nano", threads=1)
+rgb, depth = np.zeros((64, 96, 3), np.uint8), np.ones((64, 96), np.float32)
+signal.signal(signal.SIGALRM, lambda *_: (stream.close(), closed.append(True)))
+for _ in range(20):
+    on_result, closed = chance.choice([None, lambda result: None]), []
+    mode = "live" if on_result is None else chance.choice(["live", "replay"])
+    stream = PushStream(predictor, mode=mode, on_result=on_result, max_wait_ms=0)
+    number, read = 0, chance.choice(["counts", "statistics", "state", "close_elsewhere"])
+    signal.setitimer(signal.ITIMER_REAL, chance.uniform(0.001, 0.05))
+    while not closed:
+        stream.push_image(rgb, number / 10)
+        stream.push_depth(depth, number / 10)
+        number += 1
+        if read == "close_elsewhere":
+            threading.Thread(target=stream.close).start()
+        else:
+            getattr(stream, read)
+    stream._worker.join()
+    assert stream.counts.pending == 0, stream.counts
+    assert stream.counts.pushed == 2 * number, stream.counts
+stream = PushStream(predictor, max_wait_ms=0)
+stream.push_image(np.zeros((375, 1242, 3), np.uint8), 0)
+time.sleep(chance.uniform(0, 0.05))
+"""
+
+
+def soak_signals(*, rounds: int, seed: int) -> list[str]:
+    """Run programs that signals interrupt; a line for each that failed."""
+    found = []
+    for number in range(seed, seed + rounds):
+        try:
+            subprocess.run(
+                [sys.executable, "-c", _CLOSED_BY_SIGNALS, str(number)],
+                check=True,
+                capture_output=True,
+                text=True,
+                timeout=120,
+            )
+        except subprocess.TimeoutExpired:
+            found.append(f"the program of seed {number} hangs")
+        except subprocess.CalledProcessError as error:
+            found.append(f"seed {number}: exit code {error.returncode}: {error.stderr[-200:]}")
+    return found
+
+
 def resident_mb() -> float:
     """Memory of this process that is in use (Linux)."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
@@ -242,7 +366,9 @@ def resized_frames(size: tuple[int, int]) -> list[Frame]:
 def main() -> None:
     """Soak and print the report."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=30.0)
+    parser.add_argument("--minutes", type=float, default=1.0, help="of the live part")
+    parser.add_argument("--rounds", type=int, default=20, help="of the replays and the signals")
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--load", type=float, default=1.5, help="rate over what the model reaches")
     parser.add_argument("--size", default="375x1242", help="HEIGHTxWIDTH")
     parser.add_argument("--model", help="bundled name or path")
@@ -259,8 +385,15 @@ def main() -> None:
         period_s = float(np.median(times_ms)) / 1e3 / arguments.load
         end = time.monotonic() + arguments.minutes * 60
         soaked = soak(
-            predictor, frames, period_s=period_s, go_on=lambda number: time.monotonic() < end
+            predictor,
+            frames,
+            period_s=period_s,
+            go_on=lambda number: time.monotonic() < end,
+            seed=arguments.seed,
         )
+        small = resized_frames((64, 96))[0]
+        problems = soak_replays(predictor, small, rounds=arguments.rounds, seed=arguments.seed)
+    problems += soak_signals(rounds=arguments.rounds, seed=arguments.seed)
     assert soaked.counts is not None
     assert soaked.statistics is not None
     print(f"pushed at {1 / period_s:.1f} Hz a sensor for {arguments.minutes:g} min")
@@ -281,9 +414,12 @@ def main() -> None:
         f"resident MB: first {memory[0]:.0f}, after a fifth {memory[len(memory) // 5]:.0f}, "
         f"last {memory[-1]:.0f}, most {max(memory):.0f}"
     )
-    if problems := soaked.problems():
+    if problems := soaked.problems() + problems:
         sys.exit("; ".join(problems))
-    print("every message is accounted for")
+    print(
+        f"every message is accounted for; {3 * arguments.rounds} replays gave the same pairs; "
+        f"{arguments.rounds} programs with signals ended well"
+    )
 
 
 if __name__ == "__main__":

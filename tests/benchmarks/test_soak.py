@@ -1,16 +1,17 @@
-"""A short soak: every kind of fault as fast as it goes, and a judge that sees what is wrong."""
+"""A short soak with every kind of fault, and negative controls of its checks."""
 
 import dataclasses
 
 import pytest
 
+import soak as soak_program
 from runtime import Predictor
-from soak import Soaked, bundled_frames, soak
+from soak import Soaked, resized_frames, soak, soak_replays, soak_signals
 
 
 @pytest.fixture(scope="module")
 def soaked():
-    frames = bundled_frames((64, 96))
+    frames = resized_frames((64, 96))
     with Predictor(threads=1) as predictor:
         return soak(predictor, frames, period_s=0, go_on=lambda number: number < 600)
 
@@ -31,7 +32,7 @@ def test_every_kind_of_fault_was_injected_and_found(soaked):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda s: s.called.update(["image"]), "of image pushed"),
         (lambda s: setattr(s, "results", s.results + 1), "results,"),
@@ -45,8 +46,24 @@ def test_every_kind_of_fault_was_injected_and_found(soaked):
         ),
     ],
 )
-def test_the_judge_sees_what_is_wrong(soaked, change, said):
+def test_violations_are_reported(soaked, change, message):
     spoiled = Soaked(**vars(soaked))
     spoiled.called = soaked.called.copy()
     change(spoiled)
-    assert any(said in problem for problem in spoiled.problems())
+    assert any(message in problem for problem in spoiled.problems())
+
+
+def test_replays_of_random_recordings_give_the_same_pairs(monkeypatch):
+    with Predictor("ssdnet-nano", threads=1) as predictor:
+        assert soak_replays(predictor, resized_frames((64, 96))[0], rounds=2, seed=0) == []
+    monkeypatch.setattr(soak_program, "replayed_pairs", lambda *_, turns, **others: [turns])
+    assert soak_replays(None, None, rounds=2, seed=0) == [
+        f"1 of 2 replays with max_wait_ms={max_wait_ms} gave other pairs"
+        for max_wait_ms in (0, 5, 50)
+    ]
+
+
+def test_programs_that_signals_interrupt_end_well(monkeypatch):
+    assert soak_signals(rounds=1, seed=0) == []
+    monkeypatch.setattr(soak_program, "_CLOSED_BY_SIGNALS", "raise SystemExit(3)")
+    assert soak_signals(rounds=1, seed=7) == ["seed 7: exit code 3: "]
