@@ -1,4 +1,4 @@
-"""The deploy graph: raw sensor units in, answers at full size out."""
+"""The deploy graph: from raw sensor units to answers at full size."""
 
 import torch
 from torch import Tensor, nn
@@ -10,9 +10,11 @@ from runtime.heads import HEADS, Unit
 
 
 class DeployGraph(nn.Module):
-    """A network between the sensors' units and the answers of the contract.
+    """A network with the inputs and outputs of the contract.
 
-    ``with_logits`` adds the class scores to the outputs, if the network has any.
+    Args:
+        model: the network.
+        with_logits: add the class scores to the outputs, if the network has any.
     """
 
     def __init__(self, model: Network, *, with_logits: bool = False) -> None:
@@ -29,13 +31,15 @@ class DeployGraph(nn.Module):
         return heads
 
     def forward(self, rgb: Tensor, sparse_depth: Tensor) -> tuple[Tensor, ...]:
-        """Predict one answer a head, at the size of the inputs.
+        """Predict one answer for each of `heads`, at the size of the inputs.
 
-        rgb: uint8 (N, H, W, 3), red first. sparse_depth: float32 (N, H, W), metres; what is no
-        measurement is masked by the network. Returns, as far as the network has the head:
-        semantic uint8 (N, H, W), NO_CLASS where its scores are not finite, depth float32 (N, H, W)
-        in metres, boundary float32 (N, H, W) in 0..1, depth_uncertainty float32 (N, H, W) in
-        metres, semantic_logits float32 (N, C, H, W).
+        Args:
+            rgb: uint8 (N, H, W, 3), RGB.
+            sparse_depth: float32 (N, H, W), metres; the network masks what is no measurement.
+
+        Returns:
+            (N, H, W) of the dtype and unit of the head, see `runtime.heads`; class scores
+            (N, C, H, W).
         """
         max_depth_m = self.model.config.max_depth_m
         height, width = rgb.shape[1], rgb.shape[2]

@@ -1,7 +1,7 @@
-"""The one error that exporting adds to the family."""
+"""The error that exporting adds to the family."""
 
 from runtime.errors import SSDNetError
 
 
 class ExportError(SSDNetError):
-    """A network cannot be written as an ONNX file that answers as the network does."""
+    """A network cannot be written as an ONNX file with the same answers."""

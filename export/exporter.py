@@ -1,4 +1,4 @@
-"""Checkpoint in, one verified ONNX file out."""
+"""From a checkpoint to one verified ONNX file."""
 
 import contextlib
 import hashlib
@@ -25,19 +25,28 @@ from runtime.io.atomic_write import atomic_file
 from runtime.io.recording import RecordedFrame, Recorder, Settings, record
 from runtime.model_file import with_contract
 
-#: (height, width) if none is asked for: Cityscapes at half size, as in the paper.
+#: (height, width) by default: Cityscapes at half size, as in the paper.
 DEFAULT_SIZE = (512, 1024)
 
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What was written, and how far it is from PyTorch."""
+    """What was written, and how far it is from PyTorch.
+
+    Attributes:
+        path: of the file.
+        size: (height, width) it was exported at.
+        dynamic: whether it takes any size.
+        heads: names of its outputs.
+        parity: head -> the worst difference over all frames it was verified on.
+        num_frames: number of these frames.
+        num_bytes: size of the file.
+    """
 
     path: Path
     size: tuple[int, int]
     dynamic: bool
     heads: tuple[str, ...]
-    #: Head -> the worst difference over all frames it was verified on.
     parity: Mapping[str, HeadParity]
     num_frames: int
     num_bytes: int
@@ -55,17 +64,29 @@ def export_checkpoint(
     triton_dir: Path | str | None = None,
     overwrite: bool = False,
 ) -> ExportReport:
-    """Write a checkpoint as one ONNX file, verified before it has its name.
+    """Write a checkpoint as one ONNX file, verified before it gets its name.
 
-    size: (height, width) of a fixed model; for a ``dynamic`` one, which takes any, the size it
-    names as its own. None = DEFAULT_SIZE. ``with_logits`` adds the class scores to the outputs.
-    ``record_dir``: folder for a recording of what PyTorch answers to the frames it was verified on,
-    for ssdnet-verify. ``triton_dir``: a model repository of Triton to put the file into as well.
+    After an error nothing new is left on disk, and an older file is kept.
 
-    Raises CheckpointError for a checkpoint that cannot be read, InputError for a size that cannot
-    be, OutputError for a target that exists (without ``overwrite``) or cannot be written, and
-    ExportError for weights that are not finite, or if the graph cannot be made or differs from
-    PyTorch by more than rounding. Nothing is left on disk then; what is there of that name stays.
+    Args:
+        checkpoint_path: written by ssdnet-train.
+        onnx_path: the file to write.
+        size: (height, width) of a fixed model; for a dynamic one its native size.
+            None = DEFAULT_SIZE.
+        dynamic: whether the model takes any size.
+        opset: ONNX operator set.
+        with_logits: add the class scores to the outputs.
+        record_dir: folder for a recording of PyTorch's answers to the frames it was verified on,
+            for ssdnet-verify; None = no recording.
+        triton_dir: Triton model repository to put the file into as well; None = none.
+        overwrite: replace an older file, recording and Triton model.
+
+    Raises:
+        CheckpointError: for a checkpoint that cannot be read.
+        InputError: for an invalid size.
+        OutputError: for a target that exists (without `overwrite`) or cannot be written.
+        ExportError: for weights that are not finite, and if the graph cannot be made or differs
+            from PyTorch by more than rounding.
     """
     size = size or DEFAULT_SIZE
     try:
@@ -112,9 +133,9 @@ def _check_target(target: Path, checkpoint: Path, *, overwrite: bool) -> None:
     if target.exists() and checkpoint.exists() and target.samefile(checkpoint):
         raise OutputError(f"{target} is the checkpoint itself: choose another name")
     if target.exists() and not overwrite:
-        raise OutputError(f"{target} exists: choose another name, or ask to overwrite it")
+        raise OutputError(f"{target} exists: choose another name, or overwrite it")
     if not target.parent.is_dir():
-        raise OutputError(f"{target.parent} is no folder: make it first")
+        raise OutputError(f"{target.parent} is not a folder: create it first")
 
 
 def _require_finite(model: nn.Module) -> None:
@@ -166,7 +187,7 @@ def _digest(path: Path | str) -> str:
 
 
 def _frames(size: tuple[int, int], *, dynamic: bool, max_depth_m: float) -> list[ProbeFrame]:
-    """What to verify on: the model's own size and, if it takes any, two more, one of them odd."""
+    """Frames of the model's own size and, if it takes any, of two more, one of them odd."""
     sizes = [size]
     if dynamic:
         sizes.append((max(size[0] // 2 | 1, MIN_SIDE), max(size[1] // 2 | 1, MIN_SIDE)))
@@ -177,7 +198,7 @@ def _frames(size: tuple[int, int], *, dynamic: bool, max_depth_m: float) -> list
 def _record(
     model: Network, heads: Sequence[str], frames: Sequence[ProbeFrame], recorder: Recorder
 ) -> None:
-    """Keep what PyTorch answers to each frame: the heads that the file has."""
+    """Record PyTorch's answers to each frame for the heads of the file."""
     for frame in frames:
         answers = reference(model, frame)
         recorder.add(
@@ -189,16 +210,13 @@ def _record(
 
 
 def _write(model: onnx.ModelProto, contract: Contract, file: BinaryIO) -> int:
-    """Write the model and its metadata, which stands last and describes what is before it.
-
-    Returns the number of bytes.
-    """
+    """Write the model, then its metadata, which describes the bytes before it; return the size."""
     del model.metadata_props[:]
     try:
         content = with_contract(model.SerializeToString(), contract)
     except (TypeError, ValueError, RecursionError) as error:
         raise ExportError(
-            f"what the checkpoint says about its training is not plain JSON: {error}"
+            f"the checkpoint's facts about its training are not plain JSON: {error}"
         ) from error
     file.seek(0)
     file.truncate()
@@ -215,6 +233,6 @@ def _require_parity(parity: Mapping[str, HeadParity]) -> None:
     ]
     if failed:
         raise ExportError(
-            "the exported graph does not answer as PyTorch does, so nothing was written: "
+            "the answers of the exported graph differ from PyTorch's, so nothing was written: "
             + "; ".join(failed)
         )

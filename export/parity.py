@@ -1,4 +1,4 @@
-"""Measure how far an exported file is from its network in PyTorch, a head at a time."""
+"""Difference between an exported file and its network in PyTorch."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,9 +19,13 @@ from runtime.session import open_session
 
 @dataclass(frozen=True)
 class HeadParity:
-    """The worst of one head over all frames, and whether it is within tolerance."""
+    """The worst difference of one head over all frames.
 
-    #: For example {"max_abs_m": 0.0002, "mean_abs_m": 0.00001} or {"agreement": 0.99998}.
+    Attributes:
+        figures: see `runtime.io.agreement.compare`.
+        passed: whether they are within the tolerance.
+    """
+
     figures: Mapping[str, float]
     passed: bool
 
@@ -31,10 +35,21 @@ def measure_parity(
 ) -> dict[str, HeadParity]:
     """Compare every head of the file, run by `runtime.Predictor`, with the network in PyTorch.
 
-    The frames have the size of the file or, if it is ``dynamic``, any size, and run at it. As the
-    predictor cleans a depth map before the graph sees it, each frame also goes to the bare graph,
-    which must answer the same. Raises the engine's errors if the file cannot be run, and
-    ExportError if an answer has another shape.
+    The predictor cleans a depth map before the graph sees it, so each frame also goes to the bare
+    graph, which must give the same answer.
+
+    Args:
+        model: the network.
+        onnx_path: the exported file.
+        frames: of the size of the file or, if it is dynamic, of any size.
+        dynamic: whether the file takes any size.
+
+    Returns:
+        Head -> its worst difference.
+
+    Raises:
+        ExportError: if an answer has another shape.
+        SSDNetError: if the file cannot be run.
     """
     measured: dict[str, list[dict[str, float]]] = {}
     with Predictor(onnx_path, size="frame" if dynamic else None, warmup=0) as predictor:
@@ -60,7 +75,7 @@ def measure_parity(
 
 
 def reference(model: Network, frame: ProbeFrame) -> dict[str, NDArray[Any]]:
-    """Answer a frame with the network itself, by its training forward at full size."""
+    """Return the network's own answers to a frame, head -> array, by its training forward."""
     rgb = torch.from_numpy(frame.rgb).permute(2, 0, 1)[None].float()
     with torch.inference_mode():
         output = model(rgb, torch.from_numpy(frame.sparse_depth)[None, None])

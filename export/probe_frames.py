@@ -1,4 +1,4 @@
-"""Made-up frames that look enough like a drive to compare two implementations on."""
+"""Synthetic street frames for the comparison of two implementations."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class ProbeFrame:
-    """rgb uint8 (H, W, 3) and sparse_depth float32 (H, W) in metres, with a name."""
+    """A named frame: rgb uint8 (H, W, 3), sparse_depth float32 (H, W) in metres."""
 
     name: str
     rgb: NDArray[np.uint8]
@@ -19,9 +19,13 @@ class ProbeFrame:
 def probe_frames(
     size: tuple[int, int], *, max_depth_m: float, seeds: tuple[int, ...] = (0, 1)
 ) -> list[ProbeFrame]:
-    """Return one frame a seed with scan lines, then an empty, a full and a faulty depth map.
+    """Return a frame with scan lines for each seed, then an empty, a full and a faulty depth map.
 
-    size: (height, width). The faulty map has NaN, Inf, negative and too far values among good ones.
+    Args:
+        size: (height, width).
+        max_depth_m: range of the network; the faulty map has values beyond it, NaN, Inf and
+            negative ones among good ones.
+        seeds: of the random scenes.
     """
     frames = []
     for seed in seeds:
@@ -41,7 +45,7 @@ def probe_frames(
 def _street(
     size: tuple[int, int], *, seed: int, max_depth_m: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """A ground plane under a sky, boxes standing on it, and texture; the depth is dense."""
+    """A textured ground plane with boxes under a sky; the depth is dense."""
     rng = np.random.default_rng(seed)
     height, width = size
     rows = np.arange(height, dtype=np.float32)[:, None].repeat(width, axis=1)
@@ -64,7 +68,7 @@ def _street(
 
 
 def _scan_lines(depth: NDArray[np.float32], *, seed: int) -> NDArray[np.float32]:
-    """Keep what a spinning LiDAR would see of a dense map: sloping lines with drop-outs."""
+    """Sample a dense depth map as a spinning LiDAR does: sloping lines with drop-outs."""
     rng = np.random.default_rng(seed)
     rows, columns = np.indices(depth.shape)
     on_line = (rows + columns // 64) % 4 == 0

@@ -13,7 +13,7 @@ from onnx import numpy_helper
 from export.deploy import DeployGraph
 from export.errors import ExportError
 
-#: What PyTorch's exporter writes without converting; ONNX Runtime reads it since 1.14.
+#: PyTorch's exporter writes it without a conversion; ONNX Runtime reads it since 1.14.
 DEFAULT_OPSET = 18
 INPUTS = ("rgb", "sparse_depth")
 #: The free axes: N always, the others in a dynamic graph.
@@ -24,17 +24,24 @@ STANDARD_DOMAINS = ("", "ai.onnx")
 def trace(
     graph: DeployGraph, *, size: tuple[int, int], dynamic: bool = False, opset: int = DEFAULT_OPSET
 ) -> onnx.ModelProto:
-    """Trace a deploy graph at ``size`` (height, width) into one ONNX model, weights inside.
+    """Trace a deploy graph into one ONNX model with its weights. Nothing is printed.
 
-    N is free; H and W too if ``dynamic``. Nothing is printed. Raises ExportError if the exporter
-    fails or writes something that is not standard ONNX of that opset.
+    Args:
+        graph: the graph; its batch axis is free in the model.
+        size: (height, width).
+        dynamic: whether height and width are free, too.
+        opset: ONNX operator set.
+
+    Raises:
+        ExportError: if the exporter fails or writes something that is not standard ONNX of that
+            opset.
     """
     newest = onnx.defs.onnx_opset_version()
     if not DEFAULT_OPSET <= opset <= newest:
         raise ExportError(f"opset must be {DEFAULT_OPSET} to {newest}, got {opset}")
     free = dict.fromkeys(range(3 if dynamic else 1), torch.export.Dim.DYNAMIC)
-    # Two frames, because a 1 would be taken for a constant. Odd sides where they are free, because
-    # one that happens to fit the stride would leave no trace of the padding.
+    # Two frames, because a batch of 1 would become a constant. Odd sides where they are free,
+    # because sides that fit the stride would leave no padding in the graph.
     height, width = (size[0] | 1, size[1] | 1) if dynamic else size
     try:
         example = torch.zeros(2, height, width, 3, dtype=torch.uint8), torch.zeros(2, height, width)
@@ -50,13 +57,13 @@ def trace(
                 dynamic_shapes=(free, free),
                 verbose=False,
             )
-    except Exception as error:  # the exporter raises anything, as does a lack of memory
+    except Exception as error:  # the exporter raises errors of any type
         raise ExportError(
             f"PyTorch's exporter failed on {graph.model.config.name!r} at {height} x {width}, "
             f"opset {opset}: {error}"
         ) from error
     if program is None:
-        raise ExportError("PyTorch's exporter gave nothing: try another version of torch")
+        raise ExportError("PyTorch's exporter returned nothing: try another version of torch")
     model = program.model_proto
     _strip_notes(model)
     _name_axes(model.graph)
@@ -79,7 +86,7 @@ def check_standard(model: onnx.ModelProto, *, opset: int) -> None:
         raise ExportError(f"the graph holds operators that are not standard: {', '.join(foreign)}")
     versions = {entry.domain: entry.version for entry in model.opset_import}
     if versions != {"": opset}:
-        raise ExportError(f"asked for opset {opset}, the exporter wrote {versions}")
+        raise ExportError(f"opset {opset} was requested, the exporter wrote {versions}")
     outside = [
         weight.name
         for weight in model.graph.initializer
@@ -94,7 +101,7 @@ def check_standard(model: onnx.ModelProto, *, opset: int) -> None:
 
 
 def _nodes(graph: onnx.GraphProto) -> Iterator[onnx.NodeProto]:
-    """All nodes, those of nested graphs too."""
+    """All nodes, also those of nested graphs."""
     for node in graph.node:
         yield node
         for attribute in node.attribute:
@@ -103,7 +110,7 @@ def _nodes(graph: onnx.GraphProto) -> Iterator[onnx.NodeProto]:
 
 
 def _strip_notes(model: onnx.ModelProto) -> None:
-    """Drop the exporter's notes: they name the source files of the machine that exported."""
+    """Remove the exporter's notes, which name source files of this machine."""
     graph = model.graph
     notes = (model, graph, *_nodes(graph), *graph.input, *graph.output, *graph.initializer)
     for holder in notes:
@@ -114,7 +121,7 @@ def _strip_notes(model: onnx.ModelProto) -> None:
 
 
 def _name_axes(graph: onnx.GraphProto) -> None:
-    """Call the free axes by their names; the tracer leaves symbols and sums of symbols."""
+    """Name the free axes; the tracer writes symbols and sums of symbols."""
     for tensors, places in ((graph.input, (0, 1, 2)), (graph.output, (0, -2, -1))):
         for tensor in tensors:
             dims = tensor.type.tensor_type.shape.dim
@@ -124,7 +131,7 @@ def _name_axes(graph: onnx.GraphProto) -> None:
 
 
 def _drop_empty_padding(graph: onnx.GraphProto) -> None:
-    """Drop each Pad by nothing, as of a fixed size that fits the stride: it copies the picture."""
+    """Remove each Pad by zero, as of a fixed size that fits the stride: it copies the image."""
     constants = {weight.name: weight for weight in graph.initializer}
     for pad in [node for node in graph.node if node.op_type == "Pad"]:
         amounts = constants.get(pad.input[1])
@@ -139,13 +146,13 @@ def _drop_empty_padding(graph: onnx.GraphProto) -> None:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep what the exporter prints, logs and warns from the user."""
+    """Silence the exporter's output, logs and warnings."""
     disabled = logging.root.manager.disable
-    said = io.StringIO()
+    printed = io.StringIO()
     with (
         warnings.catch_warnings(),
-        contextlib.redirect_stdout(said),
-        contextlib.redirect_stderr(said),
+        contextlib.redirect_stdout(printed),
+        contextlib.redirect_stderr(printed),
     ):
         warnings.simplefilter("ignore")
         logging.disable(logging.CRITICAL)

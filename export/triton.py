@@ -1,4 +1,4 @@
-"""A model repository of NVIDIA's Triton Inference Server around an exported file.
+"""A model repository of NVIDIA's Triton Inference Server with an exported file.
 
 DIR/NAME/config.pbtxt names the tensors (`ModelConfig` of Triton's model_config.proto, in protobuf's
 text form), DIR/NAME/1/model.onnx is the file itself: ``tritonserver --model-repository=DIR``.
@@ -26,9 +26,15 @@ _FOLDER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 def triton_config(model: onnx.ModelProto, *, name: str) -> str:
     """Return config.pbtxt for a model: its tensors, and whether frames may be batched.
 
-    With a batch axis that is free everywhere Triton adds it itself, so that `dims` lack it. Raises
-    ExportError for a name that cannot be a folder's, and for a type of tensor that the contract
-    does not have.
+    A batch axis that is free everywhere is left out of `dims`, since Triton adds it.
+
+    Args:
+        model: the ONNX model.
+        name: of the model in the repository.
+
+    Raises:
+        ExportError: for a name that cannot be a folder's, and for a tensor of a type that the
+            contract does not have.
     """
     if not _FOLDER_NAME.fullmatch(name):
         raise ExportError(
@@ -53,10 +59,21 @@ def triton_config(model: onnx.ModelProto, *, name: str) -> str:
 def write_triton_model(
     repository: Path, model: onnx.ModelProto, content: bytes, *, name: str, overwrite: bool = False
 ) -> Path:
-    """Write a model of the bytes `content` into a repository, and return its folder in there.
+    """Write a model into a repository; other models there are not touched.
 
-    Other models of the repository are left alone. overwrite: an older one of that name is replaced.
-    Raises ExportError as `triton_config` does, and OutputError.
+    Args:
+        repository: its folder.
+        model: the ONNX model.
+        content: bytes of the model file.
+        name: of the model in the repository.
+        overwrite: replace an older model of that name.
+
+    Returns:
+        The model's folder.
+
+    Raises:
+        ExportError: as `triton_config`.
+        OutputError: if the folder cannot be written or replaced.
     """
     config = triton_config(model, name=name)
     folder = repository / name
@@ -71,9 +88,9 @@ def write_triton_model(
 def require_replaceable(folder: Path, *, overwrite: bool) -> None:
     """Raise OutputError if something is at `folder` that may not be replaced."""
     if folder.exists() and not overwrite:
-        raise OutputError(f"{folder} exists: choose another repository, or ask to overwrite it")
+        raise OutputError(f"{folder} exists: choose another repository, or overwrite it")
     if folder.exists() and not (folder / CONFIG_FILE).is_file():
-        raise OutputError(f"{folder} is no model of a Triton repository: choose another one")
+        raise OutputError(f"{folder} is not a model of a Triton repository: choose another one")
 
 
 def _entries(kind: str, tensors: Iterable[onnx.ValueInfoProto], *, batched: bool) -> Iterable[str]:
@@ -82,13 +99,13 @@ def _entries(kind: str, tensors: Iterable[onnx.ValueInfoProto], *, batched: bool
         if number not in _TYPES:
             raise ExportError(
                 f"{tensor.name} is {onnx.TensorProto.DataType.Name(number)}, which the contract "
-                "has not: nothing was written"
+                "does not have: nothing was written"
             )
         dims = ", ".join(map(str, _dims(tensor)[batched:]))
         yield f'{kind} {{ name: "{tensor.name}" data_type: {_TYPES[number]} dims: [ {dims} ] }}'
 
 
 def _dims(tensor: onnx.ValueInfoProto) -> list[int]:
-    """The sides of a tensor, -1 where one is free."""
+    """The sides of a tensor, -1 = free."""
     dims = tensor.type.tensor_type.shape.dim
     return [dim.dim_value if dim.HasField("dim_value") else _FREE for dim in dims]

@@ -108,7 +108,7 @@ def test_cuda_that_runs(fake_runtime):
 
 def test_a_silent_fall_back_to_the_cpu_is_an_error(fake_runtime, capsys):
     fake_runtime({CUDA: FakeSession([CPU], [(CPU, "Conv")])})
-    with pytest.raises(ProviderError, match=r"would run CPUExecutionProvider.*libcudnn.so.9"):
+    with pytest.raises(ProviderError, match=r"would use CPUExecutionProvider.*libcudnn.so.9"):
         open_cuda()
     assert capsys.readouterr().out == "", "the library printed"
 
