@@ -15,6 +15,7 @@ run keeps its pace, and numpy's archive has a checksum of every array.
 import contextlib
 import json
 import math
+import os
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -33,6 +34,7 @@ from runtime.network_size import NetworkSize
 
 RECORDING_FORMAT, RECORDING_VERSION = "ssdnet-recording", "1.0"
 RECORDING_FILE, MODEL_FILE = "recording.json", "model.onnx"
+_FRAMES = "frames"
 
 MAX_FRAME_BYTES = 2**32  # of its arrays, unpacked: of the largest cameras with all heads
 
@@ -128,7 +130,7 @@ class Recorder:
         self._folder, self._settings = folder, settings
         self._frames: list[RecordedFrame] = []
         self._heads: set[str] = set()
-        (folder / "frames").mkdir()
+        (folder / _FRAMES).mkdir()
 
     def add(
         self,
@@ -179,7 +181,7 @@ def record(path: Path, settings: Settings, *, overwrite: bool = False) -> Iterat
     Args:
         path: the folder, which gets its name when the block ends without an error.
         settings: of the predictor.
-        overwrite: replace an older recording at `path`; nothing else is replaced.
+        overwrite: replace an older recording at `path`; a folder with any other file never is.
 
     Yields:
         The recorder; the block adds frames and calls `Recorder.finish`.
@@ -187,14 +189,40 @@ def record(path: Path, settings: Settings, *, overwrite: bool = False) -> Iterat
     Raises:
         OutputError: if the folder cannot be written or replaced.
     """
-    if path.exists() and overwrite and not (path / RECORDING_FILE).is_file():
+    with atomic_folder(path) as folder:
+        if os.path.lexists(path):
+            _earlier_files(path, overwrite=overwrite)
+        yield Recorder(folder, settings)
+        if os.path.lexists(path):
+            for file in _earlier_files(path, overwrite=overwrite):
+                file.unlink()
+            if (path / _FRAMES).exists():
+                (path / _FRAMES).rmdir()
+            path.rmdir()
+
+
+def _earlier_files(path: Path, *, overwrite: bool) -> list[Path]:
+    """The files of an earlier recording. Raises OutputError if it may not be replaced."""
+    if not overwrite:
+        raise OutputError(f"{path} exists: choose another folder, or ask to overwrite it")
+    try:
+        if path.is_symlink():
+            raise InputError(f"{path} is a link")
+        count = len(read_recording(path).frames)
+    except InputError as error:
         raise OutputError(
             f"{path} is no recording, and only recordings are replaced: choose another folder"
-        )
-    if path.exists() and not overwrite:
-        raise OutputError(f"{path} exists: choose another folder, or ask to overwrite it")
-    with atomic_folder(path, overwrite=overwrite) as folder:
-        yield Recorder(folder, settings)
+        ) from error
+    own = {path / RECORDING_FILE, path / MODEL_FILE, path / _FRAMES}
+    own |= {_frame_path(path, index) for index in range(count)}
+    found = sorted(path.rglob("*"))
+    for entry in found:
+        if entry not in own or entry.is_symlink() or entry.is_dir() != (entry == path / _FRAMES):
+            raise OutputError(
+                f"{entry} is not of the recording that would be replaced: move it away, or choose "
+                "another folder"
+            )
+    return [entry for entry in found if entry != path / _FRAMES]
 
 
 def read_recording(folder: Path) -> Recording:
@@ -270,4 +298,4 @@ def _finite(value: Any) -> float:
 
 
 def _frame_path(folder: Path, index: int) -> Path:
-    return folder / "frames" / f"{index:06}.npz"
+    return folder / _FRAMES / f"{index:06}.npz"

@@ -163,3 +163,55 @@ def test_other_arrays_and_pickles_are_refused(recording, make_frame):
     path.write_bytes(pickle.dumps({"rgb": 1}))
     with pytest.raises(InputError, match="damaged"):
         read.arrays(0)
+
+
+def overwrite(recording, model):
+    with record(recording, SETTINGS, overwrite=True) as recorder:
+        recorder.finish(model)
+
+
+@pytest.mark.parametrize("name", ["thesis.txt", "frames/mine.npz", "frames/000002.npz", "deep/x"])
+def test_a_recording_with_a_foreign_file_is_not_replaced(recording, model_file, name):
+    (recording / name).parent.mkdir(exist_ok=True)
+    (recording / name).write_text("mine")
+    before = {path: path.read_bytes() for path in recording.rglob("*") if path.is_file()}
+    with pytest.raises(OutputError, match=r"(thesis|mine|000002|deep)[.a-z]* is not of the"):
+        overwrite(recording, model_file())
+    assert before == {path: path.read_bytes() for path in recording.rglob("*") if path.is_file()}
+
+
+def test_a_foreign_file_that_appears_while_it_is_written_stays(recording, model_file):
+    before = (recording / "recording.json").read_bytes()
+    model = model_file()
+
+    def write():
+        with record(recording, SETTINGS, overwrite=True) as recorder:
+            recorder.finish(model)
+            (recording / "thesis.txt").write_text("mine")
+
+    with pytest.raises(OutputError, match=r"thesis\.txt"):
+        write()
+    assert (recording / "thesis.txt").read_text() == "mine"
+    assert (recording / "recording.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("content", ["{}", "", "[1]"])
+def test_a_folder_with_another_document_of_that_name_is_not_replaced(tmp_path, model_file, content):
+    folder = tmp_path / "results"
+    folder.mkdir()
+    (folder / "recording.json").write_text(content)
+    with pytest.raises(OutputError, match="no recording"):
+        overwrite(folder, model_file())
+    assert (folder / "recording.json").read_text() == content
+
+
+def test_a_link_to_a_recording_is_not_replaced(recording, tmp_path, model_file):
+    (tmp_path / "link").symlink_to(recording)
+    with pytest.raises(OutputError, match="no recording"):
+        overwrite(tmp_path / "link", model_file())
+    assert len(read_recording(recording).frames) == 2
+
+
+def test_a_name_that_is_too_long_is_an_output_error(tmp_path, model_file):
+    with pytest.raises(OutputError, match="too long"):
+        overwrite(tmp_path / ("n" * 256), model_file())
