@@ -1,11 +1,11 @@
 """Entry points of the commands; each imports only its own file."""
 
-from runtime.command import end_quietly
+from runtime.command import begin_command
 
 
 def info() -> None:
     """`ssdnet-info`."""
-    end_quietly()
+    begin_command()
     from runtime.tools.info import app
 
     app()
@@ -13,7 +13,7 @@ def info() -> None:
 
 def doctor() -> None:
     """`ssdnet-doctor`."""
-    end_quietly()
+    begin_command()
     from runtime.tools.doctor_cli import app
 
     app()
@@ -21,7 +21,7 @@ def doctor() -> None:
 
 def verify() -> None:
     """`ssdnet-verify`."""
-    end_quietly()
+    begin_command()
     from runtime.tools.verify_cli import app
 
     app()

@@ -57,9 +57,10 @@ def examine(provider: str, *, seconds: float = 1.0) -> Iterator[Check]:
     yield _wheel(provider)
     try:
         ort = importlib.import_module("onnxruntime")
-    except ImportError as error:
+        ort.get_available_providers()
+    except Exception as error:
         extra = "gpu" if provider == "cuda" else "cpu"
-        yield Check("onnxruntime", "fault", f"{error}", pip("install", f"ssdnet[{extra}]"))
+        yield Check("onnxruntime", "fault", _text(error), pip("install", f"ssdnet[{extra}]"))
         return
     yield _providers(ort, provider)
     yield from _libraries(ort, provider)
@@ -84,11 +85,15 @@ def _package(module: str, distribution: str) -> Check:
     found = installed(distribution)
     try:
         imported = None if module == "ssdnet" else importlib.import_module(module)
-    except ImportError as error:
+    except Exception as error:  # a package can fail in any way
         remedy = pip("install", "--force-reinstall", "--no-deps", distribution)
-        return Check(module, "fault", f"{error}", remedy)
+        return Check(module, "fault", _text(error), remedy)
     # OpenCV has several distributions of one module: the module's own version counts.
     return Check(module, "ok", getattr(imported, "__version__", None) or found or "not installed")
+
+
+def _text(error: Exception) -> str:
+    return str(error) if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
 
 
 def _wheel(provider: str) -> Check:
@@ -144,10 +149,10 @@ def self_test(provider: str, *, seconds: float) -> Check:
         times_ms, error = _predict_bundled(provider, seconds)
     except SSDNetError as problem:  # its text says what to do
         return Check(name, "fault", str(problem))
-    except ImportError as problem:
-        return Check(name, "fault", f"not run: {problem}")
     except _WrongAnswerError as problem:
         return Check(name, "fault", str(problem), reinstall)
+    except Exception as problem:
+        return Check(name, "fault", f"not run: {_text(problem)}")
     middle_ms = sorted(times_ms)[len(times_ms) // 2]
     return Check(
         name,

@@ -97,8 +97,8 @@ class VerifyReport:
 
     @property
     def passed(self) -> bool:
-        """Whether all answers are the recorded ones, in the time that was asked for."""
-        return not self.slow and not self.failed
+        """Whether there are answers, and all are the recorded ones within `max_slowdown`."""
+        return bool(self.checks) and not self.slow and not self.failed
 
     def worst(self, head: str) -> dict[str, float] | None:
         """The worst of each figure of a head over all frames; None if no frame has any."""

@@ -21,7 +21,7 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions
 @app.command(
     "verify",
     epilog="Exit codes: 0 the same answers; 1 error; 2 usage; 4 an answer differs by more "
-    "than its limit, or --max-slowdown was exceeded.",
+    "than its limit, --max-slowdown was exceeded, or the recording holds no frames.",
 )
 def main(
     recording_dir: Annotated[
@@ -124,11 +124,12 @@ def _table(report: VerifyReport) -> str:
         lines.append(f"{'time':18}{'x recorded':14}{report.slowdown:>12.3f}{limit_text:>12}")
     lines.append("")
     lines += [line for check in report.failed for line in _differences(check, report.limits)]
-    lines.append(
-        f"{len(report.failed)} of {len(checks)} frames differ from the recording"
-        if report.failed
-        else "the same answers"
-    )
+    if not checks:
+        lines.append("the recording holds no frames: nothing was compared")
+    elif report.failed:
+        lines.append(f"{len(report.failed)} of {len(checks)} frames differ from the recording")
+    else:
+        lines.append("the same answers")
     if report.slow:
         lines.append(
             f"predictions take {report.slowdown:.3f} times what was recorded, at most "

@@ -179,3 +179,45 @@ def test_the_command_starts_where_a_package_is_broken(module):
     assert done.returncode == 1, done.stderr
     assert "Traceback" not in done.stderr
     assert "ssdnet[cpu]" in done.stdout or "opencv-python-headless" in done.stdout
+
+
+class Broken:
+    """A package whose import fails otherwise than with ImportError."""
+
+    def __init__(self, name):
+        self.name = name
+
+    def find_spec(self, name, path=None, target=None):
+        if name == self.name:
+            raise RuntimeError("compiled for another processor")
+
+
+@pytest.mark.parametrize("package", ["numpy", "cv2", "onnxruntime"])
+def test_a_package_that_fails_in_its_own_way_is_a_fault_beside_the_others(monkeypatch, package):
+    for name in list(sys.modules):
+        if name.partition(".")[0] == package:
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setattr(sys, "meta_path", [Broken(package), *sys.meta_path])
+    result = CliRunner().invoke(app, ["--json"])
+    assert result.exit_code == 1, result.exception
+    checks = {check["name"]: check for check in json.loads(result.stdout)["checks"]}
+    assert checks[package]["status"] == "fault"
+    assert "RuntimeError: compiled for another processor" in checks[package]["found"]
+    assert checks[package]["remedy"]
+    assert checks["python"]["status"] == "ok"
+
+
+def test_an_empty_onnxruntime_is_a_fault(monkeypatch, passed):
+    monkeypatch.setitem(sys.modules, "onnxruntime", SimpleNamespace())
+    found = examine("cpu")["onnxruntime"]
+    assert found.status == "fault"
+    assert "get_available_providers" in found.found
+
+
+def test_a_self_test_that_fails_in_its_own_way_is_a_fault(monkeypatch):
+    def fail(provider, seconds):
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(doctor, "_predict_bundled", fail)
+    found = doctor.self_test("cpu", seconds=0.0)
+    assert (found.status, found.found) == ("fault", "not run: RuntimeError: out of memory")

@@ -225,3 +225,16 @@ def test_a_recording_that_finds_no_room_is_an_error_and_leaves_nothing(
     )
     assert (result.exit_code, "No space left on device" in result.output) == (1, True)
     assert list(disk.iterdir()) == []
+
+
+def test_a_recording_without_frames_does_not_pass(tmp_path, stream, model_file):
+    """Every frame was skipped."""
+    for path in (tmp_path / "rgb").iterdir():
+        path.write_bytes(b"no picture")
+    arguments = ["--model", model_file(), "--out", tmp_path / "out"]
+    result = run(*stream, *arguments, "--record", tmp_path / "recording")
+    assert result.exit_code == 3
+    result = verify(tmp_path / "recording")
+    assert result.exit_code == 4
+    assert "holds no frames" in result.output.splitlines()[-1]
+    assert not json.loads(verify(tmp_path / "recording", "--json").output)["passed"]
