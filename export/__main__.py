@@ -1,11 +1,11 @@
 """`ssdnet-export`, also as `python -m export`."""
 
-from runtime.command import end_quietly
+from runtime.command import begin_command
 
 
 def main() -> None:
     """Entry point of the command."""
-    end_quietly()
+    begin_command()
     from export.cli import app
 
     app()

@@ -21,8 +21,25 @@ class Provider(StrEnum):
     cuda = "cuda"
 
 
+def begin_command() -> None:
+    """The first call of every command: prepare the process for closed streams and for signals."""
+    _open_closed_streams()
+    end_quietly()
+
+
+def _open_closed_streams() -> None:
+    """Open closed standard streams as /dev/null, else the next files would get their numbers."""
+    while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(handle, True)
+    os.close(handle)
+    # Kept open for the life of the process.
+    sys.stdin = sys.stdin or open(0, closefd=False)  # noqa: SIM115
+    sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
+    sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
+
+
 def end_quietly() -> None:
-    """Let Ctrl-C and SIGTERM end the process at once; the first call of every command.
+    """Let Ctrl-C and SIGTERM end the process at once.
 
     During imports a KeyboardInterrupt would end as a traceback, or as another error.
     """

@@ -1,11 +1,11 @@
 """`ssdnet-run`, also as `python -m runtime.run`."""
 
-from runtime.command import end_quietly
+from runtime.command import begin_command
 
 
 def main() -> None:
     """Entry point of the command."""
-    end_quietly()
+    begin_command()
     from runtime.run.cli import app
 
     app()

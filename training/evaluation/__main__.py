@@ -1,11 +1,11 @@
 """`ssdnet-eval`, also as `python -m training.evaluation`."""
 
-from runtime.command import end_quietly
+from runtime.command import begin_command
 
 
 def main() -> None:
     """Entry point of the command."""
-    end_quietly()
+    begin_command()
     from training.evaluation.cli import app
 
     app()

@@ -1,11 +1,11 @@
 """`ssdnet-render`, also as `python -m training.scenes`."""
 
-from runtime.command import end_quietly
+from runtime.command import begin_command
 
 
 def main() -> None:
     """Entry point of the command."""
-    end_quietly()
+    begin_command()
     from training.scenes.cli import app
 
     app()
