@@ -54,10 +54,7 @@ def atomic_file(path: Path, *, overwrite: bool = True, durable: bool = False) ->
             yield file
         if durable:
             os.fsync(handle)
-        if overwrite:
-            os.replace(temporary, path)
-        else:
-            _publish_new(temporary, path)
+        _publish(temporary, path, overwrite=overwrite)
 
 
 @contextlib.contextmanager
@@ -84,14 +81,16 @@ def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
+def atomic_path(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
     """Name a file for a library that opens files by itself, by their name and its ending.
 
     What the block leaves there takes its place at `path` when the block ends; where it leaves
-    nothing, a file at `path` is removed. After an error the new file is removed and the old stays.
+    nothing and may overwrite, a file at `path` is removed. After an error the new file is removed
+    and the old stays.
 
     Args:
         path: the file's name; its folder is made.
+        overwrite: as of `atomic_file`.
 
     Yields:
         A path of the same name in a hidden folder beside it.
@@ -103,8 +102,9 @@ def atomic_path(path: Path) -> Iterator[Path]:
         made = temporary / path.name
         yield made
         if made.exists():
-            os.replace(made, path)
-        else:
+            _publish(made, path, overwrite=overwrite)
+        elif overwrite:
+            _require_replaceable(path)
             path.unlink(missing_ok=True)
 
 
@@ -125,6 +125,7 @@ def _temporary(path: Path, *, folder: bool) -> Iterator[tuple[Path, int]]:
     """The temporary of `path` and its locked handle; removed if it is still there afterwards."""
     temporary = _temporary_name(path)
     try:
+        _require_replaceable(path)
         if folder:
             path.parent.mkdir(parents=True, exist_ok=True)
         handle = _create(temporary, folder=folder)
@@ -208,6 +209,25 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink()
+
+
+def _require_replaceable(path: Path) -> None:
+    """Raise OutputError for a device, a pipe and the like, which root could replace by a file."""
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode) or stat.S_ISDIR(mode)):
+        raise OutputError(f"{path} exists and is no regular file: choose another name")
+
+
+def _publish(temporary: Path, path: Path, *, overwrite: bool) -> None:
+    """Give the file its name. Raises OutputError."""
+    if overwrite:
+        _require_replaceable(path)
+        os.replace(temporary, path)
+    else:
+        _publish_new(temporary, path)
 
 
 def _publish_new(temporary: Path, path: Path) -> None:

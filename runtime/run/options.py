@@ -1,5 +1,6 @@
 """The options of `ssdnet-run`: collected once, checked before anything is opened."""
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -78,6 +79,8 @@ class RunOptions:
         for option, path in self.named_files.items():
             if path.suffix.lower() != FILE_SUFFIXES[option]:
                 raise UsageError(f"--{option} writes {FILE_SUFFIXES[option]} files, got {path}")
+        if self.record is not None:
+            self._require_apart(self.record)
         if self.rerun is not None and not (is_rerun_file(self.rerun) or is_viewer(self.rerun)):
             raise UsageError(
                 f"--rerun takes a file that ends in {FILE_SUFFIXES['rerun']}, {RERUN_LIVE}, or a "
@@ -147,12 +150,20 @@ class RunOptions:
         part, parts = self._shard
         return frames[part - 1 :: parts]
 
+    def _require_apart(self, record: Path) -> None:
+        """Raise UsageError if the recording shares its folder with other results."""
+        recording, out = os.path.realpath(record), os.path.realpath(self.out)
+        folders = [os.path.realpath(path.parent) for path in self.named_files.values()]
+        inside = [os.path.commonpath([recording, each]) == recording for each in [out, *folders]]
+        if any(inside) or os.path.commonpath([recording, out]) == out:
+            raise UsageError(f"--record {record} needs a folder of its own, apart from --out")
+
     @cached_property
     def _shard(self) -> tuple[int, int]:
         part, _, parts = (self.shard or "1/1").partition("/")
-        if not (
-            part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts) <= MAX_SHARDS
-        ):
+        digits = len(str(MAX_SHARDS))
+        numbers = [text.isdecimal() and len(text) <= digits for text in (part, parts)]
+        if not (all(numbers) and 1 <= int(part) <= int(parts) <= MAX_SHARDS):
             raise UsageError(
                 f"--shard is I/N with 1 <= I <= N <= {MAX_SHARDS}, such as 2/4, got "
                 f"{self.shard!r:.80}"

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import os
 from collections.abc import Iterator
 from dataclasses import asdict
 
@@ -114,11 +115,11 @@ def describe_run(report: RunReport) -> str:
 
 def list_results(report: RunReport, options: RunOptions) -> Iterator[str]:
     """Lines that say where the results are."""
-    yield f"results: {report.out.resolve()}"
+    yield f"results: {os.path.realpath(report.out)}"
     if options.record is not None:
-        yield f"recording: {options.record.resolve()}"
+        yield f"recording: {os.path.realpath(options.record)}"
     for option, path in options.named_files.items():
         if path.exists():
-            yield f"{option}: {path.resolve()}"
+            yield f"{option}: {os.path.realpath(path)}"
     if OVERLAY in report.saved and report.by_status["ok"]:
-        yield f"pictures: {(report.out / OVERLAY).resolve()}"
+        yield f"pictures: {os.path.realpath(report.out / OVERLAY)}"

@@ -1,6 +1,7 @@
 """Run a model over a stream of frames, and write what was asked for."""
 
 import contextlib
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -134,9 +135,9 @@ def _warm_up(
 
 def _require_apart(out: Path, inputs: Sequence[Path]) -> None:
     """Raise OutputError if frames are read from where answers are written."""
-    answers = {(out / kind).resolve() for kind in SUFFIXES}
+    answers = {os.path.realpath(out / kind) for kind in SUFFIXES}
     for folder in inputs:
-        if folder.resolve() in answers:
+        if os.path.realpath(folder) in answers:
             raise OutputError(
                 f"{folder} is where --out {out} writes its own pictures: choose another --out"
             )
@@ -157,7 +158,7 @@ def _open_page(
         return contextlib.nullcontext()
     from runtime.run.outputs.run_page import open_page
 
-    return open_page(options.report, predictor.contract)
+    return open_page(options.report, predictor.contract, overwrite=options.overwrite)
 
 
 class _Outputs(NamedTuple):
@@ -198,13 +199,23 @@ def _open_outputs(
         files = opened.enter_context(frame_files)  # without kinds they are but the folder
         outputs: list[Output] = [files] if kinds else []
         if options.video is not None:
-            video = open_video(options.video, overlay, rate_hz=options.rate)
+            video = open_video(
+                options.video, overlay, rate_hz=options.rate, overwrite=options.overwrite
+            )
             outputs.append(opened.enter_context(video))
         if options.mcap is not None:
-            mcap = open_mcap(options.mcap, contract, overlay, rate_hz=options.rate)
+            mcap = open_mcap(
+                options.mcap,
+                contract,
+                overlay,
+                rate_hz=options.rate,
+                overwrite=options.overwrite,
+            )
             outputs.append(opened.enter_context(mcap))
         if options.rerun is not None:
-            logger = open_rerun(options.rerun, contract, focal_length_px=focal_px)
+            logger = open_rerun(
+                options.rerun, contract, focal_length_px=focal_px, overwrite=options.overwrite
+            )
             outputs.append(opened.enter_context(logger))
         if page is not None:
             outputs.append(page)

@@ -22,6 +22,7 @@ SUFFIXES = {**dict.fromkeys(SAVED_HEADS, ".png"), OVERLAY: ".jpg", CLOUD: ".ply"
 KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
 FRAMES_FILE, REPORT_FILE, LATENCY_FILE = "frames.csv", "report.json", "latency.png"
 _MARKER = ".ssdnet-run"
+_MAX_NAME_BYTES = 255 - max(map(len, SUFFIXES.values()))
 _MARKER_TEXT = (
     "Made by ssdnet-run. With --overwrite it may replace its own files here: those of the frames "
     "below.\n"
@@ -156,9 +157,10 @@ def _read_names(marker: Path) -> set[str]:
     for line in lines:
         try:
             name = json.loads(line)
-        except ValueError:  # the line was cut off
+            encoded = os.fsencode(name)
+        except (ValueError, TypeError, RecursionError):  # cut off, or not of a run
             continue
-        if isinstance(name, str) and Path(name).name == name:
+        if 0 < len(encoded) <= _MAX_NAME_BYTES and not set(encoded) & {0, ord("/")}:
             names.add(name)
     return names
 

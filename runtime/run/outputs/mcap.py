@@ -127,11 +127,16 @@ class McapWriter:
 
 @contextlib.contextmanager
 def open_mcap(
-    path: Path, contract: Contract, overlay: Overlay, *, rate_hz: float | None = None
+    path: Path,
+    contract: Contract,
+    overlay: Overlay,
+    *,
+    rate_hz: float | None = None,
+    overwrite: bool = True,
 ) -> Iterator[McapWriter]:
     """Make an MCAP file that gets its name when the block ends; after an error there it is removed.
 
-    path: is replaced; a run without a frame leaves no file
+    path: a run without a frame leaves no file there
     rate_hz: of frames without stamps, the first of which is at 0; None = DEFAULT_RATE_HZ
     """
     try:
@@ -140,7 +145,7 @@ def open_mcap(
         raise OutputError(
             f"an MCAP file needs the package rosbags ({error}): pip install 'ssdnet[bag]'"
         ) from error
-    with atomic_path(path) as temporary:
+    with atomic_path(path, overwrite=overwrite) as temporary:
         folder = temporary.with_suffix("")
         bag = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
         bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)

@@ -1,12 +1,13 @@
 """The interface of the outputs of a run, and checks before it starts."""
 
 import importlib.util
-import tempfile
+import os
 from collections.abc import Collection
 from pathlib import Path
 from typing import Protocol
 
 from runtime.errors import OutputError
+from runtime.io.atomic_write import atomic_path
 from runtime.prediction import Prediction
 from runtime.sources.frames import Frame
 
@@ -32,21 +33,16 @@ def require_free(path: Path, *, overwrite: bool, inputs: Collection[Path] = ()) 
 
     inputs: files that the run reads, and folders in which no file may be replaced
     """
-    if path.is_dir():
+    if os.path.isdir(path) and not os.path.islink(path):
         raise OutputError(f"{path} is a folder: name a file to write")
-    if path.exists() and not overwrite:
-        raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
-    target = path.resolve()
-    if path.exists() and any(read.resolve() in (target, target.parent) for read in inputs):
-        raise OutputError(f"{path} is what the run reads: choose another name")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):
-            pass
-    except OSError as error:
-        raise OutputError(
-            f"cannot write {path} ({error.strerror}): choose another place"
-        ) from error
+    if os.path.lexists(path):
+        if not overwrite:
+            raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
+        target = os.path.realpath(path)
+        if {target, os.path.dirname(target)} & {os.path.realpath(read) for read in inputs}:
+            raise OutputError(f"{path} is what the run reads: choose another name")
+    with atomic_path(path, overwrite=False):  # whether it could be made
+        pass
 
 
 def is_rerun_file(target: str) -> bool:

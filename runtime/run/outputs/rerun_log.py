@@ -91,11 +91,15 @@ class RerunLogger:
 
 @contextlib.contextmanager
 def open_rerun(
-    target: str, contract: Contract, *, focal_length_px: float | None = None
+    target: str,
+    contract: Contract,
+    *,
+    focal_length_px: float | None = None,
+    overwrite: bool = True,
 ) -> Iterator[RerunLogger]:
     """Log a run to a viewer, or to a file that gets its name when the block ends.
 
-    target: a path that ends in .rrd, which is replaced; RERUN_LIVE, the viewer on this machine,
+    target: a path that ends in .rrd; RERUN_LIVE, the viewer on this machine,
         which is started unless one is open; or a viewer's address, rerun+http://HOST:PORT/proxy
     focal_length_px: for the clouds of frames without a calibration, see `intrinsics_of`
     """
@@ -110,7 +114,7 @@ def open_rerun(
         temporary = None
         try:
             if is_rerun_file(target):
-                temporary = made.enter_context(atomic_path(Path(target)))
+                temporary = made.enter_context(atomic_path(Path(target), overwrite=overwrite))
                 log.save(temporary, default_blueprint=_blueprint())
             elif target == RERUN_LIVE:
                 with _scripts_on_path():

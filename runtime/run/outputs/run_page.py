@@ -61,9 +61,9 @@ class RunPage:
 
 
 @contextlib.contextmanager
-def open_page(path: Path, contract: Contract) -> Iterator[RunPage]:
+def open_page(path: Path, contract: Contract, *, overwrite: bool = True) -> Iterator[RunPage]:
     """Make a page that gets its name when the block ends; after an error there it is removed."""
-    with atomic_path(path) as temporary:
+    with atomic_path(path, overwrite=overwrite) as temporary:
         yield RunPage(temporary, contract)
 
 

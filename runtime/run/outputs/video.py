@@ -68,14 +68,14 @@ class VideoWriter:
 
 @contextlib.contextmanager
 def open_video(
-    path: Path, overlay: Overlay, *, rate_hz: float | None = None
+    path: Path, overlay: Overlay, *, rate_hz: float | None = None, overwrite: bool = True
 ) -> Iterator[VideoWriter]:
     """Make a video that gets its name when the block ends; after an error there it is removed.
 
-    path: is replaced; a run without a frame leaves no file
+    path: a run without a frame leaves no file there
     rate_hz: None = DEFAULT_RATE_HZ
     """
-    with atomic_path(path) as temporary:
+    with atomic_path(path, overwrite=overwrite) as temporary:
         writer = VideoWriter(temporary, overlay, rate_hz or DEFAULT_RATE_HZ)
         yield writer
         writer.finish()

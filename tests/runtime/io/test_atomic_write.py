@@ -433,3 +433,55 @@ def test_an_error_leaves_the_old_named_file_and_no_trace(tmp_path, error):
         fail()
     assert path.read_bytes() == b"old"
     assert names_in(tmp_path) == ["a.mp4"]
+
+
+@pytest.fixture
+def device(tmp_path):
+    """A device file, which root may replace, else a pipe."""
+    path = tmp_path / "device"
+    if os.geteuid() == 0:
+        os.mknod(path, stat.S_IFCHR | 0o600, os.makedev(1, 3))
+    else:
+        os.mkfifo(path)
+    return path
+
+
+def write_file(path):
+    with atomic_file(path) as file:
+        file.write(b"new")
+
+
+def write_path(path):
+    with atomic_path(path) as made:
+        made.write_bytes(b"new")
+
+
+def write_nothing(path):
+    with atomic_path(path):
+        pass
+
+
+@pytest.mark.parametrize("write", [write_file, write_path, write_nothing])
+def test_what_is_no_regular_file_is_never_replaced(device, write):
+    before = os.lstat(device)
+    with pytest.raises(OutputError, match="no regular file"):
+        write(device)
+    assert os.path.samestat(before, os.lstat(device))
+    assert list(device.parent.iterdir()) == [device]
+
+
+def test_a_named_file_that_appears_meanwhile_is_not_replaced_unasked(tmp_path):
+    path = tmp_path / "a.mp4"
+
+    def write(content):
+        with atomic_path(path, overwrite=False) as made:
+            if content:
+                made.write_bytes(content)
+            path.write_text("mine")
+
+    with pytest.raises(OutputError, match="exists"):
+        write(b"new")
+    assert path.read_text() == "mine"
+    path.unlink()
+    write(b"")
+    assert path.read_text() == "mine", "nothing was made: nothing is removed"

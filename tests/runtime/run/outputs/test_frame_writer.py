@@ -1,6 +1,7 @@
 """What is written is what was predicted, whole or not at all, and only in a folder of our own."""
 
 import dataclasses
+import json
 import os
 from pathlib import Path
 
@@ -220,3 +221,27 @@ def test_a_disk_that_is_really_full(mount_disk, contract, answered):
     for kind in KINDS:
         written = {path.stem for path in (tiny_disk / "out" / kind).iterdir()}
         assert written == set(finished), "whole frames only, nothing temporary"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "[" * 100_000,
+        '"a\\u0000b"',
+        '"\\ud800"',
+        '""',
+        json.dumps("n" * 300),
+        '"../mine"',
+        "9" * 5000,
+        "null",
+        '{"a": 1}',
+        "\xff",
+    ],
+)
+def test_an_odd_line_in_the_list_of_frames_names_no_file(contract, earlier_run, line):
+    with (earlier_run / ".ssdnet-run").open("a", encoding="latin-1") as marker:
+        marker.write(line + "\n")
+    (earlier_run / "depth" / ".png").write_text("mine")
+    (earlier_run / "mine.png").write_text("mine")
+    FrameWriter(earlier_run, contract, kinds=KINDS, overwrite=True)
+    assert files_in(earlier_run) == {".ssdnet-run", "depth/.png", "mine.png"}

@@ -147,3 +147,29 @@ def test_the_command_replaces_a_video_only_when_told(tmp_path, run):
     (tmp_path / "folder.mp4").mkdir()
     result = run("--video", tmp_path / "folder.mp4", "--overwrite")
     assert "is a folder: name a file" in result.stderr
+
+
+@pytest.mark.parametrize("option", ["--video", "--report"])
+def test_a_file_that_appears_during_the_run_is_not_replaced(tmp_path, run, monkeypatch, option):
+    path = tmp_path / {"--video": "a.mp4", "--report": "a.html"}[option]
+    predict = runtime.run.run.Predictor.predict
+
+    def appears(self, *frame, **options):
+        path.write_text("mine")
+        return predict(self, *frame, **options)
+
+    monkeypatch.setattr(runtime.run.run.Predictor, "predict", appears)
+    result = run("--warmup", 0, option, path)
+    assert result.exit_code == 1
+    assert f"{path} exists" in result.stderr
+    assert path.read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.html"])
+def test_a_dangling_link_is_not_replaced_unasked(tmp_path, run, name):
+    (tmp_path / name).symlink_to(tmp_path / "none")
+    result = run("--video" if name == "a.mp4" else "--report", tmp_path / name)
+    assert result.exit_code == 1
+    assert "exists" in result.stderr
+    assert (tmp_path / name).is_symlink()
+    assert not (tmp_path / "out").exists()
