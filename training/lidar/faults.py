@@ -1,4 +1,4 @@
-"""What can be wrong with a LiDAR."""
+"""Faults of a LiDAR."""
 
 from typing import Literal
 
@@ -14,9 +14,9 @@ Fault = Literal["none", "nan", "shift", "dropout"]
 
 #: Share of the measurements that the fault "nan" makes NaN, infinite or negative.
 NAN_SHARE = 0.3
-#: How far the fault "shift" moves the whole scan: right and down [share of the width].
+#: Shift of the whole scan by the fault "shift": right and down [share of the width].
 SHIFT = (0.01, 0.004)
-#: Share of the width, in the middle, whose measurements the fault "dropout" takes away.
+#: Share of the width, in the middle, without measurements by the fault "dropout".
 DROPOUT_SHARE = 1 / 3
 
 
@@ -24,8 +24,8 @@ def add_fault(fed: Depth, fault: Fault, rng: Generator) -> Depth:
     """Return a damaged copy of a sparse depth map float32 (H, W) [m], 0 = none.
 
     "nan": `NAN_SHARE` of the measurements are NaN, infinite or negative, a third each. "shift":
-    the scan lies `SHIFT` beside its place, as after a knock on the sensor. "dropout": the middle
-    `DROPOUT_SHARE` of the picture has no measurement. "none": nothing is wrong.
+    the scan is shifted by `SHIFT`, as after a knock on the sensor. "dropout": the middle
+    `DROPOUT_SHARE` of the image has no measurement. "none": no fault.
     """
     damaged = fed.copy()
     width = fed.shape[1]
@@ -52,11 +52,10 @@ def misalign(
     rotation_deg: float,
     shift_m: float,
 ) -> Depth:
-    """Return the scan as a LiDAR that is not where its calibration says puts it into the picture.
+    """Return the scan as projected with a wrong LiDAR extrinsics matrix.
 
     fed: float32 (H, W) [m], 0 = none. intrinsics: (3, 3). rotation_deg, shift_m: the largest error
-    about and along each axis. All returns move together in space; of two that fall into one pixel
-    the nearer stays.
+    about and along each axis. Of two returns on one pixel the nearer is kept.
     """
     row, column = np.nonzero(fed)
     z = fed[row, column].astype(np.float64)
@@ -72,7 +71,7 @@ def misalign(
 def drop_sectors(fed: Depth, share: tuple[float, float], rng: Generator) -> Depth:
     """Return a copy without the returns of one to three sectors: dirt, water, or lost packets.
 
-    share: (low, high) of the picture's width that each takes.
+    share: (low, high) of the image's width of each.
     """
     kept = fed.copy()
     width = fed.shape[1]

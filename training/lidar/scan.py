@@ -1,7 +1,7 @@
 """Scan lines of recorded LiDAR returns.
 
-Nothing denser is measured beside most recordings. Depth is scored by feeding some of the scan
-lines and withholding others, so returns are told apart by line before they are projected.
+Most recordings have no denser ground truth. Depth is scored with some of the scan lines as input
+and others as target, so every return gets its line before the projection.
 """
 
 from typing import Any
@@ -21,9 +21,9 @@ def scan_line_of(points: NDArray[np.float32]) -> NDArray[np.int16]:
     points: float32 (N, 3) or wider, in KITTI's own order: line after line, the sensor's upper block
     of lasers and then its lower one, which overlap by a line or two; each line counter-clockwise
     from straight ahead. Cropping to the camera's view keeps that order, so a line ends where the
-    azimuth (0..360 degrees) steps back. Elevation cannot tell lines apart: within one line it
-    wanders by several line spacings, because the sensor is tilted.
-    A line without any return in view leaves no trace and gets no number.
+    azimuth (0..360 degrees) steps back. Elevation does not separate lines: within one line it
+    varies by several line spacings, because the sensor is tilted. A line without a return in view
+    gets no number.
     """
     azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) % 360.0
     line = np.zeros(len(points), dtype=np.int16)
@@ -37,10 +37,10 @@ def project_lines(
     extrinsics: NDArray[np.floating[Any]],
     size: tuple[int, int],
 ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
-    """Project a scan and say by which line each pixel was measured.
+    """Project a scan with the scan line of every pixel.
 
     points: as in `scan_line_of`; the others as in `runtime.project_points`. Returns depth float32
-    (H, W) [m], 0 = none, and the line int16 (H, W), -1 = none. Raises InputError as
+    (H, W) [m], 0 = none, and the line int16 (H, W), -1 = none. InputError as in
     `runtime.project_points`.
     """
     depth, rows = project_with_rows(points, intrinsics, extrinsics, size)

@@ -16,7 +16,7 @@ HDL64_ELEVATIONS_DEG: NDArray[np.float64] = np.concatenate(
 )
 
 SENSOR_LINES = len(HDL64_ELEVATIONS_DEG)
-#: The one that stays when a single line is asked for.
+#: The line of a sensor with a single line.
 _HORIZON_LINE = 8
 
 
@@ -50,9 +50,9 @@ def beam_elevations(lines: int) -> NDArray[np.float64]:
 def is_kept(scan_line: NDArray[np.integer], lines: int) -> NDArray[np.bool_]:
     """Whether a sensor of so many lines has each of these of the 64, bool of the same shape.
 
-    They are evenly spread over the field of view, those of fewer lines are among those of more, and
-    a single line looks ahead, 0.7 degrees below the horizon. Raises ValueError unless lines
-    divides 64.
+    The lines are at equal distances over the field of view, those of a sensor with fewer lines are
+    a subset of those with more, and a single line is 0.7 degrees below the horizon. ValueError
+    unless lines divides 64.
     """
     if lines < 1 or SENSOR_LINES % lines:
         raise ValueError(f"lines must divide {SENSOR_LINES}, not {lines}")
@@ -70,12 +70,12 @@ def scan_line_index(
 ) -> NDArray[np.int16]:
     """Index of the beam that looks through each pixel, -1 where none does.
 
-    The LiDAR sits in the camera, so a beam keeps its elevation angle and its trace in the picture
-    is a slightly bent line: v = cy - fy tan(elevation) / cos(azimuth).
+    The LiDAR is at the camera's position, so a beam keeps its elevation angle and its trace in the
+    image is a slightly bent line: v = cy - fy tan(elevation) / cos(azimuth).
 
     size: (height, width). intrinsics: (3, 3). lines: a divisor of 64, or 128.
     azimuth_step_deg: angle between two firings (0.17 is an HDL-64E at 10 Hz). pitch_deg: tilt of
-    the LiDAR, up is positive. phase: 0..1 of a step, where the first firing lies. Returns
+    the LiDAR, up is positive. phase: 0..1 of a step, the azimuth of the first firing. Returns
     (H, W) int16.
     """
     height, width = size
@@ -109,15 +109,15 @@ def scan_lines(
     pitch_jitter_deg: float = 0.4,
     azimuth_step_deg: float = 0.17,
 ) -> Depth:
-    """What a LiDAR of so many lines, a divisor of 64 or 128, would return of dense depth.
+    """Simulate a LiDAR with this number of lines, a divisor of 64 or 128, on dense depth.
 
     depth: (H, W) float32 metres along the optical axis, 0 = no surface (sky: no return).
     intrinsics: (3, 3). max_range_m: longest range, along the ray. range_noise_m: standard
     deviation along the ray. drop_share: returns lost at any range; far_drop_share: additional
     share lost at max_range_m, growing with the square of the range. pitch_jitter_deg: standard
     deviation of the tilt of the whole scan, so that lines do not fall on the same rows in every
-    frame. Returns (H, W) float32, 0 = no return; nothing is changed in `depth`. At 375 x 1242 and
-    64 lines about 4 % of the pixels carry a return, as in KITTI.
+    frame. Returns (H, W) float32, 0 = no return. At 375 x 1242 and 64 lines about 4 % of the pixels
+    have a return, as in KITTI.
     """
     height, width = depth.shape
     beam = scan_line_index(
@@ -151,7 +151,7 @@ def measure(
     drop_share: float = 0.08,
     far_drop_share: float = 0.35,
 ) -> Depth:
-    """What a LiDAR would return from the pixels that it looks at, bool (H, W); see `scan_lines`."""
+    """Simulate the returns from the pixels ``looked_at``, bool (H, W); see `scan_lines`."""
     row, column = np.nonzero(looked_at & (depth > 0))
     z = depth[row, column].astype(np.float64)
     x = (column - intrinsics[0, 2]) / intrinsics[0, 0]

@@ -1,4 +1,4 @@
-"""Solid-state LiDARs: no lines around the car, but a pattern in a window ahead of it."""
+"""Solid-state LiDARs: a pattern in a limited field of view instead of scan lines."""
 
 import numpy as np
 from numpy.random import Generator
@@ -8,7 +8,7 @@ from training.lidar.simulate import Depth, measure
 
 Looked = NDArray[np.bool_]
 
-# (low, high) of what is drawn: sensors of the kind of Livox Mid and Avia, and of Innoviz and HAP.
+# (low, high) of random parameters: sensors like Livox Mid and Avia, and like Innoviz and HAP.
 _ROSETTE_RADIUS_DEG = (19.0, 38.0)
 _ROSETTE_FIRINGS = (10_000, 30_000)  # a frame of 0.1 s
 _FAST_TURNS, _SLOW_TURNS = (10.0, 14.0), (6.0, 9.0)  # of the two prisms, in a frame
@@ -19,7 +19,7 @@ _TILT_DEG = 1.0
 
 
 def solid_state_scan(depth: Depth, intrinsics: NDArray[np.float64], rng: Generator) -> Depth:
-    """What a solid-state LiDAR in the camera's place would return of dense depth.
+    """Simulate a solid-state LiDAR at the camera's position on dense depth.
 
     One of the two patterns below, of a random sensor. depth: (H, W) float32 [m], 0 = no surface.
     intrinsics: (3, 3). Returns (H, W) float32, 0 = no return.

@@ -20,14 +20,12 @@ Depth = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class LidarInput:
-    """A LiDAR of so many lines, a random share of the measurements, the set's own, or none.
-
-    lines: a divisor of 64, for "lines". share: 0..1, of the pixels of dense depth, of the returns
-    of recorded depth, for "random".
-    """
+    """The LiDAR input: the set's own, scan lines, a random share of the measurements, or none."""
 
     kind: Literal["own", "lines", "random", "none"] = "own"
+    #: A divisor of 64, for "lines".
     lines: int = 0
+    #: 0..1, for "random": of the pixels of dense depth, of the returns of recorded depth.
     share: float = 0.0
 
     @classmethod
@@ -44,7 +42,7 @@ class LidarInput:
         except ValueError:
             pass
         raise InputError(
-            f"the LiDAR {text!r} is not known; expected a number of lines that divides "
+            f"unknown LiDAR {text!r}; expected a number of lines that divides "
             f"{SENSOR_LINES}, random:SHARE with a share above 0 and up to 1, none, or own."
         )
 
@@ -59,7 +57,7 @@ class LidarInput:
 
 
 class LidarSplit(NamedTuple):
-    """A frame with the depth to feed and its target, float32 (H, W), metres, 0 = none."""
+    """A frame with its depth input and target, float32 (H, W), metres, 0 = none."""
 
     sample: Sample
     fed: Depth
@@ -74,20 +72,28 @@ def split_lidar(
     same_target: bool = True,
     first_line: int = 0,
 ) -> LidarSplit | None:
-    """Choose what of a frame's depth is fed and what is the target; None if it cannot be done.
+    """Split the depth of a frame into input and target.
 
     - An input recorded beside its target: all of it ("own"), a random share of its returns, or the
-      lines asked for where its scan lines are known. The target stays as it is.
-    - A recorded scan alone: some of its returns are fed, others are the target, less those hidden
-      behind nearer ones. With ``same_target``, for evaluation, the odd lines are the target
-      whatever is fed, so that LiDARs compare, and the even ones may be fed: all ("own", 32), every
-      second of them (16), and so on, or a random share. Without, for training, the target is what
-      is not fed. 64 lines would leave no target.
-    - Dense depth: simulated lines ("own" is 64; they need intrinsics) or a random share of the
-      pixels is fed. The target is all of it.
-    - No depth: nothing is fed, whatever was asked for.
+      requested lines if its scan lines are known. The target does not change.
+    - Only a recorded scan: some of its returns are the input, the others the target, without
+      occluded ones. With ``same_target``, for evaluation, the odd lines are always the target, so
+      that scores of LiDARs compare, and the input is from the even ones: all ("own", 32), every
+      second of them (16), and so on, or a random share. Without, for training, all other returns
+      are the target. 64 lines would leave no target.
+    - Dense depth: the input is simulated lines ("own" is 64; they need intrinsics) or a random
+      share of the pixels. The target is all of it.
+    - No depth: no input.
 
-    ``first_line`` shifts which lines of a recorded scan are kept.
+    Args:
+        sample: a frame.
+        lidar: the requested input.
+        rng: for random shares and simulated lines.
+        same_target: see above.
+        first_line: shift of the lines that are kept of a recorded scan.
+
+    Returns:
+        The split, or None if the frame cannot give this input.
     """
     lines = lidar.lines if lidar.kind == "lines" else None
     if sample.sparse_depth is not None:
@@ -114,7 +120,7 @@ def split_lidar(
 
 
 def frame_generator(index: int) -> Generator:
-    """Return a frame's own random numbers: the same whatever else is evaluated."""
+    """Return the random numbers of a frame, independent of other frames."""
     return np.random.default_rng([0, index])
 
 
@@ -130,7 +136,7 @@ def _thin(
     rng: Generator,
     first_line: int,
 ) -> Depth:
-    """What the LiDAR leaves of the measurements."""
+    """Return the measurements that the LiDAR input keeps."""
     if lidar.kind == "none":
         return nothing_known((depth.shape[0], depth.shape[1]))
     if lidar.kind == "random":

@@ -31,26 +31,26 @@ from training.limits import (
 
 Depth = NDArray[np.float32]
 
-#: Share of the pixels whose depth is known, from which on a LiDAR can be drawn from it; measured
-#: truth has a fifth, rendered streets under a wide sky a third.
+#: Depth that is known for more than this share of the pixels is dense: a LiDAR can be simulated
+#: from it. Measured ground truth has a fifth, rendered streets under a wide sky a third.
 _DENSE_SHARE = 0.3
-#: Sky this near to another label teaches no depth: where it was labelled by hand or rendered, and
-#: where a network did it.
+#: Sky this close to another label has no depth target: with labels by hand or rendered, and with
+#: labels of a network.
 SKY_MARGIN_PX, PSEUDO_SKY_MARGIN_PX = 2, 10
-#: RGB that fills what lies beyond the image: the networks' mean colour.
+#: RGB beyond the image: the networks' mean colour.
 _FILL_RGB = (124, 116, 104)
 
 
 @dataclass(frozen=True, config=STRICT)
 class AugmentConfig:
-    """How far samples are changed. Probabilities are 0..1."""
+    """Ranges and probabilities of the random changes."""
 
     #: (height, width) of the result.
     crop: tuple[CropSide, CropSide] = (320, 480)
     #: Range of the random magnification of the image.
     scale: FactorRange = (0.7, 1.8)
-    #: Divide depth by the magnification, as for a camera that came nearer: its metres then keep
-    #: fitting the size that things have in the picture (Yin et al. 2023, Metric3D).
+    #: Divide depth by the magnification, as for the same camera closer to the scene: depth then
+    #: still fits the size of things in the image (Yin et al. 2023, Metric3D).
     scale_depth: bool = False
     flip: Share = 0.5
     #: Largest relative change of brightness, contrast and saturation; largest hue shift [degrees].
@@ -61,33 +61,33 @@ class AugmentConfig:
     gray: Share = 0.02
     blur: Share = 0.1
     noise: Share = 0.1
-    #: How often the LiDAR is missing as a whole.
+    #: Probability that the LiDAR is missing.
     lidar_missing: Share = 0.1
-    #: How often the input is a random share of the measurements instead of scan lines.
+    #: Probability that the input is a random share of the measurements instead of scan lines.
     lidar_random: Share = 0.3
-    #: Range of that share, of the pixels for dense depth, of the returns for recorded depth.
+    #: Range of that share: of the pixels for dense depth, of the returns for recorded depth.
     random_share: ShareRange = (0.01, 0.08)
     recorded_share: ShareRange = (0.3, 0.8)
-    #: Scan-line counts to choose from; a recorded scan keeps every 64/n-th line. 128 are drawn from
-    #: dense depth, where there is none they are what 64 are.
+    #: Scan-line counts to choose from; a recorded scan keeps every 64/n-th line. 128 are simulated
+    #: from dense depth; without dense depth they are treated as 64.
     lines: Annotated[
         tuple[Literal[1, 2, 4, 8, 16, 32, 64, 128], ...], Field(min_length=1, max_length=100)
     ] = (64, 32, 16)
-    #: How often the input is a solid-state LiDAR's, drawn from dense depth, see
-    #: `training.lidar.solid_state`; where there is none it is what it would have been.
+    #: Probability that the input is a solid-state LiDAR's, see `training.lidar.solid_state`;
+    #: ignored without dense depth.
     lidar_solid_state: Share = 0.0
-    #: How often the LiDAR is not where the calibration says, and how far at most about each axis
-    #: [degrees] and along it [m]; where intrinsics are known.
+    #: Probability of an error of the LiDAR's extrinsics, and its largest rotation about each axis
+    #: [degrees] and shift along it [m]; ignored without intrinsics.
     lidar_misaligned: Share = 0.0
     misalignment_deg: Degrees = 0.5
     misalignment_m: NotNegative = 0.05
-    #: How often one to three sectors of the LiDAR are missing, and the range of the share of the
-    #: picture's width that each takes.
+    #: Probability that one to three sectors of the LiDAR are missing, and the range of the share of
+    #: the image's width of each.
     lidar_dropout: Share = 0.0
     dropout_share: ShareRange = (0.05, 0.3)
 
     def __post_init__(self) -> None:
-        """Refuse a vast window, with a ValueError that names the key."""
+        """Check the size of the window that is magnified to the crop."""
         require_window("scale", self.crop, self.scale)
 
 
@@ -98,13 +98,20 @@ def augment(
     *,
     canonical_focal_px: float | None = None,
 ) -> Sample:
-    """Return a changed sample of size ``config.crop``, a pure function of its arguments.
+    """Return a randomly changed sample; a pure function of its arguments.
 
-    With ``canonical_focal_px`` its depth is canonical, see `canonical_depth`, whatever
-    ``config.scale_depth`` says.
+    Args:
+        sample: a frame of a data set.
+        config: ranges and probabilities.
+        rng: source of all random numbers.
+        canonical_focal_px: makes the depth canonical, see `canonical_depth`, whatever
+            ``config.scale_depth`` is; None = metres.
+
+    Returns:
+        A sample of size ``config.crop`` with a sparse depth.
     """
     if canonical_focal_px is not None:
-        # An unknown camera is taken for the canonical one, which came nearer.
+        # An unknown camera is treated as the canonical one, closer to the scene.
         config = replace(config, scale_depth=sample.intrinsics is None)
     sample = scale_and_crop(sample, config, rng)
     if rng.random() < config.flip:
@@ -118,9 +125,9 @@ def augment(
 def scale_and_crop(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
     """Magnify by a random factor and cut a random window of ``config.crop``.
 
-    What lies beyond the image is mean colour, no depth and no label. Depth keeps its metres and
-    the intrinsics follow the pixels; with ``config.scale_depth`` the depth is that of the same
-    camera, and the intrinsics keep their focal length.
+    Beyond the image there is mean colour, no depth and no label. Depth keeps its metres and the
+    intrinsics are scaled; with ``config.scale_depth`` the depth is scaled instead of the focal
+    length.
     """
     scale = float(np.exp(rng.uniform(*np.log(config.scale))))
     height, width = config.crop
@@ -132,7 +139,7 @@ def scale_and_crop(sample: Sample, config: AugmentConfig, rng: Generator) -> Sam
 
 
 def approach(sample: Sample, factor: float) -> Sample:
-    """Take a picture magnified by ``factor`` for one of the same camera, that much nearer."""
+    """Treat an image magnified by ``factor`` as one of the same camera closer to the scene."""
     intrinsics = sample.intrinsics
     if intrinsics is not None:
         intrinsics = intrinsics / np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
@@ -141,11 +148,11 @@ def approach(sample: Sample, factor: float) -> Sample:
 
 
 def canonical_depth(sample: Sample, focal_px: float) -> Sample:
-    """Give all depth as the camera of this focal length [px] sees it: times ``focal_px`` / f.
+    """Multiply all depth by ``focal_px`` / fx, the depth for a camera of this focal length [px].
 
-    A thing as large in the picture is then as far, whatever the camera (Yin et al. 2023, Metric3D,
-    Sec. 3.2, "CSTM label"). f is that of the picture as it is now. The intrinsics stay those of the
-    camera. Without intrinsics nothing changes.
+    Things of the same size in the image then have the same depth, whatever the camera (Yin et al.
+    2023, Metric3D, Sec. 3.2, "CSTM label"). The intrinsics do not change; without intrinsics
+    nothing does.
     """
     focal = sample.focal_length_px
     if focal is None:
@@ -187,12 +194,12 @@ def _change_maps(
 
 
 def far_sky(sample: Sample, sky: int, max_depth_m: float) -> Sample:
-    """Put the depth target of the class ``sky`` at the far end of the range.
+    """Set the depth target of the class ``sky`` to the far end of the range.
 
-    Pixels where anything was measured keep what they have, and so do those close to another label,
-    since leaves and wires before the sky are labelled sky: within `SKY_MARGIN_PX`, where a network
-    made the labels within `PSEUDO_SKY_MARGIN_PX`. A picture without any depth stays so: it would
-    teach that all is far where there is no LiDAR. Only after the LiDAR was drawn, which sees none.
+    Measured pixels do not change, nor do pixels close to another label, since leaves and wires
+    before the sky are labelled sky: within `SKY_MARGIN_PX`, for labels of a network within
+    `PSEUDO_SKY_MARGIN_PX`. Neither does a sample without any depth: the network would learn that
+    everything is far where there is no LiDAR. To be called after the LiDAR was simulated.
     """
     if not sample.depth.any():
         return sample
@@ -219,8 +226,8 @@ def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
 def resize(sample: Sample, size: tuple[int, int]) -> Sample:
     """Resize to (height, width) by the engine's rule, see `runtime.resize`.
 
-    Labels and depth that is known for most pixels are taken by nearest; recorded depth is moved
-    return by return, so that no return is doubled and, where two meet, the nearer stays.
+    Labels and dense depth are resized by nearest neighbour; recorded depth is moved return by
+    return, so that no return is doubled and the nearer of two on one pixel is kept.
     """
     if size == sample.size:
         return sample
@@ -270,12 +277,12 @@ def flip(sample: Sample) -> Sample:
 
 
 def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
-    """Choose what the LiDAR saw and what is left as the target, see `training.lidar.split`."""
+    """Choose the LiDAR input and the depth target, see `training.lidar.split`."""
     lidar = _choose_lidar(sample, config, rng)
     first_line = int(rng.integers(SENSOR_LINES))
     fed, target = _draw_solid_state(sample, lidar, config, rng), sample.depth
     if fed is None:
-        if lidar.lines > SENSOR_LINES:  # more than any recorded scan has: drawn from the truth
+        if lidar.lines > SENSOR_LINES:  # more than any recorded scan has: simulated
             sample = replace(sample, sparse_depth=None, scan_line=None)
         split = split_lidar(sample, lidar, rng, same_target=False, first_line=first_line)
         if split is None:
@@ -287,7 +294,7 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
 def _draw_solid_state(
     sample: Sample, lidar: LidarInput, config: AugmentConfig, rng: Generator
 ) -> NDArray[np.float32] | None:
-    """What a solid-state LiDAR sees, now and then, where a LiDAR is there at all."""
+    """Return the input of a solid-state LiDAR by its probability, else None."""
     if not config.lidar_solid_state or lidar.kind == "none" or sample.intrinsics is None:
         return None
     if not _is_dense(sample) or rng.random() >= config.lidar_solid_state:
@@ -298,7 +305,7 @@ def _draw_solid_state(
 def _disturb(
     fed: NDArray[np.float32], sample: Sample, config: AugmentConfig, rng: Generator
 ) -> NDArray[np.float32]:
-    """Let the LiDAR be knocked out of its place or lose sectors, now and then."""
+    """Misalign the LiDAR or drop sectors of it by their probabilities."""
     intrinsics, rotation_deg = sample.intrinsics, config.misalignment_deg
     is_misaligned = config.lidar_misaligned and rng.random() < config.lidar_misaligned
     if is_misaligned and intrinsics is not None and fed.any():
@@ -310,14 +317,14 @@ def _disturb(
 
 
 def _is_dense(sample: Sample) -> bool:
-    """Whether the depth is known for most surfaces, as rendered truth is, and no scan."""
+    """Whether the depth is known for most surfaces, as rendered depth is, and not a scan."""
     is_scan = sample.scan_line is not None and sample.sparse_depth is None
     known = int(np.count_nonzero(sample.depth))
     return not is_scan and known > _DENSE_SHARE * sample.depth.size
 
 
 def _choose_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> LidarInput:
-    """Nothing, a random share of the measurements, scan lines, or what was recorded."""
+    """Choose no input, a random share of the measurements, scan lines, or the recorded input."""
     missing = rng.random() < config.lidar_missing
     random = rng.random() < config.lidar_random
     lines = int(rng.choice(config.lines))
@@ -340,7 +347,7 @@ def _choose_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Lida
 def change_colors(
     rgb: NDArray[np.uint8], config: AugmentConfig, rng: Generator
 ) -> NDArray[np.uint8]:
-    """Change brightness, contrast, saturation and hue, now and then blur or add noise."""
+    """Change brightness, contrast, saturation and hue; blur and add noise by probability."""
     gain = 1 + rng.uniform(-config.contrast, config.contrast)
     offset = 255 * rng.uniform(-config.brightness, config.brightness) * 0.5
     saturation = (
@@ -369,7 +376,7 @@ def change_colors(
 
 
 def _random_offset(size: int, window: int, rng: Generator) -> int:
-    """Start of a window: anywhere inside, or anywhere that covers a smaller image."""
+    """Return the start of a window inside the image, or one that covers a smaller image."""
     low, high = sorted((0, size - window))
     return int(rng.integers(low, high + 1))
 

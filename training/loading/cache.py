@@ -4,11 +4,10 @@ from training.datasets.sample import Sample, SampleSource
 
 
 class CachedSource:
-    """A data set that decodes each frame once, as long as they fit into ``limit_bytes``.
+    """A data set that keeps decoded frames in memory, up to ``limit_bytes``.
 
-    Later frames are decoded anew each time: none is dropped for another, since passes over a
-    shuffled set would drop each of them just before it is wanted again. A worker process keeps its
-    own frames.
+    No frame is replaced by another: passes over a shuffled set would drop each frame just before it
+    is used again. Each worker process has its own cache.
     """
 
     def __init__(self, source: SampleSource, *, limit_bytes: int) -> None:

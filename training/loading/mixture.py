@@ -14,7 +14,7 @@ from training.loading.augment import AugmentConfig, augment, far_sky
 
 @dataclass(frozen=True)
 class MixturePart:
-    """A data set, how often it is drawn relative to the others, and how it is augmented."""
+    """A data set, its weight relative to the others, and its augmentation."""
 
     source: SampleSource
     weight: float
@@ -23,21 +23,19 @@ class MixturePart:
 
 @dataclass(frozen=True)
 class DepthTarget:
-    """What the network's depth stands for, see `models.NetworkConfig`; plain metres by default.
-
-    sky: the class whose depth is trained to ``max_depth_m``; None = no class
-    """
+    """The unit and range of the depth target, see `models.NetworkConfig`."""
 
     max_depth_m: float = 100.0
     canonical_focal_px: float | None = None
+    #: Class whose unmeasured pixels get the depth ``max_depth_m``; None = no class.
     sky: int | None = None
 
 
 class Mixture(Dataset[dict[str, Tensor | str]]):
     """``length`` augmented samples; the i-th is a pure function of the parts, seed, length and i.
 
-    So a run that resumes at sample i sees exactly what it would have seen, whatever the number of
-    worker processes. Within a set frames come in shuffled passes, each frame once a pass.
+    A run resumed at sample i therefore gets the same samples, whatever the number of worker
+    processes. Each set is drawn in shuffled passes, each frame once a pass.
     """
 
     def __init__(
@@ -83,11 +81,11 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
 
 
 def as_tensors(sample: Sample) -> dict[str, Tensor | str]:
-    """Turn a sample into what the loop batches.
+    """Convert a sample to tensors.
 
     rgb uint8 (3, H, W); sparse_depth and depth float32 (1, H, W), metres; semantic int64 (H, W);
-    semantic_weight float32 (); road_mask uint8 (H, W), 255 = unknown; name. Raises
-    ValueError for a sample without an input.
+    semantic_weight float32 (); road_mask uint8 (H, W), 255 = unknown; name. ValueError for a
+    sample without sparse depth.
     """
     if sample.sparse_depth is None:
         raise ValueError(f"{sample.name} has no sparse_depth; draw one with augment.draw_lidar")

@@ -1,4 +1,4 @@
-"""From a recipe's words to data sets."""
+"""Open the data sets of a recipe."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,9 +20,9 @@ from training.recipe import DataRecipe, ModelRecipe
 def open_dataset(
     recipe: SourceRecipe, roots: Sequence[Path], *, classes: ClassTable
 ) -> SampleSource:
-    """Open a data set below the first of ``roots`` that has its folder.
+    """Open a data set in the first of ``roots`` that has its folder.
 
-    ``classes`` is the table of the class ids. Raises DatasetError.
+    ``classes`` is the table of the class ids. DatasetError if there is none, or it cannot be read.
     """
     source = recipe.open(_find_folder(recipe, roots) if recipe.on_disk else Path(), classes)
     return ResizedSource(source, recipe.size) if recipe.size else source
@@ -46,9 +46,9 @@ def open_mixture(
     length: int,
     model: ModelRecipe | None = None,
 ) -> Mixture:
-    """Join data sets in the recipe's proportions, with its augmentation and its memory.
+    """Mix data sets by the recipe's weights, with its augmentation and cache.
 
-    ``model`` says what the network's depth stands for; None = metres, and no depth of the sky.
+    ``model`` has the unit and range of the depth; None = metres, and no depth of the sky.
     """
     share = recipe.cache_gib / (max(1, recipe.workers) * len(sources))
     parts = [
@@ -71,8 +71,8 @@ def count_pixels(
 ) -> NDArray[np.int64]:
     """Count the pixels of every class in the mixture: int64 (num_classes,).
 
-    From about ``recipe.frequency_samples`` frames without augmentation, spread evenly over each
-    set and in the recipe's proportions; labels made by a network count by their weight.
+    From about ``recipe.frequency_samples`` frames without augmentation, at equal distances in each
+    set and by the recipe's weights; labels made by a network count by their weight.
     """
     counts = np.zeros(num_classes, dtype=np.float64)
     total = sum(item.weight for item in recipe.source)

@@ -5,7 +5,7 @@ from training.loading.augment import resize
 
 
 class ResizedSource:
-    """Every frame of a data set brought to one (height, width), as `augment.resize` does it."""
+    """A data set whose frames are resized to one (height, width) by `augment.resize`."""
 
     def __init__(self, source: SampleSource, size: tuple[int, int]) -> None:
         self._source = source

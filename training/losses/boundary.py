@@ -18,8 +18,8 @@ def boundary_target(semantic: Tensor) -> tuple[Tensor, Tensor]:
 
     `semantic` int (N, H, W), 255 = ignore. A pixel is boundary if its label differs from its left
     (u - 1) or upper (v - 1) neighbour's, Eq. 7 on the ground truth, so a line is one pixel wide.
-    A comparison with an ignored pixel says nothing: what is ignored itself is unknown, and so is
-    a pixel beside an ignored one, unless its other neighbour makes it boundary.
+    An ignored pixel is unknown, and so is a pixel beside an ignored one, unless its other neighbour
+    makes it boundary.
     """
     known = semantic != IGNORE
     target = torch.zeros_like(known)
@@ -36,9 +36,9 @@ def boundary_target(semantic: Tensor) -> tuple[Tensor, Tensor]:
 def boundary_at_scale(
     target: Tensor, valid: Tensor, grid: tuple[int, int]
 ) -> tuple[Tensor, Tensor]:
-    """Boundary on a coarser grid: a cell is boundary if any pixel under it is, known likewise.
+    """Boundary on a coarser grid: a cell is boundary if any pixel in it is, and known likewise.
 
-    `target`, `valid` bool (N, 1, H, W), see `boundary_target`; bool (N, 1, *grid) come back.
+    `target`, `valid` bool (N, 1, H, W), see `boundary_target`; returns bool (N, 1, *grid).
     """
     if target.shape[-2:] == grid:
         return target, valid

@@ -9,7 +9,7 @@ from torch import Tensor
 from training.losses.masked import masked_mean, split_into_blocks
 from training.losses.ssim import ssim_loss
 
-#: Normalised depth below which ratios are not told apart.
+#: Least normalised depth in ratios.
 _NEAREST = 1e-3
 
 #: (prediction, target, valid), all (N, 1, h, w), depth normalised to 0..1 -> loss ().
@@ -62,9 +62,9 @@ def metric_depth_loss(
 ) -> Tensor:
     """Mean |e| + l2 * mean e^2 + log * mean |log ratio|, the error e in metres, at one scale, ().
 
-    Not the paper's: it suits LiDAR targets, which are too sparse for SSIM's windows, and keeps
-    the gradient of near errors alive. `l2` is in 1/m, `log` in m: metres are ruled by what is far,
-    the ratio of prediction and target counts near and far alike.
+    Not the paper's: for LiDAR targets, which are too sparse for SSIM's windows. `l2` is in 1/m,
+    `log` in m: errors in metres are dominated by far pixels, the ratio of prediction and target
+    weighs near and far pixels equally.
     """
     error = (prediction - target) * max_depth_m
     loss = error.abs() + l2 * error.square()

@@ -9,7 +9,7 @@ from training.distributed import sum_over_processes
 
 
 class NeighbourMaps(NamedTuple):
-    """A quantity of every pixel with a neighbour: u against u - 1, and v against v - 1."""
+    """A comparison of every pixel with its neighbours: u with u - 1, and v with v - 1."""
 
     #: float (N, H, W - 1), horizontal; column i belongs to pixel i + 1.
     across: Tensor
@@ -20,8 +20,7 @@ class NeighbourMaps(NamedTuple):
 class _Agreement(torch.autograd.Function):
     """sum_k p_k(u) p_k(u - 1), both ways.
 
-    The derivative is written out because autograd's would allocate the class maps once for every
-    slice; it is checked against finite differences.
+    With its own derivative, because autograd's would allocate the class maps for every slice.
     """
 
     @staticmethod
@@ -47,8 +46,7 @@ def soft_disagreement(probabilities: Tensor) -> NeighbourMaps:
     """1 - sum_k p_k(u) p_k(u - 1): how probably two neighbours are of different classes, 0..1.
 
     `probabilities` float (N, C, H, W) that sum to 1 over C. Equal to Eq. 7's indicator where p is
-    one-hot, but with a gradient to the semantic head, which the indicator on arg-max labels has
-    not. This is our default reading of f_BS.
+    one-hot, but with a gradient to the semantic head. This is our default reading of f_BS.
     """
     across, down = _Agreement.apply(probabilities)  # type: ignore[no-untyped-call]
     return NeighbourMaps(1 - across, 1 - down)
@@ -68,12 +66,12 @@ def hard_disagreement(labels: Tensor) -> NeighbourMaps:
 def semantic_boundary_loss(
     disagreement: NeighbourMaps, boundary: Tensor, *, side: int = 1
 ) -> Tensor:
-    """Eq. 8: where neighbours differ in class the boundary should be sure, ().
+    """Eq. 8: where neighbours differ in class the boundary should be high, ().
 
     `boundary` P_b, float (N, 1, H, W) in 0..1. (1/N) sum f_u e^-P_b + f_v e^-P_b over all N
-    pixels; the first column and row have no neighbour and f = 0. No ground truth enters, so
-    unlabelled images count as well. ``side`` is that of a cell of the maps in pixels: two cells
-    meet along so many pixels, which all count.
+    pixels; the first column and row have no neighbour and f = 0. Without ground truth, so that
+    unlabelled images count as well. ``side`` is the side of a cell of the maps in pixels, the
+    number of pixels along which two cells meet.
     """
     doubt = torch.exp(-boundary.squeeze(1))
     across = disagreement.across * doubt[..., 1:]
@@ -100,7 +98,7 @@ def semantic_depth_loss(
 
 
 def _mean(across: Tensor, down: Tensor, pixels: int) -> Tensor:
-    """Both sums over a number of pixels, of all processes."""
+    """Sum both maps and divide by the number of pixels, over all processes."""
     sums = torch.stack([across.sum() + down.sum(), across.new_tensor(pixels)])
     total, count = sum_over_processes(sums).unbind()
     return total / count

@@ -1,4 +1,4 @@
-"""The Lovász-Softmax loss: what mean IoU is over pictures that are not yet decided."""
+"""The Lovász-Softmax loss: a surrogate of mean IoU on probabilities."""
 
 from torch import Tensor
 from torch.nn import functional as F

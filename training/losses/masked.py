@@ -1,4 +1,4 @@
-"""Means over what is known, and targets on coarser grids."""
+"""Means over known pixels, and targets on coarser grids."""
 
 import torch.nn.functional as F
 from torch import Tensor
@@ -10,8 +10,8 @@ def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
     """Mean over the masked pixels of each sample, then over the samples that have any: ().
 
     `values` float (N, 1, H, W), finite everywhere; `mask` bool of the same shape. A sample with
-    dense ground truth and one with a few thousand LiDAR returns count the same. With nothing
-    known at all it is 0, with a gradient of 0. Samples of all processes count.
+    dense ground truth and one with a few thousand LiDAR returns have the same weight. 0, with a
+    gradient of 0, if the mask is empty. Samples of all processes count.
     """
     known = mask.to(values.dtype)
     counts = known.sum(dim=(1, 2, 3))
@@ -23,9 +23,9 @@ def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
 def split_into_blocks(x: Tensor, grid: tuple[int, int]) -> tuple[Tensor, int]:
     """Pad a full-size map so that it divides into a coarser grid; return it and the block's side.
 
-    `x` float (N, 1, H, W); `grid` (height, width) of a map whose every cell stands for a square
-    of 2^k pixels from the top left on. The last cells may reach past the image, as ceil-mode
-    pooling and padding to the stride make them; the padding is 0.
+    `x` float (N, C, H, W); `grid` (height, width) of a map whose cells are squares of 2^k pixels
+    from the top left on. The last cells may extend beyond the image, after ceil-mode pooling or
+    padding to the stride; the padding is 0.
     """
     height, width = x.shape[-2:]
     side = cell_side((height, width), grid)
@@ -34,7 +34,7 @@ def split_into_blocks(x: Tensor, grid: tuple[int, int]) -> tuple[Tensor, int]:
 
 
 def cell_side(size: tuple[int, int], grid: tuple[int, int]) -> int:
-    """Side of the square of pixels that a cell of ``grid`` stands for, see `split_into_blocks`."""
+    """Return the side of a cell of ``grid`` in pixels, see `split_into_blocks`."""
     side = 1
     while side * grid[0] < size[0] or side * grid[1] < size[1]:
         side *= 2

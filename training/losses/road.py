@@ -1,4 +1,4 @@
-"""One class against a mask of it: pixels that are road, and pixels that are something else."""
+"""The loss of one class against a mask of it: road or not road."""
 
 import torch
 import torch.nn.functional as F
@@ -14,12 +14,12 @@ NO_ROAD, ROAD = 0, 1
 def road_loss(logits: Tensor, road_mask: Tensor, road: int) -> Tensor:
     """Binary cross-entropy of one class, a mean over the known pixels, ().
 
-    -log p of the class `road` where the mask is `ROAD`, -log(1 - p) where it is `NO_ROAD`: which
-    of the other classes it is there, the mask does not say, and nothing is learned of them.
+    -log p of the class `road` where the mask is `ROAD`, -log(1 - p) where it is `NO_ROAD`; the
+    ratios among the other classes have no gradient.
 
     `logits` float (N, C, h, w) of all classes, C > 1, at the image's size or on a coarser grid, on
     which every pixel counts in its cell; `road_mask` uint8 (N, H, W). 0, with a gradient of 0, if
-    nothing is known. Pixels of all processes count.
+    no pixel is known. Pixels of all processes count.
     """
     masks = torch.stack((road_mask == ROAD, road_mask == NO_ROAD), dim=1).to(logits.dtype)
     blocks, side = split_into_blocks(masks, (logits.shape[-2], logits.shape[-1]))

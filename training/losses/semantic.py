@@ -15,12 +15,20 @@ ClassWeighting = Literal["median", "sqrt_median", "paper", "none"]
 
 
 def class_weights(pixel_counts: Tensor, weighting: ClassWeighting = "median") -> Tensor:
-    """Weights beta of Eq. 5 from how many pixels each class has: float32 (C,).
+    """Return the weights beta of Eq. 5.
 
-    `pixel_counts` (C,), >= 0. "median": median frequency over the class's own; "sqrt_median": its
-    square root, a gentler one; "none": all 1; "paper": the class's proportion, literally as
-    printed, which favours the frequent classes. A class never seen gets the largest weight of the
-    others, or 0 from "paper". Raises ValueError if no pixel was counted at all.
+    Args:
+        pixel_counts: (C,), pixels of each class.
+        weighting: "median": median frequency over the class's own; "sqrt_median": its square root;
+            "none": all 1; "paper": the class's frequency, as printed, which favours frequent
+            classes.
+
+    Returns:
+        float32 (C,); a class without pixels has the largest weight of the others, or 0 with
+        "paper".
+
+    Raises:
+        ValueError: if no pixel was counted.
     """
     counts = pixel_counts.double()
     seen = counts > 0
@@ -44,9 +52,9 @@ def class_shares(semantic: Tensor, classes: int, grid: tuple[int, int]) -> Tenso
     """Share of every class among the pixels under each cell of a grid: float32 (N, C, h, w).
 
     `semantic` int64 (N, H, W), 255 = ignore; `grid` (h, w) as in `split_into_blocks`. Pixels that
-    are ignored or beyond the image are of no class: the shares of a cell sum to the known part of
-    it. Logits scored with them count as if they were repeated over all pixels of their cell; at
-    the size of the image the shares are 0 and 1.
+    are ignored or beyond the image have no class: the shares of a cell sum to its known part. A
+    loss with these shares equals one with logits repeated over the pixels of their cell; at the
+    image's size the shares are 0 and 1.
     """
     height, width = semantic.shape[-2:]
     side = cell_side((height, width), grid)
@@ -69,13 +77,12 @@ def cross_entropy_sums(log_probabilities: Tensor, shares: Tensor, weights: Tenso
 
 
 def labelled_mean(sums: Tensor, known: Tensor, sample_weight: Tensor | None = None) -> Tensor:
-    """Mean over all that is known in the batch, ().
+    """Mean over the known part of the batch, ().
 
-    `sums` float (N,) over what is known of each sample; `known` (): how much that is altogether.
-    `sample_weight` float (N,) scales each sample's part without changing what is divided by, so a
-    batch of labels worth 0.2 gives 0.2 of the loss. 0, with a gradient of 0, if nothing is known.
-    What all processes know counts. The paper sums; a sum would drown the joint terms, which are
-    means.
+    `sums` float (N,) over the known part of each sample; `known` () the size of all these parts.
+    `sample_weight` float (N,) scales each sample's sum but not the divisor, so a batch of labels of
+    weight 0.2 gives 0.2 of the loss. 0, with a gradient of 0, if nothing is known. Samples of all
+    processes count. The paper sums; a sum would outweigh the joint terms, which are means.
     """
     if sample_weight is not None:
         sums = sums * sample_weight
@@ -85,7 +92,7 @@ def labelled_mean(sums: Tensor, known: Tensor, sample_weight: Tensor | None = No
 def soft_overlap(
     probabilities: Tensor, shares: Tensor, sample_weight: Tensor | None = None
 ) -> Tensor:
-    """What soft IoU is made of, summed over all labelled pixels: float (3, C), in cells.
+    """The parts of soft IoU, summed over all labelled pixels: float (3, C), in cells.
 
     `probabilities` float (N, C, h, w) that sum to 1 over C; `shares` of that shape, see
     `class_shares`; `sample_weight` float (N,). Rows: probability on pixels of the class
@@ -102,11 +109,10 @@ def soft_overlap(
 def soft_iou_loss(overlap: Tensor) -> Tensor:
     """1 - mean soft IoU over the classes that the batch shows, ().
 
-    `overlap` (3, C), see `soft_overlap`. The measure that cross-entropy stands in for, made
-    differentiable (Rahman and Wang 2016, "Optimizing intersection-over-union in deep neural
-    networks"): thin and rare classes count like the others, without being found too often as
-    class weights make them. 0, with a gradient of 0, if nothing is labelled. Pixels of all
-    processes count.
+    `overlap` (3, C), see `soft_overlap`. A differentiable IoU (Rahman and Wang 2016, "Optimizing
+    intersection-over-union in deep neural networks"): thin and rare classes have the weight of the
+    others, and are not predicted too often as with class weights. 0, with a gradient of 0, if
+    nothing is labelled. Pixels of all processes count.
     """
     intersection, predicted, labelled = sum_over_processes(overlap)
     shown = labelled > 0

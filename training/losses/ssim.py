@@ -43,7 +43,7 @@ def _window_sums(x: Tensor, window: tuple[int, int]) -> Tensor:
 
 
 def ssim(a: Tensor, b: Tensor, valid: Tensor, *, window: int = WINDOW) -> tuple[Tensor, Tensor]:
-    """SSIM of every window: float (N, 1, H', W') in -1..1, and which windows know anything: bool.
+    """SSIM of every window, float (N, 1, H', W') in -1..1, and a bool mask of known windows.
 
     `a`, `b` float (N, 1, H, W) in 0..1, finite; `valid` bool of the same shape. Eq. 3 of every
     `window` x `window` square that lies inside the image (H' = H - window + 1), every pixel of it
@@ -80,8 +80,8 @@ def ssim(a: Tensor, b: Tensor, valid: Tensor, *, window: int = WINDOW) -> tuple[
 def ssim_loss(prediction: Tensor, target: Tensor, valid: Tensor) -> Tensor:
     """Eq. 2 as a loss: 1 - mean SSIM over the windows that hold ground truth, ().
 
-    Shapes as `ssim`, depth normalised to 0..1. The paper adds the mean SSIM itself, which
-    training would then make small; the loss is its distance from 1. 0 without ground truth.
+    Shapes as `ssim`, depth normalised to 0..1. The paper adds the mean SSIM itself, which training
+    would minimise; the loss is 1 - SSIM. 0 without ground truth.
     """
     similarity, known = ssim(prediction, target, valid)
     return masked_mean(1 - similarity, known)

@@ -63,15 +63,18 @@ TERMS: Mapping[str, frozenset[str]] = {
 
 @dataclass(frozen=True, config=STRICT)
 class LossConfig:
-    """Every choice of the loss. The defaults are our reading of the paper.
+    """The options of the loss. The defaults are our reading of the paper.
 
     A term of weight 0 is not computed: SSDNet_ind is `semantic_boundary_weight` and
-    `semantic_depth_weight` 0. Raises ValueError for a negative number, or if all weights are 0.
+    `semantic_depth_weight` 0.
+
+    Raises:
+        ValueError: for a negative number, or if all weights are 0.
     """
 
     #: One weight a term of Eq. 12: Eq. 4, 5, 6, 8, 11; and Eq. 6 on the boundary decoder's sides.
-    #: 1 is Eq. 12 as printed; in the soft form Eq. 8 and 11 then favour one class everywhere before
-    #: the semantics stand on their own feet, and 0.03 is what trains (docs/results.md).
+    #: 1 is Eq. 12 as printed; with the soft form of Eq. 8 and 11 training then often collapses to
+    #: one class, and 0.03 is used instead (docs/results.md).
     depth_weight: float = 1.0
     semantic_weight: float = 1.0
     boundary_weight: float = 1.0
@@ -82,18 +85,18 @@ class LossConfig:
     semantic_iou_weight: float = 0.0
     #: Lovász-Softmax of each picture (Berman et al. 2018); ENet with it is the paper's ENet_LSloss.
     lovasz_weight: float = 0.0
-    #: The class "road" against masks of it, where a set has no other labels; not the paper's.
+    #: The class "road" against road masks, of sets without other labels; not the paper's.
     road_weight: float = 0.0
-    #: Likelihood of the depth's errors under the scale that a network gives, if it gives one.
+    #: Likelihood of the depth's errors under the predicted uncertainty.
     depth_uncertainty_weight: float = 0.1
 
-    #: "fixed": the weights above, as in the paper. "uncertainty": each is multiplied by a factor
-    #: that is learned along with the network (Kendall et al. 2018, the paper's reference 35).
+    #: "fixed": the weights above, as in the paper. "uncertainty": each is multiplied by a learned
+    #: factor (Kendall et al. 2018, the paper's reference 35).
     weighting: Literal["fixed", "uncertainty"] = "fixed"
 
-    #: Where the semantic logits are scored: upsampled to the image's size, or on the head's own
-    #: grid against the share of each class among the pixels of a cell, which is quicker. For a head
-    #: at the image's size both are the same.
+    #: Where the semantic loss is computed: at the image's size, or on the head's own grid against
+    #: the share of each class among the pixels of a cell, which is faster. The same for a head at
+    #: the image's size.
     semantic_grid: Literal["image", "head"] = "image"
 
     #: How Eq. 5's beta comes from the class frequencies; "paper" is literal.
@@ -119,14 +122,14 @@ class LossConfig:
 
     @property
     def weighs_classes(self) -> bool:
-        """Whether a term is there that class frequencies weigh."""
+        """Whether a term uses class weights."""
         return bool(self.semantic_weight) and self.class_weighting != "none"
 
     def terms_for(self, heads: Collection[str]) -> list[str]:
-        """Return the names of the terms with a weight that a network of these heads can have.
+        """Return the names of the terms with a weight whose heads the network has.
 
-        Terms of heads that it lacks are left out, whatever their weight: one recipe trains the
-        whole family.
+        Terms of missing heads are skipped whatever their weight: one recipe trains the whole
+        family.
         """
         return [
             name
@@ -135,7 +138,7 @@ class LossConfig:
         ]
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be minimised, with a ValueError that names it."""
+        """Check that the numbers are not negative and that a weight is positive."""
         numbers = {
             key: value for key, value in vars(self).items() if isinstance(value, int | float)
         }
@@ -149,9 +152,11 @@ class LossConfig:
 class SSDNetLoss(nn.Module):
     """Eq. 12: the weighted sum of the losses of every task and of the joint ones, all means.
 
-    `class_weights` float (C,), see `training.losses.class_weights`; None = every class alike.
-    `max_depth_m` is the depth that the network's normalised 1.0 stands for; `road` the id of the
-    class that masks of the road are about, None = there is none.
+    Args:
+        config: the options.
+        class_weights: float (C,), see `training.losses.class_weights`; None = all 1.
+        max_depth_m: depth [m] of the network's normalised output 1.0.
+        road: id of the class of the road masks; None = no such class.
     """
 
     class_weights: Tensor | None
@@ -189,17 +194,24 @@ class SSDNetLoss(nn.Module):
     ) -> dict[str, Tensor]:
         """Return every term by name, not yet weighted, and their weighted sum as "total"; all ().
 
-        With the weighting "uncertainty" a term L counts as weight * L / sigma^2 + log sigma, depth
-        as half of the first (a regression: Kendall et al. 2018, Eq. 5 and 10); what a batch has no
-        targets for leaves its sigma alone.
+        With the weighting "uncertainty" a term L counts as weight * L / sigma^2 + log sigma, the
+        depth with half of the first part (a regression: Kendall et al. 2018, Eq. 5 and 10); a term
+        without targets in the batch does not change its sigma. Computed in float32 whatever the
+        network's precision.
 
-        `semantic` int64 (N, H, W), 255 = none. `depth` float32 (N, 1, H, W) [m]; 0, not finite
-        or beyond `max_depth_m` = none. `semantic_weight` float (N,): how much each sample's labels
-        count in Eq. 5 and 6, below 1 for labels made by a network. `road_mask` uint8 (N, H, W),
-        see `road_loss`; None = nothing known. Samples may lack any target altogether. Names: those
-        of `TERMS`; those of weight 0, and those that need a head that the network lacks, are left
-        out. Computed in float32 whatever the network was computed in. Raises ValueError on targets
-        of another size.
+        Args:
+            output: of `Network.forward`.
+            semantic: int64 (N, H, W), 255 = unknown.
+            depth: float32 (N, 1, H, W), metres; 0, not finite or beyond `max_depth_m` = unknown.
+            semantic_weight: float (N,), weight of each sample's labels in Eq. 5 and 6, below 1 for
+                labels made by a network; None = all 1.
+            road_mask: uint8 (N, H, W), see `road_loss`; None = unknown.
+
+        Returns:
+            Terms by their names in `TERMS`, without those of weight 0 and of missing heads.
+
+        Raises:
+            ValueError: if a target has another size.
         """
         answer = _any_answer(output)
         height, width = semantic.shape[-2:]
@@ -345,7 +357,7 @@ class SSDNetLoss(nn.Module):
 
 
 def _on_grid(x: Tensor, grid: tuple[int, int]) -> Tensor:
-    """Bring (N, 1, H, W) to a coarser grid by means, or to a finer one by bilinear upsampling."""
+    """Resize (N, 1, H, W) to a coarser grid by means, or to a finer one bilinearly."""
     if x.shape[-2] < grid[0]:
         return F.interpolate(x, size=grid, mode="bilinear", align_corners=False)
     side = cell_side((x.shape[-2], x.shape[-1]), grid)
@@ -353,7 +365,7 @@ def _on_grid(x: Tensor, grid: tuple[int, int]) -> Tensor:
 
 
 def _any_answer(output: NetworkOutput) -> Tensor:
-    """Return an answer of whatever head there is, (N, any, h, w)."""
+    """Return the output of any head, (N, any, h, w)."""
     depth = None if output.depths is None else output.depths[0]
     for answer in (output.boundary_logits, output.semantic_logits, depth):
         if answer is not None:
@@ -362,9 +374,9 @@ def _any_answer(output: NetworkOutput) -> Tensor:
 
 
 class _ClassMaps(NamedTuple):
-    """What needs all classes of a pixel."""
+    """The terms that need all classes of a pixel."""
 
-    #: Sums of Eq. 5, (N,), and what is known of all samples, (), in cells.
+    #: Sums of Eq. 5, (N,), and the labelled part of all samples, (), in cells.
     cross_entropy: Tensor
     known: Tensor
     #: See `soft_overlap`.
@@ -385,9 +397,10 @@ def _class_maps(
     with_overlap: bool,
     with_lovasz: bool,
 ) -> _ClassMaps:
-    """Everything that needs all classes of a pixel.
+    """Compute the terms that need all classes of a pixel.
 
-    Sample by sample: the class maps of a whole batch fit no cache, which costs a CPU a third more.
+    Sample by sample: the class maps of a whole batch do not fit the cache, which takes a third more
+    time on a CPU.
     """
     count, grid = logits.shape[1], (logits.shape[-2], logits.shape[-1])
     cross_entropy, known, overlaps, lovasz, disagreements = [], [], [], [], []

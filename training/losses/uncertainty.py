@@ -1,10 +1,10 @@
-"""Loss of the depth's uncertainty: how likely the errors are under the scale that was given."""
+"""Loss of the depth's uncertainty: the likelihood of the errors under the predicted scale."""
 
 from torch import Tensor
 
 from training.losses.masked import masked_mean
 
-#: Scales below this [m] are not told apart: a centimetre is what a LiDAR measures.
+#: Least scale [m]: the precision of a LiDAR.
 _LEAST_SCALE_M = 0.01
 
 
@@ -14,8 +14,8 @@ def laplace_loss(
     """Negative log-likelihood of the depth's errors under Laplace distributions, ().
 
     Mean of |e| / b + log b, e and b in metres (Kendall and Gal 2017). All (N, 1, H, W), normalised;
-    `valid` bool, see `normalise_depth`. The errors are taken as they are: their gradient goes to
-    the scale alone, so that what is hard is not given up.
+    `valid` bool, see `normalise_depth`. The errors are detached: the gradient goes to the scale
+    only, so that the depth of difficult pixels is still learned.
     """
     error = (prediction.detach() - target).abs() * max_depth_m
     metres = (scale * max_depth_m).clamp(min=_LEAST_SCALE_M)
