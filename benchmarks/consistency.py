@@ -1,4 +1,4 @@
-"""What the consistency figures of a stream say when camera and LiDAR no longer fit.
+"""How the consistency figures of a stream react to faults of camera and LiDAR.
 
     python benchmarks/consistency.py [--out consistency.png] [--threads 2]
 
@@ -6,7 +6,7 @@ The bundled stream is pushed three times over. From the second time on, each lin
 one fault: the calibration rotated by 1° about an axis of the camera, depth maps of the frame before
 (100 ms), or depths times a scale. The table has each figure's mean over the last pass, and how far
 it moved from the healthy line's in standard deviations of the healthy stream's own frames; the
-scale, which is looked at twice a pass, by how much.
+scale, which is computed twice a pass, by how much.
 """
 
 import argparse

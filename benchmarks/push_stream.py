@@ -1,4 +1,4 @@
-"""What a push stream costs over `Predictor.predict`, on the same frames from memory, in turns.
+"""Overhead of a push stream over `Predictor.predict`, on the same frames from memory, in turns.
 
     python benchmarks/push_stream.py [--sizes 375x1242 ...] [--threads 2] [--rounds 7]
 

@@ -28,7 +28,6 @@ import weakref
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -313,16 +312,11 @@ class PushStream:
     def __enter__(self) -> "PushStream":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         try:
             self.close()
         except BaseException:
-            if error is None:  # the error that ends the block comes first
+            if error[0] is None:  # else the block's own error comes first
                 raise
 
     def __iter__(self) -> "PushStream":
