@@ -1,1 +1,1 @@
-"""Metrics, scores of a network on whole sets, and the baselines it has to beat."""
+"""Metrics, scores of models on whole sets, and the classical methods of depth completion."""

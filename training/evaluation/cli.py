@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from training.datasets.source_recipe import SourceRecipe
     from training.evaluation.score_report import Row
 
-_BASELINES = ("nearest", "ip-basic")  # the fast methods
-
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
@@ -43,9 +41,6 @@ def evaluate(
     faults: Annotated[
         str, typer.Option(help="Also with the LiDAR damaged: nan,shift,dropout.")
     ] = "",
-    baselines: Annotated[
-        bool, typer.Option(help="Also score the methods nearest and ip-basic.")
-    ] = False,
     device: Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")] = "cpu",
     threads: Annotated[int, typer.Option(min=1, help="Threads of the processor.")] = 2,
     size: Annotated[
@@ -95,7 +90,7 @@ def evaluate(
         folder = None if save is None else DepthFolder(save, overwrite)
         if folder is not None:
             folder.require_free()
-        files, methods = _split_names([*models, *(_BASELINES if baselines else ())])
+        files, methods = _split_names(models)
         with interruptible():
             rows: list[Row] = run(
                 files,

@@ -1,4 +1,4 @@
-"""Pictures of what a network says about frames of a data set, beside what is true."""
+"""Pictures of a network's answers to frames of a data set beside the ground truth."""
 
 from collections.abc import Iterator
 
@@ -21,11 +21,21 @@ def draw_pictures(
     lidar: LidarInput,
     count: int,
 ) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Draw frames spread evenly over a set: name, and the prediction beside the truth.
+    """Draw frames spread evenly over a set, as `runtime.drawing.overlay` draws them.
 
-    Each picture is uint8 (H', W', 3), RGB: left what the network says, right the labels and the
-    depth as far as they are known (unknown classes are drawn black), as
-    `runtime.drawing.overlay` draws both. Raises InputError for a LiDAR that the set cannot give.
+    Args:
+        predict: the network's predictor.
+        source: the set.
+        network: whose heads, classes and range the pictures have.
+        lidar: what is fed.
+        count: number of frames.
+
+    Yields:
+        Name of the frame and picture, uint8 (H', W', 3), RGB: left the prediction, right the labels
+        and the depth where they are known; unknown classes are black.
+
+    Raises:
+        InputError: for a LiDAR that the set cannot give.
     """
     overlay = Overlay(network.config.classes, network.config.max_depth_m)
     indices = np.unique(np.linspace(0, len(source) - 1, count).round().astype(int))

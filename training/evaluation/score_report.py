@@ -1,4 +1,4 @@
-"""Evaluation rows as a table for people, JSON for programs and a plot for the eye."""
+"""Evaluation rows as a table, JSON and a plot."""
 
 import json
 import math
@@ -110,7 +110,7 @@ def format_table(rows: Sequence[Row]) -> str:
 
 
 def require_writable(path: Path, option: str, *, suffix: str = "") -> None:
-    """Raise an OutputError for a path that nothing can be written to, before any work is done."""
+    """Raise an OutputError for a path that cannot be written, before any work is done."""
     if not path.name.endswith(suffix):
         raise OutputError(f"{path}: {option} writes a {suffix} file; give it that ending")
     if path.is_dir():
@@ -140,10 +140,12 @@ def write_json(rows: Sequence[Row], path: Path) -> None:
 
 
 def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:
-    """Draw accuracy against the LiDAR, a line a model, set and fault; PNG.
+    """Draw accuracy against the LiDAR as a PNG, a line a model, set and fault.
 
-    A model has its colour, a set its marker and a fault its dashes, the same in every panel.
-    Raises OutputError.
+    Colours are models, markers sets and dashes faults, the same in every panel.
+
+    Raises:
+        OutputError: if the file cannot be written.
     """
     import matplotlib as mpl
 

@@ -34,12 +34,18 @@ BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
 
 
 class Answer(NamedTuple):
-    """What a predictor says about one frame; a head that it lacks is None."""
+    """What a predictor answers for one frame; a head that it lacks is None.
+
+    Attributes:
+        semantic: class ids, uint8 (H, W).
+        depth: float32 (H, W) [m].
+        boundary: probability, float32 (H, W), 0..1.
+        depth_uncertainty: scale of a Laplace distribution around the depth, float32 (H, W) [m].
+    """
 
     semantic: NDArray[np.uint8] | None
     depth: NDArray[np.float32] | None
     boundary: NDArray[np.float32] | None
-    #: Scale of a Laplace distribution around the depth [m].
     depth_uncertainty: NDArray[np.float32] | None = None
 
     @property
@@ -48,11 +54,11 @@ class Answer(NamedTuple):
         return {head: values for head, values in self._asdict().items() if values is not None}
 
 
-#: Name of the class that is scored against masks of the road, in any case of its letters.
+#: Name, in lower case, of the class that is scored against masks of the road.
 ROAD = "road"
 
-#: (rgb uint8 (H, W, 3), sparse_depth float32 (H, W) in metres, focal length in pixels of this
-#: picture or None = not known) -> answer at the same size, its depth in metres.
+#: (rgb uint8 (H, W, 3), sparse_depth float32 (H, W) [m], focal length [px of this image] or None =
+#: unknown) -> answer at the same size.
 Predict = Callable[[NDArray[np.uint8], NDArray[np.float32], float | None], Answer]
 
 
@@ -128,16 +134,13 @@ class Scores:
     def merge(self, other: "Scores") -> None:
         """Add another's counts."""
         self.frames += other.frames
-        for part in (
-            "semantic",
-            "depth",
-            "boundary",
-            "disparity",
-            "regions",
-            "uncertainty",
-            "road",
-        ):
-            getattr(self, part).merge(getattr(other, part))
+        self.semantic.merge(other.semantic)
+        self.depth.merge(other.depth)
+        self.boundary.merge(other.boundary)
+        self.disparity.merge(other.disparity)
+        self.regions.merge(other.regions)
+        self.uncertainty.merge(other.uncertainty)
+        self.road.merge(other.road)
 
     def figures(self, class_names: Sequence[str] = ()) -> dict[str, float]:
         """Return the scores as named numbers: shares 0..1, metres, 1/km, pixels.
@@ -206,7 +209,7 @@ def _category_figures(semantic: SemanticScores, class_names: Sequence[str]) -> d
 def figures_over_places(places: Collection[Scores], class_names: Sequence[str]) -> dict[str, float]:
     """Return the mean of each figure over places that have it; nothing for fewer than two places.
 
-    Each place counts alike, however many of the frames show it.
+    All places have the same weight, however many of the frames show them.
     """
     if len(places) < 2:
         return {}
@@ -232,7 +235,8 @@ def split_frames(
 ) -> Iterator[LidarSplit]:
     """Split frames of a set, each with its own random numbers, see `split_lidar`.
 
-    Raises InputError for a LiDAR that the set cannot give.
+    Raises:
+        InputError: for a LiDAR that the set cannot give.
     """
     for index in indices:
         sample = source[index]
@@ -260,10 +264,21 @@ def score_sources(
     *,
     lidar: LidarInput,
 ) -> dict[str, dict[str, float]]:
-    """Score a network on validation sets: the figures of each, see `Scores.figures`.
+    """Score a network on validation sets.
 
-    Every process scores its share of the frames and gets the figures of all. Raises InputError for
-    a LiDAR that a set cannot give.
+    Every process scores its share of the frames and gets the figures of all.
+
+    Args:
+        network: is put into evaluation mode.
+        sources: sets by name.
+        processes: of this training.
+        lidar: what is fed.
+
+    Returns:
+        The figures of each set, see `Scores.figures`.
+
+    Raises:
+        InputError: for a LiDAR that a set cannot give.
     """
     predict = torch_predict(network)
     names = [info.name for info in network.config.classes]

@@ -70,8 +70,10 @@ def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, tmp_
     result = run(
         folder / "lite.pt",
         folder / "lite.onnx",
+        "nearest",
+        "ip-basic",
         *("--data", f"rendered:{folder}/scenes", "--data", f"camvid:{folder}/camvid,split=val"),
-        *("--lidar", "64,random:0.05,none", "--faults", "nan,dropout", "--baselines"),
+        *("--lidar", "64,random:0.05,none", "--faults", "nan,dropout"),
         *("--size", "frame"),
         *("--json", out, "--plot", plot),
     )
@@ -176,7 +178,9 @@ def test_methods_are_scored_by_name_and_need_no_model(folder, tmp_path):
 
 def test_a_method_is_scored_once_and_beside_models(folder, tmp_path):
     out, data = tmp_path / "rows.json", f"rendered:{folder}/scenes"
-    result = run("ip-basic", folder / "lite.onnx", "--baselines", "--data", data, "--json", out)
+    result = run(
+        "ip-basic", folder / "lite.onnx", "nearest", "ip-basic", "--data", data, "--json", out
+    )
     assert result.exit_code == 0, result.output
     names = [row["model"] for row in json.loads(out.read_text())]
     assert names == ["lite.onnx", "ip-basic", "nearest"]
