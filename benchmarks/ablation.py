@@ -81,7 +81,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             results[row].append(figures)
             shown = {key: round(figures[key], 4) for key in FIGURES if key in figures}
             print(row, seed, shown, flush=True)
-            # After each: whoever stops it has what there is.
+            # After each run, so that a stopped program leaves the table so far.
             if arguments.markdown:
                 atomic_write(arguments.markdown, markdown(results).encode())
             if arguments.plot:

@@ -1,27 +1,22 @@
-"""How the consistency figures of a stream react to faults of camera and LiDAR.
+"""How the consistency figures of a stream react when camera and LiDAR no longer fit.
 
-    python benchmarks/consistency.py [--out consistency.png] [--threads 2]
+    python benchmarks/consistency.py [--threads 2]
 
-The bundled stream is pushed three times over. From the second time on, each line of the plot has
+The bundled stream is pushed three times over. From the second pass on, each row of the table has
 one fault: the calibration rotated by 1° about an axis of the camera, depth maps of the frame before
-(100 ms), or depths times a scale. The table has each figure's mean over the last pass, and how far
-it moved from the healthy line's in standard deviations of the healthy stream's own frames; the
-scale, which is computed twice a pass, by how much.
+(100 ms), or depths times a scale. The table has the mean of each figure over the last pass, and its
+distance from the healthy row in standard deviations of the healthy stream's frames; for the scale,
+which is measured twice a pass, its difference.
 """
 
 import argparse
-from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime import Predictor, PushStream, project_points
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.sources.frames import Frame
-
-mpl.use("Agg")
-from matplotlib import pyplot
 
 FAULTS = (
     "healthy",
@@ -37,9 +32,8 @@ PASSES = 3
 
 
 def main() -> None:
-    """Print the table and draw the plot."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, help="write the plot here")
     parser.add_argument("--model", help="bundled name or path")
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
@@ -61,12 +55,10 @@ def main() -> None:
             for name, mean, by, sigma in zip(FIGURES, last.mean(axis=0), moved, sigmas, strict=True)
         ]
         print(f"| {fault} | " + " | ".join(cells) + " |")
-    if arguments.out:
-        draw(series, len(frames), arguments.out)
 
 
 def run(predictor: Predictor, frames: list[Frame], fault: str) -> NDArray[np.float64]:
-    """The running figures after each frame, (passes * frames, figures)."""
+    """Return the running figures after each frame, float64 (passes * frames, figures)."""
     values = []
     with PushStream(predictor, mode="live", consistency=0.05) as stream:
         for number in range(PASSES * len(frames)):
@@ -82,7 +74,7 @@ def run(predictor: Predictor, frames: list[Frame], fault: str) -> NDArray[np.flo
 
 
 def spoil(fault: str, frames: list[Frame], place: int) -> NDArray[np.float32]:
-    """The depth map that a LiDAR with this fault would give."""
+    """Return the depth map that a LiDAR with this fault would give."""
     depth = frames[place].sparse_depth
     kind, _, amount = fault.partition(" ")
     if kind == "scale":
@@ -95,7 +87,7 @@ def spoil(fault: str, frames: list[Frame], place: int) -> NDArray[np.float32]:
 
 
 def rotated(depth: NDArray[np.float32], axis: int, *, degrees: float) -> NDArray[np.float32]:
-    """The depth map of the same returns in a camera rotated about an axis of its own."""
+    """Return the depth map of the same returns in a camera rotated about one of its axes."""
     height, width = depth.shape
     focal_px = BUNDLED_FOCAL_LENGTH_PX
     intrinsics = np.array([[focal_px, 0, width / 2], [0, focal_px, height / 2], [0, 0, 1.0]])
@@ -109,26 +101,6 @@ def rotated(depth: NDArray[np.float32], axis: int, *, degrees: float) -> NDArray
     rotation[[one, other], [one, other]] = cosine
     rotation[one, other], rotation[other, one] = -sine, sine
     return project_points(points, intrinsics, rotation, (height, width))
-
-
-def draw(series: dict[str, NDArray[np.float64]], begins: int, out: Path) -> None:
-    """A panel a figure, a line a fault."""
-    figure, panels = pyplot.subplots(1, len(FIGURES), figsize=(15, 4.2))
-    for index, (panel, name) in enumerate(zip(panels, FIGURES, strict=True)):
-        for fault, values in series.items():
-            healthy = fault == "healthy"
-            panel.plot(
-                values[:, index],
-                label=fault,
-                color="black" if healthy else None,
-                linewidth=2.5 if healthy else 1.3,
-            )
-        panel.axvline(begins, color="grey", linestyle=":")
-        panel.set_title(name)
-        panel.set_xlabel("frame (the fault begins at the dotted line)")
-    panels[0].legend(fontsize=8)
-    figure.tight_layout()
-    figure.savefig(out, dpi=80)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,6 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
     source = open_dataset(RenderedRecipe(path="rendered/val"), [arguments.data], classes="camvid")
-    # A frame of each street, as far as they go.
     indices = np.linspace(0, len(source) - 1, arguments.limit).astype(int).tolist()
     counts = {edge: np.zeros(2, dtype=np.int64) for edge in EDGES}  # points, flying
     with Predictor(arguments.model, threads=arguments.threads) as predictor:
@@ -59,7 +58,7 @@ def main() -> None:
 
 
 def flies(depth: NDArray[np.float32], truth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Whether each pixel lies between true depths around it, near none; 0 in the truth = sky."""
+    """Return the pixels between the true depths around them, near none; 0 in the truth = sky."""
     height, width = depth.shape
     beyond = np.pad(np.where(truth > 0, truth, np.float32(np.inf)), AROUND_PX, mode="edge")
     tolerance = np.maximum(np.float32(0.5), np.float32(0.1) * depth)

@@ -1,19 +1,17 @@
-"""What the engine adds to the bare session, and what a stream with writing adds to both.
+"""What the engine adds to the session alone, and what reading and writing files adds to both.
 
-    python benchmarks/latency.py [--sizes 375x1242 ...] [--threads 2] [--rounds 7] [--json OUT]
+    python benchmarks/latency.py [--sizes 375x1242 ...] [--threads 2] [--rounds 7]
 
-For each model and size three ways of running the same frames take turns, so that a machine whose
-speed drifts slows all of them alike: the ONNX Runtime session alone, `Predictor.predict`, and
-`ssdnet-run`'s stream (files in, every kind of picture out), the last one twice: once from JPEG
-pictures, as cameras record, and once from PNG, as data sets come: a PNG takes four times as long to
-decode. The depth maps are PNGs either way. Quote the ratios.
+For each model and size the same frames are run interleaved, so that a disturbance affects all ways
+alike: by the ONNX Runtime session alone, by `Predictor.predict`, and by the pipeline of
+`ssdnet-run` (files in, every kind of picture out), once from JPEG and once from PNG images, which
+take four times as long to decode. The depth maps are PNGs either way. Quote the ratios.
 
-"busy" is how many cores the process keeps busy on average: a stream that keeps all of them busy can
-only become faster by doing less.
+"busy" is how many cores the process keeps busy on average: a pipeline that keeps all of them busy
+can only become faster by doing less.
 """
 
 import argparse
-import json
 import platform
 import statistics
 import tempfile
@@ -32,7 +30,6 @@ from models import create_model, save_checkpoint
 from runtime import Predictor
 from runtime.bundled_models import find_model, list_bundled_models
 from runtime.engine_facts import cpu_name
-from runtime.io.atomic_write import atomic_write
 from runtime.resize import move_returns
 from runtime.run.outputs.frame_writer import FrameWriter
 from runtime.run.pipeline import run_stream
@@ -50,24 +47,22 @@ def main() -> None:
     parser.add_argument("--models", nargs="+", default=["ssdnet-lite", "ssdnet"])
     parser.add_argument("--sizes", nargs="+", default=list(SIZES), help="HEIGHTxWIDTH")
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--rounds", type=int, default=7, help="turns of each way")
-    parser.add_argument("--seconds", type=float, default=2.0, help="length of one turn")
+    parser.add_argument("--rounds", type=int, default=7, help="runs of each way")
+    parser.add_argument("--seconds", type=float, default=2.0, help="length of one run")
     parser.add_argument("--scratch", type=Path, help="folder to write to; the system's otherwise")
-    parser.add_argument("--json", type=Path, help="write the figures here, too")
     arguments = parser.parse_args()
 
     print(
         f"{cpu_name()}, {arguments.threads} threads, onnxruntime {version('onnxruntime')}, "
-        f"Python {platform.python_version()}; medians of {arguments.rounds} interleaved turns\n"
+        f"Python {platform.python_version()}; medians of {arguments.rounds} interleaved runs\n"
     )
     print(
-        "| model | size | frames a turn | session ms | predict ms | busy | ratio | "
+        "| model | size | frames a run | session ms | predict ms | busy | ratio | "
         "stream from JPEG ms a frame | busy | throughput against predict | "
         "from PNG ms a frame | busy | throughput |"
     )
     print("|" + "---|" * 13)
     dedicate_process()
-    rows = []
     with tempfile.TemporaryDirectory(dir=arguments.scratch) as scratch:
         for name in arguments.models:
             model = _model(name, Path(scratch))
@@ -81,7 +76,6 @@ def main() -> None:
                     rounds=arguments.rounds,
                     seconds=arguments.seconds,
                 )
-                rows.append({"model": name, "size": size, **row})
                 print(
                     f"| {name} | {size} | {row['frames']} | {row['session_ms']:.2f} | "
                     f"{row['predict_ms']:.2f} | {row['predict_busy']:.2f} | "
@@ -90,8 +84,6 @@ def main() -> None:
                     f"{row['png_ms']:.2f} | {row['png_busy']:.2f} | {row['png_throughput']:.2f} |",
                     flush=True,
                 )
-    if arguments.json:
-        atomic_write(arguments.json, json.dumps(rows, indent=2).encode())
 
 
 def measure(
@@ -107,7 +99,7 @@ def measure(
     with Predictor(model, size="frame", threads=threads) as predictor:
         sources = {suffix: _resized(scratch, size, suffix) for suffix in (".jpg", ".png")}
         frames = [sources[".png"].read(listed) for listed in sources[".png"].list_frames()]
-        session = predictor._session  # the very same session, so that only the engine differs
+        session = predictor._session  # the same session, so that only the engine differs
         feeds = [
             {"rgb": frame.rgb[None], "sparse_depth": frame.sparse_depth[None]} for frame in frames
         ]
@@ -128,8 +120,8 @@ def measure(
             )
 
         def run_whole_stream(suffix: str) -> tuple[float, float]:
-            # A name a frame and a fresh folder, and nothing removed in between: ext4 passes over
-            # the inodes of files removed in the last seconds one by one, up to 0.6 ms a new file.
+            # A new folder, and nothing removed in between: ext4 skips the inodes of files removed
+            # in the last seconds one by one, up to 0.6 ms a new file.
             listed = sources[suffix].list_frames()
             named = [
                 replace(listed[index], name=f"{number:06d}") for number, index in enumerate(order)
@@ -146,7 +138,7 @@ def measure(
             lambda: run_whole_stream(".jpg"),
             lambda: run_whole_stream(".png"),
         )
-        for way in ways:  # the first files and buffers take memory that was never touched before
+        for way in ways:  # to warm up
             way()
         timed = np.array([[way() for way in ways] for _ in range(rounds)])  # (rounds, ways, 2)
     times = timed[..., 0] / count * 1e3

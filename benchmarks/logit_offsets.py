@@ -1,11 +1,11 @@
-"""What a trained network's logits lack: a step a class that makes its training frames score best.
+"""Fit offsets of a trained network's logits, one a class, on its training frames.
 
     python benchmarks/logit_offsets.py CHECKPOINT --data DIR [--every 6] [--threads 1]
 
-Climbs, class by class in steps of 0.5 and then of 0.25, the sum of the mIoU on CamVid's training
-frames and half of the road's IoU on the training streets of KITTI (64 lines), every n-th frame of
-both; the validation frames only tell what came of it. The last line is what a recipe takes as
-`loop.logit_offsets`. Scored in PyTorch, where the logits are.
+Maximises, class by class in steps of 0.5 and then of 0.25, the sum of the mIoU on CamVid's training
+frames and half of the road's IoU on the training streets of KITTI (64 lines), over every n-th frame
+of both. The validation frames are only scored before and after. The last line is what a recipe
+takes as `loop.logit_offsets`.
 """
 
 import argparse
@@ -104,7 +104,7 @@ def rate(
 def climb(
     score: Callable[[NDArray[np.float32]], float], offsets: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    """Move one offset after another as long as the score rises."""
+    """Change one offset after another as long as the score rises."""
     best = score(offsets)
     for step in STEPS:
         for index in range(len(offsets)):

@@ -1,9 +1,9 @@
-"""Resident memory over many frames: does the engine hold on to anything?
+"""Resident memory over many frames: whether the engine leaks.
 
     python benchmarks/memory.py [--frames 2000] [--threads 2]
 
-Predicts the bundled stream over and over, also through the reading and writing stream, and prints
-the resident size every tenth of the way.
+Predicts the bundled stream repeatedly, by `Predictor.predict` and by the pipeline of `ssdnet-run`,
+and prints the resident size after every tenth of the frames.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from runtime.sources.folders import FolderSource
 
 
 def main() -> None:
-    """Print a table: frames done, resident MB of the bare predictor and of the stream."""
+    """Print a table: frames done, resident MB of the predictor alone and of the pipeline."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=2000)
     parser.add_argument("--threads", type=int, default=2)

@@ -3,7 +3,7 @@
     python benchmarks/projection.py [--rounds 200] [--keep-memory]
 
 The scan is that of a 64-line sensor on a street of walls, 115,200 returns all around; the picture
-has 1242 x 375 pixels. Plain and filtered projection take turns. With --keep-memory
+has 1242 x 375 pixels. Plain and filtered projection run interleaved. With --keep-memory
 freed memory is kept for the next scan, as ssdnet-run keeps it.
 """
 

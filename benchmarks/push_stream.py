@@ -1,11 +1,11 @@
-"""Overhead of a push stream over `Predictor.predict`, on the same frames from memory, in turns.
+"""Overhead of a push stream over `Predictor.predict`, on the same frames from memory.
 
     python benchmarks/push_stream.py [--sizes 375x1242 ...] [--threads 2] [--rounds 7]
 
-Three ways take turns: `predict` back to back; a replay that a thread pushes into, which gives the
-throughput; and a live stream into which a frame is pushed when the last one was answered, which
-gives what a single frame waits longer ("overhead"). Ratios are of the same round; "processor" is
-the time of all threads, which other programs lengthen less.
+Three ways run interleaved: `predict` back to back; a replay that a thread pushes into, for the
+throughput; and a live stream into which a frame is pushed when the last one was answered, for the
+additional latency of a single frame ("overhead"). Ratios are of the same round; "processor" is the
+time of all threads, which other programs affect less.
 """
 
 import argparse
@@ -16,15 +16,13 @@ import time
 from importlib.metadata import version
 from typing import Any
 
-import cv2
 import numpy as np
 
 from runtime import Predictor, PushStream
 from runtime.engine_facts import cpu_name
-from runtime.resize import move_returns
 from runtime.run.process import dedicate_process
-from runtime.sources.bundled_stream import bundled_frames
 from runtime.sources.frames import Frame
+from soak import resized_frames
 
 SIZES = ("125x414", "375x1242")
 
@@ -36,11 +34,11 @@ def main() -> None:
     parser.add_argument("--model", help="bundled name or path")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--frames", type=int, default=40, help="of a turn")
+    parser.add_argument("--frames", type=int, default=40, help="of a run")
     arguments = parser.parse_args()
     print(
         f"{cpu_name()}, {arguments.threads} threads, onnxruntime {version('onnxruntime')}, "
-        f"Python {platform.python_version()}; medians of {arguments.rounds} interleaved turns of "
+        f"Python {platform.python_version()}; medians of {arguments.rounds} interleaved runs of "
         f"{arguments.frames} frames\n"
     )
     dedicate_process()
@@ -52,7 +50,8 @@ def main() -> None:
     for size in arguments.sizes:
         height, width = (int(side) for side in size.split("x"))
         with Predictor(arguments.model, size="frame", threads=arguments.threads) as predictor:
-            frames = _frames((height, width), arguments.frames)
+            resized = resized_frames((height, width))
+            frames = [resized[number % len(resized)] for number in range(arguments.frames)]
             row = measure(predictor, frames, rounds=arguments.rounds)
         print(
             f"| {size} | {row['predict_ms']:.2f} | {row['throughput']:.3f} | "
@@ -63,30 +62,30 @@ def main() -> None:
 
 
 def measure(predictor: Predictor, frames: list[Frame], *, rounds: int) -> dict[str, float]:
-    """Time the three ways in turns, after one of each that does not count."""
-    turns: list[dict[str, Any]] = []
+    """Time the three ways interleaved, after one run of each to warm up."""
+    runs: list[dict[str, Any]] = []
     for _ in range(rounds + 1):
-        turn = {
+        run = {
             "predict": _timed(lambda: [_predict(predictor, frame) for frame in frames]),
             "replay": _timed(lambda: _replay(predictor, frames)),
             "live": _timed(lambda: _live(predictor, frames)),
         }
-        turns.append(turn)
-    turns = turns[1:]
+        runs.append(run)
+    runs = runs[1:]
 
     def ratio(of: int) -> float:
-        return statistics.median(turn["predict"][of] / turn["replay"][of] for turn in turns)
+        return statistics.median(run["predict"][of] / run["replay"][of] for run in runs)
 
-    alone = [time_ms for turn in turns for time_ms in turn["predict"][2]]
-    live = [time_ms for turn in turns for time_ms in turn["live"][2]]
+    alone = [time_ms for run in runs for time_ms in run["predict"][2]]
+    live = [time_ms for run in runs for time_ms in run["live"][2]]
     return {
         "predict_ms": statistics.median(alone),
         "throughput": ratio(0),
         "processor": ratio(1),
         "overhead_ms": statistics.median(
             one - other
-            for turn in turns
-            for one, other in zip(turn["live"][2], turn["predict"][2], strict=True)
+            for run in runs
+            for one, other in zip(run["live"][2], run["predict"][2], strict=True)
         ),
         "predict_p99_ms": float(np.quantile(alone, 0.99, method="inverted_cdf")),
         "live_p99_ms": float(np.quantile(live, 0.99, method="inverted_cdf")),
@@ -133,16 +132,6 @@ def _timed(call: Any) -> tuple[float, float, Any]:
     started, worked = time.perf_counter(), time.process_time()
     returned = call()
     return time.perf_counter() - started, time.process_time() - worked, returned
-
-
-def _frames(size: tuple[int, int], count: int) -> list[Frame]:
-    """The bundled stream at another size; no image is the same as the one before it."""
-    frames = bundled_frames()
-    resized = [
-        Frame(cv2.resize(frame.rgb, size[::-1]), move_returns(frame.sparse_depth, size))
-        for frame in frames
-    ]
-    return [resized[number % len(resized)] for number in range(count)]
 
 
 if __name__ == "__main__":
