@@ -32,7 +32,7 @@ def test_an_error_is_a_line_and_an_exit_code(capfd, error, code, text):
     assert capfd.readouterr().err == text
 
 
-def test_an_error_that_is_nobodys_fault_is_not_hidden():
+def test_an_unexpected_error_is_not_hidden():
     with pytest.raises(ZeroDivisionError), reported_errors("train"):
         raise ZeroDivisionError
 

@@ -113,7 +113,7 @@ def test_reading_and_writing_overlap_with_inference(predictor, stream_of, monkey
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere threads have no niceness")
-def test_reading_and_writing_give_way_to_inference(predictor, stream_of):
+def test_reading_and_writing_have_a_lower_priority_than_inference(predictor, stream_of):
     before = os.nice(0)
     during = []
     run(predictor, stream_of(1), write=lambda *_: during.append(os.nice(0)))
@@ -184,7 +184,7 @@ def spoil(folders, index, kind):
         ("other size", r"shape \(H, W\) of rgb"),
         ("too small", "at least 32"),
         ("no depth", "no depth map"),
-        ("no picture", "no picture"),
+        ("no picture", "no image"),
     ],
 )
 def test_a_bad_frame_is_flagged_and_the_run_goes_on(predictor, stream_of, kind, reason):
@@ -298,7 +298,7 @@ def test_an_interrupt_is_passed_on_and_leaves_no_thread(predictor, stream_of, mo
     assert not [t for t in threading.enumerate() if t.name.startswith(("read", "write"))]
 
 
-def test_an_error_that_is_nobodys_fault_is_not_hidden(predictor, stream_of):
+def test_an_unexpected_error_is_not_hidden(predictor, stream_of):
     def write(frame, prediction):
         raise ZeroDivisionError
 

@@ -110,7 +110,7 @@ def test_a_killed_actor_loses_no_frame(cluster, tmp_path):
                     np.testing.assert_array_equal(row["semantic"], expected, strict=True)
 
 
-def test_what_cannot_run_is_said_before_anything_starts(cluster, tmp_path):
+def test_what_cannot_run_is_reported_before_anything_starts(cluster, tmp_path):
     from runtime.run.ray_data import predict_source
 
     with pytest.raises(InputError, match="cannot list the folder"):
@@ -125,7 +125,7 @@ def test_what_cannot_run_is_said_before_anything_starts(cluster, tmp_path):
         predict_source(folders_of(*bundled_stream()), actors=0)
 
 
-def test_an_actor_that_cannot_start_says_why(cluster):
+def test_an_actor_that_cannot_start_reports_why(cluster):
     from runtime.run.ray_data import predict_source
 
     with pytest.raises(cluster.exceptions.RayError, match="heads asks for colour, the model"):

@@ -101,7 +101,7 @@ def test_a_run_from_end_to_end(tmp_path, run):
     ("size", "runs_at"),
     [("auto", (40, 53)), ("frame", (52, 69)), ("64", (64, 85)), ("33x70", (33, 70))],
 )
-def test_the_size_at_which_the_network_ran_is_said(
+def test_the_size_at_which_the_network_ran_is_reported(
     tmp_path, make_frame, model_file, contract, size, runs_at
 ):
     for folder in ("cam", "lidar"):
@@ -163,7 +163,7 @@ def test_the_rows_and_the_report_agree(tmp_path, run):
     assert predict == pytest.approx(parts, abs=0.1)
 
 
-def test_a_constant_stream_tells_age_and_jitter(tmp_path, run):
+def test_a_constant_stream_reports_age_and_jitter(tmp_path, run):
     result = run("--rate", 10_000, "--deadline-ms", 1e-3)  # due long before they can be done
     assert result.exit_code == 4
     assert "constant stream of 10000 Hz" in result.stdout
@@ -181,7 +181,7 @@ def test_a_constant_stream_tells_age_and_jitter(tmp_path, run):
         assert re.search(rf"^{stage} +\d", result.stdout, re.MULTILINE)
 
 
-def test_a_single_stream_says_so_and_leaves_the_cells_empty(tmp_path, run):
+def test_a_single_stream_reports_no_age_and_leaves_the_cells_empty(tmp_path, run):
     result = run()
     assert "constant stream" not in result.stdout
     assert not re.search(r"^(age|jitter) ", result.stdout, re.MULTILINE)
@@ -290,7 +290,7 @@ def test_answers_that_cannot_be_used_are_exit_code_3(tmp_path, run, stream):
     assert not list((tmp_path / "out/overlay").iterdir())
 
 
-def test_depth_beyond_what_a_png_holds_is_said(tmp_path, stream, model_file, contract):
+def test_depth_beyond_the_range_of_a_png_is_reported(tmp_path, stream, model_file, contract):
     assert "note:" not in CliRunner().invoke(app, arguments(stream, model_file(), tmp_path)).stdout
     far = model_file(contract=dataclasses.replace(contract, max_depth_m=400.0))
     result = CliRunner().invoke(app, arguments(stream, far, tmp_path / "far"))
@@ -299,7 +299,7 @@ def test_depth_beyond_what_a_png_holds_is_said(tmp_path, stream, model_file, con
     assert report["depth_png"] == {"units_per_metre": 256, "max_m": 65535 / 256}
 
 
-def test_without_warm_up_no_first_inference_is_said(tmp_path, run):
+def test_without_warm_up_no_first_inference_is_reported(tmp_path, run):
     assert "first inference n/a" in run("--warmup", 0).stdout
 
 
@@ -350,7 +350,7 @@ def test_skipped_frames_are_counted_named_and_exit_code_3(tmp_path, run, stream,
     rows = {row["name"]: row for row in rows_of(tmp_path / "out")}
     reasons = {
         "f1": "no depth map",
-        "f2": "no picture",
+        "f2": "no image",
         "f4": "truncated",
         "f6": "8 bits",
         "f8": "(40, 64)",
@@ -391,7 +391,7 @@ def test_only_the_first_few_frames_are_read_to_warm_up(tmp_path, run, stream, mo
     assert "3 were read" in run().output
 
 
-def test_a_recording_that_cannot_be_is_told_before_anything_is_made(tmp_path, run):
+def test_a_recording_that_cannot_be_made_is_reported_before_anything_is_made(tmp_path, run):
     (tmp_path / "taken").mkdir()
     result = run("--record", tmp_path / "taken")
     assert result.exit_code == 1
@@ -535,7 +535,7 @@ def test_a_run_outlives_what_it_prints_to(tmp_path, stream, model_file, option, 
     assert len(rows_of(tmp_path / "out")) == N
 
 
-def test_a_reader_that_left_does_not_stop_the_run(tmp_path, stream, model_file):
+def test_a_closed_pipe_does_not_stop_the_run(tmp_path, stream, model_file):
     command = [
         sys.executable,
         "-m",
@@ -550,7 +550,7 @@ def test_a_reader_that_left_does_not_stop_the_run(tmp_path, stream, model_file):
     assert len(rows_of(tmp_path / "out")) == N
 
 
-def test_a_reader_that_left_does_not_fail_the_exit():
+def test_a_closed_pipe_does_not_fail_the_exit():
     """More than any buffer holds: the rest is flushed once more at the end."""
     program = "from runtime.command import print_result; print_result('x' * 100_000)"
     reader, writer = os.pipe()

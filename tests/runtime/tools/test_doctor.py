@@ -1,4 +1,4 @@
-"""ssdnet-doctor: what works is no fault, what is missing is named with the line that mends it."""
+"""ssdnet-doctor: what works is no fault, what is missing is named with the command to fix it."""
 
 import json
 import os
@@ -70,7 +70,7 @@ def test_what_is_installed_here_works():
     assert any(line.startswith("ok      self-test on cpu") for line in lines)
 
 
-def test_json_tells_every_check(passed):
+def test_json_lists_every_check(passed):
     result = CliRunner().invoke(app, ["--json"])
     document = json.loads(result.output)
     assert (result.exit_code, document["ok"], document["provider"]) == (0, True, "cpu")
@@ -107,7 +107,7 @@ def test_the_libraries_are_those_of_the_runtimes_cuda(fake_runtime):
     assert not any(name.endswith(".13") for name in missing)
 
 
-def test_both_wheels_at_once_are_told(fake_runtime):
+def test_both_wheels_at_once_are_reported(fake_runtime):
     fake_runtime("CPUExecutionProvider", wheels=("onnxruntime", "onnxruntime-gpu"))
     check = examine("cpu")["onnxruntime wheel"]
     assert check.status == "warning"
@@ -115,7 +115,7 @@ def test_both_wheels_at_once_are_told(fake_runtime):
     assert check.remedy.endswith("-m pip install 'ssdnet[cpu]'")
 
 
-def test_without_onnxruntime_the_rest_is_told_all_the_same(monkeypatch):
+def test_without_onnxruntime_the_rest_is_still_reported(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     checks = examine("cpu")
     assert checks["numpy"].status == "ok"

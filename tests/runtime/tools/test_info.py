@@ -29,20 +29,20 @@ def test_the_lines_hold_what_the_metadata_and_the_tensors_say(model_file, contra
     )
     path = model_file(size=(48, 64), contract=contract)
     lines = run(str(path)).output.splitlines()
-    told = {line[:24].strip(): line[24:].strip() for line in lines}
-    assert told["model"] == "by-hand"
-    assert told["heads"] == "semantic, depth, boundary"
-    assert told["input size"] == "48 x 64"
-    assert told["trained for"] == "400 rows"
-    assert told["frames a run"] == "any number"
-    assert told["canonical focal length"] == "721.5 px"
-    assert told["terms"] == "research only"
-    assert told["trained on"] == "one, two"
-    assert told["depth"] == "max_abs_m 0.00012345"
-    assert told["classes"] == "2"
-    assert told["0"] == "dark #000080"
-    assert told["1"] == "red #c81e1e"
-    assert told["schema"] == contract.schema_version
+    shown = {line[:24].strip(): line[24:].strip() for line in lines}
+    assert shown["model"] == "by-hand"
+    assert shown["heads"] == "semantic, depth, boundary"
+    assert shown["input size"] == "48 x 64"
+    assert shown["trained for"] == "400 rows"
+    assert shown["frames a run"] == "any number"
+    assert shown["canonical focal length"] == "721.5 px"
+    assert shown["terms"] == "research only"
+    assert shown["trained on"] == "one, two"
+    assert shown["depth"] == "max_abs_m 0.00012345"
+    assert shown["classes"] == "2"
+    assert shown["0"] == "dark #000080"
+    assert shown["1"] == "red #c81e1e"
+    assert shown["schema"] == contract.schema_version
 
 
 def test_the_json_holds_the_contract_and_the_digest(model_file, contract):
@@ -54,7 +54,7 @@ def test_the_json_holds_the_contract_and_the_digest(model_file, contract):
     assert [entry["name"] for entry in metadata["classes"]] == ["dark", "red"]
 
 
-def test_a_batch_of_one_is_told(model_file):
+def test_a_batch_of_one_is_reported(model_file):
     def only_one(graph):
         for tensor in graph.input:
             tensor.type.tensor_type.shape.dim[0].dim_value = 1

@@ -1,4 +1,4 @@
-"""ssdnet-run --record, then ssdnet-verify: the same answers pass, others are told by frame."""
+"""ssdnet-run --record, then ssdnet-verify: the same answers pass, others are reported by frame."""
 
 import json
 import shutil
@@ -79,7 +79,7 @@ def test_the_same_answers_pass(recording):
     assert any(line.split()[:3] == ["depth", "max_abs_m", "0"] for line in lines)
 
 
-def test_json_tells_the_same(recording):
+def test_json_reports_the_same(recording):
     document = json.loads(verify(recording, "--json").output)
     assert document["passed"]
     assert document["same_model"]
@@ -88,7 +88,7 @@ def test_json_tells_the_same(recording):
 
 
 @pytest.mark.parametrize(
-    ("head", "change", "told"),
+    ("head", "change", "reported"),
     [
         ("depth", lambda values: values + np.float32(0.25), "depth: max_abs_m 0.25"),
         ("depth_uncertainty", lambda values: values + np.float32(0.25), "max_abs_m 0.25"),
@@ -99,7 +99,7 @@ def test_json_tells_the_same(recording):
         ("depth", lambda values: values[:-1], "recorded was float32 (47, 64)"),
     ],
 )
-def test_what_differs_is_told_by_its_frame(recording, head, change, told):
+def test_what_differs_is_reported_by_its_frame(recording, head, change, reported):
     spoil(recording, 1, head, change)
     result = verify(recording)
     assert result.exit_code == 4
@@ -107,7 +107,7 @@ def test_what_differs_is_told_by_its_frame(recording, head, change, told):
     assert lines[-1] == "1 of 3 frames differ from the recording"
     (line,) = [line for line in lines if line.startswith("  0000")]
     assert line.startswith("  00001: ")
-    assert told in line
+    assert reported in line
     document = json.loads(verify(recording, "--json").output)
     assert [frame["passed"] for frame in document["frames"]] == [True, False, True]
 
@@ -143,7 +143,7 @@ def test_times_are_compared_only_when_asked(recording):
     assert (result.exit_code, "has none" in result.output) == (1, True)
 
 
-def test_other_flags_than_recorded_are_told(recording):
+def test_other_flags_than_recorded_are_reported(recording):
     edit_frames(recording, degraded=["no_depth"])
     result = verify(recording)
     assert result.exit_code == 4
@@ -152,7 +152,7 @@ def test_other_flags_than_recorded_are_told(recording):
     assert verify(recording).exit_code == 0
 
 
-def test_an_answer_that_was_unusable_and_no_longer_is_is_told(recording):
+def test_an_answer_that_is_no_longer_unusable_is_reported(recording):
     path = recording / "frames" / "000000.npz"
     with np.load(path) as archive:
         inputs = {name: archive[name] for name in ("rgb", "sparse_depth")}
@@ -188,7 +188,7 @@ def test_another_model_in_the_recording_is_refused(recording, model_file):
     assert (result.exit_code, "expected" in result.output) == (1, True)
 
 
-def test_a_frame_that_cannot_be_predicted_is_told(recording, model_file):
+def test_a_frame_that_cannot_be_predicted_is_reported(recording, model_file):
     heads = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
     other = model_file("other.onnx", heads=heads, only_runs_at=(100, 100))
     result = verify(recording, "--model", other)

@@ -45,7 +45,7 @@ def test_spans_hold_all_frames_in_order(n, at_most):
     assert sum(span.returns for span in spans) == sum(moment.returns or 0 for moment in moments)
 
 
-def test_a_span_says_what_is_in_it():
+def test_a_span_names_what_is_in_it():
     timeline, moments = filled(10_000)
     for span in timeline.spans(100):
         inside = moments[span.first : span.last + 1]

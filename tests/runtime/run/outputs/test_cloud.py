@@ -76,7 +76,7 @@ def test_the_command_writes_clouds(tmp_path, run, stream, model_file, toml, read
     np.testing.assert_allclose(points["x"], expected.points[:, 0], rtol=1e-6)
 
 
-def test_without_a_camera_the_command_says_so_before_anything_is_written(tmp_path, run):
+def test_without_a_camera_the_command_fails_before_anything_is_written(tmp_path, run):
     result = run("--save", "depth,cloud")
     assert result.exit_code == 1
     assert "--save cloud needs to know the camera: give --calibration" in result.stderr

@@ -159,7 +159,7 @@ def test_overwrite_does_not_follow_links_out_of_the_folder(tmp_path, contract, a
     assert files_in(pictures) == {"a.png"}
 
 
-def test_overwrite_says_what_it_could_not_remove(contract, earlier_run, read_only):
+def test_overwrite_names_what_it_could_not_remove(contract, earlier_run, read_only):
     read_only(earlier_run / "depth")
     with pytest.raises(OutputError, match=r"cannot remove the earlier run.*depth/a\.png"):
         FrameWriter(earlier_run, contract, kinds=KINDS, overwrite=True)

@@ -133,7 +133,9 @@ def test_what_is_there_is_replaced_only_when_asked_and_another_ending_is_refused
     assert run("--mcap", tmp_path / "a.bag").exit_code == 2
 
 
-def test_without_the_extra_it_says_what_to_install(tmp_path, contract, monkeypatch, overlay):
+def test_without_the_extra_the_error_names_what_to_install(
+    tmp_path, contract, monkeypatch, overlay
+):
     monkeypatch.setitem(__import__("sys").modules, "rosbags.rosbag2", None)
     with (
         pytest.raises(OutputError, match=r"pip install 'ssdnet\[bag\]'"),

@@ -7,7 +7,7 @@ import pytest
 from runtime.run.outputs import output
 
 
-def test_without_the_package_the_command_says_so_before_anything_is_written(
+def test_without_the_package_the_command_fails_before_anything_is_written(
     tmp_path, run, monkeypatch
 ):
     find_spec = importlib.util.find_spec

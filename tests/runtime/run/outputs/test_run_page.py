@@ -1,4 +1,4 @@
-"""ssdnet-run --report leaves one page that is true, asks for nothing, and can be read anywhere."""
+"""ssdnet-run --report writes one page that is true, self-contained, and fits every screen."""
 
 import json
 import re
@@ -48,7 +48,7 @@ def spoil(stream):
     (rgb / "f10.png").write_bytes(b"")
 
 
-def test_the_page_tells_of_the_run(tmp_path, page_of, stream):
+def test_the_page_shows_the_run(tmp_path, page_of, stream):
     spoil(stream)
     result, page, text = page_of("--deadline-ms", 60_000)
     assert result.exit_code == 3
@@ -76,7 +76,7 @@ def test_the_page_tells_of_the_run(tmp_path, page_of, stream):
     assert "report: " in result.stdout
 
 
-def test_the_page_asks_for_nothing(page_of):
+def test_the_page_loads_nothing(page_of):
     _, page, text = page_of()
     assert len([link for link in page.links if link.startswith("data:image/")]) >= 3
     assert all(link.startswith("data:") for link in page.links)
@@ -84,7 +84,7 @@ def test_the_page_asks_for_nothing(page_of):
     assert not re.search(r"https?:|url\(|@import|<script", text)
 
 
-def test_missed_deadlines_are_told(page_of):
+def test_missed_deadlines_are_shown(page_of):
     result, page, text = page_of("--deadline-ms", 1e-6)
     assert result.exit_code == 4
     assert page.after("missed deadlines") == "12"
@@ -98,7 +98,7 @@ def test_a_constant_stream_shows_the_age(page_of):
     assert page.after("scenario") == "constant-stream, 200 Hz"
 
 
-def test_nothing_wrong_is_said_to_be_nothing_wrong(page_of):
+def test_a_run_without_faults_is_shown_as_such(page_of):
     _, page, _ = page_of()
     assert "All frames were answered, none is flagged." in page.texts
     assert "missed deadlines" not in page.texts
@@ -159,7 +159,7 @@ def test_after_a_signal_its_frames_are_those_that_were_written(
     assert len(list((tmp_path / "out/depth").iterdir())) == 7
 
 
-def test_the_page_is_replaced_only_when_told(tmp_path, run):
+def test_the_page_is_replaced_only_with_overwrite(tmp_path, run):
     path = tmp_path / "report.html"
     path.write_text("mine")
     result = run("--report", path)
@@ -170,7 +170,7 @@ def test_the_page_is_replaced_only_when_told(tmp_path, run):
     assert run("--report", tmp_path / "report.pdf").exit_code == 2
 
 
-def test_a_place_that_cannot_be_written_is_told_before_the_run(tmp_path, run):
+def test_a_place_that_cannot_be_written_is_reported_before_the_run(tmp_path, run):
     (tmp_path / "file").write_text("")
     result = run("--report", tmp_path / "file" / "report.html")
     assert result.exit_code == 1

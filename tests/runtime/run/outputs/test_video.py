@@ -131,7 +131,7 @@ def test_after_a_signal_its_frames_are_those_of_the_table(tmp_path, run, monkeyp
     assert f"video: {video}" in result.stdout
 
 
-def test_the_command_replaces_a_video_only_when_told(tmp_path, run):
+def test_the_command_replaces_a_video_only_with_overwrite(tmp_path, run):
     video = tmp_path / "run.mp4"
     assert run("--video", video, "--limit", 2).exit_code == 0
     before = video.read_bytes()
