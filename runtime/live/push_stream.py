@@ -28,7 +28,7 @@ import weakref
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +47,6 @@ from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, NS_PER_MS, Stamp, stamp_ns
 from runtime.sync.synchronizer import Decided, Message, Pair, Synchronizer
 
-LIVE, REPLAY = "live", "replay"
 _WAITING = 16  # messages of a sensor that wait for their partner
 _READY = 2  # replay: pairs that wait for their prediction
 _RESULTS = 8  # replay: results that wait to be fetched
@@ -106,7 +105,7 @@ class PushStream:
         self,
         predictor: FramePredictor,
         *,
-        mode: str = LIVE,
+        mode: Literal["live", "replay"] = "live",
         deadline_ms: float | None = None,
         max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
         max_wait_ms: float = 50.0,
@@ -119,8 +118,8 @@ class PushStream:
         sensor_clock: Callable[[], Stamp] | None = None,
         clock: MonotonicClock | None = None,
     ) -> None:
-        if mode not in (LIVE, REPLAY):
-            raise InputError(f'mode must be "{LIVE}" or "{REPLAY}", got {mode!r:.40}')
+        if mode not in ("live", "replay"):
+            raise InputError(f'mode must be "live" or "replay", got {mode!r:.40}')
         _check_type("calibration", calibration, Calibration)
         _check_type("watchdog", watchdog, WatchdogLimits)
         _check_type("on_result", on_result, Callable)
@@ -136,7 +135,7 @@ class PushStream:
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
         self._sensor_clock = sensor_clock
         self._clock = clock or MonotonicClock()
-        self._live = mode == LIVE
+        self._live = mode == "live"
 
         lock = threading.RLock()
         self._changed, self._answered = threading.Condition(lock), threading.Condition(lock)
