@@ -21,15 +21,14 @@ import matplotlib as mpl
 import torch
 
 from models import load_checkpoint
-from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_file, atomic_write
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.scoring import score, split_frames, torch_predict
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import open_dataset
 from training.loop import train
-from training.recipe import Recipe, read_recipe
-from training.run_folder import RECIPE, to_text
+from training.recipe import read_recipe
+from training.run_folder import RECIPE, require_same
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -96,7 +95,8 @@ def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
     recipe = read_recipe(Path(str(path)), [f"data.seed = {seed}", *arguments.set])
     scores = out / "scores.json"
     if scores.is_file():
-        _require_same(recipe, out)
+        known = json.loads((out / RECIPE).read_text(encoding="utf-8"))
+        require_same(known, {"recipe": asdict(recipe)}, out / RECIPE)  # no mixed settings
         return json.loads(scores.read_text())
     checkpoint = train(recipe, data=[arguments.data], out=out, device=arguments.device)
     network = load_checkpoint(checkpoint).model.to(arguments.device)
@@ -109,16 +109,6 @@ def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
     figures = counted.figures([info.name for info in network.config.classes])
     atomic_write(scores, json.dumps(figures, indent=2).encode())
     return figures
-
-
-def _require_same(recipe: Recipe, out: Path) -> None:
-    """Raise InputError if the finished run was of another recipe: a table mixes no settings."""
-    known = json.loads((out / RECIPE).read_text(encoding="utf-8"))["recipe"]
-    if known != json.loads(to_text(asdict(recipe))):
-        raise InputError(
-            f"{out}: was trained with another recipe or --set (see its {RECIPE}). Give the "
-            "settings it was trained with, or another --runs."
-        )
 
 
 def markdown(results: Mapping[str, Sequence[Mapping[str, float]]]) -> str:

@@ -158,7 +158,7 @@ def read_plan(path: Path, changes: Sequence[str], only: Sequence[str] | None) ->
     """Read the file, with changes for all; each entry gets its recipe. Raises InputError."""
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
-        entries = [build(Entry, item) for item in table.pop("candidate", [])]
+        entries = [build(Entry, item) for item in table.pop("entry", [])]
         plan = build(Plan, table)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read: {error}.") from error
@@ -167,11 +167,11 @@ def read_plan(path: Path, changes: Sequence[str], only: Sequence[str] | None) ->
     folders = [entry.folder for entry in entries]
     twice = sorted({name for name in folders if folders.count(name) > 1})
     if twice:
-        raise InputError(f"{path}: two candidates are called {twice[0]!r}; give each its name.")
+        raise InputError(f"{path}: two entries are called {twice[0]!r}; give each its name.")
     names = [entry.name for entry in entries]
     unknown = sorted(set(only or ()) - set(names))
     if unknown:
-        raise InputError(f"--only {unknown[0]!r}: no such candidate; known: {', '.join(names)}.")
+        raise InputError(f"--only {unknown[0]!r}: no such entry; known: {', '.join(names)}.")
     chosen = []
     for entry in entries:
         if only is not None and entry.name not in only:

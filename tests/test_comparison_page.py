@@ -17,6 +17,7 @@ from training.evaluation.classical import METHODS
 from training.evaluation.scored_model import open_method
 from training.network import build_network
 from training.recipe import read_recipe
+from training.recipe_files import find_recipe
 
 PAGE = Path(__file__).parents[1] / "docs" / "comparison.md"
 
@@ -47,15 +48,14 @@ def test_the_network_is_built_by_its_name_and_recipe(run_block, tmp_path, monkey
     assert output.depths[0].shape == (1, 1, 40, 50)
     assert output.semantic_logits is None
 
-    recipe_text, entry_text = blocks("toml")
-    (tmp_path / "two-layers.toml").write_text(recipe_text)
-    recipe = read_recipe(tmp_path / "two-layers.toml")
-    assert recipe.schedule.steps == 20000
-    assert build_network(recipe.model, None).config.channels == 32
+    change = re.search(r"ssdnet-train comparison-depth --set '(.*)' --data", PAGE.read_text())
+    recipe = read_recipe(find_recipe("comparison-depth"), [change[1]])
+    assert build_network(recipe.model, None).config.channels == 16
+    (entry_text,) = blocks("toml")
     (tmp_path / "plan.toml").write_text(entry_text)
     plan = read_plan(tmp_path / "plan.toml", [], None)
     model = recipe_of(plan.entries[0], plan).model
-    assert build_network(model, None).config == build_network(recipe.model, None).config
+    assert build_network(model, None).config.channels == 32
 
 
 def test_the_method_is_run_by_its_name(run_block, monkeypatch):

@@ -21,21 +21,21 @@ from runtime.errors import InputError
 PLAN = """
 recipe = "comparison-semantics"
 set = ["data.batch_size = 2", "data.augment.crop = [32, 64]", "schedule.warmup_steps = 0"]
-[[candidate]]
+[[entry]]
 name = "shipped"
 onnx = "ssdnet-nano"
 published_miou = 51.0
-[[candidate]]
+[[entry]]
 name = "thin one"
 recipe = "comparison-depth"
 set = [
     'model.name = "sparse-conv"',
     "data.source = [{ kind = 'rendered', path = 'rendered/val' }]",
 ]
-[[candidate]]
+[[entry]]
 name = "big"
 network = "sparse-conv"
-[[candidate]]
+[[entry]]
 name = "filling"
 method = "nearest"
 """
@@ -87,7 +87,7 @@ def run(verb, plan, *options, steps=2):
 
 
 def test_a_plan_is_read_whole(tmp_path):
-    text = PLAN + '[[candidate]]\nname = "semantic"\n'
+    text = PLAN + '[[entry]]\nname = "semantic"\n'
     plan = read_plan(write_plan(tmp_path, text), ["loop.ema_decay = 0.5"], None)
     names = ["shipped", "thin one", "big", "filling", "semantic"]
     assert [entry.name for entry in plan.entries] == names
@@ -108,13 +108,13 @@ def test_a_plan_is_read_whole(tmp_path):
         (("set =", "sets ="), None, "unknown key sets"),
         (("onnx =", "onyx ="), None, "unknown key onyx"),
         (('recipe = "comparison-semantics"', ""), ["semantic"], "recipe to train 'semantic' by"),
-        (("big", "thin:one"), None, "two candidates are called 'thin-one'"),
-        (("", ""), ["thin"], "--only 'thin': no such candidate; known: shipped, thin one, big"),
+        (("big", "thin:one"), None, "two entries are called 'thin-one'"),
+        (("", ""), ["thin"], "--only 'thin': no such entry; known: shipped, thin one, big"),
         (("recipe =", "recipe"), None, "cannot be read"),
     ],
 )
 def test_a_bad_plan_is_refused(tmp_path, change, only, message):
-    text = PLAN.replace(*change, 1) + '[[candidate]]\nname = "semantic"\n'
+    text = PLAN.replace(*change, 1) + '[[entry]]\nname = "semantic"\n'
     with pytest.raises(InputError, match=message):
         read_plan(write_plan(tmp_path, text), [], only)
 
