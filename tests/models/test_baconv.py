@@ -31,7 +31,7 @@ def test_baconv_is_eq1():
     np.testing.assert_allclose(conv(x, boundary)[0].detach().numpy(), expected, atol=1e-5)
 
 
-def test_full_boundary_silences_and_none_is_a_convolution():
+def test_full_boundary_gives_zero_and_none_is_a_convolution():
     conv = BaConv(3, 4)
     x = torch.randn(1, 3, 6, 5)
     assert not conv(x, torch.ones(1, 1, 6, 5)).any()

@@ -157,7 +157,7 @@ def test_configuration_that_cannot_be_built_is_named(tmp_path):
         load_checkpoint(path)
 
 
-def test_the_trained_height_is_one_that_pictures_have():
+def test_the_trained_height_is_a_valid_image_height():
     network = torch.nn.Identity()
     assert Checkpoint(network, {}).trained_height is None
     assert Checkpoint(network, {"trained_height": None}).trained_height is None
@@ -167,7 +167,7 @@ def test_the_trained_height_is_one_that_pictures_have():
             _ = Checkpoint(network, {"trained_height": bad}).trained_height
 
 
-def test_the_network_is_named_and_files_of_before_are_the_family(tmp_path):
+def test_the_network_is_named_and_files_without_a_name_are_the_family(tmp_path):
     path = tmp_path / "a.pt"
     save_checkpoint(path, SSDNet(SMALL))
     document = torch.load(path, weights_only=True)
@@ -211,7 +211,7 @@ def little_memory():
         ({"rgb_std": (0.0, 1.0, 1.0)}, "rgb_std must be positive"),
     ],
 )
-def test_absurd_configurations_are_refused_before_they_are_built(
+def test_oversized_configurations_are_refused_before_they_are_built(
     tmp_path, changes, message, little_memory
 ):
     path = tmp_path / "a.pt"
@@ -277,7 +277,7 @@ def test_a_file_that_unpacks_to_much_more_is_refused(tmp_path, little_memory):
         load_checkpoint(path)
 
 
-def test_a_file_that_calls_for_memory_is_refused(tmp_path, little_memory):
+def test_a_file_that_allocates_memory_is_refused(tmp_path, little_memory):
     """PyTorch's reader allows bytearray(n) and torch.FloatTensor(n)."""
     for kind in (b"cbuiltins\nbytearray\n", b"ctorch\nFloatTensor\n"):
         with zipfile.ZipFile(tmp_path / "a.pt", "w") as archive:

@@ -177,7 +177,7 @@ def test_settings_that_a_network_lacks_are_named():
 
 
 @pytest.mark.parametrize("name", list_models())
-def test_every_network_keeps_the_promises_of_the_base(name):
+def test_every_network_meets_the_contract_of_the_base(name):
     """Its heads are those it names, and its class scores come from semantic_head."""
     with torch.device("meta"):
         model = create_model(name).eval()

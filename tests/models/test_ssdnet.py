@@ -110,7 +110,7 @@ def test_semantics_may_stay_on_their_own_grid_without_the_padding():
 
 
 @pytest.mark.parametrize("decoder", ["semantic_decoder", "depth_decoder"])
-def test_decoders_heed_the_boundary(decoder):
+def test_decoders_are_gated_by_the_boundary(decoder):
     """Where the finest side output is sure of a boundary nothing of the features gets through."""
     model = SSDNet(small("ssdnet-lite")).eval()
     seen = {}
@@ -223,12 +223,12 @@ def test_upsampling_by_factor_equals_by_size():
         ({"depth_surfaces": True, "valid_mask_input": True}, "stem of stride 4"),
     ],
 )
-def test_impossible_configurations_say_why(changes, text):
+def test_invalid_configurations_are_refused_with_the_reason(changes, text):
     with pytest.raises(ValueError, match=text):
         SSDNet(SSDNetConfig(**changes))
 
 
-def test_create_model_names_what_it_knows():
+def test_create_model_lists_the_known_names():
     with pytest.raises(ValueError, match="ssdnet-lite"):
         create_model("ssd")
     assert create_model("ssdnet-lite", num_classes=19).semantic_head.out_channels == 19
@@ -238,7 +238,7 @@ def test_create_model_names_what_it_knows():
 
 @pytest.mark.parametrize("name", ["ssdnet", "ssdnet-small", "ssdnet-lite"])
 @pytest.mark.parametrize("gating", [True, False])
-def test_only_gated_decoders_heed_the_boundary(name, gating):
+def test_only_gated_decoders_depend_on_the_boundary(name, gating):
     model = SSDNet(small(name, boundary_gating=gating)).eval()
     inputs = frame(64, 96)
     free = model(*inputs)

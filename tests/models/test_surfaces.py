@@ -130,7 +130,7 @@ def test_a_candidate_of_full_confidence_is_the_answer(candidate):
     assert corrected.item() == pytest.approx(min(1.0, chosen.item() * np.exp(0.5)), rel=1e-3)
 
 
-def test_a_return_takes_the_place_of_the_surface_that_it_lies_on():
+def test_a_return_replaces_the_surface_that_it_belongs_to():
     maps = measured(r40c40=0.05, r41c41=0.8, r42c42=0.2, r60c60=1.0)
     shape = (1, 1, SIZE[0] // FINE_CELL, SIZE[1] // FINE_CELL)
     upsampled = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.6, 0.4, 1.0, 0.9)))
@@ -221,7 +221,7 @@ def test_nothing_measured_is_nothing_taken():
     assert torch.equal(reduce_scale(depth, returns, fully), depth)
 
 
-def test_the_error_is_surer_near_returns_alone():
+def test_the_error_scale_is_reduced_near_returns_only():
     scale = torch.full((1, 1, *SIZE), 0.5)
     reduction = torch.full_like(scale, 0.4)
     reduced = reduce_scale(scale, dilate_returns(measured(r40c40=0.05)), reduction)[0, 0]
@@ -246,7 +246,7 @@ def test_returns_that_agree_are_taken_without_confidence_and_others_are_not():
 
 
 @pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])
-def test_a_network_with_it_answers_at_full_size_and_keeps_the_coarser_depths(name):
+def test_a_network_with_it_predicts_at_full_size_and_keeps_the_coarser_depths(name):
     network = create_model(name).eval()
     rgb = torch.rand(1, 3, 70, 101) * 255
     with torch.no_grad():

@@ -79,7 +79,7 @@ def test_a_file_in_the_folder_is_a_name(tmp_path, monkeypatch):
 
 
 @installed
-def test_the_installed_weights_say_their_terms(name):
+def test_the_installed_weights_state_their_terms(name):
     path = find_weights(name)
     training = load_checkpoint(path).training
     assert "non-commercial" in training["terms"]
@@ -105,7 +105,7 @@ def test_the_installed_weights_answer_as_the_bundled_model(name):
 
 
 @pytest.mark.slow
-def test_ten_steps_from_the_name_keep_what_is_known(tmp_path):
+def test_ten_steps_from_the_name_keep_what_was_learned(tmp_path):
     """The batch statistics are those of the layers, so training does not begin with a jolt."""
     with Predictor(warmup=0) as predictor:
         for frame in bundled_frames(step=4):

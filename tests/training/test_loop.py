@@ -164,7 +164,7 @@ def test_half_precision_scales_the_loss_and_resumes_its_scale(data, tmp_path):
     assert 0 < max(moved) < 0.05  # other rounding, the same training
 
 
-def test_a_step_whose_gradients_overflow_is_left_out(data, tmp_path, monkeypatch):
+def test_a_step_whose_gradients_overflow_is_skipped(data, tmp_path, monkeypatch):
     """fp16 of a loss scaled far too high: the weights stay until the scale has come down."""
     scaler = torch.amp.GradScaler
     monkeypatch.setattr(
@@ -215,7 +215,7 @@ def test_tensorboard_shows_terms_rates_scores_and_pictures(data, tmp_path):
     assert not (picture[40:64, 480:] == image[40:64]).all()
 
 
-def test_validation_feeds_the_lidar_that_the_recipe_says(data, tmp_path):
+def test_validation_feeds_the_lidar_of_the_recipe(data, tmp_path):
     write_second_edition(data / "scenes", magnify=8)
     errors = []
     for lidar in ("none", "random:0.5", "random:0.5"):
@@ -429,7 +429,6 @@ def test_non_finite_loss_names_the_frames(data, tmp_path, monkeypatch):
 
 def test_accumulated_batches_make_the_step_of_their_mean_gradient(data, tmp_path, monkeypatch):
     """Two batches of 1 against one of 2, in a network whose normalisation ignores the batch."""
-
     monkeypatch.setattr(SSDNet, "train", lambda self, _=True: torch.nn.Module.train(self, False))
     sgd = OptimizerRecipe(name="sgd", learning_rate=0.01, weight_decay=0.0, momentum=0.0)
     # The cross-entropy of frames that are labelled everywhere: a mean of means is the mean.
@@ -504,7 +503,7 @@ def test_init_of_which_nothing_fits_is_refused(data, tmp_path):
     assert not (tmp_path / "b").exists()
 
 
-def test_a_run_stopped_early_has_nothing_to_ship(data, tmp_path):
+def test_a_run_stopped_early_has_no_final_checkpoint(data, tmp_path):
     path = train(recipe(), data=[data], out=tmp_path / "run", stop_after=1)
     assert path == tmp_path / "run" / "last.pt"
     assert path.is_file()
@@ -578,7 +577,7 @@ def test_what_cannot_start_leaves_no_folder(data, tmp_path, changes, device, tex
 
 
 @pytest.mark.parametrize(("grid", "size"), [("image", (64, 96)), ("head", (32, 48))])
-def test_the_recipe_says_where_semantics_are_scored(grid, size):
+def test_the_recipe_sets_where_semantics_are_scored(grid, size):
     network = create_model("ssdnet-lite", num_classes=11)
     criterion = SSDNetLoss(LossConfig(semantic_grid=grid), max_depth_m=100.0)
     scored = []

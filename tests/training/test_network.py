@@ -13,7 +13,7 @@ from training.network import adjust_logits, build_network, class_offsets, train_
 from training.recipe import ModelRecipe
 
 
-def test_logit_adjustment_gives_the_class_weights_back():
+def test_logit_adjustment_undoes_the_class_weights():
     """Odds of w * p turn into p, so that an even chance of a doubled class is no longer a win."""
     state = {"semantic_head.bias": torch.tensor([0.0, math.log(2.0)]), "other": torch.ones(2)}
     weights = torch.tensor([1.0, 2.0])

@@ -45,7 +45,7 @@ def test_learning_rate_by_hand():
     assert math.isclose(learning_rate(schedule, 2.0, 35), 2 * (0.1 + 0.9 * 0.853553), rel_tol=1e-5)
 
 
-def test_average_forgets_its_start():
+def test_average_discards_its_initial_weights():
     """After n steps at a constant value nothing of a far-off start is left."""
     update = exponential_average(0.999)
     average, current = [torch.full((3,), 1000.0)], [torch.ones(3)]

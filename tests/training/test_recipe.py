@@ -131,7 +131,7 @@ def base(tmp_path):
     return tmp_path
 
 
-def test_base_gives_what_is_not_said(base):
+def test_base_gives_what_the_recipe_lacks(base):
     recipe = read(base, 'base = "base.toml"\n[model]\nname = "ssdnet-lite"\n[loop]\nlog_every = 7')
     assert (recipe.model.name, recipe.model.max_depth_m) == ("ssdnet-lite", 80.0)
     assert (recipe.data.batch_size, recipe.data.seed) == (4, 5)
@@ -360,7 +360,7 @@ def test_two_validation_sets_of_one_path_are_refused():
     ],
     ids=lambda text: text[:40],
 )
-def test_absurd_values_are_refused_before_anything_is_allocated(base, change, text):
+def test_oversized_values_are_refused_before_anything_is_allocated(base, change, text):
     with pytest.raises(InputError, match=text):
         read_recipe(base / "base.toml", [change])
 

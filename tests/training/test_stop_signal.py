@@ -103,7 +103,7 @@ def test_the_first_signal_saves_and_stops(command, tmp_path, number, start):
     assert not (tmp_path / "run" / "model.pt").exists()
 
 
-def test_a_second_one_stops_at_once(command, tmp_path, start):
+def test_a_second_signal_stops_at_once(command, tmp_path, start):
     process = start(command, wait="step")
     assert process.stdout.readline().endswith(" step\n")
     os.killpg(process.pid, signal.SIGINT)
@@ -149,7 +149,7 @@ def test_two_signals_of_one_key_do_not_cut_torchrun_s_processes_short(monkeypatc
         assert stop()
 
 
-def test_handlers_are_given_back():
+def test_handlers_are_restored():
     before = signal.getsignal(signal.SIGINT)
     with StopSignal():
         assert signal.getsignal(signal.SIGINT) is not before

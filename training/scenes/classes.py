@@ -1,4 +1,4 @@
-"""Names, ids and colours of the classes a rendered frame is labelled with.
+"""Names, ids and colours of the classes of rendered frames.
 
 Names and colours are those of Virtual KITTI 2 (Cabon et al. 2020) where it has the class;
 Pavement, Fence, Pedestrian and Cyclist are added with colours of their own.
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 class SceneClass(IntEnum):
-    """Class id of a surface; the ids index `CLASS_NAMES` and `class_colors()`."""
+    """Class id of a surface, an index into `CLASS_TABLE` and `class_colors()`."""
 
     SKY = 0
     TERRAIN = 1

@@ -20,34 +20,34 @@ T = TypeVar("T")
 
 @app.command()
 def render(
-    out: Annotated[Path, typer.Argument(help="Folder for the scenes.")],
+    out: Annotated[Path, typer.Argument(help="Folder of the scenes.")],
     scenes: Annotated[int, typer.Option(min=1, help="Number of scenes.")] = 10,
-    frames: Annotated[int, typer.Option(min=1, help="Frames a scene and variant.")] = 4,
+    frames: Annotated[int, typer.Option(min=1, help="Frames of each scene and variant.")] = 4,
     variants: Annotated[
-        str, typer.Option(help="Of clone,morning,sunset,overcast,fog,rain; comma-separated.")
+        str, typer.Option(help="Comma-separated: clone, morning, sunset, overcast, fog, rain.")
     ] = "clone,morning,sunset,overcast,fog,rain",
     every_variant: Annotated[
-        bool, typer.Option(help="Each scene in each variant, not one after the other.")
+        bool, typer.Option(help="Render each scene in every variant; by default in one, in turn.")
     ] = False,
     size: Annotated[
-        str, typer.Option(help="HEIGHTxWIDTH in pixels; not of varied cameras.")
+        str, typer.Option(help="HEIGHTxWIDTH in pixels; ignored by varied cameras.")
     ] = "375x1242",
     camera: Annotated[
         str,
         typer.Option(
-            help="Field of view: kitti, camvid, or varied (another, of its own size, a scene)."
+            help="Field of view: kitti, camvid, or varied (random view and size a scene)."
         ),
     ] = "kitti",
     street: Annotated[
-        str, typer.Option(help="town, residential, avenue, highway, square; empty: drawn.")
+        str, typer.Option(help="town, residential, avenue, highway or square; by default random.")
     ] = "",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first scene.")] = 0,
-    fps: Annotated[float, typer.Option(min=0.1, help="Frames a second of the stream.")] = 10.0,
-    stride: Annotated[int, typer.Option(min=1, help="Keep every n-th frame of it.")] = 1,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
-    overwrite: Annotated[bool, typer.Option(help="Replace scenes that exist.")] = False,
+    fps: Annotated[float, typer.Option(min=0.1, help="Frame rate of the simulated drive.")] = 10.0,
+    stride: Annotated[int, typer.Option(min=1, help="Render every n-th frame of it.")] = 1,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
+    overwrite: Annotated[bool, typer.Option(help="Replace existing scenes.")] = False,
 ) -> None:
-    """Render streets: RGB, depth and classes of every frame."""
+    """Render street scenes: RGB, depth and classes of every frame."""
     with reported_errors("train"):
         from training.scenes.layout.street_plan import STREET_KINDS, StreetKind
         from training.scenes.rendering.camera import CameraName
@@ -124,7 +124,7 @@ def _run(jobs: list, workers: int) -> int:  # type: ignore[type-arg]
 
 
 def _start_pool(workers: int) -> "Pool":
-    """Processes that Ctrl-C, which a terminal sends to all, does not reach: they are terminated."""
+    """Start processes that ignore Ctrl-C; the parent terminates them."""
     from multiprocessing import get_context
 
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # is inherited

@@ -1,4 +1,4 @@
-"""One scene rendered and written: the unit of work that is handed to a process."""
+"""Rendering and writing one scene: the unit of work of a process."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from training.scenes.rendering.render import RenderedFrame, render_frame
 from training.scenes.rendering.weather import VARIANTS, Variant, Weather, draw_weather
 from training.scenes.vkitti_writer import write_variant
 
-#: How long the ego car can drive before the street ends [s].
+#: Time until the ego car reaches the end of the street [s].
 LONGEST_S = 16.0
 
 
 @dataclass(frozen=True)
 class SceneJob:
-    """What to render of one scene.
+    """The parameters of a scene.
 
     seed: of layout, weather, light and noise. step_s: seconds between two frames.
     """
@@ -70,7 +70,7 @@ class Scene:
 
 def open_scene(job: SceneJob, variant: Variant) -> Scene:
     """Build the street of a job, which all of its frames share."""
-    # CamVid's pictures come from Britain, KITTI's from Germany; some of each do the other thing.
+    # CamVid is from Britain, KITTI from Germany; a few scenes of each have the other side.
     left_hand = (job.seed % 10 != 0) if job.camera == "camvid" else (job.seed % 5 == 0)
     sway = np.random.default_rng(np.random.SeedSequence([job.seed, 4])).uniform(0, 1000)
     return Scene(

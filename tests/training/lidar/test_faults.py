@@ -7,7 +7,7 @@ from training.lidar.faults import DROPOUT_SHARE, add_fault, drop_sectors, misali
 from training.lidar.simulate import random_share
 
 
-def test_faults_do_what_they_say_and_leave_the_input_alone():
+def test_faults_are_as_documented_and_do_not_change_the_input():
     rng = np.random.default_rng(3)
     fed = random_share(np.full((48, 160), 20.0, np.float32), 0.5, rng)
     before = fed.copy()
@@ -51,7 +51,7 @@ def test_a_misaligned_scan_moves_as_one_body():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_turn_moves_near_and_far_alike_and_a_shift_the_near_alone(seed):
+def test_a_rotation_moves_near_and_far_alike_and_a_shift_only_the_near(seed):
     def moved_px(depth, **error):
         fed = np.zeros((48, 160), np.float32)
         fed[24, 80] = depth
@@ -75,7 +75,7 @@ def test_without_an_error_nothing_moves():
     np.testing.assert_array_equal(fed, before)
 
 
-def test_of_two_returns_that_fall_together_the_nearer_stays():
+def test_of_two_returns_on_one_pixel_the_nearer_is_kept():
     fed = np.zeros((48, 160), np.float32)
     fed[24, 80:100] = 40.0
     fed[24, 81:100:2] = 4.0  # moves ten times as far

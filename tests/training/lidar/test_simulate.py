@@ -93,7 +93,7 @@ def test_sky_and_what_is_too_far_return_nothing():
     assert not sparse[:, 740:].any()
 
 
-def test_noise_is_along_the_ray_and_of_the_asked_size():
+def test_noise_is_along_the_ray_and_of_the_given_size():
     depth = np.full((375, 1242), 10.0, np.float32)
     quiet = {**EXACT, "range_noise_m": 0.05}
     sparse = scan_lines(depth, KITTI, 64, np.random.default_rng(0), **quiet)

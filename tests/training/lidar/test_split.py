@@ -40,7 +40,7 @@ def scanned(dense):
 
 
 @pytest.mark.parametrize("text", ["own", "none", "64", "32", "16", "4", "1", "random:0.05"])
-def test_texts_are_read_and_said_again(text):
+def test_texts_are_parsed_and_formatted_again(text):
     assert str(LidarInput.parse(text)) == text
 
 

@@ -240,7 +240,7 @@ def test_dense_truth_beside_a_recorded_input_stays_dense_when_enlarged():
     assert np.count_nonzero(enlarged.sparse_depth) == np.count_nonzero(sample.sparse_depth)
 
 
-def test_depth_follows_the_magnification_where_it_is_asked_to():
+def test_depth_follows_the_magnification_if_configured():
     """What is magnified by two looks as from half as far with the same camera."""
     sample = recorded_beside_its_target()
     config = AugmentConfig(crop=(32, 32), scale=(2.0, 2.0))
@@ -271,7 +271,7 @@ def test_result_has_the_crop_size_and_is_reproducible():
         assert not np.array_equal(a.rgb, other.rgb)
 
 
-def test_a_mask_of_the_road_goes_with_the_labels():
+def test_a_road_mask_is_changed_like_the_labels():
     """Mirrored, cut beyond the picture, resized: its pixels stay those of the class under them."""
     sample = plane()
     sample = replace(sample, road_mask=(sample.semantic == 3).astype(np.uint8))
@@ -298,7 +298,7 @@ def test_scale_changes_magnification_within_its_range():
     assert out.intrinsics[0, 0] == pytest.approx(100)
 
 
-def test_colors_stay_when_nothing_is_to_change():
+def test_colors_are_kept_without_changes():
     still = AugmentConfig(
         brightness=0, contrast=0, saturation=0, hue_deg=0, gray=0, blur=0, noise=0
     )
@@ -307,7 +307,7 @@ def test_colors_stay_when_nothing_is_to_change():
     assert np.abs(out.astype(int) - rgb).max() <= 1
 
 
-def test_gray_takes_the_colour_away():
+def test_gray_removes_the_colour():
     gray = AugmentConfig(brightness=0, contrast=0, hue_deg=0, gray=1, blur=0, noise=0)
     out = change_colors(plane().rgb, gray, np.random.default_rng(0)).astype(int)
     assert np.abs(out - out[..., :1]).max() <= 1
@@ -387,7 +387,7 @@ def test_sky_is_far_where_nothing_was_measured():
     assert (depth == 80).sum() == 0
 
 
-def test_a_picture_without_any_depth_teaches_nothing_about_the_sky():
+def test_a_picture_without_any_depth_gets_no_sky_depth():
     """It would teach that all is far where there is no LiDAR."""
     semantic = np.full((2, 2), 4, np.uint8)
     nothing = np.zeros((2, 2), np.float32)

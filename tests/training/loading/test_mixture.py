@@ -98,7 +98,7 @@ def drawn(data, model):
     return {name: set(sample[name].unique().tolist()) for name in ("depth", "sparse_depth")}
 
 
-def test_the_recipe_says_what_the_depth_stands_for():
+def test_the_recipe_sets_the_unit_of_the_depth():
     plain = drawn({}, ModelRecipe("ssdnet-lite"))
     assert plain["depth"] == {0, 20}
     # Far in the target only: no LiDAR measures the sky. Close to another label it stays unknown.
@@ -119,7 +119,7 @@ def test_without_a_word_depth_is_in_metres():
     assert canonical["depth"].max() == 10
 
 
-def test_masks_of_the_road_go_along():
+def test_road_masks_are_batched():
     sample = replace(Street()[0], sparse_depth=np.zeros((40, 40), np.float32))
     assert (as_tensors(sample)["road_mask"] == 255).all()
     mask = np.where(np.arange(40)[:, None] < 20, 0, 1) * np.ones((40, 40), np.uint8)

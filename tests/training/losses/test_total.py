@@ -141,7 +141,7 @@ def test_literal_forms_of_the_paper():
     assert terms["semantic_boundary"].item() == pytest.approx(expected.item(), rel=1e-5)
 
 
-def test_beta_is_counted_over_what_the_configuration_says():
+def test_beta_is_counted_over_the_configured_scope():
     parts = leaves()
     semantic, depth = targets()
     semantic[1, :, 3:] = 0  # few boundaries here, many in the other image

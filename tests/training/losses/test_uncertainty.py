@@ -34,7 +34,7 @@ def test_the_best_scale_of_an_error_is_its_size():
     assert scales[losses.index(min(losses))].item() == pytest.approx(3.0, abs=0.051)
 
 
-def test_its_gradient_goes_to_the_scale_alone_and_not_to_what_is_unknown():
+def test_its_gradient_goes_only_to_the_scale_of_known_pixels():
     scale = maps(0.02).requires_grad_()
     prediction = maps(0.3).requires_grad_()
     target, known = maps(0.2), torch.zeros(1, 1, 4, 6, dtype=torch.bool)
@@ -45,7 +45,7 @@ def test_its_gradient_goes_to_the_scale_alone_and_not_to_what_is_unknown():
     assert not scale.grad[~known].any()
 
 
-def test_the_whole_loss_has_it_where_the_network_says_how_sure_it_is():
+def test_the_whole_loss_has_it_for_networks_with_uncertainty():
     config = LossConfig(depth_weight=0.0, depth_uncertainty_weight=0.5)
     criterion = SSDNetLoss(config, max_depth_m=RANGE_M)
     semantic = torch.full((1, 4, 6), 255)

@@ -1,1 +1,1 @@
-"""Where things stand: the street, its traffic, houses, furniture and markings."""
+"""Layout of a scene: the street, its traffic, houses, furniture and markings."""

@@ -1,4 +1,4 @@
-"""The line a street follows, and the map from street coordinates to the world."""
+"""The centre line of a street, and the map from street coordinates to the world."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What lines a street: buildings, gardens, trees and the horizon."""
+"""Buildings, gardens and trees along a street, and its horizon."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ from training.scenes.things.mesh import Mesh
 
 @dataclass(frozen=True)
 class TreeStock:
-    """The trees a street is planted with: detailed ones near its start, coarse ones far off."""
+    """The trees of a street: detailed near its start, coarse in the distance."""
 
     near: tuple[Mesh, ...]
     far: tuple[Mesh, ...]

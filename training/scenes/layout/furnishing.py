@@ -1,4 +1,4 @@
-"""What stands at the kerb: lamps, signs, lights, clutter and parked cars."""
+"""Objects at the kerb: lamps, signs, lights, clutter and parked cars."""
 
 import numpy as np
 from numpy.random import Generator

@@ -1,4 +1,4 @@
-"""Where the paint of a road lies: lines, stop lines, crossings, arrows."""
+"""The layout of road paint: lines, stop lines, crossings, arrows."""
 
 from numpy.random import Generator
 

@@ -1,4 +1,4 @@
-"""Putting a thing down at a place of the street."""
+"""Placing a mesh in a street."""
 
 import numpy as np
 
@@ -12,5 +12,5 @@ def place(line: Centreline, mesh: Mesh, s: float, d: float, up: float, turned: f
 
 
 def facing(sign: float) -> float:
-    """Turn that makes a thing with its front on +y face the road from side `sign`."""
+    """Return the rotation by which the +y side of a mesh faces the road from side `sign`."""
     return np.pi if sign > 0 else 0.0

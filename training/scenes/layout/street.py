@@ -1,4 +1,4 @@
-"""A street: what stands, what moves, what is painted, and how the ego car drives."""
+"""A street: static meshes, moving actors, road paint, and the path of the ego car."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ from training.scenes.things.mesh import Mesh, join
 
 @dataclass(frozen=True)
 class Street:
-    """A street at time 0: what stands, what moves, what is painted, and how the ego car drives."""
+    """A street at time 0: static meshes, moving actors, road paint, and the ego car's path."""
 
     kind: StreetKind
     line: Centreline
@@ -40,7 +40,7 @@ def build_street(
 ) -> Street:
     """Lay out a street; the same seed gives the same street.
 
-    kind and left_hand are drawn from the seed unless given.
+    kind and left_hand are random by the seed unless given.
     """
     rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
     drawn: StreetKind = STREET_KINDS[rng.choice(5, p=[0.36, 0.22, 0.18, 0.1, 0.14])]

@@ -24,7 +24,7 @@ END_M = 330.0
 class Plan:
     """Cross-section of the street; everything in metres from the centre line.
 
-    side: +1 traffic keeps right, -1 keeps left. Own lanes lie at -side * d.
+    side: +1 traffic keeps right, -1 keeps left. Own lanes are at -side * d.
     """
 
     kind: StreetKind

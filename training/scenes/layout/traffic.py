@@ -1,4 +1,4 @@
-"""What moves: vehicles, cyclists and pedestrians."""
+"""Moving actors: vehicles, cyclists and pedestrians."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from training.scenes.things.mesh import Mesh
 
 @dataclass(frozen=True)
 class Actor:
-    """Something that moves along the street: its mesh at a phase, and where it is when.
+    """A moving object: its mesh by the phase of its motion, and its position by time.
 
     s, d: street coordinates [m] at time 0. speed: m/s along s. across: m/s along d. turned: heading
     relative to the street [rad]. cycle: seconds of one step or pedal turn, 0 for rigid things.

@@ -1,4 +1,4 @@
-"""Pinhole cameras of driving recordings, and where they are."""
+"""Pinhole cameras of driving recordings."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -42,8 +42,8 @@ class Camera:
 def make_camera(name: CameraName, size: tuple[int, int], seed: int = 0) -> Camera:
     """A camera with the field of view of KITTI's or CamVid's, at any (height, width).
 
-    "varied" is another camera for every seed: view 45 to 105 degrees wide, 1.2 to 2.2 m above the
-    road, tilted by up to 4 degrees, its size not the one asked for, but one of `_SIZES`.
+    "varied" is a random camera for every seed: field of view 45 to 105 degrees, 1.2 to 2.2 m above
+    the road, tilted by up to 4 degrees, its size one of `_SIZES` whatever `size` is.
     """
     if name == "varied":
         return _draw_camera(np.random.default_rng(np.random.SeedSequence([seed, 5])))

@@ -1,4 +1,4 @@
-"""What a spinning LiDAR beside the camera returns: own viewpoint, glass, dark and far surfaces."""
+"""Simulation of a spinning LiDAR beside the camera: parallax, glass, dark and far surfaces."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ _LIDAR_TO_CAMERA = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]
 _AZIMUTH_STEP_DEG = 0.17  # an HDL-64E at 10 Hz
 _RANGE_NOISE_M = 0.02
 _LONGEST_RANGE_M = 120.0
-_MOST_SURFACES = 4  # both panes of a car, and what stands behind it
+_MOST_SURFACES = 4  # both panes of a car, and the surface behind it
 #: Kind -> gloss from which its surface is a pane of glass (see the textures of these kinds).
 _PANES = {
     SurfaceKind.CAR_GLASS: 0.0,
@@ -29,15 +29,15 @@ _PANES = {
     SurfaceKind.BUS_SIDE: 0.065,
     SurfaceKind.FACADE: 0.03,
 }
-#: Of the pulses that meet a vehicle's pane: so many go on behind it, so many are lost.
+#: Shares of the pulses on a vehicle's pane that pass through it, and that are lost.
 _PANE_PASSES, _PANE_LOSES = 0.6, 0.3
-#: Of the pulses that meet a window of a house so many are lost; most others return from the room.
+#: Share of the pulses on a window of a house that are lost; most others return from the room.
 _WINDOW_LOSES, _WINDOW_ROOM, _ROOM_M = 0.5, 0.4, 3.0
 
 
 @dataclass(frozen=True)
 class LidarMount:
-    """Where the LiDAR sits: ``to_camera`` float64 (4, 4) maps its frame [m] to the camera's."""
+    """The pose of the LiDAR: ``to_camera`` float64 (4, 4) maps its frame [m] to the camera's."""
 
     to_camera: NDArray[np.float64]
     elevations_deg: NDArray[np.float64]
@@ -45,16 +45,19 @@ class LidarMount:
 
 @dataclass(frozen=True)
 class LidarScan:
-    """One turn of the LiDAR. points: float32 (N, 4), x, y, z [m] in its own frame, reflectance
-    0..1; in KITTI's order, ring after ring from the top, each counter-clockwise from straight
-    ahead. to_camera: float64 (4, 4), from that frame to the camera's."""
+    """One turn of the LiDAR.
+
+    points: float32 (N, 4), x, y, z [m] in its own frame, reflectance 0..1; in KITTI's order, ring
+    after ring from the top, each counter-clockwise from straight ahead. to_camera: float64 (4, 4),
+    from that frame to the camera's.
+    """
 
     points: NDArray[np.float32]
     to_camera: NDArray[np.float64]
 
 
 def draw_mount(camera: Camera, rng: Generator) -> LidarMount:
-    """An HDL-64E on the roof, near where KITTI has it: behind and above the camera, level."""
+    """Return an HDL-64E on the roof, about as in KITTI: behind and above the camera, level."""
     tilt = np.deg2rad(rng.normal(0.0, 0.4, 3) - [camera.pitch_deg, 0.0, 0.0])
     to_camera = np.eye(4)
     to_camera[:3, :3] = _rotation(*tilt) @ _LIDAR_TO_CAMERA
@@ -73,11 +76,11 @@ def scan_street(
     stripes: tuple[Stripe, ...],
     rng: Generator,
 ) -> LidarScan:
-    """Returns of one turn that fall into the picture.
+    """Return the returns of one turn that are visible in the image.
 
     mesh: around the camera at the origin, in world axes, as is `caster`'s.
-    rotation: (3, 3), camera to world. A pulse goes through a vehicle's pane, or is lost at it, more
-    often than it comes back; dark, slanted and far surfaces lose pulses, too.
+    rotation: (3, 3), camera to world. A pulse passes through a vehicle's pane, or is lost at
+    it, more often than it returns; dark, slanted and far surfaces lose pulses, too.
     """
     step = np.deg2rad(_AZIMUTH_STEP_DEG)
     wide = np.arctan2(camera.size[1] * 0.75, camera.fx)
@@ -108,7 +111,7 @@ def _ranges(
     stripes: tuple[Stripe, ...],
     rng: Generator,
 ) -> tuple[Floats, Floats]:
-    """Range [m] (n,), NaN where nothing comes back, and reflectance 0..1 of each pulse."""
+    """Range [m] (n,), NaN without a return, and reflectance 0..1 of each pulse."""
     count = len(directions)
     distance = np.full(count, np.nan, dtype=np.float32)
     reflectance = np.zeros(count, dtype=np.float32)

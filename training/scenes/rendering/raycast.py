@@ -1,4 +1,4 @@
-"""Embree behind two questions: what does a ray hit first, and is anything in its way."""
+"""Ray casting with Embree: first hits and occlusion."""
 
 from dataclasses import dataclass
 
@@ -12,8 +12,11 @@ from training.scenes.arrays import Floats
 
 @dataclass(frozen=True)
 class Hits:
-    """First hits: distance (n,) in multiples of the direction, face (n,) int32 (-1 = none),
-    u and v (n,): barycentric weights of the second and third corner."""
+    """First hits of rays.
+
+    distance: (n,), in multiples of the direction. face: int32 (n,), -1 = none. u, v: (n,),
+    barycentric weights of the second and third corner.
+    """
 
     distance: Floats
     face: NDArray[np.int32]
@@ -29,14 +32,14 @@ class RayCaster:
         self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(positions, dtype=np.float32))
 
     def first_hit(self, origins: Floats, directions: Floats) -> Hits:
-        """What rays (n, 3) hit first."""
+        """Return the first hits of rays (n, 3)."""
         found = self._scene.run(
             np.ascontiguousarray(origins), np.ascontiguousarray(directions), output=True
         )
         return Hits(found["tfar"], found["primID"], found["u"], found["v"])
 
     def blocked(self, origins: Floats, directions: Floats, reach: float = 1e4) -> NDArray[np.bool_]:
-        """Whether anything lies on each ray within reach."""
+        """Return whether each ray is blocked within reach."""
         if not len(origins):
             return np.zeros(0, dtype=bool)
         limit = np.full(len(origins), reach, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""One frame of a street: picture, depth and classes of the same rays."""
+"""One frame of a street: RGB, depth and classes of the same rays."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -26,9 +26,12 @@ _JITTER = ((-0.3, -0.3), (0.3, -0.1), (-0.1, 0.3))
 
 @dataclass(frozen=True)
 class RenderedFrame:
-    """rgb (H, W, 3) uint8; depth (H, W) float32 m along the optical axis, 0 = sky; label (H, W)
-    uint8 of `SceneClass`; world_to_camera (4, 4); intrinsics (3, 3). scan: what the LiDAR
-    returned; None without one."""
+    """A rendered frame.
+
+    rgb: uint8 (H, W, 3). depth: float32 (H, W), metres along the optical axis, 0 = sky. label:
+    uint8 (H, W) of `SceneClass`. world_to_camera: (4, 4). intrinsics: (3, 3). scan: None without a
+    LiDAR.
+    """
 
     rgb: NDArray[np.uint8]
     depth: Floats
@@ -69,13 +72,13 @@ def render_frame(
 ) -> RenderedFrame:
     """Render the street at a time in seconds, as the ego car's camera sees it.
 
-    mount: of its LiDAR; None = it has none. The picture is the same either way.
+    mount: of its LiDAR; None = no LiDAR. RGB, depth and classes do not depend on it.
     """
     lidar_rng = rng.spawn(1)[0]
     rotation, position = camera_pose(street, camera, time, sway=sway)
     ego_s = street.ego_speed * time
     present = [a for a in street.actors if -25 < a.s + a.speed * time - ego_s < 220]
-    # Rays start at the origin: float32 then keeps the digits where the picture needs them.
+    # Rays start at the origin, where float32 is most precise.
     mesh = join(
         [
             _ahead(street.standing, position, rotation[:, 2]).moved(offset=-position),
@@ -132,7 +135,7 @@ def render_frame(
 
 
 def _ahead(mesh: Mesh, position: Floats, forward: Floats) -> Mesh:
-    """Drop what lies well behind the camera; a margin keeps its shadows."""
+    """Drop triangles far behind the camera; a margin keeps shadows."""
     reach = (mesh.positions - position.astype(np.float32)) @ forward.astype(np.float32)
     return mesh.where(reach.max(axis=1) > -_SHADOW_MARGIN_M)
 

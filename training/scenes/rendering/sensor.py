@@ -1,4 +1,4 @@
-"""From radiance to the picture a car camera records."""
+"""From radiance to the image of a car camera."""
 
 import cv2
 import numpy as np

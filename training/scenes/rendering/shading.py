@@ -25,7 +25,7 @@ def _interpolate(corners: Floats, hits: Hits) -> Floats:
 
 
 def points_of_hits(mesh: Mesh, hits: Hits, view: Floats, footprint: Floats) -> Points:
-    """Where rays along unit vectors ``view`` (n, 3) met the mesh; every one must have met it.
+    """Surface points of rays along unit vectors ``view`` (n, 3), all of which hit the mesh.
 
     footprint: (n,) m that a ray covers there.
     """
@@ -45,7 +45,7 @@ def points_of_hits(mesh: Mesh, hits: Hits, view: Floats, footprint: Floats) -> P
 
 
 def _facing(mesh: Mesh, face: NDArray[np.int32], view: Floats) -> Floats:
-    """Normals (n, 3) of faces, turned towards whoever looks along ``view``."""
+    """Normals (n, 3) of faces, turned against the direction ``view``."""
     flat = _face_normal(mesh.positions[face])
     toward = (flat * view).sum(1, keepdims=True)
     return np.asarray(flat * np.where(toward > 0, np.float32(-1), np.float32(1)))
@@ -143,7 +143,7 @@ def shade(
 def _surroundings(
     weather: Weather, mirror: Floats, caster: RayCaster, start: Floats, ground: NDArray[np.bool_]
 ) -> Floats:
-    """What a mirror sees: sky, a dark line of houses where something is in the way, the street."""
+    """Radiance in a mirror: sky, dark houses where the ray is blocked, or street."""
     sky = sky_color(weather, mirror, detail=False)
     dim = 0.16 * np.asarray(weather.horizon, np.float32)
     below = np.clip(0.5 - mirror[:, 2:] * 8, 0, 1)

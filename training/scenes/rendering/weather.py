@@ -33,7 +33,7 @@ class Weather:
 
 
 def draw_weather(variant: Variant, seed: int) -> Weather:
-    """The light of a variant; the seed varies where the sun stands, clouds and exposure."""
+    """Return the light of a variant; the seed varies sun position, clouds and exposure."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, 2, VARIANTS.index(variant)]))
     azimuth = float(rng.uniform(0, 2 * np.pi))
     low, high = {"clone": (30, 60), "morning": (12, 28), "sunset": (6, 15)}.get(variant, (40, 50))
@@ -80,7 +80,7 @@ def sky_color(weather: Weather, direction: Floats, *, detail: bool = True) -> Fl
     color = color + shine[:, None] * np.asarray(weather.sun, np.float32)
     if not detail:
         return np.asarray(color)
-    # Clouds lie on a plane overhead, so they crowd together towards the horizon.
+    # Clouds are on a plane overhead, so they are denser towards the horizon.
     plane = direction[:, :2] / (up + 0.09)[:, None]
     seed = np.float32(weather.cloud_seed)
     density = fractal_noise(plane[:, 0] + seed, plane[:, 1], wavelength=1.9, octaves=5)

@@ -43,7 +43,7 @@ def fractal_noise(
     """Sum of octaves of `value_noise`, about -1..1.
 
     wavelength: metres of the coarsest octave. footprint: metres a pixel covers; octaves finer
-    than it fade out, which is what keeps distant textures from sparkling.
+    than it fade out, against aliasing of distant textures.
     """
     total = np.zeros(u.shape, dtype=np.float32)
     amplitude, size = 0.55, wavelength

@@ -11,7 +11,7 @@ from training.scenes.arrays import Floats
 class Stripe:
     """One painted rectangle in street coordinates, possibly broken into dashes.
 
-    along: "s" runs with the street, "d" across it. centre: where it lies on the other axis [m].
+    along: "s" runs with the street, "d" across it. centre: its position on the other axis [m].
     """
 
     along: str
@@ -45,7 +45,7 @@ def paint_cover(
 
 
 def band(x: Floats, half_width: float | Floats, footprint: Floats) -> Floats:
-    """How much of a pixel of the given footprint at x lies within -half_width..half_width."""
+    """Share of a pixel of the given footprint at x that is within -half_width..half_width."""
     width = np.maximum(footprint, 1e-3)
     high = np.minimum(x + width / 2, half_width)
     low = np.maximum(x - width / 2, -half_width)

@@ -1,4 +1,4 @@
-"""Points to texture, and what a texture says about them."""
+"""Surface points, and the material that a texture gives them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,8 +39,11 @@ class Points:
 
 @dataclass(frozen=True)
 class Surface:
-    """What the shader needs: albedo (n, 3) linear, gloss (n,) mirror share at normal incidence,
-    glow (n, 3) light of its own."""
+    """A material for the shader.
+
+    albedo: (n, 3), linear. gloss: (n,), mirror share at normal incidence. glow: (n, 3), emitted
+    light.
+    """
 
     albedo: Floats
     gloss: Floats

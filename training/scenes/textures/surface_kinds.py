@@ -1,4 +1,4 @@
-"""The kinds of surface the shader tells apart."""
+"""The kinds of surface of the shader."""
 
 from enum import IntEnum
 

@@ -1,4 +1,4 @@
-"""What stands along a street: lamps, signs, lights, fences, bollards, bins, shelters."""
+"""Street furniture: lamps, signs, lights, fences, bollards, bins, shelters."""
 
 from itertools import pairwise
 

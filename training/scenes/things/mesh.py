@@ -1,4 +1,4 @@
-"""Triangle soup with everything a ray hit needs for shading, and the few shapes made of it."""
+"""Triangle meshes with the attributes for shading, and basic shapes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -22,7 +22,7 @@ Color = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Look:
-    """What a surface is: its kind, base colour (linear RGB 0..1), class and shader parameters."""
+    """A material: its kind, base colour (linear RGB 0..1), class and shader parameters."""
 
     kind: SurfaceKind
     color: Color

@@ -20,7 +20,7 @@ _LEAVES = (
 
 
 def _leaf_cloud(blobs: Floats, look: Look, count: int, size: float, rng: Generator) -> Mesh:
-    """Leaf cards spread over blobs given as rows of (x, y, z, rx, ry, rz).
+    """Leaf cards distributed over blobs given as rows of (x, y, z, rx, ry, rz).
 
     Normals point away from the blob's centre, which shades a crown as one soft volume; leaves
     low and deep inside are darker.

@@ -47,7 +47,7 @@ def in_camera(scan: LidarScan) -> np.ndarray:
     return scan.points[:, :3] @ scan.to_camera[:3, :3].T + scan.to_camera[:3, 3]
 
 
-def test_returns_lie_on_the_wall_seen_from_the_lidars_own_place():
+def test_returns_are_on_the_wall_seen_from_the_lidars_position():
     frame = rendered(wall(20.0))
     assert frame.scan is not None
     seen = in_camera(frame.scan)
