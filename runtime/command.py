@@ -13,6 +13,11 @@ from runtime.errors import SSDNetError
 ERROR, INTERRUPTED = 1, 130  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
+#: Control characters, which a terminal obeys, and how they are printed.
+_CONTROLS = {
+    code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"
+}
+
 
 class Provider(StrEnum):
     """Choices of --provider."""
@@ -122,9 +127,8 @@ def print_result(text: str, *, elsewhere: str = "") -> bool:
     Returns:
         Whether the text was printed.
     """
-    text = text.encode(errors="backslashreplace").decode()
     try:
-        sys.stdout.write(text + "\n")
+        sys.stdout.write(_plain(text) + "\n")
         sys.stdout.flush()
     except OSError as error:
         # What is still buffered must not fail at exit.
@@ -137,7 +141,12 @@ def print_result(text: str, *, elsewhere: str = "") -> bool:
     return True
 
 
+def _plain(text: str) -> str:
+    """Text from files and names as valid Unicode without control characters."""
+    return text.encode(errors="backslashreplace").decode().translate(_CONTROLS)
+
+
 def _end(text: str, error: Exception) -> None:
     with contextlib.suppress(OSError):  # stderr may be closed
-        sys.stderr.write(text + "\n")
+        sys.stderr.write(_plain(text) + "\n")
     raise SystemExit(ERROR) from error

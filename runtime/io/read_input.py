@@ -4,16 +4,41 @@ Reading a pipe, a device or a file of the kernel can block forever or never end,
 name leads there: every reader of the project opens its files here.
 """
 
+import contextlib
 import os
 import stat
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from runtime.errors import InputError
 
 MAX_FILE_BYTES = 256_000_000  # of an image or a scan
 MAX_TEXT_BYTES = 32_000_000  # of a calibration, time stamps, a table or a recipe
+
+
+@contextlib.contextmanager
+def open_input(path: Path, *, max_bytes: int) -> Iterator[BinaryIO]:
+    """Open a regular file of bounded size.
+
+    Args:
+        path: the file; links are followed.
+        max_bytes: its largest size.
+
+    Yields:
+        The file, to be read.
+
+    Raises:
+        InputError: if it cannot be opened, is no regular file or is larger.
+    """
+    try:
+        file = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 - closed below
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot read {_shown(path)} ({_reason(error)})") from error
+    with file:
+        _require_regular(path, os.fstat(file.fileno()), max_bytes)
+        yield file
 
 
 def read_input(path: Path, *, max_bytes: int | None = None) -> bytes:
@@ -29,14 +54,11 @@ def read_input(path: Path, *, max_bytes: int | None = None) -> bytes:
     Raises:
         InputError: if it cannot be read, is no regular file or is larger.
     """
-    max_bytes = MAX_FILE_BYTES if max_bytes is None else max_bytes
-    try:
-        with open(path, "rb", opener=_open_at_once) as file:
-            status = os.fstat(file.fileno())
-            _require_regular(path, status, max_bytes)
-            return file.read(status.st_size)  # a file of the kernel has the size 0
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot read {_shown(path)} ({_reason(error)})") from error
+    with open_input(path, max_bytes=MAX_FILE_BYTES if max_bytes is None else max_bytes) as file:
+        try:  # a file of the kernel has the size 0
+            return file.read(os.fstat(file.fileno()).st_size)
+        except OSError as error:
+            raise InputError(f"cannot read {_shown(path)} ({_reason(error)})") from error
 
 
 def read_text(path: Path) -> str:

@@ -17,7 +17,7 @@ import json
 import math
 import os
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from runtime.errors import InputError, OutputError
 from runtime.heads import HEADS
 from runtime.io.agreement import limit
 from runtime.io.atomic_write import atomic_folder
+from runtime.io.read_input import open_input, read_text
 from runtime.model_file import load_model_file
 from runtime.network_size import NetworkSize
 
@@ -36,10 +37,9 @@ RECORDING_FORMAT, RECORDING_VERSION = "ssdnet-recording", "1.0"
 RECORDING_FILE, MODEL_FILE = "recording.json", "model.onnx"
 _FRAMES = "frames"
 
-MAX_FRAME_BYTES = 2**32  # of its arrays, unpacked: of the largest cameras with all heads
+MAX_FRAME_BYTES = 2**32  # of the largest cameras with all heads
 
 _INPUTS = ("rgb", "sparse_depth")
-_MAX_DOCUMENT_BYTES = 2**28
 
 
 @dataclass(frozen=True)
@@ -106,21 +106,21 @@ class Recording:
         path = _frame_path(self.folder, index)
         names = {*_INPUTS, *(self.limits if self.frames[index].valid else ())}
         try:
-            with zipfile.ZipFile(path) as packed:
-                if (size := sum(entry.file_size for entry in packed.infolist())) > MAX_FRAME_BYTES:
-                    raise ValueError(f"{size:,} bytes in a frame, at most {MAX_FRAME_BYTES:,}")
-            with np.load(path, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
-        except (OSError, ValueError, EOFError, MemoryError, zipfile.BadZipFile) as error:
+            with open_input(path, max_bytes=MAX_FRAME_BYTES) as file:
+                with zipfile.ZipFile(file) as members:
+                    _check_members(members.infolist(), names)
+                file.seek(0)
+                with np.load(file, allow_pickle=False) as archive:
+                    arrays = {name: archive[name] for name in names}
+            if no_arrays := [name for name in names if not isinstance(arrays[name], np.ndarray)]:
+                raise ValueError(f"{no_arrays[0]} is no array")
+            return arrays
+        except InputError:
+            raise
+        except Exception as error:  # zipfile and numpy raise anything
             raise InputError(
-                f"cannot read {path} ({error}): the recording is damaged, get it again"
+                f"cannot read {path} ({str(error)[:200]}): the recording is damaged, get it again"
             ) from error
-        if arrays.keys() != names:
-            raise InputError(
-                f"{path} holds {sorted(arrays)}, expected {sorted(names)}: the recording is "
-                "damaged, get it again"
-            )
-        return arrays
 
 
 class Recorder:
@@ -233,13 +233,10 @@ def read_recording(folder: Path) -> Recording:
     """
     path = folder / RECORDING_FILE
     try:
-        if path.stat().st_size > _MAX_DOCUMENT_BYTES:
-            raise InputError(f"{path} is too large to be a recording's: get it again")
-        document = json.loads(path.read_bytes())
-    except OSError as error:
+        document = json.loads(read_text(path))
+    except InputError as error:
         raise InputError(
-            f"cannot read {path} ({error.strerror}): give a folder made by ssdnet-run --record or "
-            "ssdnet-export --record"
+            f"{error}: give a folder made by ssdnet-run --record or ssdnet-export --record"
         ) from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not JSON ({error}): get the recording again") from error
@@ -250,6 +247,17 @@ def read_recording(folder: Path) -> Recording:
             f"{path} is not the document of a recording ({type(error).__name__}: {error}): it was "
             "changed, or is of another version; record again"
         ) from error
+
+
+def _check_members(members: Sequence[zipfile.ZipInfo], names: Collection[str]) -> None:
+    """Raise ValueError unless these are the arrays, as `Recorder` writes them: not compressed."""
+    found = sorted(member.filename for member in members)
+    if found != sorted(f"{name}.npy" for name in names):
+        raise ValueError(f"it holds {found!r:.200}, expected {sorted(names)}")
+    if any(member.compress_type != zipfile.ZIP_STORED for member in members):
+        raise ValueError("its arrays are compressed")
+    if (size := sum(member.file_size for member in members)) > MAX_FRAME_BYTES:
+        raise ValueError(f"{size:,} bytes in a frame, at most {MAX_FRAME_BYTES:,}")
 
 
 def _parse(folder: Path, document: Any) -> Recording:

@@ -1,5 +1,6 @@
 """Predict the frames of a recording again, and compare the answers with the recorded ones."""
 
+import math
 import statistics
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
@@ -16,6 +17,10 @@ from runtime.prediction import Prediction
 from runtime.predictor import Predictor
 
 VERIFY_FORMAT, VERIFY_VERSION = "ssdnet-verify", "1.0"
+
+# The network may run at so many times the frame's pixels, and at so many pixels in any case.
+_MAX_MAGNIFICATION = 16
+_ANY_SIZE_PIXELS = 4_000_000
 
 
 @dataclass(frozen=True)
@@ -182,6 +187,7 @@ def _check_frame(
 ) -> FrameCheck:
     """Predict a frame again. warm: shapes of pictures that were predicted before."""
     rgb, sparse_depth = arrays.pop("rgb"), arrays.pop("sparse_depth")
+    _check_size(predictor, rgb.shape[:2])
     try:
         if rgb.shape not in warm:
             predictor.predict(rgb, sparse_depth)
@@ -208,6 +214,17 @@ def _check_frame(
         head for head in limits if head in figures and not within(head, figures[head], limits[head])
     )
     return FrameCheck(frame, figures, failed, tuple(faults), prediction.latency.total_ms)
+
+
+def _check_size(predictor: Predictor, frame_size: tuple[int, ...]) -> None:
+    """Raise InputError for a network size far beyond the frame's, which takes gigabytes."""
+    if len(frame_size) == 2 and min(frame_size) > 0:
+        pixels = math.prod(predictor.network_size((frame_size[0], frame_size[1])))
+        if pixels > max(_MAX_MAGNIFICATION * math.prod(frame_size), _ANY_SIZE_PIXELS):
+            raise InputError(
+                f"the recording has the network size {predictor.size} for a frame of "
+                f"{frame_size[0]} x {frame_size[1]}: it was changed, record again"
+            )
 
 
 def _other_flags(prediction: Prediction, frame: RecordedFrame) -> list[str]:

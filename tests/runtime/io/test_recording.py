@@ -2,7 +2,10 @@
 
 import io
 import json
+import os
 import pickle
+import subprocess
+import sys
 import zipfile
 from pathlib import Path
 
@@ -127,16 +130,127 @@ def test_damaged_arrays_are_refused(recording):
             read.arrays(0)
 
 
-def test_a_small_file_that_unpacks_to_gigabytes_is_refused(recording, make_frame, monkeypatch):
+def test_a_frame_may_have_so_many_bytes(recording, monkeypatch):
+    size = (recording / "frames" / "000000.npz").stat().st_size
+    monkeypatch.setattr("runtime.io.recording.MAX_FRAME_BYTES", size)
+    read_recording(recording).arrays(0)
+    monkeypatch.setattr("runtime.io.recording.MAX_FRAME_BYTES", size - 1)
+    with pytest.raises(InputError, match=rf"has {size:,} bytes, expected at most {size - 1:,}"):
+        read_recording(recording).arrays(0)
+
+
+def pack(path, compression=zipfile.ZIP_STORED, **contents):
+    """Write members as they are: (name without .npy) -> bytes or an array."""
+    with zipfile.ZipFile(path, "w", compression) as packed:
+        for name, content in contents.items():
+            if isinstance(content, np.ndarray):
+                stream = io.BytesIO()
+                np.save(stream, content)
+                content = stream.getvalue()
+            packed.writestr(f"{name}.npy", content)
+
+
+@pytest.mark.parametrize("method", ["ZIP_DEFLATED", "ZIP_BZIP2", "ZIP_LZMA"])
+def test_a_frame_that_is_compressed_is_refused(recording, make_frame, monkeypatch, method):
+    """A small file could unpack to gigabytes; recordings are never compressed."""
     rgb, depth = make_frame()
-    bomb = recording / "frames" / "000000.npz"
-    np.savez_compressed(bomb, rgb=rgb, sparse_depth=depth, depth=np.zeros(2**20, np.uint8))
-    assert bomb.stat().st_size < 2**16
+    path = recording / "frames" / "000000.npz"
+    bomb = np.zeros(2**20, np.uint8)
+    pack(path, getattr(zipfile, method), rgb=rgb, sparse_depth=depth, depth=bomb)
     read = read_recording(recording)
-    monkeypatch.setattr("runtime.io.recording.MAX_FRAME_BYTES", 2**20)
     monkeypatch.setattr(np, "load", None)  # not even opened
-    with pytest.raises(InputError, match="bytes in a frame, at most 1,048,576"):
+    with pytest.raises(InputError, match="its arrays are compressed"):
         read.arrays(0)
+
+
+def encrypted(content):
+    """Set the flag of an encrypted member in every header."""
+    changed = bytearray(content)
+    for mark, at in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        place = -1
+        while (place := content.find(mark, place + 1)) >= 0:
+            changed[place + at] |= 1
+    return bytes(changed)
+
+
+def header(text):
+    """An array of 16 bytes with this header."""
+    text = text.ljust(117).encode() + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + bytes(16)
+
+
+TAMPERED = {
+    "bytes": b"no array",
+    "nothing": b"",
+    "no header": b"\x93NUMPY\x01\x00\xff\xff",
+    "tokens": header("{'descr': '<f4', 'fortran_order': False, 'shape': (4,"),
+    "indents": header("  {\n 'descr'\n    : '<f4'\n  }"),
+    "nested": header("(" * 110),
+    "dtype": header("{'descr': 'Q' * 3, 'fortran_order': False, 'shape': (4,)}"),
+    "shape": header("{'descr': '<f4', 'fortran_order': False, 'shape': (-4,)}"),
+    "huge": header("{'descr': '<f4', 'fortran_order': False, 'shape': (9999999, 9999999)}"),
+    "objects": header("{'descr': '|O', 'fortran_order': False, 'shape': (4,)}"),
+}
+
+
+@pytest.mark.parametrize("content", TAMPERED.values(), ids=TAMPERED)
+def test_a_member_that_is_tampered_with_is_an_input_error(recording, make_frame, content):
+    rgb, depth = make_frame()
+    path = recording / "frames" / "000000.npz"
+    pack(path, rgb=rgb, sparse_depth=depth, depth=content)
+    with pytest.raises(InputError, match=r"000000\.npz .*the recording is damaged, get it again"):
+        read_recording(recording).arrays(0)
+
+
+def test_an_encrypted_frame_and_a_doubled_member_are_input_errors(recording, make_frame):
+    path = recording / "frames" / "000000.npz"
+    read = read_recording(recording)
+    path.write_bytes(encrypted(path.read_bytes()))
+    with pytest.raises(InputError, match="the recording is damaged"):
+        read.arrays(0)
+    rgb, depth = make_frame()
+    pack(path, rgb=rgb, sparse_depth=depth, depth=depth)
+    with zipfile.ZipFile(path, "a") as packed, pytest.warns(UserWarning, match="Duplicate"):
+        packed.writestr("depth.npy", b"")
+    with pytest.raises(InputError, match="it holds"):
+        read.arrays(0)
+
+
+def test_a_frame_that_is_tampered_with_anywhere_is_arrays_or_an_input_error(recording):
+    path = recording / "frames" / "000000.npz"
+    whole = np.frombuffer(path.read_bytes(), np.uint8)
+    read, random = read_recording(recording), np.random.default_rng(0)
+    heads = [np.flatnonzero(whole == ord("P")), np.flatnonzero(whole == 0x93)]
+    places = np.unique(np.concatenate(heads)[:, None] + np.arange(80)).clip(max=len(whole) - 1)
+    refused = 0
+    for _ in range(300):  # in the headers of the archive and of its arrays
+        changed = whole.copy()
+        changed[random.choice(places, 3)] = random.integers(256, size=3)
+        path.write_bytes(changed.tobytes())
+        try:
+            read.arrays(0)
+        except InputError:
+            refused += 1
+    assert refused > 100
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs RLIMIT_AS")
+@pytest.mark.parametrize("name", ["recording.json", "frames/000000.npz"])
+def test_special_files_are_neither_waited_for_nor_read_without_end(recording, name):
+    program = (
+        "import resource, sys; from pathlib import Path\n"
+        "from runtime import InputError; from runtime.io.recording import read_recording\n"
+        "used = int(Path('/proc/self/statm').read_text().split()[0]) * resource.getpagesize()\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (used + 300_000_000,) * 2)\n"
+        "try: read_recording(Path(sys.argv[1])).arrays(0)\n"
+        "except InputError as error: print(error)\n"
+    )
+    for make in (os.mkfifo, lambda path: path.symlink_to("/dev/zero")):
+        (recording / name).unlink()
+        make(recording / name)
+        command = [sys.executable, "-c", program, str(recording)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        assert "not a regular file" in done.stdout, done.stderr
 
 
 def test_a_header_that_asks_for_more_than_there_is_is_refused(recording):

@@ -238,3 +238,37 @@ def test_a_recording_without_frames_does_not_pass(tmp_path, stream, model_file):
     assert result.exit_code == 4
     assert "holds no frames" in result.output.splitlines()[-1]
     assert not json.loads(verify(tmp_path / "recording", "--json").output)["passed"]
+
+
+def edit(recording, change):
+    path = recording / "recording.json"
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+
+
+def test_terminal_escapes_in_a_recording_are_not_printed(recording):
+    escape = "\x1b]0;title\x07\x1b[2J\x9b31m\r"
+
+    def change(document):
+        document["settings"]["made_by"] = document["settings"]["provider"] = escape
+        document["frames"][1]["name"] = escape
+
+    edit(recording, change)
+    spoil(recording, 1, "depth", lambda values: values + np.float32(0.25))
+    result = verify(recording)
+    assert result.exit_code == 4
+    assert not set(result.output) & set("\x1b\x07\x9b\r")
+    assert result.output.count(r"\x1b]0;title\x07\x1b[2J\x9b31m\x0d") == 3
+    edit(recording, lambda document: document.update(format=escape))
+    refused = verify(recording)
+    assert refused.exit_code == 1
+    assert not set(refused.output) & set("\x1b\x07\x9b\r")
+
+
+@pytest.mark.parametrize("size", [[8000, 8000], [2016, 2016]])
+def test_a_network_size_far_beyond_the_frames_is_refused(recording, size):
+    edit(recording, lambda document: document["settings"].update(size=size))
+    result = verify(recording)
+    assert result.exit_code == 1
+    assert f"network size ({size[0]}, {size[1]}) for a frame of 48 x 64" in result.output
