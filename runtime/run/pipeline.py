@@ -7,15 +7,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Protocol, TypeVar
-
-import numpy as np
-from numpy.typing import NDArray
 
 from runtime.errors import SSDNetError
 from runtime.health.frame_health import FrameHealth
 from runtime.prediction import Cleaned, Latency, Prediction
+from runtime.predictor import Predictor
 from runtime.sources.frames import Frame
+from runtime.sources.source import ListedFrame
 from runtime.sync.latency import Jitter
 from runtime.sync.stamp import NS_PER_MS
 
@@ -25,24 +23,6 @@ _NICENESS = 10
 _STOP_POLL_S = 0.1  # between two looks at `stop` while waiting
 
 WriteFrame = Callable[[Frame, Prediction], None]
-
-
-class ListedFrame(Protocol):
-    """A frame of a stream that was not read yet."""
-
-    @property
-    def name(self) -> str:
-        """Name of the frame and of the files of its answers."""
-
-
-Listed = TypeVar("Listed", bound=ListedFrame)
-
-
-class PredictsFrames(Protocol):
-    """What a stream needs of a `Predictor`."""
-
-    def predict(self, rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32]) -> Prediction:
-        """Predict one frame."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +110,7 @@ class StreamResult:
     rate_hz: float | None = None
 
 
-def timed_read(read: Callable[[Listed], Frame], listed: Listed) -> tuple[Frame, float]:
+def timed_read(read: Callable[[ListedFrame], Frame], listed: ListedFrame) -> tuple[Frame, float]:
     """Read a frame; returns it under its name, and the time in ms."""
     started = time.perf_counter()
     frame = read(listed)
@@ -138,7 +118,7 @@ def timed_read(read: Callable[[Listed], Frame], listed: Listed) -> tuple[Frame, 
 
 
 def answer_frame(
-    predictor: PredictsFrames, index: int, name: str, read: Callable[[], tuple[Frame, float]]
+    predictor: Predictor, index: int, name: str, read: Callable[[], tuple[Frame, float]]
 ) -> Answer:
     """Read and predict one frame.
 
@@ -173,10 +153,10 @@ def answer_frame(
 
 
 def run_stream(
-    predictor: PredictsFrames,
-    frames: Sequence[Listed],
+    predictor: Predictor,
+    frames: Sequence[ListedFrame],
     *,
-    read: Callable[[Listed], Frame],
+    read: Callable[[ListedFrame], Frame],
     rate_hz: float | None = None,
     write: WriteFrame | None = None,
     record: WriteFrame | None = None,
@@ -210,7 +190,7 @@ def run_stream(
     waiting = iter(enumerate(frames))
     health, jitter = FrameHealth(), Jitter()
 
-    def read_checked(listed: Listed) -> tuple[Frame, float]:
+    def read_checked(listed: ListedFrame) -> tuple[Frame, float]:
         frame, read_ms = timed_read(read, listed)
         found = health.check(frame.rgb, frame.sparse_depth)
         return replace(frame, health=found), read_ms

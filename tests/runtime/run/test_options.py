@@ -1,0 +1,64 @@
+"""The options of a run are those of its command, and are checked before anything is opened."""
+
+import dataclasses
+import inspect
+from pathlib import Path
+
+import pytest
+
+from runtime.run import cli
+from runtime.run.options import RunOptions, UsageError
+
+
+def test_every_option_of_the_command_reaches_the_run(monkeypatch):
+    given = {}
+
+    class Stop(Exception):
+        pass
+
+    def keep(**options):
+        given.update(options)
+        raise Stop
+
+    parameters = inspect.signature(cli.main).parameters
+    options = {name: f"the {name}" for name in parameters}
+    options["provider"] = cli.Provider.cuda
+    monkeypatch.setattr(cli, "RunOptions", keep)
+    with pytest.raises(Stop):
+        cli.main(**options)
+    assert given.keys() == {field.name for field in dataclasses.fields(RunOptions)}
+    assert given == {name: options[name] for name in given}
+    assert parameters.keys() - given.keys() == {"as_json"}
+
+
+def test_the_defaults_are_those_of_the_command():
+    parameters = inspect.signature(cli.main).parameters
+    for field in dataclasses.fields(RunOptions):
+        assert parameters[field.name].default == field.default, field.name
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"demo": True, "rgb": Path("a")},
+        {"demo": True, "save": "everything"},
+        {"demo": True, "rate": float("nan")},
+        {"demo": True, "shard": "5/4"},
+        {"demo": True, "size": "large"},
+        {"source": "tape:here"},
+        {"demo": True, "rerun": "a.mp4"},
+    ],
+)
+def test_wrong_options_are_usage_errors(options):
+    with pytest.raises(UsageError):
+        RunOptions(**options)
+
+
+def test_options_are_parsed_once(tmp_path):
+    options = RunOptions(rgb=tmp_path, save="cloud, depth", shard="2/3", size="40x56")
+    assert options.kinds == ("depth", "cloud")
+    assert options.network_size == (40, 56)
+    assert list(options.shard_of(range(8))) == [1, 4, 7]
+    assert options.source_name == f"folders:{tmp_path}"
+    assert options.named_files == {}

@@ -1,0 +1,26 @@
+"""What reports state about the engine is what the predictor runs."""
+
+import json
+from dataclasses import asdict
+
+import runtime
+from runtime import Predictor
+from runtime.engine_facts import engine_facts
+
+
+def test_the_facts_are_those_of_the_predictor(model_file, contract):
+    with Predictor(model_file(), size=40, threads=1, warmup=1) as predictor:
+        facts = engine_facts(predictor)
+        assert facts.ssdnet == runtime.__version__
+        assert facts.model.name == contract.model_name
+        assert facts.model.sha256 == predictor.digest
+        assert facts.model.size_asked == 40
+        assert facts.model.heads == predictor.heads
+        assert (facts.provider.asked, facts.provider.threads) == ("cpu", 1)
+        assert facts.provider.running == ("CPUExecutionProvider",)
+        assert facts.machine.cpu
+        assert facts.first_inference_ms > 0
+    document = json.loads(json.dumps(asdict(facts)))
+    assert document.keys() == {
+        *("ssdnet", "model", "provider", "machine", "load_ms", "first_inference_ms")
+    }
