@@ -23,15 +23,24 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from runtime.contract import METADATA_KEY, Content, Contract
 from runtime.errors import ContractError, InputError
 
 MAX_MODEL_BYTES = 2**31 - 1  # what protobuf can hold
 MAX_DOCUMENT_BYTES = 2**22
 
-_MAX_FIELDS = 10_000  # of a message; a model has tens, its graph being one of them
-_METADATA_PROPS = 14  # field numbers of ModelProto and of its entries
-_KEY, _VALUE = 1, 2
+_MAX_FIELDS = 10_000  # of a model and its metadata; a model has tens
+_MAX_GRAPH_FIELDS = 1_000_000  # of all messages; a graph of 400 nodes has 10,000
+# Field numbers of onnx.proto.
+_GRAPH, _METADATA_PROPS, _FUNCTIONS = 7, 14, 25  # of ModelProto
+_KEY, _VALUE = 1, 2  # of an entry of metadata_props
+_NODE, _INITIALIZER = 1, 5  # of GraphProto
+_OP_TYPE, _ATTRIBUTE = 4, 5  # of NodeProto
+_TENSOR, _SUBGRAPH, _SUBGRAPHS = 5, 6, 11  # of AttributeProto
+_DATA_TYPE, _FLOAT_DATA, _RAW_DATA, _DOUBLE_DATA = 2, 4, 9, 10  # of TensorProto
+_FLOAT_TYPES = {1: "<f4", 10: "<f2", 11: "<f8"}  # of TensorProto.DataType
 _VARINT, _FIXED_64, _BYTES, _FIXED_32 = 0, 1, 2, 5  # wire types
 _ONNX_START = b"\x08"  # the key of ir_version, the first field that is written
 _SHA256 = re.compile("[0-9a-fA-F]{64}", re.ASCII)
@@ -79,9 +88,11 @@ def parse_model_file(content: bytes) -> ModelFile:
     A file of schema 1.0 has no digests: damage that leaves its metadata readable goes unnoticed.
 
     Raises:
-        ContractError: for bytes that are not ONNX, damaged or without metadata.
+        ContractError: for bytes that are not ONNX, damaged or without metadata, and for a graph
+            with subgraphs (Loop, If, Scan), functions or NaN in its constants.
     """
     contract, digest = _check(content)
+    _check_graph(memoryview(content))
     return ModelFile(content, digest, contract)
 
 
@@ -166,41 +177,97 @@ def _metadata(model: bytes) -> Iterator[tuple[int, bytes, bytes]]:
             "the model cannot be loaded: the file is not ONNX; give one that ssdnet-export wrote"
         )
     try:
-        for start, number, entry in _fields(memoryview(model)):
-            if number == _METADATA_PROPS and entry is not None:
-                parts = {field: part for _, field, part in _fields(entry) if part is not None}
-                yield start, bytes(parts.get(_KEY, b"")), bytes(parts.get(_VALUE, b""))
+        budget = iter(range(_MAX_FIELDS))
+        for start, number, entry in _fields(memoryview(model), budget):
+            if number == _METADATA_PROPS and isinstance(entry, memoryview):
+                parts = {field: part for _, field, part in _fields(entry, budget)}
+                key, value = (parts.get(field, memoryview(b"")) for field in (_KEY, _VALUE))
+                if isinstance(key, memoryview) and isinstance(value, memoryview):
+                    yield start, bytes(key), bytes(value)
     except (IndexError, ValueError) as error:
         raise _damaged(f"its fields do not make a model: {error}") from error
 
 
-def _fields(message: memoryview) -> Iterator[tuple[int, int, memoryview | None]]:
-    """Yield (start, number, bytes) of each field of a protobuf message; None for a number.
+def _check_graph(model: memoryview) -> None:
+    """Raise ContractError for a graph that may not end, or with constants that are not finite.
 
-    Raises ValueError or IndexError where the message does not end with a field.
+    Networks need neither subgraphs nor functions; with them a small file may describe endless work.
     """
-    at = count = 0
+    budget = iter(range(_MAX_GRAPH_FIELDS))
+    try:
+        for _, number, graph in _fields(model, budget):
+            if number == _FUNCTIONS:
+                raise _unusable("it defines functions")
+            if number != _GRAPH or not isinstance(graph, memoryview):
+                continue
+            for _, kind, part in _fields(graph, budget):
+                if kind == _NODE and isinstance(part, memoryview):
+                    _check_node(part, budget)
+                elif kind == _INITIALIZER and isinstance(part, memoryview):
+                    _check_constant(part, budget)
+    except (IndexError, ValueError) as error:
+        raise _damaged(f"its fields do not make a model: {error}") from error
+
+
+def _check_node(node: memoryview, budget: Iterator[int]) -> None:
+    parts = list(_fields(node, budget))
+    operator = b"".join(bytes(part) for _, number, part in parts if number == _OP_TYPE)
+    for _, number, attribute in parts:
+        if number != _ATTRIBUTE or not isinstance(attribute, memoryview):
+            continue
+        for _, kind, value in _fields(attribute, budget):
+            if kind in (_SUBGRAPH, _SUBGRAPHS):
+                name = operator.decode(errors="replace")
+                raise _unusable(f"its operator {name!r:.80} has a graph of its own")
+            if kind == _TENSOR and isinstance(value, memoryview):
+                _check_constant(value, budget)
+
+
+def _check_constant(tensor: memoryview, budget: Iterator[int]) -> None:
+    """Refuse NaN; and Inf but in a scalar, which may be the limit of a range."""
+    parts = {number: value for _, number, value in _fields(tensor, budget)}
+    types = {_FLOAT_DATA: "<f4", _DOUBLE_DATA: "<f8"}
+    raw_type = parts.get(_DATA_TYPE)
+    if isinstance(raw_type, int) and raw_type in _FLOAT_TYPES:
+        types[_RAW_DATA] = _FLOAT_TYPES[raw_type]
+    for number, dtype in types.items():
+        content = parts.get(number)
+        if not isinstance(content, memoryview) or not content:
+            continue
+        values = np.frombuffer(content, dtype=dtype)
+        if np.isnan(values).any() or (values.size > 1 and np.isinf(values).any()):
+            raise _unusable("its constants hold NaN or Inf")
+
+
+def _fields(
+    message: memoryview, budget: Iterator[int]
+) -> Iterator[tuple[int, int, memoryview | int]]:
+    """Yield (start, number, value) of each field of a protobuf message.
+
+    Each field takes an item of `budget`. Raises ValueError or IndexError where the message does not
+    end with a field, and where the budget is used up.
+    """
+    at = 0
+    value: memoryview | int
     while at < len(message):
-        count += 1
-        if count > _MAX_FIELDS:
-            raise ValueError(f"more than {_MAX_FIELDS} fields")
+        if next(budget, None) is None:
+            raise ValueError("too many fields")
         start = at
         key, at = _varint(message, at)
         number, wire_type = key >> 3, key & 7
-        payload = None
         if wire_type == _VARINT:
-            _, at = _varint(message, at)
-        elif wire_type == _BYTES:
-            length, at = _varint(message, at)
-            payload = message[at : at + length]
+            value, at = _varint(message, at)
+        elif wire_type in (_BYTES, _FIXED_32, _FIXED_64):
+            length = 4 if wire_type == _FIXED_32 else 8
+            if wire_type == _BYTES:
+                length, at = _varint(message, at)
+            value = message[at : at + length]
             at += length
-        elif wire_type in (_FIXED_32, _FIXED_64):
-            at += 4 if wire_type == _FIXED_32 else 8
         else:
             raise ValueError(f"wire type {wire_type}")
         if at > len(message):
             raise ValueError("a field is longer than its message")
-        yield start, number, payload
+        yield start, number, value
 
 
 def _varint(message: memoryview, at: int) -> tuple[int, int]:
@@ -232,6 +299,10 @@ def _written_varint(value: int) -> bytes:
         value >>= 7
     written.append(value)
     return bytes(written)
+
+
+def _unusable(fault: str) -> ContractError:
+    return ContractError(f"not a model for this engine: {fault}: export one with ssdnet-export")
 
 
 def _damaged(fault: str) -> ContractError:

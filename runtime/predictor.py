@@ -13,16 +13,18 @@ from numpy.typing import NDArray
 from runtime.bundled_models import find_model
 from runtime.contract import Contract, check_focal_length, check_size
 from runtime.cores import available_cores
-from runtime.errors import InferenceError, InputError
+from runtime.errors import ContractError, InferenceError, InputError
 from runtime.model_file import load_model_file
 from runtime.network_size import NetworkSize, check_network_size, network_size
 from runtime.postprocess import faults, to_frame
-from runtime.prediction import Latency, Prediction
+from runtime.prediction import Cleaned, Latency, Prediction
 from runtime.preprocess import NetworkInput, preprocess
 from runtime.session import node_counts, open_session
 from runtime.signature import check_outputs, read_signature
 
 _MOST_THREADS = 1024
+_SMALL_SIZE = (64, 64)  # of the check of a model of free size
+_GRAY = 128  # of the pixels of an empty frame
 
 
 class Predictor:
@@ -65,10 +67,11 @@ class Predictor:
         first_inference_ms: time of the first warm-up prediction; None without.
 
     Raises:
-        ContractError: for a missing, damaged or foreign model, or one of a newer version.
+        ContractError: for a missing, damaged or foreign model, one of a newer version, and one
+            whose answer to an empty frame is not finite.
         ProviderError: if the provider cannot run it.
         InputError: for arguments out of range, and for a `size` where the model has a fixed one.
-        InferenceError: if the answer to an empty frame is not finite, or the warm-up fails.
+        InferenceError: if the warm-up fails.
     """
 
     contract: Contract
@@ -120,7 +123,10 @@ class Predictor:
         self._session: Any = session
         self.load_ms = _ms_since(started)
         self.first_inference_ms = None
-        self.warm_up(self.input_size or self.contract.native_size, runs=warmup)
+        if warmup:
+            self.warm_up(self.input_size or self.contract.native_size, runs=warmup)
+        else:
+            self._require_finite(self.input_size or _SMALL_SIZE)
 
     def predict(
         self,
@@ -213,7 +219,7 @@ class Predictor:
         )
 
     def warm_up(self, size: tuple[int, int], *, runs: int = 1) -> None:
-        """Predict empty frames, so that memory and caches are ready.
+        """Predict gray frames without returns, so that memory and caches are ready.
 
         The time of the very first prediction is kept as `first_inference_ms`.
 
@@ -223,6 +229,7 @@ class Predictor:
 
         Raises:
             InputError: for an invalid size.
+            ContractError: if an answer is not finite.
             InferenceError: as `predict`.
         """
         runs = _require_count("runs", runs, at_least=0)
@@ -232,12 +239,13 @@ class Predictor:
             size = check_size([operator.index(side) for side in size])
         except (TypeError, ValueError) as error:
             raise InputError(f"size must be (height, width), got {size!r:.80}: {error}") from error
-        rgb = np.zeros((*size, 3), dtype=np.uint8)
+        rgb = np.full((*size, 3), _GRAY, dtype=np.uint8)
         sparse_depth = np.zeros(size, dtype=np.float32)
         for _ in range(runs):
-            latency = self.predict(rgb, sparse_depth).latency
+            prediction = self.predict(rgb, sparse_depth)
+            _check_finite(prediction.degraded)
             if self.first_inference_ms is None:
-                self.first_inference_ms = latency.total_ms
+                self.first_inference_ms = prediction.latency.total_ms
 
     def reset(self) -> None:
         """Open the session again from the model file, on the same provider and device.
@@ -266,6 +274,12 @@ class Predictor:
         return open_session(
             content, provider=self.provider, device_id=self._device_id, threads=self.threads
         )
+
+    def _require_finite(self, size: tuple[int, int]) -> None:
+        """Raise ContractError unless the network's answer to an empty frame of `size` is finite."""
+        rgb, sparse_depth = np.full((*size, 3), _GRAY, np.uint8), np.zeros(size, np.float32)
+        (outputs,) = self._run([NetworkInput(rgb, sparse_depth, rgb, Cleaned(), 0, ())])
+        _check_finite(faults(outputs, self.contract))
 
     def _preprocess(self, rgb: Any, sparse_depth: Any, focal_length_px: Any) -> NetworkInput:
         focal = _check_focal_length(focal_length_px)
@@ -343,6 +357,14 @@ class Predictor:
         return [
             {head: batch[index] for head, batch in outputs.items()} for index in range(len(frames))
         ]
+
+
+def _check_finite(reasons: Sequence[str]) -> None:
+    if broken := [reason for reason in reasons if reason.endswith("_not_finite")]:
+        raise ContractError(
+            f"the model's answer to an empty frame is not finite ({', '.join(broken)}): export it "
+            "again with ssdnet-export, or get another"
+        )
 
 
 def _batch(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:

@@ -16,6 +16,7 @@ from runtime.contract import MAX_SIDE
 from runtime.errors import InputError
 
 _INDEX_BITS = 32
+_MAX_WINDOW = 1023  # pixels
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,27 @@ class OcclusionFilter:
     gap_m: float = 0.5
 
     def __post_init__(self) -> None:
-        """Refuse what filters nothing sensibly. Raises InputError."""
-        if not all(isinstance(side, int) and side > 0 and side % 2 for side in self.window):
-            raise InputError(f"window must be two odd numbers of pixels, got {self.window}")
-        if not (0 <= self.relative_gap < 1 and 0 <= self.gap_m < np.inf):
+        """Check the values."""
+        window, gaps = self.window, (self.relative_gap, self.gap_m)
+        if (
+            not isinstance(window, tuple)
+            or len(window) != 2
+            or not all(
+                type(side) is int and 0 < side <= _MAX_WINDOW and side % 2 for side in window
+            )
+        ):
             raise InputError(
-                "relative_gap must lie in 0..1 and gap_m must not be negative, got "
-                f"{self.relative_gap} and {self.gap_m}"
+                f"window must be (height, width), odd and 1 to {_MAX_WINDOW} pixels each, got "
+                f"{window!r:.80}"
+            )
+        if not (
+            all(isinstance(gap, int | float | np.floating) for gap in gaps)
+            and 0 <= self.relative_gap < 1
+            and 0 <= self.gap_m < np.inf
+        ):
+            raise InputError(
+                "relative_gap must be 0 to less than 1 and gap_m not negative, got "
+                f"{self.relative_gap!r:.80} and {self.gap_m!r:.80}"
             )
 
     def apply(

@@ -48,7 +48,12 @@ def save_prediction(
     intrinsics: NDArray[np.floating[Any]] | None = None,
 ) -> None:
     """Write the file of `Prediction.save`. Raises InputError and OutputError."""
-    path = Path(path)
+    try:
+        path = Path(path)
+    except TypeError as error:
+        raise InputError(f"path must be a path, got {type(path).__name__}") from error
+    if "\0" in str(path):
+        raise InputError(f"{str(path)!r:.80} is not a file's name: it holds a NUL character")
     suffix = path.suffix.lower()
     content: bytes | memoryview
     if suffix in _PICTURES:

@@ -24,7 +24,7 @@ class ScoresByColour(nn.Module):
     zero_at: 255 turns it into 0 / 0, NaN; 254 into 1 / 0, Inf; 256 into -1 / 0, -Inf.
     """
 
-    config = SimpleNamespace(name="by-hand")
+    config = SimpleNamespace(name="by-hand", max_depth_m=80.0)
     heads = ("semantic",)
     semantic_stride = STRIDE
 

@@ -176,10 +176,28 @@ def test_other_inputs_are_named(changes, text):
 
 
 @pytest.mark.parametrize(
-    "options", [{"window": (4, 3)}, {"window": (0, 3)}, {"relative_gap": 1.0}, {"gap_m": -1.0}]
+    "options",
+    [
+        {"window": (4, 3)},
+        {"window": (0, 3)},
+        {"window": 5},
+        {"window": None},
+        {"window": (3,)},
+        {"window": (3, 3, 3)},
+        {"window": [3, 3]},
+        {"window": (3.0, 3)},
+        {"window": (True, True)},
+        {"window": (10**9 + 1, 3)},
+        {"relative_gap": 1.0},
+        {"relative_gap": float("nan")},
+        {"relative_gap": "0.1"},
+        {"gap_m": -1.0},
+        {"gap_m": float("inf")},
+        {"gap_m": None},
+    ],
 )
 def test_filters_that_make_no_sense_are_refused(options):
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="must be"):
         OcclusionFilter(**options)
 
 

@@ -190,7 +190,7 @@ def test_another_model_in_the_recording_is_refused(recording, model_file):
 
 def test_a_frame_that_cannot_be_predicted_is_reported(recording, model_file):
     heads = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
-    other = model_file("other.onnx", heads=heads, only_runs_at=(100, 100))
+    other = model_file("other.onnx", heads=heads, only_runs_at=(64, 64))
     result = verify(recording, "--model", other)
     assert result.exit_code == 4
     assert "  00000: the session failed on a frame of 40 x 56" in result.output
