@@ -8,6 +8,54 @@ f / f_c.
 """
 
 import math
+from typing import NamedTuple
+
+#: A focal length that would leave less range than this is ignored: the LiDAR's returns beyond the
+#: range would be lost, which costs more than the scale of what it does not measure.
+MIN_RANGE_M = 60.0
+
+
+class DepthScale(NamedTuple):
+    """How metres become the depth of a network, for one camera and one size of frames.
+
+    Attributes:
+        factor: f_c / f, see `canonical_factor`.
+        range_m: depths beyond it are no measurement, and no answer is farther, metres.
+        focal_length_px: of the frame, as used; None = not known, or ignored.
+        ignored: whether a focal length was given that would cut the range below MIN_RANGE_M.
+    """
+
+    factor: float
+    range_m: float
+    focal_length_px: float | None
+    ignored: bool = False
+
+
+def depth_scale(
+    max_depth_m: float,
+    canonical_focal_px: float | None,
+    focal_length_px: float | None,
+    *,
+    frame_size: tuple[int, int],
+    network_size: tuple[int, int],
+) -> DepthScale:
+    """Return the scale for a frame.
+
+    Args:
+        max_depth_m: range of the model, canonical metres.
+        canonical_focal_px: of the model; None = it works in plain metres.
+        focal_length_px: of the frame; None = not known.
+        frame_size: (height, width).
+        network_size: (height, width) at which the network runs.
+    """
+    if canonical_focal_px is None or focal_length_px is None:
+        return DepthScale(1.0, max_depth_m, None)
+    at_network = focal_length_at(network_size, focal_length_px, frame_size)
+    factor = canonical_factor(canonical_focal_px, at_network)
+    range_m = max_depth_m / factor
+    if range_m < min(MIN_RANGE_M, max_depth_m):
+        return DepthScale(1.0, max_depth_m, None, ignored=True)
+    return DepthScale(factor, range_m, focal_length_px)
 
 
 def canonical_factor(canonical_focal_px: float | None, focal_length_px: float | None) -> float:

@@ -17,10 +17,10 @@ _ROUNDING = 1e-3  # of a head's range: how far arithmetic may leave it
 def to_frame(outputs: Mapping[str, NDArray[Any]], frame: NetworkInput) -> dict[str, NDArray[Any]]:
     """Bring the outputs for one frame, head -> array, to its metres and its size."""
     answers = dict(outputs)
-    if frame.depth_factor != 1:
+    if frame.scale.factor != 1:
         for head in answers:
             if HEADS[head].unit is Unit.METRES:
-                answers[head] = answers[head] * np.float32(1 / frame.depth_factor)
+                answers[head] = answers[head] * np.float32(1 / frame.scale.factor)
     if frame.network_size != frame.frame_size:
         for head, values in answers.items():
             answers[head] = resize_answer(head, values, frame.frame_size)

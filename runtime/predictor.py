@@ -2,6 +2,7 @@
 
 import operator
 import time
+import warnings
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.bundled_models import find_model
+from runtime.canonical_focal import MIN_RANGE_M, DepthScale, depth_scale
 from runtime.contract import Contract, check_focal_length, check_size
 from runtime.cores import available_cores
 from runtime.errors import ContractError, InferenceError, InputError
@@ -113,6 +115,7 @@ class Predictor:
         self.provider = provider
         self.threads = threads or available_cores()
         self._device_id = device_id
+        self._warned = False
         session = self._open_session(file.content)
         signature = read_signature(session, num_classes=len(self.contract.classes))
         self.input_size, self.heads = signature.size, signature.heads
@@ -158,6 +161,7 @@ class Predictor:
         """
         started = time.perf_counter()
         frame = self._preprocess(rgb, sparse_depth, focal_length_px)
+        self._warn_of_range([frame])
         return self._predict([frame], [_ms_since(started)], [stamp], started)[0]
 
     def predict_batch(
@@ -203,6 +207,7 @@ class Predictor:
                     f"frame {index} of {len(frames)} must be (rgb, sparse_depth): {error}"
                 ) from error
             preprocess_ms.append(_ms_since(begun))
+        self._warn_of_range(prepared)
         return self._predict(prepared, preprocess_ms, stamps, started)
 
     def network_size(self, frame_size: tuple[int, int]) -> tuple[int, int]:
@@ -216,6 +221,30 @@ class Predictor:
         """
         return self.input_size or network_size(
             self.size, frame_size, trained_height=self.contract.trained_height
+        )
+
+    def depth_scale(
+        self, frame_size: tuple[int, int], *, focal_length_px: float | None = None
+    ) -> DepthScale:
+        """Return the depth range for a frame, and the focal length that is used.
+
+        A focal length that would leave a range below 60 m at the network's size is ignored, with
+        one RuntimeWarning from `predict`: returns beyond the range would be lost.
+
+        Args:
+            frame_size: (height, width) of the frame.
+            focal_length_px: fx of this frame's camera; None = the predictor's.
+
+        Raises:
+            InputError: as `network_size`, and for a focal length out of range.
+        """
+        focal = _check_focal_length(focal_length_px)
+        return depth_scale(
+            self.contract.max_depth_m,
+            self.contract.canonical_focal_px,
+            self.focal_length_px if focal is None else focal,
+            frame_size=frame_size,
+            network_size=self.network_size(frame_size),
         )
 
     def warm_up(self, size: tuple[int, int], *, runs: int = 1) -> None:
@@ -242,7 +271,9 @@ class Predictor:
         rgb = np.full((*size, 3), _GRAY, dtype=np.uint8)
         sparse_depth = np.zeros(size, dtype=np.float32)
         for _ in range(runs):
-            prediction = self.predict(rgb, sparse_depth)
+            started = time.perf_counter()
+            frame = self._preprocess(rgb, sparse_depth, None)
+            (prediction,) = self._predict([frame], [_ms_since(started)], [None], started)
             _check_finite(prediction.degraded)
             if self.first_inference_ms is None:
                 self.first_inference_ms = prediction.latency.total_ms
@@ -278,7 +309,8 @@ class Predictor:
     def _require_finite(self, size: tuple[int, int]) -> None:
         """Raise ContractError unless the network's answer to an empty frame of `size` is finite."""
         rgb, sparse_depth = np.full((*size, 3), _GRAY, np.uint8), np.zeros(size, np.float32)
-        (outputs,) = self._run([NetworkInput(rgb, sparse_depth, rgb, Cleaned(), 0, ())])
+        scale = DepthScale(1.0, self.contract.max_depth_m, None)
+        (outputs,) = self._run([NetworkInput(rgb, sparse_depth, rgb, Cleaned(), 0, (), scale)])
         _check_finite(faults(outputs, self.contract))
 
     def _preprocess(self, rgb: Any, sparse_depth: Any, focal_length_px: Any) -> NetworkInput:
@@ -333,6 +365,18 @@ class Predictor:
                 zip(frames, preprocess_ms, stamps, answered, strict=True)
             )
         ]
+
+    def _warn_of_range(self, frames: Sequence[NetworkInput]) -> None:
+        if self._warned or not any(frame.scale.ignored for frame in frames):
+            return
+        self._warned = True
+        warnings.warn(
+            f"the focal length is ignored: it would leave a depth range of less than "
+            f"{MIN_RANGE_M:g} m at the network's size; run the network at a larger size, for "
+            'example with size="frame", to use it',
+            RuntimeWarning,
+            stacklevel=3,
+        )
 
     def _run(self, frames: Sequence[NetworkInput]) -> list[dict[str, NDArray[Any]]]:
         """Run frames of one network size as one batch: head -> array, of each."""

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.canonical_focal import canonical_factor, focal_length_at
+from runtime.canonical_focal import DepthScale, depth_scale
 from runtime.contract import MIN_SIDE
 from runtime.errors import InputError
 from runtime.prediction import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW, Cleaned
@@ -29,13 +29,13 @@ class NetworkInput:
 
     Attributes:
         rgb: uint8 (h, w, 3) at the network's size.
-        sparse_depth: float32 (h, w) at the network's size, metres times `depth_factor`, 0 = no
-            measurement.
+        sparse_depth: float32 (h, w) at the network's size, metres times `scale.factor`, 0 =
+            no measurement.
         frame_rgb: uint8 (H, W, 3) as given.
         cleaned: depth pixels of the frame that were treated as no measurement.
         depth_returns: number of depth pixels of the frame that are left.
         degraded: reasons why the answer is worth less than usual.
-        depth_factor: the network's depth divided by it is metres, see `canonical_factor`.
+        scale: from metres to the network's depth.
     """
 
     rgb: NDArray[np.uint8]
@@ -44,7 +44,7 @@ class NetworkInput:
     cleaned: Cleaned
     depth_returns: int
     degraded: tuple[str, ...]
-    depth_factor: float = 1.0
+    scale: DepthScale
 
     @property
     def frame_size(self) -> Size:
@@ -83,20 +83,21 @@ def preprocess(
     frame_size = (rgb.shape[0], rgb.shape[1])
     sparse_depth = check_sparse_depth(sparse_depth, size=frame_size)
     size = size_for(frame_size)
-    factor = 1.0
-    if focal_length_px is not None:
-        focal_length_px = focal_length_at(size, focal_length_px, frame_size)
-        factor = canonical_factor(canonical_focal_px, focal_length_px)
-    sparse_depth, cleaned, returns = clean_sparse_depth(
-        sparse_depth, max_depth_m=max_depth_m / factor
+    scale = depth_scale(
+        max_depth_m,
+        canonical_focal_px,
+        focal_length_px,
+        frame_size=frame_size,
+        network_size=size,
     )
+    sparse_depth, cleaned, returns = clean_sparse_depth(sparse_depth, max_depth_m=scale.range_m)
     network_rgb, fed = rgb, returns
     if size != frame_size:
         network_rgb = resize_image(rgb, size)
         sparse_depth = move_returns(sparse_depth, size)
         fed = cv2.countNonZero(sparse_depth)
-    if factor != 1:
-        sparse_depth = sparse_depth * np.float32(factor)
+    if scale.factor != 1:
+        sparse_depth = sparse_depth * np.float32(scale.factor)
         # Rounding must not lift the farthest return out of the range.
         np.minimum(sparse_depth, np.float32(max_depth_m), out=sparse_depth)
     degraded = []
@@ -106,7 +107,7 @@ def preprocess(
         degraded.append(SPARSE_DEPTH_LOW)
     if is_constant(rgb):
         degraded.append(IMAGE_CONSTANT)
-    return NetworkInput(network_rgb, sparse_depth, rgb, cleaned, returns, tuple(degraded), factor)
+    return NetworkInput(network_rgb, sparse_depth, rgb, cleaned, returns, tuple(degraded), scale)
 
 
 def check_rgb(rgb: Any) -> NDArray[np.uint8]:

@@ -1,6 +1,7 @@
 """Canonical depth behind any camera: the factor goes on before the model and comes off after."""
 
 import dataclasses
+import warnings
 
 import numpy as np
 import pytest
@@ -8,15 +9,19 @@ import pytest
 from runtime import InputError, Predictor
 
 CANONICAL_PX = 100.0
+RANGE_M = 400.0
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty")
 OFFSET_M = 1.5  # what the graph by hand adds to what it is fed
 
 
 @pytest.fixture
 def canonical(model_file, contract):
-    """A model file that works in the depth of a camera of 100 px, up to 80 m of it."""
+    """A model file that works in the depth of a camera of 100 px, up to 400 m of it."""
     return model_file(
-        contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX), heads=HEADS
+        contract=dataclasses.replace(
+            contract, canonical_focal_px=CANONICAL_PX, max_depth_m=RANGE_M
+        ),
+        heads=HEADS,
     )
 
 
@@ -68,17 +73,17 @@ def test_without_a_focal_length_the_picture_counts_as_the_canonical_cameras(cano
     np.testing.assert_array_equal(prediction.depth, frame[1] + np.float32(OFFSET_M))
 
 
-def test_a_model_of_plain_metres_does_not_heed_it(model_file, frame):
+def test_a_model_of_plain_metres_ignores_it(model_file, frame):
     with Predictor(model_file(), focal_length_px=731.0) as predictor:
         prediction = predictor.predict(*frame, focal_length_px=22.0)
     np.testing.assert_array_equal(prediction.depth, frame[1] + np.float32(OFFSET_M))
 
 
 def test_the_range_is_that_of_the_canonical_camera(canonical, make_frame):
-    """80 canonical metres are 160 m behind a lens twice as long, and 40 m behind half of it."""
+    """400 canonical metres are 800 m behind a lens twice as long, and 200 m behind half of it."""
     rgb, depth = make_frame()
     depth[:] = 0
-    depth[0, :6] = 39, 41, 159, 161, np.nan, 5
+    depth[0, :6] = 199, 201, 799, 801, np.nan, 5
     with Predictor(canonical) as predictor:
         for focal, too_far, returns in ((200.0, 1, 4), (50.0, 3, 2)):
             prediction = predictor.predict(rgb, depth, focal_length_px=focal)
@@ -87,28 +92,26 @@ def test_the_range_is_that_of_the_canonical_camera(canonical, make_frame):
             assert prediction.depth_returns == returns
 
 
-def test_the_farthest_return_is_not_lost_by_rounding(model_file, contract, make_frame):
+def test_the_farthest_return_is_not_lost_by_rounding(canonical, make_frame):
     """Whatever the factor, the graph must be fed what was counted: never beyond its range."""
     fed = []
     rgb, depth = make_frame()
-    with Predictor(
-        model_file(contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX))
-    ) as predictor:
+    with Predictor(canonical) as predictor:
         run = predictor._run
         predictor._run = lambda frames: fed.append(frames[0].sparse_depth) or run(frames)
         for focal in np.random.default_rng(0).uniform(20, 900, 50):
-            limit = np.float32(80 * focal / CANONICAL_PX)
+            limit = np.float32(RANGE_M * focal / CANONICAL_PX)
             depth[:] = 0
             depth[5, 5:8] = np.nextafter(limit, np.float32(0)), limit, 1
             prediction = predictor.predict(rgb, depth, focal_length_px=focal)
             assert np.count_nonzero(fed[-1]) == prediction.depth_returns >= 2
-            assert fed[-1].max() <= 80
+            assert fed[-1].max() <= RANGE_M
 
 
 def test_an_answer_beyond_the_canonical_range_is_not_valid(canonical, make_frame):
     rgb, depth = make_frame()
     depth[:] = 0
-    depth[3, 3] = 159  # and 1.5 canonical metres: 81 of 80
+    depth[3, 3] = 799  # and 1.5 canonical metres: 401 of 400
     with Predictor(canonical, focal_length_px=200.0) as predictor:
         prediction = predictor.predict(rgb, depth)
     assert not prediction.valid
@@ -131,3 +134,41 @@ def test_what_no_camera_has_is_refused(canonical, make_frame, focal):
 def test_numbers_of_numpy_are_numbers(canonical, frame, kind):
     with Predictor(canonical, focal_length_px=kind(200)) as predictor:
         np.testing.assert_allclose(predictor.predict(*frame).depth.min(), 2 * OFFSET_M)
+
+
+def test_a_focal_length_that_would_cut_the_range_is_ignored_with_one_warning(
+    model_file, contract, make_frame
+):
+    """80 canonical metres would be 40 m: a return at 60 m would be lost."""
+    rgb, depth = make_frame()
+    depth[0, 0] = 60
+    path = model_file(contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX))
+    with Predictor(path, focal_length_px=50.0) as predictor, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plain = predictor.predict(rgb, depth, focal_length_px=CANONICAL_PX)
+        assert predictor.depth_scale((48, 64)) == (1.0, 80.0, None, True)
+        used = predictor.depth_scale((48, 64), focal_length_px=200.0)
+        assert used == (0.5, 160.0, 200.0, False)
+    with Predictor(path, focal_length_px=50.0, warmup=0) as predictor:
+        with pytest.warns(RuntimeWarning, match="focal length is ignored.*less than 60 m"):
+            prediction = predictor.predict(rgb, depth)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            predictor.predict(rgb, depth)
+    assert prediction.cleaned.too_far == 0
+    np.testing.assert_array_equal(prediction.depth, plain.depth)
+
+
+def test_the_range_counts_at_the_networks_size(model_file, contract, make_frame):
+    """A frame run at half its size has half the focal length there."""
+    path = model_file(contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX))
+    with Predictor(path, size=48, focal_length_px=140.0) as predictor:
+        assert predictor.depth_scale((96, 128)).ignored
+        assert predictor.depth_scale((48, 64)) == (
+            pytest.approx(1 / 1.4),
+            pytest.approx(112.0),
+            140.0,
+            False,
+        )
+    with Predictor(path, size="frame", focal_length_px=140.0) as predictor:
+        assert not predictor.depth_scale((96, 128)).ignored

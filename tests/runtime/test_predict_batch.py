@@ -99,9 +99,9 @@ def test_a_file_of_one_frame_runs_them_one_by_one(model_file, make_frame, counte
 def test_each_camera_has_its_lens(model_file, make_frame, contract):
     contract = dataclasses.replace(contract, canonical_focal_px=700.0)
     frames = [make_frame(seed=1)] * 3
-    with Predictor(model_file(contract=contract), focal_length_px=350.0) as predictor:
+    with Predictor(model_file(contract=contract), focal_length_px=560.0) as predictor:
         predictions = predictor.predict_batch(frames, focal_lengths_px=[None, 700.0, 1400.0])
-        for prediction, focal in zip(predictions, (350.0, 700.0, 1400.0), strict=True):
+        for prediction, focal in zip(predictions, (560.0, 700.0, 1400.0), strict=True):
             alone = predictor.predict(*frames[0], focal_length_px=focal)
             np.testing.assert_array_equal(prediction.depth, alone.depth)
     assert not np.array_equal(predictions[0].depth, predictions[2].depth)
