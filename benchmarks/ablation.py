@@ -5,7 +5,7 @@
 
 `DIR` holds the rendered scenes `train` and `test`. Rows are recipes of training/recipes/ablation.
 Runs that are finished are not repeated, so more seeds or rows can be added; one that was stopped
-goes on. Runs of other settings are refused: give another `RUNS`. Every row is scored on all of
+resumes. Runs of other settings are refused: give another `RUNS`. Every row is scored on all of
 `test` with 5 % of the depth, drawn once for all rows.
 """
 

@@ -1,4 +1,4 @@
-"""The comparison of networks: what a name stands for, and a run from the command line."""
+"""The comparison of networks: which model a name means, and a run from the command line."""
 
 import sys
 from functools import partial

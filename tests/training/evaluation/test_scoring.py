@@ -1,4 +1,4 @@
-"""Scoring feeds what it says it feeds and counts what can be counted by hand."""
+"""What scoring feeds, and scores counted by hand."""
 
 from dataclasses import replace
 

@@ -101,7 +101,7 @@ def test_ip_basic_lets_near_surfaces_win():
     sparse_depth = one_point(50.0)
     sparse_depth[40, 32] = 10.0
     filled = ip_basic(sparse_depth)
-    # Between the two, in reach of both dilations, the nearer one stands.
+    # Between the two, in reach of both dilations, the nearer depth is taken.
     assert filled[40, 31] < 30.0
     assert filled[40, 32] == pytest.approx(10.0, abs=2.0)
 

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,15 +12,12 @@ from typer.testing import CliRunner
 from export.exporter import export_checkpoint
 from layouts import kitti_streets
 from models import create_model, load_checkpoint, save_checkpoint
-from runtime import Latency, Prediction
 from runtime.bundled_models import find_model
 from runtime.errors import InputError
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.evaluation.cli import app, parse_source
-from training.evaluation.evaluate import short_names
-from training.evaluation.score_report import Row, format_table
-from training.evaluation.scored_model import ScoredModel, engine_predict, open_method, open_model
+from training.evaluation.scored_model import open_method, open_model
 
 #: ssdnet-lite with few channels.
 THIN = {
@@ -373,54 +369,3 @@ def test_a_bundled_model_is_scored_by_its_name(folder, tmp_path):
     result = run("ssdnet-huge", *data)
     assert result.exit_code == 1
     assert "no bundled model is called 'ssdnet-huge'; there are: " in result.output
-
-
-def test_rows_of_equal_names_are_told_apart():
-    assert short_names([Path("a/model.pt"), Path("b/model.pt")]) == ["a/model.pt", "b/model.pt"]
-    assert short_names([Path("x/a/1"), Path("x/a/2")]) == ["1", "2"]
-    assert short_names([Path()]) == ["."]
-
-
-def test_a_network_without_classes_is_scored_in_the_table_it_was_trained_with():
-    trained = {"recipe": {"model": {"classes": "cityscapes"}}}
-    assert ScoredModel(lambda rgb, depth: None, (), "", trained).class_table == "cityscapes"
-    assert ScoredModel(lambda rgb, depth: None, (), "").class_table == "camvid"
-
-
-def test_classes_of_no_table_are_a_table_of_their_own():
-    own = create_model("ssdnet", num_classes=3).config.classes
-    assert ScoredModel(lambda rgb, depth: None, own, "").class_table == own
-    table = [{"name": info.name, "color": list(info.color)} for info in own]
-    trained = {"recipe": {"model": {"classes": table}}}
-    assert ScoredModel(lambda rgb, depth: None, (), "", trained).class_table == own
-
-
-def test_table_leaves_out_what_no_row_has():
-    rows = [Row("a", "torch on cpu", "x", "64", "none", 3, {"miou": 0.5, "mae_m": 1.25})]
-    header, line, row = format_table(rows).splitlines()
-    assert "mIoU %" in header
-    assert "boundary" not in header
-    assert set(line) == {"|", "-"}
-    assert [cell.strip() for cell in row.split("|")[1:-1]] == [
-        *("a", "torch on cpu", "x", "3", "64", "none", "50.000", "1.250")
-    ]
-
-
-def test_what_a_file_says_of_its_depth_is_scored():
-    """The engine's uncertainty goes into the answer, in its place."""
-    one = np.ones((4, 4), np.float32)
-    prediction = Prediction(
-        heads={
-            "semantic": one.astype(np.uint8),
-            "depth": 2 * one,
-            "boundary": 3 * one,
-            "depth_uncertainty": 4 * one,
-        },
-        frame_size=(4, 4),
-        network_size=(4, 4),
-        latency=Latency(0, 0, 0, 0),
-        valid=True,
-    )
-    engine = SimpleNamespace(predict=lambda rgb, depth, focal_length_px: prediction)
-    answer = engine_predict(engine)(None, None, None)
-    assert [values[0, 0] for values in answer] == [1, 2, 3, 4]

@@ -1,0 +1,23 @@
+"""Rows of scores as a table."""
+
+from training.evaluation.score_report import Row, format_table
+
+
+def test_table_leaves_out_what_no_row_has():
+    rows = [Row("a", "torch on cpu", "x", "64", "none", 3, {"miou": 0.5, "mae_m": 1.25})]
+    header, line, row = format_table(rows).splitlines()
+    assert "mIoU %" in header
+    assert "boundary" not in header
+    assert set(line) == {"|", "-"}
+    assert [cell.strip() for cell in row.split("|")[1:-1]] == [
+        *("a", "torch on cpu", "x", "3", "64", "none", "50.000", "1.250")
+    ]
+
+
+def test_rows_without_figures_are_lines_below_the_table():
+    scored = Row("a", "torch on cpu", "x", "64", "none", 3, {"mae_m": 1.25})
+    empty = Row("a", "torch on cpu", "y", "own", "none", 2, {})
+    *_, note = format_table([scored, empty]).splitlines()
+    text = "a on y, LiDAR own: nothing to score, as none of the 2 frames has ground truth"
+    assert note == text
+    assert format_table([empty]) == text

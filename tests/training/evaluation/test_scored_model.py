@@ -1,0 +1,42 @@
+"""Models as they are scored: their class tables, and the engine's heads in an answer."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from models import create_model
+from runtime import Latency, Prediction
+from training.evaluation.scored_model import ScoredModel, engine_predict
+
+
+def test_a_network_without_classes_is_scored_in_the_table_it_was_trained_with():
+    trained = {"recipe": {"model": {"classes": "cityscapes"}}}
+    assert ScoredModel(lambda rgb, depth: None, (), "", trained).class_table == "cityscapes"
+    assert ScoredModel(lambda rgb, depth: None, (), "").class_table == "camvid"
+
+
+def test_classes_of_no_table_are_a_table_of_their_own():
+    own = create_model("ssdnet", num_classes=3).config.classes
+    assert ScoredModel(lambda rgb, depth: None, own, "").class_table == own
+    table = [{"name": info.name, "color": list(info.color)} for info in own]
+    trained = {"recipe": {"model": {"classes": table}}}
+    assert ScoredModel(lambda rgb, depth: None, (), "", trained).class_table == own
+
+
+def test_the_uncertainty_of_a_file_is_part_of_its_answer():
+    one = np.ones((4, 4), np.float32)
+    prediction = Prediction(
+        heads={
+            "semantic": one.astype(np.uint8),
+            "depth": 2 * one,
+            "boundary": 3 * one,
+            "depth_uncertainty": 4 * one,
+        },
+        frame_size=(4, 4),
+        network_size=(4, 4),
+        latency=Latency(0, 0, 0, 0),
+        valid=True,
+    )
+    engine = SimpleNamespace(predict=lambda rgb, depth, focal_length_px: prediction)
+    answer = engine_predict(engine)(None, None, None)
+    assert [values[0, 0] for values in answer] == [1, 2, 3, 4]
