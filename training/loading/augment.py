@@ -134,7 +134,8 @@ def scale_and_crop(sample: Sample, config: AugmentConfig, rng: Generator) -> Sam
     window = (round(height / scale), round(width / scale))  # in pixels of the sample
     top = _random_offset(sample.size[0], window[0], rng)
     left = _random_offset(sample.size[1], window[1], rng)
-    sample = resize(cut(sample, top, left, window), config.crop)
+    is_dense = _is_dense(sample)  # of the whole frame: a window may be mostly sky
+    sample = resize(cut(sample, top, left, window), config.crop, is_dense=is_dense)
     return approach(sample, scale) if config.scale_depth else sample
 
 
@@ -223,11 +224,12 @@ def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
     )
 
 
-def resize(sample: Sample, size: tuple[int, int]) -> Sample:
+def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = None) -> Sample:
     """Resize to (height, width) by the engine's rule, see `runtime.resize`.
 
     Labels and dense depth are resized by nearest neighbour; recorded depth is moved return by
-    return, so that no return is doubled and the nearer of two on one pixel is kept.
+    return, so that no return is doubled and the nearer of two on one pixel is kept. ``is_dense``
+    says which of them the depth is; None = by its share of known pixels.
     """
     if size == sample.size:
         return sample
@@ -245,7 +247,8 @@ def resize(sample: Sample, size: tuple[int, int]) -> Sample:
         )
     sparse_depth, scan_line = sample.sparse_depth, sample.scan_line
     if sparse_depth is not None:
-        is_dense = np.count_nonzero(sample.depth) > sample.depth.size // 2
+        if is_dense is None:
+            is_dense = _is_dense(sample)
         depth = (resize_nearest if is_dense else move_returns)(sample.depth, size)
         if scan_line is None:
             sparse_depth = move_returns(sparse_depth, size)

@@ -49,7 +49,7 @@ def recorded_beside_its_target(height=48, width=64):
     """The plane as semi-dense ground truth, and a LiDAR that measured 0.5 m more, elsewhere."""
     sample = plane(height, width)
     v, u = np.mgrid[:height, :width]
-    depth = np.where((u + v) % 2 == 0, sample.depth, 0).astype(np.float32)
+    depth = np.where((u + v) % 4 == 0, sample.depth, 0).astype(np.float32)
     seen = np.where((u % 4 == 1) & (v % 3 == 0), sample.depth + 0.5, 0).astype(np.float32)
     return replace(sample, depth=depth, sparse_depth=seen)
 
@@ -128,12 +128,13 @@ def test_input_and_target_recorded_apart_stay_apart_when_enlarged():
 
 
 def test_nearest_return_of_each_map_stays_when_shrunk():
-    sample = recorded_beside_its_target(2, 4)
-    seen = np.array([[0, 9, 0, 0], [7, 8, 0, 0]], np.float32)
-    truth = np.array([[5, 0, 3, 0], [0, 6, 0, 4]], np.float32)
-    small = resize(replace(sample, sparse_depth=seen, depth=truth), (1, 2))
-    assert small.sparse_depth.tolist() == [[7, 0]]
-    assert small.depth.tolist() == [[5, 3]]
+    sample = recorded_beside_its_target(2, 8)
+    seen, truth = np.zeros((2, 2, 8), np.float32)
+    seen[:, :4] = [[0, 9, 0, 0], [7, 8, 0, 0]]
+    truth[:, :4] = [[5, 0, 3, 0], [0, 6, 0, 4]]
+    small = resize(replace(sample, sparse_depth=seen, depth=truth), (1, 4))
+    assert small.sparse_depth.tolist() == [[7, 0, 0, 0]]
+    assert small.depth.tolist() == [[5, 3, 0, 0]]
 
 
 def test_input_recorded_beside_its_target_is_kept_or_thinned():
@@ -238,6 +239,23 @@ def test_dense_truth_beside_a_recorded_input_stays_dense_when_enlarged():
     assert (enlarged.depth > 0).all()
     np.testing.assert_array_equal(enlarged.depth, resize_nearest(sample.depth, (96, 128)))
     assert np.count_nonzero(enlarged.sparse_depth) == np.count_nonzero(sample.sparse_depth)
+
+
+@pytest.mark.parametrize(("crop", "scale"), [((24, 32), 0.5), ((96, 128), 2.0), ((24, 64), 2.0)])
+def test_dense_truth_under_a_wide_sky_is_resized_as_dense(crop, scale):
+    """Returns that are moved one by one keep the nearer of two, and leave holes when enlarged."""
+    sample = replace(recorded_beside_its_target(), depth=plane().depth.copy())
+    sample.depth[: round(0.6 * sample.size[0])] = 0  # sky
+    config = AugmentConfig(crop=crop, scale=(scale, scale))
+    for seed in range(8):  # the last crop may be mostly sky
+        out = scale_and_crop(sample, config, np.random.default_rng(seed))
+        # Columns are all ground or all sky below the horizon: no holes.
+        ground = out.depth > 0
+        assert not (ground[:-1] & ~ground[1:]).any()
+        if scale < 1:
+            known = sample.depth[sample.depth > 0]
+            assert np.isin(out.depth[ground], known).all()
+            np.testing.assert_array_equal(out.depth, resize_nearest(sample.depth, crop))
 
 
 def test_depth_follows_the_magnification_if_configured():
