@@ -39,7 +39,6 @@ class CamVid:
     Args:
         root: the folder.
         split: train, val or test.
-        decimate: take every n-th frame.
         classes: table of the class ids.
 
     Raises:
@@ -52,13 +51,12 @@ class CamVid:
         root: Path | str,
         *,
         split: str = "train",
-        decimate: int = 1,
         classes: ClassTable = "camvid",
     ) -> None:
         self._lookup = id_lookup("camvid", classes, _LABELS)
         folder = require_folder(Path(root) / split, "CamVid's images")
         annotations = require_folder(Path(root) / f"{split}annot", "CamVid's label images")
-        images = sorted(p for p in folder.iterdir() if p.suffix in {".png", ".jpg"})[::decimate]
+        images = sorted(p for p in folder.iterdir() if p.suffix in {".png", ".jpg"})
         if not images:
             raise DatasetError(f"{folder}: no .png or .jpg images in it; expected CamVid's frames.")
         self._frames = [(image, annotations / f"{image.stem}.png") for image in images]

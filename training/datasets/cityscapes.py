@@ -17,7 +17,6 @@ from training.datasets.files import (
     read_gray,
     read_rgb,
     require_folder,
-    require_partners,
 )
 from training.datasets.sample import Sample, nothing_known
 from training.datasets.source_recipe import SourceRecipe
@@ -102,8 +101,8 @@ class Cityscapes:
             if self._with_depth:
                 partners |= {"disparity": "_disparity.png", "camera": "_camera.json"}
             for kind, suffix in partners.items():
-                folder = require_folder(self._root / kind / split / city.name, f"{kind}'s files")
-                require_partners(folder, [stem + suffix for stem in stems])
+                folder = self._root / kind / split / city.name
+                require_folder(folder, f"{kind}'s files", files=[s + suffix for s in stems])
             self._frames += [(city.name, stem) for stem in stems]
         if not self._frames:
             raise DatasetError(f"{images}: no <city>/*{_IMAGE} in it.")

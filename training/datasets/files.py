@@ -1,5 +1,6 @@
 """Files of data sets as arrays; what the engine's readers find wrong is a DatasetError."""
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -63,21 +64,17 @@ def require_size(path: Path, size: tuple[int, ...], expected: tuple[int, int]) -
         )
 
 
-def require_folder(path: Path, purpose: str) -> Path:
-    """Return `path` or raise a DatasetError that says what should be in it."""
-    if not path.is_dir():
+def require_folder(path: Path, purpose: str, *, files: Sequence[str] = ()) -> Path:
+    """Return `path`; raise a DatasetError if it is no folder or lacks a file of these names."""
+    if not os.path.isdir(path):
         raise DatasetError(f"{path}: no such folder; expected {purpose}.")
-    return path
-
-
-def require_partners(folder: Path, names: Sequence[str]) -> None:
-    """Raise DatasetError if a file of these names is missing in a folder."""
-    there = {path.name for path in folder.iterdir()}
-    missing = [name for name in names if name not in there]
+    there = {file.name for file in path.iterdir()} if files else set()
+    missing = [name for name in files if name not in there]
     if missing:
         raise DatasetError(
-            f"{folder / missing[0]}: missing ({len(missing)} of {len(names)} frames lack it)."
+            f"{path / missing[0]}: missing ({len(missing)} of {len(files)} frames lack it)."
         )
+    return path
 
 
 def require_complete(frames: Sequence[ListedFrame], folder: Path) -> None:

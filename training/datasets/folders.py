@@ -18,7 +18,6 @@ from training.datasets.files import (
     read_gray,
     require_complete,
     require_folder,
-    require_partners,
     require_size,
 )
 from training.datasets.sample import IGNORE, Sample
@@ -80,8 +79,8 @@ class Folders:
             require_complete(self._frames, depth)
         for name in (recipe.sparse_depth, recipe.labels):
             if name is not None:
-                folder = require_folder(self._root / name, "a PNG for every image")
-                require_partners(folder, [f"{frame.name}.png" for frame in self._frames])
+                files = [f"{frame.name}.png" for frame in self._frames]
+                require_folder(self._root / name, "a PNG for every image", files=files)
 
     def __len__(self) -> int:
         return len(self._frames)

@@ -20,7 +20,6 @@ from training.datasets.files import (
     read_depth,
     read_rgb,
     require_folder,
-    require_partners,
 )
 from training.datasets.sample import IGNORE, Sample
 from training.datasets.source_recipe import SourceRecipe
@@ -105,7 +104,7 @@ def _list_drives(root: Path, split: str, cameras: Sequence[int]) -> list[_Frame]
         for camera in cameras:
             side = f"image_{camera:02d}"
             truth = require_folder(drive / "proj_depth" / "groundtruth" / side, "ground truth")
-            velodyne = require_folder(drive / "proj_depth" / "velodyne_raw" / side, "LiDAR maps")
+            velodyne = drive / "proj_depth" / "velodyne_raw" / side
             candidates = (drive / side / "data", root / "raw" / date / drive.name / side / "data")
             images = next((path for path in candidates if path.is_dir()), None)
             if images is None:
@@ -114,8 +113,8 @@ def _list_drives(root: Path, split: str, cameras: Sequence[int]) -> list[_Frame]
                     "of KITTI's raw data for this drive."
                 )
             names = sorted(path.name for path in truth.glob("*.png"))
-            require_partners(velodyne, names)
-            require_partners(images, names)
+            require_folder(velodyne, "LiDAR maps", files=names)
+            require_folder(images, "images", files=names)
             calibration = root / "raw" / date / "calib_cam_to_cam.txt"
             frames += [
                 _Frame(
@@ -149,10 +148,9 @@ def _list_selection(root: Path) -> list[_Frame]:
         raise DatasetError(f"{images}: no *_image_0<camera>.png in it.")
 
     def partners(kind: str, word: str, suffix: str) -> list[Path]:
-        other = require_folder(folder / kind, f"the selection's {kind}")
         # The drive's name holds no "_image_", so the first one is the kind of the file.
         names = [stem.replace("_image_", f"_{word}_", 1) + suffix for stem in stems]
-        require_partners(other, names)
+        other = require_folder(folder / kind, f"the selection's {kind}", files=names)
         return [other / name for name in names]
 
     velodyne = partners("velodyne_raw", "velodyne_raw", ".png")

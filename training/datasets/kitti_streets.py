@@ -18,7 +18,6 @@ from training.datasets.files import (
     read_points,
     read_rgb,
     require_folder,
-    require_partners,
 )
 from training.datasets.sample import IGNORE, Sample
 from training.datasets.source_recipe import SourceRecipe
@@ -82,12 +81,13 @@ class KittiStreets:
                 f"{images}: {len(found)} frames, none of them numbered {first}..{last}."
             )
         for folder, suffix in (("velodyne_fov", ".bin"), ("disp_occ_0", ".png")):
-            partners = require_folder(self._root / folder, f"{folder}'s {suffix} files")
-            require_partners(partners, [f"{path.stem}{suffix}" for path in self._images])
+            files = [f"{path.stem}{suffix}" for path in self._images]
+            require_folder(self._root / folder, f"{folder}'s {suffix} files", files=files)
         masks = self._root / "road_mask"
         self._masks = masks if masks.is_dir() else None
         if self._masks is not None:
-            require_partners(self._masks, [f"{path.stem}.png" for path in self._images])
+            files = [f"{path.stem}.png" for path in self._images]
+            require_folder(self._masks, "masks of the road", files=files)
         self._calibration, self._focal_baseline = _read_calibration(self._root / "calib.txt")
 
     def __len__(self) -> int:

@@ -23,7 +23,6 @@ from training.datasets.files import (
     read_rgb,
     require_complete,
     require_folder,
-    require_partners,
     require_size,
 )
 from training.datasets.sample import Sample
@@ -160,12 +159,13 @@ class VirtualKitti:
                 )
         folder = f"Camera_{camera}"
         require_complete(frames, variant / "frames" / "depth" / folder)
-        labels = require_folder(variant / "frames" / "classSegmentation" / folder, "classgt_*.png")
-        require_partners(labels, [f"classgt_{frame.name}.png" for frame in frames])
+        labels = variant / "frames" / "classSegmentation" / folder
+        files = [f"classgt_{frame.name}.png" for frame in frames]
+        require_folder(labels, "classgt_*.png", files=files)
         if self._scans:
             lidar = variant / "frames" / "lidar" / folder
-            require_folder(lidar, "the LiDAR's scans, which ssdnet-render writes")
-            require_partners(lidar, [f"lidar_{frame.name}.bin" for frame in frames])
+            files = [f"lidar_{frame.name}.bin" for frame in frames]
+            require_folder(lidar, "the LiDAR's scans, which ssdnet-render writes", files=files)
             to_camera = NumbersFile(variant / "calib.txt").matrix("Tr_velo_to_cam", 3, 4)
             self._extrinsics[variant] = np.vstack([to_camera, np.eye(4)[3]])
         self._frames += [(variant, camera, source, frame) for frame in frames]
@@ -240,8 +240,8 @@ class VirtualKitti1:
                 if selection.takes(scene, variant, number)
             ]
             for kind in (_DEPTH_1, _CLASSES_1):
-                other = require_folder(self._root / kind / scene / variant, f"{kind}'s frames")
-                require_partners(other, [f"{number}.png" for number in numbers])
+                other, files = self._root / kind / scene / variant, [f"{n}.png" for n in numbers]
+                require_folder(other, f"{kind}'s frames", files=files)
             colors = labels / f"{scene}_{variant}_scenegt_rgb_encoding.txt"
             self._colors[scene, variant] = read_colors(colors, classes)
             self._frames += [(scene, variant, number) for number in numbers]
