@@ -66,7 +66,7 @@ def frames_csv(report: RunReport) -> str:
 
 
 def describe_predictor(predictor: Predictor, frame_size: tuple[int, int] | None) -> str:
-    """One line: model, providers, threads, sizes of the frames and of the network."""
+    """Lines on model, providers, threads, sizes of frames and network, focal length and range."""
     network_size = predictor.network_size(frame_size) if frame_size else predictor.input_size
     nodes = predictor.node_counts
     running = ", ".join(
@@ -77,8 +77,18 @@ def describe_predictor(predictor: Predictor, frame_size: tuple[int, int] | None)
     return (
         f"{predictor.contract.model_name} sha256:{predictor.digest[:12]} | {running} | "
         f"threads {predictor.threads} | frames {size_text(frame_size)}, "
-        f"network at {size_text(network_size)}"
+        f"network at {size_text(network_size)}{_scale_text(predictor, frame_size)}"
     )
+
+
+def _scale_text(predictor: Predictor, frame_size: tuple[int, int] | None) -> str:
+    if frame_size is None:
+        return ""
+    scale = predictor.depth_scale(frame_size)
+    used = "not used" if scale.focal_length_px is None else f"{scale.focal_length_px:g} px"
+    if scale.ignored:
+        used = "ignored, since it would leave too short a range"
+    return f"\nfocal length {used}; depth up to {scale.range_m:.4g} m"
 
 
 def describe_run(report: RunReport) -> str:

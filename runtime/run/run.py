@@ -79,7 +79,7 @@ def run(
                         on_record=on_start(about, len(frames)),
                         stop=stop,
                     )
-                report = _report(options, source, predictor, kinds, result)
+                report = _report(options, source, predictor, kinds, frame_size, result)
                 write_report(report)
                 if page is not None:
                     page.finish(report)
@@ -239,12 +239,16 @@ def _report(
     source: Source,
     predictor: Predictor,
     kinds: tuple[str, ...],
+    frame_size: tuple[int, int] | None,
     result: StreamResult,
 ) -> RunReport:
+    scale = predictor.depth_scale(frame_size) if frame_size else None
     inputs = {
         "source": options.source_name,
         **source.inputs,
         "focal_length_px": predictor.focal_length_px,
+        "used_focal_length_px": scale and scale.focal_length_px,
+        "depth_range_m": scale and scale.range_m,
         "shard": options.shard,
         "warmup": options.warmup,
     }

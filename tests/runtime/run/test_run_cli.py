@@ -670,8 +670,22 @@ def test_the_focal_length_reaches_the_model(tmp_path, run, model_file, contract)
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["model"]["canonical_focal_px"] == 100.0
     assert report["inputs"]["focal_length_px"] == 200.0
+    assert report["inputs"]["used_focal_length_px"] == 200.0
+    assert report["inputs"]["depth_range_m"] == 160.0
+    assert "focal length 200 px; depth up to 160 m\n" in result.stdout
     picture = next((tmp_path / "out" / "depth").iterdir())
     assert cv2.imread(str(picture), cv2.IMREAD_UNCHANGED).min() == 3 * 256
+
+
+def test_an_ignored_focal_length_is_reported(tmp_path, run, model_file, contract):
+    """It would leave 40 m of the 80."""
+    path = model_file("c.onnx", contract=dataclasses.replace(contract, canonical_focal_px=100.0))
+    result = run("--model", path, "--focal-length", 50)
+    assert result.exit_code == 0
+    inputs = json.loads((tmp_path / "out" / "report.json").read_text())["inputs"]
+    assert (inputs["focal_length_px"], inputs["used_focal_length_px"]) == (50.0, None)
+    assert inputs["depth_range_m"] == 80.0
+    assert "focal length ignored, since it would leave too short a range" in result.stdout
 
 
 @pytest.mark.parametrize("value", ["0", "-5", "nan", "1e9"])
