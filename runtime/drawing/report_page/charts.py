@@ -21,7 +21,15 @@ def latency_chart(
 
     Where several frames share a span, a band shows the smallest and largest latency.
 
-    title: what the latencies are of
+    Args:
+        spans: of the frames, in order.
+        width: pixels.
+        height: pixels.
+        deadline_ms: None = there is none.
+        title: what the latencies are of.
+
+    Returns:
+        SVG; "" if no frame was answered.
     """
     answered = [span for span in spans if span.answered]
     if not answered:

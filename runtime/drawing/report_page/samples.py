@@ -48,7 +48,11 @@ class SampleKeeper:
     ) -> None:
         """Add a frame; it is drawn only if it is kept.
 
-        marks: findings besides `prediction.degraded`
+        Args:
+            name: of the frame.
+            rgb: its image.
+            prediction: its answer.
+            marks: findings besides `prediction.degraded`.
         """
         index, self._seen = self._seen, self._seen + 1
         reasons = (*prediction.degraded, *marks)

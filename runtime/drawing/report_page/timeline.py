@@ -10,9 +10,11 @@ _MAX_SPANS = 2048  # more than a screen has columns
 class Moment:
     """The outcome of one frame.
 
-    response_ms: what the deadline limits; None = there was no answer
-    marks: its status unless "ok", "late", reasons of `Prediction.degraded`, findings of health
-    returns: LiDAR returns that were used; None = not known
+    Attributes:
+        name: of the frame.
+        response_ms: what the deadline limits; None = there was no answer.
+        marks: its status unless "ok", "late", reasons of `Prediction.degraded`, findings of health.
+        returns: LiDAR returns that were used; None = not known.
     """
 
     name: str
@@ -25,9 +27,11 @@ class Moment:
 class Span:
     """Successive frames; the times are of the answered ones among them.
 
-    first, last: numbers of the frames, from 0
-    name: of the frame, if it is only one
-    marks: mark -> frames that have it
+    Attributes:
+        first: number of the first frame, from 0.
+        last: number of the last frame.
+        name: of the frame, if it is only one.
+        marks: mark -> frames that have it.
     """
 
     first: int

@@ -136,8 +136,12 @@ def open_mcap(
 ) -> Iterator[McapWriter]:
     """Make an MCAP file that gets its name when the block ends; after an error there it is removed.
 
-    path: a run without a frame leaves no file there
-    rate_hz: of frames without stamps, the first of which is at 0; None = DEFAULT_RATE_HZ
+    Args:
+        path: of the file; a run without a frame leaves none there.
+        contract: of the model.
+        overlay: draws the frames.
+        rate_hz: of frames without stamps, the first of which is at 0; None = DEFAULT_RATE_HZ.
+        overwrite: whether an existing file is replaced.
     """
     try:
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer

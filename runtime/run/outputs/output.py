@@ -31,7 +31,10 @@ class Output(Protocol):
 def require_free(path: Path, *, overwrite: bool, inputs: Collection[Path] = ()) -> None:
     """Raise OutputError unless a file can be made at `path`.
 
-    inputs: files that the run reads, and folders in which no file may be replaced
+    Args:
+        path: of the file.
+        overwrite: whether an existing file may be replaced.
+        inputs: files that the run reads, and folders in which no file may be replaced.
     """
     if os.path.isdir(path) and not os.path.islink(path):
         raise OutputError(f"{path} is a folder: name a file to write")

@@ -99,9 +99,12 @@ def open_rerun(
 ) -> Iterator[RerunLogger]:
     """Log a run to a viewer, or to a file that gets its name when the block ends.
 
-    target: a path that ends in .rrd; RERUN_LIVE, the viewer on this machine,
-        which is started unless one is open; or a viewer's address, rerun+http://HOST:PORT/proxy
-    focal_length_px: for the clouds of frames without a calibration, see `intrinsics_of`
+    Args:
+        target: a path that ends in .rrd; RERUN_LIVE, the viewer on this machine, which is started
+            unless one is open; or the address of a viewer, rerun+http://HOST:PORT/proxy.
+        contract: of the model.
+        focal_length_px: for the clouds of frames without a calibration, see `intrinsics_of`.
+        overwrite: whether an existing file is replaced.
     """
     try:
         import rerun

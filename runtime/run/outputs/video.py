@@ -72,8 +72,11 @@ def open_video(
 ) -> Iterator[VideoWriter]:
     """Make a video that gets its name when the block ends; after an error there it is removed.
 
-    path: a run without a frame leaves no file there
-    rate_hz: None = DEFAULT_RATE_HZ
+    Args:
+        path: of the file; a run without a frame leaves none there.
+        overlay: draws the frames.
+        rate_hz: None = DEFAULT_RATE_HZ.
+        overwrite: whether an existing file is replaced.
     """
     with atomic_path(path, overwrite=overwrite) as temporary:
         writer = VideoWriter(temporary, overlay, rate_hz or DEFAULT_RATE_HZ)

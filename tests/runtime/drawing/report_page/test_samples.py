@@ -14,7 +14,6 @@ from runtime.prediction import Latency
 @pytest.fixture
 def look(contract, model_file, make_frame):
     """Let a keeper see n frames, the time of frame i by `time_ms`, its marks by `marks`."""
-
     rgb, depth = make_frame(60, 80)
     rgb[..., 1] = rgb[..., 2] // 2  # boundary = green / blue stays within 0..1
     heads = ("semantic", "depth", "boundary", "depth_uncertainty")
