@@ -3,7 +3,6 @@
 import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -67,7 +66,8 @@ def run(
             frame_size = _warm_up(predictor, frames, source, runs=options.warmup)
             _require_outputs(options, source)
             about = "\n".join([*source.notes, describe_predictor(predictor, frame_size)])
-            with stop_requested() as stop, _open_page(options, predictor) as page:
+            page = _page(options, predictor)
+            with stop_requested() as stop:
                 with _open_outputs(options, predictor, kinds, frames, page) as outputs:
                     result = run_stream(
                         predictor,
@@ -151,14 +151,12 @@ def _require_outputs(options: RunOptions, source: Source) -> None:
         require_free(path, overwrite=options.overwrite, inputs=source.recordings)
 
 
-def _open_page(
-    options: RunOptions, predictor: Predictor
-) -> AbstractContextManager["RunPage | None"]:
+def _page(options: RunOptions, predictor: Predictor) -> "RunPage | None":
     if options.report is None:
-        return contextlib.nullcontext()
-    from runtime.run.outputs.run_page import open_page
+        return None
+    from runtime.run.outputs.run_page import RunPage
 
-    return open_page(options.report, predictor.contract, overwrite=options.overwrite)
+    return RunPage(options.report, predictor.contract, overwrite=options.overwrite)
 
 
 class _Outputs(NamedTuple):
@@ -176,7 +174,7 @@ def _open_outputs(
     frames: Sequence[ListedFrame],
     page: Output | None,
 ) -> Iterator[_Outputs]:
-    """Make the folder of the run, and open all outputs but the page, which is open."""
+    """Make the folder of the run, and open all outputs but the page, written last."""
     contract, focal_px = predictor.contract, predictor.focal_length_px
     overlay = SharedOverlay(contract.classes, contract.max_depth_m)
     with contextlib.ExitStack() as opened:

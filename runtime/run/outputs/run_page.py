@@ -1,9 +1,7 @@
 """The page of a run over a stream of frames."""
 
-import contextlib
 import shlex
 import sys
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ from runtime.drawing.report_page.facts import collect_facts
 from runtime.drawing.report_page.page import PageContent, Problem, render_page
 from runtime.drawing.report_page.samples import SampleKeeper
 from runtime.drawing.report_page.timeline import Moment, Timeline
-from runtime.io.atomic_write import atomic_path
+from runtime.io.atomic_write import atomic_write
 from runtime.prediction import Prediction
 from runtime.run.pipeline import OK, FrameRecord
 from runtime.run.run_report import RunReport
@@ -22,10 +20,10 @@ from runtime.sources.frames import Frame
 
 
 class RunPage:
-    """Keep sample pictures of a run, and make its page at the end; see `open_page`."""
+    """Keep sample pictures of a run, and make its page when the report is known."""
 
-    def __init__(self, path: Path, contract: Contract) -> None:
-        self._path, self._contract = path, contract
+    def __init__(self, path: Path, contract: Contract, *, overwrite: bool) -> None:
+        self._path, self._contract, self._overwrite = path, contract, overwrite
         self._started = datetime.now(UTC)
         self._samples = SampleKeeper(contract)
 
@@ -34,7 +32,7 @@ class RunPage:
         self._samples.look(frame.name, frame.rgb, prediction, frame.health)
 
     def finish(self, report: RunReport) -> None:
-        """Write the page. Raises OSError."""
+        """Write the page, whole or not at all. Raises OutputError."""
         timeline = Timeline()
         for record in report.records:
             timeline.add(_moment(record, report))
@@ -57,14 +55,7 @@ class RunPage:
             samples=self._samples.samples(),
             facts=collect_facts(report.engine, "Run", _run_facts(report, self._started)),
         )
-        self._path.write_bytes(render_page(content))
-
-
-@contextlib.contextmanager
-def open_page(path: Path, contract: Contract, *, overwrite: bool = True) -> Iterator[RunPage]:
-    """Make a page that gets its name when the block ends; after an error there it is removed."""
-    with atomic_path(path, overwrite=overwrite) as temporary:
-        yield RunPage(temporary, contract)
+        atomic_write(self._path, render_page(content), overwrite=self._overwrite)
 
 
 def _moment(record: FrameRecord, report: RunReport) -> Moment:

@@ -179,6 +179,13 @@ def test_a_place_that_cannot_be_written_is_reported_before_the_run(tmp_path, run
     assert not (tmp_path / "out").exists()
 
 
+def test_the_page_may_lie_in_the_folder_of_the_run(tmp_path, run):
+    path = tmp_path / "out" / "report.html"
+    assert run("--report", path).exit_code == 0
+    assert path.read_text().endswith("</html>\n")
+    assert run("--report", path, "--overwrite").exit_code == 0
+
+
 def test_a_page_that_cannot_be_written_costs_no_other_result(tmp_path, run, monkeypatch):
     def full(*arguments):
         raise OutputError("no room")
