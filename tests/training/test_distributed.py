@@ -1,6 +1,7 @@
-"""Two processes started by torchrun train the same network as one with the large batch."""
+"""Two processes, as torchrun starts them, train what one does with the large batch."""
 
 import copy
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -21,9 +22,10 @@ from training.distributed import (
     synchronise_batch_norm,
 )
 
-# Every term of the loss, on a set whose frames differ in how much of them is known.
+# Every term of the loss, on a set whose frames differ in how much of them is known. PyTorch is
+# imported once; the processes of each run are forked, with the environment that torchrun sets.
 TRAIN = """
-import os, sys
+import json, os, socket, sys
 from dataclasses import replace
 from pathlib import Path
 import torch
@@ -39,34 +41,61 @@ from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
 from training.recipe import *
-data, out = Path(sys.argv[1]), Path(sys.argv[2])
-batch, parts, stop_after = map(int, sys.argv[3:])
 source = RenderedRecipe(path="scenes")
 recipe = Recipe(
     model=ModelRecipe("ssdnet-small"),
-    data=DataRecipe((source,), AugmentConfig(crop=(40, 56)), batch_size=batch, workers=0),
+    data=DataRecipe((source,), AugmentConfig(crop=(40, 56)), workers=0),
     schedule=ScheduleRecipe(steps=2),
     loss=LossConfig(semantic_iou_weight=0.5, side_boundary_weight=0.5, weighting="uncertainty"),
     optimizer=OptimizerRecipe(name="sgd", learning_rate=0.05),
-    loop=LoopRecipe(checkpoint_every=3, log_every=1, accumulate=parts, clip_norm=1.0),
+    loop=LoopRecipe(checkpoint_every=3, log_every=1, clip_norm=1.0),
     validation=ValidationRecipe(every=2, source=(source,), pictures=1),
 )
 share = loop.share_gradients
-def keep(network, processes):
-    global kept
-    kept = network
-    torch.save(network.state_dict(), out / f"rank{processes.rank}.start")
-    return share(network, processes)
-loop.share_gradients = keep
-loop.train(recipe, data=[data], out=out, stop_after=stop_after or None)
-torch.save(kept.state_dict(), out / f"rank{os.environ.get('RANK', 0)}.weights")
+def train(data, out, *, batch=2, parts=1, stop_after=None):
+    def keep(network, processes):
+        nonlocal kept
+        kept = network
+        torch.save(network.state_dict(), out / f"rank{processes.rank}.start")
+        return share(network, processes)
+    kept = None
+    loop.share_gradients = keep
+    run = replace(
+        recipe,
+        data=replace(recipe.data, batch_size=batch),
+        loop=replace(recipe.loop, accumulate=parts),
+    )
+    loop.train(run, data=[data], out=out, stop_after=stop_after)
+    torch.save(kept.state_dict(), out / f"rank{os.environ['RANK']}.weights")
+root = Path(sys.argv[1])
+for name, processes, options in json.loads(sys.argv[2]):
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    children = []
+    for rank in range(processes):
+        children.append(os.fork())
+        if children[-1] == 0:
+            os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
+            os.environ |= {"RANK": str(rank), "WORLD_SIZE": str(processes)}
+            train(root / "data", root / name, **options)
+            os._exit(0)
+    assert [os.waitpid(child, 0)[1] for child in children] == [0] * processes, name
 """
+RUNS = [
+    ("one", 1, {"batch": 4, "parts": 2}),
+    ("two", 2, {"parts": 2}),
+    ("whole", 2, {}),
+    ("stopped", 2, {"stop_after": 1}),
+]
 
 
-@pytest.fixture
-def data(tmp_path):
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    """Where RUNS lie."""
+    root = tmp_path_factory.mktemp("distributed")
     rng = np.random.default_rng(0)
-    folder = tmp_path / "data" / "scenes" / "Scene01" / "clone"
+    folder = root / "data" / "scenes" / "Scene01" / "clone"
     for kind in ("rgb", "depth", "classSegmentation"):
         (folder / "frames" / kind / "Camera_0").mkdir(parents=True)
     (folder / "colors.txt").write_text("Category r g b\nRoad 100 60 100\nCar 0 9 9\nMisc 1 2 3\n")
@@ -86,34 +115,18 @@ def data(tmp_path):
         cv2.imwrite(str(labels), colors[label])
         rows.append(f"{index} 0 60 60 28 20")
     (folder / "intrinsic.txt").write_text("\n".join(rows))
-    return tmp_path / "data"
+    run(root, RUNS)
+    return root
 
 
-def run(
-    tmp_path: Path,
-    data: Path,
-    name: str,
-    *,
-    processes: int,
-    batch: int,
-    parts: int = 1,
-    stop_after: int = 0,
-) -> Path:
-    script = tmp_path / "train.py"
-    script.write_text(TRAIN)
-    launcher = [
-        *("-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={processes}"),
-    ]
-    command = [sys.executable, "-W", "ignore", *(launcher if processes > 1 else [])]
-    out = tmp_path / name
+def run(root: Path, runs: list[tuple[str, int, dict[str, int]]]) -> None:
     done = subprocess.run(
-        [*command, str(script), str(data), str(out), *map(str, (batch, parts, stop_after))],
+        [sys.executable, "-W", "ignore", "-c", TRAIN, root, json.dumps(runs)],
         capture_output=True,
         text=True,
         timeout=300,
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    return out
 
 
 def scores_of(run: Path) -> dict[str, float]:
@@ -128,9 +141,8 @@ def joined(state: dict[str, torch.Tensor], kind: str) -> torch.Tensor:
     return torch.cat([value.flatten().float() for name, value in state.items() if kind in name])
 
 
-def test_two_processes_train_what_one_trains_with_the_large_batch(tmp_path, data):
-    one = run(tmp_path, data, "one", processes=1, batch=4, parts=2)
-    two = run(tmp_path, data, "two", processes=2, batch=2, parts=2)
+def test_two_processes_train_what_one_trains_with_the_large_batch(root):
+    one, two = root / "one", root / "two"
     first, second = (torch.load(two / f"rank{rank}.weights") for rank in (0, 1))
     expected, start = torch.load(one / "rank0.weights"), torch.load(one / "rank0.start")
     for name in expected:
@@ -160,14 +172,13 @@ def test_two_processes_train_what_one_trains_with_the_large_batch(tmp_path, data
     assert len(list((two / "tensorboard").iterdir())) == 1  # one of them writes
 
 
-def test_two_processes_resume_to_the_same_weights(tmp_path, data):
-    whole = run(tmp_path, data, "whole", processes=2, batch=2)
-    stopped = run(tmp_path, data, "stopped", processes=2, batch=2, stop_after=1)
+def test_two_processes_resume_to_the_same_weights(root):
+    whole, stopped = root / "whole", root / "stopped"
     expected = torch.load(whole / "rank0.weights")
     halfway = torch.load(stopped / "rank0.weights")
     assert any(not torch.equal(halfway[name], expected[name]) for name in expected)
     assert not (stopped / "model.pt").exists()
-    run(tmp_path, data, "stopped", processes=2, batch=2)
+    run(root, [("stopped", 2, {})])
     for rank in (0, 1):
         resumed = torch.load(stopped / f"rank{rank}.weights")
         for name in expected:
