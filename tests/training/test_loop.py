@@ -42,10 +42,10 @@ from training.run_folder import NonFiniteLossError
 
 TINY = replace(
     NETWORKS["ssdnet-lite"].config,
-    stem_channels=(16, 16),
-    encoder_channels=(16, 16, 16, 16),
-    encoder_blocks=(1, 1, 1, 1),
-    decoder_channels=(16, 16, 16),
+    stem_channels=(8, 8),
+    encoder_channels=(16, 16),
+    encoder_blocks=(1, 1),
+    decoder_channels=(16,),
     boundary_channels=4,
 )
 
