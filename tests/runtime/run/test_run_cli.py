@@ -29,33 +29,6 @@ from runtime.run.run_folder import KINDS
 N = 12
 
 
-@pytest.fixture
-def stream(tmp_path, make_frame) -> tuple[Path, Path]:
-    """A stream of N frames of 48 x 64 in cam/ and lidar/."""
-    for folder in ("cam", "lidar"):
-        (tmp_path / folder).mkdir()
-    for index in range(N):
-        rgb, depth = make_frame(seed=index)
-        rgb[..., 1] = rgb[..., 2] // 2
-        assert cv2.imwrite(str(tmp_path / f"cam/f{index}.png"), rgb[..., ::-1])
-        image = np.rint(depth * 256).astype(np.uint16)
-        assert cv2.imwrite(str(tmp_path / f"lidar/f{index}.png"), image)
-    return tmp_path / "cam", tmp_path / "lidar"
-
-
-@pytest.fixture
-def run(tmp_path, stream, model_file):
-    """Run the command on the stream, into tmp_path/out, and give click's result."""
-    model = model_file(heads=("semantic", "depth", "boundary", "depth_uncertainty"))
-
-    def invoke(*arguments: object):
-        rgb, depth = stream
-        standard = ["--rgb", rgb, "--depth", depth, "--model", model, "--out", tmp_path / "out"]
-        return CliRunner().invoke(app, [str(a) for a in [*standard, "--threads", 1, *arguments]])
-
-    return invoke
-
-
 def arguments(stream: tuple[Path, Path], model: Path, folder: Path) -> list[str]:
     rgb, depth = stream
     given = ["--rgb", rgb, "--depth", depth, "--model", model, "--out", folder / "out"]
@@ -587,18 +560,8 @@ def test_a_full_disk_is_exit_code_1_with_whole_files_only(tmp_path, run, mount_d
     assert run("--out", out, "--overwrite", "--limit", 1, "--save", "semantic").exit_code == 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, monkeypatch, number):
-    predict = runtime.run.run.Predictor.predict
-    count = iter(range(100))
-
-    def interrupted(self, *frame, **options):
-        if next(count) == 6:
-            signal.raise_signal(number)
-        return predict(self, *frame, **options)
-
-    before = signal.getsignal(number)
-    monkeypatch.setattr(runtime.run.run.Predictor, "predict", interrupted)
+def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, signal_in_frame_6):
+    before = signal.getsignal(signal_in_frame_6)
     result = run("--warmup", 0, "--record", tmp_path / "recording")
     assert result.exit_code == 3
     assert "frames: 7 (7 ok), interrupted" in result.stdout
@@ -607,7 +570,7 @@ def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, monkeypatc
     assert report["interrupted"]
     assert len(rows_of(tmp_path / "out")) == 7
     assert len(list((tmp_path / "out/overlay").iterdir())) == 7
-    assert signal.getsignal(number) == before
+    assert signal.getsignal(signal_in_frame_6) == before
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import sys
 import time
 
 import cv2
-import numpy as np
 import pytest
 
 from runtime.io.recording import read_recording
@@ -60,21 +59,13 @@ def server():
 
 
 @pytest.fixture
-def arguments(tmp_path, make_frame, model_file):
+def arguments(tmp_path, make_stream, all_heads):
     """A run of N frames with every output that can be written here."""
-    for folder in ("cam", "lidar"):
-        (tmp_path / folder).mkdir()
-    for index in range(N):
-        rgb, depth = make_frame(seed=index)
-        rgb[..., 1] = rgb[..., 2] // 2
-        assert cv2.imwrite(str(tmp_path / f"cam/f{index}.png"), rgb[..., ::-1])
-        image = np.rint(depth * 256).astype(np.uint16)
-        assert cv2.imwrite(str(tmp_path / f"lidar/f{index}.png"), image)
-    model = model_file(heads=("semantic", "depth", "boundary", "depth_uncertainty"))
+    rgb, depth = make_stream(N)
     options = {
-        "--rgb": tmp_path / "cam",
-        "--depth": tmp_path / "lidar",
-        "--model": model,
+        "--rgb": rgb,
+        "--depth": depth,
+        "--model": all_heads,
         "--out": tmp_path / "out",
         "--save": ",".join(SUFFIXES),
         "--focal-length": 60,

@@ -6,8 +6,6 @@ import signal
 import sys
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -23,20 +21,11 @@ N = 4
 
 
 @pytest.fixture
-def command(tmp_path, make_frame, model_file):
+def command(tmp_path, make_stream, all_heads):
     """The options of a run on a stream of N frames into tmp_path/out."""
-    for folder in ("cam", "lidar"):
-        (tmp_path / folder).mkdir()
-    for index in range(N):
-        rgb, depth = make_frame(seed=index)
-        rgb[..., 1] = rgb[..., 2] // 2
-        assert cv2.imwrite(str(tmp_path / f"cam/f{index}.png"), rgb[..., ::-1])
-        image = np.rint(depth * 256).astype(np.uint16)
-        assert cv2.imwrite(str(tmp_path / f"lidar/f{index}.png"), image)
-    model = model_file(heads=("semantic", "depth", "boundary", "depth_uncertainty"))
-    options = {"--rgb": "cam", "--depth": "lidar", "--out": "out", "--model": model}
-    paths = [text for name, path in options.items() for text in (name, str(tmp_path / path))]
-    return [*paths, "--threads", "1", "--warmup", "1"]
+    rgb, depth = map(str, make_stream(N))
+    paths = ["--rgb", rgb, "--depth", depth, "--model", str(all_heads)]
+    return [*paths, "--out", str(tmp_path / "out"), "--threads", "1", "--warmup", "1"]
 
 
 def names_listed(out: Path) -> list[str]:

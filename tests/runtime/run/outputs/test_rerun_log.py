@@ -3,7 +3,6 @@
 import importlib.util
 import os
 import shutil
-import signal
 import socket
 import subprocess
 import sys
@@ -16,7 +15,6 @@ import cv2
 import numpy as np
 import pytest
 
-import runtime.run.run
 from runtime import OutputError
 from runtime.run.outputs import rerun_log
 from runtime.run.outputs.intrinsics import intrinsics_of
@@ -192,17 +190,7 @@ def test_a_viewer_gets_every_frame(tmp_path, run):
     assert read_log(kept)["/latency/total"]["frame"] == list(range(12))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_after_a_signal_its_frames_are_those_of_the_table(tmp_path, run, monkeypatch, number):
-    predict = runtime.run.run.Predictor.predict
-    count = iter(range(100))
-
-    def interrupted(self, *frame, **options):
-        if next(count) == 6:
-            signal.raise_signal(number)
-        return predict(self, *frame, **options)
-
-    monkeypatch.setattr(runtime.run.run.Predictor, "predict", interrupted)
+def test_after_a_signal_its_frames_are_those_of_the_table(tmp_path, run, signal_in_frame_6):
     path = tmp_path / "out" / "run.rrd"
     result = run("--warmup", 0, "--rerun", path, "--focal-length", 60)
     assert result.exit_code == 3, result.output

@@ -3,14 +3,12 @@
 import json
 import re
 import shutil
-import signal
 import subprocess
 
 import cv2
 import numpy as np
 import pytest
 
-import runtime.run.run
 from runtime import OutputError
 from runtime.drawing.report_page.page import Problem, _problems
 from runtime.run.outputs.run_page import RunPage
@@ -138,19 +136,9 @@ def test_names_are_text(page_of, stream, name):
     assert "<b>&x" not in text
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_after_a_signal_its_frames_are_those_that_were_written(
-    page_of, tmp_path, monkeypatch, number
+    page_of, tmp_path, signal_in_frame_6
 ):
-    predict = runtime.run.run.Predictor.predict
-    count = iter(range(100))
-
-    def interrupted(self, *frame, **options):
-        if next(count) == 6:
-            signal.raise_signal(number)
-        return predict(self, *frame, **options)
-
-    monkeypatch.setattr(runtime.run.run.Predictor, "predict", interrupted)
     result, page, _ = page_of("--warmup", 0)
     assert result.exit_code == 3
     assert "interrupted" in page.texts

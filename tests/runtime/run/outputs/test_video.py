@@ -1,7 +1,6 @@
 """The video holds the overlay of every frame that was written, and is whole or not there."""
 
 import csv
-import signal
 from types import SimpleNamespace
 
 import cv2
@@ -111,17 +110,7 @@ def test_what_cannot_be_encoded_is_an_output_error(tmp_path, overlay, answered, 
         fail()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_after_a_signal_its_frames_are_those_of_the_table(tmp_path, run, monkeypatch, number):
-    predict = runtime.run.run.Predictor.predict
-    count = iter(range(100))
-
-    def interrupted(self, *frame, **options):
-        if next(count) == 6:
-            signal.raise_signal(number)
-        return predict(self, *frame, **options)
-
-    monkeypatch.setattr(runtime.run.run.Predictor, "predict", interrupted)
+def test_after_a_signal_its_frames_are_those_of_the_table(tmp_path, run, signal_in_frame_6):
     video = tmp_path / "out" / "run.mp4"
     result = run("--warmup", 0, "--video", video, "--save", "none")
     assert result.exit_code == 3, result.output
