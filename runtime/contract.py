@@ -1,4 +1,4 @@
-"""The versioned JSON document inside every ONNX file: what the tensors alone do not say."""
+"""The versioned JSON document inside every ONNX file: what its tensors do not describe."""
 
 import hashlib
 import json
@@ -43,7 +43,7 @@ class ClassInfo:
 
 @dataclass(frozen=True)
 class Content:
-    """What stands in a model file before its metadata: how many bytes, and their SHA-256."""
+    """The bytes of a model file before its metadata: their number and SHA-256."""
 
     bytes: int
     sha256: str

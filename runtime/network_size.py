@@ -13,28 +13,28 @@ NetworkSize = Literal["frame"] | int | tuple[int, int] | None
 LARGEST_RATIO = 1.25
 
 
-def check_network_size(asked: Any, *, fixed: bool) -> NetworkSize:
+def check_network_size(requested: Any, *, fixed: bool) -> NetworkSize:
     """Return a requested size in plain integers.
 
     Args:
-        asked: a NetworkSize.
+        requested: a NetworkSize.
         fixed: whether the model takes one size only.
 
     Raises:
         InputError: for anything but a NetworkSize, for sides out of range, and for anything but
             None where the model is of fixed size.
     """
-    if asked is None:
+    if requested is None:
         return None
     if fixed:
         raise InputError(
-            f"size = {asked!r:.80}, but the model is of fixed size: leave size out, or export the "
-            "model with --dynamic"
+            f"size = {requested!r:.80}, but the model is of fixed size: leave size out, or export "
+            "the model with --dynamic"
         )
-    if isinstance(asked, str) and asked == "frame":
+    if isinstance(requested, str) and requested == "frame":
         return "frame"
     try:
-        return _in_range(asked)
+        return _in_range(requested)
     except ValueError as error:
         raise InputError(
             f'{error}: size is None (about the trained height), "frame" (the frame\'s own), a '
@@ -60,13 +60,13 @@ def parse_network_size(text: str) -> NetworkSize:
 
 
 def network_size(
-    asked: NetworkSize, frame_size: tuple[int, int], *, trained_height: int | None
+    requested: NetworkSize, frame_size: tuple[int, int], *, trained_height: int | None
 ) -> tuple[int, int]:
     """Return the (height, width) at which a network of free size runs for a frame.
 
     Args:
-        asked: None = `trained_height` rows with the aspect kept for a frame that has more than a
-            quarter more of them, the frame's own size for any other or where no height is known;
+        requested: None = `trained_height` rows with the aspect kept for a frame that has more than
+            a quarter more of them, the frame's own size for any other or where no height is known;
             "frame" = the frame's own size; a number of rows with the aspect kept; or
             (height, width).
         frame_size: (height, width).
@@ -75,10 +75,10 @@ def network_size(
     Raises:
         InputError: if the rows are too wide at the frame's aspect.
     """
-    if isinstance(asked, tuple):
-        return asked
+    if isinstance(requested, tuple):
+        return requested
     height, width = frame_size
-    rows = asked
+    rows = requested
     if rows is None and trained_height is not None and height > LARGEST_RATIO * trained_height:
         rows = trained_height
     if rows is None or rows == "frame":
@@ -92,11 +92,11 @@ def network_size(
     return size
 
 
-def _in_range(asked: Any) -> int | tuple[int, int]:
+def _in_range(requested: Any) -> int | tuple[int, int]:
     """Return rows or (height, width) in plain integers; ValueError for anything else."""
-    if isinstance(asked, tuple | list):
-        return check_size([_integer(side) for side in asked])
-    return check_side(_integer(asked), "size")
+    if isinstance(requested, tuple | list):
+        return check_size([_integer(side) for side in requested])
+    return check_side(_integer(requested), "size")
 
 
 def _integer(value: Any) -> int:

@@ -25,7 +25,7 @@ def draw_latency(
         deadline_ms: None = there is none.
 
     Returns:
-        uint8 (H, W, 3), blue first.
+        uint8 (H, W, 3), BGR.
     """
     picture = np.full((_HEIGHT, _WIDTH, 3), 255, dtype=np.uint8)
     times_ms = sorted(latencies_ms.values())

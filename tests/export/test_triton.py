@@ -59,9 +59,9 @@ def sides(tensor):
 
 def check(config, graph):
     """The batch, which Triton puts before `dims`, and all else of each tensor."""
-    for told, tensors in ((config.input, graph.input), (config.output, graph.output)):
-        assert [entry.name for entry in told] == [tensor.name for tensor in tensors]
-        for entry, tensor in zip(told, tensors, strict=True):
+    for entries, tensors in ((config.input, graph.input), (config.output, graph.output)):
+        assert [entry.name for entry in entries] == [tensor.name for tensor in tensors]
+        for entry, tensor in zip(entries, tensors, strict=True):
             assert TYPE_OF[entry.data_type] == tensor.type.tensor_type.elem_type
             batch = [-1] if config.max_batch_size else []
             assert [*batch, *entry.dims] == sides(tensor)

@@ -18,7 +18,7 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals"
 @pytest.mark.parametrize(
     ("error", "code", "text"),
     [
-        (InputError("what came"), 1, "error: what came\n"),
+        (InputError("the fault"), 1, "error: the fault\n"),
         (ImportError("No module named 'x'"), 1,
          "error: No module named 'x': pip install \"ssdnet[train]\"\n"),
         (KeyboardInterrupt(), 130, ""),

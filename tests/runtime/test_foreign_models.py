@@ -47,7 +47,7 @@ def test_a_pinned_file(model_file):
     other = "0" * 64
     with pytest.raises(ContractError, match=f"{digest}.* {other}"):
         Predictor(path, sha256=other)
-    path.write_bytes(path.read_bytes()[:-1])  # what came instead is named, whatever it is
+    path.write_bytes(path.read_bytes()[:-1])  # another file is refused, whatever it is
     with pytest.raises(ContractError, match=f"SHA-256 .* {digest}"):
         Predictor(path, sha256=digest)
 

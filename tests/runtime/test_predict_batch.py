@@ -138,12 +138,12 @@ def test_a_bad_frame_is_named_before_any_runs(model_file, make_frame, counted):
     good = make_frame()
     with Predictor(model_file()) as predictor:
         batches = counted(predictor)
-        for bad, told in [
+        for bad, text in [
             ((good[0], good[1][:-1]), "frame 1 of 3: sparse_depth must have the shape"),
             ((good[0],), r"frame 1 of 3 must be \(rgb, sparse_depth\)"),
             (None, r"frame 1 of 3 must be \(rgb, sparse_depth\)"),
         ]:
-            with pytest.raises(InputError, match=told):
+            with pytest.raises(InputError, match=text):
                 predictor.predict_batch([good, bad, good])
         with pytest.raises(InputError, match="one entry for each of 2"):
             predictor.predict_batch([good, good], stamps=[1])

@@ -1,4 +1,4 @@
-"""A recording comes back as it was written, whole or not at all, and damage is told."""
+"""A recording comes back as it was written, whole or not at all, and damage is reported."""
 
 import io
 import json
@@ -104,11 +104,11 @@ def test_a_document_that_was_changed_is_refused(recording, changes):
         read_recording(recording)
 
 
-@pytest.mark.parametrize(("content", "told"), [(b"{", "not JSON"), (None, "cannot read")])
-def test_a_folder_that_is_no_recording_is_refused(recording, content, told):
+@pytest.mark.parametrize(("content", "message"), [(b"{", "not JSON"), (None, "cannot read")])
+def test_a_folder_that_is_no_recording_is_refused(recording, content, message):
     path = recording / "recording.json"
     path.unlink() if content is None else path.write_bytes(content)
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         read_recording(recording)
 
 
