@@ -417,7 +417,7 @@ def _batch(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
 
 
 def _one_each(name: str, values: Any, frames: Any) -> list[Any]:
-    """Values for each of the frames, None for all where there are none. Raises InputError."""
+    """Return a value for each frame, None for all without values. Raises InputError."""
     if not isinstance(frames, Sequence):
         raise InputError(
             f"frames must be a list of (rgb, sparse_depth), got {type(frames).__name__}"
@@ -434,7 +434,7 @@ def _one_each(name: str, values: Any, frames: Any) -> list[Any]:
 
 
 def _check_focal_length(focal_px: Any) -> float | None:
-    """Give back a focal length, None as it is. Raises InputError."""
+    """Return a checked focal length, None as it is. Raises InputError."""
     if focal_px is None:
         return None
     try:
