@@ -1,7 +1,7 @@
 """Files and folders that are whole or not there.
 
 They are written as a hidden temporary beside their target, under a lock, and renamed when they are
-whole. The lock of a killed process is gone: a temporary that can be locked is a leftover, and the
+whole. A killed process loses its lock: a temporary that can be locked is a leftover, and the
 next write of the same target removes it.
 """
 

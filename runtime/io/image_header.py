@@ -12,7 +12,7 @@ _NO_SEGMENT = frozenset({0x01, *range(0xD0, 0xD8)})
 _MAX_SEGMENTS = 1000  # before the size; a colour profile takes up to 255
 
 
-def picture_size(content: bytes) -> tuple[int, int] | None:
+def image_size(content: bytes) -> tuple[int, int] | None:
     """(height, width) from the header of a PNG or JPEG file; None for any other content.
 
     It is read where OpenCV's decoders (libpng, libjpeg) read it.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from runtime.contract import MAX_PIXELS
 from runtime.errors import InputError
-from runtime.io.image_header import picture_size
+from runtime.io.image_header import image_size
 from runtime.io.read_input import read_input
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -78,7 +78,7 @@ def decode(path: Path, flags: int) -> NDArray[Any]:
 def decode_content(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
     """Decode the content of a PNG or JPEG file as `decode` does; `name` is for the errors."""
     damaged = f"{name} is empty, truncated or damaged, or no PNG or JPEG ({len(content)} bytes)"
-    size = picture_size(content)
+    size = image_size(content)
     if size is None:
         raise InputError(damaged)
     require_pixels(size, name=name)
@@ -100,7 +100,7 @@ def require_pixels(size: tuple[int, int], *, name: str) -> None:
         )
 
 
-def list_pictures(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[str, Path]:
+def list_files(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[str, Path]:
     """Stem -> path of the files of a folder that end in one of `suffixes`, without hidden ones.
 
     Raises InputError if there is none, if the folder cannot be listed, or if a stem occurs twice.
@@ -110,19 +110,19 @@ def list_pictures(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dic
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot list the folder {str(folder)[:200]} ({reason})") from error
-    pictures: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for path in paths:
         if path.suffix.lower() not in suffixes or path.name.startswith("."):
             continue
-        if path.stem in pictures:
-            raise InputError(f"{pictures[path.stem]} and {path} have the same stem: remove one")
-        pictures[path.stem] = path
-    if not pictures:
+        if path.stem in files:
+            raise InputError(f"{files[path.stem]} and {path} have the same stem: remove one")
+        files[path.stem] = path
+    if not files:
         raise InputError(
             f"the folder {folder} has no {' or '.join(suffixes)} files: give the folder that "
             "holds the frames themselves"
         )
-    return pictures
+    return files
 
 
 def natural_order(name: str) -> tuple[list[str | int], str]:

@@ -92,37 +92,37 @@ class BagSource(Source):
         self, image_topic: str | None, depth_topic: str | None
     ) -> tuple[str, str | None]:
         """The topics of images and of depth, as requested or guessed."""
-        pictures, depths = [], []
+        images, depths = [], []
         for topic, kind in self._bag.types.items():
             if kind == POINT_CLOUD:
                 depths.append(topic)
             elif kind == COMPRESSED_IMAGE and not topic.endswith("/compressedDepth"):
-                pictures.append(topic)
+                images.append(topic)
             elif kind == IMAGE:
                 for message in self._bag.decoded(topic):
-                    (depths if is_depth_encoding(message.encoding) else pictures).append(topic)
+                    (depths if is_depth_encoding(message.encoding) else images).append(topic)
                     break
-        twice = {f"{topic}/compressed" for topic in pictures}  # the same camera's
+        twice = {f"{topic}/compressed" for topic in images}  # the same camera's
         image = self._choose(
-            "image_topic", image_topic, pictures, [t for t in pictures if t not in twice]
+            "image_topic", image_topic, images, [t for t in images if t not in twice]
         )
         if depth_topic == NO_TOPIC:
             return image, None
         return image, self._choose("depth_topic", depth_topic, depths, depths)
 
     def _choose(
-        self, name: str, asked: str | None, fitting: list[str], candidates: list[str]
+        self, name: str, requested: str | None, fitting: list[str], candidates: list[str]
     ) -> str:
         """The requested topic, or the only candidate. Raises InputError."""
-        if asked is not None and asked in fitting:
-            return asked
-        if asked is None and len(candidates) == 1:
+        if requested is not None and requested in fitting:
+            return requested
+        if requested is None and len(candidates) == 1:
             self._guessed.append(f"{name.replace('_', ' ')} {candidates[0]}")
             return candidates[0]
         what = "images" if name == "image_topic" else "point clouds or depth images"
         option, path = f"--{name.replace('_', '-')}", self._bag.path
-        if asked is not None:
-            problem = f"{option} {asked} is no topic of {what} in {path}"
+        if requested is not None:
+            problem = f"{option} {requested} is no topic of {what} in {path}"
         elif candidates:
             problem = f"{path} has {len(candidates)} topics of {what}, choose one by {option}"
         else:
@@ -132,16 +132,16 @@ class BagSource(Source):
         topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(self._bag.types.items()))
         raise InputError(f"{problem}. It has the topics {topics or '(none)'}")
 
-    def _find_info(self, asked: str | None) -> str | None:
+    def _find_info(self, requested: str | None) -> str | None:
         """The topic of the camera's CameraInfo; None if there is none beside the images."""
         infos = [topic for topic, kind in self._bag.types.items() if kind == CAMERA_INFO]
-        if asked is not None:
-            if asked not in infos:
+        if requested is not None:
+            if requested not in infos:
                 raise InputError(
-                    f"--info-topic {asked} is no topic of CameraInfo in {self._bag.path}, it has "
-                    f"{', '.join(infos) or 'none'}"
+                    f"--info-topic {requested} is no topic of CameraInfo in {self._bag.path}, "
+                    f"it has {', '.join(infos) or 'none'}"
                 )
-            return asked
+            return requested
         namespace = self._image_topic
         while namespace:
             namespace = namespace.rpartition("/")[0]

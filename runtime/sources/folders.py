@@ -13,7 +13,7 @@ from runtime.io.calibration import Calibration
 from runtime.io.images import (
     DEPTH_SUFFIXES,
     KITTI_DEPTH_SCALE,
-    list_pictures,
+    list_files,
     natural_order,
     read_rgb,
     read_sparse_depth,
@@ -54,16 +54,16 @@ class FolderSource(Source):
             InputError: if a folder is missing or has no images, if a stem occurs twice in a folder,
                 or if no stem occurs in both.
         """
-        pictures = list_pictures(self._rgb)
-        maps = None if self._depth is None else list_pictures(self._depth, DEPTH_SUFFIXES)
-        if maps is not None and not pictures.keys() & maps.keys():
+        images = list_files(self._rgb)
+        maps = None if self._depth is None else list_files(self._depth, DEPTH_SUFFIXES)
+        if maps is not None and not images.keys() & maps.keys():
             raise InputError(
-                f"no name occurs in both folders: {self._rgb} has {_few(pictures)}, {self._depth} "
+                f"no name occurs in both folders: {self._rgb} has {_few(images)}, {self._depth} "
                 f"has {_few(maps)}: the image and the depth map of a frame need the same file "
                 "stem"
             )
-        names = sorted(pictures.keys() | (maps or {}).keys(), key=natural_order)
-        return pair_up(names, pictures, maps, limit=limit)
+        names = sorted(images.keys() | (maps or {}).keys(), key=natural_order)
+        return pair_up(names, images, maps, limit=limit)
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`. Raises InputError also where one of the two files is missing."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.io.images import RGB_SUFFIXES, list_pictures, read_rgb
+from runtime.io.images import RGB_SUFFIXES, list_files, read_rgb
 from runtime.io.kitti_scan import read_scan
 from runtime.io.read_input import read_text
 from runtime.sources.frames import Frame
@@ -67,8 +67,8 @@ class KittiRawSource(Source):
                 )
         self._calibration_path = calibration
         self.calibration: Calibration = Calibration.from_file(calibration, camera=camera)
-        self._images = _by_number(list_pictures(images / "data", RGB_SUFFIXES))
-        self._scans = _by_number(list_pictures(scans / "data", (".bin",)))
+        self._images = _by_number(list_files(images / "data", RGB_SUFFIXES))
+        self._scans = _by_number(list_files(scans / "data", (".bin",)))
         self._image_stamps: dict[int, int] = {}
         self._scan_stamps: dict[int, int] = {}
         if max_skew_ms is not None:

@@ -24,7 +24,7 @@ class ListedFrame:
         depth: the same of the depth.
         image_stamp_ns: time of the image by its sensor's clock [ns], None if unknown.
         depth_stamp_ns: the same of the depth.
-        complete: whether it has both, or all that the source was asked to read.
+        complete: whether it has both, or all that the source is to read.
     """
 
     sequence: int
@@ -85,7 +85,7 @@ class Source(ABC):
     @property
     @abstractmethod
     def inputs(self) -> dict[str, Any]:
-        """The inputs as they stand in report.json; after listing with what was left out."""
+        """The inputs as in report.json; after listing with what was left out."""
 
     @property
     def notes(self) -> tuple[str, ...]:

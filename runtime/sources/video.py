@@ -15,7 +15,7 @@ from runtime.io.calibration import Calibration
 from runtime.io.images import (
     DEPTH_SUFFIXES,
     KITTI_DEPTH_SCALE,
-    list_pictures,
+    list_files,
     read_sparse_depth,
     require_pixels,
 )
@@ -164,7 +164,7 @@ def _open(path: Path) -> cv2.VideoCapture:
 def _by_number(folder: Path) -> dict[int, Path]:
     """Depth maps by the number at the end of their stem. Raises InputError."""
     maps: dict[int, Path] = {}
-    for stem, path in list_pictures(folder, DEPTH_SUFFIXES).items():
+    for stem, path in list_files(folder, DEPTH_SUFFIXES).items():
         digits = re.search("[0-9]+$", stem)
         if digits is None:
             raise InputError(f"the name of {path} must end in the number of its frame, from 0 on")

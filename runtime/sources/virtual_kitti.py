@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.io.images import DEPTH_SUFFIXES, list_pictures, read_sparse_depth
+from runtime.io.images import DEPTH_SUFFIXES, list_files, read_sparse_depth
 from runtime.io.read_input import read_text
 from runtime.sources.folders import read_pair
 from runtime.sources.frames import Frame
@@ -59,11 +59,11 @@ class VirtualKittiSource(Source):
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`. A number without a partner is listed too."""
         rgb, depth = self.folders
-        pictures = _by_number(list_pictures(rgb), "rgb_")
-        maps = _by_number(list_pictures(depth, DEPTH_SUFFIXES), "depth_")
-        if not pictures.keys() & maps.keys():
+        images = _by_number(list_files(rgb), "rgb_")
+        maps = _by_number(list_files(depth, DEPTH_SUFFIXES), "depth_")
+        if not images.keys() & maps.keys():
             raise InputError(f"no number occurs both as rgb_* in {rgb} and as depth_* in {depth}")
-        return pair_up(sorted(pictures.keys() | maps.keys()), pictures, maps, limit=limit)
+        return pair_up(sorted(images.keys() | maps.keys()), images, maps, limit=limit)
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`. Raises InputError also where one of the two files is missing."""

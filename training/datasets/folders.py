@@ -73,8 +73,8 @@ class Folders:
         self._source = FolderSource(
             self._root / recipe.rgb, depth=depth, depth_scale=recipe.depth_scale
         )
-        pictures = [frame for frame in self._source.list_frames() if frame.image is not None]
-        self._frames = sorted(pictures, key=lambda frame: str(frame.image))
+        images = [frame for frame in self._source.list_frames() if frame.image is not None]
+        self._frames = sorted(images, key=lambda frame: str(frame.image))
         if depth is not None:
             require_complete(self._frames, depth)
         for name in (recipe.sparse_depth, recipe.labels):

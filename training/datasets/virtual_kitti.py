@@ -227,7 +227,7 @@ class VirtualKitti1:
         selection = selection or Selection()
         images = require_folder(self._root / _RGB_1, "Virtual KITTI 1.3.1's images")
         require_folder(self._root / _DEPTH_1, "its depth maps")
-        labels = require_folder(self._root / _CLASSES_1, "its class pictures")
+        labels = require_folder(self._root / _CLASSES_1, "its class images")
         self._frames: list[tuple[str, str, str]] = []
         self._colors: dict[tuple[str, str], ColorTable] = {}
         for folder in sorted(path for path in images.glob("*/*") if path.is_dir()):

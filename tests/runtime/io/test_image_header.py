@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime.io.image_header import picture_size
+from runtime.io.image_header import image_size
 from runtime.sources.bundled_stream import bundled_stream
 
 
@@ -20,14 +20,14 @@ HUFFMAN_TABLE = b"\xff\xc4\x00\x14\x00\x01" + bytes(16)  # of one code
 @pytest.mark.parametrize("size", [(1, 1), (37, 1242), (300, 2)])
 @pytest.mark.parametrize("channels", [(), (3,)])
 def test_of_what_opencv_writes(suffix, size, channels):
-    assert picture_size(encode(suffix, size + channels)) == size
+    assert image_size(encode(suffix, size + channels)) == size
 
 
 def test_of_other_pngs_and_jpegs():
-    assert picture_size(encode(".png", (20, 30), np.uint16)) == (20, 30)
-    assert picture_size(encode(".png", (20, 30, 4))) == (20, 30)
+    assert image_size(encode(".png", (20, 30), np.uint16)) == (20, 30)
+    assert image_size(encode(".png", (20, 30, 4))) == (20, 30)
     progressive = (cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_RST_INTERVAL, 1)
-    assert picture_size(encode(".jpg", (20, 30, 3), np.uint8, *progressive)) == (20, 30)
+    assert image_size(encode(".jpg", (20, 30, 3), np.uint8, *progressive)) == (20, 30)
 
 
 def test_of_the_bundled_stream():
@@ -35,7 +35,7 @@ def test_of_the_bundled_stream():
     assert len(files) == 40
     for path in files:
         shape = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).shape
-        assert picture_size(path.read_bytes()) == shape[:2]
+        assert image_size(path.read_bytes()) == shape[:2]
 
 
 @pytest.mark.parametrize(
@@ -57,14 +57,14 @@ def test_a_jpeg_is_read_as_the_decoder_reads_it(between):
     whole = encode(".jpg", (20, 30, 3))
     content = whole[:20] + between + whole[20:]  # after the segment that says JFIF
     assert cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR).shape == (20, 30, 3)
-    assert picture_size(content) == (20, 30)
+    assert image_size(content) == (20, 30)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
 def test_of_the_beginning_of_a_file(suffix):
     """Either the size or none, wherever the file ends."""
     whole = encode(suffix, (20, 30, 3))
-    sizes = [picture_size(whole[:length]) for length in range(len(whole) + 1)]
+    sizes = [image_size(whole[:length]) for length in range(len(whole) + 1)]
     known = sizes.index((20, 30))
     assert sizes[:known] == [None] * known
     assert set(sizes[known:]) == {(20, 30)}
@@ -81,4 +81,4 @@ def test_of_the_beginning_of_a_file(suffix):
     ids=["empty", "BMP", "no IHDR", "more comments than any picture has"],
 )
 def test_of_what_is_not_read(content):
-    assert picture_size(content) is None
+    assert image_size(content) is None

@@ -19,7 +19,7 @@ from pathlib import Path
 import runtime.run.cli
 from runtime import InputError
 from runtime.io.calibration import Calibration
-from runtime.io.images import list_pictures, read_rgb, read_sparse_depth
+from runtime.io.images import list_files, read_rgb, read_sparse_depth
 from runtime.io.kitti_scan import read_scan
 from runtime.sources.folders import FolderSource
 from runtime.sources.kitti_raw import KittiRawSource
