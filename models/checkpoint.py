@@ -116,15 +116,15 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         document = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # so can a damaged pickle
         raise CheckpointError(f"{path}: damaged ({_first_line(error)}). Copy it again.") from error
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
+    if not isinstance(document, dict) or not _is_equal(document.get("format"), FORMAT):
         raise CheckpointError(
             f"{path}: a PyTorch file, but not an ssdnet checkpoint (no 'format: {FORMAT}'). "
             "Give a file that ssdnet-train wrote."
         )
     version = document.get("version")
-    if version != VERSION:
+    if not _is_equal(version, VERSION):
         raise CheckpointError(
-            f"{path}: checkpoint version {version!r}, but this installation reads version "
+            f"{path}: checkpoint version {version!r:.80}, but this installation reads version "
             f"{VERSION}. Install a release that matches the file."
         )
     for key in ("config", "weights", "training", "trainer"):
@@ -157,6 +157,10 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     model = kinds[kind].network(config)
     model.load_state_dict(document["weights"], strict=True)
     return Checkpoint(model.eval(), document["training"], document["trainer"])
+
+
+def _is_equal(value: object, expected: str | int) -> bool:
+    return type(value) is type(expected) and value == expected  # a tensor has no truth value
 
 
 def _first_line(error: BaseException) -> str:

@@ -105,6 +105,18 @@ def test_newer_version_is_named(tmp_path):
         load_checkpoint(path)
 
 
+@pytest.mark.parametrize(
+    "value", [torch.tensor([0, 0]), torch.tensor([1, 1]), [1], None, True, 1.0]
+)
+@pytest.mark.parametrize(("key", "message"), [("format", "no 'format"), ("version", "version")])
+def test_a_format_or_version_of_another_type_is_refused(tmp_path, key, value, message):
+    path = tmp_path / "a.pt"
+    save_checkpoint(path, SSDNet(SMALL))
+    change(path, **{key: value})
+    with pytest.raises(CheckpointError, match=message):
+        load_checkpoint(path)
+
+
 def test_unknown_configuration_key_is_named(tmp_path):
     path = tmp_path / "a.pt"
     save_checkpoint(path, SSDNet(SMALL))
