@@ -436,8 +436,8 @@ def _resume(
         for name, part in parts.items():
             part.load_state_dict(checkpoint.trainer[name])
         return int(checkpoint.trainer["step"])
-    except (KeyError, ValueError) as error:
+    except Exception as error:  # a damaged state can fail in any way
         raise CheckpointError(
-            f"{path}: lacks part of the optimiser's state ({error}), so it cannot be resumed. "
+            f"{path}: its state of the loop is damaged ({error!r:.200}), so it cannot be resumed. "
             "Start a new --out with --init and this file."
         ) from error
