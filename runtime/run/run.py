@@ -4,7 +4,7 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from runtime.command import stop_requested
 from runtime.drawing.overlay import SharedOverlay
@@ -68,14 +68,14 @@ def run(
             about = "\n".join([*source.notes, describe_predictor(predictor, frame_size)])
             page = _page(options, predictor)
             with stop_requested() as stop:
-                with _open_outputs(options, predictor, kinds, frames, page) as outputs:
+                with _open_outputs(options, predictor, kinds, frames, page) as (write, record):
                     result = run_stream(
                         predictor,
                         frames,
                         read=source.read,
                         rate_hz=options.rate,
-                        write=outputs.write,
-                        record=outputs.record,
+                        write=write,
+                        record=record,
                         on_record=on_start(about, len(frames)),
                         stop=stop,
                     )
@@ -159,13 +159,6 @@ def _page(options: RunOptions, predictor: Predictor) -> "RunPage | None":
     return RunPage(options.report, predictor.contract, overwrite=options.overwrite)
 
 
-class _Outputs(NamedTuple):
-    """What `run_stream` calls with each answer; None = there is no such output."""
-
-    write: WriteFrame | None
-    record: WriteFrame | None
-
-
 @contextlib.contextmanager
 def _open_outputs(
     options: RunOptions,
@@ -173,8 +166,8 @@ def _open_outputs(
     kinds: tuple[str, ...],
     frames: Sequence[ListedFrame],
     page: Output | None,
-) -> Iterator[_Outputs]:
-    """Make the folder of the run, and open all outputs but the page, written last."""
+) -> Iterator[tuple[WriteFrame | None, WriteFrame | None]]:
+    """Make the run's folder, open all outputs; yields `write` and `record` of `run_stream`."""
     contract, focal_px = predictor.contract, predictor.focal_length_px
     overlay = SharedOverlay(contract.classes, contract.max_depth_m)
     with contextlib.ExitStack() as opened:
@@ -217,7 +210,7 @@ def _open_outputs(
             outputs.append(opened.enter_context(logger))
         if page is not None:
             outputs.append(page)
-        yield _Outputs(_write_to(outputs), _write_to(recordings))
+        yield _write_to(outputs), _write_to(recordings)
 
 
 def _write_to(outputs: Sequence[Output]) -> WriteFrame | None:
