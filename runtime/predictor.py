@@ -73,7 +73,7 @@ class Predictor:
             whose answer to an empty frame is not finite.
         ProviderError: if the provider cannot run it.
         InputError: for arguments out of range, and for a `size` where the model has a fixed one.
-        InferenceError: if the warm-up fails.
+        InferenceError: if the model fails on an empty frame.
     """
 
     contract: Contract
