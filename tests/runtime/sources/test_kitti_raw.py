@@ -104,6 +104,16 @@ def test_stamps_decide_and_not_numbers(drive, make_scan):
     assert abs(source.read(frames[1]).sparse_depth - expected).max() < 0.001
 
 
+def test_without_a_skew_numbers_decide_and_no_stamp_is_read(drive):
+    """As training does, whose frames are those that KITTI synchronised."""
+    (drive / "velodyne_points/timestamps.txt").write_text("damaged")
+    source = KittiRawSource(drive, max_skew_ms=None)
+    frames = source.list_frames()
+    assert [frame.depth.stem for frame in frames] == [f"{number:010d}" for number in range(6)]
+    assert {frame.image_stamp_ns for frame in frames} == {None}
+    assert source.inputs["max_skew_ms"] is None
+
+
 def test_a_skew_that_is_too_small_leaves_the_camera_alone(drive, run):
     answers = run("--source", f"kitti-raw:{drive}", "--max-skew-ms", 12)
     assert set(answers.column("degraded")) == {"no_depth"}
