@@ -297,11 +297,10 @@ def find_or_score(
     result = {}
     for name, (recipe, lidars) in sets.items():
         rows = evaluate(
-            [] if onnx is None else [onnx],
+            [method or str(onnx)],
             [recipe],
             lidars=[LidarInput.parse(lidar) for lidar in lidars],
             faults=["none"],
-            methods=[] if method is None else [method],
             threads=arguments.threads,
             limit=arguments.limit,
         )

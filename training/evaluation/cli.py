@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 
 from runtime.command import interruptible, reported_errors
-from runtime.errors import ContractError, InputError
+from runtime.errors import InputError
 
 if TYPE_CHECKING:
     from training.datasets.source_recipe import SourceRecipe
@@ -90,14 +90,12 @@ def evaluate(
         folder = None if save is None else DepthFolder(save, overwrite)
         if folder is not None:
             folder.require_free()
-        files, methods = _split_names(models)
         with interruptible():
             rows: list[Row] = run(
-                files,
+                models,
                 [parse_source(text) for text in data],
                 lidars=[LidarInput.parse(text.strip()) for text in lidar.split(",")],
                 faults=["none", *_parse_faults(faults)],
-                methods=methods,
                 device=device,
                 threads=threads,
                 size=parse_network_size(size),
@@ -109,23 +107,6 @@ def evaluate(
                 write_json(rows, json)
             if plot is not None:
                 draw_lidar_quality(rows, plot)
-
-
-def _split_names(names: list[str]) -> tuple[list[Path], list[str]]:
-    """Tell files of models from classical methods. Raises ContractError for a name of neither."""
-    from runtime.bundled_models import find_model
-    from training.evaluation.classical import METHODS
-
-    methods = [name for name in dict.fromkeys(names) if name in METHODS]
-    files = []
-    for name in names:
-        if name in METHODS:
-            continue
-        try:
-            files.append(Path(name) if name.endswith(".pt") else find_model(name))
-        except ContractError as error:
-            raise ContractError(f"{error}. Classical methods: {', '.join(METHODS)}.") from error
-    return files, methods
 
 
 def parse_source(text: str) -> "SourceRecipe":

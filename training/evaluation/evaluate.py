@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from runtime.errors import InputError, OutputError
+from runtime.bundled_models import find_model
+from runtime.errors import ContractError, InputError, OutputError
 from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import encode_metres
 from runtime.network_size import NetworkSize
 from training.datasets.sample import SampleSource
 from training.datasets.source_recipe import SourceRecipe
+from training.evaluation.classical import METHODS
 from training.evaluation.score_report import Row
 from training.evaluation.scored_model import ScoredModel, open_method, open_model
 from training.evaluation.scoring import Answer, Scores, figures_over_places
@@ -63,30 +65,29 @@ class DepthFolder:
 
 
 def evaluate(
-    models: Sequence[Path],
+    models: Sequence[str],
     data: Sequence[SourceRecipe],
     *,
     lidars: Sequence[LidarInput],
     faults: Sequence[Fault],
-    methods: Sequence[str] = (),
     device: str = "cpu",
     threads: int = 2,
     size: NetworkSize = None,
     limit: int | None = None,
     save: DepthFolder | None = None,
 ) -> list[Row]:
-    """Score models, and classical methods of depth completion by name.
+    """Score models and classical methods of depth completion, in the order of their names.
 
     Every model gets the same inputs. A set that cannot give a LiDAR has no row with it, see
     `training.lidar.split`. Where nothing was fed in any frame of a set there is one row, with the
     LiDAR "none" and no fault.
 
     Args:
-        models: checkpoints and exported models.
+        models: checkpoints (*.pt), exported models (*.onnx), names of bundled models and of
+            `METHODS`.
         data: sets with absolute paths, or paths relative to the working directory.
         lidars: inputs that each set is scored with.
         faults: of these inputs; "none" for the input as it is.
-        methods: names in `METHODS`.
         device: "cpu", "cuda" or "cuda:N".
         threads: of the processor.
         size: at which models run, as `Predictor` takes it.
@@ -103,12 +104,15 @@ def evaluate(
     """
     rows: list[Row] = []
     with ExitStack() as stack:
-        opened = {
-            path: stack.enter_context(open_model(path, device=device, threads=threads, size=size))
-            for path in models
-        }
-        scored = dict(zip(short_names(list(opened)), opened.values(), strict=True))
-        scored |= {name: open_method(name) for name in methods}
+        paths = {name: _find_file(name) for name in models if name not in METHODS}
+        titles = dict(zip(paths, short_names(list(paths.values())), strict=True))
+        scored: dict[str, ScoredModel] = {}
+        for name in dict.fromkeys(models):
+            if name in METHODS:
+                scored[name] = open_method(name)
+            else:
+                opened = open_model(paths[name], device=device, threads=threads, size=size)
+                scored[titles[name]] = stack.enter_context(opened)
         folders = short_names([Path(recipe.path) for recipe in data])
         for recipe, folder in zip(data, folders, strict=True):
             title = " ".join([folder, *_changed_keys(recipe)])
@@ -132,6 +136,14 @@ def short_names(paths: Sequence[Path]) -> list[str]:
         if len(set(names)) == len(set(paths)):
             break
     return names
+
+
+def _find_file(name: str) -> Path:
+    """Return the file of a model. Raises ContractError, which lists the methods, too."""
+    try:
+        return Path(name) if name.endswith(".pt") else find_model(name)
+    except ContractError as error:
+        raise ContractError(f"{error}. Classical methods: {', '.join(METHODS)}.") from error
 
 
 def _changed_keys(recipe: SourceRecipe) -> list[str]:

@@ -182,7 +182,7 @@ def test_a_method_is_scored_once_and_beside_models(folder, tmp_path):
     )
     assert result.exit_code == 0, result.output
     names = [row["model"] for row in json.loads(out.read_text())]
-    assert names == ["lite.onnx", "ip-basic", "nearest"]
+    assert names == ["ip-basic", "lite.onnx", "nearest"]
 
 
 def test_a_name_of_nothing_lists_models_and_methods(folder):
