@@ -63,7 +63,7 @@ def make_model(
     opset: int = 20,
     only_runs_at: tuple[int, int] | None = None,
 ) -> onnx.ModelProto:
-    """A model of fixed `size` (height, width) or of any, with
+    """Make a model of fixed `size` (height, width) or of any, with these answers.
 
     semantic = 1 where red >= 128, else 0
     depth = sparse_depth + DEPTH_OFFSET_M, without cleaning: a NaN in would be a NaN out
@@ -259,7 +259,7 @@ def start_process():
 
 @pytest.fixture
 def read_only():
-    """Make folders read-only even for root: read_only(folder)."""
+    """Give a function that makes a folder read-only even for root."""
     mounted = []
 
     def mount(folder):
@@ -276,7 +276,7 @@ def read_only():
 
 @pytest.fixture
 def mount_disk(tmp_path):
-    """Mount real file systems of a few kilobytes: mount_disk(kilobytes) -> folder."""
+    """Give a function that mounts a real file system of so many kilobytes: its folder."""
     mounted = []
 
     def mount(kilobytes):

@@ -24,7 +24,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "comparison.md"
 
 @pytest.fixture
 def run_block(monkeypatch):
-    """Run one of the page's Python blocks as a module: run_block(number)."""
+    """Give a function that runs one of the page's Python blocks as a module."""
 
     def run(number):
         module = ModuleType(f"block_{number}")

@@ -58,7 +58,7 @@ def test_growing_neither_doubles_nor_loses_a_return(size):
 
 
 def test_a_moved_return_lies_where_its_projection_does():
-    """rint of the projected coordinates, before and after, for points off the half pixels."""
+    """The rint of the projected coordinates, before and after, for points off the half pixels."""
     random = np.random.default_rng(0)
     for old, new in ((375, 400), (1242, 414), (1216, 400), (47, 94)):
         for u in random.integers(0, old, 40):

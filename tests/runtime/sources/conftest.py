@@ -235,6 +235,6 @@ class BagMaker:
 
 @pytest.fixture
 def make_bag(tmp_path):
-    """Give a BagMaker: make_bag("ros1"), "ros2" (sqlite3 in its folder) or "mcap" (one file)."""
+    """Give a BagMaker of a kind: "ros1", "ros2" (sqlite3 in its folder) or "mcap" (one file)."""
     pytest.importorskip("rosbags", reason="rosbags (extra bag) is not installed")
     return lambda kind: BagMaker(tmp_path, kind)

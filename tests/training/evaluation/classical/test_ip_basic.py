@@ -54,7 +54,6 @@ def blur(x):
 
 def ip_basic_in_scipy(sparse_depth, max_depth_m):
     """The published steps once more, with SciPy's filters and a loop over the columns."""
-
     diamond = np.array(
         [[0, 0, 1, 0, 0], [0, 1, 1, 1, 0], [1, 1, 1, 1, 1], [0, 1, 1, 1, 0], [0, 0, 1, 0, 0]]
     ).astype(bool)

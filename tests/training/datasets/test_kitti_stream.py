@@ -1,4 +1,4 @@
-"""CamVid and KITTI streams on small files in their real layouts, and on the recordings if there."""
+"""KITTI streams on small files in their real layout, and on the recording if it is there."""
 
 import os
 from pathlib import Path
@@ -7,11 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from layouts.camvid import write_frame
 from layouts.kitti_stream import write_stream
-from layouts.pictures import write
 from runtime.errors import DatasetError
-from training.datasets.camvid import CamVid
 from training.datasets.kitti_stream import KittiStream, read_calibration
 
 
@@ -21,52 +18,6 @@ def real_data():
     if not folder:
         pytest.skip("SSDNET_DATA names no folder with recordings")
     return Path(folder)
-
-
-@pytest.fixture
-def camvid(tmp_path):
-    for name, value in (("b_2", 3), ("a_1", 11)):
-        image = np.zeros((12, 16, 3), np.uint8)
-        image[..., 0] = 200  # red
-        label = np.full((12, 16), value, np.uint8)
-        label[0] = 9
-        write_frame(tmp_path, image, label, name)
-    return tmp_path
-
-
-def test_camvid_gives_rgb_and_ignores_unlabelled(camvid):
-    first, second = (CamVid(camvid)[i] for i in range(2))
-    assert first.name == "camvid/a_1"
-    assert (first.rgb[0, 0] == (200, 0, 0)).all()
-    assert (first.semantic[1:] == 255).all()
-    assert (first.semantic[0] == 9).all()
-    assert (second.semantic[1:] == 3).all()
-    assert not first.depth.any()
-    assert first.sparse_depth is None
-
-
-def test_camvid_errors_name_the_file(camvid):
-    with pytest.raises(DatasetError, match="test: no such folder"):
-        CamVid(camvid, split="test")
-    write(camvid / "trainannot" / "a_1.png", np.full((12, 16), 12, np.uint8))
-    with pytest.raises(DatasetError, match=r"a_1.png: class id 12"):
-        CamVid(camvid)[0]
-    write(camvid / "trainannot" / "a_1.png", np.zeros((12, 15), np.uint8))
-    with pytest.raises(DatasetError, match="12x15 differs"):
-        CamVid(camvid)[0]
-    path = camvid / "train" / "b_2.png"
-    path.write_bytes(path.read_bytes()[:60])
-    with pytest.raises(DatasetError, match="truncated or damaged"):
-        CamVid(camvid)[1]
-    (camvid / "trainannot" / "a_1.png").unlink()
-    with pytest.raises(DatasetError, match=r"a_1.png: missing"):
-        CamVid(camvid)
-
-
-@pytest.mark.parametrize("classes", ["cityscapes", "virtual_kitti"])
-def test_camvid_is_mapped_to_no_other_classes(camvid, classes):
-    with pytest.raises(DatasetError, match=f"labels of camvid are not mapped .*{classes}"):
-        CamVid(camvid, classes=classes)
 
 
 @pytest.fixture
@@ -177,10 +128,3 @@ def test_real_stream_has_lines_labels_and_the_projected_depth(real_data):
     assert not (sample.semantic[300:] == 0).any()
     with pytest.raises(DatasetError, match="none of them"):
         KittiStream(real_data / "kitti_stream", first=600)
-
-
-def test_real_camvid_split_sizes(real_data):
-    assert len(CamVid(real_data / "camvid")) == 367
-    validation = CamVid(real_data / "camvid", split="val")
-    assert len(validation) == 101
-    assert set(np.unique(validation[0].semantic)) <= {*range(11), 255}
