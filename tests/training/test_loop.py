@@ -341,15 +341,13 @@ def test_a_checkpoint_of_another_recipe_is_not_resumed(data, tmp_path):
 def test_a_damaged_state_of_the_loop_is_not_resumed(data, tmp_path):
     last = train(recipe(), data=[data], out=tmp_path / "run", stop_after=1)
     document = torch.load(last, weights_only=True)
-    odd = torch.tensor([0, 0])
-    for part in ("step", "optimizer", "average", "criterion", "scaler"):
-        for value in (odd, None, {"x": 1}):
-            if part == "scaler" and value != {"x": 1}:
-                continue  # without fp16 its state is not used
-            trainer = {**document["trainer"], part: value}
-            torch.save({**document, "trainer": trainer}, last)
-            with pytest.raises(CheckpointError, match="cannot be resumed"):
-                train(recipe(), data=[data], out=tmp_path / "run")
+    pair = torch.tensor([0, 0])
+    odd = {"step": pair, "optimizer": None, "average": {"x": 1}, "criterion": pair}
+    for part, value in odd.items():
+        trainer = {**document["trainer"], part: value}
+        torch.save({**document, "trainer": trainer}, last)
+        with pytest.raises(CheckpointError, match="cannot be resumed"):
+            train(recipe(), data=[data], out=tmp_path / "run")
 
 
 def test_unlabelled_sets_train_without_class_weights_only(data, tmp_path):
