@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 
 from runtime import Cleaned, InputError
+from runtime.prediction import SPARSE_DEPTH_LOW
 from runtime.preprocess import (
     check_rgb,
     check_sparse_depth,
     clean_sparse_depth,
     covers_little,
     is_constant,
+    preprocess,
 )
 
 
@@ -114,6 +116,16 @@ def test_returns_in_one_corner_are_few_however_densely_they_lie():
     assert flagged(depth)
     depth[:240, :240] = 5
     assert not flagged(depth)
+
+
+def test_returns_in_one_corner_are_few_where_the_frame_is_shrunk():
+    """The 40,000 of the frame would be enough wherever they lie; the network gets 2,500."""
+    depth = np.zeros((1280, 4160), np.float32)
+    depth[:200, :200] = 5
+    rgb = np.random.default_rng(0).integers(0, 256, (*depth.shape, 3), dtype=np.uint8)
+    given = preprocess(rgb, depth, max_depth_m=80, size_for=lambda _: (320, 1040))
+    assert given.depth_returns == 40_000
+    assert given.degraded == (SPARSE_DEPTH_LOW,)
 
 
 def test_a_cell_of_a_small_picture_is_a_pixel():
