@@ -269,6 +269,14 @@ def test_nan_and_inf_in_an_answer_are_never_passed_on_silently(model_file, make_
         assert prediction.degraded == ("boundary_not_finite",)
 
 
+def test_reasons_of_the_frame_stay_beside_those_of_the_answer(model_file, make_frame):
+    rgb, depth = make_frame()
+    rgb[:], depth[:] = 0, 0
+    prediction = Predictor(model_file()).predict(rgb, depth)
+    assert prediction.degraded == ("no_depth", "image_constant", "boundary_not_finite")
+    assert not prediction.valid
+
+
 def test_a_class_without_a_name_is_not_valid(model_file, make_frame, contract):
     one_class = dataclasses.replace(contract, classes=contract.classes[:1])
     predictor = Predictor(model_file(contract=one_class))
