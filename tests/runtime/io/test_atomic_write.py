@@ -76,6 +76,19 @@ def test_a_file_is_written_and_replaced(tmp_path):
     assert names_in(tmp_path) == ["a.bin"]
 
 
+def test_a_durable_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
+    path = tmp_path / "a.bin"
+    atomic_write(path, b"old")
+    flushed = []
+
+    def fsync(handle):
+        flushed.append((os.pread(handle, 9, 0), path.read_bytes()))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    atomic_write(path, b"new", durable=True)
+    assert flushed == [(b"new", b"old")]
+
+
 def test_a_file_has_its_name_only_when_it_is_whole(tmp_path):
     path = tmp_path / "a.bin"
     atomic_write(path, b"old")
