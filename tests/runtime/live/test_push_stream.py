@@ -18,6 +18,8 @@ from runtime.live.clock import MonotonicClock
 from runtime.live.push_stream import PushStream
 from runtime.predictor import Predictor
 
+MS = 1_000_000
+
 
 def image(value=0):
     rgb = np.full((32, 40, 3), value % 256, np.uint8)
@@ -289,6 +291,17 @@ def test_latency_age_and_deadline(setup):
     second = next(made.stream)
     assert (first.latency_ms, first.age_ms, first.deadline_met) == (30, 1000, True)
     assert (second.latency_ms, second.age_ms, second.deadline_met) == (30.001, 1500, False)
+
+
+def test_the_skew_of_a_frame_has_a_sign_and_that_of_the_statistics_none(setup):
+    made = setup(mode="replay")
+    for image_ms, depth_ms in ((0, 20), (100, 60)):
+        made.stream.push_image(image(), image_ms * MS)
+        made.stream.push_depth(depth(), depth_ms * MS)
+    made.stream.close()
+    assert [result.skew_ms for result in made.stream] == [20, -40]
+    skew = made.stream.statistics.stages["skew"]
+    assert (skew.n, skew.mean_ms, skew.max_ms) == (2, 30, 40)
 
 
 def test_in_a_replay_latency_begins_with_the_turn_and_there_is_no_age(setup):
