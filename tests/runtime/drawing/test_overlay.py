@@ -67,6 +67,16 @@ def test_the_overlay_shows_what_was_predicted(contract, answered):
     assert strip.shape[0] > 5 * height, "the legend"
 
 
+def test_the_legend_has_the_colours_of_the_classes(contract, answered):
+    _, prediction = answered
+    only_classes = change(prediction, depth=None, boundary=None, depth_uncertainty=None)
+    strip = Overlay(contract.classes, contract.max_depth_m).draw(None, only_classes)
+    legend = strip[prediction.frame_size[0] :]
+    for info in contract.classes:
+        blue_first = info.color[::-1]
+        assert np.count_nonzero((legend == blue_first).all(axis=-1)) == 13 * 13, info.name
+
+
 def test_the_depth_colours_are_the_same_for_every_frame(contract, answered):
     rgb, prediction = answered
     overlay = Overlay(contract.classes, contract.max_depth_m)
