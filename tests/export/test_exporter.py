@@ -20,6 +20,7 @@ from export.probe_frames import probe_frames
 from models import CAMVID_CLASSES, load_checkpoint, save_checkpoint
 from runtime import CheckpointError, ContractError, InputError, OutputError, Predictor
 from runtime.contract import SCHEMA_VERSION
+from runtime.model_file import with_contract
 
 SIZE = (64, 96)
 
@@ -154,6 +155,24 @@ def test_parity_notices_outputs_that_are_not_finite(lite, exported):
         broken.depth_heads[0].bias.fill_(float("nan"))
     frames = probe_frames(SIZE, max_depth_m=100.0)[:1]
     assert not measure_parity(broken, exported.path, frames)["depth"].passed
+
+
+def test_parity_notices_a_graph_that_takes_what_is_no_measurement(lite, exported, tmp_path):
+    """The predictor hides it: it cleans a depth map before the graph sees it."""
+    model = onnx.load(exported.path)
+    with Predictor(exported.path, warmup=0) as predictor:
+        contract = predictor.contract
+    del model.metadata_props[:]
+    for node in model.graph.node:
+        node.input[:] = ["filled" if name == "sparse_depth" else name for name in node.input]
+    model.graph.initializer.append(onnx.numpy_helper.from_array(np.float32(7), "seven"))
+    model.graph.node.insert(0, onnx.helper.make_node("IsNaN", ["sparse_depth"], ["is_nan"]))
+    fill = onnx.helper.make_node("Where", ["is_nan", "seven", "sparse_depth"], ["filled"])
+    model.graph.node.insert(1, fill)
+    path = tmp_path / "m.onnx"
+    path.write_bytes(with_contract(model.SerializeToString(), contract))
+    frames = probe_frames(SIZE, max_depth_m=100.0)
+    assert not measure_parity(lite, path, frames)["depth"].passed
 
 
 @pytest.mark.usefixtures("traced")
