@@ -253,7 +253,7 @@ def test_wrong_arguments_are_refused(lite_checkpoint, tmp_path):
     for size in ((16, 64), (64, 16_385), (16_384, 16_384)):
         with pytest.raises(InputError, match="size"):
             export_checkpoint(lite_checkpoint, tmp_path / "m.onnx", size=size)
-    with pytest.raises(OutputError, match="is no folder"):
+    with pytest.raises(OutputError, match="is not a folder"):
         export_checkpoint(lite_checkpoint, tmp_path / "missing" / "m.onnx")
     with pytest.raises(OutputError, match="is a folder"):
         export_checkpoint(lite_checkpoint, tmp_path, overwrite=True)
