@@ -42,7 +42,7 @@ def read_log(path):
 def calm(answered):
     """(frame with a smooth picture, prediction)."""
     frame, prediction = answered
-    return Frame(np.full_like(frame.rgb, 90), frame.sparse_depth), prediction
+    return Frame(np.full_like(frame.rgb, 90), frame.sparse_depth, name="x"), prediction
 
 
 def test_a_file_holds_what_was_predicted(tmp_path, contract, calm):
