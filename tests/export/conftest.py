@@ -24,9 +24,9 @@ def small_config(name: str) -> SSDNetConfig:
         return replace(
             config,
             stem_channels=(16, 16),
-            encoder_channels=(16, 16, 32),
-            encoder_blocks=(1, 1, 1),
-            decoder_channels=(16, 16),
+            encoder_channels=(16, 32),
+            encoder_blocks=(1, 1),
+            decoder_channels=(16,),
         )
     return replace(
         config,

@@ -12,7 +12,7 @@ from export.probe_frames import ProbeFrame, probe_frames
 from export.trace import check_standard, trace
 from runtime.session import open_session
 
-HEIGHT, WIDTH = 64, 96  # a multiple of the small network's stride, which is 16
+HEIGHT, WIDTH = 64, 96  # a multiple of the small network's stride, which is 8
 
 
 def open_model(model):

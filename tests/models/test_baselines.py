@@ -11,7 +11,15 @@ from torch.utils.flop_counter import FlopCounterMode
 from export.exporter import export_checkpoint
 from export.probe_frames import probe_frames
 from models import create_model, save_checkpoint
-from models.baselines import fcn8s
+from models.baselines import (
+    bacnn,
+    deeplab_largefov,
+    fast_scnn,
+    fcn8s,
+    nconv,
+    sparse_to_dense,
+    vgg16,
+)
 from models.baselines.max_unpooling import max_mask, max_unpool
 from models.baselines.nconv import NormalisedConv
 from models.baselines.sparse_conv import SparseConv
@@ -38,6 +46,15 @@ KNOWN = {
 #: Exported for any size, which takes longer to trace: one for each way to come up again to the
 #: image's size (pooling that rounds up, max-unpooling, means over a grid, by the most confident).
 ANY_SIZE = ("fcn8s", "enet", "fast-scnn", "nconv")
+#: What makes their exports quick: fewer layers and channels, of the same kinds.
+VGG = ((16, 1), (16, 1), (256, 1), (512, 1), (512, 1))
+SMALLER = (
+    *((module, "VGG16_BLOCKS", VGG) for module in (vgg16, bacnn, deeplab_largefov)),
+    *((module, "_WIDE", 64) for module in (fcn8s, deeplab_largefov)),
+    (fast_scnn, "_POOLED_SIZES", (1, 3)),
+    (nconv, "_LEVELS", 2),
+    (sparse_to_dense, "_STAGES", (8, 16, 32, 64)),
+)
 
 
 def has_classes(name):
@@ -75,7 +92,8 @@ def shorten(network):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KNOWN)
 def test_exports_at_an_odd_size(name, tmp_path, monkeypatch):
-    monkeypatch.setattr(fcn8s, "_WIDE", 64)
+    for module, constant, value in SMALLER:
+        monkeypatch.setattr(module, constant, value)
     entry = NETWORKS[name]
 
     class Short(entry.network):
