@@ -107,17 +107,16 @@ def test_empty_depth_gives_finite_answers(dynamic_session):
     assert np.isfinite(answers["boundary"]).all()
 
 
-def test_fixed_graph_pads_only_where_needed(small_model, fixed_model):
+def test_fixed_graph_pads_only_where_needed(lite, fixed_model):
     def count_pads(model):
         return sum(node.op_type == "Pad" for node in model.graph.node)
 
     assert count_pads(fixed_model) == 0
-    network = small_model("ssdnet-dep")
-    odd = trace(DeployGraph(network), size=(HEIGHT - 1, WIDTH))
+    odd = trace(DeployGraph(lite), size=(HEIGHT - 1, WIDTH))
     assert count_pads(odd) == 1
     frame = probe_frames((HEIGHT - 1, WIDTH), max_depth_m=100.0, seeds=(2,))[0]
     depth = run(open_model(odd), [frame])["depth"][0]
-    np.testing.assert_allclose(depth, reference(network, frame)["depth"], atol=2e-3)
+    np.testing.assert_allclose(depth, reference(lite, frame)["depth"], atol=2e-3)
 
 
 def test_fixed_graph_takes_several_frames_of_its_size_only(fixed_model):

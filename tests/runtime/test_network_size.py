@@ -42,7 +42,7 @@ def test_integers_of_numpy_and_lists_are_taken():
 @pytest.mark.parametrize(
     "asked",
     [
-        *(True, False, 0, 31, -400, 16_385, 400.0, "400", "Frame", "auto", b"frame", {}, object()),
+        *(True, False, 0, 31, -400, 16_385, 400.0, "400", "Frame", "auto", b"frame", {}, object),
         *((400,), (400, 31), (400, True), (400.0, 640), (16_384, 16_384), (64, 64, 64)),
         np.zeros(2, int),
     ],
