@@ -27,6 +27,8 @@ def small_config(name: str) -> SSDNetConfig:
             encoder_channels=(16, 32),
             encoder_blocks=(1, 1),
             decoder_channels=(16,),
+            semantic_refine_channels=0,
+            depth_refine_channels=0,
         )
     return replace(
         config,

@@ -117,6 +117,6 @@ def test_nothing_but_an_older_model_is_replaced(tmp_path):
     write(overwrite=True)
     assert other.is_dir()
     (folder / "config.pbtxt").unlink()
-    with pytest.raises(OutputError, match="no model of a Triton repository"):
+    with pytest.raises(OutputError, match="not a model of a Triton repository"):
         write(overwrite=True)
     assert (folder / "1" / "model.onnx").read_bytes() == b"file"
