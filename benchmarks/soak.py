@@ -2,7 +2,7 @@
 
     python benchmarks/soak.py [--minutes 1] [--rounds 20] [--load 1.5] [--size 375x1242]
 
-Three parts, each with random cases of `--seed`:
+Four parts, each with random cases of `--seed`:
 
 live     A camera and a LiDAR thread push for `--minutes` at `--load` times the rate that the model
          reaches here. Both send faults now and then: bursts of NaN, empty, half and wrongly sized
@@ -12,16 +12,25 @@ replays  Recordings with jitter, gaps and lost messages are pushed by two thread
          each; the pairs must be the same each time.
 signals  `--rounds` programs push, read or iterate until a signal handler closes the stream, then
          exit while another stream predicts.
+sources  `--rounds` copies of the bundled recording have a damaged or special file each; reading
+         must end in an InputError or in a frame, and all other frames must be read as they are.
 
 Exits with 1 if a message is not accounted for, if a stream ended by itself, if the process grew by
-more than 64 MB after the first fifth, if pairs differ, or if a program hangs or fails.
+more than 64 MB after the first fifth, if pairs differ, if a program hangs or fails, or
+if a damaged source is read wrongly.
 """
 
 import argparse
+import contextlib
 import itertools
+import os
 import random
+import resource
+import shutil
+import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import Counter
@@ -39,8 +48,9 @@ from runtime.live.message_counter import StreamCounts
 from runtime.live.stream_statistics import StreamStatistics
 from runtime.resize import move_returns
 from runtime.run.process import dedicate_process
-from runtime.sources.bundled_stream import bundled_frames
+from runtime.sources.bundled_stream import bundled_frames, bundled_stream
 from runtime.sources.frames import Frame
+from runtime.sources.registry import open_source
 
 _LARGEST_GROWTH_MB = 64
 _FAULTY = 0.1  # share of the messages
@@ -348,6 +358,68 @@ def soak_signals(*, rounds: int, seed: int) -> list[str]:
     return found
 
 
+#: Fault -> what it does to a file, given its content and a source of chance.
+_DAMAGES: dict[str, Callable[[Path, bytes, random.Random], object]] = {
+    "truncated": lambda path, old, chance: path.write_bytes(old[: chance.randrange(len(old))]),
+    "overwritten": lambda path, old, chance: path.write_bytes(
+        old[: (at := chance.randrange(len(old)))] + chance.randbytes(64) + old[at + 64 :]
+    ),
+    "random": lambda path, old, chance: path.write_bytes(chance.randbytes(len(old))),
+    "pipe": lambda path, old, chance: (path.unlink(), os.mkfifo(path)),
+    "device": lambda path, old, chance: (path.unlink(), path.symlink_to("/dev/zero")),
+    "link loop": lambda path, old, chance: (path.unlink(), path.symlink_to(path)),
+    "folder": lambda path, old, chance: (path.unlink(), path.mkdir()),
+}
+_SOURCE_BYTES, _SOURCE_TIMEOUT_S = 8 << 30, 30
+
+
+def soak_sources(*, rounds: int, seed: int) -> list[str]:
+    """Read damaged copies of the bundled recording; a line for each that was read wrongly."""
+    chance, found = random.Random(seed), []
+    originals = dict(enumerate(bundled_frames()[:3]))
+
+    def hang(number: int, frame: object) -> None:
+        raise TimeoutError(f"not read within {_SOURCE_TIMEOUT_S} s")
+
+    before, limits = signal.signal(signal.SIGALRM, hang), resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (_SOURCE_BYTES, limits[1]))
+    try:
+        for number in range(rounds):
+            with tempfile.TemporaryDirectory() as folder:
+                copies = [Path(folder) / kind for kind in ("rgb", "depth")]
+                for copy, original in zip(copies, bundled_stream(), strict=True):
+                    copy.mkdir()
+                    for path in sorted(original.iterdir())[: len(originals)]:
+                        shutil.copy(path, copy)
+                damaged = chance.choice([path for copy in copies for path in copy.iterdir()])
+                fault = chance.choice(list(_DAMAGES))
+                _DAMAGES[fault](damaged, damaged.read_bytes(), chance)
+                signal.alarm(_SOURCE_TIMEOUT_S)
+                try:
+                    _read_others(*copies, originals, damaged.stem)
+                except Exception as error:
+                    found.append(f"source {number}, {damaged.name} {fault}: {error!r}")
+                finally:
+                    signal.alarm(0)
+    finally:
+        signal.signal(signal.SIGALRM, before)
+        resource.setrlimit(resource.RLIMIT_AS, limits)
+    return found
+
+
+def _read_others(rgb: Path, depth: Path, originals: dict[int, Frame], damaged: str) -> None:
+    """Read all frames; the one that is damaged may be an InputError."""
+    with open_source(f"folders:{rgb}", depth=depth) as source:
+        for index, listed in enumerate(source.list_frames()):
+            if listed.name == damaged:
+                with contextlib.suppress(InputError):
+                    source.read(listed)
+                continue
+            frame = source.read(listed)
+            np.testing.assert_array_equal(frame.rgb, originals[index].rgb)
+            np.testing.assert_array_equal(frame.sparse_depth, originals[index].sparse_depth)
+
+
 def resident_mb() -> float:
     """Memory of this process that is in use (Linux)."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
@@ -367,7 +439,7 @@ def main() -> None:
     """Soak and print the report."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=1.0, help="of the live part")
-    parser.add_argument("--rounds", type=int, default=20, help="of the replays and the signals")
+    parser.add_argument("--rounds", type=int, default=20, help="of each other part")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--load", type=float, default=1.5, help="rate over what the model reaches")
     parser.add_argument("--size", default="375x1242", help="HEIGHTxWIDTH")
@@ -394,6 +466,7 @@ def main() -> None:
         small = resized_frames((64, 96))[0]
         problems = soak_replays(predictor, small, rounds=arguments.rounds, seed=arguments.seed)
     problems += soak_signals(rounds=arguments.rounds, seed=arguments.seed)
+    problems += soak_sources(rounds=arguments.rounds, seed=arguments.seed)
     assert soaked.counts is not None
     assert soaked.statistics is not None
     print(f"pushed at {1 / period_s:.1f} Hz a sensor for {arguments.minutes:g} min")
@@ -418,7 +491,8 @@ def main() -> None:
         sys.exit("; ".join(problems))
     print(
         f"every message is accounted for; {3 * arguments.rounds} replays gave the same pairs; "
-        f"{arguments.rounds} programs with signals ended well"
+        f"{arguments.rounds} programs with signals ended well, {arguments.rounds} damaged sources "
+        "were read or refused"
     )
 
 

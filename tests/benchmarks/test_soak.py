@@ -6,7 +6,7 @@ import pytest
 
 import soak as soak_program
 from runtime import Predictor
-from soak import Soaked, resized_frames, soak, soak_replays, soak_signals
+from soak import Soaked, resized_frames, soak, soak_replays, soak_signals, soak_sources
 
 
 @pytest.fixture(scope="module")
@@ -67,3 +67,11 @@ def test_programs_that_signals_interrupt_end_well(monkeypatch):
     assert soak_signals(rounds=1, seed=0) == []
     monkeypatch.setattr(soak_program, "_CLOSED_BY_SIGNALS", "raise SystemExit(3)")
     assert soak_signals(rounds=1, seed=7) == ["seed 7: exit code 3: "]
+
+
+def test_damaged_sources_are_read_or_refused(monkeypatch):
+    assert soak_sources(rounds=8, seed=0) == []
+    monkeypatch.setattr(soak_program, "InputError", ZeroDivisionError)  # then no refusal is known
+    found = soak_sources(rounds=8, seed=0)
+    assert found
+    assert all("InputError" in line for line in found)
