@@ -90,6 +90,6 @@ def test_gradient_reaches_every_head():
     maps = soft_disagreement(torch.softmax(logits, dim=1))
     (semantic_boundary_loss(maps, boundary) + semantic_depth_loss(maps, depth)).backward()
     assert logits.grad.abs().sum() > 0
-    # More confident boundaries lower Eq. 8 wherever there is disagreement; the first pixel has no pair.
+    # Higher boundaries lower Eq. 8 wherever there is disagreement; the first pixel has no pair.
     assert (boundary.grad.flatten()[1:] < 0).all()
     assert depth.grad.abs().sum() > 0
