@@ -16,9 +16,7 @@ can write the digests too. `sha256=` of `load_model_file` pins a whole file.
 
 import dataclasses
 import hashlib
-import os
 import re
-import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +25,7 @@ import numpy as np
 
 from runtime.contract import METADATA_KEY, Content, Contract
 from runtime.errors import ContractError, InputError
+from runtime.read_input import read_input
 
 MAX_MODEL_BYTES = 2**31 - 1  # what protobuf can hold
 MAX_DOCUMENT_BYTES = 2**22
@@ -145,29 +144,15 @@ def _check(model: bytes) -> tuple[Contract, str]:
 
 def _read(path: Path) -> bytes:
     try:
-        with open(path, "rb", opener=_open_at_once) as stream:
-            status = os.fstat(stream.fileno())
-            if not stat.S_ISREG(status.st_mode):
-                raise ContractError(f"the model {path} is not a regular file: name an ONNX file")
-            if status.st_size > MAX_MODEL_BYTES:
-                raise ContractError(
-                    f"the model {path} has {status.st_size} bytes, more than the "
-                    f"{MAX_MODEL_BYTES} that an ONNX file can have: name another"
-                )
-            content = stream.read(status.st_size)
-    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
-        reason = getattr(error, "strerror", None) or error
+        content = read_input(path, max_bytes=MAX_MODEL_BYTES)
+    except InputError as error:
         raise ContractError(
-            f"cannot read the model {str(path)[:200]!r} ({reason}): name an ONNX file made by "
-            "ssdnet-export, or one of the bundled models"
+            f"cannot read the model ({error}): name an ONNX file made by ssdnet-export, or one of "
+            "the bundled models"
         ) from error
     if not content:
         raise ContractError(f"the model {path} is an empty file: get it again")
     return content
-
-
-def _open_at_once(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a FIFO would wait for a writer
 
 
 def _metadata(model: bytes) -> Iterator[tuple[int, bytes, bytes]]:

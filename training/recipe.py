@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass
 
 from runtime.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
 from runtime.errors import InputError
-from runtime.io.read_input import read_toml
+from runtime.read_input import read_toml
 from training.datasets.class_mapping import ClassTable, list_classes
 from training.datasets.registry import DATASETS
 from training.datasets.source_recipe import SourceRecipe

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.kitti_calibration import NumbersFile, chain
-from runtime.io.read_input import read_toml
 from runtime.projection import OcclusionFilter, project_points
+from runtime.read_input import read_toml
 
 _TOML_KEYS = {"intrinsics", "extrinsics", "size"}
 _RAW_FILES = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt")

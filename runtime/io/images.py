@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from runtime.contract import MAX_PIXELS
 from runtime.errors import InputError
 from runtime.io.image_header import image_size
-from runtime.io.read_input import read_input
+from runtime.read_input import read_input
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
 DEPTH_SUFFIXES = (".png",)

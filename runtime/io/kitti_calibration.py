@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.io.read_input import read_text
 from runtime.projection import check_intrinsics
+from runtime.read_input import read_text
 
 
 class NumbersFile:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.io.read_input import read_input
+from runtime.read_input import read_input
 
 _RECORD_BYTES = 16  # x, y, z, reflectance
 

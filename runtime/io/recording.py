@@ -29,9 +29,9 @@ from runtime.errors import InputError, OutputError
 from runtime.heads import HEADS
 from runtime.io.agreement import limit
 from runtime.io.atomic_write import atomic_folder
-from runtime.io.read_input import open_input, read_text
 from runtime.model_file import load_model_file
 from runtime.network_size import NetworkSize
+from runtime.read_input import open_input, read_text
 
 RECORDING_FORMAT, RECORDING_VERSION = "ssdnet-recording", "1.0"
 RECORDING_FILE, MODEL_FILE = "recording.json", "model.onnx"

@@ -11,7 +11,7 @@ from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.io.images import RGB_SUFFIXES, list_files, read_rgb
 from runtime.io.kitti_scan import read_scan
-from runtime.io.read_input import read_text
+from runtime.read_input import read_text
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source, no_depth, pair_up, up_to
 from runtime.sync.outcome import Outcome, Sensor

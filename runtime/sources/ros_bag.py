@@ -11,7 +11,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from runtime.errors import InputError, SSDNetError
-from runtime.io.read_input import MAX_TEXT_BYTES, require_regular
+from runtime.read_input import MAX_TEXT_BYTES, require_regular
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader

@@ -19,7 +19,7 @@ from runtime.io.images import (
     read_sparse_depth,
     require_pixels,
 )
-from runtime.io.read_input import require_regular
+from runtime.read_input import require_regular
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source, no_depth, pair_up
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.io.images import DEPTH_SUFFIXES, list_files, read_sparse_depth
-from runtime.io.read_input import read_text
+from runtime.read_input import read_text
 from runtime.sources.folders import read_pair
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source, pair_up

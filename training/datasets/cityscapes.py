@@ -10,7 +10,7 @@ from pydantic.dataclasses import dataclass
 
 from models import CLASS_TABLES
 from runtime.errors import DatasetError
-from runtime.io.read_input import read_text
+from runtime.read_input import read_text
 from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.files import (
     dataset_errors,

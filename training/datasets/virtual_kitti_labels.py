@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import DatasetError
-from runtime.io.read_input import read_text
+from runtime.read_input import read_text
 from training.datasets.class_mapping import ClassTable, class_ids
 from training.datasets.files import dataset_errors, read_rgb, require_size
 

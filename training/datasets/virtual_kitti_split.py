@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from runtime.errors import DatasetError
-from runtime.io.read_input import read_text
+from runtime.read_input import read_text
 from training.datasets.files import dataset_errors
 
 Split = Literal["train", "val", "test", "all"]

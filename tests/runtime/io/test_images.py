@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import runtime.io.images
-import runtime.io.read_input
+import runtime.read_input
 from runtime import InputError
 from runtime.io.images import read_rgb, read_sparse_depth
 
@@ -157,9 +157,9 @@ def test_a_picture_may_have_so_many_pixels(tmp_path, monkeypatch, suffix):
 def test_a_file_may_have_so_many_bytes(tmp_path, monkeypatch):
     path = write(tmp_path / "a.png", np.zeros((40, 50, 3), np.uint8))
     size = path.stat().st_size
-    monkeypatch.setattr(runtime.io.read_input, "MAX_FILE_BYTES", size)
+    monkeypatch.setattr(runtime.read_input, "MAX_FILE_BYTES", size)
     assert read_rgb(path).shape == (40, 50, 3)
-    monkeypatch.setattr(runtime.io.read_input, "MAX_FILE_BYTES", size - 1)
+    monkeypatch.setattr(runtime.read_input, "MAX_FILE_BYTES", size - 1)
     with pytest.raises(InputError, match=rf"has {size} bytes, expected at most {size - 1}"):
         read_rgb(path)
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-import runtime.io.read_input
+import runtime.read_input
 from runtime import InputError
 from runtime.io.calibration import Calibration
-from runtime.io.read_input import read_input, read_text, read_toml
+from runtime.read_input import read_input, read_text, read_toml
 
 #: Every reader of a path gets what it cannot read, where 400 MB are left, and prints its error.
 PROGRAM = """
@@ -101,7 +101,7 @@ def test_a_file_is_read_up_to_its_limit(tmp_path, monkeypatch):
     assert read_input(path, max_bytes=5) == b"12345"
     with pytest.raises(InputError, match=r"a has 5 bytes, expected at most 4"):
         read_input(path, max_bytes=4)
-    monkeypatch.setattr(runtime.io.read_input, "MAX_TEXT_BYTES", 4)
+    monkeypatch.setattr(runtime.read_input, "MAX_TEXT_BYTES", 4)
     with pytest.raises(InputError, match=r"a has 5 bytes, expected at most 4"):
         read_text(path)
 
