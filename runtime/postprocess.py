@@ -15,12 +15,12 @@ _ROUNDING = 1e-3  # of a head's range: how far arithmetic may leave it
 
 
 def to_frame(outputs: Mapping[str, NDArray[Any]], frame: NetworkInput) -> dict[str, NDArray[Any]]:
-    """Bring the outputs for one frame, head -> array, to its metres and its size."""
+    """Bring the outputs for one frame, head -> array, to its metres and its size; in place."""
     answers = dict(outputs)
     if frame.scale.factor != 1:
-        for head in answers:
+        for head, values in answers.items():
             if HEADS[head].unit is Unit.METRES:
-                answers[head] = answers[head] * np.float32(1 / frame.scale.factor)
+                values *= np.float32(1 / frame.scale.factor)
     if frame.network_size != frame.frame_size:
         for head, values in answers.items():
             answers[head] = resize_answer(head, values, frame.frame_size)
