@@ -5,9 +5,10 @@ import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from runtime.errors import OutputError
+from runtime.errors import InputError, OutputError
 from runtime.heads import HEADS
 from runtime.io.atomic_write import atomic_write, remove_leftover
+from runtime.read_input import read_input
 
 OVERLAY, CLOUD = "overlay", "cloud"
 #: Kind of a file that holds one head -> its name and encoding.
@@ -88,9 +89,8 @@ class RunFolder:
     def note(self, name: str) -> None:
         """Add a frame to the list on disk, before its files are written. Raises OutputError."""
         try:
-            os.write(
-                self._names, (json.dumps(name) + "\n").encode()
-            )  # names may contain line feeds
+            # As JSON, since a name may contain line feeds.
+            os.write(self._names, (json.dumps(name) + "\n").encode())
         except OSError as error:
             raise OutputError(
                 f"cannot write {self._marker} ({error.strerror}): make room or choose another "
@@ -149,12 +149,10 @@ def _read_names(marker: Path) -> set[str]:
     """Names of the frames whose files belong to the earlier run. Raises OutputError."""
     names = set()
     try:
-        lines = marker.read_text(encoding="ascii", errors="replace").splitlines()[1:]
-    except OSError as error:
-        raise OutputError(
-            f"cannot read {marker} ({error.strerror}): choose another --out"
-        ) from error
-    for line in lines:
+        content = read_input(marker)
+    except InputError as error:
+        raise OutputError(f"{error}: choose another --out") from error
+    for line in content.decode("ascii", errors="replace").splitlines()[1:]:
         try:
             name = json.loads(line)
             encoded = os.fsencode(name)
