@@ -5,6 +5,7 @@ import hashlib
 import subprocess
 import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -327,6 +328,20 @@ def test_counts_may_be_numpy_s(model_file):
     assert type(predictor.threads) is int
     predictor.warm_up((np.int64(40), np.int32(50)), runs=np.int8(1))
     assert predictor.first_inference_ms > 0
+
+
+def test_the_first_inference_of_a_fixed_model_is_its_very_first(model_file, monkeypatch):
+    run = Predictor._run
+
+    def run_cold(predictor, frames):
+        time.sleep(0 if hasattr(predictor, "warm") else 0.2)
+        predictor.warm = True
+        return run(predictor, frames)
+
+    monkeypatch.setattr(Predictor, "_run", run_cold)
+    predictor = Predictor(model_file(size=(48, 64)), warmup=0)  # runs an empty frame to check it
+    predictor.warm_up((48, 64))
+    assert predictor.first_inference_ms > 200
 
 
 @pytest.mark.parametrize(
