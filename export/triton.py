@@ -78,7 +78,8 @@ def write_triton_model(
     config = triton_config(model, name=name)
     folder = repository / name
     require_replaceable(folder, overwrite=overwrite)
-    with atomic_folder(folder, overwrite=overwrite) as temporary:
+    own = (folder / CONFIG_FILE, folder / "1", folder / "1" / MODEL_FILE)
+    with atomic_folder(folder, own=(lambda: own) if overwrite else None) as temporary:
         (temporary / "1").mkdir()
         (temporary / "1" / MODEL_FILE).write_bytes(content)
         (temporary / CONFIG_FILE).write_text(config)

@@ -12,7 +12,7 @@ import os
 import shutil
 import stat
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -58,25 +58,30 @@ def atomic_file(path: Path, *, overwrite: bool = True, durable: bool = False) ->
 
 
 @contextlib.contextmanager
-def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+def atomic_folder(path: Path, *, own: Callable[[], Iterable[Path]] | None = None) -> Iterator[Path]:
     """Make a folder that gets its name when the block ends; after an error it is removed.
 
     Args:
         path: the folder's name; its parents are made.
-        overwrite: a folder at `path` is removed just before.
+        own: returns the files and folders below `path` that belong to an earlier result, which is
+            then removed just before; a folder that holds anything else is never replaced. None: a
+            folder that exists is not replaced.
 
     Yields:
         The temporary folder to fill.
 
     Raises:
-        OutputError: as `atomic_file`.
+        OutputError: as `atomic_file`, and for a file at `path` that is not of an earlier result;
+            what is there is then untouched.
     """
     with _temporary(path, folder=True) as (temporary, _):
-        yield temporary
-        if overwrite and path.is_dir():
-            shutil.rmtree(path)
         if os.path.lexists(path):
-            raise _taken(path)
+            _earlier_entries(path, own)
+        yield temporary
+        if os.path.lexists(path):
+            for entry in reversed(_earlier_entries(path, own)):
+                entry.rmdir() if entry.is_dir() else entry.unlink()
+            path.rmdir()
         temporary.rename(path)
 
 
@@ -242,6 +247,22 @@ def _publish_new(temporary: Path, path: Path) -> None:
             os.replace(temporary, path)
     except FileExistsError as error:
         raise _taken(path) from error
+
+
+def _earlier_entries(path: Path, own: Callable[[], Iterable[Path]] | None) -> list[Path]:
+    """All that an earlier result holds, folders first. Raises OutputError for anything else."""
+    if own is None:
+        raise _taken(path)
+    expected, found = set(own()), sorted(path.rglob("*"))
+    if path.is_symlink() or not path.is_dir():
+        raise OutputError(f"{path} is a link or a file: choose another name")
+    for entry in found:
+        if entry.is_symlink() or entry not in expected:
+            raise OutputError(
+                f"{entry} is not of the result that would be replaced: move it away, or choose "
+                "another folder"
+            )
+    return found
 
 
 def _taken(path: Path) -> OutputError:

@@ -15,10 +15,10 @@ run keeps its pace, and numpy's archive has a checksum of every array.
 import contextlib
 import json
 import math
-import os
 import zipfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -189,22 +189,13 @@ def record(path: Path, settings: Settings, *, overwrite: bool = False) -> Iterat
     Raises:
         OutputError: if the folder cannot be written or replaced.
     """
-    with atomic_folder(path) as folder:
-        if os.path.lexists(path):
-            _earlier_files(path, overwrite=overwrite)
+    own = partial(_recorded_entries, path) if overwrite else None
+    with atomic_folder(path, own=own) as folder:
         yield Recorder(folder, settings)
-        if os.path.lexists(path):
-            for file in _earlier_files(path, overwrite=overwrite):
-                file.unlink()
-            if (path / _FRAMES).exists():
-                (path / _FRAMES).rmdir()
-            path.rmdir()
 
 
-def _earlier_files(path: Path, *, overwrite: bool) -> list[Path]:
-    """The files of an earlier recording. Raises OutputError if it may not be replaced."""
-    if not overwrite:
-        raise OutputError(f"{path} exists: choose another folder, or ask to overwrite it")
+def _recorded_entries(path: Path) -> list[Path]:
+    """The files and folders of an earlier recording. Raises OutputError if it is none."""
     try:
         if path.is_symlink():
             raise InputError(f"{path} is a link")
@@ -213,16 +204,9 @@ def _earlier_files(path: Path, *, overwrite: bool) -> list[Path]:
         raise OutputError(
             f"{path} is no recording, and only recordings are replaced: choose another folder"
         ) from error
-    own = {path / RECORDING_FILE, path / MODEL_FILE, path / _FRAMES}
-    own |= {_frame_path(path, index) for index in range(count)}
-    found = sorted(path.rglob("*"))
-    for entry in found:
-        if entry not in own or entry.is_symlink() or entry.is_dir() != (entry == path / _FRAMES):
-            raise OutputError(
-                f"{entry} is not of the recording that would be replaced: move it away, or choose "
-                "another folder"
-            )
-    return [entry for entry in found if entry != path / _FRAMES]
+    frames = [_frame_path(path, index) for index in range(count)]
+    entries = [path / RECORDING_FILE, path / MODEL_FILE, path / _FRAMES, *frames]
+    return [entry for entry in entries if entry.is_dir() == (entry == path / _FRAMES)]
 
 
 def read_recording(folder: Path) -> Recording:

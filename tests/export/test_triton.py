@@ -116,6 +116,10 @@ def test_nothing_but_an_older_model_is_replaced(tmp_path):
         write()
     write(overwrite=True)
     assert other.is_dir()
+    (folder / "labels.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"labels\.txt is not of the result"):
+        write(overwrite=True)
+    (folder / "labels.txt").unlink()
     (folder / "config.pbtxt").unlink()
     with pytest.raises(OutputError, match="not a model of a Triton repository"):
         write(overwrite=True)

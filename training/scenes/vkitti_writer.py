@@ -1,6 +1,8 @@
 """Rendered frames on disk in the folder layout of Virtual KITTI 2 (Cabon et al. 2020)."""
 
+import re
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -16,6 +18,12 @@ from training.scenes.rendering.render import RenderedFrame
 
 _JPEG_QUALITY = 92
 _SKY = 65535
+#: Paths below a variant.
+_LAYOUT = re.compile(
+    r"(colors|intrinsic|extrinsic|calib)\.txt"
+    r"|frames(/(rgb|depth|classSegmentation|lidar)(/Camera_0(/(rgb|depth|classgt|lidar)_\d{5,}"
+    r"\.(jpg|png|bin))?)?)?"
+)
 _EXTRINSIC = " ".join(
     [f"r{i},{j}" if j < 4 else f"t{i}" for i in (1, 2, 3) for j in (1, 2, 3, 4)] + ["0 0 0 1"]
 )
@@ -42,7 +50,7 @@ def write_variant(
         scene: name of the scene.
         variant: name of its variant.
         frames: the rendered frames in order.
-        overwrite: replace the folder if it exists.
+        overwrite: replace an older variant; a folder with any other file never is.
 
     Returns:
         The folder root/scene/variant.
@@ -55,9 +63,10 @@ def write_variant(
         raise OutputError(
             f"{target} exists already. Choose another folder or seed, or allow overwriting."
         )
-    with atomic_folder(target, overwrite=overwrite) as partial:
+    own = partial(_written_entries, target) if overwrite else None
+    with atomic_folder(target, own=own) as temporary:
         folders = {
-            kind: partial / "frames" / kind / "Camera_0"
+            kind: temporary / "frames" / kind / "Camera_0"
             for kind in ("rgb", "depth", "classSegmentation")
         }
         for folder in folders.values():
@@ -72,7 +81,7 @@ def write_variant(
                 folders["classSegmentation"] / f"classgt_{name}.png", class_colors()[frame.label]
             )
             if frame.scan is not None:
-                _write_scan(partial, name, frame.scan)
+                _write_scan(temporary, name, frame.scan)
             k = frame.intrinsics
             intrinsic.append(f"{number} 0 {k[0, 0]:.6g} {k[1, 1]:.6g} {k[0, 2]:.6g} {k[1, 2]:.6g}")
             pose = " ".join(f"{value:.9g}" for value in frame.world_to_camera.ravel())
@@ -80,8 +89,17 @@ def write_variant(
         colors = ["Category r g b"]
         colors += [f"{category} {r} {g} {b}" for category, (r, g, b) in CLASS_TABLE]
         for file, lines in (("colors", colors), ("intrinsic", intrinsic), ("extrinsic", extrinsic)):
-            (partial / f"{file}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
+            (temporary / f"{file}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return target
+
+
+def _written_entries(variant: Path) -> list[Path]:
+    """The files and folders of a variant that `write_variant` makes."""
+    return [
+        entry
+        for entry in variant.rglob("*")
+        if _LAYOUT.fullmatch(entry.relative_to(variant).as_posix())
+    ]
 
 
 def _write_scan(variant: Path, name: str, scan: LidarScan) -> None:

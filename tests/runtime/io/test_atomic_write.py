@@ -388,8 +388,39 @@ def test_a_folder_is_replaced_only_when_asked(tmp_path):
         write()
     assert names_in(path) == ["old"]
     assert names_in(tmp_path) == ["a"]
-    write(overwrite=True)
+    write(own=lambda: [path / "old"])
     assert names_in(path) == ["new"]
+
+
+@pytest.mark.parametrize("foreign", ["thesis.txt", "deep", "link", "deep/thesis.txt"])
+def test_a_folder_with_a_foreign_entry_is_not_replaced(tmp_path, foreign):
+    path = tmp_path / "a"
+    (path / foreign).parent.mkdir(parents=True)
+    (path / "old").write_text("old")
+    if foreign == "deep":
+        (path / foreign).mkdir()
+    elif foreign == "link":
+        (path / foreign).symlink_to(path / "old")
+    else:
+        (path / foreign).write_text("mine")
+
+    def write():
+        with atomic_folder(path, own=lambda: [path / "old", path / "link"]) as folder:
+            (folder / "new").touch()
+
+    before = names_in(path)
+    with pytest.raises(OutputError, match="is not of the result that would be replaced"):
+        write()
+    assert names_in(path) == before
+    assert (path / "old").read_text() == "old"
+
+
+def test_a_link_to_a_folder_is_not_replaced(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "a").symlink_to(tmp_path / "real")
+    with pytest.raises(OutputError, match="is a link"), atomic_folder(tmp_path / "a", own=list):
+        pass
+    assert (tmp_path / "a").is_symlink()
 
 
 def test_an_error_in_the_block_leaves_no_folder(tmp_path):
