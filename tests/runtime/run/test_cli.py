@@ -368,7 +368,7 @@ def test_a_recording_that_cannot_be_made_is_reported_before_anything_is_made(tmp
     (tmp_path / "taken").mkdir()
     result = run("--record", tmp_path / "taken")
     assert result.exit_code == 1
-    assert "choose another folder" in result.output
+    assert f"{tmp_path / 'taken'} exists: choose another name" in result.output
     assert not (tmp_path / "out").exists()
 
 
