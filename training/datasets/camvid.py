@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from models import CLASS_TABLES
@@ -16,6 +17,26 @@ from training.limits import STRICT
 
 #: Labels by the files' ids; 11 is unlabelled.
 _LABELS: tuple[str | None, ...] = (*(info.name for info in CLASS_TABLES["camvid"]), None)
+
+
+class CamVidLabels:
+    """Reads label files with CamVid's ids, uint8 PNG, as ids of a class table, 255 = ignored.
+
+    Raises DatasetError for a table without a mapping.
+    """
+
+    def __init__(self, classes: ClassTable) -> None:
+        self._lookup = id_lookup("camvid", classes, _LABELS)
+
+    def read(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
+        """Read a file of this (height, width). Raises DatasetError for another file or id."""
+        label = read_gray(path, np.uint8, size)
+        if label.max() > 11:
+            raise DatasetError(
+                f"{path}: class id {label.max()}, expected 0..11 of the eleven-class labels."
+            )
+        mapped: NDArray[np.uint8] = self._lookup[label]
+        return mapped
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -53,7 +74,7 @@ class CamVid:
         split: str = "train",
         classes: ClassTable = "camvid",
     ) -> None:
-        self._lookup = id_lookup("camvid", classes, _LABELS)
+        self._labels = CamVidLabels(classes)
         folder = require_folder(Path(root) / split, "CamVid's images")
         annotations = require_folder(Path(root) / f"{split}annot", "CamVid's label images")
         images = sorted(p for p in folder.iterdir() if p.suffix in {".png", ".jpg"})
@@ -70,15 +91,11 @@ class CamVid:
     def __getitem__(self, index: int) -> Sample:
         image_path, label_path = self._frames[index]
         rgb = read_rgb(image_path)
-        label = read_gray(label_path, np.uint8, rgb.shape[:2])
-        if label.max() > 11:
-            raise DatasetError(
-                f"{label_path}: class id {label.max()}, expected 0..11 of the eleven-class labels."
-            )
+        size = (rgb.shape[0], rgb.shape[1])
         return Sample(
             rgb=rgb,
-            depth=nothing_known(rgb.shape[:2]),
-            semantic=self._lookup[label],
+            depth=nothing_known(size),
+            semantic=self._labels.read(label_path, size),
             intrinsics=None,
             name=f"camvid/{image_path.stem}",
         )

@@ -8,7 +8,6 @@ from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
 from runtime.io.calibration import Calibration
-from runtime.io.kitti_calibration import NumbersFile, chain
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.files import (
@@ -49,9 +48,10 @@ class KittiStreamRecipe(SourceRecipe):
 class KittiStream:
     """Frames ``first`` .. ``last`` (inclusive) of a stream folder.
 
-    It has ``image_02``, ``velodyne_fov``, the calibration and, optionally, ``pseudo_semantic``
-    (Cityscapes trainIds made by a network). The depth target is every return in view, with its scan
-    line, so that some lines can be the input and the others the target.
+    It has ``image_02`` (PNG or JPEG), ``velodyne_fov``, ``calib_cam_to_cam.txt`` and
+    ``calib_velo_to_cam.txt`` as in KITTI raw and, optionally, ``pseudo_semantic`` (Cityscapes
+    trainIds made by a network). The depth target is every return in view, with its scan line, so
+    that some lines can be the input and the others the target.
 
     Args:
         root: the folder.
@@ -75,33 +75,28 @@ class KittiStream:
     ) -> None:
         self._lookup = id_lookup("cityscapes", classes, TRAIN_LABELS)
         self._root = Path(root)
-        images = require_folder(self._root / "image_02", "the stream's PNG images")
+        images = require_folder(self._root / "image_02", "the stream's images")
         require_folder(self._root / "velodyne_fov", "the stream's .bin LiDAR returns")
-        calibrations = sorted(self._root.glob("calib_[0-9]*.txt"))
-        if not calibrations:
-            raise DatasetError(f"{self._root}: no calib_<date>.txt in it.")
-        self._calibration = read_calibration(calibrations[0])
-        stems = sorted(path.stem for path in images.glob("*.png"))
-        self._stems = stems[first : None if last is None else last + 1]
-        if not self._stems:
-            raise DatasetError(
-                f"{images}: {len(stems)} PNG frames, none of them in {first}..{last}."
-            )
+        with dataset_errors():
+            self._calibration = Calibration.from_kitti(self._root)
+        found = sorted(path for path in images.iterdir() if path.suffix in {".jpg", ".png"})
+        self._images = found[first : None if last is None else last + 1]
+        if not self._images:
+            raise DatasetError(f"{images}: {len(found)} frames, none of them in {first}..{last}.")
         self._semantic_weight = semantic_weight
 
     def __len__(self) -> int:
-        return len(self._stems)
+        return len(self._images)
 
     def __getitem__(self, index: int) -> Sample:
-        stem = self._stems[index]
-        image_path = self._root / "image_02" / f"{stem}.png"
-        rgb = read_rgb(image_path)
+        path = self._images[index]
+        rgb = read_rgb(path)
         size = (rgb.shape[0], rgb.shape[1])
-        points = read_points(self._root / "velodyne_fov" / f"{stem}.bin")
+        points = read_points(self._root / "velodyne_fov" / f"{path.stem}.bin")
         camera = self._calibration
         depth, scan_line = project_lines(points, camera.intrinsics, camera.extrinsics, size)
         semantic = np.full(size, IGNORE, dtype=np.uint8)
-        label_path = self._root / "pseudo_semantic" / f"{stem}.png"
+        label_path = self._root / "pseudo_semantic" / f"{path.stem}.png"
         if label_path.is_file():
             semantic = self._lookup[read_gray(label_path, np.uint8, size)]
         return Sample(
@@ -109,23 +104,7 @@ class KittiStream:
             depth=depth,
             semantic=semantic,
             intrinsics=self._calibration.intrinsics,
-            name=f"kitti_stream/{stem}",
+            name=f"kitti_stream/{path.stem}",
             scan_line=scan_line,
             semantic_weight=self._semantic_weight,
         )
-
-
-@dataset_errors()
-def read_calibration(path: Path) -> Calibration:
-    """Read camera 2's calibration from one file with KITTI's names, two of them with a prefix.
-
-    Needs S_rect_02, P_rect_02, R_rect_00, velo_to_cam_R and velo_to_cam_T. Raises DatasetError for
-    a missing file, a missing name or a wrong count of numbers.
-    """
-    numbers = NumbersFile(path)
-    projection = numbers.matrix("P_rect_02", 3, 4)
-    rectify = numbers.matrix("R_rect_00", 3, 3)
-    to_camera = [numbers.matrix(f"velo_to_cam_{name}", 3, n) for name, n in (("R", 3), ("T", 1))]
-    width, height = numbers.matrix("S_rect_02", 1, 2)[0]
-    matrices = chain(projection, rectify, np.hstack(to_camera))
-    return Calibration(*matrices, (int(height), int(width)))

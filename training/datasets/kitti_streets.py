@@ -11,6 +11,7 @@ from pydantic.dataclasses import dataclass
 from runtime.errors import DatasetError
 from runtime.io.calibration import Calibration
 from runtime.io.kitti_calibration import NumbersFile
+from training.datasets.camvid import CamVidLabels
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import (
     dataset_errors,
@@ -40,7 +41,7 @@ class KittiStreetsRecipe(SourceRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiStreets":
         """See `SourceRecipe.open`."""
-        return KittiStreets(folder, first=self.first, last=self.last)
+        return KittiStreets(folder, first=self.first, last=self.last, classes=classes)
 
 
 class KittiStreets:
@@ -50,20 +51,30 @@ class KittiStreets:
     target is ``disp_occ_0/<number>.png``: a stereo disparity of d = p / 256 px for a 16-bit pixel
     p > 0, measured by seven scans and by models fitted to moving cars; depth is ``fb_disp`` / d.
     ``calib.txt`` has P2, R0_rect, Tr_velo_to_cam and fb_disp (focal length times baseline, px m) of
-    all frames. There are no classes, but a mask of the road if the folder ``road_mask`` exists:
-    ``<number>.png``, 0 = not road, 1 = road, 255 = unknown.
+    all frames. Two folders of ``<number>.png`` are optional: ``road_mask``, for all frames, 0 = not
+    road, 1 = road, 255 = unknown, and ``semantic``, for some of them, with hand-made labels in
+    CamVid's ids, 11 = unknown.
 
     Args:
         root: the folder.
         first: first number.
         last: last number; None: the largest.
+        classes: table of the class ids.
 
     Raises:
         DatasetError: for missing folders, files or calibrations, no frame of these numbers, files
-            of another kind or size, and other values in a mask.
+            of another kind or size, other values in a mask or in labels, and a folder of labels
+            without any.
     """
 
-    def __init__(self, root: Path | str, *, first: int = 0, last: int | None = None) -> None:
+    def __init__(
+        self,
+        root: Path | str,
+        *,
+        first: int = 0,
+        last: int | None = None,
+        classes: ClassTable = "camvid",
+    ) -> None:
         self._root = Path(root)
         images = require_folder(self._root / "image_02", "the streets' images")
         found = sorted(
@@ -88,6 +99,11 @@ class KittiStreets:
         if self._masks is not None:
             files = [f"{path.stem}.png" for path in self._images]
             require_folder(self._masks, "masks of the road", files=files)
+        self._labels: CamVidLabels | None = None
+        if (self._root / "semantic").is_dir():
+            self._labels = CamVidLabels(classes)
+            if not any((self._root / "semantic").glob("*.png")):
+                raise DatasetError(f"{self._root / 'semantic'}: no .png labels in it.")
         self._calibration, self._focal_baseline = _read_calibration(self._root / "calib.txt")
 
     def __len__(self) -> int:
@@ -105,7 +121,7 @@ class KittiStreets:
         return Sample(
             rgb=rgb,
             depth=_to_depth(disparity, self._focal_baseline),
-            semantic=np.full(size, IGNORE, dtype=np.uint8),
+            semantic=self._read_labels(path.stem, size),
             intrinsics=camera.intrinsics,
             name=f"kitti_streets/{path.stem}",
             sparse_depth=sparse_depth,
@@ -114,6 +130,12 @@ class KittiStreets:
             road_mask=self._read_mask(path.stem, size),
             place=_place(int(path.stem)),
         )
+
+    def _read_labels(self, number: str, size: tuple[int, int]) -> NDArray[np.uint8]:
+        path = self._root / "semantic" / f"{number}.png"
+        if self._labels is None or not path.exists():
+            return np.full(size, IGNORE, dtype=np.uint8)
+        return self._labels.read(path, size)
 
     def _read_mask(self, number: str, size: tuple[int, int]) -> NDArray[np.uint8] | None:
         if self._masks is None:

@@ -60,6 +60,30 @@ def test_the_road_is_a_mask_where_the_folder_is_there(streets):
         KittiStreets(streets)[0]
 
 
+def test_hand_made_labels_are_read_where_they_are(streets):
+    folder = streets / "semantic"
+    folder.mkdir()
+    with pytest.raises(DatasetError, match=r"semantic: no \.png labels"):
+        KittiStreets(streets)
+    label = np.tile(np.arange(WIDTH, dtype=np.uint8) % 12, (HEIGHT, 1))
+    write(folder / "000003.png", label)
+    source = KittiStreets(streets)
+    assert (source[0].semantic == 255).all()
+    assert (source[1].semantic == np.where(label == 11, 255, label)).all()
+    with pytest.raises(DatasetError, match=r"labels of camvid are not mapped .*cityscapes"):
+        KittiStreets(streets, classes="cityscapes")
+    write(folder / "000003.png", label + 1)
+    with pytest.raises(DatasetError, match=r"semantic.*000003\.png: class id 12"):
+        source[1]
+
+
+def test_the_recipe_passes_its_classes_on(streets):
+    write(streets / "semantic" / "000003.png", np.zeros((HEIGHT, WIDTH), np.uint8))
+    recipe = build(AnySource, {"kind": "kitti_streets", "path": streets.name})
+    with pytest.raises(DatasetError, match="not mapped"):
+        open_dataset(recipe, [streets.parent], classes="cityscapes")
+
+
 def test_the_lines_asked_for_are_fed_and_the_whole_truth_is_scored(streets):
     sample = KittiStreets(streets)[0]
     for text, lines in (("own", 4), ("64", 4), ("32", 2), ("16", 1), ("none", 0)):
@@ -155,3 +179,13 @@ def test_recorded_streets_agree_with_their_truth():
         both = (sample.sparse_depth > 0) & (sample.depth > 0)
         error = np.abs(sample.sparse_depth[both] / sample.depth[both] - 1)
         assert np.median(error) < 0.01
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="SSDNET_DATA names no folder with kitti_streets")
+def test_recorded_labels_fit_the_road_masks():
+    source = KittiStreets(DATA)
+    assert (source[0].semantic == 255).all()  # 000002 has no labels
+    sample = source[-1]
+    road = sample.road_mask == 1
+    assert (sample.semantic[road] == 3).mean() > 0.95
+    assert set(np.unique(sample.semantic)) <= {*range(11), 255}

@@ -137,10 +137,7 @@ def data(tmp_path_factory):
     (drive / "velodyne_points" / "data").mkdir(parents=True)
     points = np.array(kitti_stream.POINTS, "<f4")
     (drive / "velodyne_points" / "data" / "0000000000.bin").write_bytes(points.tobytes())
-    (drive.parent / "calib_cam_to_cam.txt").write_text(kitti_stream.calibration())
-    (drive.parent / "calib_velo_to_cam.txt").write_text(
-        "R: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 0\n",
-    )
+    kitti_stream.write_calibration(drive.parent)
     for kind in ("rendered", "virtual_kitti"):
         virtual_kitti.write_second_edition(root / kind, "Scene02")
     virtual_kitti.write_first_edition(root / "virtual_kitti_1", "0002")

@@ -29,8 +29,9 @@ def test_kitti_raw(tmp_path):
         write(drive / "image_02" / "data" / f"{number:010d}.png", rgb)
         points = rng.uniform([4, -4, -2, 0], [30, 4, 2, 1], (200, 4)).astype("<f4")
         points.tofile(drive / "velodyne_points" / "data" / f"{number:010d}.bin")
-    cameras = kitti_stream.calibration().replace("8 0 0 10 4 0", "8 3 0 11 4 1")
-    (drive.parent / "calib_cam_to_cam.txt").write_text(cameras)
+    kitti_stream.write_calibration(drive.parent)
+    cameras = drive.parent / "calib_cam_to_cam.txt"
+    cameras.write_text(cameras.read_text().replace("8 0 0 10 4 0", "8 3 0 11 4 1"))
     (drive.parent / "calib_velo_to_cam.txt").write_text("R: 0 -1 0 0 0 -1 1 0 0\nT: 0 -0.3 0\n")
     samples, source = KittiRaw(tmp_path), KittiRawSource(drive)
     for index, listed in enumerate(source.list_frames()):

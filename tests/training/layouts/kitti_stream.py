@@ -9,27 +9,26 @@ from layouts.pictures import write
 POINTS = [(10, 4, 3, 0), (10, -4, 3, 0), (5, 2, -1, 0), (5, -2, 1.5, 0)]
 
 
-def calibration(magnify=1):
+def write_calibration(root, magnify=1):
     """A camera of 10 px focal length, its centre at (8, 4), that looks along the LiDAR's x."""
     focal, u, v = 10 * magnify, 8 * magnify, 4 * magnify
-    return f"""\
-S_rect_02: {2 * u} {2 * v}
-R_rect_00: 1 0 0 0 1 0 0 0 1
-P_rect_02: {focal} 0 {u} 0 0 {focal} {v} 0 0 0 1 0
-velo_to_cam_R: 0 -1 0 0 0 -1 1 0 0
-velo_to_cam_T: 0 0 0
-"""
+    (root / "calib_cam_to_cam.txt").write_text(
+        f"S_rect_02: {2 * u} {2 * v}\n"
+        "R_rect_00: 1 0 0 0 1 0 0 0 1\n"
+        f"P_rect_02: {focal} 0 {u} 0 0 {focal} {v} 0 0 0 1 0\n"
+    )
+    (root / "calib_velo_to_cam.txt").write_text("R: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 0\n")
 
 
-def write_stream(root, *, frames=3, labelled=1, magnify=1):
+def write_stream(root, *, frames=3, labelled=1, suffix=".png", magnify=1):
     """Frames with a line at 10 m and one at 5 m; the first ones have labels, a column each."""
     (root / "velodyne_fov").mkdir(parents=True)
-    (root / "calib_2011_09_26.txt").write_text(calibration(magnify))
+    write_calibration(root, magnify)
     labels = np.broadcast_to(np.arange(16, dtype=np.uint8), (8, 16)).copy()
     labels[0] = 255
     for number in range(frames):
         image = np.full((8, 16, 3), 90, np.uint8)
-        write(root / "image_02" / f"{number:010d}.png", image, magnify)
+        write(root / "image_02" / f"{number:010d}{suffix}", image, magnify)
         scan = root / "velodyne_fov" / f"{number:010d}.bin"
         scan.write_bytes(np.array(POINTS, "<f4").tobytes())
         if number < labelled:

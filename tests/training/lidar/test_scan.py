@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from runtime import project_points
+from runtime.io.calibration import Calibration
 from training.datasets.files import read_points
-from training.datasets.kitti_stream import read_calibration
 from training.lidar.scan import project_lines, scan_line_of
 
 
@@ -63,7 +63,7 @@ def test_each_pixel_names_the_line_of_the_return_that_it_holds():
 
 def test_projection_equals_the_recorded_depth_maps(stream):
     """The maps were made with floor, as if centres lay half a pixel beside."""
-    camera = read_calibration(stream / "calib_2011_09_26.txt")
+    camera = Calibration.from_kitti(stream)
     half_a_pixel = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
     for frame in (0, 17, 34, 59):
         points = read_points(stream / f"velodyne_fov/{frame:010d}.bin")
@@ -81,7 +81,7 @@ def test_projection_equals_the_recorded_depth_maps(stream):
 
 def test_every_frame_has_the_same_scan_lines(stream):
     # 48 of the 64 lines fall into the image.
-    camera = read_calibration(stream / "calib_2011_09_26.txt")
+    camera = Calibration.from_kitti(stream)
     for frame in (0, 17, 34, 59):
         points = read_points(stream / f"velodyne_fov/{frame:010d}.bin")
         lines = scan_line_of(points)
