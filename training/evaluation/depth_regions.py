@@ -1,6 +1,6 @@
-"""Depth errors by region: near a return, near a return at a depth edge, and elsewhere.
+"""Depth errors by region: by distance to the nearest return, and by depth edges.
 
-Only for dense ground truth, as of rendered scenes. The regions of a frame:
+`RETURN_DISTANCES` are regions of every frame. Only for dense ground truth, as of rendered scenes:
 
 - depth edge: a pixel with true depths in the 3 x 3 pixels around it of which the farthest is more
   than `EDGE_RATIO` times the nearest. Pixels of unknown depth (sky), and those that are not scored,
@@ -13,6 +13,9 @@ Only for dense ground truth, as of rendered scenes. The regions of a frame:
 Distances are Euclidean between centres of pixels, at the size of the frame.
 """
 
+import math
+from collections.abc import Mapping
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +27,13 @@ EDGE_REACH_PX = 3
 EDGE_RATIO = 1.1
 
 REGIONS = ("interior", "edge", "uncovered")
+#: Region -> its largest distance [px] to the nearest return that was fed.
+RETURN_DISTANCES: Mapping[str, float] = {
+    "return_0_px": 0,
+    "return_1_2_px": 2,
+    "return_3_6_px": 6,
+    "return_over_6_px": math.inf,
+}
 
 #: Share of known pixels around the known pixels of a dense true depth. Rendered depth has 0.99, the
 #: accumulated scans of KITTI's streets 0.5.
@@ -33,10 +43,13 @@ _BEYOND_M = 1e6  # in place of unknown depth in a minimum
 
 
 class DepthRegionScores:
-    """MAE and RMSE of each of the `REGIONS`, over the same pixels as `DepthScores`."""
+    """MAE and RMSE of `RETURN_DISTANCES` and `REGIONS`, over the same pixels as `DepthScores`.
+
+    Frames without dense ground truth do not count in the `REGIONS`.
+    """
 
     def __init__(self) -> None:
-        self._sums = {region: ErrorSums() for region in REGIONS}
+        self._sums = {region: ErrorSums() for region in (*RETURN_DISTANCES, *REGIONS)}
 
     def update(
         self,
@@ -48,7 +61,7 @@ class DepthRegionScores:
 
         Args:
             prediction: float (H, W) [m].
-            depth: the dense true depth, float (H, W) [m]; 0, negative or not finite = unknown.
+            depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
             fed: the depth that was fed, float (H, W) [m]; 0 = no return.
 
         Raises:
@@ -57,7 +70,10 @@ class DepthRegionScores:
         require_same_shape(prediction=prediction, depth=depth, fed=fed)
         known = scored(depth)
         error = np.abs(prediction[known].astype(np.float64) - depth[known])
-        for region, mask in split_regions(depth, fed).items():
+        regions = split_distances(fed)
+        if is_dense(depth):
+            regions |= split_regions(depth, fed)
+        for region, mask in regions.items():
             self._sums[region].add(error[mask[known]])
 
     def merge(self, other: "DepthRegionScores") -> None:
@@ -79,12 +95,22 @@ def is_dense(depth: NDArray[np.floating]) -> bool:
     return bool(around[known].mean() >= _DENSE_SHARE)
 
 
+def split_distances(fed: NDArray[np.floating]) -> dict[str, NDArray[np.bool_]]:
+    """Return the mask, bool (H, W), of each of `RETURN_DISTANCES`; they do not overlap."""
+    to_return_px = distance_px(fed > 0)
+    masks, above = {}, -1.0
+    for region, limit in RETURN_DISTANCES.items():
+        masks[region] = (to_return_px > above) & (to_return_px <= limit)
+        above = limit
+    return masks
+
+
 def split_regions(
     depth: NDArray[np.floating], fed: NDArray[np.floating]
 ) -> dict[str, NDArray[np.bool_]]:
     """Return the mask, bool (H, W), of each of the `REGIONS`; every pixel is in one of them."""
-    covered = _within(fed > 0, RETURN_REACH_PX)
-    at_edge = _within(depth_edges(depth), EDGE_REACH_PX)
+    covered = distance_px(fed > 0) <= RETURN_REACH_PX
+    at_edge = distance_px(depth_edges(depth)) <= EDGE_REACH_PX
     return {
         "interior": covered & ~at_edge,
         "edge": covered & at_edge,
@@ -102,11 +128,10 @@ def depth_edges(depth: NDArray[np.floating]) -> NDArray[np.bool_]:
     return edges
 
 
-def _within(mask: NDArray[np.bool_], reach_px: int) -> NDArray[np.bool_]:
-    """Return the pixels at most `reach_px` from a pixel of the mask."""
+def distance_px(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the distance of every pixel to the nearest of the mask; infinite to an empty mask."""
     if not mask.any():  # OpenCV's distance to nothing is finite
-        return mask
-    distance_px = cv2.distanceTransform(
-        (~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
+        return np.full(mask.shape, np.inf, np.float32)
+    return np.asarray(
+        cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     )
-    return np.asarray(distance_px <= reach_px)

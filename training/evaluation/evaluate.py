@@ -197,13 +197,15 @@ def _score_all(
     for (lidar, fault), places in scores.items():
         key = (str(lidar), fault) if was_fed[lidar, fault] else ("none", "none")
         if places and key not in rows:
-            of_places = {} if None in places else figures_over_places(places.values(), class_names)
+            by_place: dict[str, dict[str, float]] = {}
             total = Scores(len(model.classes))
-            for part in places.values():
+            for place, part in places.items():
                 total.merge(part)
+                if place is not None and None not in places and len(places) > 1:
+                    by_place[place] = part.figures(class_names)
             rows[key] = Row(
                 *(name, model.engine, title, *key, total.frames, total.figures(class_names)),
-                places=len(places) if of_places else 0,
-                figures_over_places=of_places,
+                places=by_place,
+                figures_over_places=figures_over_places(by_place.values()),
             )
     return list(rows.values())

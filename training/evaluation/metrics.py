@@ -20,6 +20,8 @@ from training.losses.semantic import IGNORE
 
 #: The widest range of Table 1 [m]: pixels whose true depth is beyond it are not scored.
 FARTHEST_M = 100.0
+#: Ranges of true depth [m]: the two others of Table 1, and four that do not overlap.
+RANGES_M = ((0.0, 20.0), (0.0, 50.0), (0.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, 100.0))
 #: Where depth is inverted, nearer predictions count as this [m].
 _NEAREST_M = 0.1
 
@@ -210,24 +212,25 @@ class DepthMetrics:
     Attributes:
         metres: over all scored pixels.
         per_km: of inverse depth over the same pixels, as KITTI scores depth completion [1/km].
-        ranges: end of a range from 0 [m] -> errors in metres where the true depth lies in it.
+        ranges: range [m] -> errors in metres where the true depth lies in it.
     """
 
     metres: Errors
     per_km: Errors
-    ranges: Mapping[float, Errors]
+    ranges: Mapping[tuple[float, float], Errors]
 
 
 class DepthScores:
-    """MAE, RMSE, iMAE and iRMSE over the same pixels, and MAE and RMSE within nearer ranges.
+    """MAE, RMSE, iMAE and iRMSE over the same pixels, and MAE and RMSE within ranges.
 
-    Pixels whose true depth is beyond `FARTHEST_M` are not scored.
+    A range is the true depths above its first and up to its last [m]. Pixels whose true depth
+    is beyond `FARTHEST_M` are not scored.
     """
 
-    def __init__(self, up_to_m: Sequence[float] = (20.0, 50.0)) -> None:
-        self.up_to_m = tuple(up_to_m)
+    def __init__(self, ranges_m: Sequence[tuple[float, float]] = RANGES_M) -> None:
+        self.ranges_m = tuple(ranges_m)
         self._metres, self._per_km = ErrorSums(), ErrorSums()
-        self._ranges = {limit: ErrorSums() for limit in self.up_to_m}
+        self._ranges = {item: ErrorSums() for item in self.ranges_m}
 
     def update(self, prediction: NDArray[np.floating], depth: NDArray[np.floating]) -> None:
         """Count a frame.
@@ -252,21 +255,21 @@ class DepthScores:
             )
         error = answer - truth
         self._metres.add(error)
-        for limit, sums in self._ranges.items():
-            sums.add(error[truth <= limit])
+        for (above, limit), sums in self._ranges.items():
+            sums.add(error[(truth > above) & (truth <= limit)])
         self._per_km.add(1000 * (1 / np.maximum(answer, _NEAREST_M) - 1 / truth))
 
     def merge(self, other: "DepthScores") -> None:
         """Add another's sums. Raises ValueError for other ranges."""
-        require_equal("up_to_m", self.up_to_m, other.up_to_m)
+        require_equal("ranges_m", self.ranges_m, other.ranges_m)
         self._metres.merge(other._metres)
         self._per_km.merge(other._per_km)
-        for limit, sums in self._ranges.items():
-            sums.merge(other._ranges[limit])
+        for item, sums in self._ranges.items():
+            sums.merge(other._ranges[item])
 
     def compute(self) -> DepthMetrics:
         """Return the metrics of all frames so far."""
-        ranges = {limit: sums.compute() for limit, sums in self._ranges.items()}
+        ranges = {item: sums.compute() for item, sums in self._ranges.items()}
         return DepthMetrics(self._metres.compute(), self._per_km.compute(), ranges)
 
 

@@ -6,10 +6,11 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_file, atomic_write
-from training.evaluation.depth_regions import REGIONS
+from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
 
 #: What the table shows, in this order, where a row has it: key, title, factor.
 _COLUMNS = (
@@ -22,6 +23,16 @@ _COLUMNS = (
     ("mae_m_0_20", "MAE 0-20 m [m]", 1.0),
     ("mae_m_0_50", "0-50", 1.0),
     ("mae_m", "0-100", 1.0),
+    ("mae_m_0_10", "MAE 0-10 m [m]", 1.0),
+    ("mae_m_10_20", "10-20", 1.0),
+    ("mae_m_20_40", "20-40", 1.0),
+    ("mae_m_40_100", "40-100", 1.0),
+    *(
+        (f"mae_m_{region}", f"MAE {title} [mm]", 1000.0)
+        for region, title in zip(
+            RETURN_DISTANCES, ("at a return", "1-2 px from it", "3-6 px", "> 6 px"), strict=True
+        )
+    ),
     ("rmse_m_0_20", "RMSE 0-20 m [m]", 1.0),
     ("rmse_m_0_50", "0-50", 1.0),
     ("rmse_m", "0-100", 1.0),
@@ -55,7 +66,7 @@ class Row:
 
     Attributes:
         figures: over the pixels of all frames, in SI units and shares; empty without ground truth.
-        places: how many places the frames show; 0 where the set does not know.
+        places: figures by place, where the set knows the places of its frames and has several.
         figures_over_places: the mean over these places, see `scoring.figures_over_places`.
     """
 
@@ -66,7 +77,7 @@ class Row:
     fault: str
     frames: int
     figures: dict[str, float]
-    places: int = 0
+    places: dict[str, dict[str, float]] = field(default_factory=dict)
     figures_over_places: dict[str, float] = field(default_factory=dict)
 
 
@@ -88,7 +99,7 @@ def format_table(rows: Sequence[Row]) -> str:
             continue
         lines = [(str(row.frames), row.figures)]
         if row.places:
-            lines.append((f"mean over {row.places} places", row.figures_over_places))
+            lines.append((f"mean over {len(row.places)} places", row.figures_over_places))
         for frames, figures in lines:
             values = [
                 f"{figures[key] * factor:.3f}" if key in figures else ""
@@ -127,16 +138,15 @@ def write_json(rows: Sequence[Row], path: Path) -> None:
     Raises:
         OutputError: if the file cannot be written.
     """
-    documents = [
-        {
-            key: {k: None if math.isnan(v) else v for k, v in value.items()}
-            if isinstance(value, dict)
-            else value
-            for key, value in asdict(row).items()
-        }
-        for row in rows
-    ]
+    documents = [_without_nan(asdict(row)) for row in rows]
     atomic_write(path, json.dumps(documents, indent=2, allow_nan=False).encode())
+
+
+def _without_nan(value: Any) -> Any:
+    """Return the document with null in place of NaN."""
+    if isinstance(value, dict):
+        return {key: _without_nan(item) for key, item in value.items()}
+    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:

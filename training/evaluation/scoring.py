@@ -1,7 +1,7 @@
 """Scores of a network on whole frames, the same for PyTorch and for an exported file."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from runtime.preprocess import preprocess
 from runtime.resize import Size
 from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import Processes
-from training.evaluation.depth_regions import DepthRegionScores, is_dense
+from training.evaluation.depth_regions import DepthRegionScores
 from training.evaluation.metrics import (
     BoundaryScores,
     DepthScores,
@@ -124,8 +124,7 @@ class Scores:
             self.depth.update(answer.depth, frame.target)
             if sample.focal_baseline_px_m is not None:
                 self.disparity.update(answer.depth, frame.target, sample.focal_baseline_px_m)
-            if is_dense(frame.target):
-                self.regions.update(answer.depth, frame.target, frame.fed)
+            self.regions.update(answer.depth, frame.target, frame.fed)
             if answer.depth_uncertainty is not None:
                 self.uncertainty.update(answer.depth_uncertainty, answer.depth, frame.target)
         if answer.boundary is not None and labelled:
@@ -167,8 +166,9 @@ class Scores:
         depth = self.depth.compute()
         if depth.metres.pixels:
             figures |= _error_figures(depth.metres)
-            for limit, errors in depth.ranges.items():
-                figures |= _error_figures(errors, f"m_0_{limit:g}")
+            for (above, limit), errors in depth.ranges.items():
+                if errors.pixels:
+                    figures |= _error_figures(errors, f"m_{above:g}_{limit:g}")
             figures |= {"imae_per_km": depth.per_km.mae, "irmse_per_km": depth.per_km.rmse}
         for region, errors in self.regions.compute().items():
             if errors.pixels:
@@ -206,16 +206,14 @@ def _category_figures(semantic: SemanticScores, class_names: Sequence[str]) -> d
     return {"category_miou": sum(known) / len(known), **figures} if known else {}
 
 
-def figures_over_places(places: Collection[Scores], class_names: Sequence[str]) -> dict[str, float]:
-    """Return the mean of each figure over places that have it; nothing for fewer than two places.
+def figures_over_places(places: Iterable[Mapping[str, float]]) -> dict[str, float]:
+    """Return the mean of each figure over the places that have it.
 
     All places have the same weight, however many of the frames show them.
     """
-    if len(places) < 2:
-        return {}
     values: dict[str, list[float]] = {}
     for place in places:
-        for key, value in place.figures(class_names).items():
+        for key, value in place.items():
             if not math.isnan(value):
                 values.setdefault(key, []).append(value)
     return {key: sum(items) / len(items) for key, items in values.items()}

@@ -6,9 +6,11 @@ import pytest
 from training.evaluation.depth_regions import (
     EDGE_RATIO,
     REGIONS,
+    RETURN_DISTANCES,
     DepthRegionScores,
     depth_edges,
     is_dense,
+    split_distances,
     split_regions,
 )
 
@@ -66,6 +68,38 @@ def test_without_returns_all_is_uncovered_and_without_edges_none_is_edge():
     assert split_regions(depth, np.zeros_like(depth))["uncovered"].all()
     flat = np.full((20, 20), 7, np.float32)
     assert split_regions(flat, flat)["interior"].all()
+
+
+def test_distances_to_the_nearest_return_equal_loops():
+    rng = np.random.default_rng(1)
+    fed = np.where(rng.random((40, 80)) < 0.005, np.float32(7), np.float32(0))
+    returns = np.argwhere(fed > 0)
+    expected = np.empty(fed.shape, object)
+    for pixel in np.ndindex(fed.shape):
+        distance = np.hypot(*(returns - pixel).T).min()
+        expected[pixel] = next(name for name, px in RETURN_DISTANCES.items() if distance <= px)
+    masks = split_distances(fed)
+    assert list(masks) == list(RETURN_DISTANCES)
+    for name, mask in masks.items():
+        assert mask.any()
+        np.testing.assert_array_equal(mask, expected == name)
+    nothing = split_distances(np.zeros_like(fed))
+    assert [mask.all() for mask in nothing.values()] == [False, False, False, True]
+    assert not nothing["return_3_6_px"].any()
+
+
+def test_distances_are_scored_without_dense_truth():
+    truth = np.zeros((1, 20), np.float32)
+    truth[0, ::3] = 10
+    fed = np.where(np.arange(20) == 0, truth, 0)
+    scores = DepthRegionScores()
+    scores.update(truth + np.arange(20, dtype=np.float32)[None], truth, fed)
+    errors = scores.compute()
+    assert [errors[name].pixels for name in RETURN_DISTANCES] == [1, 0, 2, 4]
+    assert errors["return_0_px"].mae == 0
+    assert errors["return_3_6_px"].mae == 4.5
+    assert errors["return_over_6_px"].mae == (9 + 12 + 15 + 18) / 4
+    assert [errors[region].pixels for region in REGIONS] == [0, 0, 0]
 
 
 def test_errors_by_hand_and_merged():

@@ -82,8 +82,12 @@ def test_depth_metrics_by_hand():
     )
     metrics = scores.compute()  # errors 2, 1, 4, 10
     assert metrics.ranges == {
-        20.0: Errors(2, pytest.approx(1.5), pytest.approx(math.sqrt(5 / 2))),
-        50.0: Errors(3, pytest.approx(7 / 3), pytest.approx(math.sqrt(21 / 3))),
+        (0, 20): Errors(2, pytest.approx(1.5), pytest.approx(math.sqrt(5 / 2))),
+        (0, 50): Errors(3, pytest.approx(7 / 3), pytest.approx(math.sqrt(21 / 3))),
+        (0, 10): Errors(1, 2, 2),
+        (10, 20): Errors(1, 1, 1),
+        (20, 40): Errors(1, 4, 4),
+        (40, 100): Errors(1, 10, 10),
     }
     assert (metrics.metres.pixels, metrics.metres.mae) == (4, pytest.approx(17 / 4))
     assert metrics.metres.rmse == pytest.approx(math.sqrt(121 / 4))
@@ -108,8 +112,8 @@ def test_depth_scores_accumulate_over_pixels_not_frames():
     )
     assert merged.compute().per_km.mae == pytest.approx(np.abs(inverse).mean())
     assert merged.compute().per_km.rmse == pytest.approx(np.sqrt((inverse**2).mean()))
-    with pytest.raises(ValueError, match="up_to_m"):
-        merged.merge(DepthScores((10.0,)))
+    with pytest.raises(ValueError, match="ranges_m"):
+        merged.merge(DepthScores(((0.0, 10.0),)))
 
 
 def test_no_answer_is_scored_and_nan_is_refused():

@@ -115,6 +115,11 @@ def test_each_depth_error_has_its_own_name():
     answer = frame.depth.copy()
     answer[10:, :60] = 12.5
     result = figures(lambda rgb, fed: Answer(None, answer, None), frame)
+    by_distance = {name: result.pop(name) for name in list(result) if "return" in name}
+    assert list(by_distance) == [
+        f"{error}_m_return_{px}_px" for px in ("0", "1_2", "3_6") for error in ("mae", "rmse")
+    ]
+    assert by_distance["mae_m_return_0_px"] == pytest.approx(1.25, rel=0.01)
     assert {name: round(value, 3) for name, value in result.items()} == {
         "mae_m": 1.25,
         "rmse_m": 1.768,  # sqrt(2.5^2 / 2)
@@ -122,6 +127,8 @@ def test_each_depth_error_has_its_own_name():
         "rmse_m_0_20": 1.768,
         "mae_m_0_50": 1.25,
         "rmse_m_0_50": 1.768,
+        "mae_m_0_10": 1.25,
+        "rmse_m_0_10": 1.768,
         "imae_per_km": 10.0,  # 1000 / 10 - 1000 / 12.5 = 20, in half of the pixels
         "irmse_per_km": 14.142,
         # A wall without edges under 64 lines: all of it is near a return.
