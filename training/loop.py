@@ -32,6 +32,7 @@ from training.evaluation.scoring import require_lidar, score_sources, torch_pred
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import count_pixels, open_dataset, open_mixture
 from training.losses import SSDNetLoss, class_weights
+from training.losses.consistency import Pair
 from training.network import adjust_logits, build_network, class_offsets, train_parts
 from training.optimizer import build_optimizer, exponential_average, learning_rate
 from training.recipe import LoopRecipe, Recipe
@@ -363,8 +364,18 @@ def _compute_loss(
     loop: LoopRecipe,
     device: torch.device,
 ) -> dict[str, Tensor]:
-    rgb = samples["rgb"].to(device, non_blocking=True).float()
-    sparse_depth = samples["sparse_depth"].to(device, non_blocking=True)
+    batch = {
+        key: values.to(device, non_blocking=True)
+        for key, values in samples.items()
+        if isinstance(values, Tensor)
+    }
+    pair = None
+    if "offset" in batch:
+        offset = batch.pop("offset")
+        pair = Pair(offset, *batch["sparse_depth"].unbind(1))
+        # All first views, then all second ones.
+        batch = {key: values.transpose(0, 1).flatten(0, 1) for key, values in batch.items()}
+    rgb, sparse_depth = batch["rgb"].float(), batch["sparse_depth"]
     if loop.channels_last:
         rgb = rgb.to(memory_format=torch.channels_last)
     with torch.autocast(
@@ -377,10 +388,11 @@ def _compute_loss(
         )
     terms: dict[str, Tensor] = criterion(
         output,
-        samples["semantic"].to(device, non_blocking=True),
-        samples["depth"].to(device, non_blocking=True),
-        semantic_weight=samples["semantic_weight"].to(device, non_blocking=True),
-        road_mask=samples["road_mask"].to(device, non_blocking=True),
+        batch["semantic"],
+        batch["depth"],
+        semantic_weight=batch["semantic_weight"],
+        road_mask=batch["road_mask"],
+        pair=pair,
     )
     return terms
 

@@ -38,6 +38,7 @@ from training.limits import (
 )
 from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
+from training.losses.total import PAIR_TERMS
 
 T = TypeVar("T")
 
@@ -141,7 +142,8 @@ class DataRecipe:
         crop = self.augment.crop
         if min(crop) < MIN_SIDE:
             raise ValueError(f"augment.crop = {list(crop)}; both must be at least {MIN_SIDE}")
-        if self.batch_size * crop[0] * crop[1] > MAX_BATCH_PIXELS:
+        views = 2 if self.augment.pair_shift else 1
+        if views * self.batch_size * crop[0] * crop[1] > MAX_BATCH_PIXELS:
             raise ValueError(
                 f"batch_size = {self.batch_size}: with crops of {crop[0]}x{crop[1]} a batch has "
                 f"more than {MAX_BATCH_PIXELS} pixels"
@@ -256,6 +258,12 @@ class Recipe:
             raise ValueError("data.sky_depth needs a class called 'sky' in model.classes")
         if self.loss.road_weight and self.model.class_id("road") is None:
             raise ValueError("loss.road_weight needs a class called 'road' in model.classes")
+        pair_terms = [name for name in PAIR_TERMS if getattr(self.loss, f"{name}_weight")]
+        if pair_terms and not self.data.augment.pair_shift:
+            raise ValueError(
+                f"loss.{min(pair_terms)}_weight compares two views of a frame: set "
+                "data.augment.pair_shift"
+            )
         samples = self.schedule.steps * self.data.batch_size * self.loop.accumulate
         if samples > MAX_SAMPLES:
             raise ValueError(

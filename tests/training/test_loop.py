@@ -111,6 +111,40 @@ def test_it_learns_sky_from_road(data, tmp_path):
     assert (classes == label).mean() > 0.9
 
 
+def test_two_views_are_trained_to_agree_and_resume_to_the_same_weights(data, tmp_path, monkeypatch):
+    """The losses get the views of one frame, and an interruption changes nothing."""
+    source = replace(recipe().data.source[0])
+    run = replace(
+        recipe(steps=3),
+        data=DataRecipe(
+            (source,),
+            augment=AugmentConfig(crop=(96, 96), scale=(1.6, 2.0), blur=0, noise=0, pair_shift=16),
+            batch_size=2,
+            workers=0,
+            frequency_samples=4,
+        ),
+        loss=LossConfig(depth_consistency_weight=2.0, semantic_consistency_weight=0.5),
+        validation=ValidationRecipe(),
+    )
+    given = []
+    forward = SSDNetLoss.forward
+
+    def look(self, output, semantic, depth, **others):
+        given.append((semantic, others["pair"]))
+        return forward(self, output, semantic, depth, **others)
+
+    monkeypatch.setattr(SSDNetLoss, "forward", look)
+    whole = weights(train(run, data=[data], out=tmp_path / "whole"))
+    for semantic, pair in given:
+        assert semantic.shape == (4, 96, 96)
+        for index, (rows, columns) in enumerate(pair.offset.tolist()):
+            first, second = semantic[index], semantic[2 + index]
+            assert torch.equal(first[rows:, columns:], second[: 96 - rows, : 96 - columns])
+    train(run, data=[data], out=tmp_path / "parts", stop_after=2)
+    parts = weights(train(run, data=[data], out=tmp_path / "parts"))
+    assert all(torch.equal(value, whole[name]) for name, value in parts.items())
+
+
 def test_interrupted_run_ends_at_the_same_weights(data, tmp_path):
     whole = train(recipe(), data=[data], out=tmp_path / "whole")
     for stop in (1, 4):

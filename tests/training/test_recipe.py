@@ -374,6 +374,16 @@ def test_the_score_of_the_best_weights_is_of_a_validation_set(base):
             read_recipe(base / "base.toml", [sets, f"validation.best = '{name}'"])
 
 
+def test_losses_of_consistency_need_two_views(base):
+    weight = "loss.depth_consistency_weight = 1.0"
+    with pytest.raises(InputError, match=r"depth_consistency_weight .*pair_shift"):
+        read_recipe(base / "base.toml", [weight])
+    shift = "data.augment.pair_shift = 32"
+    assert read_recipe(base / "base.toml", [weight, shift]).data.augment.pair_shift == 32
+    with pytest.raises(InputError, match="would share nothing within their borders"):
+        read_recipe(base / "base.toml", [shift, "data.augment.crop = [96, 320]"])
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -393,6 +403,8 @@ def test_the_score_of_the_best_weights_is_of_a_validation_set(base):
         "data.augment.lines = [5]",
         "data.augment.lines = []",
         "data.augment.brightness = -0.1",
+        "data.augment.pair_shift = 5",
+        "data.augment.pair_lidar_false = 1.5",
     ],
 )
 def test_values_out_of_range_are_refused_by_name(base, change):

@@ -80,3 +80,20 @@ def drop_sectors(fed: Depth, share: tuple[float, float], rng: Generator) -> Dept
         start = int(rng.integers(0, width - columns + 1))
         kept[:, start : start + columns] = 0
     return kept
+
+
+def add_false_returns(fed: Depth, rng: Generator) -> Depth:
+    """Return a copy with returns that show no surface of the image: float32 (H, W) [m].
+
+    About one in 10,000 pixels: half are close, as of rain or dust, 1.5 to 10 m away, half are
+    returns that see past a near edge, 1.3 to 4 times as far as a measurement.
+    """
+    count = 1 + int(rng.poisson(fed.size / 1e4))
+    damaged = fed.copy()
+    place = rng.integers(0, fed.size, count)
+    damaged.flat[place] = np.exp(rng.uniform(np.log(1.5), np.log(10.0), count))
+    measured = np.flatnonzero(fed)
+    if measured.size:
+        behind = rng.choice(measured, count)
+        damaged.flat[behind] *= rng.uniform(1.3, 4.0, count).astype(np.float32)
+    return damaged

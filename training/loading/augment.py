@@ -12,17 +12,20 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.resize import move_returns, move_scan_lines, resize_image, resize_nearest
-from training.datasets.sample import IGNORE, Sample
-from training.lidar.faults import drop_sectors, misalign
+from training.datasets.sample import IGNORE, Sample, nothing_known
+from training.lidar.faults import add_false_returns, drop_sectors, misalign
 from training.lidar.simulate import SENSOR_LINES
 from training.lidar.solid_state import solid_state_scan
 from training.lidar.split import LidarInput, split_lidar
 from training.limits import (
+    PAIR_BORDER_PX,
+    PAIR_STEP_PX,
     STRICT,
     CropSide,
     Degrees,
     FactorRange,
     NotNegative,
+    PairShift,
     Share,
     ShareRange,
     Strength,
@@ -85,10 +88,21 @@ class AugmentConfig:
     #: the image's width of each.
     lidar_dropout: Share = 0.0
     dropout_share: ShareRange = (0.05, 0.3)
+    #: Largest shift [px] of a second view of each frame, for the losses of consistency: rows and
+    #: columns by which it begins later are multiples of `PAIR_STEP_PX`. 0 = one view.
+    pair_shift: PairShift = 0
+    #: Probabilities that the second view has no LiDAR, and that it has false returns.
+    pair_lidar_missing: Share = 0.0
+    pair_lidar_false: Share = 0.0
 
     def __post_init__(self) -> None:
-        """Check the size of the window that is magnified to the crop."""
+        """Check the window that is magnified to the crop, and what both views share."""
         require_window("scale", self.crop, self.scale)
+        if self.pair_shift and min(self.crop) <= self.pair_shift + 2 * PAIR_BORDER_PX:
+            raise ValueError(
+                f"pair_shift = {self.pair_shift}: views of {self.crop[0]}x{self.crop[1]} would "
+                f"share nothing within their borders of {PAIR_BORDER_PX} px"
+            )
 
 
 def augment(
@@ -120,6 +134,33 @@ def augment(
     if canonical_focal_px is not None:
         sample = canonical_depth(sample, canonical_focal_px)
     return replace(sample, rgb=change_colors(sample.rgb, config, rng))
+
+
+def with_margin(config: AugmentConfig) -> AugmentConfig:
+    """Return a configuration whose crop has room for both views, see `take_views`."""
+    height, width = config.crop
+    crop = (height + config.pair_shift, width + config.pair_shift)
+    return replace(config, crop=crop) if config.pair_shift else config
+
+
+def take_views(
+    sample: Sample, config: AugmentConfig, rng: Generator
+) -> tuple[Sample, Sample, tuple[int, int]]:
+    """Return two views of ``config.crop`` and the offset (rows, columns) [px] of the second.
+
+    The sample is made by `with_margin`; the first view is its upper left corner. The LiDAR input of
+    the second is missing or has false returns by the probabilities of ``config``.
+    """
+    steps = config.pair_shift // PAIR_STEP_PX
+    top, left = (PAIR_STEP_PX * int(step) for step in rng.integers(0, steps + 1, 2))
+    draw = rng.random()
+    second = sample
+    if sample.sparse_depth is not None:
+        if draw < config.pair_lidar_missing:
+            second = replace(sample, sparse_depth=nothing_known(sample.size))
+        elif draw < config.pair_lidar_missing + config.pair_lidar_false:
+            second = replace(sample, sparse_depth=add_false_returns(sample.sparse_depth, rng))
+    return cut(sample, 0, 0, config.crop), cut(second, top, left, config.crop), (top, left)
 
 
 def scale_and_crop(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:

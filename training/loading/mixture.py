@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from training.datasets.sample import IGNORE, Sample, SampleSource
-from training.loading.augment import AugmentConfig, augment, far_sky
+from training.loading.augment import AugmentConfig, augment, far_sky, take_views, with_margin
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,9 @@ class DepthTarget:
 
 class Mixture(Dataset[dict[str, Tensor | str]]):
     """``length`` augmented samples; the i-th is a pure function of the parts, seed, length and i.
+
+    With ``pair_shift`` a sample has two views: every tensor has a first dimension of 2, and
+    "offset" int64 (2,) tells by how many rows and columns the second begins later.
 
     A run resumed at sample i therefore gets the same samples, whatever the number of worker
     processes. Each set is drawn in shuffled passes, each frame once a pass.
@@ -71,13 +74,22 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
         target = self._depth
         sample = augment(
             part.source[int(self._frame[index])],
-            part.augment,
+            with_margin(part.augment),
             rng,
             canonical_focal_px=target.canonical_focal_px,
         )
         if target.sky is not None:
             sample = far_sky(sample, target.sky, target.max_depth_m)
-        return as_tensors(sample)
+        if not part.augment.pair_shift:
+            return as_tensors(sample)
+        *views, offset = take_views(sample, part.augment, rng)
+        first, second = (as_tensors(view) for view in views)
+        pair: dict[str, Tensor | str] = {
+            key: torch.stack([value, other])
+            for key, value in first.items()
+            if isinstance(value, Tensor) and isinstance(other := second[key], Tensor)
+        }
+        return {**pair, "offset": torch.tensor(offset), "name": sample.name}
 
 
 def as_tensors(sample: Sample) -> dict[str, Tensor | str]:

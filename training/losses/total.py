@@ -19,6 +19,11 @@ from training.losses.boundary import (
     boundary_at_scale,
     boundary_target,
 )
+from training.losses.consistency import (
+    Pair,
+    depth_consistency_loss,
+    semantic_consistency_loss,
+)
 from training.losses.depth import (
     metric_depth_loss,
     multi_scale_depth_loss,
@@ -58,7 +63,11 @@ TERMS: Mapping[str, frozenset[str]] = {
     "side_boundary": frozenset({"boundary"}),
     "semantic_boundary": frozenset({"semantic", "boundary"}),
     "semantic_depth": frozenset({"semantic", "depth"}),
+    "depth_consistency": frozenset({"depth"}),
+    "semantic_consistency": frozenset({"semantic"}),
 }
+#: Terms that compare two views of each frame.
+PAIR_TERMS = frozenset({"depth_consistency", "semantic_consistency"})
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -89,6 +98,9 @@ class LossConfig:
     road_weight: float = 0.0
     #: Likelihood of the depth's errors under the predicted uncertainty.
     depth_uncertainty_weight: float = 0.1
+    #: Agreement of two shifted views of each frame, see `training.losses.consistency`.
+    depth_consistency_weight: float = 0.0
+    semantic_consistency_weight: float = 0.0
 
     #: "fixed": the weights above, as in the paper. "uncertainty": each is multiplied by a learned
     #: factor (Kendall et al. 2018, the paper's reference 35).
@@ -191,6 +203,7 @@ class SSDNetLoss(nn.Module):
         depth: Tensor,
         semantic_weight: Tensor | None = None,
         road_mask: Tensor | None = None,
+        pair: Pair | None = None,
     ) -> dict[str, Tensor]:
         """Return every term by name, not yet weighted, and their weighted sum as "total"; all ().
 
@@ -206,6 +219,8 @@ class SSDNetLoss(nn.Module):
             semantic_weight: float (N,), weight of each sample's labels in Eq. 5 and 6, below 1 for
                 labels made by a network; None = all 1.
             road_mask: uint8 (N, H, W), see `road_loss`; None = unknown.
+            pair: how the second views differ; None = no frame has two. The batch then holds the
+                first view of each frame, then the second of each.
 
         Returns:
             Terms by their names in `TERMS`, without those of weight 0 and of missing heads.
@@ -227,6 +242,8 @@ class SSDNetLoss(nn.Module):
         terms |= self._depth_terms(output, depth)
         terms |= self._semantic_terms(output, semantic, semantic_weight)
         terms |= self._road_terms(output, road_mask)
+        if pair is not None:
+            terms |= self._pair_terms(output, pair, (height, width))
         weighted = [self._weigh(name, term) for name, term in terms.items()]
         # Without any term the total is still a 0 that can be differentiated.
         anchor = torch.nan_to_num(answer[0, 0, 0, 0].float(), posinf=0, neginf=0)
@@ -297,6 +314,23 @@ class SSDNetLoss(nn.Module):
                 target,
                 valid & (target < 1.0),  # the sky, at the far end, is no measurement
                 max_depth_m=self.max_depth_m,
+            )
+        return terms
+
+    def _pair_terms(
+        self, output: NetworkOutput, pair: Pair, size: tuple[int, int]
+    ) -> dict[str, Tensor]:
+        config = self.config
+        terms: dict[str, Tensor] = {}
+        if config.depth_consistency_weight and output.depths is not None:
+            first, second = output.depths[0].float().chunk(2)
+            terms["depth_consistency"] = depth_consistency_loss(first, second, pair)
+        if config.semantic_consistency_weight and output.semantic_logits is not None:
+            logits = output.semantic_logits.float()
+            side = cell_side(size, (logits.shape[-2], logits.shape[-1]))
+            first, second = logits.chunk(2)
+            terms["semantic_consistency"] = semantic_consistency_loss(
+                first, second, pair, side=side
             )
         return terms
 

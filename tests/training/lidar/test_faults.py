@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from training.lidar.faults import DROPOUT_SHARE, add_fault, drop_sectors, misalign
+from training.lidar.faults import (
+    DROPOUT_SHARE,
+    add_false_returns,
+    add_fault,
+    drop_sectors,
+    misalign,
+)
 from training.lidar.simulate import random_share
 
 
@@ -95,3 +101,21 @@ def test_sectors_are_lost_from_top_to_bottom():
         counts.add(np.count_nonzero(np.diff(lost[0].astype(int), prepend=0) == 1))
     assert counts == {1, 2, 3}
     assert (fed == 20).all()
+
+
+def test_false_returns_are_near_or_behind_and_few():
+    rng = np.random.default_rng(1)
+    fed = np.where(rng.random((200, 500)) < 0.04, np.float32(20.0), np.float32(0))
+    before = fed.copy()
+    damaged = add_false_returns(fed, rng)
+    assert np.array_equal(fed, before)
+    changed = damaged[damaged != fed]
+    assert 2 <= changed.size <= 60
+    near, behind = changed[changed < 20], changed[changed >= 20]
+    assert 1.5 <= near.min() <= near.max() <= 10
+    assert 25.99 <= behind.min() <= behind.max() <= 80.01
+
+
+def test_a_map_without_returns_gets_near_ones_alone():
+    damaged = add_false_returns(np.zeros((100, 100), np.float32), np.random.default_rng(0))
+    assert 0 < damaged.max() <= 10

@@ -126,3 +126,58 @@ def test_road_masks_are_batched():
     tensors = as_tensors(replace(sample, road_mask=mask.astype(np.uint8)))
     assert tensors["road_mask"].dtype == torch.uint8
     assert tensors["road_mask"].tolist() == mask.tolist()
+
+
+class Streets:
+    """Frames whose pixels are all different, with depth everywhere and labels."""
+
+    def __len__(self):
+        return 3
+
+    def __getitem__(self, index):
+        rng = np.random.default_rng(index)
+        rgb = rng.integers(0, 256, (300, 320, 3), dtype=np.uint8)
+        depth = rng.uniform(20, 60, (300, 320)).astype(np.float32)
+        labels = rng.integers(0, 11, (300, 320)).astype(np.uint8)
+        return Sample(rgb, depth, labels, np.array([[900.0, 0, 160], [0, 900, 10], [0, 0, 1]]), "")
+
+
+def pairs(**options):
+    config = AugmentConfig(
+        crop=(128, 160), pair_shift=32, blur=0, noise=0, lidar_missing=0, **options
+    )
+    return Mixture([MixturePart(Streets(), 1.0, config)], length=24, seed=3)
+
+
+def test_two_views_show_the_same_frame_from_the_offset_on():
+    samples = [pairs()[index] for index in range(24)]
+    offsets = {tuple(sample["offset"].tolist()) for sample in samples}
+    assert len(offsets) > 10
+    assert all(part % 4 == 0 and part <= 32 for offset in offsets for part in offset)
+    for sample in samples:
+        rows, columns = sample["offset"].tolist()
+        for key in ("rgb", "depth", "semantic", "sparse_depth", "road_mask"):
+            first, second = sample[key]
+            assert first.shape[-2:] == (128, 160)
+            shared = second[..., : 128 - rows, : 160 - columns]
+            assert torch.equal(first[..., rows:, columns:], shared), key
+
+
+@pytest.mark.parametrize(("missing", "false"), [(1.0, 0.0), (0.0, 1.0), (0.0, 0.0)])
+def test_the_lidar_of_the_second_view_is_missing_or_has_false_returns(missing, false):
+    for index in range(6):
+        sample = pairs(pair_lidar_missing=missing, pair_lidar_false=false)[index]
+        rows, columns = sample["offset"].tolist()
+        first, second = sample["sparse_depth"]
+        assert first.any()
+        assert (not second.any()) == bool(missing)
+        changed = first[..., rows:, columns:] != second[..., : 128 - rows, : 160 - columns]
+        assert bool(changed.any()) == bool(missing or false)
+        assert torch.equal(sample["depth"][0, :, rows:, columns:][changed] > 0, changed[changed])
+        if false:
+            assert 0 < int(changed.sum()) < 20
+
+
+def test_one_view_is_the_default():
+    assert "offset" not in mixture()[0]
+    assert mixture()[0]["rgb"].shape == (3, 32, 32)

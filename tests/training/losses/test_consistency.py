@@ -1,0 +1,119 @@
+"""Two views agree where they overlap: what is compared, and what costs how much."""
+
+import math
+
+import pytest
+import torch
+
+from models import NetworkOutput
+from training.limits import PAIR_BORDER_PX
+from training.losses import LossConfig, SSDNetLoss
+from training.losses.consistency import (
+    FAR_WEIGHT,
+    NEAR_WEIGHT,
+    Pair,
+    depth_consistency_loss,
+    overlap,
+    semantic_consistency_loss,
+)
+
+OFFSET = (4, 12)
+SIZE = (96, 128)
+
+
+def views(scene, side=1):
+    """The first and the second view of a scene (C, h, w)."""
+    rows, columns = (part // side for part in OFFSET)
+    height, width = (part // side for part in SIZE)
+    return (
+        scene[:, :height, :width],
+        scene[:, rows : rows + height, columns : columns + width],
+    )
+
+
+def scene_of(channels=1, side=1, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    size = ((SIZE[0] + 32) // side, (SIZE[1] + 32) // side)
+    return torch.rand(channels, *size, generator=generator)
+
+
+def pair_of(first, second):
+    return Pair(torch.tensor([OFFSET]), first[None], second[None])
+
+
+@pytest.mark.parametrize("side", [1, 2, 4])
+def test_the_views_of_one_scene_overlap_in_equal_maps(side):
+    a, b = overlap(*views(scene_of(3, side), side), OFFSET, side=side)
+    assert torch.equal(a, b)
+    border = PAIR_BORDER_PX // side
+    rows, columns = OFFSET[0] // side, OFFSET[1] // side
+    expected = (SIZE[0] // side - rows - 2 * border, SIZE[1] // side - columns - 2 * border)
+    assert a.shape == (3, *expected)
+
+
+def test_views_that_share_nothing_are_refused():
+    with pytest.raises(ValueError, match="share nothing"):
+        overlap(torch.zeros(1, 64, 200), torch.zeros(1, 64, 200), OFFSET)
+
+
+def test_depth_that_agrees_costs_nothing_and_a_ratio_its_log():
+    first, second = (view[None] + 0.1 for view in views(scene_of()))
+    none = torch.zeros(1, *SIZE)
+    assert depth_consistency_loss(first, second, pair_of(none, none)) == 0
+    loss = depth_consistency_loss(first, second * 1.1, pair_of(none, none))
+    assert loss.item() == pytest.approx(FAR_WEIGHT * math.log(1.1), rel=1e-4)
+
+
+def test_near_returns_that_both_have_the_ratio_counts_less():
+    first, second = (view[None] + 0.1 for view in views(scene_of()))
+    lidar = views(torch.full((1, SIZE[0] + 32, SIZE[1] + 32), 9.0))
+    loss = depth_consistency_loss(first, second * 1.1, pair_of(*lidar))
+    assert loss.item() == pytest.approx(NEAR_WEIGHT * math.log(1.1), rel=1e-4)
+
+
+def test_around_false_returns_the_ratio_counts_in_full():
+    first, second = (view[None] + 0.1 for view in views(scene_of()))
+    lidar, other = views(torch.full((1, SIZE[0] + 32, SIZE[1] + 32), 9.0))
+    other = other.clone()
+    other[0, 50, 60] = 3.0
+    loss = depth_consistency_loss(first, second * 1.1, pair_of(lidar, other))
+    assert loss.item() == pytest.approx(FAR_WEIGHT * math.log(1.1), rel=1e-4)
+
+
+def test_a_view_without_lidar_may_have_another_depth():
+    first, second = (view[None].requires_grad_() for view in views(scene_of() + 0.1))
+    lidar = torch.full((1, *SIZE), 9.0)
+    loss = depth_consistency_loss(first, second * 2, pair_of(lidar, torch.zeros(1, *SIZE)))
+    assert loss == 0
+    loss.backward()
+    assert not first.grad.any()
+
+
+def test_classes_that_agree_cost_nothing_and_others_their_divergence():
+    scene = scene_of(5, side=2)
+    first, second = (view[None] for view in views(scene, side=2))
+    pair = pair_of(torch.zeros(1, *SIZE), torch.zeros(1, *SIZE))
+    assert semantic_consistency_loss(first, second, pair, side=2).item() == pytest.approx(0)
+    # Two classes with 3/4 and 1/4 in one view and the other way round in the other.
+    odds = torch.tensor([math.log(3.0), 0.0]).view(1, 2, 1, 1).expand(1, 2, *first.shape[-2:])
+    loss = semantic_consistency_loss(odds, odds.flip(1), pair, side=2)
+    assert loss.item() == pytest.approx(math.log(3.0))
+
+
+def test_the_whole_loss_has_both_terms_of_pairs_alone():
+    config = LossConfig(depth_consistency_weight=2.0, semantic_consistency_weight=0.5)
+    generator = torch.Generator().manual_seed(0)
+    output = NetworkOutput(
+        semantic_logits=torch.rand(2, 5, SIZE[0] // 2, SIZE[1] // 2, generator=generator),
+        depths=(torch.rand(2, 1, *SIZE, generator=generator),),
+        boundary_logits=torch.zeros(2, 1, *SIZE),
+    )
+    labels = torch.zeros(2, *SIZE, dtype=torch.int64)
+    depth = torch.zeros(2, 1, *SIZE)
+    criterion = SSDNetLoss(config, max_depth_m=100.0)
+    alone = criterion(output, labels, depth)
+    pair = pair_of(depth[0], depth[1])
+    terms = criterion(output, labels, depth, pair=pair)
+    added = 2.0 * terms["depth_consistency"] + 0.5 * terms["semantic_consistency"]
+    assert set(terms) - set(alone) == {"depth_consistency", "semantic_consistency"}
+    assert terms["total"].item() == pytest.approx((alone["total"] + added).item(), rel=1e-5)

@@ -1,0 +1,85 @@
+"""Consistency of two shifted views of one frame: their answers must agree where they overlap."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from models.pooling import maxima_around
+from training.limits import PAIR_BORDER_PX
+
+#: Weights of the depth's ratio farther than NEAR_PX from a return, and nearer.
+FAR_WEIGHT, NEAR_WEIGHT = 1.2, 0.2
+NEAR_PX = 6
+_NEAREST = 1e-3
+
+
+class Pair(NamedTuple):
+    """How the second view of each frame differs from the first."""
+
+    #: int64 (N, 2): rows and columns by which the second view begins later.
+    offset: Tensor
+    #: float32 (N, 1, H, W), metres: the LiDAR input of each view, 0 = no return.
+    first_lidar: Tensor
+    second_lidar: Tensor
+
+
+def overlap(
+    first: Tensor, second: Tensor, offset: tuple[int, int], *, side: int = 1
+) -> tuple[Tensor, Tensor]:
+    """Return what both views show, without PAIR_BORDER_PX: two (C, h', w').
+
+    first, second: (C, h, w), maps of cells of ``side`` pixels. offset: rows and columns [px] by
+    which the second view begins later, multiples of ``side``.
+    """
+    border = -(-PAIR_BORDER_PX // side)
+    rows, columns = (part // side for part in offset)
+    height, width = first.shape[-2] - rows - 2 * border, first.shape[-1] - columns - 2 * border
+    if height <= 0 or width <= 0:
+        raise ValueError(
+            f"views of {tuple(first.shape[-2:])} cells of {side} px, {offset} px apart, share "
+            f"nothing within their borders of {PAIR_BORDER_PX} px"
+        )
+    top, left = rows + border, columns + border
+    return (
+        first[:, top : top + height, left : left + width],
+        second[:, border : border + height, border : border + width],
+    )
+
+
+def depth_consistency_loss(first: Tensor, second: Tensor, pair: Pair) -> Tensor:
+    """Mean |log ratio| of the depth of the two views, weighted by the distance to a return, ().
+
+    first, second: (N, 1, H, W), depth at the image's size in any unit. Frames of whose views just
+    one has returns do not count: their answers may differ. Returns that only one view has, false
+    ones, must change nothing: their surroundings have FAR_WEIGHT.
+    """
+    near = maxima_around((pair.first_lidar > 0).to(first.dtype), 2 * NEAR_PX + 1)
+    losses = []
+    for index, offset in enumerate(pair.offset.tolist()):
+        maps = (pair.first_lidar[index], pair.second_lidar[index])
+        if bool(maps[0].any()) != bool(maps[1].any()):
+            continue
+        lidar, other = overlap(*maps, offset)
+        a, b = overlap(first[index], second[index], offset)
+        ratio = (a.clamp(min=_NEAREST) / b.clamp(min=_NEAREST)).log().abs()
+        close = overlap(near[index], near[index], offset)[0] * (NEAR_WEIGHT - FAR_WEIGHT)
+        weight = FAR_WEIGHT + close * float(torch.equal(lidar, other))
+        losses.append((ratio * weight).mean())
+    return torch.stack(losses).mean() if losses else first.sum() * 0.0
+
+
+def semantic_consistency_loss(first: Tensor, second: Tensor, pair: Pair, *, side: int) -> Tensor:
+    """Symmetric Kullback-Leibler divergence of the classes of the two views, mean over cells, ().
+
+    first, second: (N, C, h, w), logits on cells of ``side`` pixels.
+    """
+    losses = []
+    for index, offset in enumerate(pair.offset.tolist()):
+        logs = [
+            view.log_softmax(dim=0)
+            for view in overlap(first[index], second[index], offset, side=side)
+        ]
+        difference = logs[0] - logs[1]
+        losses.append(((logs[0].exp() - logs[1].exp()) * difference).sum(dim=0).mean())
+    return torch.stack(losses).mean()
