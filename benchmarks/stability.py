@@ -1,0 +1,298 @@
+"""How far answers change with what should hardly change them.
+
+    python benchmarks/stability.py MODEL [MODEL ...] --data DIR [--limit N] [--json FILE]
+
+MODEL is a bundled name, an exported file or a checkpoint with semantic and depth. All 64 lines are
+fed, at the frames' own size. On the validation frames of DIR/kitti_streets:
+
+- shift: 1 to 8 columns are cut off the left of image and depth map. Share of the pixels farther
+  than 6 px from a return, without sky, whose depth changes by more than 5 %, and share of all
+  pixels that change class. The left 32 columns of the cut frame are not counted.
+- lidar: share of the pixels that change class without the LiDAR.
+- false: 12 false returns of 3 m, at most 6 px from a return and where the answer is over 12 m.
+  Pixels whose depth changes by more than 10 %, per false return.
+
+On consecutive frames of DIR/kitti_drive_0009 (--drive, --flicker):
+
+- flicker: pixels are followed by optical flow. 90th percentile of |log ratio of their depths - its
+  median|, the mean over pairs, and share of them that changes class.
+
+On DIR/camvid, whose frames have no LiDAR:
+
+- pseudo-LiDAR: mIoU from the camera alone, and with 64 lines simulated on the depth of that answer.
+"""
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.bundled_models import find_model
+from runtime.contract import find_sky
+from runtime.errors import InputError
+from runtime.io.atomic_write import atomic_write
+from runtime.network_size import parse_network_size
+from training.datasets.camvid import CamVidRecipe
+from training.datasets.kitti_stream import KittiStreamRecipe
+from training.datasets.kitti_streets import KittiStreetsRecipe
+from training.datasets.sample import Sample, SampleSource, nothing_known
+from training.datasets.source_recipe import SourceRecipe
+from training.evaluation.depth_regions import distance_px
+from training.evaluation.evaluate import short_names
+from training.evaluation.metrics import SemanticScores
+from training.evaluation.scored_model import ScoredModel, open_model
+from training.evaluation.scoring import Predict
+from training.lidar.simulate import SENSOR_LINES, scan_lines
+from training.lidar.split import frame_generator
+from training.loading.open_dataset import open_dataset
+
+STREETS = (70, 98)
+CUT_COLUMNS = (1, 2, 3, 5, 8)
+SKIPPED_COLUMNS = 32
+NEAR_RETURN_PX = 6
+SHIFT_CHANGE, FALSE_CHANGE = 0.05, 0.10
+FALSE_RETURNS, FALSE_M, FALSE_BEYOND_M = 12, 3.0, 12.0
+FLOW_AGREEMENT_PX = 0.5
+FLICKER_PERCENTILE = 90
+#: Focal length of the assumed camera, as a share of its width.
+PSEUDO_FOCAL = 500 / 480
+
+#: Key, title and factor of the table's columns.
+COLUMNS = (
+    ("shift_depth", "shift depth %", 100.0),
+    ("shift_class", "shift class %", 100.0),
+    ("lidar_class", "lidar class %", 100.0),
+    ("false_px", "false px", 1.0),
+    ("flicker_depth", "flicker depth %", 100.0),
+    ("flicker_class", "flicker class %", 100.0),
+    ("camvid_miou", "CamVid mIoU %", 100.0),
+    ("camvid_miou_pseudo_lidar", "with pseudo-LiDAR %", 100.0),
+)
+
+Figures = dict[str, float]
+
+
+class Frame(NamedTuple):
+    """The inputs of one answer.
+
+    Attributes:
+        rgb: uint8 (H, W, 3).
+        sparse_depth: float32 (H, W) [m], 0 = no return.
+        focal_length_px: fx, None = unknown.
+    """
+
+    rgb: NDArray[np.uint8]
+    sparse_depth: NDArray[np.float32]
+    focal_length_px: float | None = None
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("models", nargs="+", metavar="MODEL")
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--drive", default="kitti_drive_0009", help="folder of consecutive frames")
+    parser.add_argument("--flicker", default="30:50", help="FIRST:LAST frame of the drive")
+    parser.add_argument("--limit", type=int, help="frames of each set")
+    parser.add_argument("--size", default="frame", help="as in ssdnet-eval")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--json", type=Path)
+    arguments = parser.parse_args()
+
+    def read(recipe: SourceRecipe, *, spread: bool = True) -> list[Sample]:
+        source = open_dataset(recipe, [arguments.data], classes="camvid")
+        return take(source, arguments.limit, spread=spread)
+
+    first, last = (int(number) for number in arguments.flicker.split(":"))
+    streets = read(KittiStreetsRecipe(path="kitti_streets", first=STREETS[0], last=STREETS[1]))
+    drive = read(KittiStreamRecipe(path=arguments.drive, first=first, last=last), spread=False)
+    camvid = read(CamVidRecipe(path="camvid", split="val"))
+    paths = [Path(name) if name.endswith(".pt") else find_model(name) for name in arguments.models]
+    rows: dict[str, Figures] = {}
+    for title, path in zip(short_names(paths), paths, strict=True):
+        size = parse_network_size(arguments.size)
+        with open_model(path, threads=arguments.threads, size=size) as model:
+            rows[title] = run_probes(model, streets, drive, camvid)
+    print(format_table(rows))
+    if arguments.json is not None:
+        atomic_write(arguments.json, json.dumps(rows, indent=2).encode())
+
+
+def take(source: SampleSource, limit: int | None, *, spread: bool) -> list[Sample]:
+    """Return at most `limit` frames: evenly spread over the set, or the first ones."""
+    count = len(source) if limit is None else min(limit, len(source))
+    last = len(source) - 1 if spread else count - 1
+    return [source[int(index)] for index in np.linspace(0, last, count).round()]
+
+
+def run_probes(
+    model: ScoredModel,
+    streets: Sequence[Sample],
+    drive: Sequence[Sample],
+    camvid: Sequence[Sample],
+) -> Figures:
+    """Return the figures of all probes, without those that no pixel was measured for.
+
+    Pseudo-LiDAR is for models of CamVid's classes alone. Raises InputError for a model without
+    semantic or depth.
+    """
+    predict, sky = model.predict, find_sky(model.classes)
+    frames = [Frame(item.rgb, item.sparse_depth, item.focal_length_px) for item in streets]
+    if not {"semantic", "depth"} <= predict(*frames[0]).heads.keys():
+        raise InputError("the probes need a model with semantic and depth: choose another")
+    figures = probe_shift(predict, frames, sky=sky)
+    figures |= probe_lidar(predict, frames)
+    figures |= probe_false_returns(predict, frames)
+    consecutive = (Frame(item.rgb, item.depth, item.focal_length_px) for item in drive)
+    figures |= probe_flicker(predict, consecutive, follow=optical_flow)
+    if model.class_table == "camvid":
+        labelled = [(item.rgb, item.semantic) for item in camvid]
+        figures |= probe_pseudo_lidar(predict, labelled, sky=sky, num_classes=len(model.classes))
+    return {key: value for key, value in figures.items() if not math.isnan(value)}
+
+
+def probe_shift(predict: Predict, frames: Iterable[Frame], *, sky: int | None) -> Figures:
+    """Return what cutting columns off the left of the frames changes, see the file's top."""
+    depths, classes = np.zeros(2), np.zeros(2)  # changed pixels, compared pixels
+    for frame in frames:
+        whole = predict(*frame)
+        counted = distance_px(frame.sparse_depth > 0) > NEAR_RETURN_PX
+        if sky is not None:
+            counted &= whole.semantic != sky
+        for columns in CUT_COLUMNS:
+            cut = predict(
+                np.ascontiguousarray(frame.rgb[:, columns:]),
+                np.ascontiguousarray(frame.sparse_depth[:, columns:]),
+                frame.focal_length_px,
+            )
+            before, after = np.s_[:, columns + SKIPPED_COLUMNS :], np.s_[:, SKIPPED_COLUMNS:]
+            changed = relative_change(whole.depth[before], cut.depth[after]) > SHIFT_CHANGE
+            depths += tally(changed[counted[before]])
+            classes += tally(whole.semantic[before] != cut.semantic[after])
+    return {"shift_depth": share(depths), "shift_class": share(classes)}
+
+
+def probe_lidar(predict: Predict, frames: Iterable[Frame]) -> Figures:
+    """Return the share of the pixels that change class without the LiDAR."""
+    classes = np.zeros(2)
+    for frame in frames:
+        alone = predict(*frame._replace(sparse_depth=np.zeros_like(frame.sparse_depth)))
+        classes += tally(predict(*frame).semantic != alone.semantic)
+    return {"lidar_class": share(classes)}
+
+
+def probe_false_returns(predict: Predict, frames: Iterable[Frame]) -> Figures:
+    """Return the pixels that a false return of `FALSE_M` changes, of `FALSE_RETURNS` at once."""
+    changes = np.zeros(2)  # changed pixels, false returns
+    for index, frame in enumerate(frames):
+        before = predict(*frame).depth
+        scanned = distance_px(frame.sparse_depth > 0) <= NEAR_RETURN_PX
+        places = np.flatnonzero(scanned & (before > FALSE_BEYOND_M))
+        count = min(FALSE_RETURNS, places.size)
+        spoiled = frame.sparse_depth.copy()
+        spoiled.flat[frame_generator(index).choice(places, count, replace=False)] = FALSE_M
+        after = predict(*frame._replace(sparse_depth=spoiled)).depth
+        changes += np.count_nonzero(relative_change(before, after) > FALSE_CHANGE), count
+    return {"false_px": share(changes)}
+
+
+#: (rgb, rgb of the next frame) -> float32 (H, W, 2), step of each pixel [px]: right, down.
+Flow = Callable[[NDArray[np.uint8], NDArray[np.uint8]], NDArray[np.float32]]
+
+
+def probe_flicker(predict: Predict, frames: Iterable[Frame], *, follow: Flow) -> Figures:
+    """Return what changes between consecutive frames at pixels that `follow` finds again."""
+    deviations, classes = [], np.zeros(2)
+    answers = ((frame.rgb, predict(*frame)) for frame in frames)
+    for (rgb, one), (next_rgb, other) in pairwise(answers):
+        there, kept = match_pixels(follow(rgb, next_rgb), follow(next_rgb, rgb))
+        if not kept.any():
+            continue
+        depth = cv2.remap(other.depth, there, None, cv2.INTER_LINEAR)
+        semantic = cv2.remap(other.semantic, there, None, cv2.INTER_NEAREST)
+        ratio = np.log(depth[kept] / one.depth[kept])
+        deviation = np.abs(ratio - np.median(ratio))
+        deviations.append(np.percentile(deviation, FLICKER_PERCENTILE))
+        classes += tally(one.semantic[kept] != semantic[kept])
+    mean = float(np.mean(deviations)) if deviations else float("nan")
+    return {"flicker_depth": mean, "flicker_class": share(classes)}
+
+
+def match_pixels(
+    forward: NDArray[np.float32], backward: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the place of every pixel in the next frame, and where both flows agree on it."""
+    height, width = forward.shape[:2]
+    rows, columns = np.mgrid[:height, :width].astype(np.float32)
+    there = np.stack([columns, rows], axis=-1) + forward
+    inside = ((there >= 0) & (there <= (width - 1, height - 1))).all(axis=-1)
+    back = cv2.remap(backward, there, None, cv2.INTER_LINEAR)
+    return there, inside & (np.linalg.norm(forward + back, axis=-1) <= FLOW_AGREEMENT_PX)
+
+
+def optical_flow(rgb: NDArray[np.uint8], next_rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return dense inverse search flow (Kroeger et al. 2016), a `Flow`."""
+    gray, next_gray = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (rgb, next_rgb))
+    return cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(gray, next_gray, None)
+
+
+def probe_pseudo_lidar(
+    predict: Predict,
+    frames: Iterable[tuple[NDArray[np.uint8], NDArray[np.uint8]]],
+    *,
+    sky: int | None,
+    num_classes: int,
+) -> Figures:
+    """Return mIoU of (image, labels) from the camera alone, and with lines of its own depth."""
+    alone, scanned = SemanticScores(num_classes), SemanticScores(num_classes)
+    for index, (rgb, labels) in enumerate(frames):
+        height, width = rgb.shape[:2]
+        first = predict(rgb, nothing_known((height, width)), None)
+        solid = first.depth if sky is None else np.where(first.semantic == sky, 0, first.depth)
+        focal = PSEUDO_FOCAL * width
+        intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+        lines = scan_lines(solid, intrinsics, SENSOR_LINES, frame_generator(index))
+        alone.update(first.semantic, labels)
+        scanned.update(predict(rgb, lines, None).semantic, labels)
+    return {
+        "camvid_miou": alone.compute().mean_iou,
+        "camvid_miou_pseudo_lidar": scanned.compute().mean_iou,
+    }
+
+
+def relative_change(before: NDArray[np.float32], after: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return |after / before - 1| of depths above 0."""
+    return np.abs(after / before - 1)
+
+
+def tally(changed: NDArray[np.bool_]) -> tuple[int, int]:
+    """Count the pixels that changed, and all."""
+    return np.count_nonzero(changed), changed.size
+
+
+def share(counts: NDArray[np.float64]) -> float:
+    """Return the first count over the second; NaN of nothing."""
+    return float(counts[0] / counts[1]) if counts[1] else float("nan")
+
+
+def format_table(rows: dict[str, Figures]) -> str:
+    """Return the Markdown table, a row a model."""
+    lines = ["| model | " + " | ".join(title for _, title, _ in COLUMNS) + " |"]
+    lines.append("|---|" + "---|" * len(COLUMNS))
+    for model, figures in rows.items():
+        cells = [
+            f"{figures[key] * factor:.2f}" if key in figures else "" for key, _, factor in COLUMNS
+        ]
+        lines.append(f"| {model} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
