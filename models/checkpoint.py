@@ -49,7 +49,6 @@ def save_checkpoint(
     *,
     training: Mapping[str, Any] | None = None,
     trainer: Mapping[str, Any] | None = None,
-    state_dict: Mapping[str, torch.Tensor] | None = None,
 ) -> None:
     """Write a checkpoint whole or not at all; an existing file is replaced.
 
@@ -61,7 +60,6 @@ def save_checkpoint(
         model: the network.
         training: training data, terms and the recipe; plain values.
         trainer: state of the training loop; plain values and tensors.
-        state_dict: weights in place of the model's own, for example averaged ones.
 
     Raises:
         CheckpointError: if it cannot be written; an existing file is then untouched.
@@ -72,7 +70,7 @@ def save_checkpoint(
         "version": VERSION,
         "network": type(model).__name__,
         "config": model.config.to_dict(),
-        "weights": dict(state_dict if state_dict is not None else model.state_dict()),
+        "weights": dict(model.state_dict()),
         "training": dict(training or {}),
         "trainer": dict(trainer or {}),
     }

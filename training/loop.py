@@ -1,6 +1,7 @@
 """The training loop: one flat function from a recipe to checkpoints."""
 
 import contextlib
+import copy
 import random
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -189,14 +190,15 @@ def _train(
             info = {**training_info, "step": step}
             save_checkpoint(out / LAST, network, training=info, trainer={"step": step, **states})
 
-    def save_averaged(path: Path) -> None:
+    def released() -> Network:
+        """The averaged weights as model.pt and best.pt hold them, and as they are validated."""
         share = recipe.loop.logit_adjustment
-        save_checkpoint(
-            path,
-            network,
-            training={**training_info, "step": step},
-            state_dict=adjust_logits(averaged.state_dict(), weights, share, offsets),
-        )
+        copied = copy.deepcopy(averaged)
+        copied.load_state_dict(adjust_logits(averaged.state_dict(), weights, share, offsets))
+        return copied
+
+    def save_released(path: Path, weights: Network) -> None:
+        save_checkpoint(path, weights, training={**training_info, "step": step})
 
     scores = ScoreTable(out / SCORES, step) if processes.is_first else None
     steps = recipe.schedule.steps
@@ -260,15 +262,16 @@ def _train(
                 progress.set_postfix(loss=f"{sums['total'].item():.3f}")
             # Before the checkpoint: a run killed in between validates again after it resumes.
             if validation and (step % recipe.validation.every == 0 or step == steps):
-                figures = _validate(averaged, validation, recipe, processes, board, step)
+                candidate = released()
+                figures = _validate(candidate, validation, recipe, processes, board, step)
                 if scores is not None and scores.add(step, figures, recipe.validation.best):
-                    save_averaged(out / BEST)
+                    save_released(out / BEST, candidate)
                 train_parts(network, recipe.optimizer.only)
             if step % recipe.loop.checkpoint_every == 0:
                 save_last()
     save_last()
     if step == steps and processes.is_first:
-        save_averaged(out / FINAL)
+        save_released(out / FINAL, released())
     processes.wait()  # until the file is written
     return out / (FINAL if step == steps else LAST)  # stopped early: nothing to release yet
 

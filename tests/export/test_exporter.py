@@ -226,9 +226,9 @@ def test_existing_file_is_replaced_only_on_demand(lite_checkpoint, tmp_path):
     ],
 )
 def test_weights_that_are_not_finite_are_refused(lite, tmp_path, name, value):
-    weights = {key: tensor.clone() for key, tensor in lite.state_dict().items()}
-    weights[name].view(-1)[1] = value
-    save_checkpoint(tmp_path / "c.pt", lite, state_dict=weights)
+    damaged = copy.deepcopy(lite)
+    damaged.state_dict()[name].view(-1)[1] = value
+    save_checkpoint(tmp_path / "c.pt", damaged)
     with pytest.raises(ExportError, match=f"NaN or Inf in {name}: "):
         export_checkpoint(tmp_path / "c.pt", tmp_path / "m.onnx", size=SIZE)
     assert [path.name for path in tmp_path.iterdir()] == ["c.pt"]

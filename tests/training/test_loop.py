@@ -609,6 +609,24 @@ def test_final_checkpoint_is_adjusted_and_the_resumable_one_is_not(data, tmp_pat
     assert not torch.equal(weights(a)[bias], weights(b)[bias])
 
 
+def test_the_weights_that_are_saved_are_those_that_were_validated(data, tmp_path):
+    """With an offset that makes every pixel sky the scores are those of sky everywhere."""
+    run = recipe(steps=2)
+    run = replace(
+        run,
+        loop=replace(run.loop, logit_offsets=(("sky", 90.0),)),
+        validation=replace(run.validation, every=1),
+    )
+    train(run, data=[data], out=tmp_path / "run")
+    labels = [cv2.imread(str(path), -1) for path in (data / "camvid/valannot").iterdir()]
+    share = np.mean([label == 0 for label in labels])
+    header, *rows = (tmp_path / "run" / "scores.csv").read_text().splitlines()
+    for row in rows:
+        scores = dict(zip(header.split(","), row.split(","), strict=True))
+        assert float(scores["iou_sky"]) == pytest.approx(share, abs=1e-3)
+        assert float(scores["iou_road"]) == 0
+
+
 @pytest.mark.parametrize(
     ("changes", "device", "text"),
     [
