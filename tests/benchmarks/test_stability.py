@@ -184,6 +184,18 @@ def test_flicker_is_measured_along_the_flow():
     assert flicker(2) == {"flicker_depth": pytest.approx(0.5), "flicker_class": 1 / HEIGHT}
 
 
+def test_between_pixels_the_class_is_the_nearest_pixels():
+    def predict(rgb, sparse_depth, focal_length_px):
+        return Answer(rgb[..., 0] // 10, rgb[..., 0] + np.float32(1), None)
+
+    flows = iter((steps(0.4), steps(-0.4)))
+    figures = probe_flicker(predict, [frame(), frame()], follow=lambda *_: next(flows))
+    assert figures["flicker_class"] == 0
+    kept = match_pixels(steps(0.4), steps(-0.4))[1]
+    assert kept[:, :-1].all()
+    assert not kept[:, -1].any()
+
+
 def test_pixels_that_are_not_found_again_do_not_count():
     there, kept = match_pixels(steps(3), steps(-3))
     assert (there[5, 7] == (10, 5)).all()
@@ -214,24 +226,24 @@ def test_pseudo_lidar_is_lines_of_the_models_own_depth_without_the_sky():
     def predict(rgb, sparse_depth, focal_length_px):
         fed.append((sparse_depth, focal_length_px))
         result = answer(rgb, depth=20)
-        result.semantic[:100] = 0
+        result.semantic[:160] = 0  # a dozen lines above the horizon, too
         result.semantic[200:] = 8 if sparse_depth.any() else 3
         return result
 
     labels = np.full((300, 400), 3, np.uint8)
-    labels[:100], labels[200:] = 0, 8
+    labels[:160], labels[200:] = 0, 8
     rgb = np.zeros((300, 400, 3), np.uint8)
     figures = probe_pseudo_lidar(predict, [(rgb, labels)], sky=0, num_classes=11)
-    assert figures["camvid_miou"] == pytest.approx((1 + 1 / 2 + 0) / 3)
+    assert figures["camvid_miou"] == pytest.approx((1 + 40 / 140 + 0) / 3)
     assert figures["camvid_miou_pseudo_lidar"] == 1
     (alone, _), (lines, focal_length_px) = fed
     assert focal_length_px is None
     assert not alone.any()
-    assert not lines[:100].any()
+    assert not lines[:160].any()
     assert lines[lines > 0] == pytest.approx(20, abs=0.2)
-    rows = np.flatnonzero(lines[:, 200])  # straight ahead: 400 / 480 * 500 px by a beam of 1/3 deg
-    assert np.median(np.diff(rows)) in (2, 3)
-    assert 0.01 < np.mean(lines[100:] > 0) < 0.5
+    rows = np.flatnonzero(lines[:, 200])  # 1/3 degree apart at 417 px
+    assert np.median(np.diff(rows[:15])) in (2, 3)
+    assert 0.01 < np.mean(lines[160:] > 0) < 0.5
 
 
 def samples():
