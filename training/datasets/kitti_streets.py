@@ -1,5 +1,6 @@
 """Streets of KITTI stereo 2015 (Menze and Geiger 2015), each with its whole LiDAR scan."""
 
+import contextlib
 from bisect import bisect_right
 from pathlib import Path
 from typing import Literal
@@ -53,7 +54,7 @@ class KittiStreets:
     ``calib.txt`` has P2, R0_rect, Tr_velo_to_cam and fb_disp (focal length times baseline, px m) of
     all frames. Two folders of ``<number>.png`` are optional: ``road_mask``, for all frames, 0 = not
     road, 1 = road, 255 = unknown, and ``semantic``, for some of them, with hand-made labels in
-    CamVid's ids, 11 = unknown.
+    CamVid's ids, 11 = unknown, which a table that they are not mapped to leaves unread.
 
     Args:
         root: the folder.
@@ -101,7 +102,8 @@ class KittiStreets:
             require_folder(self._masks, "masks of the road", files=files)
         self._labels: CamVidLabels | None = None
         if (self._root / "semantic").is_dir():
-            self._labels = CamVidLabels(classes)
+            with contextlib.suppress(DatasetError):  # another table: depth and road remain
+                self._labels = CamVidLabels(classes)
             if not any((self._root / "semantic").glob("*.png")):
                 raise DatasetError(f"{self._root / 'semantic'}: no .png labels in it.")
         self._calibration, self._focal_baseline = _read_calibration(self._root / "calib.txt")
