@@ -30,7 +30,6 @@ def loaded_after(statement: str) -> set[str]:
     "statement",
     [
         "import runtime",
-        pytest.param("import models", marks=needs_torch),
         pytest.param("from models import load_checkpoint, save_checkpoint", marks=needs_torch),
         "from runtime.contract import Contract",
         "from runtime import Contract, SSDNetError, __version__",
