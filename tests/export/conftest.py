@@ -32,9 +32,9 @@ def small_config(name: str) -> SSDNetConfig:
         )
     return replace(
         config,
-        encoder_channels=(8, 8, 16),
-        encoder_blocks=(1, 1, 1),
-        decoder_channels=(16, 8, 8),
+        encoder_channels=(8, 16),
+        encoder_blocks=(1, 1),
+        decoder_channels=(8, 8),
         boundary_channels=4,
     )
 

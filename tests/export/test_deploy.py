@@ -1,9 +1,11 @@
 """What the deploy graph says where the network's scores are not finite."""
 
+import copy
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import onnx
 import pytest
 import torch
 from torch import nn
@@ -32,7 +34,7 @@ class ScoresByColour(nn.Module):
 
     def __init__(self, zero_at: float) -> None:
         super().__init__()
-        self.zero_at = zero_at
+        self.register_buffer("zero_at", torch.tensor(zero_at))
 
     def predict_coarse(self, rgb: torch.Tensor, sparse_depth: torch.Tensor) -> NetworkOutput:
         x = (rgb + 0 * sparse_depth)[:, :, ::STRIDE, ::STRIDE]
@@ -40,15 +42,26 @@ class ScoresByColour(nn.Module):
         return NetworkOutput(semantic_logits=scores)
 
 
+def open_with(model: onnx.ModelProto, name: str, value: float, place: int):
+    """Open the graph with another value at a place of the weights of that name."""
+    model = copy.deepcopy(model)
+    (weights,) = [each for each in model.graph.initializer if each.name == f"model.{name}"]
+    values = onnx.numpy_helper.to_array(weights).copy()
+    values.reshape(-1)[place] = value
+    weights.CopyFrom(onnx.numpy_helper.from_array(values, weights.name))
+    return open_session(model.SerializeToString(), provider="cpu", device_id=0, threads=1)
+
+
+@pytest.fixture(scope="module")
+def by_colour():
+    """The graph of `ScoresByColour`, traced once."""
+    return trace(DeployGraph(ScoresByColour(0.5)), size=(32, 48), dynamic=True)
+
+
 @pytest.mark.parametrize("zero_at", [254.0, 255.0, 256.0])
-def test_a_pixel_with_scores_that_are_not_finite_has_no_class(zero_at):
+def test_a_pixel_with_scores_that_are_not_finite_has_no_class(zero_at, by_colour):
     network = ScoresByColour(zero_at)
-    session = open_session(
-        trace(DeployGraph(network), size=(32, 48), dynamic=True).SerializeToString(),
-        provider="cpu",
-        device_id=0,
-        threads=1,
-    )
+    session = open_with(by_colour, "zero_at", zero_at, 0)
     rng = np.random.default_rng(0)
     rgb = rng.integers(0, 255, (3, 32, 48, 3), dtype=np.uint8)
     for colour in range(3):
@@ -68,20 +81,16 @@ def test_a_pixel_with_scores_that_are_not_finite_has_no_class(zero_at):
     assert (semantic[0] == NO_CLASS).sum() <= 3 * 4 * STRIDE**2
 
 
-def test_large_finite_scores_keep_their_class():
-    session = open_session(
-        trace(DeployGraph(ScoresByColour(-1e36)), size=(32, 48)).SerializeToString(),
-        provider="cpu",
-        device_id=0,
-        threads=1,
-    )
+def test_large_finite_scores_keep_their_class(by_colour):
+    session = open_with(by_colour, "zero_at", -1e36, 0)
     rgb = np.zeros((1, 32, 48, 3), np.uint8)
     feed = {"rgb": rgb, "sparse_depth": np.zeros((1, 32, 48), np.float32)}
     assert not session.run(["semantic"], feed)[0].any()
 
 
-@pytest.mark.parametrize("name", ["semantic_head.bias", "encoder.stages.0.0.0.weight"])
-def test_a_broken_network_answers_no_class(name):
+@pytest.fixture(scope="module")
+def small_network():
+    """The graph of a small network, traced once."""
     config = replace(
         NETWORKS["ssdnet-sem"].config,
         encoder_channels=(8,),
@@ -89,15 +98,17 @@ def test_a_broken_network_answers_no_class(name):
         decoder_channels=(8,),
         boundary_channels=4,
     )
-    broken = SSDNet(config)
+    network = SSDNet(config)
     with torch.no_grad():
-        broken.get_parameter(name).view(-1)[3] = float("nan")
-    session = open_session(
-        trace(DeployGraph(broken), size=(64, 96)).SerializeToString(),
-        provider="cpu",
-        device_id=0,
-        threads=1,
-    )
+        network.semantic_head.bias += torch.arange(config.num_classes)
+    return trace(DeployGraph(network), size=(64, 96))
+
+
+@pytest.mark.parametrize("name", ["semantic_head.bias", "encoder.stages.0.0.0.weight"])
+def test_a_broken_network_answers_no_class(name, small_network):
     rgb = np.full((1, 64, 96, 3), 99, np.uint8)
     feed = {"rgb": rgb, "sparse_depth": np.zeros((1, 64, 96), np.float32)}
+    session = open_with(small_network, name, 0.5, 3)
+    assert (session.run(["semantic"], feed)[0] != NO_CLASS).all()
+    session = open_with(small_network, name, float("nan"), 3)
     assert (session.run(["semantic"], feed)[0] == NO_CLASS).all()

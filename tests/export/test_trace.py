@@ -1,15 +1,21 @@
 """What the traced file looks like and what the bare graph answers."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import onnx
 import pytest
+import torch
 from onnx import TensorProto, helper
+from torch import nn
 
 from export.deploy import DeployGraph
 from export.errors import ExportError
 from export.parity import reference
 from export.probe_frames import ProbeFrame, probe_frames
 from export.trace import check_standard, trace
+from models import NetworkOutput
+from models.blocks import pad_to_multiple, upsample
 from runtime.session import open_session
 
 HEIGHT, WIDTH = 64, 96  # a multiple of the small network's stride, which is 8
@@ -107,16 +113,30 @@ def test_empty_depth_gives_finite_answers(dynamic_session):
     assert np.isfinite(answers["boundary"]).all()
 
 
-def test_fixed_graph_pads_only_where_needed(lite, fixed_model):
+class Halved(nn.Module):
+    """The colours of every second pixel as scores, padded to an even size."""
+
+    config = SimpleNamespace(name="by-hand", max_depth_m=80.0)
+    heads = ("semantic",)
+    semantic_stride = 2
+
+    def predict_coarse(self, rgb, sparse_depth):
+        x = pad_to_multiple(rgb + 0 * sparse_depth, 2)
+        return NetworkOutput(semantic_logits=x[:, :, ::2, ::2])
+
+
+def test_fixed_graph_pads_only_where_needed(fixed_model):
     def count_pads(model):
         return sum(node.op_type == "Pad" for node in model.graph.node)
 
     assert count_pads(fixed_model) == 0
-    odd = trace(DeployGraph(lite), size=(HEIGHT - 1, WIDTH))
+    odd = trace(DeployGraph(Halved(), with_logits=True), size=(HEIGHT - 1, WIDTH))
     assert count_pads(odd) == 1
-    frame = probe_frames((HEIGHT - 1, WIDTH), max_depth_m=100.0, seeds=(2,))[0]
-    depth = run(open_model(odd), [frame])["depth"][0]
-    np.testing.assert_allclose(depth, reference(lite, frame)["depth"], atol=2e-3)
+    frame = probe_frames((HEIGHT - 1, WIDTH), max_depth_m=80.0, seeds=(2,))[0]
+    logits = run(open_model(odd), [frame])["semantic_logits"][0]
+    rgb = torch.from_numpy(frame.rgb).permute(2, 0, 1)[None].float()
+    expected = upsample(rgb[:, :, ::2, ::2])[0, :, : HEIGHT - 1]
+    np.testing.assert_allclose(logits, expected, atol=1e-3)
 
 
 def test_fixed_graph_takes_several_frames_of_its_size_only(fixed_model):
