@@ -25,7 +25,7 @@ from training.distributed import (
 # Every term of the loss, on a set whose frames differ in how much of them is known. PyTorch is
 # imported once; the processes of each run are forked, with the environment that torchrun sets.
 TRAIN = """
-import json, os, socket, sys
+import json, os, shutil, socket, sys
 from dataclasses import replace
 from pathlib import Path
 import torch
@@ -69,6 +69,8 @@ def train(data, out, *, batch=2, parts=1, stop_after=None):
     torch.save(kept.state_dict(), out / f"rank{os.environ['RANK']}.weights")
 root = Path(sys.argv[1])
 for name, processes, options in json.loads(sys.argv[2]):
+    if name == "resumed":
+        shutil.copytree(root / "stopped", root / name)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -87,6 +89,7 @@ RUNS = [
     ("two", 2, {"parts": 2}),
     ("whole", 2, {}),
     ("stopped", 2, {"stop_after": 1}),
+    ("resumed", 2, {}),
 ]
 
 
@@ -115,18 +118,14 @@ def root(tmp_path_factory):
         cv2.imwrite(str(labels), colors[label])
         rows.append(f"{index} 0 60 60 28 20")
     (folder / "intrinsic.txt").write_text("\n".join(rows))
-    run(root, RUNS)
-    return root
-
-
-def run(root: Path, runs: list[tuple[str, int, dict[str, int]]]) -> None:
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", TRAIN, root, json.dumps(runs)],
+        [sys.executable, "-W", "ignore", "-c", TRAIN, root, json.dumps(RUNS)],
         capture_output=True,
         text=True,
         timeout=300,
     )
     assert done.returncode == 0, done.stderr[-3000:]
+    return root
 
 
 def scores_of(run: Path) -> dict[str, float]:
@@ -173,19 +172,18 @@ def test_two_processes_train_what_one_trains_with_the_large_batch(root):
 
 
 def test_two_processes_resume_to_the_same_weights(root):
-    whole, stopped = root / "whole", root / "stopped"
+    whole, stopped, resumed = root / "whole", root / "stopped", root / "resumed"
     expected = torch.load(whole / "rank0.weights")
     halfway = torch.load(stopped / "rank0.weights")
     assert any(not torch.equal(halfway[name], expected[name]) for name in expected)
     assert not (stopped / "model.pt").exists()
-    run(root, [("stopped", 2, {})])
     for rank in (0, 1):
-        resumed = torch.load(stopped / f"rank{rank}.weights")
+        reached = torch.load(resumed / f"rank{rank}.weights")
         for name in expected:
-            assert torch.equal(resumed[name], expected[name]), name
-    shipped = [load_checkpoint(out / "model.pt").model.state_dict() for out in (whole, stopped)]
+            assert torch.equal(reached[name], expected[name]), name
+    shipped = [load_checkpoint(out / "model.pt").model.state_dict() for out in (whole, resumed)]
     assert all(torch.equal(shipped[0][name], shipped[1][name]) for name in shipped[0])
-    assert scores_of(stopped) == scores_of(whole)
+    assert scores_of(resumed) == scores_of(whole)
 
 
 def test_shares_of_the_processes_make_up_one_process_s_batches():

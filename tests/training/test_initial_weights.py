@@ -30,7 +30,7 @@ workers = 0
 frequency_samples = 4
 source = [{ kind = "camvid", path = "camvid" }]
 [data.augment]
-crop = [256, 416]
+crop = [192, 320]
 scale = [0.9, 1.1]
 [loss]
 class_weighting = "none"
@@ -41,7 +41,7 @@ semantic_depth_weight = 0.02
 [optimizer]
 learning_rate = 1.5e-4
 [schedule]
-steps = 10
+steps = 4
 shape = "constant"
 [loop]
 ema_decay = 0.0
@@ -105,7 +105,7 @@ def test_the_installed_weights_answer_as_the_bundled_model(name):
 
 
 @pytest.mark.slow
-def test_ten_steps_from_the_name_keep_what_was_learned(tmp_path):
+def test_four_steps_from_the_name_keep_what_was_learned(tmp_path):
     """The batch statistics are those of the layers, so training does not begin with a jolt."""
     with Predictor(warmup=0) as predictor:
         for frame in bundled_frames(step=4):
@@ -125,5 +125,5 @@ def test_ten_steps_from_the_name_keep_what_was_learned(tmp_path):
     for frame in bundled_frames(step=9):
         camera_only = replace(frame, sparse_depth=np.zeros_like(frame.sparse_depth))
         before, now = reference(start, camera_only), reference(tuned, camera_only)
-        # 0.90 to 0.92; with batch statistics of mean 0 and variance 1 instead, 0.82 to 0.85.
-        assert (before["semantic"] == now["semantic"]).mean() > 0.88
+        # 0.98; with batch statistics of mean 0 and variance 1 instead, 0.3.
+        assert (before["semantic"] == now["semantic"]).mean() > 0.95

@@ -85,7 +85,7 @@ def recipe(steps=6, **loop_options):
         model=ModelRecipe("ssdnet-lite"),
         data=DataRecipe(
             (source,),
-            augment=AugmentConfig(crop=(64, 64), scale=(0.9, 1.2)),
+            augment=AugmentConfig(crop=(32, 48), scale=(0.9, 1.2)),
             batch_size=4,
             workers=0,
             frequency_samples=4,
@@ -287,7 +287,9 @@ def test_the_sky_and_masks_of_the_road_are_targets(data, tmp_path):
         }
 
     run = replace(recipe(steps=1), validation=ValidationRecipe())
-    run = replace(run, data=replace(run.data, source=(RenderedRecipe(path="scenes"),)))
+    whole = replace(run.data.augment, crop=(64, 64))  # the sky too
+    source = (RenderedRecipe(path="scenes"),)
+    run = replace(run, data=replace(run.data, source=source, augment=whole))
     plain = terms(run, tmp_path / "plain")
     sky = terms(replace(run, data=replace(run.data, sky_depth=True)), tmp_path / "sky")
     assert plain.keys() == sky.keys() == {"depth"}

@@ -88,12 +88,11 @@ def start(start_process):
     return start
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_first_signal_saves_and_stops(command, tmp_path, number, start):
+def test_the_first_signal_saves_and_stops(command, tmp_path, start):
     process = start(command)
     for _ in range(3):
         assert process.stdout.readline().endswith(" step\n")
-    os.killpg(process.pid, number)  # the loader's worker gets it, too
+    os.killpg(process.pid, signal.SIGINT)  # the loader's worker gets it, too
     output, errors = process.communicate(timeout=120)
     last = tmp_path / "run" / "last.pt"
     assert process.returncode == 130
@@ -146,6 +145,15 @@ def test_two_signals_of_one_key_do_not_cut_torchrun_s_processes_short(monkeypatc
         assert not stop()
         for _ in range(2):
             signal.raise_signal(signal.SIGINT)
+        assert stop()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_each_signal_stops(monkeypatch, number):
+    monkeypatch.delenv("WORLD_SIZE", raising=False)
+    with StopSignal() as stop:
+        assert not stop()
+        signal.raise_signal(number)
         assert stop()
 
 
