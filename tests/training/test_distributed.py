@@ -140,6 +140,7 @@ def joined(state: dict[str, torch.Tensor], kind: str) -> torch.Tensor:
     return torch.cat([value.flatten().float() for name, value in state.items() if kind in name])
 
 
+@pytest.mark.slow
 def test_two_processes_train_what_one_trains_with_the_large_batch(root):
     one, two = root / "one", root / "two"
     first, second = (torch.load(two / f"rank{rank}.weights") for rank in (0, 1))
@@ -171,6 +172,7 @@ def test_two_processes_train_what_one_trains_with_the_large_batch(root):
     assert len(list((two / "tensorboard").iterdir())) == 1  # one of them writes
 
 
+@pytest.mark.slow
 def test_two_processes_resume_to_the_same_weights(root):
     whole, stopped, resumed = root / "whole", root / "stopped", root / "resumed"
     expected = torch.load(whole / "rank0.weights")

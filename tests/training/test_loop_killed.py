@@ -12,6 +12,8 @@ import torch
 
 from models import load_checkpoint
 
+pytestmark = pytest.mark.slow
+
 # Trains a small network on CamVid's layout for each folder that it reads, in a forked process:
 # PyTorch is imported once. In the middle of writing a checkpoint that one says so, and waits for a
 # line.

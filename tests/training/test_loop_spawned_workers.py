@@ -9,6 +9,8 @@ import pytest
 from layouts import kitti_stream
 from models import load_checkpoint
 
+pytestmark = pytest.mark.slow
+
 TRAIN = """
 import multiprocessing, os, sys
 if __name__ == "__main__":

@@ -122,6 +122,7 @@ def test_no_traceback_while_it_is_still_importing(command, start):
     assert "Traceback" not in errors
 
 
+@pytest.mark.slow
 def test_several_processes_stop_at_the_same_step(command, tmp_path, start):
     launcher = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2")
     process = start(command, *launcher)

@@ -15,7 +15,10 @@ import pytest
 from runtime.io.recording import read_recording
 from runtime.run.run_folder import KINDS, SUFFIXES
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals"),
+]
 
 N = 12
 KILLS = 8

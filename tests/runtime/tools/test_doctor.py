@@ -61,7 +61,6 @@ def _is_fault(check):
     return check.status == "fault"
 
 
-@pytest.mark.slow
 def test_what_is_installed_here_works():
     result = CliRunner().invoke(app, [])
     assert result.exit_code == 0, result.output
