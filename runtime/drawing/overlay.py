@@ -119,20 +119,6 @@ class Overlay:
                 panels[head] = cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR)
         return panels
 
-    def paint_depth(
-        self, depth: NDArray[np.float32], semantic: NDArray[np.uint8] | None = None
-    ) -> NDArray[np.uint8]:
-        """Draw a depth map alone, at its own size and without text, coloured as in `draw`.
-
-        Args:
-            depth: float32 (H, W), metres.
-            semantic: uint8 (H, W), class ids, whose sky has no depth; None = not known.
-
-        Returns:
-            uint8 (H, W, 3), BGR.
-        """
-        return self._depth_scale.paint(depth, hidden=self._without_depth(depth, semantic))
-
     def draw_depth_bar(self, width: int) -> NDArray[np.uint8]:
         """Draw the colour bar of the depth: uint8 (H', width, 3), BGR."""
         return self._depth_scale.draw_bar(width, _LEGEND_LINE)

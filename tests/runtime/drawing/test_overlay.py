@@ -199,19 +199,6 @@ def test_the_overlay_leaves_the_frame_alone(contract, answered):
     assert all(np.array_equal(a, b) for a, b in zip(before, given, strict=True))
 
 
-def test_a_depth_alone_has_the_overlays_colours_at_its_own_size(contract, answered):
-    _, prediction = answered
-    sky = (contract.classes[0], dataclasses.replace(contract.classes[1], name="sky"))
-    overlay = Overlay(sky, contract.max_depth_m)
-    ids = np.ones((60, 80), np.uint8)
-    ids[:, 40:] = 0
-    alone = overlay.paint_depth(prediction.depth, ids)
-    panel, _ = depth_panels(overlay, answered, semantic=ids)
-    np.testing.assert_array_equal(alone[24:], panel[24:])  # without the words
-    assert (alone[:, :40] == 110).all()
-    assert not (overlay.paint_depth(prediction.depth) == 110).all(axis=-1).any()
-
-
 def test_a_frame_that_several_show_is_drawn_once(contract, answered):
     rgb, prediction = answered
     shared = SharedOverlay(contract.classes, contract.max_depth_m)
