@@ -135,7 +135,7 @@ class Predictor:
     def predict(
         self,
         rgb: NDArray[np.uint8],
-        sparse_depth: NDArray[np.float32],
+        sparse_depth: NDArray[np.float32] | None,
         *,
         focal_length_px: float | None = None,
         stamp: Any = None,
@@ -149,7 +149,7 @@ class Predictor:
             rgb: uint8 (H, W, 3), RGB, not BGR.
             sparse_depth: float32 (H, W), metres along the optical axis; 0 = no measurement, as are
                 NaN, Inf, negative values and those beyond the range (`depth_scale`), which are
-                counted in `Prediction.cleaned`.
+                counted in `Prediction.cleaned`. None = the camera alone, as a map of zeros.
             focal_length_px: fx of this frame's camera; None = the predictor's.
             stamp: any value, returned in the answer.
 
@@ -167,7 +167,7 @@ class Predictor:
 
     def predict_batch(
         self,
-        frames: Sequence[tuple[NDArray[np.uint8], NDArray[np.float32]]],
+        frames: Sequence[tuple[NDArray[np.uint8], NDArray[np.float32] | None]],
         *,
         focal_lengths_px: Sequence[float | None] | None = None,
         stamps: Sequence[Any] | None = None,

@@ -70,7 +70,7 @@ def preprocess(
 
     Args:
         rgb: uint8 (H, W, 3), RGB.
-        sparse_depth: float32 (H, W), metres.
+        sparse_depth: float32 (H, W), metres; None = the camera alone.
         max_depth_m: see `Contract`.
         size_for: frame size -> network size, both (height, width).
         canonical_focal_px: see `Contract`.
@@ -118,7 +118,11 @@ def check_rgb(rgb: Any) -> NDArray[np.uint8]:
         )
     if rgb.ndim != 3 or rgb.shape[2] != 3:
         hint = ""
-        if rgb.ndim == 3 and rgb.shape[0] == 3:
+        if rgb.ndim == 2 or (rgb.ndim == 3 and rgb.shape[2] == 1):
+            hint = ": it is grey, use cv2.cvtColor(rgb, cv2.COLOR_GRAY2RGB)"
+        elif rgb.ndim == 3 and rgb.shape[2] == 4:
+            hint = ": it has an alpha channel, use rgb[..., :3]"
+        elif rgb.ndim == 3 and rgb.shape[0] == 3:
             hint = ": channels come last, use rgb.transpose(1, 2, 0)"
         raise InputError(f"rgb must have the shape (H, W, 3), got {rgb.shape}{hint}")
     if rgb.dtype != np.uint8:
@@ -132,7 +136,12 @@ def check_rgb(rgb: Any) -> NDArray[np.uint8]:
 
 
 def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Return `sparse_depth`, contiguous; InputError unless it is float32 (H, W) of `size`."""
+    """Return `sparse_depth`, contiguous; InputError unless it is float32 (H, W) of `size`.
+
+    None is a map of zeros.
+    """
+    if sparse_depth is None:
+        return np.zeros(size, np.float32)
     if isinstance(sparse_depth, np.ma.MaskedArray):
         raise InputError(
             "sparse_depth must be a plain numpy array, got a masked one: 0 = no "

@@ -86,6 +86,15 @@ def test_the_same_buffers_refilled_give_the_new_answer(model_file, make_frame):
         assert_right(predictor.predict(rgb, depth), new_rgb, new_depth)
 
 
+def test_no_depth_map_is_the_camera_alone(model_file, make_frame):
+    rgb, _ = make_frame()
+    nothing = np.zeros(rgb.shape[:2], np.float32)
+    with Predictor(model_file()) as predictor:
+        for prediction in (predictor.predict(rgb, None), *predictor.predict_batch([(rgb, None)])):
+            assert_right(prediction, rgb, nothing)
+            assert prediction.degraded == ("no_depth",)
+
+
 def test_a_head_that_the_model_lacks_is_none(model_file, make_frame):
     with Predictor(model_file(heads=("depth",))) as predictor:
         prediction = predictor.predict(*make_frame())
