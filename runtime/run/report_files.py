@@ -4,7 +4,7 @@ import csv
 import io
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 
 from runtime.drawing.latency_plot import draw_latency
@@ -96,7 +96,8 @@ def describe_run(report: RunReport) -> str:
     counts = ", ".join(f"{count} {status}" for status, count in report.by_status.items())
     interrupted = ", interrupted" if report.stream.interrupted else ""
     lines = [f"frames: {len(report.records)} ({counts}){interrupted}"]
-    lines += [f"  {record.name}: {record.status}: {record.reason}" for record in report.not_ok]
+    not_ok = ((record.name, f"{record.status}: {record.reason}") for record in report.not_ok)
+    lines += [f"  {line}" for line in group_reasons(not_ok)]
     lines += [f"  degraded: {reason}: {count}" for reason, count in report.degraded.items()]
     lines += [f"  health: {reason}: {count}" for reason, count in report.health.items()]
     if report.stream.rate_hz is not None:
@@ -121,6 +122,15 @@ def describe_run(report: RunReport) -> str:
             f"depth beyond is stored as {METRES_PNG_MAX_M:.2f} m"
         )
     return "\n".join(lines)
+
+
+def group_reasons(frames: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """A line for each reason of (name, reason); reasons that differ by the name alone are one."""
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for name, reason in frames:
+        groups.setdefault(reason.replace(name, ""), []).append((name, reason))
+    for (name, reason), *others in groups.values():
+        yield f"{len(others) + 1} frames, first {name}: {reason}" if others else f"{name}: {reason}"
 
 
 def list_results(report: RunReport, options: RunOptions) -> Iterator[str]:

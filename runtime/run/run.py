@@ -13,6 +13,7 @@ from runtime.errors import InputError, OutputError, SSDNetError
 from runtime.io.recording import Settings
 from runtime.prediction import Prediction
 from runtime.predictor import Predictor
+from runtime.preprocess import check_sparse_depth
 from runtime.run.options import RunOptions
 from runtime.run.outputs.frame_writer import FrameWriter
 from runtime.run.outputs.mcap import open_mcap
@@ -22,7 +23,7 @@ from runtime.run.outputs.run_recording import open_recording
 from runtime.run.outputs.video import open_video
 from runtime.run.pipeline import FrameRecord, StreamResult, WriteFrame, run_stream
 from runtime.run.process import dedicate_process
-from runtime.run.report_files import describe_predictor, write_report
+from runtime.run.report_files import describe_predictor, group_reasons, write_report
 from runtime.run.run_folder import CLOUD, SAVED_HEADS, SUFFIXES
 from runtime.run.run_report import RunReport
 from runtime.sources.frames import Frame
@@ -31,7 +32,7 @@ from runtime.sources.source import ListedFrame, Source
 if TYPE_CHECKING:
     from runtime.run.outputs.run_page import RunPage
 
-_WARM_UP_FRAMES = 16  # that are read to find one that can be predicted
+_FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
 
 OnRecord = Callable[[FrameRecord], None]
 #: Called before the first frame with a text about the run and the number of frames; returns what is
@@ -121,15 +122,25 @@ def _warm_up(
 ) -> tuple[int, int] | None:
     """Warm up at the size of the first frame that can be predicted; returns that size.
 
-    None if none of the first few can: the run itself reports why.
+    None if no frame of a short stream can: the run itself reports why. Raises InputError if none of
+    the first _FIRST_FRAMES can.
     """
-    for listed in frames[:_WARM_UP_FRAMES]:
+    reasons = []
+    for listed in frames[:_FIRST_FRAMES]:
         try:
-            height, width = source.read(listed).rgb.shape[:2]
-            predictor.warm_up((height, width), runs=runs)
-        except SSDNetError:
+            frame = source.read(listed)
+            size = (frame.rgb.shape[0], frame.rgb.shape[1])
+            check_sparse_depth(frame.sparse_depth, size=size)
+            predictor.warm_up(size, runs=runs)
+        except SSDNetError as error:
+            reasons.append((listed.name, str(error)))
             continue
-        return height, width
+        return size
+    if len(reasons) == _FIRST_FRAMES:
+        raise InputError(
+            f"none of the first {_FIRST_FRAMES} frames can be predicted, nothing was written: "
+            + "; ".join(group_reasons(reasons))
+        )
     return None
 
 

@@ -22,7 +22,7 @@ def make_stream(tmp_path, make_frame):
         for index in range(n):
             rgb, depth = make_frame(seed=index)
             rgb[..., 1] = rgb[..., 2] // 2
-            rgb[:20] = index * 20 + 1
+            rgb[:20] = index * 20 % 255 + 1
             assert cv2.imwrite(str(folders[0] / f"f{index}.png"), rgb[..., ::-1])
             image = np.rint(depth * 256).astype(np.uint16)
             assert cv2.imwrite(str(folders[1] / f"f{index}.png"), image)

@@ -21,7 +21,6 @@ import runtime.run.report_files
 import runtime.run.run
 import runtime.sources.bundled_stream
 import runtime.sources.folders
-from runtime.errors import OutputError
 from runtime.io.recording import read_recording
 from runtime.run.cli import app
 from runtime.run.run_folder import KINDS
@@ -345,7 +344,7 @@ def test_a_first_frame_that_is_damaged_does_not_matter_to_the_warm_up(run, strea
     assert "11 ok" in result.stdout
 
 
-def test_only_the_first_few_frames_are_read_to_warm_up(tmp_path, run, stream, monkeypatch):
+def test_only_the_first_few_frames_are_read_to_warm_up(run, stream, monkeypatch):
     for picture in stream[0].iterdir():
         picture.write_bytes(b"")
     read = []
@@ -355,13 +354,10 @@ def test_only_the_first_few_frames_are_read_to_warm_up(tmp_path, run, stream, mo
         read.append(given)
         return read_pair(*given)
 
-    def start(*given, **options):
-        raise OutputError(f"{len(read)} were read")
-
     monkeypatch.setattr(runtime.sources.folders, "read_pair", count)
-    monkeypatch.setattr(runtime.run.run, "_WARM_UP_FRAMES", 3)
-    monkeypatch.setattr(runtime.run.run, "run_stream", start)
-    assert "3 were read" in run().output
+    monkeypatch.setattr(runtime.run.run, "_FIRST_FRAMES", 3)
+    assert "none of the first 3 frames" in run().output
+    assert len(read) == 3
 
 
 def test_a_recording_that_cannot_be_made_is_reported_before_anything_is_made(tmp_path, run):
@@ -558,6 +554,41 @@ def test_a_full_disk_is_exit_code_1_with_whole_files_only(tmp_path, run, mount_d
     assert kinds == [kinds[0]] * len(KINDS), "every frame has all of its files or none"
     assert len(kinds[0]) == N if share == 1 else 0 < len(kinds[0]) < N
     assert run("--out", out, "--overwrite", "--limit", 1, "--save", "semantic").exit_code == 0
+
+
+def test_frames_that_are_skipped_for_one_reason_are_one_line(tmp_path, stream, run):
+    rgb, depth = stream
+    for name in ("f3", "f4", "f7"):
+        (depth / f"{name}.png").unlink()
+    (rgb / "f9.png").write_bytes(b"")
+    result = run()
+    assert result.exit_code == 3
+    assert "\n  3 frames, first f3: skipped: f3 has an image, but no depth map\n" in result.stdout
+    assert f"\n  f9: skipped: {rgb / 'f9.png'} is empty" in result.stdout
+    assert result.stdout.count("skipped:") == 2
+    assert [row["name"] for row in rows_of(tmp_path / "out") if row["reason"]] == [
+        "f3", "f4", "f7", "f9"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("warmup", [0, 1])
+@pytest.mark.parametrize("n", [19, 20])
+def test_a_stream_that_is_refused_from_the_start_is_an_error(
+    tmp_path, make_stream, all_heads, n, warmup
+):
+    folders = make_stream(n)
+    for path in folders[1].iterdir():
+        assert cv2.imwrite(str(path), np.zeros((40, 64), np.uint16))
+    given = [*arguments(folders, all_heads, tmp_path), "--warmup", str(warmup)]
+    result = CliRunner().invoke(app, given)
+    if n < 20:
+        assert result.exit_code == 3
+        assert f"{n} frames, first f0: skipped: sparse_depth must have the shape" in result.stdout
+    else:
+        assert result.exit_code == 1
+        assert "error: none of the first 20 frames can be predicted" in result.stderr
+        assert "20 frames, first f0: sparse_depth must have the shape" in result.stderr
+        assert not (tmp_path / "out").exists()
 
 
 def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, signal_in_frame_6):
