@@ -6,9 +6,10 @@ from typing import Annotated
 import typer
 
 from runtime.command import interruptible, reported_errors
+from runtime.command_options import Version
 from runtime.contract import MIN_SIDE
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
 @app.command(epilog="Exit codes: 0 done; 1 error, nothing was written; 2 usage.")
@@ -45,6 +46,7 @@ def export(
         bool,
         typer.Option("--overwrite", help="Replace an older file, recording and Triton model."),
     ] = False,
+    _version: Version = False,
 ) -> None:
     """Export a checkpoint to one self-contained ONNX file and verify it against PyTorch."""
     if (height is None) != (width is None):

@@ -6,6 +6,7 @@ from os import PathLike
 from pathlib import Path
 
 from runtime.errors import ContractError, InputError
+from runtime.model_file import load_model_file
 
 #: The model that runs by default.
 DEFAULT_MODEL = "ssdnet-lite"
@@ -16,6 +17,19 @@ _SUFFIX = ".onnx"
 def list_bundled_models() -> list[str]:
     """Return the names of the installed models."""
     return sorted(path.name.removesuffix(_SUFFIX) for path in _assets().glob(f"*{_SUFFIX}"))
+
+
+def describe_bundled_models() -> str:
+    """Return a table of the installed models, and where their accuracy is. Raises ContractError."""
+    lines = [f"{'model':16}{'MB':>6}{'classes':>9}{'depth m':>9}{'rows':>6}  trained on"]
+    for name in list_bundled_models():
+        file = load_model_file(find_model(name))
+        contract, megabytes = file.contract, len(file.content) / 1e6
+        lines.append(
+            f"{name:16}{megabytes:6.1f}{len(contract.classes):9}{contract.max_depth_m:9g}"
+            f"{contract.trained_height or 'n/a':>6}  {', '.join(contract.training.get('data', []))}"
+        )
+    return "\n".join([*lines, f"accuracy and terms: {_assets() / 'MODEL_CARD.md'}"])
 
 
 def find_model(model: str | bytes | PathLike[str] | None) -> Path:

@@ -6,9 +6,10 @@ from typing import Annotated
 import typer
 
 from runtime.command import INTERRUPTED, reported_errors
+from runtime.command_options import NoProvider, Version
 from training.stop_signal import StopSignal
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = typer.Typer(pretty_exceptions_enable=False)
 
 
 def _print_recipes(wanted: bool) -> None:
@@ -58,6 +59,8 @@ def train(
         bool,
         typer.Option("--list", callback=_print_recipes, is_eager=True, help="List the recipes."),
     ] = False,
+    _provider: NoProvider = None,
+    _version: Version = False,
 ) -> None:
     """Train a network; writes checkpoints, TensorBoard curves, scores and the resolved recipe."""
     with reported_errors("train"):

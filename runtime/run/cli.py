@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
+from runtime.bundled_models import DEFAULT_MODEL, describe_bundled_models, list_bundled_models
 from runtime.command import ERROR, Provider, print_result, reported_errors
+from runtime.command_options import NoDevice, Version
 from runtime.contract import MAX_PIXELS
 from runtime.io.encode import METRES_PNG_SCALE
 from runtime.io.images import KITTI_DEPTH_SCALE
@@ -20,7 +21,14 @@ from runtime.run.run_folder import SUFFIXES
 from runtime.sources.registry import SOURCES
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+def _print_models(wanted: bool) -> None:
+    if wanted:
+        with reported_errors("cpu"):
+            print_result(describe_bundled_models())
+        raise typer.Exit
 
 
 @app.command(
@@ -60,7 +68,10 @@ def main(
     sha256: Annotated[
         str | None, typer.Option(help="Required SHA-256 of the model file. [default: any]")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("ssdnet-run"),
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the results. [default: ssdnet-run, or ssdnet-run-2, ...]"),
+    ] = None,
     provider: Annotated[Provider, typer.Option(help="Where the model runs.")] = Provider.cpu,
     size: Annotated[
         str,
@@ -154,14 +165,16 @@ def main(
         int, typer.Option(min=0, help="Predictions before the first frame, not in the statistics.")
     ] = 3,
     save: Annotated[
-        str,
+        list[str] | None,
         typer.Option(
+            metavar="KIND,...",
             help=f"Files to write of each frame: {', '.join(SUFFIXES)}; all = everything that the "
-            "model answers, except clouds; or none. Depth and uncertainty are 16-bit PNGs, "
-            f"metres x {METRES_PNG_SCALE}. A cloud is a PLY file with colours and class ids, 16 "
-            "bytes per pixel, and needs --calibration or --focal-length."
+            "model answers, except clouds; or none. May be repeated. Depth and uncertainty are "
+            f"16-bit PNGs, metres x {METRES_PNG_SCALE}. A cloud is a PLY file with colours and "
+            "class ids, 16 bytes per pixel, and needs --calibration or --focal-length. "
+            "[default: all]",
         ),
-    ] = "all",
+    ] = None,
     record: Annotated[
         Path | None,
         typer.Option(
@@ -213,6 +226,14 @@ def main(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print report.json instead of the tables.")
     ] = False,
+    _device: NoDevice = None,
+    _list_models: Annotated[
+        bool,
+        typer.Option(
+            "--list-models", callback=_print_models, is_eager=True, help="List the bundled models."
+        ),
+    ] = False,
+    _version: Version = False,
 ) -> None:
     """Predict classes, depth and boundaries of every frame of a stream, and report the latency.
 
@@ -257,7 +278,7 @@ def main(
 
         def start(about: str, frames: int) -> OnRecord:
             if not as_json:
-                _print(about, out)
+                _print(about, options.folder)
             if not sys.stderr.isatty():
                 return lambda record: None
             bar = typer.progressbar(length=frames, file=sys.stderr, label="frames")
@@ -267,7 +288,7 @@ def main(
         done = run(options, on_start=start)
         progress.close()
         results = "\n".join([describe_run(done), *list_results(done, options)])
-        printed = _print(report_json(done) if as_json else results, out)
+        printed = _print(report_json(done) if as_json else results, options.folder)
         raise typer.Exit(done.exit_code if printed or not as_json else ERROR)
 
 

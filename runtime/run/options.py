@@ -1,5 +1,6 @@
 """The options of `ssdnet-run`: collected once, checked before anything is opened."""
 
+import itertools
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from runtime.sources.registry import choose_source
 from runtime.sources.source import Source
 
 MAX_SHARDS = 1_000_000
+_OUT = Path("ssdnet-run")
 
 Item = TypeVar("Item")
 
@@ -40,7 +42,7 @@ class RunOptions:
     demo: bool = False
     model: str | None = None
     sha256: str | None = None
-    out: Path = Path("ssdnet-run")
+    out: Path | None = None
     provider: str = "cpu"
     size: str = "auto"
     focal_length: float | None = None
@@ -57,7 +59,7 @@ class RunOptions:
     limit: int | None = None
     shard: str | None = None
     warmup: int = 3
-    save: str = "all"
+    save: Sequence[str] | None = None
     record: Path | None = None
     video: Path | None = None
     report: Path | None = None
@@ -91,12 +93,20 @@ class RunOptions:
     @cached_property
     def kinds(self) -> tuple[str, ...]:
         """The files of a frame that --save names."""
-        if self.save in ("all", "none"):
-            return KINDS if self.save == "all" else ()
-        asked = [kind.strip() for kind in self.save.split(",")]
+        asked = [kind.strip() for text in self.save or ["all"] for kind in text.split(",")]
+        if asked in (["all"], ["none"]):
+            return KINDS if asked == ["all"] else ()
         if unknown := [kind for kind in asked if kind not in SUFFIXES]:
             raise UsageError(f"--save knows {', '.join(SUFFIXES)}, all and none, not {unknown}")
         return tuple(kind for kind in SUFFIXES if kind in asked)
+
+    @cached_property
+    def folder(self) -> Path:
+        """The folder of the results: --out, else ssdnet-run, ssdnet-run-2 and so on, a new one."""
+        if self.out is not None or self.overwrite:
+            return self.out or _OUT
+        later = (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
+        return next(path for path in itertools.chain([_OUT], later) if not os.path.lexists(path))
 
     @cached_property
     def network_size(self) -> NetworkSize:
@@ -152,7 +162,7 @@ class RunOptions:
 
     def _require_apart(self, record: Path) -> None:
         """Raise UsageError if the recording shares its folder with other results."""
-        recording, out = os.path.realpath(record), os.path.realpath(self.out)
+        recording, out = os.path.realpath(record), os.path.realpath(self.folder)
         folders = [os.path.realpath(path.parent) for path in self.named_files.values()]
         inside = [os.path.commonpath([recording, each]) == recording for each in [out, *folders]]
         if any(inside) or os.path.commonpath([recording, out]) == out:

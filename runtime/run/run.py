@@ -24,7 +24,7 @@ from runtime.run.outputs.video import open_video
 from runtime.run.pipeline import FrameRecord, StreamResult, WriteFrame, run_stream
 from runtime.run.process import dedicate_process
 from runtime.run.report_files import describe_predictor, group_reasons, write_report
-from runtime.run.run_folder import CLOUD, SAVED_HEADS, SUFFIXES
+from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, SUFFIXES
 from runtime.run.run_report import RunReport
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source
@@ -60,7 +60,7 @@ def run(
     """
     dedicate_process()
     with options.open_source() as source:
-        _require_apart(options.out, source.folders)
+        _require_apart(options.folder, source.folders)
         frames = options.shard_of(source.list_frames(limit=options.limit))
         with _open_predictor(options, source) as predictor:
             kinds = _answered_kinds(options, predictor)
@@ -105,7 +105,7 @@ def _answered_kinds(options: RunOptions, predictor: Predictor) -> tuple[str, ...
     missing = [
         kind for kind in options.kinds if kind in heads and heads[kind] not in predictor.heads
     ]
-    if missing and options.save != "all":
+    if missing and options.kinds is not KINDS:
         raise InputError(
             f"--save asks for {', '.join(missing)}, the model {predictor.contract.model_name} "
             f"answers {', '.join(predictor.heads)}: leave it out, or choose another --model"
@@ -190,7 +190,7 @@ def _open_outputs(
             )
             recordings.append(opened.enter_context(recording))
         frame_files = FrameWriter(
-            options.out,
+            options.folder,
             contract,
             kinds=kinds,
             names=[listed.name for listed in frames],
@@ -255,5 +255,5 @@ def _report(
         "warmup": options.warmup,
     }
     return RunReport(
-        engine_facts(predictor), inputs, options.out, kinds, result, options.deadline_ms
+        engine_facts(predictor), inputs, options.folder, kinds, result, options.deadline_ms
     )

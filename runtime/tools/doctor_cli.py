@@ -7,12 +7,13 @@ from typing import Annotated
 import typer
 
 from runtime.command import ERROR, Provider, print_result, reported_errors
+from runtime.command_options import NoDevice, Version
 from runtime.tools.doctor import Check, examine
 
 DOCTOR_FORMAT, DOCTOR_VERSION = "ssdnet-doctor", "1.0"
 
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
 @app.command(epilog="Exit codes: 0 the engine works; 1 a fault was found; 2 usage.")
@@ -24,6 +25,8 @@ def doctor(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print a JSON document instead of the lines.")
     ] = False,
+    _device: NoDevice = None,
+    _version: Version = False,
 ) -> None:
     """Report versions, providers and libraries, and run the bundled model for a second."""
     with reported_errors("cpu"):

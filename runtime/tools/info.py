@@ -7,13 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
-from runtime.bundled_models import list_bundled_models
+from runtime.bundled_models import describe_bundled_models, list_bundled_models
 from runtime.command import ERROR, print_result, reported_errors
+from runtime.command_options import Version
 from runtime.predictor import Predictor
 
 INFO_FORMAT, INFO_VERSION = "ssdnet-info", "1.0"
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
 @app.command(epilog="Exit codes: 0 done; 1 no model that this engine runs; 2 usage.")
@@ -29,12 +30,13 @@ def info(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print a JSON document instead of the table.")
     ] = False,
+    _version: Version = False,
 ) -> None:
     """Print what a model file holds: heads, sizes, classes, terms, parity and digest."""
     with reported_errors("cpu"):
         if model is None:
-            names = list_bundled_models()
-            text = json.dumps({"bundled_models": names}) if as_json else "\n".join(names)
+            listed = json.dumps({"bundled_models": list_bundled_models()})
+            text = listed if as_json else describe_bundled_models()
         else:
             with Predictor(model, warmup=0) as predictor:
                 described = describe_model(predictor)

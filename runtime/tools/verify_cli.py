@@ -9,13 +9,14 @@ from typing import Annotated, Any
 import typer
 
 from runtime.command import ERROR, Provider, print_result, reported_errors
+from runtime.command_options import NoDevice, Version
 from runtime.io.recording import read_recording
 from runtime.predictor import Predictor
 from runtime.tools.verify import FrameCheck, VerifyReport, verify
 
 DIFFERS = 4  # exit code
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
 @app.command(
@@ -60,6 +61,8 @@ def main(
     as_json: Annotated[
         bool, typer.Option("--json", help="Print a JSON document instead of the tables.")
     ] = False,
+    _device: NoDevice = None,
+    _version: Version = False,
 ) -> None:
     """Predict the frames of a recording again, and compare the answers with the recorded ones."""
     tolerances = _tolerances(tolerance or [])

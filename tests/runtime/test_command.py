@@ -1,5 +1,6 @@
 """What the commands do with errors and Ctrl-C."""
 
+import importlib
 import importlib.util
 import signal
 import subprocess
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import runtime
 from runtime.command import interruptible, reported_errors
 from runtime.errors import InputError
 
@@ -92,6 +94,50 @@ COMMANDS = {
 
 def test_every_command_is_known_here():
     assert set(SCRIPTS) == set(COMMANDS)
+
+
+@pytest.fixture
+def type_in(monkeypatch, capfd):
+    """Type a command: its exit code, and what it printed on stdout and stderr."""
+
+    def run(name, *arguments, **environment):
+        module, function = SCRIPTS[name].split(":")
+        if not module.startswith("runtime.") and importlib.util.find_spec("torch") is None:
+            pytest.skip("the engine alone is installed")
+        monkeypatch.setattr(f"{module}.begin_command", lambda: None)  # pytest has its own signals
+        monkeypatch.setattr(sys, "argv", [name, *arguments])
+        monkeypatch.setattr(sys.modules["__main__"], "__package__", None)  # not `python -m pytest`
+        for key, value in {"COLUMNS": "200", **environment}.items():
+            monkeypatch.setenv(key, value)
+        with pytest.raises(SystemExit) as ended:
+            getattr(importlib.import_module(module), function)()
+        return ended.value.code, *capfd.readouterr()
+
+    return run
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_prints_its_version(type_in, name):
+    assert type_in(name, "--version") == (0, f"ssdnet {runtime.__version__}\n", "")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_shell_completes_every_command(type_in, name):
+    words = {"COMP_WORDS": f"{name} --vers", "COMP_CWORD": "1"}
+    variable = f"_{name.replace('-', '_').upper()}_COMPLETE"
+    assert type_in(name, **words, **{variable: "complete_bash"})[:2] == (0, "--version\n")
+
+
+@pytest.mark.parametrize("name", ["ssdnet-run", "ssdnet-doctor", "ssdnet-verify"])
+def test_commands_of_onnx_runtime_answer_pytorchs_word(type_in, name):
+    code, _, text = type_in(name, "--device", "cuda")
+    assert (code, "use --provider cpu or --provider cuda" in " ".join(text.split())) == (2, True)
+
+
+@pytest.mark.parametrize("name", ["ssdnet-train", "ssdnet-eval"])
+def test_commands_of_pytorch_answer_onnx_runtimes_word(type_in, name):
+    code, _, text = type_in(name, "--provider", "cuda")
+    assert (code, "use --device cpu, cuda" in " ".join(text.split())) == (2, True)
 
 
 @posix

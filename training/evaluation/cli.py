@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 
 from runtime.command import interruptible, reported_errors
+from runtime.command_options import NoProvider, Version
 from runtime.errors import InputError
 
 if TYPE_CHECKING:
     from training.datasets.source_recipe import SourceRecipe
     from training.evaluation.score_report import Row
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = typer.Typer(pretty_exceptions_enable=False)
 
 
 @app.command()
@@ -68,6 +69,8 @@ def evaluate(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace depth of the same names below --save.")
     ] = False,
+    _provider: NoProvider = None,
+    _version: Version = False,
 ) -> None:
     """Score models on data sets; prints a table."""
     with reported_errors("cpu,train"):

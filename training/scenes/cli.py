@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from runtime.command import interruptible, reported_errors
+from runtime.command_options import Version
 from runtime.contract import MIN_SIDE
 
 if TYPE_CHECKING:
     from multiprocessing.pool import Pool
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = typer.Typer(pretty_exceptions_enable=False)
 
 T = TypeVar("T")
 
@@ -46,6 +47,7 @@ def render(
     stride: Annotated[int, typer.Option(min=1, help="Render every n-th frame of it.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
     overwrite: Annotated[bool, typer.Option(help="Replace existing scenes.")] = False,
+    _version: Version = False,
 ) -> None:
     """Render street scenes: RGB, depth and classes of every frame."""
     with reported_errors("train"):

@@ -615,6 +615,7 @@ def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, signal_in_
         ["--demo", "--rgb", "somewhere"],
         ["--demo", "--save", "everything"],
         ["--demo", "--save", "depth,all"],
+        ["--demo", "--save", "none", "--save", "depth"],
         ["--demo", "--threads", "0"],
         ["--demo", "--limit", "0"],
         ["--demo", "--depth-scale", "0"],
@@ -638,6 +639,37 @@ def test_wrong_usage_is_exit_code_2(arguments, tmp_path, monkeypatch):
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 2, result.output
     assert not list(tmp_path.iterdir())
+
+
+def test_a_second_run_has_a_folder_of_its_own(tmp_path, stream, all_heads, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rgb, depth = stream
+    given = ["--rgb", rgb, "--depth", depth, "--limit", 1, "--save", "none", "--model", all_heads]
+    for name in ("ssdnet-run", "ssdnet-run-2", "ssdnet-run-3"):
+        result = CliRunner().invoke(app, [str(a) for a in given])
+        assert result.exit_code == 0, result.output
+        assert f"results: {tmp_path / name}\n" in result.stdout
+        assert (tmp_path / name / "report.json").exists()
+    replaced = CliRunner().invoke(app, [str(a) for a in [*given, "--overwrite"]])
+    assert f"results: {tmp_path / 'ssdnet-run'}\n" in replaced.stdout
+    refused = CliRunner().invoke(app, [str(a) for a in [*given, "--out", "ssdnet-run"]])
+    assert (refused.exit_code, "is not empty" in refused.stderr) == (1, True)
+
+
+def test_saved_kinds_add_up(tmp_path, run):
+    asked = ["--save", "overlay", "--save", "semantic,depth"]
+    assert run("--limit", 1, *asked).exit_code == 0
+    folders = {path.name for path in (tmp_path / "out").iterdir() if path.is_dir()}
+    assert folders == {"overlay", "semantic", "depth"}
+
+
+def test_the_bundled_models_are_listed():
+    result = CliRunner().invoke(app, ["--list-models"])
+    assert result.exit_code == 0
+    _, lite, nano, card = result.stdout.splitlines()
+    assert lite.split()[:5] == ["ssdnet-lite", "12.4", "11", "100", "400"]
+    assert nano.split()[:5] == ["ssdnet-nano", "5.1", "11", "100", "400"]
+    assert Path(card.partition(": ")[2]).is_file()
 
 
 def test_help_needs_no_onnxruntime(monkeypatch):

@@ -14,8 +14,8 @@ def run(*arguments):
     return CliRunner().invoke(app, list(arguments))
 
 
-def test_without_a_model_the_bundled_ones_are_named():
-    assert run().output.split() == list_bundled_models()
+def test_without_a_model_the_bundled_ones_are_listed():
+    assert [line.split()[0] for line in run().output.splitlines()[1:-1]] == list_bundled_models()
     assert json.loads(run("--json").output) == {"bundled_models": list_bundled_models()}
 
 
