@@ -37,6 +37,15 @@ def _print_models(wanted: bool) -> None:
     "also if others were skipped; 130 stopped by Ctrl-C or SIGTERM before the first frame."
 )
 def main(
+    path: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[PATH]",
+            help="Frames to predict: "
+            + "; ".join(kind.accepted for kind in SOURCES.values())
+            + ". Its kind follows from the path.",
+        ),
+    ] = None,
     rgb: Annotated[
         Path | None,
         typer.Option(
@@ -45,13 +54,16 @@ def main(
     ] = None,
     depth: Annotated[
         Path | None,
-        typer.Option(help="Folder of the sparse depth maps (16-bit PNG). [default: camera only]"),
+        typer.Option(
+            help="Folder of the sparse depth maps (16-bit PNG), or the one of one image. "
+            "[default: camera only]",
+        ),
     ] = None,
     source: Annotated[
         str | None,
         typer.Option(
             metavar="KIND:PATH",
-            help=f"Source of the frames: {', '.join(SOURCES)}. --rgb DIR is folders:DIR. See "
+            help=f"A path whose kind is named: {', '.join(SOURCES)}. --rgb DIR is folders:DIR. See "
             "docs/streams.md.",
         ),
     ] = None,
@@ -237,11 +249,12 @@ def main(
 ) -> None:
     """Predict classes, depth and boundaries of every frame of a stream, and report the latency.
 
-    Frames are pairs of files with the same stem, in natural order, or come from --source.
+    Images and depth maps in folders are paired by their stems, in natural order.
     """
     with reported_errors("cpu"), contextlib.ExitStack() as progress:
         try:
             options = RunOptions(
+                path=path,
                 rgb=rgb,
                 depth=depth,
                 source=source,

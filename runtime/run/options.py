@@ -14,7 +14,7 @@ from runtime.network_size import NetworkSize, parse_network_size
 from runtime.run.outputs.output import FILE_SUFFIXES, RERUN_LIVE, is_rerun_file
 from runtime.run.run_folder import KINDS, SUFFIXES
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.registry import choose_source
+from runtime.sources.registry import choose_source, detect_kind
 from runtime.sources.source import Source
 
 MAX_SHARDS = 1_000_000
@@ -33,9 +33,10 @@ class RunOptions:
 
     Raises:
         UsageError: if an option is out of range, or options contradict each other.
-        InputError: if `demo` is set and the bundled stream is missing.
+        InputError: if `path` is no source, or `demo` is set and the bundled stream is missing.
     """
 
+    path: Path | None = None
     rgb: Path | None = None
     depth: Path | None = None
     source: str | None = None
@@ -69,10 +70,9 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         """Check every option."""
-        if self.demo + (self.rgb is not None) + (self.source is not None) != 1 or (
-            self.demo and self.depth is not None
-        ):
-            raise UsageError("give one of --demo, --rgb (with --depth) and --source")
+        given = [source for source in (self.path, self.rgb, self.source) if source is not None]
+        if self.demo + len(given) != 1 or (self.demo and self.depth is not None):
+            raise UsageError("give one of PATH, --demo, --rgb (with --depth) and --source")
         _require_range("--depth-scale", self.depth_scale, 1e-3, 1e6)
         _require_range("--deadline-ms", self.deadline_ms, 1e-6, 1e9)
         _require_range("--rate", self.rate, 1e-3, 1e6)
@@ -119,6 +119,8 @@ class RunOptions:
     @cached_property
     def source_name(self) -> str:
         """The source as KIND:PATH."""
+        if self.path is not None:
+            return f"{detect_kind(self.path)}:{self.path}"
         return self.source or f"folders:{bundled_stream()[0] if self.demo else self.rgb}"
 
     @cached_property

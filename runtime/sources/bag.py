@@ -35,6 +35,9 @@ TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 NO_TOPIC = "none"
 
 
+_SUFFIXES = (".bag", ".db3", ".mcap")
+
+
 class BagSource(Source):
     """Images and, matched by the time stamps in their headers, point clouds or depth images.
 
@@ -55,6 +58,7 @@ class BagSource(Source):
             must be chosen, or clouds have no calibration.
     """
 
+    accepted = f"a bag ({', '.join(_SUFFIXES)}, or a folder that holds metadata.yaml)"
     options = ("image_topic", "depth_topic", "info_topic", "calibration", "max_skew_ms")
 
     def __init__(
@@ -186,6 +190,12 @@ class BagSource(Source):
         for message in self._bag.decoded(topic):
             return message
         raise InputError(f"the topic {topic} of {self._bag.path} has no messages")
+
+    @staticmethod
+    def accepts(path: Path) -> bool:
+        """See `Source.accepts`."""
+        is_file = path.suffix in _SUFFIXES and os.path.isfile(path)
+        return is_file or os.path.isfile(path / "metadata.yaml")
 
     # --- its frames ------------------------------------------------------------------------------
 

@@ -1,5 +1,6 @@
-"""Images and depth maps of the same names in two folders."""
+"""Images and depth maps of the same names in two folders, or one of each."""
 
+import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,7 @@ from runtime.io.calibration import Calibration
 from runtime.io.images import (
     DEPTH_SUFFIXES,
     KITTI_DEPTH_SCALE,
+    RGB_SUFFIXES,
     list_files,
     natural_order,
     read_rgb,
@@ -26,12 +28,18 @@ class FolderSource(Source):
     """Pairs of files with the same stem, in natural order ("9" before "10").
 
     Args:
-        rgb: folder of PNG and JPEG files.
-        depth: folder of 16-bit PNGs; None: the camera alone.
+        rgb: folder of PNG and JPEG files, or one such file; or a folder that holds an image*/ and a
+            depth*/ folder, unless `depth` is given.
+        depth: folder of 16-bit PNGs, or the one of one image; None: the camera alone.
         depth_scale: units of the depth PNGs per metre.
         calibration: TOML or KITTI file, see `Calibration.from_file`.
+
+    Raises:
+        InputError: for a folder that holds several image*/ or depth*/ folders, for a file with a
+            folder, and if the calibration cannot be read.
     """
 
+    accepted = "a folder of images, one image, or a folder that holds image*/ and depth*/"
     options = ("depth", "depth_scale", "calibration")
 
     def __init__(
@@ -42,10 +50,23 @@ class FolderSource(Source):
         depth_scale: float = KITTI_DEPTH_SCALE,
         calibration: Path | None = None,
     ) -> None:
+        if depth is None:
+            rgb, depth = _inner_folders(rgb) or (rgb, None)
         self._rgb, self._depth, self._depth_scale = rgb, depth, depth_scale
-        self.folders = (rgb,) if depth is None else (rgb, depth)
+        self._is_one = _is_image(rgb)
+        if depth is not None and os.path.isfile(depth) != self._is_one:
+            raise InputError(
+                f"{rgb} and {depth} must be two folders, or an image and its depth map"
+            )
+        paths = (rgb,) if depth is None else (rgb, depth)
+        self.folders = tuple(path.parent for path in paths) if self._is_one else paths
         if calibration is not None:
             self.calibration = Calibration.from_file(calibration)
+
+    @staticmethod
+    def accepts(path: Path) -> bool:
+        """See `Source.accepts`."""
+        return _is_image(path) or any(map(_is_image, path.glob("*"))) or bool(_inner_folders(path))
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`. A name without a partner is listed too.
@@ -54,6 +75,8 @@ class FolderSource(Source):
             InputError: if a folder is missing or has no images, if a stem occurs twice in a folder,
                 or if no stem occurs in both.
         """
+        if self._is_one:
+            return (ListedFrame(0, self._rgb.stem, self._rgb, self._depth),)
         images = list_files(self._rgb)
         maps = None if self._depth is None else list_files(self._depth, DEPTH_SUFFIXES)
         if maps is not None and not images.keys() & maps.keys():
@@ -91,6 +114,26 @@ def read_pair(
     if frame.depth is None:
         raise InputError(f"{frame.name} has an image, but no depth map")
     return Frame(read_rgb(frame.image), read_depth(frame.depth), calibration=calibration)
+
+
+def _is_image(path: Path) -> bool:
+    return path.suffix.lower() in RGB_SUFFIXES and os.path.isfile(path)
+
+
+def _inner_folders(path: Path) -> tuple[Path, Path] | None:
+    """The image*/ and the depth*/ folder that a folder holds; None without one of each."""
+    images, depths = (
+        sorted(folder for folder in path.glob(kind) if folder.is_dir())
+        for kind in ("image*", "depth*")
+    )
+    if not (images and depths):
+        return None
+    if len(images) + len(depths) > 2:
+        names = ", ".join(folder.name for folder in images + depths)
+        raise InputError(
+            f"{path} holds {names}: choose an image and a depth folder by --rgb, --depth"
+        )
+    return images[0], depths[0]
 
 
 def _few(names: dict[str, Path]) -> str:

@@ -38,6 +38,7 @@ class KittiRawSource(Source):
         InputError: if a folder, the calibration or a time stamp is missing or damaged.
     """
 
+    accepted = "a drive of KITTI raw data (holds velodyne_points/)"
     options = ("camera", "calibration", "max_skew_ms")
 
     def __init__(
@@ -77,6 +78,11 @@ class KittiRawSource(Source):
         stamped = self._image_stamps and self._scan_stamps
         self._max_skew_ms = max_skew_ms if stamped else None
         self._left_out: Counter[str] = Counter()
+
+    @staticmethod
+    def accepts(path: Path) -> bool:
+        """See `Source.accepts`."""
+        return os.path.isdir(path / "velodyne_points")
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`."""

@@ -15,12 +15,22 @@ from runtime.sources.video import VideoSource
 from runtime.sources.virtual_kitti import VirtualKittiSource
 
 SOURCES: dict[str, type[Source]] = {
-    "folders": FolderSource,
     "kitti-raw": KittiRawSource,
     "vkitti": VirtualKittiSource,
     "video": VideoSource,
     "bag": BagSource,
+    "folders": FolderSource,  # last: another kind may hold images, too
 }
+
+
+def detect_kind(path: Path) -> str:
+    """Return the kind of source that a path is. Raises InputError with what is accepted."""
+    for kind, source in SOURCES.items():
+        if source.accepts(path):
+            return kind
+    fault = "is none of these" if os.path.exists(path) else "does not exist; give one of these"
+    accepted = "; ".join(source.accepted for source in SOURCES.values())
+    raise InputError(f"{path} {fault}: {accepted}. --source KIND:PATH names the kind")
 
 
 def choose_source(text: str, **options: Any) -> Callable[[], Source]:

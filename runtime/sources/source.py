@@ -40,12 +40,14 @@ class Source(ABC):
     """A stream of frames that can be listed and read again, by one thread at a time.
 
     Attributes:
+        accepted: the paths that are of this kind, in words.
         options: names of its options, each a keyword of its constructor.
         calibration: of the camera and, where there is one, the LiDAR; None if unknown.
         folders: folders that frames are read from; predictions must not be written there.
         recordings: files or whole folders that outputs must not replace or write into.
     """
 
+    accepted: ClassVar[str]
     options: ClassVar[tuple[str, ...]] = ()
     calibration: Calibration | None = None
     folders: tuple[Path, ...] = ()
@@ -62,6 +64,11 @@ class Source(ABC):
         Raises:
             InputError: if it is no recording of this kind.
         """
+
+    @staticmethod
+    @abstractmethod
+    def accepts(path: Path) -> bool:
+        """Whether a path looks like a recording of this kind; its files are not opened."""
 
     @abstractmethod
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:

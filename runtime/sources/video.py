@@ -23,6 +23,8 @@ from runtime.read_input import require_regular
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source, no_depth, pair_up
 
+_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
+
 
 class VideoSource(Source):
     """The frames of a video, numbered from 0, and the depth maps with those numbers.
@@ -40,6 +42,7 @@ class VideoSource(Source):
         InputError: if the video or the calibration cannot be read.
     """
 
+    accepted = f"a video ({', '.join(_SUFFIXES)})"
     options = ("depth", "depth_scale", "calibration")
 
     def __init__(
@@ -64,6 +67,11 @@ class VideoSource(Source):
             for side in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
         )
         require_pixels((height, width), name=str(path))
+
+    @staticmethod
+    def accepts(path: Path) -> bool:
+        """See `Source.accepts`."""
+        return path.suffix.lower() in _SUFFIXES and os.path.isfile(path)
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`. A frame without a depth map is listed too, and the reverse."""

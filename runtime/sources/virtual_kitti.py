@@ -38,6 +38,7 @@ class VirtualKittiSource(Source):
         InputError: if a folder is missing or intrinsic.txt is damaged.
     """
 
+    accepted = "a variant of a Virtual KITTI 2 scene (holds frames/rgb/)"
     options = ("camera",)
 
     def __init__(self, variant: Path, *, camera: int = 0) -> None:
@@ -55,6 +56,11 @@ class VirtualKittiSource(Source):
         if os.path.lexists(intrinsics):
             self.calibrations = _read_calibrations(intrinsics, camera)
             self.calibration = next(iter(self.calibrations.values()))
+
+    @staticmethod
+    def accepts(path: Path) -> bool:
+        """See `Source.accepts`."""
+        return os.path.isdir(path / "frames" / "rgb")
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`. A number without a partner is listed too."""

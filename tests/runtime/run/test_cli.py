@@ -613,6 +613,8 @@ def test_ctrl_c_leaves_a_whole_report_of_what_was_done(tmp_path, run, signal_in_
         ["--rgb", "somewhere", "--source", "folders:somewhere"],
         ["--demo", "--max-skew-ms", "-1"],
         ["--demo", "--rgb", "somewhere"],
+        ["--demo", "somewhere"],
+        ["somewhere", "--rgb", "somewhere"],
         ["--demo", "--save", "everything"],
         ["--demo", "--save", "depth,all"],
         ["--demo", "--save", "none", "--save", "depth"],

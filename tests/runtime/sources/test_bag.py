@@ -77,7 +77,7 @@ def name_of(index):
 
 
 def test_a_bag_from_end_to_end(recorded, run, make_scan):
-    answers = run("--source", f"bag:{recorded}")
+    answers = run(recorded)
     assert answers.exit_code == 0, answers.text
     assert answers.names == [name_of(index) for index in range(N)]
     for index in range(N):

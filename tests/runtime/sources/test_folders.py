@@ -34,6 +34,39 @@ def test_a_folder_source_answers_what_rgb_and_depth_do(folders, run):
         assert np.array_equal(by_source.fed_depth(name), by_options.fed_depth(name))
 
 
+def test_a_folder_is_read_by_its_path(folders, run):
+    answers = run(folders[0], "--depth", folders[1])
+    assert answers.names == ["0", "1", "2", "3", "4"]
+    assert answers.report["inputs"]["source"] == f"folders:{folders[0]}"
+
+
+def test_an_image_and_its_depth_map_are_one_frame(folders, run, tmp_path):
+    image, depth = tmp_path / "cam/4.png", tmp_path / "depth.png"
+    (tmp_path / "lidar/4.png").rename(depth)
+    answers = run(image, "--depth", depth)
+    assert (answers.exit_code, answers.names) == (0, ["4"])
+    assert abs(answers.fed_depth("4") - folders[2][4]).max() < 0.01
+    alone = run(image, "--overwrite")
+    assert (alone.names, alone.column("degraded")) == (["4"], ["no_depth"])
+    mixed = run(image, "--depth", folders[1], out="other")
+    assert mixed.exit_code == 1
+    assert "must be two folders, or an image and its depth map" in mixed.text
+
+
+def test_a_folder_may_hold_the_two_folders(folders, run, tmp_path):
+    data = tmp_path / "data"
+    data.mkdir()
+    folders[0].rename(data / "image_02")
+    folders[1].rename(data / "depth_02")
+    answers = run(data)
+    assert answers.names == ["0", "1", "2", "3", "4"]
+    assert answers.report["inputs"]["depth"] == str(data / "depth_02")
+    (data / "image_03").mkdir()
+    several = run(data, out="other")
+    assert several.exit_code == 1
+    assert "holds image_02, image_03, depth_02: choose" in several.text
+
+
 def test_a_limit_counts_complete_frames(folders):
     rgb, depth, _ = folders
     source = FolderSource(rgb, depth=depth)

@@ -11,7 +11,7 @@ from runtime.sources.registry import SOURCES, open_source
 
 @pytest.mark.parametrize("text", ["", "folders", "folders:", "folder:/tmp", ":/tmp", "/tmp"])
 def test_what_is_no_kind_and_path_is_an_error_with_the_kinds(text):
-    with pytest.raises(InputError, match="KIND:PATH with one of the kinds folders, kitti-raw"):
+    with pytest.raises(InputError, match="KIND:PATH with one of the kinds kitti-raw, vkitti"):
         open_source(text)
 
 
@@ -38,6 +38,26 @@ def test_options_of_another_kind_are_wrong_usage_of_the_command(run, tmp_path):
     assert "takes --camera, not --depth" in answers.text
     assert run("--source", "nothing:here").exit_code == 2
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["", "notes.txt", "none", "none.mp4"])
+def test_a_path_that_is_no_source_is_an_error_with_what_is_accepted(run, tmp_path, name):
+    (tmp_path / "notes.txt").touch()
+    answers = run(tmp_path / name)
+    assert answers.exit_code == 1
+    assert ("does not exist" if "none" in name else "is none of these") in answers.text
+    for accepted in ("KITTI raw", "Virtual KITTI", ".mp4", ".mcap", "image*/ and depth*/"):
+        assert accepted in answers.text
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_named_kind_overrides_what_the_path_looks_like(run, tmp_path, make_frame, write_rgb):
+    write_rgb(tmp_path / "drive/0.png", make_frame()[0])
+    (tmp_path / "drive/velodyne_points").mkdir()
+    answers = run(tmp_path / "drive")
+    assert answers.exit_code == 1
+    assert "is no drive of KITTI raw data" in answers.text
+    assert run("--source", f"folders:{tmp_path / 'drive'}").names == ["0"]
 
 
 @pytest.mark.parametrize("kind", SOURCES)

@@ -42,7 +42,7 @@ def depth_maps(tmp_path, make_frame, write_depth):
 
 
 def test_a_video_from_end_to_end(video, depth_maps, run, make_frame):
-    answers = run("--source", f"video:{video}", "--depth", depth_maps)
+    answers = run(video, "--depth", depth_maps)
     assert answers.exit_code == 0, answers.text
     assert answers.names == [f"{index:06d}" for index in range(N)]
     for index in range(N):

@@ -37,7 +37,7 @@ def centimetres(number, camera):
 
 @pytest.mark.parametrize("camera", [0, 1])
 def test_a_variant_from_end_to_end(variant, run, camera):
-    answers = run("--source", f"vkitti:{variant}", "--camera", camera)
+    answers = run(variant, "--camera", camera)
     assert answers.exit_code == 0, answers.text
     assert answers.names == ["00000", "00001", "00002", "00003"]
     for number in range(4):
