@@ -172,7 +172,7 @@ def _model(name: str, scratch: Path) -> Path:
         return find_model(name)
     checkpoint, onnx = scratch / f"{name}.pt", scratch / f"{name}.onnx"
     save_checkpoint(checkpoint, create_model(name).eval())
-    export_checkpoint(checkpoint, onnx, dynamic=True)
+    export_checkpoint(checkpoint, onnx)
     return onnx
 
 

@@ -16,12 +16,20 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 def export(
     checkpoint: Annotated[Path, typer.Argument(help="Checkpoint written by ssdnet-train.")],
     model: Annotated[Path, typer.Argument(help="ONNX file to write.")],
-    height: Annotated[int | None, typer.Option(min=MIN_SIDE, help="Rows. [default: 512]")] = None,
-    width: Annotated[
-        int | None, typer.Option(min=MIN_SIDE, help="Columns. [default: 1024]")
+    height: Annotated[
+        int | None,
+        typer.Option(
+            min=MIN_SIDE,
+            help="Rows, with --width: accept this size only. All shapes in the graph are then "
+            "constants, which some compilers and accelerators need. [default: any]",
+        ),
     ] = None,
+    width: Annotated[int | None, typer.Option(min=MIN_SIDE, help="Columns. [default: any]")] = None,
     dynamic: Annotated[
-        bool, typer.Option("--dynamic", help="Accept any size, not only that one.")
+        bool,
+        typer.Option(
+            "--dynamic", help="Accept any size, also with --height and --width (verified there)."
+        ),
     ] = False,
     opset: Annotated[int, typer.Option(min=18, help="ONNX operator set.")] = 18,
     with_logits: Annotated[
@@ -67,7 +75,9 @@ def export(
                 triton_dir=triton_dir,
                 overwrite=overwrite,
             )
-    shape = f"{report.size[0]} x {report.size[1]}" + (", any size accepted" if dynamic else "")
+    shape = f"{report.size[0]} x {report.size[1]}" + (
+        ", any size accepted" if report.dynamic else ""
+    )
     typer.echo(f"{report.path}: {report.num_bytes / 1e6:.1f} MB, {shape}, opset {opset}")
     typer.echo(f"largest difference to PyTorch on {report.num_frames} frames:")
     for head, measured in report.parity.items():

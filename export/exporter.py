@@ -25,7 +25,7 @@ from runtime.io.atomic_write import atomic_file
 from runtime.io.recording import RecordedFrame, Recorder, Settings, record
 from runtime.model_file import with_contract
 
-#: (height, width) by default: Cityscapes at half size, as in the paper.
+#: (height, width) a model of any size is verified at: Cityscapes at half size, as in the paper.
 DEFAULT_SIZE = (512, 1024)
 
 
@@ -71,9 +71,8 @@ def export_checkpoint(
     Args:
         checkpoint_path: written by ssdnet-train.
         onnx_path: the file to write.
-        size: (height, width) of a fixed model; for a dynamic one its native size.
-            None = DEFAULT_SIZE.
-        dynamic: whether the model takes any size.
+        size: (height, width) of a fixed model; None = any size, with DEFAULT_SIZE as native size.
+        dynamic: whether the model takes any size, with `size` as native size.
         opset: ONNX operator set.
         with_logits: add the class scores to the outputs.
         record_dir: folder for a recording of PyTorch's answers to the frames it was verified on,
@@ -88,6 +87,7 @@ def export_checkpoint(
         ExportError: for weights that are not finite, and if the graph cannot be made or differs
             from PyTorch by more than rounding.
     """
+    dynamic = dynamic or size is None
     size = size or DEFAULT_SIZE
     try:
         check_size(size)

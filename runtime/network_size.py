@@ -29,7 +29,7 @@ def check_network_size(requested: Any, *, fixed: bool) -> NetworkSize:
     if fixed:
         raise InputError(
             f"size = {requested!r:.80}, but the model is of fixed size: leave size out, or export "
-            "the model with --dynamic"
+            "the model without --height and --width"
         )
     if isinstance(requested, str) and requested == "frame":
         return "frame"

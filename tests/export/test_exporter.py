@@ -99,6 +99,31 @@ def test_a_file_of_any_size_is_verified_at_the_frames_own(
         assert predictor.network_size(SIZE) == (40, 60)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "size"),
+    [
+        (["--with-logits"], None),
+        (["--with-logits", "--dynamic", "--height", "64", "--width", "96"], None),
+        (["--height", "64", "--width", "96"], SIZE),
+    ],
+    ids=["default", "dynamic", "fixed"],
+)
+def test_a_file_takes_any_size_unless_one_is_fixed(
+    lite_checkpoint, dynamic_model, exported, tmp_path, monkeypatch, arguments, size
+):
+    def trace(*_, dynamic, **__):
+        return copy.deepcopy(dynamic_model) if dynamic else onnx.load(exported.path)
+
+    monkeypatch.setattr(exporter, "trace", trace)
+    monkeypatch.setattr(exporter, "DEFAULT_SIZE", SIZE)
+    path = tmp_path / "m.onnx"
+    result = CliRunner().invoke(app, [str(lite_checkpoint), str(path), *arguments])
+    assert result.exit_code == 0, result.output
+    assert ("any size accepted" in result.output) == (size is None)
+    with Predictor(path, warmup=0) as predictor:
+        assert (predictor.input_size, predictor.contract.native_size) == (size, SIZE)
+
+
 def test_only_the_one_file_is_left(exported):
     assert list(exported.path.parent.iterdir()) == [exported.path]
     assert exported.num_bytes == exported.path.stat().st_size
