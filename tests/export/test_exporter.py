@@ -137,6 +137,7 @@ def test_frame_of_another_size_is_resized_by_the_engine(exported):
     assert prediction.depth.shape == (75, 141)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "heads", "dynamic"),
     [

@@ -99,6 +99,7 @@ source = [{{ kind = "rendered", path = "rendered" }}]
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "head"), [("tiny-semantic", "semantic"), ("tiny-depth", "depth")])
 def test_a_network_of_one_head_goes_through_every_tool(name, head, tmp_path):
     virtual_kitti.write_second_edition(tmp_path / "rendered", magnify=5)

@@ -212,6 +212,7 @@ def test_a_step_whose_gradients_overflow_is_skipped(data, tmp_path, monkeypatch)
     assert not checkpoint.trainer["optimizer"]["state"]
 
 
+@pytest.mark.slow
 def test_compiled_network_trains_what_the_plain_one_does(data, tmp_path, monkeypatch):
     """Through torch.compile's tracing; its code generator takes minutes on a CPU."""
     compile_network, calls = torch.compile, []

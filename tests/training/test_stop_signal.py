@@ -88,6 +88,7 @@ def start(start_process):
     return start
 
 
+@pytest.mark.slow
 def test_the_first_signal_saves_and_stops(command, tmp_path, start):
     process = start(command)
     for _ in range(3):
@@ -102,6 +103,7 @@ def test_the_first_signal_saves_and_stops(command, tmp_path, start):
     assert not (tmp_path / "run" / "model.pt").exists()
 
 
+@pytest.mark.slow
 def test_a_second_signal_stops_at_once(command, tmp_path, start):
     process = start(command, wait="step")
     assert process.stdout.readline().endswith(" step\n")

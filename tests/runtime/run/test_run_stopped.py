@@ -69,6 +69,7 @@ class SignalAtLine:
         return self
 
 
+@pytest.mark.slow
 def test_at_every_line_of_the_main_thread(tmp_path, command, sensitive_to_ctrl_c):
     """Of what starts, feeds and ends the run; every third to save time."""
     listed, line = [], 0

@@ -101,6 +101,7 @@ steps = 1
 """
 
 
+@pytest.mark.slow
 def test_a_file_and_a_line_add_a_data_set(tmp_path):
     (tmp_path / "datasets").mkdir()
     (tmp_path / "datasets" / "distances.py").write_text(ONE_FILE)

@@ -94,6 +94,7 @@ def run(*arguments):
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
+@pytest.mark.slow
 def test_the_command_renders_scenes_in_turn_of_the_variants(tmp_path):
     small = ("--size", "32x64", "--frames", 2, "--stride", 10, "--seed", 40, "--street", "town")
     done = run(tmp_path, "--scenes", 2, "--variants", "fog,rain", *small)
