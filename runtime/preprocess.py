@@ -81,6 +81,8 @@ def preprocess(
     """
     rgb = check_rgb(rgb)
     frame_size = (rgb.shape[0], rgb.shape[1])
+    if sparse_depth is None:
+        sparse_depth = np.zeros(frame_size, np.float32)
     sparse_depth = check_sparse_depth(sparse_depth, size=frame_size)
     size = size_for(frame_size)
     scale = depth_scale(
@@ -136,12 +138,7 @@ def check_rgb(rgb: Any) -> NDArray[np.uint8]:
 
 
 def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Return `sparse_depth`, contiguous; InputError unless it is float32 (H, W) of `size`.
-
-    None is a map of zeros.
-    """
-    if sparse_depth is None:
-        return np.zeros(size, np.float32)
+    """Return `sparse_depth`, contiguous; InputError unless it is float32 (H, W) of `size`."""
     if isinstance(sparse_depth, np.ma.MaskedArray):
         raise InputError(
             "sparse_depth must be a plain numpy array, got a masked one: 0 = no "

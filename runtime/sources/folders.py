@@ -66,7 +66,7 @@ class FolderSource(Source):
     @staticmethod
     def accepts(path: Path) -> bool:
         """See `Source.accepts`."""
-        return _is_image(path) or any(map(_is_image, path.glob("*"))) or bool(_inner_folders(path))
+        return _is_image(path) or any(map(_is_image, _entries(path))) or bool(_inner_folders(path))
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`. A name without a partner is listed too.
@@ -120,11 +120,20 @@ def _is_image(path: Path) -> bool:
     return path.suffix.lower() in RGB_SUFFIXES and os.path.isfile(path)
 
 
+def _entries(path: Path) -> list[Path]:
+    """What a folder holds; nothing if it is none."""
+    try:
+        return list(path.iterdir())
+    except OSError:
+        return []
+
+
 def _inner_folders(path: Path) -> tuple[Path, Path] | None:
     """The image*/ and the depth*/ folder that a folder holds; None without one of each."""
+    folders = [entry for entry in _entries(path) if os.path.isdir(entry)]
     images, depths = (
-        sorted(folder for folder in path.glob(kind) if folder.is_dir())
-        for kind in ("image*", "depth*")
+        sorted(folder for folder in folders if folder.name.startswith(kind))
+        for kind in ("image", "depth")
     )
     if not (images and depths):
         return None
