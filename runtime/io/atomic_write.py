@@ -250,19 +250,26 @@ def _publish_new(temporary: Path, path: Path) -> None:
 
 
 def _earlier_entries(path: Path, own: Callable[[], Iterable[Path]] | None) -> list[Path]:
-    """All that an earlier result holds, folders first. Raises OutputError for anything else."""
+    """All that an earlier result holds, to be removed from the end. Raises OutputError for others.
+
+    Its own files come first, in the order of ``own``: what describes it goes last, so that the rest
+    of a removal that was killed is known for what it is. The last rest is an empty folder.
+    """
     if own is None:
         raise _taken(path)
-    expected, found = set(own()), sorted(path.rglob("*"))
     if path.is_symlink() or not path.is_dir():
         raise OutputError(f"{path} is a link or a file: choose another name")
+    found = sorted(path.rglob("*"))
+    expected = list(own()) if found else []
+    known = set(expected)
     for entry in found:
-        if entry.is_symlink() or entry not in expected:
+        if entry.is_symlink() or entry not in known:
             raise OutputError(
                 f"{entry} is not of the result that would be replaced: move it away, or choose "
                 "another folder"
             )
-    return found
+    files = [entry for entry in expected if entry.parent == path and entry.is_file()]
+    return files + [entry for entry in found if entry.parent != path or entry.is_dir()]
 
 
 def _taken(path: Path) -> OutputError:

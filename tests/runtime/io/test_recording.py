@@ -321,7 +321,7 @@ def test_a_folder_with_another_document_of_that_name_is_not_replaced(tmp_path, m
 
 def test_a_link_to_a_recording_is_not_replaced(recording, tmp_path, model_file):
     (tmp_path / "link").symlink_to(recording)
-    with pytest.raises(OutputError, match="no recording"):
+    with pytest.raises(OutputError, match="is a link"):
         overwrite(tmp_path / "link", model_file())
     assert len(read_recording(recording).frames) == 2
 
@@ -329,3 +329,28 @@ def test_a_link_to_a_recording_is_not_replaced(recording, tmp_path, model_file):
 def test_a_name_that_is_too_long_is_an_output_error(tmp_path, model_file):
     with pytest.raises(OutputError, match="too long"):
         overwrite(tmp_path / ("n" * 256), model_file())
+
+
+@pytest.mark.parametrize("killed_after", range(6))
+def test_a_removal_that_was_killed_at_any_moment_is_finished_by_the_next(
+    recording, model_file, monkeypatch, killed_after
+):
+    """The rest of the older recording is still known for what it is, and replaced."""
+    assert len(list(recording.rglob("*"))) == 5
+    removed = []
+
+    def remove(path, missing_ok=False):
+        if recording in path.parents or path == recording:
+            if len(removed) == killed_after:
+                raise KeyboardInterrupt
+            removed.append(path)
+        (os.rmdir if path.is_dir() else os.unlink)(path)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", remove)
+        patched.setattr(Path, "rmdir", remove)
+        with pytest.raises(KeyboardInterrupt):
+            overwrite(recording, model_file())
+    assert recording.is_dir()
+    overwrite(recording, model_file())
+    assert read_recording(recording).frames == ()
