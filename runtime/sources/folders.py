@@ -130,9 +130,9 @@ def _entries(path: Path) -> list[Path]:
 
 def _inner_folders(path: Path) -> tuple[Path, Path] | None:
     """The image*/ and the depth*/ folder that a folder holds; None without one of each."""
-    folders = [entry for entry in _entries(path) if os.path.isdir(entry)]
+    entries = _entries(path)
     images, depths = (
-        sorted(folder for folder in folders if folder.name.startswith(kind))
+        sorted(entry for entry in entries if entry.name.startswith(kind) and os.path.isdir(entry))
         for kind in ("image", "depth")
     )
     if not (images and depths):

@@ -70,9 +70,10 @@ class DepthRegionScores:
         require_same_shape(prediction=prediction, depth=depth, fed=fed)
         known = scored(depth)
         error = np.abs(prediction[known].astype(np.float64) - depth[known])
-        regions = split_distances(fed)
+        to_return_px = distance_px(fed > 0)
+        regions = split_distances(to_return_px)
         if is_dense(depth):
-            regions |= split_regions(depth, fed)
+            regions |= split_regions(depth, to_return_px)
         for region, mask in regions.items():
             self._sums[region].add(error[mask[known]])
 
@@ -95,9 +96,11 @@ def is_dense(depth: NDArray[np.floating]) -> bool:
     return bool(around[known].mean() >= _DENSE_SHARE)
 
 
-def split_distances(fed: NDArray[np.floating]) -> dict[str, NDArray[np.bool_]]:
-    """Return the mask, bool (H, W), of each of `RETURN_DISTANCES`; they do not overlap."""
-    to_return_px = distance_px(fed > 0)
+def split_distances(to_return_px: NDArray[np.float32]) -> dict[str, NDArray[np.bool_]]:
+    """Return the mask, bool (H, W), of each of `RETURN_DISTANCES`; they do not overlap.
+
+    to_return_px: (H, W), distance to the nearest return that was fed.
+    """
     masks, above = {}, -1.0
     for region, limit in RETURN_DISTANCES.items():
         masks[region] = (to_return_px > above) & (to_return_px <= limit)
@@ -106,10 +109,13 @@ def split_distances(fed: NDArray[np.floating]) -> dict[str, NDArray[np.bool_]]:
 
 
 def split_regions(
-    depth: NDArray[np.floating], fed: NDArray[np.floating]
+    depth: NDArray[np.floating], to_return_px: NDArray[np.float32]
 ) -> dict[str, NDArray[np.bool_]]:
-    """Return the mask, bool (H, W), of each of the `REGIONS`; every pixel is in one of them."""
-    covered = distance_px(fed > 0) <= RETURN_REACH_PX
+    """Return the mask, bool (H, W), of each of the `REGIONS`; every pixel is in one of them.
+
+    depth: the dense true depth. to_return_px: as in `split_distances`.
+    """
+    covered = to_return_px <= RETURN_REACH_PX
     at_edge = distance_px(depth_edges(depth)) <= EDGE_REACH_PX
     return {
         "interior": covered & ~at_edge,

@@ -7,11 +7,11 @@ from torch import Tensor
 
 from models.pooling import maxima_around
 from training.limits import PAIR_BORDER_PX
+from training.losses.depth import log_ratio
 
 #: Weights of the depth's ratio farther than NEAR_PX from a return, and nearer.
 FAR_WEIGHT, NEAR_WEIGHT = 1.2, 0.2
 NEAR_PX = 6
-_NEAREST = 1e-3
 
 
 class Pair(NamedTuple):
@@ -50,7 +50,7 @@ def overlap(
 def depth_consistency_loss(first: Tensor, second: Tensor, pair: Pair) -> Tensor:
     """Mean |log ratio| of the depth of the two views, weighted by the distance to a return, ().
 
-    first, second: (N, 1, H, W), depth at the image's size in any unit. Frames of whose views just
+    first, second: (N, 1, H, W), normalised depth at the image's size. Frames of whose views just
     one has returns do not count: their answers may differ. Returns that only one view has, false
     ones, must change nothing: their surroundings have FAR_WEIGHT.
     """
@@ -61,8 +61,7 @@ def depth_consistency_loss(first: Tensor, second: Tensor, pair: Pair) -> Tensor:
         if bool(maps[0].any()) != bool(maps[1].any()):
             continue
         lidar, other = overlap(*maps, offset)
-        a, b = overlap(first[index], second[index], offset)
-        ratio = (a.clamp(min=_NEAREST) / b.clamp(min=_NEAREST)).log().abs()
+        ratio = log_ratio(*overlap(first[index], second[index], offset))
         close = overlap(near[index], near[index], offset)[0] * (NEAR_WEIGHT - FAR_WEIGHT)
         weight = FAR_WEIGHT + close * float(torch.equal(lidar, other))
         losses.append((ratio * weight).mean())

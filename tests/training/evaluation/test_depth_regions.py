@@ -9,6 +9,7 @@ from training.evaluation.depth_regions import (
     RETURN_DISTANCES,
     DepthRegionScores,
     depth_edges,
+    distance_px,
     is_dense,
     split_distances,
     split_regions,
@@ -43,7 +44,7 @@ def test_regions_equal_loops():
         to_return = np.hypot(*(returns - pixel).T).min()
         near = "edge" if to_edge <= 3 else "interior"
         expected[pixel] = near if to_return <= 12 else "uncovered"
-    masks = split_regions(depth, fed)
+    masks = split_regions(depth, distance_px(fed > 0))
     assert list(masks) == list(REGIONS)
     assert (sum(mask.astype(int) for mask in masks.values()) == 1).all()
     for region, mask in masks.items():
@@ -65,9 +66,9 @@ def test_a_gentle_slope_is_no_edge():
 
 def test_without_returns_all_is_uncovered_and_without_edges_none_is_edge():
     depth = house()
-    assert split_regions(depth, np.zeros_like(depth))["uncovered"].all()
+    assert split_regions(depth, distance_px(depth < 0))["uncovered"].all()
     flat = np.full((20, 20), 7, np.float32)
-    assert split_regions(flat, flat)["interior"].all()
+    assert split_regions(flat, distance_px(flat > 0))["interior"].all()
 
 
 def test_distances_to_the_nearest_return_equal_loops():
@@ -78,12 +79,12 @@ def test_distances_to_the_nearest_return_equal_loops():
     for pixel in np.ndindex(fed.shape):
         distance = np.hypot(*(returns - pixel).T).min()
         expected[pixel] = next(name for name, px in RETURN_DISTANCES.items() if distance <= px)
-    masks = split_distances(fed)
+    masks = split_distances(distance_px(fed > 0))
     assert list(masks) == list(RETURN_DISTANCES)
     for name, mask in masks.items():
         assert mask.any()
         np.testing.assert_array_equal(mask, expected == name)
-    nothing = split_distances(np.zeros_like(fed))
+    nothing = split_distances(distance_px(fed < 0))
     assert [mask.all() for mask in nothing.values()] == [False, False, False, True]
     assert not nothing["return_3_6_px"].any()
 
@@ -106,7 +107,7 @@ def test_errors_by_hand_and_merged():
     depth = house()
     fed = np.zeros_like(depth)
     fed[20, 10] = 20
-    masks, known = split_regions(depth, fed), (depth > 0) & (depth <= 100)
+    masks, known = split_regions(depth, distance_px(fed > 0)), (depth > 0) & (depth <= 100)
     answer = depth.copy()
     answer[masks["interior"]] += 1
     answer[masks["uncovered"]] -= 4
