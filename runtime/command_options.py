@@ -1,7 +1,6 @@
 """Options that several commands have."""
 
-from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,12 +13,14 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _refuse(hint: str) -> Callable[[str | None], None]:
+def _other_word(option: str, hint: str) -> Any:
+    """A hidden option that is refused with a hint to this command's word for it."""
+
     def refuse(value: str | None) -> None:
         if value is not None:
             raise typer.BadParameter(hint)
 
-    return refuse
+    return typer.Option(option, hidden=True, is_eager=True, callback=refuse)
 
 
 #: Every command's --version.
@@ -31,21 +32,13 @@ Version = Annotated[
 #: Of commands that have --provider: the word of those that run PyTorch.
 NoDevice = Annotated[
     str | None,
-    typer.Option(
-        "--device",
-        hidden=True,
-        is_eager=True,
-        callback=_refuse("this command runs ONNX Runtime: use --provider cpu or --provider cuda"),
+    _other_word(
+        "--device", "this command runs ONNX Runtime: use --provider cpu or --provider cuda"
     ),
 ]
 
 #: Of commands that have --device: the word of those that run ONNX Runtime.
 NoProvider = Annotated[
     str | None,
-    typer.Option(
-        "--provider",
-        hidden=True,
-        is_eager=True,
-        callback=_refuse("this command runs PyTorch: use --device cpu, cuda or cuda:N"),
-    ),
+    _other_word("--provider", "this command runs PyTorch: use --device cpu, cuda or cuda:N"),
 ]

@@ -197,8 +197,8 @@ def _train(
         copied.load_state_dict(adjust_logits(averaged.state_dict(), weights, share, offsets))
         return copied
 
-    def save_released(path: Path, weights: Network) -> None:
-        save_checkpoint(path, weights, training={**training_info, "step": step})
+    def save_released(path: Path, candidate: Network) -> None:
+        save_checkpoint(path, candidate, training={**training_info, "step": step})
 
     scores = ScoreTable(out / SCORES, step) if processes.is_first else None
     steps = recipe.schedule.steps

@@ -34,11 +34,11 @@ class DepthTarget:
 class Mixture(Dataset[dict[str, Tensor | str]]):
     """``length`` augmented samples; the i-th is a pure function of the parts, seed, length and i.
 
-    With ``pair_shift`` a sample has two views: every tensor has a first dimension of 2, and
-    "offset" int64 (2,) tells by how many rows and columns the second begins later.
-
     A run resumed at sample i therefore gets the same samples, whatever the number of worker
     processes. Each set is drawn in shuffled passes, each frame once a pass.
+
+    With ``pair_shift`` a sample has two views: every tensor has a first dimension of 2, and
+    "offset" int64 (2,) tells by how many rows and columns the second begins later.
     """
 
     def __init__(
