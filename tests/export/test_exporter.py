@@ -143,7 +143,8 @@ def test_frame_of_another_size_is_resized_by_the_engine(exported):
     [
         ("ssdnet", ("semantic", "depth", "boundary"), False),
         ("ssdnet-sem", ("semantic", "boundary"), False),
-        ("ssdnet-dep-d", ("depth", "boundary"), False),
+        ("ssdnet-dep", ("depth", "boundary"), False),
+        ("ssdnet-dep-d", ("depth", "boundary"), True),
         ("ssdnet-dep-rgb", ("depth", "boundary"), True),
     ],
 )

@@ -89,11 +89,12 @@ def start(start_process):
 
 
 @pytest.mark.slow
-def test_the_first_signal_saves_and_stops(command, tmp_path, start):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_signal_saves_and_stops(command, tmp_path, number, start):
     process = start(command)
     for _ in range(3):
         assert process.stdout.readline().endswith(" step\n")
-    os.killpg(process.pid, signal.SIGINT)  # the loader's worker gets it, too
+    os.killpg(process.pid, number)  # the loader's worker gets it, too
     output, errors = process.communicate(timeout=120)
     last = tmp_path / "run" / "last.pt"
     assert process.returncode == 130

@@ -91,8 +91,8 @@ def test_one_slow_frame_makes_the_axis_logarithmic():
 
 def test_many_frames_are_a_band_and_every_late_span_is_marked():
     moments = (
-        Moment("x", response_ms=10 + index % 7, marks=("late",) if index == 15_555 else ())
-        for index in range(20_000)
+        Moment("x", response_ms=10 + index % 7, marks=("late",) if index == 77_777 else ())
+        for index in range(100_000)
     )
     svg = chart(timeline_of(*moments), deadline_ms=20)
     assert len(list(svg.iter("polygon"))) == 1
