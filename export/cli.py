@@ -1,10 +1,12 @@
 """`ssdnet-export`: a checkpoint in, one verified ONNX file out."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from export.precision import Int8Options, Precision
 from runtime.command import interruptible, reported_errors
 from runtime.command_options import Version
 from runtime.contract import MIN_SIDE
@@ -50,6 +52,35 @@ def export(
             "--triton", metavar="DIR", help="Put the file into this Triton model repository too."
         ),
     ] = None,
+    precision: Annotated[
+        Precision,
+        typer.Option(
+            help="Of the trunk's arithmetic: fp16 for GPUs, int8 for processors (needs "
+            "--calibrate and --validate)."
+        ),
+    ] = Precision.FP32,
+    calibrate: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DATA",
+            help="KIND:FOLDER[,KEY=VALUE...] as for ssdnet-eval: frames whose ranges of values "
+            "int8 covers, 100 or more with and without LiDAR; may be repeated.",
+        ),
+    ] = None,
+    validate: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DATA",
+            help="Frames with labels or depth that the accuracy of int8 is measured on, others "
+            "than --calibrate; may be repeated.",
+        ),
+    ] = None,
+    max_drop_miou: Annotated[
+        float, typer.Option(min=0, help="Largest loss of mIoU of int8 on any set [points].")
+    ] = 0.5,
+    max_rise_mae: Annotated[
+        float, typer.Option(min=0, help="Largest rise of the depth's MAE of int8 on any set [%].")
+    ] = 2.0,
     overwrite: Annotated[
         bool,
         typer.Option("--overwrite", help="Replace an older file, recording and Triton model."),
@@ -59,9 +90,18 @@ def export(
     """Export a checkpoint to one self-contained ONNX file and verify it against PyTorch."""
     if (height is None) != (width is None):
         raise typer.BadParameter("give both --height and --width, or neither")
+    if (precision is Precision.INT8) != bool(calibrate and validate):
+        raise typer.BadParameter("--precision int8 goes with both --calibrate and --validate")
     size = None if height is None or width is None else (height, width)
-    with reported_errors("export,cpu"):
+    with reported_errors("export,train,cpu" if precision is Precision.INT8 else "export,cpu"):
         from export.exporter import export_checkpoint  # here: --help does not wait for PyTorch
+
+        options = Int8Options(
+            tuple(calibrate or ()),
+            tuple(validate or ()),
+            max_drop_miou=max_drop_miou,
+            max_rise_mae=max_rise_mae,
+        )
 
         with interruptible():
             report = export_checkpoint(
@@ -73,6 +113,7 @@ def export(
                 with_logits=with_logits,
                 record_dir=record_dir,
                 triton_dir=triton_dir,
+                precision=options if precision is Precision.INT8 else precision,
                 overwrite=overwrite,
             )
     shape = f"{report.size[0]} x {report.size[1]}" + (
@@ -83,3 +124,23 @@ def export(
     for head, measured in report.parity.items():
         figures = ", ".join(f"{name} {value:.6g}" for name, value in measured.figures.items())
         typer.echo(f"  {head:18} {figures}")
+    if report.quantization is not None:
+        _print_quantization(report.quantization)
+
+
+def _print_quantization(facts: Mapping[str, Any]) -> None:
+    """Print what stayed in float, and the accuracy of each set before and after."""
+    in_float = facts["float_convolutions"]
+    typer.echo(
+        f"int8, calibrated on {facts['calibration_frames']} frames; convolutions left in float: "
+        f"{', '.join(in_float) or 'none'}"
+    )
+    for row in facts["accuracy"]:
+        miou, mae_m = row["miou"], row["mae_m"]
+        figures = [
+            f"mIoU {100 * miou[0]:.1f} -> {100 * miou[1]:.1f} %" if miou else "",
+            f"MAE {1000 * mae_m[0]:.0f} -> {1000 * mae_m[1]:.0f} mm" if mae_m else "",
+        ]
+        measured = ", ".join(filter(None, figures))
+        typer.echo(f"  {row['data']}, LiDAR {row['lidar']}, {row['frames']} frames: {measured}")
+    typer.echo(f"measure it again: {facts['repeat']}")

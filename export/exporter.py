@@ -5,6 +5,7 @@ import hashlib
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -14,7 +15,9 @@ from torch import nn
 
 from export.deploy import DeployGraph
 from export.errors import ExportError
+from export.half import to_half
 from export.parity import HeadParity, measure_parity, reference
+from export.precision import Int8Options, Precision
 from export.probe_frames import ProbeFrame, probe_frames
 from export.trace import DEFAULT_OPSET, trace
 from export.triton import require_replaceable, write_triton_model
@@ -41,6 +44,7 @@ class ExportReport:
         parity: head -> the worst difference over all frames it was verified on.
         num_frames: number of these frames.
         num_bytes: size of the file.
+        quantization: of an int8 file, see `Contract.quantization`; else None.
     """
 
     path: Path
@@ -50,6 +54,7 @@ class ExportReport:
     parity: Mapping[str, HeadParity]
     num_frames: int
     num_bytes: int
+    quantization: Mapping[str, Any] | None = None
 
 
 def export_checkpoint(
@@ -62,6 +67,7 @@ def export_checkpoint(
     with_logits: bool = False,
     record_dir: Path | str | None = None,
     triton_dir: Path | str | None = None,
+    precision: Precision | Int8Options = Precision.FP32,
     overwrite: bool = False,
 ) -> ExportReport:
     """Write a checkpoint as one ONNX file, verified before it gets its name.
@@ -78,14 +84,16 @@ def export_checkpoint(
         record_dir: folder for a recording of PyTorch's answers to the frames it was verified on,
             for ssdnet-verify; None = no recording.
         triton_dir: Triton model repository to put the file into as well; None = none.
+        precision: of the file's trunk; for 8-bit integers the data and the gate.
         overwrite: replace an older file, recording and Triton model.
 
     Raises:
         CheckpointError: for a checkpoint that cannot be read.
         InputError: for an invalid size.
         OutputError: for a target that exists (without `overwrite`) or cannot be written.
-        ExportError: for weights that are not finite, and if the graph cannot be made or differs
-            from PyTorch by more than rounding.
+        ExportError: for weights that are not finite, if the graph cannot be made or differs
+            from PyTorch by more than rounding, and for a gate that is missed.
+        DatasetError: for data of quantisation that cannot be read.
     """
     dynamic = dynamic or size is None
     size = size or DEFAULT_SIZE
@@ -112,8 +120,17 @@ def export_checkpoint(
                 record(Path(record_dir), settings, overwrite=overwrite)
             )
         _write(model, contract, file)
-        parity = measure_parity(checkpoint.model, Path(file.name), frames, dynamic=dynamic)
+        measure = partial(
+            measure_parity, checkpoint.model, Path(file.name), frames, dynamic=dynamic
+        )
+        parity = measure()
         _require_parity(parity)
+        if precision is not Precision.FP32:
+            model, contract = _reduce(model, contract, precision)
+            _write(model, contract, file)
+            parity = measure()
+        if precision is Precision.FP16:
+            _require_parity(parity)
         figures = {head: dict(measured.figures) for head, measured in parity.items()}
         num_bytes = _write(model, replace(contract, parity=figures), file)
         if recorder is not None:
@@ -124,7 +141,10 @@ def export_checkpoint(
             write_triton_model(
                 Path(triton_dir), model, content, name=contract.model_name, overwrite=overwrite
             )
-    return ExportReport(target, size, dynamic, graph.heads, parity, len(frames), num_bytes)
+    return ExportReport(
+        *(target, size, dynamic, graph.heads, parity, len(frames), num_bytes),
+        quantization=contract.quantization,
+    )
 
 
 def _check_target(target: Path, checkpoint: Path, *, overwrite: bool) -> None:
@@ -193,6 +213,22 @@ def _frames(size: tuple[int, int], *, dynamic: bool, max_depth_m: float) -> list
         sizes.append((max(size[0] // 2 | 1, MIN_SIDE), max(size[1] // 2 | 1, MIN_SIDE)))
         sizes.append((MIN_SIDE + 1, MIN_SIDE + 31))
     return [frame for each in sizes for frame in probe_frames(each, max_depth_m=max_depth_m)]
+
+
+def _reduce(
+    model: onnx.ModelProto, contract: Contract, precision: Precision | Int8Options
+) -> tuple[onnx.ModelProto, Contract]:
+    """The graph in less than single precision, and its contract."""
+    if not isinstance(precision, Int8Options):
+        return to_half(model), replace(contract, precision=precision.value)
+    from export.int8 import quantize_within  # needs the packages of training
+
+    def write(graph: onnx.ModelProto, path: Path) -> None:
+        with path.open("wb") as file:
+            _write(graph, contract, file)
+
+    quantized = quantize_within(model, precision, write=write)
+    return quantized.model, replace(contract, precision="int8", quantization=quantized.facts)
 
 
 def _record(

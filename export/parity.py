@@ -1,5 +1,6 @@
 """Difference between an exported file and its network in PyTorch."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,7 +53,10 @@ def measure_parity(
         SSDNetError: if the file cannot be run.
     """
     measured: dict[str, list[dict[str, float]]] = {}
-    with Predictor(onnx_path, size="frame" if dynamic else None, warmup=0) as predictor:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # that fp16 is slow on the processor
+        predictor = Predictor(onnx_path, size="frame" if dynamic else None, warmup=0)
+    with predictor:
         session = open_session(
             Path(onnx_path).read_bytes(), provider="cpu", device_id=0, threads=predictor.threads
         )
@@ -69,7 +73,7 @@ def measure_parity(
     parity = {}
     for head, all_figures in measured.items():
         largest = worst(head, all_figures)
-        tolerance = limit(head, max_depth_m=model.config.max_depth_m)
+        tolerance = limit(head, predictor.contract)
         parity[head] = HeadParity(largest, within(head, largest, tolerance))
     return parity
 

@@ -11,7 +11,7 @@ from runtime.errors import ContractError
 from runtime.heads import HEADS
 
 METADATA_KEY = "ssdnet"
-SCHEMA_VERSION = "1.2"
+SCHEMA_VERSION = "1.3"
 
 # Limits of a model file and of a network's configuration.
 MIN_SIDE = 32  # rows, columns: networks of the family halve an image up to five times
@@ -69,6 +69,8 @@ class Contract:
         trained_height: rows of the images it was trained on; None = not known.
         canonical_focal_px: focal length [px] of the camera in whose metres the graph works, see
             `runtime.canonical_focal`; None = plain metres.
+        quantization: of an "int8" file: the calibration data, the convolutions left in float, the
+            accuracy before and after, and the command that measures it again; else None.
         content: the bytes of the file before this document; None in a file of schema 1.0.
     """
 
@@ -86,6 +88,7 @@ class Contract:
     checkpoint_sha256: str
     trained_height: int | None = None
     canonical_focal_px: float | None = None
+    quantization: Mapping[str, Any] | None = None
     content: Content | None = None
 
     @property
@@ -148,6 +151,7 @@ class Contract:
                 checkpoint_sha256=_take(document, "checkpoint_sha256", str),
                 trained_height=_optional(document, "trained_height", check_side),
                 canonical_focal_px=_optional(document, "canonical_focal_px", check_focal_length),
+                quantization=document.get("quantization") and _take(document, "quantization", dict),
                 content=_content(document, text),
             )
             # Infinite numbers and lone surrogates anywhere else in the document.

@@ -10,7 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.contract import Contract
 from runtime.heads import HEADS, Difference, Unit
+
+#: How many times the limits of single precision those of half precision are: of a share of pixels
+#: that differ, and of a difference of values.
+HALF_SHARE, HALF_VALUE = 10, 100
 
 
 def compare(head: str, answer: NDArray[Any], expected: NDArray[Any]) -> dict[str, float]:
@@ -42,9 +47,20 @@ def worst(head: str, figures: Sequence[Mapping[str, float]]) -> dict[str, float]
     return {name: float(pick([figure[name] for figure in figures])) for name in figures[0]}
 
 
-def limit(head: str, *, max_depth_m: float) -> float:
-    """Return the limit of a head's first figure, in that figure's unit."""
-    return HEADS[head].limit(max_depth_m)
+def limit(head: str, contract: Contract) -> float:
+    """Return the limit of a head's first figure for a file, in that figure's unit.
+
+    In half precision it is wider. 8-bit integers have no limit but what was measured when the file
+    was made (`Contract.parity`), and a quarter more.
+    """
+    own = HEADS[head].limit(contract.max_depth_m)
+    measured = contract.parity.get(head)
+    if contract.precision == "int8" and measured:
+        first = float(next(iter(measured.values())))
+        return 1 - 1.25 * (1 - first) if _larger_is_better(head) else max(own, 1.25 * first)
+    if contract.precision == "fp16":
+        return 1 - HALF_SHARE * (1 - own) if _larger_is_better(head) else HALF_VALUE * own
+    return own
 
 
 def within(head: str, figures: Mapping[str, float], limit: float) -> bool:

@@ -158,15 +158,12 @@ class Recorder:
             ContractError: if the file cannot be read or has another digest.
         """
         file = load_model_file(model, sha256=sha256)
-        depth_m = file.contract.max_depth_m
         document = {
             "format": RECORDING_FORMAT,
             "version": RECORDING_VERSION,
             "settings": asdict(self._settings),
             "model": {"name": file.contract.model_name, "sha256": file.sha256},
-            "limits": {
-                head: limit(head, max_depth_m=depth_m) for head in HEADS if head in self._heads
-            },
+            "limits": {head: limit(head, file.contract) for head in HEADS if head in self._heads},
             "frames": [asdict(frame) for frame in self._frames],
         }
         (self._folder / MODEL_FILE).write_bytes(file.content)

@@ -86,6 +86,7 @@ def model_table(described: dict[str, Any]) -> str:
             "none: plain metres" if focal_px is None else f"{focal_px:g} px",
         ),
         ("precision", metadata["precision"]),
+        *((f"  {name}", _plain(fact)) for name, fact in (metadata["quantization"] or {}).items()),
         ("resize", _pairs(metadata["resize"])),
         ("terms", _plain(metadata["training"].get("terms", "not stated"))),
         ("trained on", _plain(metadata["training"].get("data", "not stated"))),

@@ -1,5 +1,7 @@
 """Figures and limits of each head, worked out by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,11 +37,23 @@ def test_the_worst_is_the_least_agreement_and_the_largest_difference():
     assert worst("boundary", figures) == {"max_abs": 1.0, "mean_abs": 0.7}
 
 
-def test_limits_hold_on_their_side_and_nan_never_does():
-    assert limit("depth", max_depth_m=80) == pytest.approx(0.004)
+def test_limits_hold_on_their_side_and_nan_never_does(contract):
+    contract = replace(contract, max_depth_m=80.0)
+    assert limit("depth", contract) == pytest.approx(0.004)
     assert within("depth", {"max_abs_m": 0.004}, 0.004)
     assert not within("depth", {"max_abs_m": 0.0041}, 0.004)
-    assert within("semantic", {"agreement": 0.9995}, limit("semantic", max_depth_m=80))
-    assert not within("semantic", {"agreement": 0.9994}, limit("semantic", max_depth_m=80))
+    assert within("semantic", {"agreement": 0.9995}, limit("semantic", contract))
+    assert not within("semantic", {"agreement": 0.9994}, limit("semantic", contract))
     nothing = compare("boundary", np.float32([[np.nan, 1]]), np.float32([[0, 1]]))
     assert not within("boundary", worst("boundary", [{"max_abs": 0.0}, nothing]), 1.0)
+
+
+def test_a_reduced_precision_has_wider_limits(contract):
+    half = replace(contract, max_depth_m=80.0, precision="fp16")
+    assert limit("depth", half) == pytest.approx(0.4)
+    assert limit("semantic", half) == pytest.approx(0.995)
+    measured = {"semantic": {"agreement": 0.96}, "depth": {"max_abs_m": 8.0, "mean_abs_m": 0.1}}
+    int8 = replace(half, precision="int8", parity=measured)
+    assert limit("depth", int8) == pytest.approx(10.0)
+    assert limit("semantic", int8) == pytest.approx(0.95)
+    assert limit("boundary", int8) == limit("boundary", replace(half, precision="fp32"))

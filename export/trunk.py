@@ -1,0 +1,48 @@
+"""The trunk of a traced graph: what may compute in less than single precision."""
+
+from collections.abc import Iterable
+
+import onnx
+
+#: Convolutions of fewer channels read pixels, returns or boundary maps: exact, and cheap.
+_LEAST_CHANNELS = 16
+_BETWEEN = ("Add", "Mul", "Relu", "Resize")
+
+
+def trunk(model: onnx.ModelProto) -> list[str]:
+    """Return the names of the nodes of the trunk, in the graph's order.
+
+    These are its wide convolutions, and what lies between them: additions, products with a
+    boundary map (BaConv), activations and upsamplings. The rest, which reads the sensors and
+    computes the answers, is not in it.
+    """
+    graph = model.graph
+    shapes = {weight.name: weight.dims for weight in graph.initializer}
+    # Name of a tensor -> name of the node of the trunk that made it.
+    made: dict[str, str] = {}
+    nodes: dict[str, onnx.NodeProto] = {}
+    for node in graph.node:
+        if node.op_type == "Conv":
+            shape = shapes.get(node.input[1], ())
+            inside = len(shape) == 4 and shape[1] >= _LEAST_CHANNELS
+        else:
+            inputs = [name for name in node.input if name and name not in shapes]
+            inside = node.op_type in _BETWEEN and (any if node.op_type == "Mul" else all)(
+                name in made for name in inputs
+            )
+        if inside:
+            nodes[node.name] = node
+            made.update(dict.fromkeys(node.output, node.name))
+    return [name for name in nodes if name in _leading_to_a_convolution(nodes.values())]
+
+
+def _leading_to_a_convolution(nodes: Iterable[onnx.NodeProto]) -> set[str]:
+    """Names of the convolutions and of the nodes before them; activations follow any."""
+    read: set[str] = set()
+    kept: set[str] = set()
+    for node in reversed(list(nodes)):
+        if node.op_type in ("Conv", "Relu") or read.intersection(node.output):
+            kept.add(node.name)
+            if node.op_type != "Relu" or read.intersection(node.output):
+                read.update(node.input)
+    return kept

@@ -1,0 +1,121 @@
+"""`ssdnet-export --precision`: files that pass the gate on accuracy, and no others."""
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from export.cli import app
+from export.probe_frames import probe_frames
+from runtime import Predictor
+from runtime.io.recording import read_recording
+from runtime.model_file import load_model_file
+from runtime.tools.verify_cli import app as verify_app
+
+SIZE = (64, 96)
+
+
+@pytest.fixture(scope="module")
+def data(exported, tmp_path_factory):
+    """Frames whose labels are the model's own, and whose depth is nearly so."""
+    folder = tmp_path_factory.mktemp("a place") / "street"
+    for name in ("images", "depth", "labels", "none"):
+        (folder / name).mkdir(parents=True)
+    with Predictor(exported.path) as predictor:
+        for index, frame in enumerate(probe_frames(SIZE, max_depth_m=80.0, seeds=(1, 2, 3))[:3]):
+            name = f"{index}.png"
+            answer = predictor.predict(frame.rgb, None)
+            depth = np.rint(answer.depth * 256 * 1.05).astype(np.uint16)
+            cv2.imwrite(str(folder / "images" / name), frame.rgb[..., ::-1])
+            cv2.imwrite(str(folder / "depth" / name), depth)
+            cv2.imwrite(str(folder / "labels" / name), answer.semantic)
+            cv2.imwrite(str(folder / "none" / name), np.full(SIZE, 255, np.uint8))
+    return folder
+
+
+@pytest.fixture
+def export_int8(lite_checkpoint, data, tmp_path, traced):
+    def export(*options, target="depth=depth,labels=labels"):
+        words = [str(lite_checkpoint), str(tmp_path / "lite.onnx"), "--height", "64"]
+        words += ["--width", "96", "--precision", "int8", "--calibrate", f"folders:{data}"]
+        words += ["--validate", f"folders:{data},{target}", *options]
+        return CliRunner().invoke(app, words)
+
+    return export
+
+
+def test_an_int8_file_states_how_it_was_made(export_int8, tmp_path, exported):
+    options = ["--max-drop-miou", "100", "--max-rise-mae", "1000"]
+    result = export_int8(*options, "--record", str(tmp_path / "recording"))
+    assert result.exit_code == 0, result.output
+    assert "convolutions left in float: none" in result.output
+    path = tmp_path / "lite.onnx"
+    assert path.stat().st_size < exported.path.stat().st_size
+    contract = load_model_file(path).contract
+    assert contract.precision == "int8"
+    facts = contract.quantization
+    assert facts["calibration"] == ["folders:street"]
+    assert facts["calibration_frames"] == 3
+    assert facts["repeat"].startswith("ssdnet-eval MODEL --data folders:street,depth=depth")
+    assert str(tmp_path.parent) not in contract.to_json()
+    (row,) = [row for row in facts["accuracy"] if row["lidar"] == "none"]
+    assert row["frames"] == 3
+    assert row["miou"][0] == 1 > row["miou"][1] > 0.5
+    assert 0 < row["mae_m"][0] != row["mae_m"][1]
+
+    # The engine verifies it within what was measured, and no more.
+    recording = read_recording(tmp_path / "recording")
+    first = {head: next(iter(figures.values())) for head, figures in contract.parity.items()}
+    assert recording.limits["depth"] == pytest.approx(1.25 * first["depth"])
+    assert 1 - recording.limits["semantic"] == pytest.approx(1.25 * (1 - first["semantic"]))
+    verified = CliRunner().invoke(verify_app, [str(tmp_path / "recording")])
+    assert verified.exit_code == 0, verified.output
+
+
+def test_a_missed_gate_writes_nothing_and_names_the_head(export_int8, tmp_path):
+    result = export_int8("--max-drop-miou", "0", "--max-rise-mae", "1000")
+    assert result.exit_code == 1
+    assert "semantic loses" in result.output
+    assert "of mIoU on street" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_convolutions_that_cost_most_stay_in_float_until_the_gate_is_passed(export_int8, tmp_path):
+    assert export_int8("--max-drop-miou", "100", "--max-rise-mae", "1000").exit_code == 0
+    (before,) = load_model_file(tmp_path / "lite.onnx").contract.quantization["accuracy"]
+    drop = 100 * (before["miou"][0] - before["miou"][1])
+    options = ["--max-rise-mae", "1000", "--overwrite"]
+    result = export_int8("--max-drop-miou", f"{0.8 * drop:.4f}", *options)
+    assert result.exit_code == 0, result.output
+    facts = load_model_file(tmp_path / "lite.onnx").contract.quantization
+    assert facts["float_convolutions"]
+    assert all(name in result.output for name in facts["float_convolutions"])
+    assert 100 * (1 - facts["accuracy"][0]["miou"][1]) <= 0.8 * drop
+
+
+def test_sets_that_cannot_tell_the_accuracy_are_refused(export_int8, tmp_path):
+    result = export_int8(target="labels=none")
+    assert result.exit_code == 1
+    assert "neither labels of the model's classes nor depth" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_int8_needs_data(lite_checkpoint, tmp_path):
+    words = [str(lite_checkpoint), str(tmp_path / "lite.onnx"), "--precision", "int8"]
+    result = CliRunner().invoke(app, [*words, "--calibrate", "folders:x"])
+    assert result.exit_code == 2
+    assert "--validate" in result.output
+
+
+@pytest.mark.usefixtures("traced")
+def test_half_precision_warns_on_the_processor(lite_checkpoint, tmp_path):
+    path = tmp_path / "lite.onnx"
+    words = [str(lite_checkpoint), str(path), "--height", "64", "--width", "96"]
+    result = CliRunner().invoke(app, [*words, "--precision", "fp16"])
+    assert result.exit_code == 0, result.output
+    assert load_model_file(path).contract.precision == "fp16"
+    with pytest.warns(RuntimeWarning, match="fp32 gives the same answers faster") as warned:
+        predictor = Predictor(path)
+    frame = probe_frames(SIZE, max_depth_m=100.0)[0]
+    assert predictor.predict(frame.rgb, frame.sparse_depth).valid
+    assert len(warned) == 1

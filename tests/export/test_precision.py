@@ -1,0 +1,110 @@
+"""The trunk in half precision and in 8-bit integers."""
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from export.half import to_half
+from export.probe_frames import probe_frames
+from export.quantize import measure_ranges, quantize
+from export.trunk import trunk
+from runtime.io.agreement import compare
+
+SIZE = (64, 96)
+
+
+def run(model, feed):
+    session = onnxruntime.InferenceSession(
+        model.SerializeToString(), providers=["CPUExecutionProvider"]
+    )
+    answers = session.run(None, feed)
+    return {
+        output.name: answer for output, answer in zip(session.get_outputs(), answers, strict=True)
+    }
+
+
+@pytest.fixture(scope="module")
+def feeds():
+    frames = probe_frames(SIZE, max_depth_m=100.0)
+    return [{"rgb": f.rgb[None], "sparse_depth": f.sparse_depth[None]} for f in frames[:3]]
+
+
+def test_the_trunk_is_what_lies_between_the_sensors_and_the_answers(dynamic_model):
+    graph = dynamic_model.graph
+    names = set(trunk(dynamic_model))
+    inside = [node for node in graph.node if node.name in names]
+    widths = {weight.name: weight.dims for weight in graph.initializer}
+    convolutions = [node for node in graph.node if node.op_type == "Conv"]
+    wide = {node.name for node in convolutions if widths[node.input[1]][1] >= 16}
+    assert 0 < len(wide) < len(convolutions)
+    assert {node.name for node in inside if node.op_type == "Conv"} == wide
+    assert {node.op_type for node in inside} == {"Conv", "Relu", "Add", "Mul", "Resize"}
+    read = {name for node in inside for name in node.input}
+    for node in inside:
+        assert node.op_type in ("Conv", "Relu") or node.output[0] in read
+    assert not {output.name for output in graph.output} & {node.output[0] for node in inside}
+
+
+def test_half_precision_keeps_inputs_outputs_and_answers(dynamic_model, feeds):
+    half = to_half(dynamic_model)
+    onnx.checker.check_model(half, full_check=True)
+    assert list(half.graph.input) == list(dynamic_model.graph.input)
+    assert list(half.graph.output) == list(dynamic_model.graph.output)
+    assert half.ByteSize() < 0.7 * dynamic_model.ByteSize()
+    kinds = {weight.name: weight.data_type for weight in half.graph.initializer}
+    inside = set(trunk(dynamic_model))
+    for node in half.graph.node:
+        if node.op_type == "Conv":
+            kind = TensorProto.FLOAT16 if node.name in inside else TensorProto.FLOAT
+            assert kinds[node.input[1]] == kind
+    for feed in feeds:
+        expected, found = run(dynamic_model, feed), run(half, feed)
+        assert compare("semantic", found["semantic"], expected["semantic"])["agreement"] > 0.99
+        assert compare("depth", found["depth"], expected["depth"])["mean_abs_m"] < 0.1
+        assert not np.array_equal(found["depth"], expected["depth"])
+
+
+def test_quantised_answers_are_close_to_the_float_ones(dynamic_model, feeds):
+    quantized = quantize(dynamic_model, measure_ranges(dynamic_model, feeds))
+    for feed in feeds:
+        expected, found = run(dynamic_model, feed), run(quantized, feed)
+        assert compare("semantic", found["semantic"], expected["semantic"])["agreement"] > 0.9
+        assert compare("depth", found["depth"], expected["depth"])["mean_abs_m"] < 1.0
+
+
+def test_convolutions_named_stay_in_float(dynamic_model, feeds):
+    names = set(trunk(dynamic_model))
+    kept, *_ = [n.name for n in dynamic_model.graph.node if n.name in names and n.op_type == "Conv"]
+    quantized = quantize(dynamic_model, measure_ranges(dynamic_model, feeds), keep_float=[kept])
+    weights = {weight.name for weight in quantized.graph.initializer}
+    in_float = {
+        n.name for n in quantized.graph.node if n.op_type == "Conv" and n.input[1] in weights
+    }
+    assert kept in in_float
+    assert {name for name in in_float if name in names} == {kept}
+
+
+def test_8_bit_products_do_not_saturate_in_16_bits():
+    """Without the smaller weights processors with AVX2 alone answer half of the sum."""
+    channels = 64
+    weights = numpy_helper.from_array(np.ones((16, channels, 3, 3), np.float32), "weights")
+    axes = ["batch", channels, "height", "width"]
+    model = helper.make_model(
+        helper.make_graph(
+            [helper.make_node("Conv", ["x", "weights"], ["y"], "convolution")],
+            "graph",
+            [helper.make_tensor_value_info("x", TensorProto.FLOAT, axes)],
+            [helper.make_tensor_value_info("y", TensorProto.FLOAT, ["batch", 16, "h", "w"])],
+            [weights],
+        ),
+        opset_imports=[helper.make_opsetid("", 18)],
+        ir_version=10,
+    )
+    feed = {"x": np.ones((1, channels, 16, 16), np.float32)}
+    quantized = quantize(model, measure_ranges(model, [feed]))
+    np.testing.assert_allclose(run(quantized, feed)["y"], run(model, feed)["y"], rtol=0.01)
+    for weight in quantized.graph.initializer:
+        if weight.data_type == TensorProto.INT8:
+            assert np.abs(numpy_helper.to_array(weight).astype(int)).max() <= 64
