@@ -12,6 +12,15 @@ from runtime.network_size import NetworkSize
 if TYPE_CHECKING:
     from runtime.predictor import Predictor
 
+_CPU_INFO = Path("/proc/cpuinfo")
+#: Instruction sets that decide how fast a network runs -> Linux' flags, of which any counts.
+_INSTRUCTION_SETS = {
+    "AVX2": {"avx2"},
+    "AVX-512": {"avx512f"},
+    "VNNI": {"avx_vnni", "avx512_vnni"},
+    "AMX": {"amx_tile"},
+}
+
 
 @dataclass(frozen=True)
 class ModelFacts:
@@ -64,9 +73,15 @@ class MachineFacts:
     """The computer and its Python."""
 
     cpu: str
+    instruction_sets: tuple[str, ...]  # as the system reports them
     logical_cores: int | None
     system: str
     python: str
+
+    @property
+    def processor(self) -> str:
+        """The processor with its instruction sets."""
+        return f"{self.cpu} ({', '.join(self.instruction_sets) or 'no AVX2 reported'})"
 
 
 @dataclass(frozen=True)
@@ -113,23 +128,37 @@ def engine_facts(predictor: "Predictor") -> EngineFacts:
             nodes=predictor.node_counts,
             threads=predictor.threads,
         ),
-        machine=MachineFacts(
-            cpu=cpu_name(),
-            logical_cores=os.cpu_count(),
-            system=platform.platform(),
-            python=platform.python_version(),
-        ),
+        machine=machine_facts(),
         load_ms=predictor.load_ms,
         first_inference_ms=predictor.first_inference_ms,
     )
 
 
+def machine_facts() -> MachineFacts:
+    """Return the facts of this machine."""
+    flags = set(_cpu_info("flags").split())
+    sets = tuple(name for name, any_of in _INSTRUCTION_SETS.items() if flags & any_of)
+    return MachineFacts(
+        cpu=cpu_name(),
+        instruction_sets=sets,
+        logical_cores=os.cpu_count(),
+        system=platform.platform(),
+        python=platform.python_version(),
+    )
+
+
 def cpu_name() -> str:
     """Return the name of the processor as the system reports it."""
+    return _cpu_info("model name") or platform.processor() or platform.machine()
+
+
+def _cpu_info(key: str) -> str:
+    """A value of the first processor in /proc/cpuinfo; empty where there is none."""
     try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
+        for line in _CPU_INFO.read_text().splitlines():
+            name, _, value = line.partition(":")
+            if name.strip() == key:
+                return value.strip()
     except OSError:
         pass
-    return platform.processor() or platform.machine()
+    return ""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Literal
 
+from runtime.engine_facts import machine_facts
 from runtime.errors import SSDNetError
 from runtime.tools.cuda_libraries import DRIVER, cuda_major, find_library, library_names
 
@@ -46,6 +47,7 @@ def examine(provider: str, *, seconds: float = 1.0) -> Iterator[Check]:
         seconds: time of the self-test.
     """
     yield Check("python", "ok", f"{platform.python_version()} on {platform.platform()}")
+    yield Check("processor", "note", machine_facts().processor)
     yield _package("ssdnet", "ssdnet")
     for module, distribution in _ENGINE.items():
         yield _package(module, distribution)

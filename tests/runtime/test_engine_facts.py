@@ -3,9 +3,12 @@
 import json
 from dataclasses import asdict
 
+import pytest
+
 import runtime
 from runtime import Predictor
-from runtime.engine_facts import engine_facts
+from runtime import engine_facts as facts_module
+from runtime.engine_facts import engine_facts, machine_facts
 
 
 def test_the_facts_are_those_of_the_predictor(model_file, contract):
@@ -24,3 +27,26 @@ def test_the_facts_are_those_of_the_predictor(model_file, contract):
     assert document.keys() == {
         *("ssdnet", "model", "provider", "machine", "load_ms", "first_inference_ms")
     }
+
+
+@pytest.mark.parametrize(
+    ("flags", "named"),
+    [
+        ("fpu sse2 avx avx2 fma", "AVX2"),
+        ("avx2 avx512f avx512_vnni amx_tile amx_int8", "AVX2, AVX-512, VNNI, AMX"),
+        ("avx2 avx_vnni", "AVX2, VNNI"),
+        ("fpu sse2", "no AVX2 reported"),
+    ],
+)
+def test_the_processor_is_named_with_its_instruction_sets(tmp_path, monkeypatch, flags, named):
+    info = tmp_path / "cpuinfo"
+    info.write_text(
+        f"processor\t: 0\nmodel name\t: Fast One\nflags\t\t: {flags}\n\nflags\t: amx_tile"
+    )
+    monkeypatch.setattr(facts_module, "_CPU_INFO", info)
+    assert machine_facts().processor == f"Fast One ({named})"
+
+
+def test_a_system_without_cpuinfo_has_a_processor(tmp_path, monkeypatch):
+    monkeypatch.setattr(facts_module, "_CPU_INFO", tmp_path / "none")
+    assert machine_facts().processor.endswith(" (no AVX2 reported)")

@@ -39,7 +39,7 @@ def collect_facts(
             "first inference": first_ms and f"{first_ms:.1f} ms",
         },
         "Machine and versions": {
-            "processor": machine.cpu,
+            "processor": machine.processor,
             "logical cores": machine.logical_cores,
             "system": machine.system,
             "ssdnet": engine.ssdnet,

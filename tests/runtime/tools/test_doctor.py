@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from runtime.engine_facts import machine_facts
 from runtime.tools import cuda_libraries, doctor
 from runtime.tools.doctor_cli import app
 
@@ -76,6 +77,7 @@ def test_json_lists_every_check(passed):
     told = {check["name"]: check for check in document["checks"]}
     assert told["numpy"]["found"] == np.__version__
     assert told["ssdnet"]["found"] == version("ssdnet")
+    assert told["processor"]["found"] == machine_facts().processor
     assert "CPUExecutionProvider" in told["providers"]["found"]
 
 
