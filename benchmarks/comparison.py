@@ -6,7 +6,7 @@
 
 `train` trains, exports and scores the entries of comparison.toml, one after the other, each to the
 budget of its recipe. The same command resumes where it was stopped, and what is finished with the
-same settings is kept. `time` runs all entries interleaved in one process, on a quiet machine;
+same settings is kept. `time` measures all entries as ssdnet-bench does, on a quiet machine;
 networks without a trained model run with random weights. `table` prints a table a task.
 
 More time: --set 'schedule.steps = 20000', which needs a RUNS of its own. Some alone: --only NAME.
@@ -16,10 +16,12 @@ import argparse
 import hashlib
 import json
 import re
+import statistics
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
@@ -29,13 +31,15 @@ from export.deploy import DeployGraph
 from export.exporter import export_checkpoint
 from models import create_model
 from models.registry import NETWORKS
+from random_weights import TRACED_AT, export_graph
 from runtime import Predictor
 from runtime.bundled_models import find_model
 from runtime.command import INTERRUPTED
 from runtime.errors import InputError, SSDNetError
 from runtime.io.atomic_write import atomic_write
 from runtime.model_file import load_model_file
-from speed import TRACED_AT, Model, Size, compare, describe, export_graph, parse_size
+from runtime.tools.bench import BenchOptions, bench
+from runtime.tools.bench_worker import make_input, time_runs
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
@@ -53,6 +57,7 @@ from training.run_folder import FINAL, RECIPE, require_same
 from training.stop_signal import StopSignal
 
 ONNX, SCORES, TIMES = "model.onnx", "scores.json", "times.json"
+Size = tuple[int, int]  # (height, width)
 SIZES: list[Size] = [(125, 414), (512, 1024)]
 
 #: Set -> its recipe, whose path is below --data, and the LiDARs it is scored with.
@@ -146,12 +151,17 @@ def parse_arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     verb.add_argument("--device", default="cpu")
     verb.set_defaults(run=train_all)
     verb = verbs.add_parser("time", parents=[common], help="time all entries, interleaved")
-    verb.add_argument("--sizes", nargs="+", default=SIZES, type=parse_size, help="HEIGHTxWIDTH")
+    verb.add_argument("--sizes", nargs="+", default=SIZES, type=_size, help="HEIGHTxWIDTH")
     verb.add_argument("--rounds", type=int, default=10)
     verb.set_defaults(run=time_all)
     verb = verbs.add_parser("table", parents=[common], help="print the tables")
     verb.set_defaults(run=print_tables)
     return parser.parse_args(argv)
+
+
+def _size(text: str) -> Size:
+    height, width = map(int, text.split("x"))
+    return height, width
 
 
 def read_plan(path: Path, changes: Sequence[str], only: Sequence[str] | None) -> Plan:
@@ -312,27 +322,62 @@ def find_or_score(
 
 
 def time_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
-    """Time all entries in one interleaved run and keep the figures beside the runs."""
-    models = {entry.name: open_entry(entry, plan, arguments.runs) for entry in heads}
-    reference = next(iter(models))
-    document = compare(models, reference, arguments.sizes, arguments.threads, arguments.rounds)
+    """Time all entries and keep the figures beside the runs. Raises InputError if one fails."""
+    networks = [entry for entry in heads if entry.method is None]
+    sizes, threads, rounds = arguments.sizes, arguments.threads, arguments.rounds
+    with TemporaryDirectory() as folder:
+        files = [find_file(entry, plan, arguments.runs, Path(folder)) for entry in networks]
+        report = bench(BenchOptions(tuple(files), tuple(sizes), (threads,), rounds=rounds))
+    if report.interrupted:
+        raise SystemExit(INTERRUPTED)
+    document: dict[str, Any] = {
+        "machine": f"{report.machine.processor}, {threads} threads, load {report.load:.2f} at the "
+        f"start, onnxruntime {report.onnxruntime}, {rounds} rounds in turn",
+        "sizes": [],
+    }
+    for size, group in zip(sizes, report.groups, strict=True):
+        rows: dict[str, dict[str, float | None]] = {
+            entry.name: {"median_ms": time_method(entry.method, size, rounds)}
+            for entry in heads
+            if entry.method is not None
+        }
+        for entry, row in zip(networks, group, strict=True):
+            if row.opened is None or row.figures is None:
+                raise InputError(f"{entry.name}: {row.error}")
+            rows[entry.name] = {
+                "params_m": row.opened.params_m,
+                "gmacs": row.opened.gmacs,
+                "median_ms": row.figures.latency.median_ms,
+            }
+        document["sizes"].append({"size": size, "rows": rows})
     arguments.runs.mkdir(parents=True, exist_ok=True)
     atomic_write(arguments.runs / TIMES, json.dumps(document, indent=2).encode())
     print(to_tables(heads, arguments.runs))
 
 
-def open_entry(entry: Entry, plan: Plan, runs: Path) -> Model:
-    """Return what is timed: the exported file, random weights in its place, or a method."""
-    if entry.method is not None:
-        return create_method(entry.method)
-    path = find_model(entry.onnx) if entry.onnx is not None else runs / entry.folder / ONNX
+def find_file(entry: Entry, plan: Plan, runs: Path, folder: Path) -> str:
+    """Return a bundled name or a file to time: with random weights, in ``folder``, if need be."""
+    path = runs / entry.folder / ONNX
+    if entry.onnx is not None:
+        return entry.onnx
+    if entry.network is None and path.is_file():
+        return str(path)
     if entry.network is not None:
         network = create_model(entry.network)
-    elif path.is_file():
-        return load_model_file(path).content
     else:
         network = build_network(recipe_of(entry, plan).model, None)
-    return export_graph(DeployGraph(network.eval()))
+    path = folder / f"{entry.folder}.onnx"
+    path.write_bytes(export_graph(DeployGraph(network.eval())))
+    return str(path)
+
+
+def time_method(name: str, size: Size, rounds: int) -> float:
+    """Return the median time [ms] of a classical method, which runs on one thread."""
+    method = create_method(name)
+    rgb = make_input("rgb", "tensor(uint8)", (*size, 3))
+    sparse_depth = make_input("sparse_depth", "tensor(float)", size)
+    times_ms = time_runs(lambda: method.complete(rgb, sparse_depth), rounds + 1, None)[1:]
+    return statistics.median(latency for latency, _ in times_ms)
 
 
 def print_tables(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
@@ -357,7 +402,7 @@ def to_tables(heads: Heads, runs: Path) -> str:
                 lines.append(f"| {' | '.join(_row(entry, head, runs, times))} |")
         parts.append(f"**{title}**\n\n" + "\n".join(lines))
     if times:
-        parts.append(f"GMACs at {sizes[0]}. {describe(times['machine'])}.")
+        parts.append(f"GMACs at {sizes[0]}. {times['machine']}.")
     return "\n\n".join(parts) + "\n"
 
 
@@ -372,12 +417,9 @@ def _row(entry: Entry, head: str, runs: Path, times: Mapping[str, Any]) -> list[
         for place in DEPTH_COLUMNS:
             errors = [scores.get(place, {}).get(key) for key in ("mae_m", "rmse_m")]
             cells.append("" if None in errors else " / ".join(f"{1e3 * m:.0f}" for m in errors))
-    timed: list[dict[str, Any]] = [
-        next((row for row in part["rows"] if row["network"] == entry.name), {})
-        for part in times.get("sizes", [])
-    ]
-    counted = timed[0] if timed and entry.method is None else {}
-    cells += [f"{counted[key]:.3g}" if key in counted else "" for key in ("params_m", "gmacs")]
+    timed = [part["rows"].get(entry.name, {}) for part in times.get("sizes", [])]
+    counted = [timed[0].get(key) if timed else None for key in ("params_m", "gmacs")]
+    cells += ["" if value is None else f"{value:.3g}" for value in counted]
     for row in timed:
         digits = 1 if row and row["median_ms"] < 100 else 0
         cells.append(f"{row['median_ms']:.{digits}f}" if row else "")

@@ -1,6 +1,7 @@
-"""A picture of the latency over the frames of a run."""
+"""Pictures of latencies: over the frames of a run, and of several models."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 60, 16, 30, 40  # margins in pixels
 _FONT, _FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
 _INK, _GRID, _LINE, _LATE = (40, 40, 40), (225, 225, 225), (180, 110, 30), (40, 40, 220)
 _FRAME_TICKS = 10  # at most
+_BAR = 44  # rows of a bar and its label
 
 
 def draw_latency(
@@ -56,6 +58,36 @@ def draw_latency(
         y = y_of(deadline_ms)
         cv2.line(picture, (_LEFT, y), (_WIDTH - _RIGHT, y), _LATE)
         _text(picture, f"deadline {deadline_ms:g} ms", (_WIDTH - 170, y - 5), _LATE)
+    return picture
+
+
+def draw_bars(
+    bars: Sequence[tuple[str, tuple[float, float, float]]],
+) -> NDArray[np.uint8]:
+    """Draw a bar to the median of each label, with a line from the least to the most.
+
+    Args:
+        bars: label, and least, median and most latency [ms]; at least one.
+
+    Returns:
+        uint8 (H, W, 3), BGR.
+    """
+    height = _TOP + _BAR * len(bars) + _BOTTOM
+    picture = np.full((height, _WIDTH, 3), 255, dtype=np.uint8)
+    axis = Axis(0.0, math.inf, max(1e-3, *(most for _, (_, _, most) in bars)), None)
+
+    def x_of(latency_ms: float) -> int:
+        return round(_LEFT + axis.place(latency_ms) * (_WIDTH - _LEFT - _RIGHT))
+
+    for value_ms in axis.ticks:
+        cv2.line(picture, (x_of(value_ms), _TOP), (x_of(value_ms), height - _BOTTOM), _GRID)
+        _text(picture, f"{value_ms:g}", (x_of(value_ms) - 8, height - _BOTTOM + 18))
+    _text(picture, "median latency, least to most [ms]", (_LEFT, 18))
+    for number, (label, (least, median, most)) in enumerate(bars):
+        y = _TOP + _BAR * number + _BAR // 2
+        cv2.rectangle(picture, (_LEFT, y), (x_of(median), y + 14), _LINE, cv2.FILLED)
+        cv2.line(picture, (x_of(least), y + 7), (x_of(most), y + 7), _INK)
+        _text(picture, f"{label}: {median:.1f}", (_LEFT, y - 4))
     return picture
 
 

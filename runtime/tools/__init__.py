@@ -1,1 +1,1 @@
-"""Commands for integrators: ssdnet-info, ssdnet-doctor, ssdnet-verify."""
+"""Commands for integrators: ssdnet-info, ssdnet-doctor, ssdnet-verify, ssdnet-bench."""

@@ -25,3 +25,11 @@ def verify() -> None:
     from runtime.tools.verify_cli import app
 
     app()
+
+
+def bench() -> None:
+    """`ssdnet-bench`."""
+    begin_command()
+    from runtime.tools.bench_cli import app
+
+    app()

@@ -120,7 +120,7 @@ def test_a_bad_plan_is_refused(tmp_path, change, only, message):
 
 
 def test_the_queue_trains_scores_times_and_prints(
-    data, plan_file, export_nano, monkeypatch, capsys, small_model
+    data, plan_file, export_nano, monkeypatch, capsys, small_model, bench_in_threads
 ):
     runs = run("train", plan_file, "--data", data, "--limit", 1)
     assert export_nano == [runs / "thin-one" / "model.pt"]
@@ -154,6 +154,7 @@ def test_the_queue_trains_scores_times_and_prints(
     assert float(rows["| big"][6]) > 0
     assert rows["| filling"][1] == "no training"
     assert rows["| filling"][6:8] == ["", ""]
+    assert float(rows["| filling"][8].rstrip(" |")) >= 0
 
 
 def test_a_finished_entry_is_kept_and_a_failure_does_not_stop_the_rest(

@@ -81,6 +81,7 @@ def test_a_process_ends_without_a_traceback(block, code):
 PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 SCRIPTS = tomllib.loads(PYPROJECT.read_text())["project"]["scripts"]
 COMMANDS = {
+    "ssdnet-bench": ["none.onnx"],
     "ssdnet-doctor": ["--json"],
     "ssdnet-eval": ["none.pt", "--data", "camvid:none"],
     "ssdnet-export": ["none.pt", "none.onnx"],
@@ -128,7 +129,7 @@ def test_the_shell_completes_every_command(type_in, name):
     assert type_in(name, **words, **{variable: "complete_bash"})[:2] == (0, "--version\n")
 
 
-@pytest.mark.parametrize("name", ["ssdnet-run", "ssdnet-doctor", "ssdnet-verify"])
+@pytest.mark.parametrize("name", ["ssdnet-run", "ssdnet-doctor", "ssdnet-verify", "ssdnet-bench"])
 def test_commands_of_onnx_runtime_answer_pytorchs_word(type_in, name):
     code, _, text = type_in(name, "--device", "cuda")
     assert (code, "use --provider cpu or --provider cuda" in " ".join(text.split())) == (2, True)

@@ -79,6 +79,12 @@ def test_the_doctor_loads_nothing_that_it_looks_at():
     assert not loaded & {*ENGINE, "numpy", "torch", "onnx"}
 
 
+def test_the_bench_loads_neither_opencv_nor_torch_nor_onnx():
+    loaded = loaded_after("import runtime.tools.bench_cli")
+    assert {"runtime", "numpy", "typer"} <= loaded
+    assert not loaded & {*ENGINE, "torch", "onnx", "models", "training", "export", "psutil"}
+
+
 def test_the_public_names_are_there():
     for name in runtime.__all__:
         assert getattr(runtime, name) is not None

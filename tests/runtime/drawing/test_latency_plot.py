@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from runtime.drawing.latency_plot import draw_latency
+from runtime.drawing.latency_plot import draw_bars, draw_latency
 
 
 @pytest.mark.parametrize("latencies", [[5.0], [5.0, 7.0] * 500, [0.0, 0.0]])
@@ -33,3 +33,15 @@ def test_the_picture_leaves_room_for_frames_without_latency():
     assert (columns > right).any()
     title = columns > 944 - 60 - 180  # the deadline's text stands on the right
     assert not ((columns > left) & (columns < right) & ~title).any()
+
+
+def test_bars_end_at_the_median_and_lines_at_the_most():
+    picture = draw_bars([("one", (5.0, 10.0, 20.0)), ("two", (20.0, 20.0, 20.0))]).astype(int)
+    blue = (picture[..., 0] > 150) & (picture[..., 2] < 60)
+    bars = np.flatnonzero(blue.sum(axis=1) > 50)
+    first, second = np.split(bars, np.flatnonzero(np.diff(bars) > 1) + 1)
+    ends = [np.flatnonzero(blue[rows[1]])[-1] - 60 for rows in (first, second)]
+    assert ends[0] == pytest.approx(ends[1] / 2, abs=1)
+    line = np.flatnonzero((picture[first[len(first) // 2]] < 60).all(axis=1))
+    assert line[-1] - 60 == pytest.approx(ends[1], abs=1)
+    assert line[0] - 60 == pytest.approx(ends[0] / 2, abs=1)

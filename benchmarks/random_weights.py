@@ -1,0 +1,72 @@
+"""Write networks with random weights, which run as fast as trained ones, as files for ssdnet-bench.
+
+    python benchmarks/random_weights.py DIR ddrnet-23-slim fast-scnn
+
+Networks of ours answer as `ssdnet-export` has it, those for depth of others in metres; semantic
+networks of others end in scores of 19 classes at full size, as papers time them.
+"""
+
+import argparse
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from export.deploy import DeployGraph
+from export.trace import trace
+from models import SSDNet, create_model
+from models.blocks import upsample
+from models.registry import NETWORKS
+from runtime.io.atomic_write import atomic_write
+
+#: Classes of Cityscapes, for which the others' networks were published.
+NUM_CLASSES = 19
+#: Exported graphs take any size; they are traced at this one.
+TRACED_AT = (128, 416)
+
+
+class LogitsGraph(DeployGraph):
+    """Pixels to scores of every class at full size."""
+
+    @property
+    def heads(self) -> tuple[str, ...]:
+        """The one output."""
+        return ("semantic_logits",)
+
+    def forward(self, rgb: Tensor, sparse_depth: Tensor) -> tuple[Tensor, ...]:
+        """Uint8 (N, H, W, 3) and float32 (N, H, W) -> float32 (N, C, H, W)."""
+        height, width = rgb.shape[1], rgb.shape[2]
+        coarse = self.model.predict_coarse(
+            rgb.permute(0, 3, 1, 2).to(torch.float32), sparse_depth.unsqueeze(1)
+        )
+        logits = upsample(coarse.semantic_logits, factor=self.model.semantic_stride)
+        return (logits[:, :, :height, :width],)
+
+
+def main() -> None:
+    """Write the files."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, metavar="DIR")
+    parser.add_argument("names", nargs="+", choices=list(NETWORKS), metavar="NAME")
+    arguments = parser.parse_args()
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    for name in arguments.names:
+        atomic_write(arguments.folder / f"{name}.onnx", export_graph(random_graph(name)))
+
+
+def random_graph(name: str) -> DeployGraph:
+    """Build a network with random weights."""
+    torch.manual_seed(0)
+    entry = NETWORKS[name]
+    if issubclass(entry.network, SSDNet) or not entry.config.classes:
+        return DeployGraph(create_model(name).eval())
+    return LogitsGraph(create_model(name, num_classes=NUM_CLASSES).eval())
+
+
+def export_graph(graph: DeployGraph) -> bytes:
+    """Return the ONNX file of a graph for any size, without metadata."""
+    return trace(graph, size=TRACED_AT, dynamic=True).SerializeToString()
+
+
+if __name__ == "__main__":
+    main()

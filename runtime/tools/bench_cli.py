@@ -1,0 +1,172 @@
+"""`ssdnet-bench`: models side by side on this machine."""
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from runtime.command import (
+    ERROR,
+    INTERRUPTED,
+    Provider,
+    interruptible,
+    print_result,
+    reported_errors,
+)
+from runtime.command_options import NoDevice, Version
+from runtime.cores import available_cores
+from runtime.io.atomic_write import atomic_write
+from runtime.tools.bench import BenchOptions, BenchReport, BenchRow, bench
+
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.command(
+    "bench",
+    epilog="Exit codes: 0 done; 1 a model could not run, its row says why; 2 usage; "
+    "130 interrupted, with a table of what was measured.",
+)
+def main(
+    models: Annotated[
+        list[str],
+        typer.Argument(metavar="MODEL", help="Names of bundled models, and any ONNX files."),
+    ],
+    size: Annotated[
+        list[str],
+        typer.Option(metavar="HxW", help="Of models that take any; may be repeated."),
+    ] = ["375x1242"],  # noqa: B006 - typer copies it
+    threads: Annotated[
+        list[int] | None,
+        typer.Option(min=1, help="May be repeated. [default: the physical cores]"),
+    ] = None,
+    batch: Annotated[
+        int, typer.Option(min=1, help="Frames of a run, of models that take any number.")
+    ] = 1,
+    rounds: Annotated[
+        int, typer.Option(min=1, help="Measured runs of each model; p99 needs 100.")
+    ] = 100,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ",
+            help="Frames come at this rate, for each model for a second in turn; the latency is "
+            "from when a frame is due. [default: one run in turn]",
+        ),
+    ] = None,
+    provider: Annotated[Provider, typer.Option(help="Where the models run.")] = Provider.cpu,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write all times and figures.")
+    ] = None,
+    md_file: Annotated[
+        Path | None, typer.Option("--md", metavar="FILE", help="Write what is printed, Markdown.")
+    ] = None,
+    plot_file: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Write latencies as a PNG.")
+    ] = None,
+    _device: NoDevice = None,
+    _version: Version = False,
+) -> None:
+    """Measure latency, memory and load time of models side by side."""
+    if rate is not None and not 0 < rate < math.inf:
+        raise typer.BadParameter(f"--rate must be more than 0, got {rate}")
+    sizes, used = tuple(map(_size, size)), tuple(threads or [available_cores()])
+    options = BenchOptions(tuple(models), sizes, used, batch, rounds, rate, provider.value)
+    with reported_errors("cpu"):
+        with interruptible():
+            report = bench(options)
+        text = to_markdown(report)
+        printed = print_result(text)
+        if md_file is not None:
+            atomic_write(md_file, (text + "\n").encode())
+        if json_file is not None:
+            document = json.dumps(report.document(), indent=2, allow_nan=False)
+            atomic_write(json_file, (document + "\n").encode())
+        if plot_file is not None:
+            _plot(report, plot_file)
+        if report.interrupted:
+            raise typer.Exit(INTERRUPTED)
+        failed = any(row.error for group in report.groups for row in group)
+        raise typer.Exit(ERROR if failed or not printed else 0)
+
+
+def _size(text: str) -> tuple[int, int]:
+    sides = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text, re.ASCII | re.IGNORECASE)
+    if sides is None:
+        raise typer.BadParameter(f"--size is HEIGHTxWIDTH, as 375x1242, got {text!r:.80}")
+    return int(sides[1]), int(sides[2])
+
+
+def to_markdown(report: BenchReport) -> str:
+    """A line on the machine, and a table for each size and number of threads."""
+    options, machine = report.options, report.machine
+    how = "runs in turn" if options.rate_hz is None else f"frames at {options.rate_hz:g} Hz"
+    parts = [
+        f"{machine.processor}, {machine.logical_cores} logical cores, load {report.load:.2f} "
+        f"at the start, onnxruntime {report.onnxruntime} on {options.provider}, Python "
+        f"{machine.python}; {options.rounds} {how}{', interrupted' * report.interrupted}"
+    ]
+    titles = ["model", "input", "GMACs", "params M", "median ms", "min ms", "p99 ms"]
+    titles += [f"ratio to {options.models[0]}", "quartiles", "processor ms", "GMAC/s"]
+    titles += ["peak MB", "load ms", "first ms", "note"]
+    for group in report.groups:
+        rows = [titles, ["---"] * len(titles), *map(_cells, group)]
+        lines = [f"| {' | '.join(map(_cell, row))} |" for row in rows]
+        (height, width), threads = group[0].size, group[0].threads
+        parts.append("\n".join([f"**{height} x {width}, threads {threads}**\n", *lines]))
+    return "\n\n".join(parts)
+
+
+def _cells(row: BenchRow) -> list[str]:
+    opened, found = row.opened, row.figures
+    if opened is None or found is None:
+        return [row.model, *["-"] * 13, row.error or "not measured"]
+    low, ratio, high = found.ratio or (None, None, None)
+    return [
+        row.model,
+        "x".join(map(str, next(iter(opened.shapes.values()), ()))),
+        _number(opened.gmacs),
+        _number(opened.params_m),
+        _number(found.latency.median_ms),
+        _number(found.min_ms),
+        _number(found.latency.p99_ms),
+        _number(ratio),
+        f"{_number(low)} to {_number(high)}",
+        _number(found.processor_ms),
+        _number(found.gmacs_per_s),
+        _number(opened.peak_memory_mb),
+        _number(opened.load_ms),
+        _number(opened.first_inference_ms),
+        ", ".join(opened.notes),
+    ]
+
+
+def _number(value: float | None) -> str:
+    """Three significant digits or more; "-" for None."""
+    if value is None:
+        return "-"
+    return f"{value:.{max(0, 2 - math.floor(math.log10(value or 1)))}f}"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+def _plot(report: BenchReport, path: Path) -> None:
+    """Write a bar a row. Raises OutputError."""
+    from runtime.drawing.latency_plot import draw_bars  # here: nothing else needs OpenCV
+    from runtime.io.encode import encode_png
+
+    bars = [
+        (
+            f"{row.model}, {row.size[0]} x {row.size[1]}, threads {row.threads}",
+            (row.figures.min_ms, row.figures.latency.median_ms, row.figures.latency.max_ms),
+        )
+        for group in report.groups
+        for row in group
+        if row.figures is not None
+    ]
+    if bars:
+        atomic_write(path, encode_png(draw_bars(bars)))
