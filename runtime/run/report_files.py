@@ -85,9 +85,12 @@ def _scale_text(predictor: Predictor, frame_size: tuple[int, int] | None) -> str
     if frame_size is None:
         return ""
     scale = predictor.depth_scale(frame_size)
-    used = "not used" if scale.focal_length_px is None else f"{scale.focal_length_px:g} px"
+    given_px = predictor.focal_length_px
+    used = "not known" if given_px is None else f"{given_px:g} px"
     if scale.ignored:
-        used = "ignored, since it would leave too short a range"
+        used += ", ignored, since it would leave too short a range"
+    elif scale.focal_length_px is None and given_px is not None:
+        used += ", not used by this model"
     return f"\nfocal length {used}; depth up to {scale.range_m:.4g} m"
 
 

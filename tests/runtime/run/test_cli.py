@@ -705,6 +705,13 @@ def test_the_focal_length_reaches_the_model(tmp_path, run, model_file, contract)
     assert cv2.imread(str(picture), cv2.IMREAD_UNCHANGED).min() == 3 * 256
 
 
+def test_a_focal_length_that_is_not_known_or_not_used_is_reported(run):
+    arguments = ["--limit", 1, "--save", "none"]
+    assert "\nfocal length not known; depth up to 80 m\n" in run(*arguments).stdout
+    given = run(*arguments, "--focal-length", 200, "--overwrite").stdout
+    assert "\nfocal length 200 px, not used by this model; depth up to 80 m\n" in given
+
+
 def test_an_ignored_focal_length_is_reported(tmp_path, run, model_file, contract):
     """It would leave 40 m of the 80."""
     path = model_file("c.onnx", contract=dataclasses.replace(contract, canonical_focal_px=100.0))
@@ -713,7 +720,7 @@ def test_an_ignored_focal_length_is_reported(tmp_path, run, model_file, contract
     inputs = json.loads((tmp_path / "out" / "report.json").read_text())["inputs"]
     assert (inputs["focal_length_px"], inputs["used_focal_length_px"]) == (50.0, None)
     assert inputs["depth_range_m"] == 80.0
-    assert "focal length ignored, since it would leave too short a range" in result.stdout
+    assert "focal length 50 px, ignored, since it would leave too short a range" in result.stdout
 
 
 @pytest.mark.parametrize("value", ["0", "-5", "nan", "1e9"])
