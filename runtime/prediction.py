@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 NO_DEPTH = "no_depth"  # not one usable return: the answer comes from the camera alone
 SPARSE_DEPTH_LOW = "sparse_depth_low"  # in too few places, see `preprocess.covers_little`
 IMAGE_CONSTANT = "image_constant"  # all pixels are equal: a covered or dead camera
+IMPLAUSIBLE_DEPTH = "implausible_depth"  # of a stream, see `runtime.health.depth_plausibility`
 # Those that make the answer unusable (valid is False) are listed in `postprocess.faults`.
 
 

@@ -1,15 +1,17 @@
 """The prediction of a matched frame, and the checks of its sensors."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.health.consistency import Consistency, ConsistencyCheck
+from runtime.health.depth_plausibility import DepthPlausibility
 from runtime.health.frame_health import FrameHealth
 from runtime.io.calibration import Calibration
 from runtime.live.payload import Points
-from runtime.prediction import Prediction
+from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.sync.synchronizer import Pair
 
 
@@ -43,7 +45,7 @@ class Answerer:
         self, predictor: FramePredictor, calibration: Calibration | None, consistency: float | None
     ) -> None:
         self._predictor, self._calibration = predictor, calibration
-        self._health = FrameHealth()
+        self._health, self._plausibility = FrameHealth(), DepthPlausibility()
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
 
     def answer(self, pair: Pair) -> Answer:
@@ -64,7 +66,11 @@ class Answerer:
             prediction, camera_only = self._predict(rgb, left, pair), None
             if self._consistency.scale_is_due:
                 camera_only = self._predict(rgb, np.zeros(size, np.float32), pair)
+                self._plausibility.add(camera_only, sparse_depth)
             consistency = self._consistency.score(prediction, camera_only, sparse_depth, held_out)
+            if self._plausibility.finding() is not None:
+                degraded = (*prediction.degraded, IMPLAUSIBLE_DEPTH)
+                prediction = replace(prediction, degraded=degraded)
         health = self._health.check(rgb, sparse_depth)  # predict has checked that they fit
         return Answer(prediction, health, consistency)
 

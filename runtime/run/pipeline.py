@@ -158,6 +158,7 @@ def run_stream(
     *,
     read: Callable[[ListedFrame], Frame],
     rate_hz: float | None = None,
+    degraded: tuple[str, ...] = (),
     write: WriteFrame | None = None,
     record: WriteFrame | None = None,
     on_record: Callable[[FrameRecord], None] = lambda record: None,
@@ -175,9 +176,10 @@ def run_stream(
             where a frame cannot be read.
         rate_hz: frames are due at this rate from the start on, and none is predicted earlier
             (constant stream of MLPerf); None = each when the one before is done (single stream).
+        degraded: reasons that hold for the whole stream, added to those of each prediction.
         write: called with each valid answer in the writing thread; None = nothing is written.
-        record: called with each answer, valid or not, in the calling thread, while nothing is
-            predicted; None = nothing is recorded.
+        record: called with each answer as the predictor gave it, valid or not, in the calling
+            thread, while nothing is predicted; None = nothing is recorded.
         on_record: called with each record when its frame is done.
         stop: asked before each frame; True ends the stream.
 
@@ -221,14 +223,18 @@ def run_stream(
             answer = answer_frame(predictor, index, name, reading.result)
             done, written = answer.record, None
             if answer.frame is not None and answer.prediction is not None:
+                prediction = answer.prediction
                 if due is not None:
                     age_ms = (time.perf_counter() - due) * 1e3
                     jitter_ms = jitter.record(round(age_ms * NS_PER_MS))
                     done = replace(done, age_ms=age_ms, jitter_ms=jitter_ms)
                 if record is not None:
-                    record(answer.frame, answer.prediction)
-                if write is not None and answer.prediction.valid:
-                    written = writer.submit(_timed_write, write, answer.frame, answer.prediction)
+                    record(answer.frame, prediction)
+                if degraded:
+                    prediction = replace(prediction, degraded=prediction.degraded + degraded)
+                    done = replace(done, degraded=prediction.degraded)
+                if write is not None and prediction.valid:
+                    written = writer.submit(_timed_write, write, answer.frame, prediction)
             writes.append((done, written))
             read_next()
             while len(writes) > _WRITE_BEHIND:

@@ -1,6 +1,7 @@
 """Run a model over a stream of frames, and write what was asked for."""
 
 import contextlib
+import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -10,8 +11,9 @@ from runtime.command import stop_requested
 from runtime.drawing.overlay import SharedOverlay
 from runtime.engine_facts import engine_facts
 from runtime.errors import InputError, OutputError, SSDNetError
+from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.io.recording import Settings
-from runtime.prediction import Prediction
+from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth
 from runtime.run.options import RunOptions
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from runtime.run.outputs.run_page import RunPage
 
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
+_DEPTH_SCALES = (1, 100, 256, 1000)  # of metres, centimetres, KITTI and millimetres
 
 OnRecord = Callable[[FrameRecord], None]
 #: Called before the first frame with a text about the run and the number of frames; returns what is
@@ -61,12 +64,15 @@ def run(
     dedicate_process()
     with options.open_source() as source:
         _require_apart(options.folder, source.folders)
-        frames = options.shard_of(source.list_frames(limit=options.limit))
+        listed = source.list_frames(limit=options.limit)
+        frames = options.shard_of(listed)
         with _open_predictor(options, source) as predictor:
             kinds = _answered_kinds(options, predictor)
             frame_size = _warm_up(predictor, frames, source, runs=options.warmup)
             _require_outputs(options, source)
-            about = "\n".join([*source.notes, describe_predictor(predictor, frame_size)])
+            doubt = _doubt(predictor, listed[:FIRST_FRAMES], source)  # the same for all shards
+            lines = [*source.notes, describe_predictor(predictor, frame_size)]
+            about = "\n".join([*lines, f"warning: {doubt}"] if doubt else lines)
             page = _page(options, predictor)
             with stop_requested() as stop:
                 with _open_outputs(options, predictor, kinds, frames, page) as (write, record):
@@ -75,12 +81,13 @@ def run(
                         frames,
                         read=source.read,
                         rate_hz=options.rate,
+                        degraded=(IMPLAUSIBLE_DEPTH,) if doubt else (),
                         write=write,
                         record=record,
                         on_record=on_start(about, len(frames)),
                         stop=stop,
                     )
-                report = _report(options, source, predictor, kinds, frame_size, result)
+                report = _report(options, source, predictor, kinds, frame_size, result, doubt)
                 write_report(report)
                 if page is not None:
                     page.finish(report)
@@ -142,6 +149,29 @@ def _warm_up(
             + "; ".join(group_reasons(reasons))
         )
     return None
+
+
+def _doubt(predictor: Predictor, frames: Sequence[ListedFrame], source: Source) -> str | None:
+    """Why the returns of the first frames cannot be right, and what to try; None = nothing found.
+
+    Done before the stream, since it takes predictions from the camera alone.
+    """
+    check = DepthPlausibility()
+    for listed in frames if "depth" in predictor.heads else ():
+        with contextlib.suppress(SSDNetError):  # the run itself reports it
+            frame = source.read(listed)
+            check_sparse_depth(frame.sparse_depth, size=(frame.rgb.shape[0], frame.rgb.shape[1]))
+            if (frame.sparse_depth > 0).any():
+                check.add(predictor.predict(frame.rgb, None), frame.sparse_depth)
+    finding, scale = check.finding(), source.inputs.get("depth_scale")
+    if finding is None or finding.ratio is None:
+        return finding and finding.cause
+    if scale is None:
+        return f"{finding.cause}: check their unit"
+    wanted = scale * finding.ratio
+    usual = min(_DEPTH_SCALES, key=lambda each: abs(math.log(each / wanted)))
+    right = f"{usual}" if 0.5 < usual / wanted < 2 else f"of about {float(f'{wanted:.2g}'):g}"
+    return f"{finding.cause}: try --depth-scale {right}"
 
 
 def _require_apart(out: Path, inputs: Sequence[Path]) -> None:
@@ -243,6 +273,7 @@ def _report(
     kinds: tuple[str, ...],
     frame_size: tuple[int, int] | None,
     result: StreamResult,
+    doubt: str | None,
 ) -> RunReport:
     scale = predictor.depth_scale(frame_size) if frame_size else None
     inputs = {
@@ -254,6 +285,7 @@ def _report(
         "shard": options.shard,
         "warmup": options.warmup,
     }
+    engine = engine_facts(predictor)
     return RunReport(
-        engine_facts(predictor), inputs, options.folder, kinds, result, options.deadline_ms
+        engine, inputs, options.folder, kinds, result, options.deadline_ms, implausible_depth=doubt
     )

@@ -47,6 +47,7 @@ class RunReport:
         saved: kinds of files that were written of each frame.
         stream: records of the frames.
         deadline_ms: of each frame's `response_ms`; None = there was none.
+        implausible_depth: why the returns cannot be right; None = nothing was found.
     """
 
     engine: EngineFacts
@@ -55,6 +56,7 @@ class RunReport:
     saved: tuple[str, ...]
     stream: StreamResult
     deadline_ms: float | None = None
+    implausible_depth: str | None = None
 
     @property
     def records(self) -> tuple[FrameRecord, ...]:
@@ -154,6 +156,7 @@ class RunReport:
                 "by_status": self.by_status,
                 "degraded": self.degraded,
                 "health": self.health,
+                "implausible_depth": self.implausible_depth,
                 "by_network_size": self.by_network_size,
                 "not_ok": [
                     {"name": record.name, "status": record.status, "reason": record.reason}

@@ -36,6 +36,7 @@ _MEANINGS = {
     LATE: "later than the deadline",
     "no_depth": "no LiDAR return: camera only",
     "sparse_depth_low": "LiDAR returns in too few places",
+    "implausible_depth": "the returns contradict the image",
     "image_constant": "all pixels are equal",
     "image_frozen": "same bytes as the image before",
     "image_black": "nearly all pixels are dark",

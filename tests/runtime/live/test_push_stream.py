@@ -5,6 +5,7 @@ No test sleeps: the clock is moved by hand, and a prediction lasts until its gat
 
 import threading
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -879,3 +880,23 @@ def test_returns_are_held_out_with_the_option_consistency(setup):
     assert camera_only.consistency is None
     assert next(plain.stream).prediction.depth_returns == 32 * 40
     assert next(plain.stream).consistency is None
+
+
+def test_depth_that_contradicts_the_image_is_reported_with_the_option_consistency(
+    setup, monkeypatch
+):
+    row, column = np.mgrid[:32, :40]
+    seen = ((40 - row + column / 2) / 10).astype(np.float32)
+    for options, degraded in (({"consistency": 0.05}, ("implausible_depth",)), ({}, ())):
+        made = setup(mode="replay", **options)
+
+        def see(rgb, sparse_depth, predict=made.predictor.predict, **others):
+            answer = predict(rgb, sparse_depth, **others)
+            return answer if sparse_depth.any() else replace(answer, heads={"depth": seen})
+
+        monkeypatch.setattr(made.predictor, "predict", see)
+        for stamp in (0.0, 0.1):
+            made.stream.push_image(image(), stamp)
+            made.stream.push_depth(10 * seen, stamp)
+        made.stream.close()
+        assert [result.prediction.degraded for result in made.stream] == [degraded] * 2

@@ -183,6 +183,64 @@ def test_the_depth_scale(tmp_path, run, stream):
     assert int(rows_of(tmp_path / "out")[0]["too_far"]) > 0
 
 
+@pytest.fixture
+def run_metres(tmp_path, model_file):
+    """Run a model that sees red / 16 metres on two frames, whose depth PNGs are made of them."""
+
+    def see_red(graph):
+        (node,) = (each for each in graph.node if each.output[0] == "depth")
+        graph.node.remove(node)
+        node.op_type, node.input[:] = "Mul", ["red", "sixteenth"]
+        graph.node.insert(3, node)
+
+    def invoke(to_units, *given):
+        folders = tmp_path / "cam", tmp_path / "lidar"
+        red = (4000 / (20 + np.arange(48)[:, None]) - np.arange(64) / 2).astype(np.uint8)
+        bgr, depth = np.stack([red, red // 2, red], axis=-1), np.rint(to_units(red / 16))
+        for folder, picture in zip(folders, (bgr, depth.astype(np.uint16)), strict=True):
+            folder.mkdir()
+            for name in ("0.png", "1.png"):
+                assert cv2.imwrite(str(folder / name), picture)
+        model = model_file(edit=see_red)
+        result = CliRunner().invoke(app, [*arguments(folders, model, tmp_path), *map(str, given)])
+        assert result.exit_code == 0, result.output
+        return result
+
+    return invoke
+
+
+@pytest.mark.parametrize(
+    ("to_units", "scale", "warning"),
+    [
+        (lambda m: m * 1000, 256, "the returns are 3.9 times as far as the camera alone sees: "
+         "try --depth-scale 1000"),
+        (lambda m: m * 256, 2560, "the returns are 0.1 times as far as the camera alone sees: "
+         "try --depth-scale 256"),
+        (lambda m: m * 25.6, 256, "the returns are 0.1 times as far as the camera alone sees: "
+         "try --depth-scale of about 26"),
+        (lambda m: m[:, ::-1] * 256, 256, "the returns fit the mirrored image: left and right are "
+         "swapped in one of them"),
+        (lambda m: 65535 / m, 256, "the returns are far where the camera alone sees near: they may "
+         "be inverse depth or disparity"),
+        (lambda m: m * 1000, 1000, None),
+    ],
+)  # fmt: skip
+def test_depth_that_contradicts_the_image_is_reported(
+    tmp_path, run_metres, to_units, scale, warning
+):
+    recording = tmp_path / "recording"
+    result = run_metres(to_units, "--depth-scale", scale, "--record", recording)
+    warned = re.findall(r"^warning: (.*)$", result.stdout, re.MULTILINE)
+    assert warned == ([warning] if warning else [])
+    frames = json.loads((tmp_path / "out/report.json").read_text())["frames"]
+    assert frames["implausible_depth"] == warning
+    assert frames["degraded"] == ({"implausible_depth": 2} if warning else {})
+    rows = rows_of(tmp_path / "out")
+    assert {row["degraded"] for row in rows} == {"implausible_depth" if warning else ""}
+    recorded = read_recording(recording).frames
+    assert [frame.degraded for frame in recorded] == [(), ()], "what ssdnet-verify predicts again"
+
+
 @pytest.mark.parametrize("parts", [1, 3, N, N + 2])
 def test_shards_are_disjoint_and_together_the_whole(tmp_path, run, parts):
     """Byte for byte; a part without a frame is a run of none."""

@@ -1,0 +1,102 @@
+"""Whether the returns can be metres of what the camera sees: unit, inverse depth, mirrored maps.
+
+The first frames with returns are compared with the depth that the model predicts from the image
+alone. Its scale is nearly right and its structure is that of the image, so the logarithms of both
+correlate, also where only the unit of the returns is wrong. The correlation counts after the mean
+of each band of rows was subtracted: near below and far above is what any image looks like, also to
+a model that cannot see in the dark. Limits and what recordings reach: docs/streams.md.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.prediction import IMAGE_CONSTANT, Prediction
+
+FIRST_FRAMES = 5  # their median counts
+_LEAST_RETURNS, _MOST_RETURNS = 200, 50_000  # of denser maps every n-th counts
+_BANDS = 48  # over the height of the image
+_LEAST_DEPTH_M = 0.1
+_ALIKE = 0.5  # correlation from which two depth maps show the same scene
+_MIRRORED_MARGIN = 0.2  # by which the mirrored map must correlate better
+_NEAREST, _FARTHEST = 0.25, 2.5  # return / camera-only depth; right ones: 0.66 to 1.14
+
+
+class Implausible(NamedTuple):
+    """What is wrong with the returns of a stream."""
+
+    cause: str
+    ratio: float | None = None  # return / camera-only depth, where only the scale is wrong
+
+
+class DepthPlausibility:
+    """Compares the returns of the first frames of a stream with the camera-only prediction."""
+
+    def __init__(self) -> None:
+        self._figures: list[tuple[float, float, float, float]] = []
+
+    def add(self, camera_only: Prediction, sparse_depth: NDArray[np.float32]) -> None:
+        """Add a frame; ignored after FIRST_FRAMES, with few returns, or without camera-only depth.
+
+        Args:
+            camera_only: prediction from the image of the frame without any return.
+            sparse_depth: float32 (H, W), metres, also beyond the range of the model.
+        """
+        depth = camera_only.depth
+        row, column = np.nonzero((sparse_depth > 0) & (sparse_depth < np.inf))
+        trusted = camera_only.valid and IMAGE_CONSTANT not in camera_only.degraded
+        if len(self._figures) == FIRST_FRAMES or depth is None or not trusted:
+            return
+        if len(row) < _LEAST_RETURNS:
+            return
+        step = len(row) // _MOST_RETURNS + 1
+        row, column = row[::step], column[::step]
+        measured = np.log(sparse_depth[row, column].astype(np.float64))
+        seen, mirrored = (
+            np.log(np.maximum(view[row, column], _LEAST_DEPTH_M, dtype=np.float64))
+            for view in (depth, depth[:, ::-1])
+        )
+        band = row * _BANDS // len(depth)
+        self._figures.append(
+            (
+                float(np.median(measured - seen)),
+                _correlation(measured, seen),
+                _correlation(_within(band, measured), _within(band, seen)),
+                _correlation(_within(band, measured), _within(band, mirrored)),
+            )
+        )
+
+    def finding(self) -> Implausible | None:
+        """What is wrong by the frames so far; None = nothing, or it cannot be told."""
+        if not self._figures:
+            return None
+        log_ratio, overall, alike, mirrored = np.median(self._figures, axis=0)
+        if max(overall, alike) <= -_ALIKE:
+            return Implausible(
+                "the returns are far where the camera alone sees near: they may be inverse depth "
+                "or disparity"
+            )
+        if mirrored >= max(_ALIKE, alike + _MIRRORED_MARGIN):
+            return Implausible(
+                "the returns fit the mirrored image: left and right are swapped in one of them"
+            )
+        ratio = float(np.exp(log_ratio))
+        if min(overall, alike) >= _ALIKE and not _NEAREST <= ratio <= _FARTHEST:
+            return Implausible(
+                f"the returns are {ratio:.2g} times as far as the camera alone sees", ratio
+            )
+        return None
+
+
+def _within(band: NDArray[np.intp], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Subtract the mean of each band."""
+    means = np.bincount(band, values, _BANDS) / np.maximum(np.bincount(band, minlength=_BANDS), 1)
+    return np.asarray(values - means[band])
+
+
+def _correlation(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    """Pearson's; 0 where one of both is constant."""
+    first, second = first - first.mean(), second - second.mean()
+    spread = float(np.sqrt((first @ first) * (second @ second)))
+    return float(first @ second) / spread if spread > 1e-6 else 0.0

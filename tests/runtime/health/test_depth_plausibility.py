@@ -1,0 +1,108 @@
+import numpy as np
+import pytest
+
+from runtime import Predictor
+from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
+from runtime.io.images import read_rgb, read_sparse_depth
+from runtime.prediction import IMAGE_CONSTANT, NO_DEPTH, Latency, Prediction
+from runtime.sources.bundled_stream import bundled_stream
+
+SIZE = (96, 160)
+FAR = "far where the camera alone sees near"
+MIRRORED = "left and right are swapped"
+
+
+def scene(seed=0):
+    """A road that ends in houses, nearer on the left than on the right, float32 metres."""
+    row, column = np.mgrid[: SIZE[0], : SIZE[1]] / 1.0
+    houses = 6 + 30 * column / SIZE[1] + 4 * np.random.default_rng(seed).random(SIZE)
+    return np.minimum(houses, 150 / (row + 1)).astype(np.float32)
+
+
+def camera_only(depth, **changes):
+    options = {"latency": Latency(0, 0, 0, 0), "degraded": (NO_DEPTH,), **changes}
+    return Prediction({"depth": depth}, SIZE, SIZE, **options)
+
+
+def returns(depth):
+    sparse = np.zeros_like(depth)
+    sparse[::3, ::2] = depth[::3, ::2]
+    return sparse
+
+
+def find(sparse, seen=None, **changes):
+    check = DepthPlausibility()
+    check.add(camera_only(scene(1) if seen is None else seen, **changes), sparse)
+    return check.finding()
+
+
+@pytest.mark.parametrize("factor", [0.4, 0.8, 1.0, 1.5, 1.7])
+def test_right_returns_are_plausible_also_where_the_focal_length_is_not_known(factor):
+    assert find(returns(scene() * np.float32(factor))) is None
+
+
+@pytest.mark.parametrize("factor", [1e-3, 0.1, 1000 / 256, 10, 1000])
+def test_a_wrong_unit_is_found_with_its_factor(factor):
+    found = find(returns(scene() * np.float32(factor)))
+    assert found.ratio == pytest.approx(factor, rel=0.05)
+    assert "times as far as the camera alone sees" in found.cause
+
+
+@pytest.mark.parametrize("unit", [1, 384])
+def test_inverse_depth_is_found(unit):
+    found = find(returns(unit / scene()))
+    assert FAR in found.cause
+    assert found.ratio is None
+
+
+@pytest.mark.parametrize("factor", [0.1, 1, 10])
+def test_a_mirrored_map_is_found_in_any_unit(factor):
+    found = find(returns(scene()[:, ::-1] * np.float32(factor)))
+    assert MIRRORED in found.cause
+    assert found.ratio is None
+
+
+def test_what_the_camera_cannot_see_is_no_reason():
+    """A model guesses a road of any scale in the dark: near below, far above."""
+    road = np.broadcast_to(150 / (np.arange(SIZE[0])[:, None] + 1), SIZE).astype(np.float32)
+    wrong = returns(scene() * 10)
+    assert find(wrong) is not None
+    assert find(wrong, seen=road) is None
+    assert find(wrong, seen=np.full(SIZE, 5, np.float32)) is None
+    assert find(wrong, valid=False) is None
+    assert find(wrong, degraded=(NO_DEPTH, IMAGE_CONSTANT)) is None
+    few = np.zeros_like(wrong)
+    few[::9, ::10] = wrong[::9, ::10]
+    assert find(few) is None
+    assert find(np.full(SIZE, np.nan, np.float32)) is None
+
+
+def test_the_median_of_the_first_frames_counts():
+    check = DepthPlausibility()
+    seen, right, wrong = camera_only(scene(1)), returns(scene()), returns(scene() * 10)
+    assert check.finding() is None
+    for sparse in (right, right, wrong):
+        check.add(seen, sparse)
+    assert check.finding() is None
+    for sparse in (wrong, wrong, *[right] * FIRST_FRAMES):
+        check.add(seen, sparse)
+    assert check.finding().ratio == pytest.approx(10, rel=0.05)
+
+
+def test_a_bundled_model_on_a_frame_of_the_bundled_stream():
+    folders = bundled_stream()
+    rgb = read_rgb(folders[0] / "00000.jpg")
+    depth = read_sparse_depth(folders[1] / "00000.png")
+    with Predictor("ssdnet-nano", warmup=0) as predictor:
+        answer = predictor.predict(rgb, None)
+
+    def found(sparse):
+        check = DepthPlausibility()
+        check.add(answer, np.ascontiguousarray(sparse))
+        return check.finding()
+
+    assert found(depth) is None
+    for factor in (0.1, 1000 / 256, 10):
+        assert 0.5 < found(depth * np.float32(factor)).ratio / factor < 1.5
+    assert MIRRORED in found(depth[:, ::-1]).cause
+    assert FAR in found(np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)).cause
