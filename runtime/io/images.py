@@ -1,4 +1,4 @@
-"""Read images and depth maps: PNG and JPEG files of bounded size."""
+"""Read images and depth maps from files of bounded size."""
 
 import re
 from pathlib import Path
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from runtime.contract import MAX_PIXELS
 from runtime.errors import InputError
 from runtime.io.image_header import image_size
+from runtime.io.npy import read_npy
 from runtime.read_input import read_input
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
-DEPTH_SUFFIXES = (".png",)
-KITTI_DEPTH_SCALE = 256.0  # PNG units per metre; Virtual KITTI has 100
+DEPTH_SUFFIXES = (".png", ".tif", ".tiff", ".npy")
+KITTI_DEPTH_SCALE = 256.0  # units per metre; Virtual KITTI has 100
 
 
 def read_rgb(path: Path) -> NDArray[np.uint8]:
@@ -46,38 +47,44 @@ def read_rgb(path: Path) -> NDArray[np.uint8]:
 
 
 def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> NDArray[np.float32]:
-    """Read a 16-bit PNG depth map.
+    """Read a depth map from a PNG, TIFF or .npy file.
 
     Args:
-        path: the file, of at most `MAX_FILE_BYTES` and `MAX_PIXELS`.
-        depth_scale: PNG units per metre, 256 for KITTI, 100 for Virtual KITTI.
+        path: the file, of at most `MAX_FILE_BYTES` and `MAX_PIXELS`, with one channel of uint16
+            or of floats, which are metres.
+        depth_scale: units of uint16 per metre, 256 for KITTI, 100 for Virtual KITTI.
 
     Returns:
-        float32 (H, W), metres, 0 = no measurement.
+        float32 (H, W), metres; 0 and what is not finite = no measurement.
 
     Raises:
-        InputError: if the file cannot be read, is truncated or damaged, or is not one channel of 16
-            bits.
+        InputError: if the file cannot be read, is truncated or damaged, or holds anything else.
     """
-    image = decode(path, cv2.IMREAD_UNCHANGED)
-    if image.dtype != np.uint16 or image.ndim != 2:
-        channels = 1 if image.ndim == 2 else image.shape[2]
+    is_npy = path.suffix.lower() == ".npy"
+    depth = read_npy(path) if is_npy else decode(path, cv2.IMREAD_UNCHANGED)
+    kind = depth.dtype.str[1:]
+    if depth.ndim != 2 or not (kind == "u2" or kind.startswith("f")):
         raise InputError(
-            f"{path} must be a depth map of one channel of 16 bits, got {channels} of "
-            f"{image.dtype.itemsize * 8} bits: an image for display holds no metres"
+            f"{path} must be a depth map of one channel of 16 bits (PNG, TIFF or .npy) or of "
+            f"floats in metres (TIFF or .npy), got {depth.dtype} {depth.shape}: an image for "
+            "display holds no metres"
         )
-    depth: NDArray[np.float32] = np.divide(image, np.float32(depth_scale), dtype=np.float32)
-    return depth
+    scale = np.float32(depth_scale if kind == "u2" else 1)
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no measurement
+        metres: NDArray[np.float32] = np.divide(depth, scale, dtype=np.float32, casting="same_kind")
+    return metres
 
 
 def decode(path: Path, flags: int) -> NDArray[Any]:
-    """Decode a PNG or JPEG file with OpenCV's IMREAD_* `flags`. Raises InputError."""
+    """Decode a PNG, JPEG or TIFF file with OpenCV's IMREAD_* `flags`. Raises InputError."""
     return decode_content(read_input(path), flags, name=str(path))
 
 
 def decode_content(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
-    """Decode the content of a PNG or JPEG file as `decode` does; `name` is for the errors."""
-    damaged = f"{name} is empty, truncated or damaged, or no PNG or JPEG ({len(content)} bytes)"
+    """Decode the content of such a file as `decode` does; `name` is for the errors."""
+    damaged = (
+        f"{name} is empty, truncated or damaged, or no PNG, JPEG or TIFF ({len(content)} bytes)"
+    )
     size = image_size(content)
     if size is None:
         raise InputError(damaged)
@@ -112,11 +119,13 @@ def list_files(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[s
         raise InputError(f"cannot list the folder {str(folder)[:200]} ({reason})") from error
     files: dict[str, Path] = {}
     for path in paths:
-        if path.suffix.lower() not in suffixes or path.name.startswith("."):
+        suffix = next(filter(path.name.lower().endswith, suffixes), None)
+        if suffix is None or path.name.startswith("."):
             continue
-        if path.stem in files:
-            raise InputError(f"{files[path.stem]} and {path} have the same stem: remove one")
-        files[path.stem] = path
+        stem = path.name[: -len(suffix)]
+        if stem in files:
+            raise InputError(f"{files[stem]} and {path} have the same stem: remove one")
+        files[stem] = path
     if not files:
         raise InputError(
             f"the folder {folder} has no {' or '.join(suffixes)} files: give the folder that "

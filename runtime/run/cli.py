@@ -55,7 +55,8 @@ def main(
     depth: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the sparse depth maps (16-bit PNG), or the one of one image. "
+            help="Folder of the sparse depth maps, or the one of one image: PNG, TIFF or .npy of "
+            "16 bits (see --depth-scale), TIFF or .npy of floats in metres. "
             "[default: camera only]",
         ),
     ] = None,
@@ -107,7 +108,7 @@ def main(
     depth_scale: Annotated[
         float | None,
         typer.Option(
-            help="Units per metre of the depth PNGs: KITTI 256, Virtual KITTI 100. "
+            help="Units per metre of 16-bit depth maps: KITTI 256, Virtual KITTI 100. "
             f"[default: {KITTI_DEPTH_SCALE:g}]"
         ),
     ] = None,

@@ -30,8 +30,9 @@ class FolderSource(Source):
     Args:
         rgb: folder of PNG and JPEG files, or one such file; or a folder that holds an image*/ and a
             depth*/ folder, unless `depth` is given.
-        depth: folder of 16-bit PNGs, or the one of one image; None: the camera alone.
-        depth_scale: units of the depth PNGs per metre.
+        depth: folder of depth maps, or the one of one image, see `read_sparse_depth`; None: the
+            camera alone.
+        depth_scale: units of 16-bit depth maps per metre.
         calibration: TOML or KITTI file, see `Calibration.from_file`.
 
     Raises:

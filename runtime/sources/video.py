@@ -33,9 +33,9 @@ class VideoSource(Source):
 
     Args:
         path: a file that OpenCV's FFmpeg decodes.
-        depth: folder of 16-bit PNGs whose names end in the frame's number (7.png, depth_0007.png);
-            None: the camera alone.
-        depth_scale: units of the depth PNGs per metre.
+        depth: folder of depth maps, see `read_sparse_depth`, whose names end in the frame's number
+            (7.png, depth_0007.png); None: the camera alone.
+        depth_scale: units of 16-bit depth maps per metre.
         calibration: TOML or KITTI file, see `Calibration.from_file`.
 
     Raises:

@@ -1,5 +1,7 @@
 """The size in a header is the size of the decoded picture."""
 
+import struct
+
 import cv2
 import numpy as np
 import pytest
@@ -13,10 +15,28 @@ def encode(suffix, shape, dtype=np.uint8, *options):
     return cv2.imencode(suffix, image, options)[1].tobytes()
 
 
+def tiff(order, *entries):
+    """A TIFF header of (tag, type, value) in a big- or little-endian file."""
+    start = {"<": b"II*\0", ">": b"MM\0*"}[order] + struct.pack(f"{order}IH", 8, len(entries))
+    code = {1: "B3x", 3: "H2x", 4: "I"}
+    return start + b"".join(
+        struct.pack(f"{order}HHI{code[kind]}", tag, kind, 1, value) for tag, kind, value in entries
+    )
+
+
+def test_of_tiffs_as_libtiff_reads_them():
+    assert image_size(tiff("<", (256, 3, 30), (257, 4, 20))) == (20, 30)
+    assert image_size(tiff(">", (254, 4, 0), (257, 3, 20), (256, 4, 30))) == (20, 30)
+    twice = tiff("<", (256, 4, 70_000), (257, 3, 20), (256, 3, 30))
+    assert image_size(twice) == (20, 70_000), "the first counts"
+    assert image_size(tiff("<", (256, 1, 30), (257, 3, 20))) is None
+    assert image_size(tiff("<", (256, 3, 30))) is None
+
+
 HUFFMAN_TABLE = b"\xff\xc4\x00\x14\x00\x01" + bytes(16)  # of one code
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif"])
 @pytest.mark.parametrize("size", [(1, 1), (37, 1242), (300, 2)])
 @pytest.mark.parametrize("channels", [(), (3,)])
 def test_of_what_opencv_writes(suffix, size, channels):
@@ -60,7 +80,7 @@ def test_a_jpeg_is_read_as_the_decoder_reads_it(between):
     assert image_size(content) == (20, 30)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif"])
 def test_of_the_beginning_of_a_file(suffix):
     """Either the size or none, wherever the file ends."""
     whole = encode(suffix, (20, 30, 3))

@@ -18,7 +18,11 @@ from runtime.io.images import read_rgb, read_sparse_depth
 
 
 def write(path: Path, image) -> Path:
-    assert cv2.imwrite(str(path), image)
+    if path.suffix.lower() == ".npy":
+        with path.open("wb") as file:
+            np.save(file, image)
+    else:
+        assert cv2.imwrite(str(path), image)
     return path
 
 
@@ -42,13 +46,17 @@ def test_depth_is_read_in_metres(tmp_path, scale):
 
 @pytest.mark.parametrize(
     "image",
-    [np.zeros((40, 50), np.uint8), np.zeros((40, 50, 3), np.uint8)],
+    [np.zeros((40, 50), np.uint8), np.zeros((40, 50, 3), np.uint16)],
     ids=["8 bits", "colour"],
 )
-def test_depth_of_8_bits_is_refused(tmp_path, image):
-    path = write(tmp_path / "d.png", image)
-    with pytest.raises(InputError, match=r"one channel of 16 bits, got [13] of 8 bits"):
+@pytest.mark.parametrize("suffix", ["png", "tif", "npy"])
+def test_depth_of_other_types_is_refused_with_what_is_accepted(tmp_path, image, suffix):
+    path = write(tmp_path / f"d.{suffix}", image)
+    with pytest.raises(InputError) as raised:
         read_sparse_depth(path)
+    assert str(path) in str(raised.value)
+    assert "of one channel of 16 bits (PNG, TIFF or .npy) or of floats" in str(raised.value)
+    assert f"got {image.dtype} {image.shape}" in str(raised.value)
 
 
 @pytest.mark.parametrize("shape", [(40, 50), (40, 50, 3)], ids=["depth map", "colour"])
@@ -65,17 +73,42 @@ def test_a_gray_picture_has_three_equal_channels(tmp_path):
     assert (image == gray[..., None]).all()
 
 
-def test_depth_of_three_channels_is_refused(tmp_path):
-    path = write(tmp_path / "d.png", np.zeros((40, 50, 3), np.uint16))
-    with pytest.raises(InputError, match="got 3 of 16 bits"):
+@pytest.mark.parametrize(
+    ("name", "dtype"),
+    [("d.tif", "f4"), ("d.TIFF", "f8"), ("d.npy", "f4"), ("d.NPY", ">f8"), ("d.npy", "f2")],
+)
+def test_floats_are_metres(tmp_path, name, dtype):
+    metres = np.random.default_rng(0).random((40, 50)).astype(dtype)
+    metres[0, :3] = (0, np.nan, np.inf)
+    depth = read_sparse_depth(write(tmp_path / name, metres), depth_scale=100)
+    assert depth.dtype == np.dtype(np.float32)
+    np.testing.assert_array_equal(depth, metres.astype(np.float32))
+
+
+@pytest.mark.parametrize(("name", "dtype"), [("d.tif", "u2"), ("d.npy", "u2"), ("d.npy", ">u2")])
+def test_16_bits_have_a_scale_in_every_format(tmp_path, name, dtype):
+    units = np.arange(2000).reshape(40, 50).astype(dtype)
+    depth = read_sparse_depth(write(tmp_path / name, units), depth_scale=100)
+    np.testing.assert_allclose(depth, units / 100, rtol=1e-6)
+
+
+def test_an_array_of_objects_or_of_more_than_its_file_is_refused(tmp_path):
+    path = write(tmp_path / "d.npy", np.zeros((40, 50), np.float32))
+    whole = path.read_bytes()
+    for content in (whole[:-1], whole.replace(b"(40, 50), ", b"(40000000000, 50), "), b"", b"no"):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"d\.npy is no .npy file of numbers, or it is trunc"):
+            read_sparse_depth(path)
+    np.save(path, np.zeros((40, 50), object), allow_pickle=True)
+    with pytest.raises(InputError, match="OBJECT"):
         read_sparse_depth(path)
 
 
-@pytest.mark.parametrize("suffix", ["rgb.png", "rgb.jpg", "depth.png"])
+@pytest.mark.parametrize("suffix", ["rgb.png", "rgb.jpg", "depth.png", "depth.tif"])
 @pytest.mark.parametrize("kept", [0.0, 0.1, 0.5, 0.99])
 def test_truncated_files_are_refused(tmp_path, suffix, kept):
     random = np.random.default_rng(0)
-    if suffix == "depth.png":
+    if suffix.startswith("depth"):
         image, read = random.integers(0, 9999, (40, 50), dtype=np.uint16), read_sparse_depth
     else:
         image, read = random.integers(0, 255, (40, 50, 3), dtype=np.uint8), read_rgb

@@ -382,7 +382,7 @@ def test_skipped_frames_are_counted_named_and_exit_code_3(tmp_path, run, stream,
         "f1": "no depth map",
         "f2": "no image",
         "f4": "truncated",
-        "f6": "8 bits",
+        "f6": "got uint8",
         "f8": "(40, 64)",
     }
     assert {name for name, row in rows.items() if row["status"] == "skipped"} == set(reasons)

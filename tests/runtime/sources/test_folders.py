@@ -1,5 +1,6 @@
 """Two folders as a source, and one alone."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -102,6 +103,25 @@ def test_frames_are_not_read_from_where_answers_go(folders, run, tmp_path):
     assert "writes its own pictures" in answers.text.replace("\n", " ")
 
 
+def test_depth_maps_may_be_tiff_or_npy(folders, run, tmp_path):
+    rgb, depth, depths = folders
+    (depth / "0.png").unlink()
+    assert cv2.imwrite(str(depth / "0.tiff"), depths[0])
+    (depth / "2.png").unlink()
+    np.save(depth / "2.npy", depths[2].astype(np.float64))
+    (depth / "4.png").unlink()
+    assert cv2.imwrite(str(depth / "4.tif"), np.rint(depths[4] * 100).astype(np.uint16))
+    answers = run("--rgb", rgb, "--depth", depth, "--depth-scale", 100)
+    assert answers.column("status") == ["ok", "skipped", "ok", "skipped", "ok"]
+    for name in ("0", "2", "4"):
+        assert abs(answers.fed_depth(name) - depths[int(name)]).max() < 0.01
+    one = run("--rgb", rgb / "2.png", "--depth", depth / "2.npy", out="one")
+    assert abs(one.fed_depth("2") - depths[2]).max() < 0.01
+    np.save(depth / "2.npy", depths[2].astype(np.int32))
+    wrong = run("--rgb", rgb, "--depth", depth, "--depth-scale", 100, "--overwrite")
+    assert "2.npy must be a depth map of one channel of 16 bits" in wrong.column("reason")[2]
+
+
 # --- listing ----------------------------------------------------------------------------------
 
 
@@ -153,7 +173,7 @@ def test_the_limit_counts_complete_frames(empty_folders):
 
 
 def test_other_and_hidden_files_are_left_alone(empty_folders):
-    frames = listed(*empty_folders(["1.png", "notes.txt", "._1.png"], ["1.png", "1.npy"]))
+    frames = listed(*empty_folders(["1.png", "notes.txt", "._1.png"], ["1.png", "1.npz"]))
     assert names(frames) == ["1"]
 
 
@@ -161,10 +181,11 @@ def test_other_and_hidden_files_are_left_alone(empty_folders):
     ("rgb", "depth", "text"),
     [
         ([], ["1.png"], r"rgb has no \.png or \.jpg or \.jpeg files"),
-        (["1.png"], [], r"depth has no \.png files"),
-        (["1.png"], ["1.jpg"], r"depth has no \.png files"),
+        (["1.png"], [], r"depth has no \.png or \.tif or \.tiff or \.npy files"),
+        (["1.png"], ["1.jpg"], r"depth has no \.png or"),
         (["1.png"], ["2.png"], "no name occurs in both.* has 1, .* has 2"),
         (["1.png", "1.jpg"], ["1.png"], "have the same stem"),
+        (["1.png"], ["1.png", "1.npy"], "have the same stem"),
     ],
 )
 def test_folders_that_make_no_stream(empty_folders, rgb, depth, text):
