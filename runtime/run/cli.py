@@ -13,6 +13,7 @@ from runtime.command_options import NoDevice, Version
 from runtime.contract import MAX_PIXELS
 from runtime.io.encode import METRES_PNG_SCALE
 from runtime.io.images import KITTI_DEPTH_SCALE
+from runtime.io.scan import SCAN_SUFFIXES
 from runtime.run.options import RunOptions, UsageError
 from runtime.run.outputs.output import DEFAULT_RATE_HZ, FILE_SUFFIXES, RERUN_LIVE
 from runtime.run.report_files import describe_run, list_results, report_json
@@ -58,6 +59,13 @@ def main(
             help="Folder of the sparse depth maps, or the one of one image: PNG, TIFF or .npy of "
             "16 bits (see --depth-scale), TIFF or .npy of floats in metres. "
             "[default: camera only]",
+        ),
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of LiDAR scans, or the one of one image, in place of --depth: "
+            f"{', '.join(SCAN_SUFFIXES)}. Needs --calibration.",
         ),
     ] = None,
     source: Annotated[
@@ -110,6 +118,13 @@ def main(
         typer.Option(
             help="Units per metre of 16-bit depth maps: KITTI 256, Virtual KITTI 100. "
             f"[default: {KITTI_DEPTH_SCALE:g}]"
+        ),
+    ] = None,
+    point_columns: Annotated[
+        int | None,
+        typer.Option(
+            min=3,
+            help="float32 per point of .bin scans, x, y, z first. [default: 4, of .pcd.bin 5]",
         ),
     ] = None,
     calibration: Annotated[
@@ -250,7 +265,7 @@ def main(
 ) -> None:
     """Predict classes, depth and boundaries of every frame of a stream, and report the latency.
 
-    Images and depth maps in folders are paired by their stems, in natural order.
+    Images and depth maps or scans in folders are paired by their stems, in natural order.
     """
     with reported_errors("cpu"), contextlib.ExitStack() as progress:
         try:
@@ -258,6 +273,7 @@ def main(
                 path=path,
                 rgb=rgb,
                 depth=depth,
+                points=points,
                 source=source,
                 demo=demo,
                 model=model,
@@ -268,6 +284,7 @@ def main(
                 focal_length=focal_length,
                 threads=threads,
                 depth_scale=depth_scale,
+                point_columns=point_columns,
                 calibration=calibration,
                 camera=camera,
                 image_topic=image_topic,

@@ -39,6 +39,7 @@ class RunOptions:
     path: Path | None = None
     rgb: Path | None = None
     depth: Path | None = None
+    points: Path | None = None
     source: str | None = None
     demo: bool = False
     model: str | None = None
@@ -49,6 +50,7 @@ class RunOptions:
     focal_length: float | None = None
     threads: int | None = None
     depth_scale: float | None = None
+    point_columns: int | None = None
     calibration: Path | None = None
     camera: int | None = None
     image_topic: str | None = None
@@ -71,8 +73,10 @@ class RunOptions:
     def __post_init__(self) -> None:
         """Check every option."""
         given = [source for source in (self.path, self.rgb, self.source) if source is not None]
-        if self.demo + len(given) != 1 or (self.demo and self.depth is not None):
-            raise UsageError("give one of PATH, --demo, --rgb (with --depth) and --source")
+        if self.demo + len(given) != 1 or (self.demo and (self.depth or self.points)):
+            raise UsageError(
+                "give one of PATH, --demo, --rgb (with --depth or --points) and --source"
+            )
         _require_range("--depth-scale", self.depth_scale, 1e-3, 1e6)
         _require_range("--deadline-ms", self.deadline_ms, 1e-6, 1e9)
         _require_range("--rate", self.rate, 1e-3, 1e6)
@@ -131,7 +135,9 @@ class RunOptions:
             return choose_source(
                 name,
                 depth=depth,
+                points=self.points,
                 depth_scale=self.depth_scale,
+                point_columns=self.point_columns,
                 calibration=self.calibration,
                 camera=self.camera,
                 image_topic=self.image_topic,

@@ -10,7 +10,7 @@ from typing import Any
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.io.images import RGB_SUFFIXES, list_files, read_rgb
-from runtime.io.kitti_scan import read_scan
+from runtime.io.scan import read_scan
 from runtime.read_input import read_text
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source, no_depth, pair_up, up_to

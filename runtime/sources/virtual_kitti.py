@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.io.images import DEPTH_SUFFIXES, list_files, read_sparse_depth
+from runtime.io.images import DEPTH_SUFFIXES, list_files, read_rgb, read_sparse_depth
 from runtime.read_input import read_text
-from runtime.sources.folders import read_pair
+from runtime.sources.folders import require_pair
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source, pair_up
 
@@ -74,7 +74,8 @@ class VirtualKittiSource(Source):
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`. Raises InputError also where one of the two files is missing."""
         calibration = self.calibrations.get(int(frame.name), self.calibration)
-        return read_pair(frame, read_depth, calibration)
+        require_pair(frame)
+        return Frame(read_rgb(frame.image), read_depth(frame.depth), calibration=calibration)
 
     @property
     def inputs(self) -> dict[str, Any]:

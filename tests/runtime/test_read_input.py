@@ -20,7 +20,7 @@ import runtime.run.cli
 from runtime import InputError
 from runtime.io.calibration import Calibration
 from runtime.io.images import list_files, read_rgb, read_sparse_depth
-from runtime.io.kitti_scan import read_scan
+from runtime.io.scan import read_scan
 from runtime.sources.folders import FolderSource
 from runtime.sources.kitti_raw import KittiRawSource
 from runtime.sources.video import VideoSource

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import DatasetError, InputError
-from runtime.io import images, kitti_scan
+from runtime.io import images, scan
 from runtime.sources.source import ListedFrame
 
 
@@ -26,7 +26,7 @@ def dataset_errors() -> Iterator[None]:
 
 #: The engine's readers, see there.
 read_rgb = dataset_errors()(images.read_rgb)
-read_points = dataset_errors()(kitti_scan.read_scan)
+read_points = dataset_errors()(scan.read_scan)
 
 
 @dataset_errors()

@@ -406,13 +406,13 @@ def test_only_the_first_few_frames_are_read_to_warm_up(run, stream, monkeypatch)
     for picture in stream[0].iterdir():
         picture.write_bytes(b"")
     read = []
-    read_pair = runtime.sources.folders.read_pair
+    read_rgb = runtime.sources.folders.read_rgb
 
-    def count(*given):
-        read.append(given)
-        return read_pair(*given)
+    def count(path):
+        read.append(path)
+        return read_rgb(path)
 
-    monkeypatch.setattr(runtime.sources.folders, "read_pair", count)
+    monkeypatch.setattr(runtime.sources.folders, "read_rgb", count)
     monkeypatch.setattr(runtime.run.run, "_FIRST_FRAMES", 3)
     assert "none of the first 3 frames" in run().output
     assert len(read) == 3

@@ -1,10 +1,12 @@
 """Two folders as a source, and one alone."""
 
+import shutil
+
 import cv2
 import numpy as np
 import pytest
 
-from runtime import InputError
+from runtime import InputError, project_points
 from runtime.sources.folders import FolderSource
 
 
@@ -103,6 +105,9 @@ def test_frames_are_not_read_from_where_answers_go(folders, run, tmp_path):
     assert "writes its own pictures" in answers.text.replace("\n", " ")
 
 
+# --- depth in other formats, and scans --------------------------------------------------------
+
+
 def test_depth_maps_may_be_tiff_or_npy(folders, run, tmp_path):
     rgb, depth, depths = folders
     (depth / "0.png").unlink()
@@ -120,6 +125,92 @@ def test_depth_maps_may_be_tiff_or_npy(folders, run, tmp_path):
     np.save(depth / "2.npy", depths[2].astype(np.int32))
     wrong = run("--rgb", rgb, "--depth", depth, "--depth-scale", 100, "--overwrite")
     assert "2.npy must be a depth map of one channel of 16 bits" in wrong.column("reason")[2]
+
+
+INTRINSICS = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
+EXTRINSICS = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.3], [1, 0, 0, 0], [0, 0, 0, 1]])
+
+
+def as_text(scan):
+    return "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z, _ in scan.astype(float).tolist())
+
+
+@pytest.fixture
+def scans(folders, make_scan, tmp_path):
+    """Scans of cam/ in scans/, each in another format, without one of 1.png; a calibration."""
+    folder = tmp_path / "scans"
+    folder.mkdir()
+    count = len(make_scan())
+    make_scan(0).tofile(folder / "0.bin")
+    np.pad(make_scan(2), ((0, 0), (0, 1))).tofile(folder / "2.pcd.bin")
+    pcd = f"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS {count}\nDATA ascii\n"
+    (folder / "3.pcd").write_text(pcd + as_text(make_scan(3)))
+    ply = "".join(f"property float {axis}\n" for axis in "xyz") + "end_header\n"
+    ply = f"ply\nformat ascii 1.0\nelement vertex {count}\n" + ply
+    (folder / "4.ply").write_text(ply + as_text(make_scan(4)))
+    np.save(folder / "5.npy", make_scan(5)[:, :3].astype(np.float64))
+    shutil.copy(folders[0] / "0.png", folders[0] / "3.png")
+    shutil.copy(folders[0] / "0.png", folders[0] / "5.png")
+    matrices = f"intrinsics = {INTRINSICS.tolist()}\nextrinsics = {EXTRINSICS.tolist()}\n"
+    (tmp_path / "calibration.toml").write_text(f"size = [48, 64]\n{matrices}")
+    return folder, tmp_path / "calibration.toml"
+
+
+def test_scans_of_every_format_are_projected_beside_their_images(folders, scans, run, make_scan):
+    answers = run("--rgb", folders[0], "--points", scans[0], "--calibration", scans[1])
+    assert answers.names == ["0", "1", "2", "3", "4", "5"]
+    assert answers.column("status") == ["ok", "skipped", "ok", "ok", "ok", "ok"]
+    assert answers.column("reason")[1] == "1 has an image, but no scan"
+    for name in ("0", "2", "3", "4", "5"):
+        expected = project_points(make_scan(int(name)), INTRINSICS, EXTRINSICS, (48, 64))
+        assert (expected > 0).sum() > 100
+        assert abs(answers.fed_depth(name) - expected).max() < 0.01
+    inputs = answers.report["inputs"]
+    assert (inputs["points"], inputs["calibration"]) == (str(scans[0]), str(scans[1]))
+    assert inputs["focal_length_px"] == 60
+
+
+def test_an_image_and_its_scan_are_one_frame(folders, scans, run, make_scan):
+    rows = np.pad(make_scan(), ((0, 0), (0, 2)))
+    rows.tofile(scans[0] / "0.bin")
+    given = [folders[0] / "0.png", "--points", scans[0] / "0.bin", "--calibration", scans[1]]
+    answers = run(*given, "--point-columns", 6)
+    expected = project_points(make_scan(), INTRINSICS, EXTRINSICS, (48, 64))
+    assert answers.names == ["0"]
+    assert abs(answers.fed_depth("0") - expected).max() < 0.01
+    rows[1:].tofile(scans[0] / "0.bin")
+    cut = run(*given, "--overwrite")
+    assert cut.column("status") == ["skipped"]
+    assert "0.bin: its 7176 bytes are not points of 4 float32" in cut.column("reason")[0]
+
+
+def test_a_folder_may_hold_images_scans_and_their_calibration(folders, scans, run, tmp_path):
+    data = tmp_path / "data"
+    data.mkdir()
+    folders[0].rename(data / "image_2")
+    scans[0].rename(data / "velodyne")
+    missing = run(data)
+    assert missing.exit_code == 1
+    assert "cannot be projected: give --calibration" in missing.text
+    scans[1].rename(data / "calib.toml")
+    answers = run(data)
+    assert answers.column("status").count("ok") == 5
+    assert answers.report["inputs"]["points"] == str(data / "velodyne")
+    assert answers.report["inputs"]["calibration"] == str(data / "calib.toml")
+
+
+def test_scans_take_the_place_of_depth_maps(folders, scans, run, tmp_path):
+    rgb, depth, _ = folders
+    points = ["--points", scans[0], "--calibration", scans[1]]
+    both = run("--rgb", rgb, "--depth", depth, *points)
+    assert (both.exit_code, "not both" in both.text) == (1, True)
+    demo = run("--demo", *points)
+    assert (demo.exit_code, "--rgb (with --depth or --points)" in demo.text) == (2, True)
+    video = run("--source", "video:drive.mp4", *points)
+    assert (video.exit_code, "not --points" in video.text) == (2, True)
+    maps = run("--rgb", rgb, "--points", depth, "--calibration", scans[1])
+    assert maps.exit_code == 1
+    assert "has no .pcd.bin or .bin or .pcd or .ply or .npy files" in maps.text
 
 
 # --- listing ----------------------------------------------------------------------------------

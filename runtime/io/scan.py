@@ -1,0 +1,200 @@
+"""LiDAR scans from files: raw floats as of KITTI and nuScenes, PCD, PLY and .npy.
+
+Formats: PCD 0.7 of the Point Cloud Library, compressed by Marc Lehmann's LZF; Greg Turk, "The PLY
+Polygon File Format", 1994.
+"""
+
+import io
+import itertools
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import InputError
+from runtime.io.npy import read_npy
+from runtime.read_input import MAX_FILE_BYTES, read_input
+
+SCAN_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply", ".npy")  # the longer of two first
+_MAX_HEADER_BYTES = 100_000
+_LAST_LINE = re.compile(rb"^(DATA\s|end_header)[^\n]*\n", re.MULTILINE)
+_CODES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
+_NAMES = (
+    ("char", "uchar", "short", "ushort", "int", "uint", "float", "double"),
+    ("int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64"),
+    _CODES,
+)
+#: Type of a field in a PLY or PCD file -> NumPy's.
+_TYPES = {name: code for names in _NAMES for name, code in zip(names, _CODES, strict=True)}
+_TYPES |= {"i8": "i8", "u8": "u8"}
+_ASCII, _COMPRESSED = "ascii", "binary_compressed"
+#: Encoding of the points -> order of the bytes.
+_ENCODINGS = {
+    _ASCII: "",
+    "binary": "<",
+    _COMPRESSED: "<",
+    "binary_little_endian": "<",
+    "binary_big_endian": ">",
+}
+
+
+class _Header(NamedTuple):
+    fields: list[tuple[str, str, int]]  # name, type and count of the numbers of a point
+    points: int
+    encoding: str
+
+
+def read_scan(path: Path, *, columns: int | None = None) -> NDArray[np.float32]:
+    """Read a scan, in the format that the ending of its name says.
+
+    Args:
+        path: .pcd or .ply with the float fields x, y and z; .npy of floats (N, 3) or wider; any
+            other file is raw float32.
+        columns: numbers per point of a raw file; None: 5 of .pcd.bin (nuScenes), else 4 (KITTI).
+
+    Returns:
+        float32 (N, 3), x, y, z [m] in the LiDAR's frame, not finite = no return; wider with the
+        other columns of a .npy or raw file, such as KITTI's reflectance.
+
+    Raises:
+        InputError: if the file cannot be read, is truncated or damaged, or lacks x, y or z.
+    """
+    name = path.name.lower()
+    try:
+        if name.endswith(".npy"):
+            return _check_array(read_npy(path))
+        content = read_input(path)
+        if name.endswith((".pcd", ".ply")):
+            return _read_points(content, is_pcd=name.endswith(".pcd"))
+        return _read_raw(content, columns or (5 if name.endswith(".pcd.bin") else 4))
+    except ValueError as error:
+        raise InputError(f"cannot read the scan {path}: {error}") from error
+
+
+def _check_array(array: NDArray[Any]) -> NDArray[np.float32]:
+    if array.dtype.kind != "f" or array.ndim != 2 or array.shape[1] < 3:
+        raise ValueError(f"expected floats of (N, 3) or wider, got {array.dtype} {array.shape}")
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no return
+        return array.astype(np.float32)
+
+
+def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
+    if columns < 3 or len(content) % (4 * columns):
+        raise ValueError(
+            f"its {len(content)} bytes are not points of {columns} float32: it is truncated, of "
+            "another format, or has other columns (--point-columns, with --points)"
+        )
+    points: NDArray[np.float32] = np.frombuffer(content, "<f4").astype(np.float32)
+    return points.reshape(-1, columns)
+
+
+def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
+    """x, y and z of a file with a header. Raises ValueError."""
+    last = _LAST_LINE.search(content, 0, _MAX_HEADER_BYTES)
+    if last is None:
+        raise ValueError("its header does not end: it is truncated or of another format")
+    header, body = content[: last.end()].decode("latin-1"), content[last.end() :]
+    lines = [line.split() for line in header.split("\n")]
+    fields, points, encoding = (_parse_pcd if is_pcd else _parse_ply)(lines)
+    if encoding not in _ENCODINGS:
+        expected = ", ".join(_ENCODINGS)
+        raise ValueError(f"its points are {encoding!r:.40}, expected one of {expected}")
+    places, width, size = _place(fields)
+    if encoding == _COMPRESSED:
+        body = _decompress(body, points * size)
+    least = 2 * points * width - 1 if encoding == _ASCII else points * size  # digits and spaces
+    if points < 0 or least > len(body):
+        raise ValueError(
+            f"{points} points take {least} bytes, it has {len(body)}: is it truncated?"
+        )
+    if points == 0:
+        return np.zeros((0, 3), np.float32)
+    if encoding == _ASCII:
+        table = itertools.islice(io.TextIOWrapper(io.BytesIO(body), "ascii"), points)
+        columns = [column for column, _, _ in places]
+        rows = np.loadtxt(table, np.float32, comments=None, usecols=columns, ndmin=2)
+        if len(rows) < points:
+            raise ValueError(f"it has {len(rows)} of {points} points: is it truncated?")
+        return rows
+    axes = []
+    for _, start, code in places:
+        # Compressed points are stored a field of all after the other.
+        whole, step = (points, int(code[1])) if encoding == _COMPRESSED else (1, size)
+        axes.append(np.ndarray(points, _ENCODINGS[encoding] + code, body, start * whole, (step,)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.stack(axes, axis=1, dtype=np.float32, casting="same_kind")
+
+
+def _parse_pcd(lines: list[list[str]]) -> _Header:
+    header = {words[0]: words[1:] for words in lines if words}
+    if missing := {"FIELDS", "SIZE", "TYPE", "POINTS"} - header.keys():
+        raise ValueError(f"its header lacks {', '.join(sorted(missing))}")
+    names = header["FIELDS"]
+    counts = map(int, header.get("COUNT", ["1"] * len(names)))
+    types = map("".join, zip(header["TYPE"], header["SIZE"], strict=True))
+    fields = [(name, t.lower(), n) for name, t, n in zip(names, types, counts, strict=True)]
+    return _Header(fields, int(" ".join(header["POINTS"])), " ".join(header["DATA"]))
+
+
+def _parse_ply(lines: list[list[str]]) -> _Header:
+    encoding, elements, fields = "", list[list[str]](), list[tuple[str, str, int]]()
+    for words in lines:
+        match words:
+            case ["format", encoding, *_]:
+                pass
+            case ["element", *element]:
+                elements.append(element)
+            case ["property", *types, name] if len(elements) == 1:
+                fields.append((name, " ".join(types), 1))
+    if not elements or elements[0][:1] != ["vertex"]:
+        raise ValueError("its header does not have vertex as its first element")
+    return _Header(fields, int(" ".join(elements[0][1:])), encoding)
+
+
+def _place(fields: list[tuple[str, str, int]]) -> tuple[list[tuple[int, int, str]], int, int]:
+    """Column, first byte and type of x, y and z in a point; its numbers of columns and bytes."""
+    places: dict[str, tuple[int, int, str]] = {}
+    width = size = 0
+    for name, kind, count in fields:
+        code = _TYPES.get(kind)
+        if code is None or count < 1:
+            raise ValueError(f"its field {name:.40} is {count} of {kind:.40}, expected numbers")
+        if name in ("x", "y", "z"):
+            if name in places or count > 1 or code[0] != "f":
+                raise ValueError(f"expected one float as the field {name}, got {count} of {kind}")
+            places[name] = width, size, code
+        width, size = width + count, size + count * int(code[1])
+    if len(places) < 3:
+        names = ", ".join(name for name, _, _ in fields)
+        raise ValueError(f"expected the fields x, y and z, it has {names or 'none':.200}")
+    return [places[axis] for axis in "xyz"], width, size
+
+
+def _decompress(body: bytes, size: int) -> bytes:
+    """The compressed points of a PCD file. Raises ValueError unless they have `size` bytes."""
+    if size > MAX_FILE_BYTES:
+        raise ValueError(f"its points take {size:,} bytes, expected at most {MAX_FILE_BYTES:,}")
+    packed = body[8 : 8 + int.from_bytes(body[:4], "little")]  # after both of its sizes
+    data, at = bytearray(), 0
+    try:
+        while at < len(packed) and len(data) <= size:
+            control, at = packed[at], at + 1
+            if control < 32:  # so many bytes and one more follow
+                data += packed[at : at + control + 1]
+                at += control + 1
+                continue
+            length = (control >> 5) + 2  # of bytes that are there, maybe up to those it appends
+            if length == 9:
+                length, at = length + packed[at], at + 1
+            start, at = len(data) - 1 - ((control & 31) << 8) - packed[at], at + 1
+            if start < 0:
+                break
+            copied = data[start : start + length]
+            data += (copied * (length // len(copied) + 1))[:length]
+    except IndexError:  # truncated
+        pass
+    if len(data) != size:
+        raise ValueError("its compressed points are truncated or damaged")
+    return bytes(data)

@@ -1,0 +1,187 @@
+"""Files of scans to float32 points."""
+
+import io
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from runtime import InputError
+from runtime.io.scan import read_scan
+
+POINTS = np.random.default_rng(0).normal(0, 30, (50, 3)).astype(np.float32)
+POINTS[3] = np.nan
+POINTS[20:40] = POINTS[20]  # compressed as copies of the first of them
+
+
+def pcd(data: bytes, encoding: str, n: int = len(POINTS), **lines: str) -> bytes:
+    """A PCD file of 3 x uint8, then y, x and z: a point has 15 bytes and 6 columns."""
+    header = {"VERSION": "0.7", "FIELDS": "_ y x z", "SIZE": "1 4 4 4", "TYPE": "U F F F"}
+    header |= {"COUNT": "3 1 1 1", "WIDTH": str(n), "HEIGHT": "1", "POINTS": str(n)}
+    text = "".join(f"{name} {value}\n" for name, value in (header | lines).items() if value)
+    return f"# .PCD v0.7\n{text}DATA {encoding}\n".encode() + data
+
+
+def ply(data: bytes, encoding: str, n: int | str = len(POINTS), header: str = "") -> bytes:
+    """A PLY file of red, y, x in double and z, then faces: a point has 17 bytes and 4 columns."""
+    vertex = f"element vertex {n}\nproperty uchar red\nproperty float32 y\nproperty double x\n"
+    vertex += "property float z\n"
+    face = "element face 1\nproperty list uchar int vertex_indices\n"
+    text = f"ply\nformat {encoding} 1.0\ncomment x y z\n{header or vertex + face}end_header\n"
+    return text.encode() + data
+
+
+def records(order: str, *fields: tuple[str, str]) -> bytes:
+    rows = np.zeros(len(POINTS), [(name, order + code) for name, code in fields])
+    for axis, values in zip("xyz", POINTS.T, strict=True):
+        rows[axis] = values
+    return rows.tobytes()
+
+
+def lines(columns: str) -> bytes:
+    """Text of the points; each letter of `columns` is a coordinate or a 7."""
+    rows = [dict(zip("xyz", map(repr, row), strict=True)) for row in POINTS.tolist()]
+    return "".join(" ".join(r.get(c, "7") for c in columns) + "\n" for r in rows).encode()
+
+
+OF_PCD = records("<", ("a", "u1"), ("b", "u1"), ("c", "u1"), ("y", "f4"), ("x", "f4"), ("z", "f4"))
+OF_PLY = [("red", "u1"), ("y", "f4"), ("x", "f8"), ("z", "f4")]
+FACE = bytes([3]) + bytes(12)
+
+
+def compressed() -> bytes:
+    """LZF: each field after the other, in literals and, of equal numbers, copies."""
+    packed = bytearray()
+
+    def literal(content: bytes) -> None:
+        for start in range(0, len(content), 32):
+            part = content[start : start + 32]
+            packed.extend([len(part) - 1, *part])
+
+    literal(bytes(1))
+    packed.extend([(7 << 5), 149 - 9, 0])  # 149 more zeros: 7 + 2 of the control and a byte
+    for axis in (1, 0, 2):
+        values = POINTS[:, axis].tobytes()
+        literal(values[: 21 * 4])
+        packed.extend([(6 << 5), 3])  # 8 bytes, which overlap with the 4 before
+        packed.extend([(7 << 5), 17 * 4 - 9, 3])
+        literal(values[40 * 4 :])
+    return np.array([len(packed), len(OF_PCD)], "<u4").tobytes() + bytes(packed)
+
+
+FILES = {
+    "ascii.pcd": pcd(lines("777yxz"), "ascii"),
+    "binary.pcd": pcd(OF_PCD, "binary"),
+    "compressed.pcd": pcd(compressed(), "binary_compressed"),
+    "ascii.ply": ply(lines("7yxz") + b"3 0 1 2\n", "ascii"),
+    "crlf.PLY": ply(lines("7yxz"), "ascii").replace(b"\n", b"\r\n"),
+    "little.ply": ply(records("<", *OF_PLY) + FACE, "binary_little_endian"),
+    "big.ply": ply(records(">", *OF_PLY) + FACE, "binary_big_endian"),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_x_y_and_z_are_found_by_their_names(tmp_path, name):
+    (tmp_path / name).write_bytes(FILES[name])
+    points = read_scan(tmp_path / name)
+    assert points.dtype == np.float32
+    np.testing.assert_array_equal(points, POINTS)
+
+
+@pytest.mark.parametrize(
+    ("name", "columns", "expected"),
+    [("a.bin", None, 4), ("a.pcd.bin", None, 5), ("a.BIN", 6, 6), ("a.pcd.bin", 3, 3)],
+)
+def test_raw_floats_have_so_many_columns(tmp_path, name, columns, expected):
+    values = np.arange(60 * expected, dtype=np.float32).reshape(60, expected)
+    values.tofile(tmp_path / name)
+    np.testing.assert_array_equal(read_scan(tmp_path / name, columns=columns), values)
+
+
+@pytest.mark.parametrize("dtype", ["<f4", ">f4", "f8", "f2"])
+def test_an_array_may_be_of_any_floats(tmp_path, dtype):
+    array = np.asfortranarray(POINTS.round().astype(dtype))
+    np.save(tmp_path / "a.npy", array)
+    points = read_scan(tmp_path / "a.npy")
+    assert points.dtype == np.float32
+    np.testing.assert_array_equal(points, array)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"), [("a.pcd", pcd(b"", "binary", 0)), ("a.ply", ply(b"", "ascii", 0))]
+)
+def test_a_scan_may_be_empty(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    assert read_scan(tmp_path / name).shape == (0, 3)
+
+
+HEADERS = {
+    "no x": "element vertex 1\nproperty float y\nproperty float z\n",
+    "two x": "element vertex 1\n" + 2 * "property float x\n",
+    "integers": "element vertex 1\nproperty int x\n",
+    "list": "element vertex 1\nproperty list uchar float x\n",
+    "face first": "element face 1\nproperty float x\n",
+    "no element": "comment\n",
+}
+
+
+def saved(array) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array, allow_pickle=True)
+    return file.getvalue()
+
+
+BILLION = 10**9
+HOSTILE = {
+    "cut.bin": (bytes(1602), r"1602 bytes are not points of 4 float32.*--point-columns"),
+    "cut.pcd.bin": (bytes(1604), "points of 5 float32"),
+    "empty.pcd": (b"", "header does not end"),
+    "endless.ply": (b"ply\n" * 10**5 + b"end_header\n", "header does not end"),
+    "cut.pcd": (FILES["binary.pcd"][:-1], "50 points take 750 bytes, it has 749"),
+    "cut-ascii.pcd": (FILES["ascii.pcd"].rstrip().rpartition(b"\n")[0], "49 of 50 points"),
+    "cut-line.pcd": (FILES["ascii.pcd"].rpartition(b" ")[0], "column"),
+    "cut-compressed.pcd": (FILES["compressed.pcd"][:-1], "truncated or damaged"),
+    "cut.ply": (ply(records("<", *OF_PLY)[:-1], "binary_little_endian"), "take 850 bytes"),
+    "huge.pcd": (pcd(OF_PCD, "binary", BILLION), "1000000000 points take"),
+    "huge-ascii.pcd": (pcd(lines("777yxz"), "ascii", BILLION), "1000000000 points take"),
+    "huge-compressed.pcd": (pcd(compressed(), "binary_compressed", BILLION), "expected at most"),
+    "bomb.pcd": (pcd(compressed(), "binary_compressed", 10**7), "truncated or damaged"),
+    "huge-count.pcd": (pcd(OF_PCD, "binary", COUNT=f"{BILLION} 1 1 1"), "50 points take"),
+    "digits.pcd": (pcd(OF_PCD, "binary", POINTS="9" * 5000), "digits"),
+    "negative.pcd": (pcd(OF_PCD, "binary", -1), "-1 points"),
+    "back.pcd": (pcd(b"\x03\0\0\0\x2e\x02\0\0\x20\xff\0", "binary_compressed"), "damaged"),
+    "other.pcd": (pcd(OF_PCD, "zip"), "'zip', expected one of ascii, binary"),
+    "short.pcd": (pcd(OF_PCD, "binary", SIZE="1 4"), "zip"),
+    "lacks.pcd": (pcd(OF_PCD, "binary", TYPE="", POINTS=""), "header lacks POINTS, TYPE"),
+    "kind.pcd": (pcd(OF_PCD, "binary", TYPE="U F Q F"), "field x is 1 of q4"),
+    "three.pcd": (pcd(OF_PCD, "binary", COUNT="3 1 2 1"), "one float as the field x, got 2"),
+    "word.pcd": (pcd(b"7 7 7 a b c\n" * 50, "ascii"), "could not convert"),
+    "word.ply": (ply(b"", "ascii", "many"), "invalid literal"),
+    "no-x.ply": (ply(OF_PCD, "ascii", header=HEADERS["no x"]), "x, y and z, it has y, z"),
+    "two-x.ply": (ply(OF_PCD, "ascii", header=HEADERS["two x"]), "one float as the field x"),
+    "int.ply": (ply(OF_PCD, "ascii", header=HEADERS["integers"]), "the field x, got 1 of int"),
+    "list.ply": (ply(OF_PCD, "ascii", header=HEADERS["list"]), "x is 1 of list uchar float"),
+    "face.ply": (ply(OF_PCD, "ascii", header=HEADERS["face first"]), "vertex as its first"),
+    "none.ply": (ply(OF_PCD, "ascii", header=HEADERS["no element"]), "vertex as its first"),
+    "flat.npy": (saved(POINTS.ravel()), r"\(N, 3\) or wider, got float32 \(150,\)"),
+    "narrow.npy": (saved(POINTS[:, :2]), r"\(N, 3\) or wider"),
+    "int.npy": (saved(np.zeros((50, 3), np.int32)), "expected floats"),
+    "objects.npy": (saved(POINTS.astype(object)), "no .npy file of numbers"),
+    "cut.npy": (saved(POINTS)[:-1], "truncated"),
+    "huge.npy": (saved(POINTS).replace(b"(50, 3), ", b"(50000000000, 3), "), "truncated"),
+    "text.npy": (b"x y z", "no .npy file of numbers"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_damaged_scan_is_an_input_error_and_takes_no_memory(tmp_path, name):
+    content, message = HOSTILE[name]
+    (tmp_path / name).write_bytes(content)
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=message) as raised:
+            read_scan(tmp_path / name)
+        assert tracemalloc.get_traced_memory()[1] < 1e6 + 10 * len(content)
+    finally:
+        tracemalloc.stop()
+    assert str(tmp_path / name) in str(raised.value)
