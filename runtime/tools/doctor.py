@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Literal
 
+from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.engine_facts import machine_facts
 from runtime.errors import SSDNetError
 from runtime.tools.cuda_libraries import DRIVER, cuda_major, find_library, library_names
@@ -30,12 +31,16 @@ _MOST_DEPTH_ERROR = 0.1  # of a return, at the median: more than the model's err
 
 @dataclass(frozen=True)
 class Check:
-    """The result of one check; `remedy` is a command line, or an instruction."""
+    """The result of one check; `remedy` is a command line, or an instruction.
+
+    `median_ms` is the time of a prediction in a self-test that passed.
+    """
 
     name: str
     status: Status
     found: str
     remedy: str = ""
+    median_ms: float | None = None
 
 
 def examine(provider: str, *, seconds: float = 1.0) -> Iterator[Check]:
@@ -44,7 +49,7 @@ def examine(provider: str, *, seconds: float = 1.0) -> Iterator[Check]:
     Args:
         provider: "cpu" or "cuda": where the self-test runs, and whether the GPU's libraries are
             required.
-        seconds: time of the self-test.
+        seconds: time of the self-test of each bundled model.
     """
     yield Check("python", "ok", f"{platform.python_version()} on {platform.platform()}")
     yield Check("processor", "note", machine_facts().processor)
@@ -66,7 +71,15 @@ def examine(provider: str, *, seconds: float = 1.0) -> Iterator[Check]:
         return
     yield _providers(ort, provider)
     yield from _libraries(ort, provider)
-    yield self_test(provider, seconds=seconds)
+    medians_ms: dict[str, float] = {}
+    for model in list_bundled_models() or [DEFAULT_MODEL]:
+        check = self_test(model, provider, seconds=seconds)
+        yield check
+        if check.median_ms is not None:
+            medians_ms[model] = check.median_ms
+    if medians_ms:
+        fastest = min(medians_ms, key=lambda name: medians_ms[name])
+        yield Check("fastest model here", "note", f"{fastest}, {medians_ms[fastest]:.1f} ms")
 
 
 def installed(distribution: str) -> str | None:
@@ -143,12 +156,12 @@ def _libraries(ort: Any, provider: str) -> Iterator[Check]:
             yield Check(name, "fault", "missing", pip("install", wheel))
 
 
-def self_test(provider: str, *, seconds: float) -> Check:
-    """Predict bundled frames with the bundled model, and check the answers."""
-    name = f"self-test on {provider}"
+def self_test(model: str, provider: str, *, seconds: float) -> Check:
+    """Predict bundled frames with a bundled model, and check the answers."""
+    name = f"{model} on {provider}"
     reinstall = pip("install", "--force-reinstall", "--no-deps", "ssdnet")
     try:
-        times_ms, error = _predict_bundled(provider, seconds)
+        times_ms, error = _predict_bundled(model, provider, seconds)
     except SSDNetError as problem:  # its text says what to do
         return Check(name, "fault", str(problem))
     except _WrongAnswerError as problem:
@@ -161,6 +174,7 @@ def self_test(provider: str, *, seconds: float) -> Check:
         "ok",
         f"{len(times_ms)} frames, {middle_ms:.1f} ms each at the median; depth within "
         f"{error:.1%} of the returns at the median",
+        median_ms=middle_ms,
     )
 
 
@@ -168,7 +182,7 @@ class _WrongAnswerError(Exception):
     """The answers of the engine are impossible."""
 
 
-def _predict_bundled(provider: str, seconds: float) -> tuple[list[float], float]:
+def _predict_bundled(model: str, provider: str, seconds: float) -> tuple[list[float], float]:
     """Return the time of each prediction [ms], and the worst frame's depth error as a share."""
     import numpy as np
 
@@ -176,7 +190,7 @@ def _predict_bundled(provider: str, seconds: float) -> tuple[list[float], float]
     from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 
     times_ms, errors = [], []
-    with Predictor(provider=provider, focal_length_px=BUNDLED_FOCAL_LENGTH_PX) as predictor:
+    with Predictor(model, provider=provider, focal_length_px=BUNDLED_FOCAL_LENGTH_PX) as predictor:
         end = time.perf_counter() + seconds
         for number, frame in enumerate(bundled_frames()):
             prediction = predictor.predict(frame.rgb, frame.sparse_depth)

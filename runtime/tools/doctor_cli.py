@@ -28,7 +28,7 @@ def doctor(
     _device: NoDevice = None,
     _version: Version = False,
 ) -> None:
-    """Report versions, providers and libraries, and run the bundled model for a second."""
+    """Report versions, providers and libraries, and run each bundled model for a second."""
     with reported_errors("cpu"):
         checks = []
         printed = True
@@ -52,7 +52,7 @@ def doctor(
 
 
 def _line(check: Check) -> str:
-    text = f"{check.status:8}{check.name:20} {check.found}"
+    text = f"{check.status:8}{check.name:24} {check.found}"
     return f"{text}\n{'':8}-> {check.remedy}" if check.remedy else text
 
 

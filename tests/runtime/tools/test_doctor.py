@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from runtime import list_bundled_models
 from runtime.engine_facts import machine_facts
 from runtime.tools import cuda_libraries, doctor
 from runtime.tools.doctor_cli import app
@@ -22,7 +23,7 @@ CUDA = "CUDAExecutionProvider"
 def passed(monkeypatch):
     """The self-test passes without running."""
     test = doctor.Check("self-test", "ok", "as if")
-    monkeypatch.setattr(doctor, "self_test", lambda provider, seconds: test)
+    monkeypatch.setattr(doctor, "self_test", lambda model, provider, seconds: test)
 
 
 @pytest.fixture
@@ -67,7 +68,20 @@ def test_what_is_installed_here_works():
     assert result.exit_code == 0, result.output
     lines = result.output.splitlines()
     assert lines[-1] == "the engine works on cpu"
-    assert any(line.startswith("ok      self-test on cpu") for line in lines)
+    for model in list_bundled_models():
+        assert any(line.startswith(f"ok      {model} on cpu") for line in lines)
+    assert lines[-2].startswith("note    fastest model here")
+
+
+def test_the_fastest_model_is_named(monkeypatch):
+    median_ms = {"ssdnet-lite": 9.0, "ssdnet-nano": 4.0}
+    monkeypatch.setattr(doctor, "list_bundled_models", lambda: list(median_ms))
+    monkeypatch.setattr(
+        doctor,
+        "self_test",
+        lambda model, provider, seconds: doctor.Check(model, "ok", "", "", median_ms[model]),
+    )
+    assert list(doctor.examine("cpu"))[-1].found == "ssdnet-nano, 4.0 ms"
 
 
 def test_json_lists_every_check(passed):
@@ -141,7 +155,7 @@ def test_a_library_in_nvidias_wheels_is_found(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("spoiled", "told"), [(1.3, "30% off"), (np.nan, "nan% off")])
 def test_an_engine_that_answers_nonsense_is_a_fault(monkeypatch, spoiled, told):
     class Broken:
-        def __init__(self, **options):
+        def __init__(self, model, **options):
             assert options["provider"] == "cpu"
 
         def __enter__(self):
@@ -156,7 +170,7 @@ def test_an_engine_that_answers_nonsense_is_a_fault(monkeypatch, spoiled, told):
             return SimpleNamespace(valid=True, degraded=(), depth=depth, latency=latency)
 
     monkeypatch.setattr("runtime.predictor.Predictor", Broken)
-    check = doctor.self_test("cpu", seconds=0)
+    check = doctor.self_test("ssdnet-nano", "cpu", seconds=0)
     assert check.status == "fault"
     assert told in check.found
     assert "--force-reinstall" in check.remedy
@@ -164,7 +178,8 @@ def test_an_engine_that_answers_nonsense_is_a_fault(monkeypatch, spoiled, told):
 
 def test_a_self_test_that_cannot_run_is_a_fault(monkeypatch):
     monkeypatch.setattr("runtime.bundled_models.list_bundled_models", list)
-    check = doctor.self_test("cpu", seconds=0)
+    monkeypatch.setattr(doctor, "list_bundled_models", list)
+    check = list(doctor.examine("cpu", seconds=0))[-1]
     assert (check.status, "no bundled model" in check.found) == ("fault", True)
 
 
@@ -216,9 +231,9 @@ def test_an_empty_onnxruntime_is_a_fault(monkeypatch, passed):
 
 
 def test_a_self_test_that_fails_in_its_own_way_is_a_fault(monkeypatch):
-    def fail(provider, seconds):
+    def fail(model, provider, seconds):
         raise RuntimeError("out of memory")
 
     monkeypatch.setattr(doctor, "_predict_bundled", fail)
-    found = doctor.self_test("cpu", seconds=0.0)
+    found = doctor.self_test("ssdnet-nano", "cpu", seconds=0.0)
     assert (found.status, found.found) == ("fault", "not run: RuntimeError: out of memory")
