@@ -1,0 +1,317 @@
+"""The page of examples/browser gives the engine's answers, in headless Chromium."""
+
+import dataclasses
+import functools
+import http.server
+import json
+import re
+import shutil
+import subprocess
+import threading
+import time
+import urllib.request
+from base64 import b64decode, b64encode
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from runtime import Predictor
+from runtime.bundled_models import find_model
+from runtime.canonical_focal import depth_scale
+from runtime.heads import HEADS
+from runtime.resize import move_returns
+from runtime.sources.bundled_stream import bundled_frames, bundled_stream
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).parents[2]
+NEEDED = ("npm", "chromium", "chromedriver")
+FLAGS = (
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"),
+    *("--disable-component-update", "--disable-sync", "--no-first-run"),
+)
+TIMEOUT_S = 300
+
+
+class Page:
+    """The page in a session of ChromeDriver, which speaks JSON over HTTP."""
+
+    def __init__(self, driver, address):
+        self._url = driver + "/session"
+        options = {"binary": shutil.which("chromium"), "args": FLAGS}
+        timeouts = {"script": TIMEOUT_S * 1000, "pageLoad": TIMEOUT_S * 1000}
+        asked = {"goog:chromeOptions": options, "timeouts": timeouts}
+        session = self._post("", {"capabilities": {"alwaysMatch": asked}})
+        self._url += "/" + session["sessionId"]
+        self._post("/url", {"url": address})
+
+    def close(self):
+        request = urllib.request.Request(self._url, method="DELETE")
+        urllib.request.urlopen(request, timeout=TIMEOUT_S).close()
+
+    def run(self, script, *arguments):
+        """What a script returns."""
+        return self._post("/execute/sync", {"script": script, "args": arguments})
+
+    def drop(self, *paths):
+        """Drop files on the page; return the error that it shows."""
+        files = [(path.name, b64encode(path.read_bytes()).decode()) for path in paths]
+        script = """const dataTransfer = new DataTransfer();
+            for (const [name, content] of arguments[0])
+              dataTransfer.items.add(new File([Uint8Array.fromBase64(content)], name));
+            document.dispatchEvent(new DragEvent("drop", { dataTransfer }));"""
+        self.run(script, files)
+        return self.error()
+
+    def choose(self, *paths):
+        """Give files to the page's button; return the error that it shows."""
+        (button,) = self._post("/element", {"using": "css selector", "value": "#files"}).values()
+        self._post(f"/element/{button}/value", {"text": "\n".join(map(str, paths))})
+        return self.error()
+
+    def set_focal_length(self, pixels):
+        self.run("focal.value = arguments[0]; focal.onchange();", pixels or "")
+        self.error()
+
+    def error(self):
+        """The error that is shown once the page has done its work."""
+        self.wait_for("return document.body.className === ''")
+        return self.run("return document.getElementById('error').textContent")
+
+    def wait_for(self, condition):
+        deadline = time.monotonic() + TIMEOUT_S
+        while not self.run(condition):
+            assert time.monotonic() < deadline, self.run("return document.body.innerText")
+            time.sleep(0.05)
+
+    def answer(self):
+        """Head -> plane."""
+        script = """const { pixels, answer } = shown;
+            const base64 = ({ buffer, byteOffset, byteLength }) =>
+              new Uint8Array(buffer, byteOffset, byteLength).toBase64();
+            const planes = Object.entries(answer.heads).map(([k, plane]) => [k, base64(plane)]);
+            return [[pixels.height, pixels.width], Object.fromEntries(planes)];"""
+        size, heads = self.run(script)
+        return {
+            head: np.frombuffer(b64decode(plane), HEADS[head].dtype).reshape(size)
+            for head, plane in heads.items()
+        }
+
+    def _post(self, path, body):
+        request = urllib.request.Request(self._url + path, json.dumps(body).encode())
+        with urllib.request.urlopen(request, timeout=TIMEOUT_S) as response:
+            return json.load(response)["value"]
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    """Serve a copy of the page with its packages, beside the bundled files."""
+    if missing := [program for program in NEEDED if shutil.which(program) is None]:
+        pytest.skip(f"{' and '.join(missing)} not installed")
+    root = tmp_path_factory.mktemp("site")
+    folder = root / "examples" / "browser"
+    shutil.copytree(ROOT / "examples" / "browser", folder, ignore=shutil.ignore_patterns("node_*"))
+    shutil.copytree(folder, root / "bare")
+    (root / "runtime").symlink_to(ROOT / "runtime")
+    npm = ["npm", "install", "--ignore-scripts", "--no-audit", "--no-fund"]
+    installed = subprocess.run(npm, cwd=folder, capture_output=True, text=True, check=False)
+    assert installed.returncode == 0, installed.stderr
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *arguments):
+            pass
+
+    handler = functools.partial(Handler, directory=str(root))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}/examples/browser/"
+        server.shutdown()
+    shutil.rmtree(root)  # 150 MB
+
+
+@pytest.fixture(scope="module")
+def page(address):
+    driver = subprocess.Popen(["chromedriver", "--port=0"], stdout=subprocess.PIPE, text=True)
+    try:
+        lines = iter(driver.stdout.readline, "")
+        (port,) = next(filter(None, (re.findall(r"started .* on port (\d+)", x) for x in lines)))
+        opened = Page(f"http://127.0.0.1:{port}", address)
+        yield opened
+        opened.close()
+    finally:
+        driver.kill()
+        driver.communicate()
+
+
+@pytest.fixture
+def by_hand(model_file, contract):
+    """Write a model whose answers can be worked out by hand."""
+    contract = dataclasses.replace(contract, trained_height=40, canonical_focal_px=700.0)
+    return functools.partial(model_file, contract=contract)
+
+
+@pytest.fixture
+def frame_files(make_frame, tmp_path):
+    """Write a frame; return its arrays, as the files hold them, and the files."""
+
+    def write(height, width):
+        rgb, depth = make_frame(height, width)
+        depth[depth > 60] = 78  # m: nothing at the end of a range
+        paths = tmp_path / "frame.png", tmp_path / "frame_depth.png"
+        steps = np.rint(depth * 256).astype(np.uint16)
+        for path, pixels in zip(paths, (rgb[..., ::-1], steps), strict=True):
+            assert cv2.imwrite(str(path), pixels)
+        return rgb, (steps / 256).astype(np.float32), paths
+
+    return write
+
+
+def test_it_opens_with_the_engines_answer_to_a_bundled_frame(page):
+    assert page.error() == ""
+    frame = bundled_frames()[0]
+    with Predictor() as predictor:
+        agrees(page.answer(), predictor.predict(frame.rgb, frame.sparse_depth))
+    assert re.search(r"\b[1-9][0-9]* ms", page.run("return document.body.innerText"))
+
+
+def test_another_bundled_model_and_the_camera_alone(page):
+    model = find_model("ssdnet-nano")
+    frame = bundled_frames()[7]
+    assert page.choose(model, bundled_stream()[0] / "00007.jpg") == ""
+    with Predictor(model) as predictor:
+        agrees(page.answer(), predictor.predict(frame.rgb, None))
+
+
+def agrees(answer, prediction):
+    assert answer.keys() == prediction.heads.keys()
+    assert (answer["semantic"] == prediction.semantic).mean() >= 0.999
+    for head in ("depth", "depth_uncertainty"):
+        assert (np.abs(answer[head] - prediction.heads[head]) <= 0.01).mean() >= 0.999, head
+    assert np.abs(answer["boundary"] - prediction.boundary).max() <= 0.01
+
+
+@pytest.mark.parametrize("focal_px", [None, 350.0, 1400.0])
+@pytest.mark.parametrize(
+    ("fixed", "frame_size", "network_size"),
+    [
+        (None, (50, 64), (50, 64)),  # not a quarter more than the trained height
+        (None, (96, 129), (40, 54)),
+        ((40, 200), (96, 129), (40, 200)),
+    ],
+)
+def test_returns_are_fed_as_the_engine_feeds_them(
+    page, by_hand, frame_files, fixed, frame_size, network_size, focal_px
+):
+    rgb, depth, paths = frame_files(*frame_size)
+    model = by_hand(size=fixed, heads=("semantic", "depth", "boundary", "depth_uncertainty"))
+    page.set_focal_length(focal_px)
+    assert page.drop(model, *paths) == ""
+    answer = page.answer()
+    page.set_focal_length(None)
+    scale = depth_scale(80.0, 700.0, focal_px, frame_size=frame_size, network_size=network_size)
+    fed = move_returns(np.where(depth <= scale.range_m, depth, 0), network_size)
+    np.testing.assert_allclose(answer["depth"], fed + 1.5 / scale.factor, rtol=1e-6)
+    np.testing.assert_array_equal(answer["depth_uncertainty"], answer["depth"] / 16)
+    if network_size == frame_size:
+        np.testing.assert_array_equal(answer["semantic"], rgb[..., 0] >= 128)
+        np.testing.assert_array_equal(answer["boundary"], rgb[..., 1] / rgb[..., 2].astype("f4"))
+
+
+def test_classes_colours_and_heads_are_those_of_the_file(page, by_hand, frame_files):
+    rgb, _, paths = frame_files(48, 64)
+    assert page.drop(by_hand(), *paths) == ""
+    titles = page.run("return [...document.querySelectorAll('figcaption b')].map(b => b.innerText)")
+    assert titles == ["Image and returns", "Classes", "Depth", "Boundary"]
+    assert page.run("return document.querySelectorAll('figcaption')[1].innerText").split() == [
+        *("Classes", "dark", "red")
+    ]
+    script = """const canvas = document.querySelectorAll("canvas")[1];
+        const { data } = canvas.getContext("2d").getImageData(0, 0, 64, 48);
+        return Array.from(data);"""
+    drawn = np.reshape(page.run(script), (48, 64, 4))[..., :3]
+    colors = np.array([[0, 0, 128], [200, 30, 30]])[(rgb[..., 0] >= 128).astype(int)]
+    np.testing.assert_allclose(drawn, 0.7 * colors + 0.3 * rgb, atol=1)
+
+
+def test_an_answer_out_of_range_is_not_to_be_used(page, by_hand, frame_files):
+    rgb, _, (image, _) = frame_files(48, 64)
+    rgb[3, 4] = 0  # a boundary of NaN
+    cv2.imwrite(str(image), rgb[..., ::-1])
+    assert "out of range" in page.drop(by_hand(), image)
+
+
+def changed(path, old, new):
+    content = path.read_bytes()
+    assert content.count(old) == 1
+    path.write_bytes(content.replace(old, new))
+
+
+WRONG = {
+    "a text as a model": (
+        lambda model, image, depth: model.write_text("hello"),
+        "as ssdnet-export ends it",
+    ),
+    "half a model": (
+        lambda model, image, depth: model.write_bytes(model.read_bytes()[:-9]),
+        "model.onnx is damaged",
+    ),
+    "a changed graph": (
+        lambda model, image, depth: changed(model, b"by_hand", b"by-hand"),
+        "not as it was exported",
+    ),
+    "changed metadata": (
+        lambda model, image, depth: changed(model, b"dark", b"dork"),
+        "not as it was exported",
+    ),
+    "a newer schema": (
+        lambda model, image, depth: changed(model, b'"1.2"', b'"2.0"'),
+        "schema is 2.0",
+    ),
+    "a text as an image": (
+        lambda model, image, depth: image.write_text("hello"),
+        "no image for this page",
+    ),
+    "half a depth map": (
+        lambda model, image, depth: depth.write_bytes(depth.read_bytes()[:100]),
+        "no depth for this page",
+    ),
+    "depth of another size": (
+        lambda model, image, depth: cv2.imwrite(str(depth), np.ones((48, 63), np.uint16)),
+        "drop its own depth",
+    ),
+    "8 bits of depth": (
+        lambda model, image, depth: cv2.imwrite(str(depth), np.ones((48, 64), np.uint8)),
+        "a second image: depth is a 16-bit gray PNG",
+    ),
+    "a small image": (
+        lambda model, image, depth: [
+            cv2.imwrite(str(path), np.ones((31, 64), dtype))
+            for path, dtype in ((image, np.uint8), (depth, np.uint16))
+        ],
+        "smaller than 32",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_files_are_named_in_words(page, by_hand, frame_files, case):
+    _, _, paths = frame_files(48, 64)
+    spoil, message = WRONG[case]
+    model = by_hand()
+    assert page.drop(model, *paths) == ""
+    before = page.run("return document.body.innerText")
+    spoil(model, *paths)
+    error = page.drop(model, *paths)
+    assert message in error
+    assert page.run("return document.body.innerText").replace(error, "").split() == before.split()
+
+
+def test_without_its_packages_it_names_the_command(page):
+    script = """const frame = document.createElement("iframe");
+        frame.src = "/bare/index.html";
+        document.body.append(frame);"""
+    page.run(script)
+    error = "return document.querySelector('iframe').contentDocument.querySelector('#error')"
+    page.wait_for(f"{error}?.textContent.includes('npm install')")
