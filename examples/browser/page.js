@@ -9,10 +9,10 @@ const GRAY = colors("000000 ffffff");
 const NO_VALUE = [110, 110, 110];
 
 const { error, facts, files, focal, pictures } = window; // the elements by their ids
-const RAW = { colorSpaceConversion: "none", imageOrientation: "none" }; // as the engine
 const readers = {
   model: openModel,
-  image: (bytes) => createImageBitmap(new Blob([bytes]), RAW),
+  // Turned by its EXIF orientation, which the engine ignores.
+  image: (bytes) => createImageBitmap(new Blob([bytes]), { colorSpaceConversion: "none" }),
   depth: (bytes) => {
     const { data, height, width } = decode(bytes);
     return { height, width, metres: Float32Array.from(data, (value) => value / 256) };
@@ -36,7 +36,7 @@ async function take(dropped) {
   for (const file of dropped) {
     const bytes = new Uint8Array(await file.arrayBuffer());
     const kind = kindOf(file.name, bytes);
-    if (given[kind]) throw Error(`${file.name} is a second ${kind}: depth is a 16-bit gray PNG.`);
+    if (given[kind]) throw Error(`${file.name} is a second ${kind}. Depth is a 16-bit gray PNG.`);
     try {
       given[kind] = Object.assign(await readers[kind](bytes), { name: file.name });
     } catch ({ message }) {
@@ -89,7 +89,6 @@ function show() {
   pictures.replaceChildren(...(answer ? draw(shown) : []));
 }
 
-/** Figures of the image and of each head. */
 function draw({ model, pixels, fed, answer: { heads, range } }) {
   const { classes } = model.contract;
   const { semantic, depth, boundary, depth_uncertainty: uncertainty } = heads;
@@ -101,12 +100,13 @@ function draw({ model, pixels, fed, answer: { heads, range } }) {
   const image = (at) => pixels.data.subarray(4 * at, 4 * at + 3);
   const color = (id) => classes[id]?.color ?? NO_VALUE;
   const names = classes.map(({ name, color }) => make("span", swatch([color, color]), name));
-  const scale = () => [`${nearest} m`, swatch(MAGMA), `${range.toFixed()} m`];
+  const returns = ["returns in the colours of the depth"];
+  const scale = [`${nearest} m`, swatch(MAGMA), `${range.toFixed()} m`, "gray: none"];
   const percent = ["1 %", swatch(VIRIDIS), "100 % of the depth"];
   return [
-    figure("Image and returns", scale(), (at) => (fed[at] ? metric(fed[at]) : image(at))),
+    figure("Image", returns, (at) => (fed[at] ? metric(fed[at]) : image(at))),
     semantic && figure("Classes", names, (at) => mix(image(at), color(semantic[at]), 0.7)),
-    depth && figure("Depth", scale(), (at) => (hidden(at) ? NO_VALUE : metric(depth[at]))),
+    depth && figure("Depth", scale, (at) => (hidden(at) ? NO_VALUE : metric(depth[at]))),
     uncertainty && figure("Uncertainty", percent, (at) => (hidden(at) ? NO_VALUE : part(at))),
     boundary && figure("Boundary", ["0", swatch(GRAY), "1"], (at) => ramp(GRAY, boundary[at])),
   ].filter(Boolean);
