@@ -1,41 +1,33 @@
 """The training loop: one flat function from a recipe to checkpoints."""
 
-import contextlib
 import copy
-import random
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
-from torch.utils.data import DataLoader
-from torch.utils.data.dataloader import _MultiProcessingDataLoaderIter
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from models import Network, NetworkOutput, load_checkpoint, save_checkpoint
-from runtime.errors import CheckpointError, DatasetError, InputError
+from runtime.errors import CheckpointError, InputError
 from training.datasets.sample import SampleSource
-from training.distributed import (
-    Processes,
-    join_processes,
-    share_gradients,
-    synchronise_batch_norm,
-)
+from training.distributed import Processes, join_processes, share_gradients
 from training.evaluation.pictures import draw_pictures
-from training.evaluation.scoring import require_lidar, score_sources, torch_predict
+from training.evaluation.scoring import score_sources, torch_predict
 from training.lidar.split import LidarInput
-from training.loading.open_dataset import count_pixels, open_dataset, open_mixture
-from training.losses import SSDNetLoss, class_weights
+from training.loading.batches import read_batches
+from training.losses import SSDNetLoss
 from training.losses.consistency import Pair
-from training.network import adjust_logits, build_network, class_offsets, train_parts
+from training.network import adjust_logits, train_parts
 from training.optimizer import build_optimizer, exponential_average, learning_rate
+from training.progress import Progress
 from training.recipe import LoopRecipe, Recipe
 from training.run_folder import (
     BEST,
@@ -49,7 +41,7 @@ from training.run_folder import (
     require_same,
 )
 from training.score_table import SHOWN, ScoreTable
-from training.stop_signal import leave_signals_to_parent
+from training.task import open_task
 
 #: `Network.forward`, perhaps distributed or compiled.
 Forward = Callable[..., NetworkOutput]
@@ -108,51 +100,18 @@ def _train(
     stop_after: int | None,
     stop: Callable[[], bool],
 ) -> Path:
-    device = processes.device
+    task = open_task(recipe, processes, data, init)
+    network, criterion = task.network, task.criterion
     resolved = {
         "recipe": asdict(recipe),
         "init": None if init is None else name_weights(init),
         "processes": processes.count,
     }
-    # OpenCV's thread pool does not survive the fork of the loader's workers: they would hang.
-    cv2.setNumThreads(0)
-    torch.manual_seed(recipe.data.seed)
-    random.seed(recipe.data.seed)
-    np.random.seed(recipe.data.seed)  # noqa: NPY002  (for libraries that draw from it)
-
-    classes = recipe.model.class_table
-    sources = [open_dataset(item, data, classes=classes) for item in recipe.data.source]
-    validation = {
-        item.name: open_dataset(item, data, classes=classes) for item in recipe.validation.source
-    }
-    require_lidar(validation, LidarInput.parse(recipe.validation.lidar))
-    network = build_network(recipe.model, init)
-    train_parts(network, recipe.optimizer.only)
-    heads = network.heads
-    if not recipe.loss.terms_for(heads):
-        raise InputError(
-            f"no term of the loss has a weight for the heads of {network.config.name!r} "
-            f"({', '.join(heads)}). Set the weight of one that needs these heads."
-        )
-    weights = None
-    if "semantic" in heads and recipe.loss.weighs_classes:
-        weights = _weigh_classes(recipe, sources, network.config.num_classes)
-    offsets = class_offsets(network, recipe.loop.logit_offsets)
     if processes.is_first:
         prepare_folder(out, resolved)  # only now: a training that cannot start leaves no folder
     processes.wait()
-    network = network.to(device)
-    if recipe.loop.channels_last:
-        network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    synchronise_batch_norm(network, processes)
-    criterion = SSDNetLoss(
-        recipe.loss,
-        weights,
-        max_depth_m=network.config.max_depth_m,
-        road=recipe.model.class_id("road"),
-    ).to(device)
     optimizer = build_optimizer(recipe.optimizer, network, criterion)
-    scaler = torch.amp.GradScaler(device.type, enabled=recipe.loop.autocast == "fp16")
+    scaler = torch.amp.GradScaler(processes.device.type, enabled=recipe.loop.autocast == "fp16")
     # Buffers are averaged too: batch statistics must fit the averaged weights.
     average = AveragedModel(
         network, multi_avg_fn=exponential_average(recipe.loop.ema_decay), use_buffers=True
@@ -176,9 +135,8 @@ def _train(
     shared = share_gradients(network, processes)
     forward: Forward = torch.compile(shared) if recipe.loop.compile else shared
 
-    loader = _open_loader(recipe, sources, processes, step)
     training_info = {
-        "data": [item.name for item in recipe.data.source],
+        "data": [item.title for item in recipe.data.source],
         "terms": recipe.terms,
         "trained_height": recipe.model.trained_height,
         **resolved,
@@ -194,7 +152,9 @@ def _train(
         """The averaged weights as model.pt and best.pt hold them, and as they are validated."""
         share = recipe.loop.logit_adjustment
         copied = copy.deepcopy(averaged)
-        copied.load_state_dict(adjust_logits(averaged.state_dict(), weights, share, offsets))
+        copied.load_state_dict(
+            adjust_logits(averaged.state_dict(), task.class_weights, share, task.class_offsets)
+        )
         return copied
 
     def save_released(path: Path, candidate: Network) -> None:
@@ -205,14 +165,8 @@ def _train(
     last_step = steps if stop_after is None else min(steps, stop_after)
     with (
         _Board(out / TENSORBOARD if processes.is_first else None, step) as board,
-        tqdm(
-            total=steps,
-            initial=step,
-            desc="train",
-            unit="step",
-            disable=None if processes.is_first else True,
-        ) as progress,
-        _batches(loader) as batches,
+        closing(Progress(steps, step, shown=processes.is_first)) as progress,
+        read_batches(recipe, task.sources, processes, step) as batches,
     ):
         train_parts(network, recipe.optimizer.only)
         while step < last_step and not processes.any(stop()):
@@ -223,9 +177,9 @@ def _train(
             sums: dict[str, Tensor] = {}
             names: list[str] = []
             for _ in range(recipe.loop.accumulate):
-                samples = _next_batch(batches)
+                samples = next(batches)
                 names += samples["name"]
-                terms = _compute_loss(forward, criterion, samples, recipe.loop, device)
+                terms = _compute_loss(forward, criterion, samples, recipe.loop, processes.device)
                 require_finite(terms, terms["total"], step, names, out, processes)
                 share = terms["total"] / recipe.loop.accumulate
                 scaler.scale(share).backward()  # type: ignore[no-untyped-call]
@@ -245,9 +199,9 @@ def _train(
             scaler.update()
             average.update_parameters(network)
             step += 1
-            progress.update()
+            progress.update(step, sums["total"], rate)
 
-            if step % recipe.loop.log_every == 0:
+            if step % recipe.log_every == 0:
                 board.add_scalars(
                     {
                         **{f"loss/{name}": term.item() for name, term in sums.items()},
@@ -259,38 +213,20 @@ def _train(
                     },
                     step,
                 )
-                progress.set_postfix(loss=f"{sums['total'].item():.3f}")
             # Before the checkpoint: a run killed in between validates again after it resumes.
-            if validation and (step % recipe.validation.every == 0 or step == steps):
+            if task.validation and (step % recipe.validate_every == 0 or step == steps):
                 candidate = released()
-                figures = _validate(candidate, validation, recipe, processes, board, step)
+                figures = _validate(candidate, task.validation, recipe, processes, board, step)
                 if scores is not None and scores.add(step, figures, recipe.validation.best):
                     save_released(out / BEST, candidate)
                 train_parts(network, recipe.optimizer.only)
-            if step % recipe.loop.checkpoint_every == 0:
+            if step % recipe.checkpoint_every == 0:
                 save_last()
     save_last()
     if step == steps and processes.is_first:
         save_released(out / FINAL, released())
     processes.wait()  # until the file is written
     return out / (FINAL if step == steps else LAST)  # stopped early: nothing to release yet
-
-
-def _open_loader(
-    recipe: Recipe, sources: Sequence[SampleSource], processes: Processes, step: int
-) -> DataLoader[dict[str, Any]]:
-    """Return the batches of this process from a step to the end of the training."""
-    steps, batch = recipe.schedule.steps, recipe.data.batch_size
-    per_step = recipe.loop.accumulate * batch * processes.count
-    return DataLoader(
-        open_mixture(recipe.data, sources, length=steps * per_step, model=recipe.model),
-        batch_size=batch,
-        sampler=processes.shares(step * per_step, steps * per_step, batch),
-        num_workers=recipe.data.workers,
-        prefetch_factor=3 if recipe.data.workers else None,
-        pin_memory=processes.device.type == "cuda",
-        worker_init_fn=_start_worker,
-    )
 
 
 class _Board:
@@ -353,13 +289,6 @@ def _validate(
     return scores
 
 
-def _start_worker(_: int) -> None:
-    """Set up a worker process of the loader."""
-    leave_signals_to_parent()
-    # OpenCV's threads would compete with those of the training.
-    cv2.setNumThreads(0)
-
-
 def _compute_loss(
     forward: Forward,
     criterion: SSDNetLoss,
@@ -398,41 +327,6 @@ def _compute_loss(
         pair=pair,
     )
     return terms
-
-
-def _weigh_classes(recipe: Recipe, sources: Sequence[SampleSource], num_classes: int) -> Tensor:
-    counts = count_pixels(recipe.data, sources, num_classes)
-    if not counts.any():
-        raise InputError(
-            f"no pixel of {', '.join(item.name for item in recipe.data.source)} is labelled, so "
-            "there are no class frequencies. Set loss.class_weighting = 'none', take a network "
-            "without semantic head, or add a labelled set."
-        )
-    return class_weights(torch.from_numpy(counts), recipe.loss.class_weighting)
-
-
-@contextlib.contextmanager
-def _batches(loader: DataLoader[Any]) -> Iterator[Iterator[dict[str, Any]]]:
-    """Yield the loader's batches, and end its workers with the block.
-
-    Workers ignore SIGTERM: while a traceback keeps the iterator, Python would wait for them at
-    exit for ever.
-    """
-    batches = iter(loader)
-    try:
-        yield batches
-    finally:
-        if isinstance(batches, _MultiProcessingDataLoaderIter):
-            batches._shutdown_workers()
-
-
-def _next_batch(batches: Iterator[dict[str, Any]]) -> dict[str, Any]:
-    """Return the next batch; a worker's error about a damaged file comes without its traceback."""
-    try:
-        return next(batches)
-    except DatasetError as error:
-        last = str(error).strip().splitlines()[-1]
-        raise DatasetError(last.removeprefix(f"{DatasetError.__module__}.DatasetError: ")) from None
 
 
 def _resume(

@@ -199,8 +199,9 @@ class LoopRecipe:
     #: Batches per process whose gradients are averaged for one step; batch normalisation is over
     #: each batch.
     accumulate: BatchSize = 1
-    checkpoint_every: Steps = 500
-    log_every: Steps = 20
+    #: Steps between two checkpoints and two entries of the curves; None = see `Recipe`.
+    checkpoint_every: Steps | None = None
+    log_every: Steps | None = None
 
 
 def _require_lidar(text: str) -> str:
@@ -215,7 +216,8 @@ def _require_lidar(text: str) -> str:
 class ValidationRecipe:
     """Data sets on which the averaged weights are scored during training."""
 
-    every: Steps = 1000
+    #: Steps between two validations; None = see `Recipe`.
+    every: Steps | None = None
     #: The LiDAR input, see `training.lidar.split.LidarInput`: the one that it is trained with.
     lidar: Annotated[str, AfterValidator(_require_lidar)] = "own"
     source: Annotated[tuple[AnySource, ...], Field(max_length=100)] = ()
@@ -227,20 +229,26 @@ class ValidationRecipe:
 
     def __post_init__(self) -> None:
         """Check the names of the sets and of the best score."""
-        paths = [item.name for item in self.source]
-        twice = sorted({path for path in paths if paths.count(path) > 1})
+        titles = [item.title for item in self.source]
+        twice = sorted({title for title in titles if titles.count(title) > 1})
         if twice:
-            raise ValueError(f"source has {twice[0]!r} twice; scores are named by the path")
-        if self.best and self.best.rpartition("/")[0] not in paths:
             raise ValueError(
-                f"best = {self.best!r}; expected SET/SCORE of one of the sets {paths}, for "
+                f"source has two sets called {twice[0]!r}, as their scores would be; give each its "
+                "own `name`"
+            )
+        if self.best and self.best.rpartition("/")[0] not in titles:
+            raise ValueError(
+                f"best = {self.best!r}; expected SET/SCORE of one of the sets {titles}, for "
                 "example 'camvid/miou'"
             )
 
 
 @dataclass(frozen=True, config=STRICT)
 class Recipe:
-    """A training: the content of a recipe's TOML file."""
+    """A training: the content of a recipe's TOML file.
+
+    What it does not say about the loop's output follows from the number of steps.
+    """
 
     model: ModelRecipe
     data: DataRecipe
@@ -270,6 +278,24 @@ class Recipe:
                 f"schedule.steps = {self.schedule.steps}: with data.batch_size and "
                 f"loop.accumulate these are {samples} samples; at most {MAX_SAMPLES} are drawn"
             )
+
+    @property
+    def log_every(self) -> int:
+        """Steps between two entries of the curves: by default a hundredth, at most 20."""
+        return self.loop.log_every or self._share_of_steps(100, 20)
+
+    @property
+    def checkpoint_every(self) -> int:
+        """Steps between two checkpoints: by default a tenth, at most 500."""
+        return self.loop.checkpoint_every or self._share_of_steps(10, 500)
+
+    @property
+    def validate_every(self) -> int:
+        """Steps between two validations: by default a fifth, at most 1000."""
+        return self.validation.every or self._share_of_steps(5, 1000)
+
+    def _share_of_steps(self, parts: int, most: int) -> int:
+        return max(1, min(most, self.schedule.steps // parts))
 
 
 def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:

@@ -263,8 +263,8 @@ def test_every_kind_takes_its_own_keys(kind, keys):
 
 
 def test_only_scenes_rendered_on_the_fly_need_no_path():
-    assert build(AnySource, {"kind": "rendered_on_the_fly"}).name == "rendered_on_the_fly"
-    assert RenderedRecipe(path="rendered/val").name == "rendered/val"
+    assert build(AnySource, {"kind": "rendered_on_the_fly"}).title == "rendered_on_the_fly"
+    assert RenderedRecipe(path="rendered/val").title == "rendered/val"
     with pytest.raises(InputError, match="missing key path"):
         build(AnySource, {"kind": "rendered"})
 
@@ -305,9 +305,21 @@ def test_what_is_trained_on_a_random_share_is_validated_so(name):
     assert recipe.validation.lidar == "random:0.05"
 
 
+@pytest.mark.parametrize(
+    ("steps", "every"),
+    [(1, (1, 1, 1)), (300, (3, 30, 60)), (2000, (20, 200, 400)), (60000, (20, 500, 1000))],
+)
+def test_output_follows_the_number_of_steps_unless_stated(tmp_path, steps, every):
+    recipe = read(tmp_path, MINIMAL.replace("steps = 10", f"steps = {steps}"))
+    assert (recipe.log_every, recipe.checkpoint_every, recipe.validate_every) == every
+    changes = ["loop.log_every = 7", "loop.checkpoint_every = 9000", "validation.every = 8000"]
+    stated = read_recipe(tmp_path / "r.toml", changes)
+    assert (stated.log_every, stated.checkpoint_every, stated.validate_every) == (7, 9000, 8000)
+
+
 def test_two_validation_sets_of_one_path_are_refused():
     source = CamVidRecipe(path="camvid", split="val")
-    with pytest.raises(ValueError, match="'camvid' twice"):
+    with pytest.raises(ValueError, match="two sets called 'camvid'"):
         ValidationRecipe(source=(source, source))
     with pytest.raises(ValueError, match="every"):
         ValidationRecipe(every=0)

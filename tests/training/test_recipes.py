@@ -179,6 +179,6 @@ def test_shipped_recipe_trains(path, data, tmp_path):
     learned = terms - {"depth_uncertainty"} if recipe.loss.weighting == "uncertainty" else set()
     assert shown["log_variance"].keys() == learned
     assert shown["validation"].keys() == {
-        f"{item.name}/{score}" for item in recipe.validation.source for score in SCORES[item.kind]
+        f"{item.title}/{score}" for item in recipe.validation.source for score in SCORES[item.kind]
     }
     assert all(math.isfinite(value) for value in shown["validation"].values())

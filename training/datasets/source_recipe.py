@@ -6,10 +6,12 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from runtime.contract import MAX_NAME_LENGTH
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
 from training.limits import STRICT, FactorRange, Positive, Side
 
+SetName = Annotated[str, Field(min_length=1, max_length=MAX_NAME_LENGTH)]
 #: Names of scenes, variants or drives.
 Names = Annotated[tuple[str, ...], Field(min_length=1, max_length=10_000)]
 
@@ -31,14 +33,16 @@ class SourceRecipe:
     size: tuple[Side, Side] | None = None
     #: Range of the random magnification; the common one by default.
     scale: FactorRange | None = None
+    #: Name in scores, curves and files; the path by default.
+    name: SetName | None = None
 
     #: Whether there is a folder to read.
     on_disk: ClassVar[bool] = True
 
     @property
-    def name(self) -> str:
-        """Name in score tables."""
-        return self.path or self.kind
+    def title(self) -> str:
+        """What it is called."""
+        return self.name or self.path or self.kind
 
     def open(self, folder: Path, classes: ClassTable) -> SampleSource:
         """Open the data set.

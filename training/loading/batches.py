@@ -1,0 +1,60 @@
+"""The batches of a training, decoded and augmented by worker processes."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import cv2
+from torch.utils.data import DataLoader
+from torch.utils.data.dataloader import _MultiProcessingDataLoaderIter
+
+from runtime.errors import DatasetError
+from training.datasets.sample import SampleSource
+from training.distributed import Processes
+from training.loading.open_dataset import open_mixture
+from training.recipe import Recipe
+from training.stop_signal import leave_signals_to_parent
+
+
+@contextmanager
+def read_batches(
+    recipe: Recipe, sources: Sequence[SampleSource], processes: Processes, step: int
+) -> Iterator[Iterator[dict[str, Any]]]:
+    """Yield this process's batches from a step to the end, and end the workers with the block.
+
+    Workers ignore SIGTERM: while a traceback keeps the iterator, Python would wait for them at
+    exit for ever.
+    """
+    steps, batch = recipe.schedule.steps, recipe.data.batch_size
+    per_step = recipe.loop.accumulate * batch * processes.count
+    loader = DataLoader(
+        open_mixture(recipe.data, sources, length=steps * per_step, model=recipe.model),
+        batch_size=batch,
+        sampler=processes.shares(step * per_step, steps * per_step, batch),
+        num_workers=recipe.data.workers,
+        prefetch_factor=3 if recipe.data.workers else None,
+        pin_memory=processes.device.type == "cuda",
+        worker_init_fn=_start_worker,
+    )
+    batches = iter(loader)
+    try:
+        yield _without_tracebacks(batches)
+    finally:
+        if isinstance(batches, _MultiProcessingDataLoaderIter):
+            batches._shutdown_workers()
+
+
+def _start_worker(_: int) -> None:
+    """Set up a worker process of the loader."""
+    leave_signals_to_parent()
+    # OpenCV's threads would compete with those of the training.
+    cv2.setNumThreads(0)
+
+
+def _without_tracebacks(batches: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Yield the batches; a worker's error about a damaged file comes without its traceback."""
+    try:
+        yield from batches
+    except DatasetError as error:
+        last = str(error).strip().splitlines()[-1]
+        raise DatasetError(last.removeprefix(f"{DatasetError.__module__}.DatasetError: ")) from None

@@ -1,0 +1,95 @@
+"""What a recipe trains on what: all that can be refused before a run writes anything."""
+
+import random
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from models import Network
+from runtime.errors import InputError
+from training.datasets.sample import SampleSource
+from training.distributed import Processes, synchronise_batch_norm
+from training.evaluation.scoring import require_lidar
+from training.lidar.split import LidarInput
+from training.loading.open_dataset import count_pixels, open_dataset
+from training.losses import SSDNetLoss, class_weights
+from training.network import build_network, class_offsets, train_parts
+from training.recipe import Recipe
+
+
+@dataclass(frozen=True)
+class Task:
+    """An opened recipe.
+
+    Attributes:
+        sources: the sets of the mixture.
+        validation: the validation sets by title.
+        network: on the device of the process; only the parts that are trained have gradients.
+        criterion: the loss, there too.
+        class_weights: of the semantic loss, where it has any.
+        class_offsets: what the recipe adds to the logits of the released weights.
+    """
+
+    sources: Sequence[SampleSource]
+    validation: Mapping[str, SampleSource]
+    network: Network
+    criterion: SSDNetLoss
+    class_weights: Tensor | None
+    class_offsets: Tensor | None
+
+
+def open_task(
+    recipe: Recipe, processes: Processes, data: Sequence[Path], init: Path | None
+) -> Task:
+    """Seed the random numbers, open the data sets and build network and loss, see `loop.train`."""
+    # OpenCV's thread pool does not survive the fork of the loader's workers: they would hang.
+    cv2.setNumThreads(0)
+    torch.manual_seed(recipe.data.seed)
+    random.seed(recipe.data.seed)
+    np.random.seed(recipe.data.seed)  # noqa: NPY002  (for libraries that draw from it)
+
+    classes = recipe.model.class_table
+    sources = [open_dataset(item, data, classes=classes) for item in recipe.data.source]
+    validation = {
+        item.title: open_dataset(item, data, classes=classes) for item in recipe.validation.source
+    }
+    require_lidar(validation, LidarInput.parse(recipe.validation.lidar))
+    network = build_network(recipe.model, init)
+    train_parts(network, recipe.optimizer.only)
+    heads = network.heads
+    if not recipe.loss.terms_for(heads):
+        raise InputError(
+            f"no term of the loss has a weight for the heads of {network.config.name!r} "
+            f"({', '.join(heads)}). Set the weight of one that needs these heads."
+        )
+    weights = None
+    if "semantic" in heads and recipe.loss.weighs_classes:
+        weights = _weigh_classes(recipe, sources, network.config.num_classes)
+    offsets = class_offsets(network, recipe.loop.logit_offsets)
+    network = network.to(processes.device)
+    if recipe.loop.channels_last:
+        network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    synchronise_batch_norm(network, processes)
+    criterion = SSDNetLoss(
+        recipe.loss,
+        weights,
+        max_depth_m=network.config.max_depth_m,
+        road=recipe.model.class_id("road"),
+    ).to(processes.device)
+    return Task(sources, validation, network, criterion, weights, offsets)
+
+
+def _weigh_classes(recipe: Recipe, sources: Sequence[SampleSource], num_classes: int) -> Tensor:
+    counts = count_pixels(recipe.data, sources, num_classes)
+    if not counts.any():
+        raise InputError(
+            f"no pixel of {', '.join(item.title for item in recipe.data.source)} is labelled, so "
+            "there are no class frequencies. Set loss.class_weighting = 'none', take a network "
+            "without semantic head, or add a labelled set."
+        )
+    return class_weights(torch.from_numpy(counts), recipe.loss.class_weighting)
