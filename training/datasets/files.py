@@ -67,7 +67,10 @@ def require_size(path: Path, size: tuple[int, ...], expected: tuple[int, int]) -
 def require_folder(path: Path, purpose: str, *, files: Sequence[str] = ()) -> Path:
     """Return `path`; raise a DatasetError if it is no folder or lacks a file of these names."""
     if not os.path.isdir(path):
-        raise DatasetError(f"{path}: no such folder; expected {purpose}.")
+        beside = [item.name for item in path.parent.glob("[!.]*/")]
+        raise DatasetError(
+            f"{path}: no such folder; expected {purpose}. Folders there: {list_names(beside)}."
+        )
     there = {file.name for file in path.iterdir()} if files else set()
     missing = [name for name in files if name not in there]
     if missing:
@@ -75,6 +78,13 @@ def require_folder(path: Path, purpose: str, *, files: Sequence[str] = ()) -> Pa
             f"{path / missing[0]}: missing ({len(missing)} of {len(files)} frames lack it)."
         )
     return path
+
+
+def list_names(names: Sequence[str]) -> str:
+    """Return the first names in order, for a message."""
+    shown = sorted(names)[:10]
+    more = f" and {len(names) - len(shown)} more" if len(names) > len(shown) else ""
+    return f"{', '.join(shown) or 'none'}{more}"
 
 
 def require_complete(frames: Sequence[ListedFrame], folder: Path) -> None:

@@ -131,14 +131,15 @@ class VirtualKitti:
         self._extrinsics: dict[Path, NDArray[np.float64]] = {}
         self._colors: dict[Path, ColorTable] = {}
         self._frames: list[tuple[Path, int, VirtualKittiSource, ListedFrame]] = []
-        for scene in _folders(root):
-            for variant in _folders(scene):
-                if selection.takes_variant(scene.name, variant.name):
-                    for camera in cameras:
-                        self._add(variant, camera, selection)
-                    self._colors[variant] = read_colors(variant / "colors.txt", classes)
+        variants = [variant for scene in _folders(root) for variant in _folders(scene)]
+        for variant in variants:
+            if selection.takes_variant(variant.parent.name, variant.name):
+                for camera in cameras:
+                    self._add(variant, camera, selection)
+                self._colors[variant] = read_colors(variant / "colors.txt", classes)
         names = [f"{v.parent.name}/{v.name}/{listed.name}" for v, _, _, listed in self._frames]
-        require_every_frame(selection, names, root)
+        there = [f"{variant.parent.name}/{variant.name}" for variant in variants]
+        require_every_frame(selection, names, there, root)
 
     @dataset_errors()
     def _add(self, variant: Path, camera: int, selection: Selection) -> None:
@@ -230,7 +231,8 @@ class VirtualKitti1:
         labels = require_folder(self._root / _CLASSES_1, "its class images")
         self._frames: list[tuple[str, str, str]] = []
         self._colors: dict[tuple[str, str], ColorTable] = {}
-        for folder in sorted(path for path in images.glob("*/*") if path.is_dir()):
+        folders = sorted(path for path in images.glob("*/*") if path.is_dir())
+        for folder in folders:
             scene, variant = folder.parent.name, folder.name
             if not selection.takes_variant(scene, variant):
                 continue
@@ -245,7 +247,9 @@ class VirtualKitti1:
             colors = labels / f"{scene}_{variant}_scenegt_rgb_encoding.txt"
             self._colors[scene, variant] = read_colors(colors, classes)
             self._frames += [(scene, variant, number) for number in numbers]
-        require_every_frame(selection, ["/".join(frame) for frame in self._frames], images)
+        names = ["/".join(frame) for frame in self._frames]
+        there = [f"{folder.parent.name}/{folder.name}" for folder in folders]
+        require_every_frame(selection, names, there, images)
 
     def __len__(self) -> int:
         return len(self._frames)

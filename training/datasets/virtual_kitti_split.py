@@ -7,7 +7,7 @@ from typing import Literal
 
 from runtime.errors import DatasetError
 from runtime.read_input import read_text
-from training.datasets.files import dataset_errors
+from training.datasets.files import dataset_errors, list_names
 
 Split = Literal["train", "val", "test", "all"]
 
@@ -25,6 +25,14 @@ PAPER_VARIANTS = (
 )
 _TEST_SCENE = 1  # 447 frames a variant, the paper's 3,576 in all
 _VAL_SCENE, _VAL_FIRST = 20, 547  # the last 290 of its 837 frames: the paper's 2,320 in all
+_VAL = f"frames of scene {_VAL_SCENE} from {_VAL_FIRST} on"
+#: Split -> its frames, for messages.
+_FRAMES = {
+    "train": f"all but scene {_TEST_SCENE} and the {_VAL}",
+    "val": f"the {_VAL}",
+    "test": f"scene {_TEST_SCENE}",
+    "all": "all scenes",
+}
 
 
 @dataclass(frozen=True)
@@ -81,14 +89,20 @@ def read_frame_list(path: Path) -> frozenset[str]:
     return frozenset(rows)
 
 
-def require_every_frame(selection: Selection, found: Sequence[str], root: Path) -> None:
-    """Raise DatasetError if nothing was found, or not all that a list names."""
+def require_every_frame(
+    selection: Selection, found: Sequence[str], variants: Sequence[str], root: Path
+) -> None:
+    """Raise DatasetError if no frame was found, or not all that a list names.
+
+    ``found`` are the frames taken, ``variants`` all "scene/variant" of the set.
+    """
     missing = sorted(selection.frames - set(found)) if selection.frames is not None else []
     if missing:
         raise DatasetError(f"{root}: {missing[0]} is listed, but missing ({len(missing)} such).")
     if not found:
+        paper = "any" if selection.split == "all" else ", ".join(PAPER_VARIANTS)
         raise DatasetError(
-            f"{root}: no frames of the split {selection.split!r} (scenes "
-            f"{selection.scenes or 'of the split'}, variants "
-            f"{selection.variants or 'of the split'})."
+            f"{root}: no frames of the split {selection.split!r}. Wanted: "
+            f"{', '.join(selection.scenes or [_FRAMES[selection.split]])}; variants: "
+            f"{', '.join(selection.variants or [paper])}. Found: {list_names(variants)}."
         )

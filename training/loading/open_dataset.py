@@ -12,8 +12,8 @@ from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
 from training.datasets.source_recipe import SourceRecipe
 from training.loading.cache import CachedSource
+from training.loading.checked import CheckedSource
 from training.loading.mixture import DepthTarget, Mixture, MixturePart
-from training.loading.resized import ResizedSource
 from training.recipe import DataRecipe, ModelRecipe
 
 
@@ -25,7 +25,7 @@ def open_dataset(
     ``classes`` is the table of the class ids. DatasetError if there is none, or it cannot be read.
     """
     source = recipe.open(_find_folder(recipe, roots) if recipe.on_disk else Path(), classes)
-    return ResizedSource(source, recipe.size) if recipe.size else source
+    return CheckedSource(source, recipe.size)
 
 
 def _find_folder(recipe: SourceRecipe, roots: Sequence[Path]) -> Path:

@@ -9,8 +9,8 @@ from training.datasets.camvid import CamVidRecipe
 from training.datasets.sample import Sample
 from training.loading.augment import AugmentConfig
 from training.loading.cache import CachedSource
+from training.loading.checked import CheckedSource
 from training.loading.open_dataset import open_mixture
-from training.loading.resized import ResizedSource
 from training.recipe import DataRecipe
 
 #: rgb, depth and classes of 10 x 10 pixels.
@@ -106,8 +106,8 @@ def test_mixture_shares_the_recipes_memory_among_workers_and_sets():
     assert decoded(2 * BYTES, workers=2, sets=1) > 2
 
 
-def test_resized_source_brings_every_frame_to_one_size():
-    source = ResizedSource(Counted(), (5, 6))
+def test_checked_source_brings_every_frame_to_one_size():
+    source = CheckedSource(Counted(), (5, 6))
     assert len(source) == 4
     assert {source[index].size for index in range(4)} == {(5, 6)}
     assert (source[3].depth == 4.0).all()
