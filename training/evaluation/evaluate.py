@@ -115,7 +115,7 @@ def evaluate(
                 scored[titles[name]] = stack.enter_context(opened)
         folders = short_names([Path(recipe.path) for recipe in data])
         for recipe, folder in zip(data, folders, strict=True):
-            title = " ".join([folder, *_changed_keys(recipe)])
+            title = recipe.name or " ".join([folder, *_changed_keys(recipe)])
             for name, model in scored.items():
                 source = open_dataset(recipe, [Path()], classes=model.class_table)
                 rows += _score_all(name, model, title, source, lidars, faults, limit, save)
@@ -207,5 +207,6 @@ def _score_all(
                 *(name, model.engine, title, *key, total.frames, total.figures(class_names)),
                 places=by_place,
                 figures_over_places=figures_over_places(by_place.values()),
+                heads=sorted(total.heads),
             )
     return list(rows.values())

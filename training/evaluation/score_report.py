@@ -56,6 +56,9 @@ _COLUMNS = (
 )
 _PLOTTED = (("miou", "mIoU [%]", 100.0), ("mae_m", "MAE [m]", 1.0), ("rmse_m", "RMSE [m]", 1.0))
 
+#: Head -> the figure that every set with its ground truth has, and the truth as `folders` names it.
+_TRUTH = {"semantic": ("miou", "labels"), "depth": ("mae_m", "depth")}
+
 _MARKERS = "os^Dv*"
 _LINE_STYLES = ("-", "--", ":", "-.")
 
@@ -68,6 +71,7 @@ class Row:
         figures: over the pixels of all frames, in SI units and shares; empty without ground truth.
         places: figures by place, where the set knows the places of its frames and has several.
         figures_over_places: the mean over these places, see `scoring.figures_over_places`.
+        heads: what the model answered.
     """
 
     model: str
@@ -79,10 +83,11 @@ class Row:
     figures: dict[str, float]
     places: dict[str, dict[str, float]] = field(default_factory=dict)
     figures_over_places: dict[str, float] = field(default_factory=dict)
+    heads: Sequence[str] = ()
 
 
 def format_table(rows: Sequence[Row]) -> str:
-    """Lay rows out as a Markdown table; a row without figures is a line below it.
+    """Lay rows out as a Markdown table, with what could not be scored below it.
 
     Columns that no row has are left out. A row with places has a second line, the mean over them.
     """
@@ -91,11 +96,14 @@ def format_table(rows: Sequence[Row]) -> str:
     cells = [[*titles, *(title for _, title, _ in columns)]]
     notes = []
     for row in rows:
+        for head, (figure, truth) in _TRUTH.items():
+            if head in row.heads and figure not in row.figures:
+                notes.append(
+                    f"{row.data}: none of the {row.frames} frames has {truth} to score by; give a "
+                    f"set that has, for example folders:DIR,{truth}=FOLDER"
+                )
         if not row.figures:
-            notes.append(
-                f"{row.model} on {row.data}, LiDAR {row.lidar}: nothing to score, as none of the "
-                f"{row.frames} frames has ground truth"
-            )
+            notes.append(f"{row.model} on {row.data}, LiDAR {row.lidar}: nothing to score")
             continue
         lines = [(str(row.frames), row.figures)]
         if row.places:
@@ -107,6 +115,7 @@ def format_table(rows: Sequence[Row]) -> str:
             ]
             words = [row.model, row.engine, row.data, frames, row.lidar, row.fault]
             cells.append([*words, *values])
+    notes = list(dict.fromkeys(notes))
     if len(cells) == 1:
         return "\n".join(notes)
     widths = [max(len(line[index]) for line in cells) for index in range(len(cells[0]))]

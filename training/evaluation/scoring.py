@@ -103,6 +103,7 @@ class Scores:
 
     def __init__(self, num_classes: int) -> None:
         self.frames = 0
+        self.heads: set[str] = set()  # that were answered
         self.semantic = SemanticScores(num_classes)
         self.depth = DepthScores()
         self.boundary = BoundaryScores(BOUNDARY_THRESHOLDS)
@@ -115,6 +116,7 @@ class Scores:
         """Count a frame; missing heads and targets are left out."""
         sample = frame.sample
         self.frames += 1
+        self.heads |= answer.heads.keys()
         labelled = bool((sample.semantic != IGNORE).any())
         if answer.semantic is not None and labelled:
             self.semantic.update(answer.semantic, sample.semantic)
@@ -133,6 +135,7 @@ class Scores:
     def merge(self, other: "Scores") -> None:
         """Add another's counts."""
         self.frames += other.frames
+        self.heads |= other.heads
         self.semantic.merge(other.semantic)
         self.depth.merge(other.depth)
         self.boundary.merge(other.boundary)

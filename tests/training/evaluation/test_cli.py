@@ -1,6 +1,7 @@
 """`ssdnet-eval`: the same inputs and figures for a checkpoint and the file exported from it."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import torch
 from typer.testing import CliRunner
 
 from export.exporter import export_checkpoint
-from layouts import kitti_streets
+from layouts import camvid, kitti_streets
 from models import create_model, load_checkpoint, save_checkpoint
 from runtime.bundled_models import find_model
 from runtime.errors import InputError
@@ -328,6 +329,23 @@ def test_one_row_where_no_lidar_could_be_fed(folder, tmp_path):
         assert result.exit_code == 0, result.output
         (row,) = json.loads(out.read_text())
         assert (row["lidar"], row["fault"]) == ("none", "none")
+
+
+def test_data_without_ground_truth_says_what_to_give(tmp_path):
+    """And what is given then is scored, under the set's own name."""
+    rgb, label = np.full((40, 64, 3), 90, np.uint8), np.full((40, 64), 3, np.uint8)
+    camvid.write_frame(tmp_path, rgb, label)
+    data = f"folders:{tmp_path},rgb=train"
+    lacks = "none of the 1 frames has {0} to score by; .*folders:DIR,{0}=FOLDER"
+    result = run("ssdnet-nano", "--data", data, "--limit", 1)
+    assert result.exit_code == 0, result.output
+    assert re.search(lacks.format("labels"), result.output)
+    assert re.search(lacks.format("depth"), result.output)
+    result = run("ssdnet-nano", "--data", f"{data},labels=trainannot,name=street")
+    assert result.exit_code == 0, result.output
+    assert "has labels to score" not in result.output
+    assert re.search("street: " + lacks.format("depth"), result.output)
+    assert "| street |" in result.output
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,21 @@ def test_rows_without_figures_are_lines_below_the_table():
     scored = Row("a", "torch on cpu", "x", "64", "none", 3, {"mae_m": 1.25})
     empty = Row("a", "torch on cpu", "y", "own", "none", 2, {})
     *_, note = format_table([scored, empty]).splitlines()
-    text = "a on y, LiDAR own: nothing to score, as none of the 2 frames has ground truth"
+    text = "a on y, LiDAR own: nothing to score"
     assert note == text
     assert format_table([empty]) == text
+
+
+def test_truth_that_a_set_lacks_is_named_once():
+    def row(data, figures, *heads):
+        return Row("a", "torch on cpu", data, "64", "none", 3, figures, heads=heads)
+
+    depth, labels, heads = {"mae_m": 1.25}, {"miou": 0.5}, ("semantic", "depth")
+    rows = [row("x", depth, *heads), row("x", depth, *heads), row("y", labels, *heads)]
+    rows += [row("x", depth, "depth"), row("z", depth | labels, *heads)]
+    notes = [line for line in format_table(rows).splitlines() if not line.startswith("|")]
+    example = "; give a set that has, for example folders:DIR,"
+    assert notes == [
+        f"x: none of the 3 frames has labels to score by{example}labels=FOLDER",
+        f"y: none of the 3 frames has depth to score by{example}depth=FOLDER",
+    ]
