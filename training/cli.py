@@ -55,6 +55,14 @@ def train(
     stop_after: Annotated[
         int | None, typer.Option(min=1, help="Stop at this step. The run can be resumed.")
     ] = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run",
+            help="Check that the training can start, and draw its first batch in batch.png below "
+            "--out instead of training.",
+        ),
+    ] = False,
     _list: Annotated[
         bool,
         typer.Option("--list", callback=_print_recipes, is_eager=True, help="List the recipes."),
@@ -65,21 +73,27 @@ def train(
     """Train a network; writes checkpoints, TensorBoard curves, scores and the resolved recipe."""
     with reported_errors("train"):
         # Heavy imports here, so that --help is quick.
+        from training.dry_run import dry_run as draw_first_batch
         from training.initial_weights import find_weights
         from training.loop import train as run
         from training.recipe import read_recipe
         from training.recipe_files import find_recipe
 
         with StopSignal() as stop:
-            path = run(
-                read_recipe(find_recipe(recipe), change or ()),
-                data=data,
-                out=out,
-                init=None if init is None else find_weights(init),
-                device=device,
-                stop_after=stop_after,
-                stop=stop,
-            )
+            wanted = read_recipe(find_recipe(recipe), change or ())
+            weights = None if init is None else find_weights(init)
+            if dry_run:
+                path = draw_first_batch(wanted, data=data, out=out, init=weights, device=device)
+            else:
+                path = run(
+                    wanted,
+                    data=data,
+                    out=out,
+                    init=weights,
+                    device=device,
+                    stop_after=stop_after,
+                    stop=stop,
+                )
     typer.echo(str(path))
     if stop() and path.name == "last.pt":
         typer.echo(f"stopped; the same command resumes from {path}", err=True)

@@ -2,7 +2,8 @@
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ BEST = "best.pt"
 SCORES = "scores.csv"
 NON_FINITE = "non_finite.json"
 TENSORBOARD = "tensorboard"
+BATCH = "batch.png"
 
 #: Keys that may change when a run is resumed: they do not change its weights.
 _WITHOUT_EFFECT = (
@@ -41,11 +43,18 @@ class NonFiniteLossError(SSDNetError):
 def prepare_folder(out: Path, resolved: Mapping[str, Any]) -> None:
     """Make ``out`` the folder of this training; InputError if it belongs to another one."""
     path = out / RECIPE
-    try:
+    with folder_errors(out):
         if path.is_file():
             require_same(_read_json(path), resolved, path)
         out.mkdir(parents=True, exist_ok=True)
         atomic_write(path, to_text(resolved).encode())
+
+
+@contextmanager
+def folder_errors(out: Path) -> Iterator[None]:
+    """Raise an OSError of the block as an InputError about ``out``."""
+    try:
+        yield
     except OSError as error:
         raise InputError(
             f"{out}: cannot be written: {error.strerror}. Choose another --out."

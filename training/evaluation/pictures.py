@@ -1,16 +1,22 @@
-"""Pictures of a network's answers to frames of a data set beside the ground truth."""
+"""Pictures of what a network is trained on, and of its answers beside the ground truth."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from models import Network
+from runtime.drawing.color_scale import NO_VALUE_COLOR
 from runtime.drawing.overlay import Overlay
+from runtime.drawing.picture_text import write_text
 from training.datasets.sample import IGNORE, SampleSource
 from training.evaluation.scoring import Answer, Predict, split_frames
 from training.lidar.split import LidarInput
+
+#: Side of the dot of a return [px].
+_DOT_PX = 3
 
 
 def draw_pictures(
@@ -51,9 +57,45 @@ def draw_pictures(
             overlay.draw(sample.rgb, answer)
             for answer in (predict(sample.rgb, frame.fed, sample.focal_length_px), truth)
         ]
-        height = max(picture.shape[0] for picture in drawn)
-        padded = [
-            cv2.copyMakeBorder(picture, 0, height - picture.shape[0], 0, 0, cv2.BORDER_CONSTANT)
-            for picture in drawn
-        ]
-        yield sample.name, np.ascontiguousarray(cv2.hconcat(padded)[..., ::-1])
+        yield sample.name, np.ascontiguousarray(_side_by_side(drawn)[..., ::-1])
+
+
+def draw_batch(samples: Mapping[str, Any], overlay: Overlay) -> NDArray[np.uint8]:
+    """Draw a batch of a `Mixture`, a sample with its name a row.
+
+    Args:
+        samples: a batch, with one view of each frame or two.
+        overlay: of the classes and the range of the depth.
+
+    Returns:
+        uint8 (H, W, 3), BGR: image, labels and depth target as `Overlay` draws them, where the
+        batch has any, and the LiDAR input as dots over the faded image.
+    """
+    width = samples["rgb"].shape[-1]
+    rgb = samples["rgb"].movedim(-3, -1).reshape(-1, width, 3).numpy()  # one above the other
+    depth, fed, semantic = (
+        samples[key].reshape(-1, width).numpy() for key in ("depth", "sparse_depth", "semantic")
+    )
+    labels = semantic.astype(np.uint8) if (semantic != IGNORE).any() else None
+    targets = Answer(labels, depth if depth.any() else None, None)
+    # Of dots that overlap the nearest is in front.
+    nearness = np.divide(1, fed, out=np.zeros_like(fed), where=fed > 0)
+    nearness = cv2.dilate(nearness, np.ones((_DOT_PX, _DOT_PX), np.uint8))
+    dots = np.divide(1, nearness, out=np.zeros_like(fed), where=nearness > 0)
+    (input_panel,) = overlay.panels(rgb // 3 + 85, Answer(None, None, None)).values()
+    (colors,) = overlay.panels(None, Answer(None, dots, None)).values()
+    np.copyto(input_panel, colors, where=(colors != NO_VALUE_COLOR).any(axis=-1, keepdims=True))
+    write_text(input_panel, "LiDAR input", (6, 16))
+    picture = _side_by_side([overlay.draw(rgb, targets), input_panel])
+    for index, name in enumerate(samples["name"], start=1):
+        write_text(picture, name, (6, input_panel.shape[0] * index // len(samples["name"]) - 6))
+    return picture
+
+
+def _side_by_side(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    height = max(picture.shape[0] for picture in pictures)
+    padded = [
+        cv2.copyMakeBorder(picture, 0, height - picture.shape[0], 0, 0, cv2.BORDER_CONSTANT)
+        for picture in pictures
+    ]
+    return cv2.hconcat(padded)  # type: ignore[return-value]

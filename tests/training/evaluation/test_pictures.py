@@ -1,0 +1,72 @@
+"""The picture of a batch shows what the network is trained on."""
+
+import numpy as np
+import torch
+
+from models import CLASS_TABLES
+from runtime.drawing.overlay import Overlay
+from training.evaluation.pictures import draw_batch
+from training.evaluation.scoring import Answer
+
+HEIGHT, WIDTH = 64, 48
+OVERLAY = Overlay(CLASS_TABLES["camvid"], 100.0)
+
+
+def make_batch():
+    """Two grey frames, road below, unknown above; the first has depth and two returns."""
+    semantic = torch.full((2, HEIGHT, WIDTH), 255)
+    semantic[:, 32:] = 3
+    depth = torch.zeros(2, 1, HEIGHT, WIDTH)
+    depth[0, :, 40:] = 10.0
+    fed = torch.zeros(2, 1, HEIGHT, WIDTH)
+    fed[0, 0, 40, 20], fed[0, 0, 40, 22] = 50.0, 5.0
+    rgb = torch.full((2, 3, HEIGHT, WIDTH), 90, dtype=torch.uint8)
+    rgb[:, 0] = 120
+    names = ["a", "b"]
+    return {"rgb": rgb, "semantic": semantic, "depth": depth, "sparse_depth": fed, "name": names}
+
+
+def color_at(metres):
+    (panel,) = OVERLAY.panels(
+        None, Answer(None, np.full((1, 1), metres, np.float32), None)
+    ).values()
+    return panel[0, 0].tolist()
+
+
+def test_labels_target_and_returns_stand_beside_the_image():
+    picture = draw_batch(make_batch(), OVERLAY)
+    assert picture.shape[1] == 4 * WIDTH
+    image, classes, target, fed = (
+        picture[: 2 * HEIGHT, WIDTH * index : WIDTH * (index + 1)] for index in range(4)
+    )
+    assert image[40, 20].tolist() == [90, 90, 120]
+    road = CLASS_TABLES["camvid"][3].color[::-1]
+    expected = 0.7 * np.array(road) + 0.3 * np.array([90, 90, 120])
+    np.testing.assert_allclose(classes[40, 20], expected, atol=1)
+    assert classes[HEIGHT + 30, 20].max() < 40  # unknown
+    assert target[45, 20].tolist() == color_at(10.0)
+    assert (target[HEIGHT + 45, 20] == target[30, 20]).all()  # none
+    # Dots of 3 x 3, the nearer in front; elsewhere the image can be recognised.
+    assert fed[41, 19].tolist() == color_at(50.0)
+    assert fed[39, 21].tolist() == fed[40, 23].tolist() == color_at(5.0)
+    faded = [115, 115, 125]
+    assert fed[40, 18].tolist() == fed[42, 20].tolist() == fed[HEIGHT + 40, 20].tolist() == faded
+    # The names, at the lower left of each frame.
+    for bottom in (HEIGHT, 2 * HEIGHT):
+        assert image[bottom - 16 : bottom, :16].max() > 200
+    assert picture.shape[0] > 2 * HEIGHT  # the legend
+
+
+def test_both_views_of_a_frame_are_drawn():
+    batch = make_batch()
+    pair = {key: batch[key][None] for key in ("rgb", "semantic", "depth", "sparse_depth")}
+    plain = draw_batch({**batch, "name": ["a"]}, OVERLAY)
+    assert (draw_batch({**pair, "name": ["a"]}, OVERLAY) == plain).all()
+
+
+def test_what_a_batch_lacks_has_no_panel():
+    batch = make_batch()
+    batch = {**batch, "semantic": torch.full_like(batch["semantic"], 255)}
+    assert draw_batch(batch, OVERLAY).shape[1] == 3 * WIDTH
+    batch["depth"] = torch.zeros_like(batch["depth"])
+    assert draw_batch(batch, OVERLAY).shape[1] == 2 * WIDTH

@@ -1,0 +1,189 @@
+"""`ssdnet-train`: what a run shows, names and refuses."""
+
+import csv
+import io
+import re
+import sys
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from typer.testing import CliRunner
+
+from layouts import camvid
+from layouts.virtual_kitti import write_second_edition
+from models import SSDNet
+from models.registry import NETWORKS, Entry
+from training import progress
+from training.cli import app
+from training.datasets.camvid import CamVid
+
+RECIPE = """
+[model]
+name = "ssdnet-lite"
+[data]
+batch_size = 2
+workers = 0
+frequency_samples = 2
+augment = {crop = [32, 32], scale = [1.0, 1.0], lidar_missing = 0.0, lidar_random = 1.0}
+source = [{kind = "camvid", path = "camvid"}]
+[schedule]
+steps = 10
+"""
+VALIDATION = '\n[[validation.source]]\nkind = "camvid"\npath = "camvid"\n'
+
+
+@pytest.fixture(autouse=True)
+def tiny_network(monkeypatch):
+    config = replace(
+        NETWORKS["ssdnet-lite"].config,
+        stem_channels=(8, 8),
+        encoder_channels=(8, 8),
+        encoder_blocks=(1, 1),
+        decoder_channels=(8,),
+        boundary_channels=4,
+    )
+    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNet, config))
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Give a function that types the command with two frames whose upper half is sky."""
+    rng = np.random.default_rng(0)
+    label = np.full((40, 48), 3, np.uint8)
+    label[:20] = 0
+    for index in range(2):
+        rgb = rng.integers(0, 255, (40, 48, 3), dtype=np.uint8)
+        camvid.write_frame(tmp_path / "camvid", rgb, label, str(index))
+
+    def run(*options, recipe=RECIPE, out="run"):
+        (tmp_path / "r.toml").write_text(recipe)
+        command = [tmp_path / "r.toml", "--data", tmp_path, "--out", tmp_path / out, *options]
+        return CliRunner().invoke(app, [str(part) for part in command])
+
+    return run
+
+
+def read_scores(folder):
+    with (folder / "scores.csv").open() as file:
+        return [(int(row["step"]), row["set"]) for row in csv.DictReader(file)]
+
+
+def read_curves(folder):
+    events = EventAccumulator(str(folder / "tensorboard"))
+    events.Reload()
+    return {tag: [e.step for e in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
+
+
+def test_a_short_run_is_logged_and_validated_by_its_own_length(run, tmp_path):
+    result = run(recipe=RECIPE + VALIDATION)
+    assert result.exit_code == 0, result.output
+    assert read_scores(tmp_path / "run") == [(step, "camvid") for step in (2, 4, 6, 8, 10)]
+    assert read_curves(tmp_path / "run")["loss/total"] == list(range(1, 11))
+
+
+def test_without_a_terminal_progress_is_a_line_by_time(run, monkeypatch):
+    assert "step 1 of" not in run("--set", "schedule.steps = 2").stderr  # sooner than the first
+    monkeypatch.setattr(progress, "LINE_INTERVAL_S", 0.0)
+    result = run("--set", "schedule.steps = 3", out="lines")
+    assert result.exit_code == 0, result.output
+    pattern = (
+        r"step (\d) of 3, loss \d+\.\d{3}, learning rate 0\.\d+, [\d.]+ steps/s, \d\d:\d\d left"
+    )
+    assert re.findall(pattern, result.stderr) == ["1", "2", "3"]
+
+
+def test_a_terminal_shows_a_bar_with_the_loss(monkeypatch):
+    terminal = io.StringIO()
+    terminal.isatty = lambda: True
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(progress, "_BAR_INTERVAL_S", 0.0)
+    monkeypatch.setattr(progress, "LINE_INTERVAL_S", 0.0)
+    for shown in (False, True):
+        assert not terminal.getvalue()
+        bar = progress.Progress(3, 1, shown=shown)
+        bar.update(2, torch.tensor(0.25), 1e-3)
+        bar.close()
+    assert "2/3" in terminal.getvalue()
+    assert "loss=0.250" in terminal.getvalue()
+    assert "step 2 of" not in terminal.getvalue()
+
+
+def test_validation_sets_are_scored_under_their_names(run, tmp_path):
+    """One folder twice, with names of its own; the default is the path."""
+    both = VALIDATION + 'name = "town"\n' + VALIDATION
+    options = ("--set", "schedule.steps = 1", "--set", 'validation.best = "town/miou"')
+    result = run(*options, recipe=RECIPE + both)
+    assert result.exit_code == 0, result.output
+    assert read_scores(tmp_path / "run") == [(1, "town"), (1, "camvid")]
+    assert {"validation/town/miou", "validation/camvid/miou"} <= read_curves(
+        tmp_path / "run"
+    ).keys()
+    for twice in (VALIDATION * 2, VALIDATION + 'name = "a"\n' + VALIDATION + 'name = "a"\n'):
+        result = run(recipe=RECIPE + twice)
+        assert result.exit_code == 1
+        title = "a" if "name" in twice else "camvid"
+        assert f"source has two sets called '{title}'" in result.output
+        assert "`name`" in result.output
+
+
+@pytest.mark.parametrize(
+    ("spoil", "found"),
+    [
+        (lambda labels: None, "NoneType"),
+        (lambda labels: labels[1:], r"uint8 \(39, 48\)"),
+        (lambda labels: labels.astype(np.int64), r"int64 \(40, 48\)"),
+    ],
+)
+def test_a_reader_without_labels_is_named_with_its_frame(run, monkeypatch, spoil, found):
+    read = CamVid.__getitem__
+
+    def spoilt(self, index):
+        sample = read(self, index)
+        return replace(sample, semantic=spoil(sample.semantic))
+
+    monkeypatch.setattr(CamVid, "__getitem__", spoilt)
+    for weighting in ("none", "median"):
+        result = run("--set", f"loss.class_weighting = '{weighting}'")
+        assert result.exit_code == 1
+        assert re.search(
+            rf"camvid/\d: the reader CamVid returned semantic = {found}; expected uint8 \(40, 48\)",
+            result.output,
+        )
+
+
+def test_a_split_without_frames_says_what_is_there(run, tmp_path):
+    write_second_edition(tmp_path / "vkitti", "Scene02", "rain")
+    source = "data.source = [{kind = 'virtual_kitti', path = 'vkitti', split = '%s'}]"
+    for split, scenes in (("test", "scene 1"), ("val", "the frames of scene 20 from 547 on")):
+        result = run("--set", source % split)
+        assert result.exit_code == 1
+        assert f"no frames of the split '{split}'. Wanted: {scenes}; variants: " in result.output
+        assert "overcast, rain, sunset. Found: Scene02/rain." in result.output
+    result = run("--set", "data.source = [{kind = 'camvid', path = 'camvid', split = 'night'}]")
+    assert result.exit_code == 1
+    assert "camvid/night: no such folder; " in result.output
+    assert "Folders there: train, trainannot." in result.output
+
+
+def test_a_dry_run_draws_the_first_batch_and_writes_nothing_else(run, tmp_path):
+    write_second_edition(tmp_path / "scenes", magnify=8)
+    result = run("--dry-run", "--set", "data.source = [{kind = 'rendered', path = 'scenes'}]")
+    assert result.exit_code == 0, result.output
+    (path,) = (tmp_path / "run").iterdir()
+    assert path.name == "batch.png"
+    assert str(path) in result.stdout.splitlines()
+    picture = cv2.imread(str(path))
+    assert picture.shape[1] == 4 * 32  # image, classes, depth, LiDAR input
+    assert picture.shape[0] > 2 * 32  # two samples and the legend
+    # What cannot start is refused as without --dry-run.
+    result = run("--dry-run", "--set", "data.source = [{kind = 'camvid', path = 'x'}]", out="other")
+    assert result.exit_code == 1
+    assert "no folder 'x'" in result.output
+    assert not (tmp_path / "other").exists()
+    result = run("--dry-run", out="r.toml")
+    assert result.exit_code == 1
+    assert "r.toml: cannot be written" in result.output
