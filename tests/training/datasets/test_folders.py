@@ -148,4 +148,5 @@ def test_the_recipe_of_the_docs_reads(tmp_path):
     (tmp_path / "r.toml").write_text(text.split("```toml\n")[1].split("```")[0])
     recipe = read_recipe(tmp_path / "r.toml")
     assert recipe.data.source[0].sparse_depth == "lidar"
+    assert recipe.model.canonical_focal_px == recipe.data.source[0].intrinsics[0]
     assert [info.name for info in recipe.model.class_table] == ["lane", "other"]
