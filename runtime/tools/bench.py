@@ -15,11 +15,13 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import product
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from runtime.command import SIGNALS, stop_requested
 from runtime.engine_facts import MachineFacts, machine_facts
 from runtime.session import import_onnxruntime
 from runtime.sync.latency import LatencyStatistics, latency_statistics
@@ -136,8 +138,11 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         workers = []
         for row in group:
-            worker = _Worker(row, options, scratch)
-            stack.callback(worker.end)
+            with stop_requested() as stopped:  # a process that is half started cannot be ended
+                worker = _Worker(row, options, scratch)
+                stack.callback(worker.end)
+            if stopped():
+                raise KeyboardInterrupt
             row.opened = worker.receive()
             workers.append(worker)
         for worker in workers:
@@ -157,11 +162,13 @@ class _Worker:
         request = {"model": row.model, "size": row.size, "threads": row.threads}
         request |= {"batch": options.batch, "provider": options.provider}
         self._process = context.Process(target=serve, args=(theirs, scratch), kwargs=request)
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: Ctrl-C is not for it
+        resource_tracker.ensure_running()  # else `start` does, which unblocks signals
+        # The process inherits the mask: Ctrl-C is for the command alone.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         try:
             self._process.start()
         finally:
-            signal.signal(signal.SIGINT, before)
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
 
     def run(self, frames: int, period_s: float | None) -> list[tuple[float, float]]:
