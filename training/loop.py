@@ -25,7 +25,7 @@ from training.lidar.split import LidarInput
 from training.loading.batches import read_batches
 from training.losses import SSDNetLoss
 from training.losses.consistency import Pair
-from training.network import adjust_logits, train_parts
+from training.network import adjust_logits, mix_weights, train_parts
 from training.optimizer import build_optimizer, exponential_average, learning_rate
 from training.progress import Progress
 from training.recipe import LoopRecipe, Recipe
@@ -124,6 +124,7 @@ def _train(
         "criterion": criterion,
         "scaler": scaler,
     }
+    begun = None if recipe.loop.trained_share == 1 else copy.deepcopy(network.state_dict())
     step = _resume(out / LAST, resolved, network, parts)
     if len(set(processes.gather(step))) > 1:
         raise InputError(
@@ -152,9 +153,12 @@ def _train(
         """The averaged weights as model.pt and best.pt hold them, and as they are validated."""
         share = recipe.loop.logit_adjustment
         copied = copy.deepcopy(averaged)
-        copied.load_state_dict(
-            adjust_logits(averaged.state_dict(), task.class_weights, share, task.class_offsets)
+        trained = adjust_logits(
+            averaged.state_dict(), task.class_weights, share, task.class_offsets
         )
+        if begun is not None:
+            trained = mix_weights(begun, trained, recipe.loop.trained_share)
+        copied.load_state_dict(trained)
         return copied
 
     def save_released(path: Path, candidate: Network) -> None:

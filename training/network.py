@@ -111,3 +111,15 @@ def adjust_logits(
         bias = adjusted["semantic_head.bias"]
         adjusted["semantic_head.bias"] = bias + offsets.to(bias)
     return adjusted
+
+
+def mix_weights(
+    first: Mapping[str, Tensor], second: Mapping[str, Tensor], share: float
+) -> dict[str, Tensor]:
+    """Return (1 - share) * first + share * second of each tensor; counts are those of second."""
+    return {
+        name: torch.lerp(first[name].to(value), value, share)
+        if value.is_floating_point()
+        else value
+        for name, value in second.items()
+    }

@@ -188,6 +188,9 @@ class LoopRecipe:
     compile: bool = False
     #: Decay of the averaged weights in model.pt; 0 = no averaging.
     ema_decay: Share = 0.999
+    #: Share of the trained weights in model.pt; the rest are those of --init, so that a little
+    #: training on new data keeps what the old weights knew (Wortsman et al. 2022, WiSE-FT).
+    trained_share: Annotated[float, Field(gt=0, le=1)] = 1.0
     #: Largest norm of the gradient; 0 = no clipping.
     clip_norm: NotNegative = 0.0
     #: Share of the log class weights that is subtracted from model.pt's semantic bias (Menon et al.

@@ -59,6 +59,11 @@ def open_task(
         item.title: open_dataset(item, data, classes=classes) for item in recipe.validation.source
     }
     require_lidar(validation, LidarInput.parse(recipe.validation.lidar))
+    if recipe.loop.trained_share < 1 and init is None:
+        raise InputError(
+            "loop.trained_share mixes the trained weights with those of --init: give --init, or "
+            "set it to 1"
+        )
     network = build_network(recipe.model, init)
     train_parts(network, recipe.optimizer.only)
     heads = network.heads

@@ -524,6 +524,22 @@ def test_init_starts_from_other_weights_of_the_same_kind(data, tmp_path, monkeyp
         assert torch.equal(weights(first)[name], weights(second)[name])
 
 
+def test_released_weights_lie_between_those_of_init_and_the_trained_ones(data, tmp_path):
+    first = train(recipe(steps=1), data=[data], out=tmp_path / "a")
+    whole = recipe(steps=2)
+    mixed = replace(whole, loop=replace(whole.loop, trained_share=0.25))
+    trained = weights(train(whole, data=[data], out=tmp_path / "b", init=first))
+    # Also after a resume, whose network begins at other weights.
+    train(mixed, data=[data], out=tmp_path / "c", init=first, stop_after=1)
+    released = train(mixed, data=[data], out=tmp_path / "c", init=first)
+    for name, value in weights(released).items():
+        if value.is_floating_point():
+            expected = 0.75 * weights(first)[name] + 0.25 * trained[name]
+            torch.testing.assert_close(value, expected)
+    with pytest.raises(InputError, match="give --init"):
+        train(mixed, data=[data], out=tmp_path / "d")
+
+
 def test_init_loads_what_fits_and_reports_the_rest(data, tmp_path, monkeypatch, capsys):
     first = train(recipe(steps=1), data=[data], out=tmp_path / "a")
     assert "with random weights" not in capsys.readouterr().err
