@@ -101,7 +101,7 @@ function draw({ model, pixels, fed, answer: { heads, range } }) {
   const color = (id) => classes[id]?.color ?? NO_VALUE;
   const names = classes.map(({ name, color }) => make("span", swatch([color, color]), name));
   const returns = ["returns in the colours of the depth"];
-  const scale = [`${nearest} m`, swatch(MAGMA), `${range.toFixed()} m`, "gray: none"];
+  const scale = [`${nearest} m`, swatch(MAGMA), `${range.toFixed()} m (gray: none)`];
   const percent = ["1 %", swatch(VIRIDIS), "100 % of the depth"];
   return [
     figure("Image", returns, (at) => (fed[at] ? metric(fed[at]) : image(at))),

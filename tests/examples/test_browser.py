@@ -30,9 +30,9 @@ ROOT = Path(__file__).parents[2]
 NEEDED = ("npm", "chromium", "chromedriver")
 FLAGS = (
     *("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"),
-    *("--disable-component-update", "--disable-sync", "--no-first-run"),
+    *("--disable-component-update", "--disable-sync", "--disable-renderer-backgrounding"),
 )
-TIMEOUT_S = 300
+TIMEOUT_S = 600
 
 
 class Page:
