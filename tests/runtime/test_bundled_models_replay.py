@@ -26,6 +26,8 @@ SCALES = {"depth": 256, "boundary": 255, "depth_uncertainty": 256}
 SAME_CLASS = 0.999
 METRES_TOLERANCE = 0.005  # of the depth or its uncertainty, and a centimetre
 BOUNDARY_TOLERANCE = 0.01
+# A value of 8 bits that is rounded the other way moves its surroundings: so many pixels may differ.
+INT8_SHARE = 0.02
 
 
 def replay(model: str) -> dict[str, np.ndarray]:
@@ -53,33 +55,45 @@ def thinned(prediction: Prediction, head: str) -> np.ndarray:
 
 
 @pytest.fixture(scope="module", params=list_bundled_models())
-def answers(request) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def model(request) -> str:
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def free_share(model) -> float:
+    """Share of the pixels that may differ from those pinned."""
+    return INT8_SHARE if model.endswith("-int8") else 0.0
+
+
+@pytest.fixture(scope="module")
+def answers(model) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Of one model: head -> the answers now, and those pinned."""
-    now, folder = replay(request.param), REFERENCES / request.param
+    now, folder = replay(model), REFERENCES / model
     pinned = {path.stem: cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in folder.iterdir()}
-    assert now.keys() == pinned.keys(), f"pin {request.param} with python {__file__}"
+    assert now.keys() == pinned.keys(), f"pin {model} with python {__file__}"
     return now, pinned
 
 
-def test_classes_are_those_pinned(answers):
+def test_classes_are_those_pinned(answers, free_share):
     now, pinned = (part["semantic"] for part in answers)
     assert now.shape == pinned.shape
-    assert (now == pinned).mean() >= SAME_CLASS
+    assert (now == pinned).mean() >= SAME_CLASS - free_share
 
 
 @pytest.mark.parametrize("head", ["depth", "depth_uncertainty"])
-def test_metres_are_those_pinned(answers, head):
+def test_metres_are_those_pinned(answers, free_share, head):
     if head not in answers[0]:
         pytest.skip("the model does not say")
     now, pinned = (part[head].astype(np.float64) / SCALES[head] for part in answers)
     error_m = np.abs(now - pinned)
-    assert (error_m <= METRES_TOLERANCE * pinned + 0.01).all(), error_m.max()
+    wrong = error_m > METRES_TOLERANCE * pinned + 0.01
+    assert wrong.mean() <= free_share, error_m.max()
 
 
-def test_boundaries_are_those_pinned(answers):
+def test_boundaries_are_those_pinned(answers, free_share):
     now, pinned = (part["boundary"].astype(np.float64) / SCALES["boundary"] for part in answers)
     error = np.abs(now - pinned)
-    assert (error <= BOUNDARY_TOLERANCE).all(), error.max()
+    assert (error > BOUNDARY_TOLERANCE).mean() <= free_share, error.max()
 
 
 if __name__ == "__main__":
