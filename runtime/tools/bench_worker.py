@@ -199,7 +199,10 @@ def count_cost(content: bytes, feeds: Feeds, scratch: Path) -> tuple[float | Non
         dtype = _dtype(element)
         if dtype is None:  # bfloat16
             return None, None
-        params += int(facts["parameter_size"]) / dtype.itemsize
+        constants = int(facts["parameter_size"]) / dtype.itemsize
+        if operator.startswith("Conv"):  # those in 8 bits are behind a DequantizeLinear
+            constants = max(constants, math.prod(weight))
+        params += constants
     return macs / 1e9, params / 1e6
 
 

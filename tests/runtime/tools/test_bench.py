@@ -15,6 +15,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from typer.testing import CliRunner
 
+from runtime.bundled_models import find_model
 from runtime.errors import InputError
 from runtime.tools import bench, bench_cli, bench_worker
 from runtime.tools.bench_cli import app
@@ -390,3 +391,16 @@ def test_each_model_has_a_process_and_one_that_ends_is_a_row(start_process, mode
     assert stderr == ""
     assert float(nano[11]) > float(small[11]) > 20, "each has its own peak of memory"
     assert "Unable to allocate" in failed[14]
+
+
+def test_weights_of_8_bits_are_counted_as_those_of_32(tmp_path):
+    feeds = {
+        "rgb": np.zeros((1, 64, 64, 3), np.uint8),
+        "sparse_depth": np.zeros((1, 64, 64), np.float32),
+    }
+    (gmacs, params), (gmacs_8, params_8) = (
+        bench_worker.count_cost(find_model(name).read_bytes(), feeds, tmp_path)
+        for name in ("ssdnet-nano", "ssdnet-nano-int8")
+    )
+    assert gmacs == gmacs_8
+    assert params_8 == pytest.approx(params, rel=0.01)
