@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Literal
 
-from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.engine_facts import machine_facts
 from runtime.errors import SSDNetError
 from runtime.tools.cuda_libraries import DRIVER, cuda_major, find_library, library_names
@@ -71,6 +70,13 @@ def examine(provider: str, *, seconds: float = 1.0) -> Iterator[Check]:
         return
     yield _providers(ort, provider)
     yield from _libraries(ort, provider)
+    yield from _self_tests(provider, seconds)
+
+
+def _self_tests(provider: str, seconds: float) -> Iterator[Check]:
+    """Yield the self-test of each bundled model, and the fastest."""
+    from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models  # loads NumPy
+
     medians_ms: dict[str, float] = {}
     for model in list_bundled_models() or [DEFAULT_MODEL]:
         check = self_test(model, provider, seconds=seconds)

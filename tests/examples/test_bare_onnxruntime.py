@@ -64,7 +64,7 @@ def test_a_large_camera_with_the_bundled_model():
         assert answers.keys() == set(predictor.heads)
     for head, values in answers.items():
         figures = compare(head, values, getattr(prediction, head))
-        assert within(head, figures, limit(head, max_depth_m=100)), (head, figures)
+        assert within(head, figures, limit(head, predictor.contract)), (head, figures)
 
 
 def test_it_needs_nothing_of_this_project(tmp_path):

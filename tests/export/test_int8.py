@@ -80,6 +80,7 @@ def test_a_missed_gate_writes_nothing_and_names_the_head(export_int8, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_convolutions_that_cost_most_stay_in_float_until_the_gate_is_passed(export_int8, tmp_path):
     assert export_int8("--max-drop-miou", "100", "--max-rise-mae", "1000").exit_code == 0
     (before,) = load_model_file(tmp_path / "lite.onnx").contract.quantization["accuracy"]

@@ -726,9 +726,13 @@ def test_saved_kinds_add_up(tmp_path, run):
 def test_the_bundled_models_are_listed():
     result = CliRunner().invoke(app, ["--list-models"])
     assert result.exit_code == 0
-    _, lite, nano, card = result.stdout.splitlines()
-    assert lite.split()[:5] == ["ssdnet-lite", "12.4", "11", "100", "400"]
-    assert nano.split()[:5] == ["ssdnet-nano", "5.1", "11", "100", "400"]
+    _, *models, card = result.stdout.splitlines()
+    assert [line.split()[:5] for line in models] == [
+        ["ssdnet-lite", "12.4", "11", "100", "400"],
+        ["ssdnet-lite-int8", "3.3", "11", "100", "400"],
+        ["ssdnet-nano", "5.1", "11", "100", "400"],
+        ["ssdnet-nano-int8", "1.4", "11", "100", "400"],
+    ]
     assert Path(card.partition(": ")[2]).is_file()
 
 

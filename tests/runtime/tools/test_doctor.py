@@ -75,7 +75,7 @@ def test_what_is_installed_here_works():
 
 def test_the_fastest_model_is_named(monkeypatch):
     median_ms = {"ssdnet-lite": 9.0, "ssdnet-nano": 4.0}
-    monkeypatch.setattr(doctor, "list_bundled_models", lambda: list(median_ms))
+    monkeypatch.setattr("runtime.bundled_models.list_bundled_models", lambda: list(median_ms))
     monkeypatch.setattr(
         doctor,
         "self_test",
@@ -178,7 +178,6 @@ def test_an_engine_that_answers_nonsense_is_a_fault(monkeypatch, spoiled, told):
 
 def test_a_self_test_that_cannot_run_is_a_fault(monkeypatch):
     monkeypatch.setattr("runtime.bundled_models.list_bundled_models", list)
-    monkeypatch.setattr(doctor, "list_bundled_models", list)
     check = list(doctor.examine("cpu", seconds=0))[-1]
     assert (check.status, "no bundled model" in check.found) == ("fault", True)
 

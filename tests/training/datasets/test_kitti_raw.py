@@ -245,7 +245,7 @@ def test_broken_calibrations_are_named(raw, name, old, new, text):
 def test_damaged_files_are_named(raw):
     scan = raw / DATE / DRIVE / "velodyne_points/data/0000000000.bin"
     scan.write_bytes(scan.read_bytes()[:-3])
-    with pytest.raises(DatasetError, match=r"0000000000\.bin has 109 bytes, .*truncated"):
+    with pytest.raises(DatasetError, match=r"0000000000\.bin: its 109 bytes .*truncated"):
         KittiRaw(raw)[0]
     image = raw / DATE / DRIVE / "image_02/data/0000000000.png"
     image.write_bytes(image.read_bytes()[:-20])

@@ -63,7 +63,7 @@ def test_stream_takes_its_first_to_last_frame(stream):
 def test_damaged_stream_files_are_named(stream):
     scan = stream / "velodyne_fov" / "0000000000.bin"
     scan.write_bytes(scan.read_bytes()[:-1])
-    with pytest.raises(DatasetError, match=r"0000000000\.bin has 63 bytes"):
+    with pytest.raises(DatasetError, match=r"0000000000\.bin: its 63 bytes"):
         KittiStream(stream)[0]
     scan.unlink()
     with pytest.raises(DatasetError, match=r"cannot read .*0000000000\.bin"):
