@@ -1,9 +1,7 @@
 """Static quantisation of a traced graph to 8-bit integers (ONNX's QDQ form), by measured ranges."""
 
-import logging
 import tempfile
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +11,7 @@ from onnxruntime.quantization import CalibrationDataReader, QuantType
 from onnxruntime.quantization.calibrate import TensorsData, create_calibrator
 from onnxruntime.quantization.qdq_quantizer import QDQQuantizer
 
+from export.trace import quiet
 from export.trunk import trunk
 
 #: Input of the graph -> array with a batch of one.
@@ -40,7 +39,7 @@ def quantize(
 
     Activations are unsigned, weights signed with a scale a channel and within +-64: a product of
     two pairs of 8-bit values then fits the 16 bits that processors without VNNI (AVX2, AVX-512)
-    add them in, so that all processors give the same answers.
+    add them in, so that no sum saturates.
 
     Args:
         model: a traced graph.
@@ -50,7 +49,7 @@ def quantize(
     copy = onnx.ModelProto()
     copy.CopyFrom(model)
     nodes = [name for name in trunk(model) if name not in keep_float]
-    with _quiet():
+    with quiet():  # its advice to optimise the graph first, which a traced one does not need
         quantizer = QDQQuantizer(
             copy,
             per_channel=True,
@@ -74,15 +73,3 @@ class _Reader(CalibrationDataReader):  # type: ignore[misc]  # ONNX Runtime has 
 
     def get_next(self) -> Feed | None:
         return next(self._feeds, None)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Silence the advice to optimise the graph first, which a traced graph does not need."""
-    logger = logging.getLogger()
-    disabled = logger.manager.disable
-    logging.disable(logging.WARNING)
-    try:
-        yield
-    finally:
-        logging.disable(disabled)

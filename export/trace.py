@@ -45,7 +45,7 @@ def trace(
     height, width = (size[0] | 1, size[1] | 1) if dynamic else size
     try:
         example = torch.zeros(2, height, width, 3, dtype=torch.uint8), torch.zeros(2, height, width)
-        with _quiet(), torch.no_grad():
+        with quiet(), torch.no_grad():
             program = torch.onnx.export(
                 graph.eval(),
                 example,
@@ -145,7 +145,7 @@ def _drop_empty_padding(graph: onnx.GraphProto) -> None:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Silence the exporter's output, logs and warnings."""
     disabled = logging.root.manager.disable
     printed = io.StringIO()

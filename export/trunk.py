@@ -1,6 +1,6 @@
 """The trunk of a traced graph: what may compute in less than single precision."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import onnx
 
@@ -18,9 +18,8 @@ def trunk(model: onnx.ModelProto) -> list[str]:
     """
     graph = model.graph
     shapes = {weight.name: weight.dims for weight in graph.initializer}
-    # Name of a tensor -> name of the node of the trunk that made it.
-    made: dict[str, str] = {}
-    nodes: dict[str, onnx.NodeProto] = {}
+    made: set[str] = set()  # tensors of the trunk
+    nodes: list[onnx.NodeProto] = []
     for node in graph.node:
         if node.op_type == "Conv":
             shape = shapes.get(node.input[1], ())
@@ -31,16 +30,17 @@ def trunk(model: onnx.ModelProto) -> list[str]:
                 name in made for name in inputs
             )
         if inside:
-            nodes[node.name] = node
-            made.update(dict.fromkeys(node.output, node.name))
-    return [name for name in nodes if name in _leading_to_a_convolution(nodes.values())]
+            nodes.append(node)
+            made.update(node.output)
+    leading = _leading_to_a_convolution(nodes)
+    return [node.name for node in nodes if node.name in leading]
 
 
-def _leading_to_a_convolution(nodes: Iterable[onnx.NodeProto]) -> set[str]:
+def _leading_to_a_convolution(nodes: Sequence[onnx.NodeProto]) -> set[str]:
     """Names of the convolutions and of the nodes before them; activations follow any."""
     read: set[str] = set()
     kept: set[str] = set()
-    for node in reversed(list(nodes)):
+    for node in reversed(nodes):
         if node.op_type in ("Conv", "Relu") or read.intersection(node.output):
             kept.add(node.name)
             if node.op_type != "Relu" or read.intersection(node.output):

@@ -46,6 +46,7 @@ class Answerer:
     ) -> None:
         self._predictor, self._calibration = predictor, calibration
         self._health, self._plausibility = FrameHealth(), DepthPlausibility()
+        self._is_implausible = False
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
 
     def answer(self, pair: Pair) -> Answer:
@@ -67,8 +68,9 @@ class Answerer:
             if self._consistency.scale_is_due:
                 camera_only = self._predict(rgb, np.zeros(size, np.float32), pair)
                 self._plausibility.add(camera_only, sparse_depth)
+                self._is_implausible = self._plausibility.finding() is not None
             consistency = self._consistency.score(prediction, camera_only, sparse_depth, held_out)
-            if self._plausibility.finding() is not None:
+            if self._is_implausible:
                 degraded = (*prediction.degraded, IMPLAUSIBLE_DEPTH)
                 prediction = replace(prediction, degraded=degraded)
         health = self._health.check(rgb, sparse_depth)  # predict has checked that they fit
