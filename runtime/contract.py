@@ -30,7 +30,7 @@ _INPUT_RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"}
 _DIGEST_KEY = "document_sha256"
 _MINOR_VERSION = re.compile("[0-9]{1,4}")
 _JSON_TYPES = {dict: "an object", list: "a list", str: "text", int: "an integer"}
-_Number = TypeVar("_Number", int, float)
+_Checked = TypeVar("_Checked")
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ class Contract:
                 checkpoint_sha256=_take(document, "checkpoint_sha256", str),
                 trained_height=_optional(document, "trained_height", check_side),
                 canonical_focal_px=_optional(document, "canonical_focal_px", check_focal_length),
-                quantization=document.get("quantization") and _take(document, "quantization", dict),
+                quantization=_optional(document, "quantization", _check_object),
                 content=_content(document, text),
             )
             # Infinite numbers and lone surrogates anywhere else in the document.
@@ -267,11 +267,17 @@ def _take(document: Mapping[str, Any], key: str, kind: type = object, name: str 
 
 
 def _optional(
-    document: Mapping[str, Any], key: str, check: Callable[[object, str], _Number]
-) -> _Number | None:
+    document: Mapping[str, Any], key: str, check: Callable[[object, str], _Checked]
+) -> _Checked | None:
     """Return the checked value of a key that older schemas lack, None where it is null."""
     value = document.get(key)
     return None if value is None else check(value, key)
+
+
+def _check_object(value: object, name: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise _wrong(name, _JSON_TYPES[dict], value)
+    return value
 
 
 def _text_mapping(document: Mapping[str, Any], key: str) -> dict[str, str]:

@@ -143,6 +143,7 @@ def test_the_document_holds_its_own_digest(contract):
         ("stride", 1025),
         ("resize", {"rgb": "bilinear"}),
         ("precision", None),
+        ("quantization", ""),
         ("training", []),
         ("versions", {"torch": 2}),
         ("parity", "none"),
