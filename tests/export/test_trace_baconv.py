@@ -5,7 +5,7 @@ import onnx
 import onnxruntime
 import torch
 
-from export.trace import _quiet
+from export.trace import quiet
 from models.blocks import BaConv
 
 
@@ -35,7 +35,7 @@ def test_lowered_baconv_is_eq1(tmp_path):
     layer = BaConv(3, 4).eval()
     x, boundary = torch.randn(1, 3, 7, 9), torch.rand(1, 1, 7, 9)
     path = tmp_path / "baconv.onnx"
-    with _quiet(), torch.no_grad():
+    with quiet(), torch.no_grad():
         torch.onnx.export(
             layer, (x, boundary), path, dynamo=True, external_data=False, opset_version=18
         )
