@@ -1,15 +1,14 @@
 """`ssdnet-export`: a checkpoint in, one verified ONNX file out."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from export.precision import Int8Options, Precision
 from runtime.command import interruptible, reported_errors
 from runtime.command_options import Version
-from runtime.contract import MIN_SIDE
+from runtime.contract import MIN_SIDE, Contract
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -71,8 +70,8 @@ def export(
         list[str] | None,
         typer.Option(
             metavar="DATA",
-            help="Frames with labels or depth that the accuracy of int8 is measured on, others "
-            "than --calibrate; may be repeated.",
+            help="KIND:FOLDER[,KEY=VALUE...]: frames with labels or depth, not those of training "
+            "and --calibrate, on which accuracy is measured for the metadata; may be repeated.",
         ),
     ] = None,
     max_drop_miou: Annotated[
@@ -90,15 +89,16 @@ def export(
     """Export a checkpoint to one self-contained ONNX file and verify it against PyTorch."""
     if (height is None) != (width is None):
         raise typer.BadParameter("give both --height and --width, or neither")
-    if (precision is Precision.INT8) != bool(calibrate and validate):
-        raise typer.BadParameter("--precision int8 goes with both --calibrate and --validate")
+    if (precision is Precision.INT8) != bool(calibrate):
+        raise typer.BadParameter("--precision int8 and --calibrate go together")
+    if calibrate and not validate:
+        raise typer.BadParameter("--precision int8 needs --validate")
     size = None if height is None or width is None else (height, width)
-    with reported_errors("export,train,cpu" if precision is Precision.INT8 else "export,cpu"):
+    with reported_errors("export,train,cpu" if validate else "export,cpu"):
         from export.exporter import export_checkpoint  # here: --help does not wait for PyTorch
 
         options = Int8Options(
             tuple(calibrate or ()),
-            tuple(validate or ()),
             max_drop_miou=max_drop_miou,
             max_rise_mae=max_rise_mae,
         )
@@ -114,6 +114,7 @@ def export(
                 record_dir=record_dir,
                 triton_dir=triton_dir,
                 precision=options if precision is Precision.INT8 else precision,
+                validate=tuple(validate or ()),
                 overwrite=overwrite,
             )
     shape = f"{report.size[0]} x {report.size[1]}" + (
@@ -124,23 +125,29 @@ def export(
     for head, measured in report.parity.items():
         figures = ", ".join(f"{name} {value:.6g}" for name, value in measured.figures.items())
         typer.echo(f"  {head:18} {figures}")
-    if report.quantization is not None:
-        _print_quantization(report.quantization)
+    _print_accuracy(report.contract)
 
 
-def _print_quantization(facts: Mapping[str, Any]) -> None:
-    """Print what stayed in float, and the accuracy of each set before and after."""
-    in_float = facts["float_convolutions"]
-    typer.echo(
-        f"int8, calibrated on {facts['calibration_frames']} frames; convolutions left in float: "
-        f"{', '.join(in_float) or 'none'}"
-    )
-    for row in facts["accuracy"]:
-        miou, mae_m = row["miou"], row["mae_m"]
-        figures = [
-            f"mIoU {100 * miou[0]:.1f} -> {100 * miou[1]:.1f} %" if miou else "",
-            f"MAE {1000 * mae_m[0]:.0f} -> {1000 * mae_m[1]:.0f} mm" if mae_m else "",
-        ]
-        measured = ", ".join(filter(None, figures))
-        typer.echo(f"  {row['data']}, LiDAR {row['lidar']}, {row['frames']} frames: {measured}")
-    typer.echo(f"measure it again: {facts['repeat']}")
+def _print_accuracy(contract: Contract) -> None:
+    """Print what stayed in float, and the accuracy on each set, of int8 after that in float."""
+    quantization = contract.quantization or {}
+    if quantization:
+        in_float = ", ".join(quantization["float_convolutions"]) or "none"
+        typer.echo(
+            f"int8, calibrated on {quantization['calibration_frames']} frames; convolutions left "
+            f"in float: {in_float}"
+        )
+    if contract.accuracy is None:
+        return
+    rows = contract.accuracy["rows"]
+    for before, row in zip(quantization.get("accuracy_fp32", rows), rows, strict=True):
+        versions = [before, row] if quantization else [row]
+        figures = []
+        for key, name, factor, unit in (("miou", "mIoU", 1e2, "%"), ("mae_m", "MAE", 1e3, "mm")):
+            if row[key] is not None:
+                values = " -> ".join(f"{factor * each[key]:.4g}" for each in versions)
+                figures.append(f"{name} {values} {unit}")
+        typer.echo(
+            f"  {row['data']}, LiDAR {row['lidar']}, {row['frames']} frames: {', '.join(figures)}"
+        )
+    typer.echo(f"measure it again: {contract.accuracy['repeat']}")

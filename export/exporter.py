@@ -1,10 +1,12 @@
 """From a checkpoint to one verified ONNX file."""
 
 import contextlib
+import copy
 import hashlib
 import itertools
+import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -12,6 +14,7 @@ from typing import Any, BinaryIO
 import onnx
 import torch
 from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
 
 from export.deploy import DeployGraph
 from export.errors import ExportError
@@ -44,7 +47,7 @@ class ExportReport:
         parity: head -> the worst difference over all frames it was verified on.
         num_frames: number of these frames.
         num_bytes: size of the file.
-        quantization: of an int8 file, see `Contract.quantization`; else None.
+        contract: the file's metadata.
     """
 
     path: Path
@@ -54,7 +57,7 @@ class ExportReport:
     parity: Mapping[str, HeadParity]
     num_frames: int
     num_bytes: int
-    quantization: Mapping[str, Any] | None = None
+    contract: Contract
 
 
 def export_checkpoint(
@@ -68,6 +71,7 @@ def export_checkpoint(
     record_dir: Path | str | None = None,
     triton_dir: Path | str | None = None,
     precision: Precision | Int8Options = Precision.FP32,
+    validate: Sequence[str] = (),
     overwrite: bool = False,
 ) -> ExportReport:
     """Write a checkpoint as one ONNX file, verified before it gets its name.
@@ -85,15 +89,17 @@ def export_checkpoint(
             for ssdnet-verify; None = no recording.
         triton_dir: Triton model repository to put the file into as well; None = none.
         precision: of the file's trunk; for 8-bit integers the data and the gate.
+        validate: data sets as `ssdnet-eval` takes them, KIND:FOLDER[,KEY=VALUE...], that the
+            file's accuracy is measured on; int8 needs at least one.
         overwrite: replace an older file, recording and Triton model.
 
     Raises:
         CheckpointError: for a checkpoint that cannot be read.
-        InputError: for an invalid size.
+        InputError: for an invalid size, and for sets that cannot tell the accuracy.
         OutputError: for a target that exists (without `overwrite`) or cannot be written.
         ExportError: for weights that are not finite, if the graph cannot be made or differs
             from PyTorch by more than rounding, and for a gate that is missed.
-        DatasetError: for data of quantisation that cannot be read.
+        DatasetError: for data that cannot be read.
     """
     dynamic = dynamic or size is None
     size = size or DEFAULT_SIZE
@@ -125,14 +131,15 @@ def export_checkpoint(
         )
         parity = measure()
         _require_parity(parity)
-        if precision is not Precision.FP32:
-            model, contract = _reduce(model, contract, precision)
+        if precision is not Precision.FP32 or validate:
+            model, contract = _finish(model, contract, precision, validate)
             _write(model, contract, file)
             parity = measure()
         if precision is Precision.FP16:
             _require_parity(parity)
         figures = {head: dict(measured.figures) for head, measured in parity.items()}
-        num_bytes = _write(model, replace(contract, parity=figures), file)
+        contract = replace(contract, parity=figures)
+        num_bytes = _write(model, contract, file)
         if recorder is not None:
             _record(checkpoint.model, graph.heads, frames, recorder)
             recorder.finish(Path(file.name))
@@ -142,8 +149,7 @@ def export_checkpoint(
                 Path(triton_dir), model, content, name=contract.model_name, overwrite=overwrite
             )
     return ExportReport(
-        *(target, size, dynamic, graph.heads, parity, len(frames), num_bytes),
-        quantization=contract.quantization,
+        target, size, dynamic, graph.heads, parity, len(frames), num_bytes, contract
     )
 
 
@@ -198,6 +204,7 @@ def _contract(
         checkpoint_sha256=digest,
         trained_height=checkpoint.trained_height,
         canonical_focal_px=config.canonical_focal_px,
+        giga_macs=_giga_macs(checkpoint.model, size),
     )
 
 
@@ -215,20 +222,50 @@ def _frames(size: tuple[int, int], *, dynamic: bool, max_depth_m: float) -> list
     return [frame for each in sizes for frame in probe_frames(each, max_depth_m=max_depth_m)]
 
 
-def _reduce(
-    model: onnx.ModelProto, contract: Contract, precision: Precision | Int8Options
+def _giga_macs(model: Network, size: tuple[int, int]) -> float:
+    inputs = (torch.empty(1, channels, *size, device="meta") for channels in (3, 1))
+    with FlopCounterMode(display=False) as counter, torch.no_grad():
+        copy.deepcopy(model).to("meta")(*inputs)
+    return float(counter.get_total_flops()) / 2e9  # a multiplication and an addition
+
+
+def _finish(
+    model: onnx.ModelProto,
+    contract: Contract,
+    precision: Precision | Int8Options,
+    validate: Sequence[str],
 ) -> tuple[onnx.ModelProto, Contract]:
-    """The graph in less than single precision, and its contract."""
-    if not isinstance(precision, Int8Options):
-        return to_half(model), replace(contract, precision=precision.value)
-    from export.int8 import quantize_within  # needs the packages of training
+    """The graph in the precision asked for, and its contract with what was measured of it."""
 
     def write(graph: onnx.ModelProto, path: Path) -> None:
         with path.open("wb") as file:
             _write(graph, contract, file)
 
-    quantized = quantize_within(model, precision, write=write)
-    return quantized.model, replace(contract, precision="int8", quantization=quantized.facts)
+    if precision is Precision.FP16:
+        model = to_half(model)
+    contract = replace(
+        contract, precision="int8" if isinstance(precision, Int8Options) else precision.value
+    )
+    if not validate:
+        return model, contract
+    from export.accuracy import measure_accuracy, repeat_command  # needs the packages of training
+
+    if isinstance(precision, Int8Options):
+        from export.int8 import quantize_within
+
+        quantized = quantize_within(model, precision, validate=validate, write=write)
+        model, accuracy = quantized.model, quantized.accuracy
+        contract = replace(contract, quantization=quantized.facts)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "model.onnx"
+            write(model, path)
+            accuracy = measure_accuracy(path, validate)
+    measured = {
+        "repeat": repeat_command(validate),
+        "rows": [asdict(row) for row in accuracy],
+    }
+    return model, replace(contract, accuracy=measured)
 
 
 def _record(

@@ -1,11 +1,6 @@
-"""Quantisation of an exported graph with a gate on its accuracy.
-
-Accuracy is what `ssdnet-eval` measures, on frames with labels or depth.
-"""
+"""Quantisation of an exported graph with a gate on its accuracy."""
 
 import math
-import re
-import shlex
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -16,54 +11,37 @@ from typing import Any
 import numpy as np
 import onnx
 
+from export.accuracy import Accuracy, measure_accuracy, without_folders
 from export.errors import ExportError
 from export.precision import Int8Options
 from export.quantize import Feed, measure_ranges, quantize
 from export.trunk import trunk
 from runtime import Predictor
-from runtime.errors import InputError
 from runtime.heads import HEADS, Unit
 from runtime.preprocess import preprocess
 from runtime.session import open_session
-from training.datasets.source_recipe import SourceRecipe
 from training.evaluation.cli import parse_source
-from training.evaluation.evaluate import evaluate
-from training.evaluation.score_report import Row
-from training.evaluation.scored_model import open_model
+from training.evaluation.scored_model import trained_classes
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
 
-#: What a calibration frame is fed, in turn, and what accuracy is measured with: a range that no
-#: calibration frame reaches is clipped.
+#: What a calibration frame is fed, in turn: a range that no calibration frame reaches is clipped.
 CALIBRATION_LIDARS = ("own", "none", "16", "4")
-VALIDATION_LIDARS = ("own", "16", "none")
 _SENSITIVITY_FRAMES = 4
 
 
 @dataclass(frozen=True)
-class Accuracy:
-    """Accuracy on one set with one LiDAR, before and after; None = the set cannot tell.
+class Quantized:
+    """A quantised graph that passed.
 
     Attributes:
-        data: the set, as `ssdnet-eval` names it.
-        lidar: that was fed.
-        frames: number of them.
-        miou: of the single-precision graph and of the quantised one, 0..1.
-        mae_m: of the depth [m].
+        model: the graph.
+        accuracy: that it has.
+        facts: `Contract.quantization`.
     """
 
-    data: str
-    lidar: str
-    frames: int
-    miou: tuple[float, float] | None
-    mae_m: tuple[float, float] | None
-
-
-@dataclass(frozen=True)
-class Quantized:
-    """A quantised graph that passed, and the facts about it that its file states."""
-
     model: onnx.ModelProto
+    accuracy: list[Accuracy]
     facts: dict[str, Any]
 
 
@@ -71,6 +49,7 @@ def quantize_within(
     model: onnx.ModelProto,
     options: Int8Options,
     *,
+    validate: Sequence[str],
     write: Callable[[onnx.ModelProto, Path], object],
 ) -> Quantized:
     """Quantise a graph; convolutions that cost too much accuracy stay in single precision.
@@ -82,6 +61,7 @@ def quantize_within(
     Args:
         model: a traced graph.
         options: data and gate.
+        validate: data sets that accuracy is measured on before and after.
         write: writes a graph as a file that the engine runs.
 
     Raises:
@@ -98,12 +78,12 @@ def quantize_within(
         write(model, path)
         feeds = list(_feeds(path, options))
         ranges = measure_ranges(model, feeds)
-        before = _score(path, options)
+        before = measure_accuracy(path, validate)
         while True:
             quantized = quantize(model, ranges, keep_float=in_float)
             write(quantized, path)
-            accuracy = _paired(before, _score(path, options))
-            missed = _missed(accuracy, options)
+            accuracy = measure_accuracy(path, validate)
+            missed = _missed(before, accuracy, options)
             if not missed:
                 break
             if 2 * len(in_float) >= len(convolutions):
@@ -118,21 +98,19 @@ def quantize_within(
                 ranked = _rank(model, partial(quantize, model, ranges), convolutions, feeds, head)
             in_float = ranked[: max(1, 2 * len(in_float))]
     facts = {
-        "calibration": [_without_folders(text) for text in options.calibrate],
+        "calibration": [without_folders(text) for text in options.calibrate],
         "calibration_frames": len(feeds),
         "float_convolutions": in_float,
-        "accuracy": [asdict(item) for item in accuracy],
-        "repeat": _repeat(options),
+        "accuracy_fp32": [asdict(item) for item in before],
     }
-    return Quantized(quantized, facts)
+    return Quantized(quantized, accuracy, facts)
 
 
 def _feeds(path: Path, options: Int8Options) -> Iterator[Feed]:
     """Yield calibration frames as the engine feeds them to the file, with each LiDAR in turn."""
-    with open_model(path) as scored:
-        table = scored.class_table
     with Predictor(path, warmup=0) as predictor:
         contract = predictor.contract
+        table = trained_classes(contract.classes, contract.training)
         for text in options.calibrate:
             source = open_dataset(parse_source(text), [Path()], classes=table)
             count = min(len(source), math.ceil(options.frames / len(options.calibrate)))
@@ -151,49 +129,20 @@ def _feeds(path: Path, options: Int8Options) -> Iterator[Feed]:
                 yield {"rgb": frame.rgb[None], "sparse_depth": frame.sparse_depth[None]}
 
 
-def _score(path: Path, options: Int8Options) -> list[Row]:
-    data: list[SourceRecipe] = [parse_source(text) for text in options.validate]
-    lidars = [LidarInput.parse(text) for text in VALIDATION_LIDARS]
-    return evaluate([str(path)], data, lidars=lidars, faults=["none"])
-
-
-def _paired(before: Sequence[Row], after: Sequence[Row]) -> list[Accuracy]:
-    """Pair the rows. Raises InputError if none of them has a figure that the gate needs."""
-
-    def pair(key: str, first: Row, second: Row) -> tuple[float, float] | None:
-        values = first.figures.get(key, math.nan), second.figures.get(key, math.nan)
-        return None if any(map(math.isnan, values)) else values
-
-    accuracy = [
-        Accuracy(
-            first.data,
-            first.lidar,
-            first.frames,
-            pair("miou", first, second),
-            pair("mae_m", first, second),
-        )
-        for first, second in zip(before, after, strict=True)
-    ]
-    if not any(item.miou or item.mae_m for item in accuracy):
-        raise InputError(
-            "--validate: these sets hold neither labels of the model's classes nor depth, so the "
-            "loss of accuracy cannot be measured; give a set that does"
-        )
-    return accuracy
-
-
-def _missed(accuracy: Sequence[Accuracy], options: Int8Options) -> dict[str, str]:
+def _missed(
+    before: Sequence[Accuracy], after: Sequence[Accuracy], options: Int8Options
+) -> dict[str, str]:
     """Head -> its largest loss in words, of the heads that miss the gate; the worst one first."""
     excess: dict[str, tuple[float, str]] = {}
-    for item in accuracy:
-        where = f"on {item.data}, LiDAR {item.lidar}"
-        if item.miou is not None:
-            drop = 100 * (item.miou[0] - item.miou[1])
+    for first, second in zip(before, after, strict=True):
+        where = f"on {first.data}, LiDAR {first.lidar}"
+        if first.miou is not None and second.miou is not None:
+            drop = 100 * (first.miou - second.miou)
             text = f"semantic loses {drop:.2f} points of mIoU {where} (at most "
             found = drop / max(options.max_drop_miou, 1e-9), f"{text}{options.max_drop_miou:g})"
             excess["semantic"] = max(excess.get("semantic", found), found)
-        if item.mae_m is not None:
-            rise = 100 * (item.mae_m[1] / max(item.mae_m[0], 1e-9) - 1)
+        if first.mae_m is not None and second.mae_m is not None:
+            rise = 100 * (second.mae_m / max(first.mae_m, 1e-9) - 1)
             text = f"depth's MAE rises by {rise:.2f} % {where} (at most "
             found = rise / max(options.max_rise_mae, 1e-9), f"{text}{options.max_rise_mae:g} %)"
             excess["depth"] = max(excess.get("depth", found), found)
@@ -226,16 +175,3 @@ def _rank(
         return float(np.mean([np.abs(a - b).mean() for a, b in pairs]))
 
     return sorted(convolutions, key=change, reverse=True)
-
-
-def _without_folders(text: str) -> str:
-    """A data set as on the command line, its folder by its last part: a file names no machine."""
-    kind, _, rest = text.partition(":")
-    folder, *options = re.split(r"(?=,\w+=)", rest, maxsplit=1)
-    return f"{kind}:{Path(folder).name}{''.join(options)}"
-
-
-def _repeat(options: Int8Options) -> str:
-    """The command that measures the accuracy of a file on these sets again."""
-    data = [word for text in options.validate for word in ("--data", _without_folders(text))]
-    return shlex.join(["ssdnet-eval", "MODEL", *data, "--lidar", ",".join(VALIDATION_LIDARS)])

@@ -17,14 +17,12 @@ class Int8Options:
     Attributes:
         calibrate: data sets as `ssdnet-eval` takes them, KIND:FOLDER[,KEY=VALUE...], that the
             ranges are measured on.
-        validate: data sets that accuracy is measured on before and after.
         frames: number of calibration frames, evenly spread over the sets.
         max_drop_miou: the most that the mIoU of a set may fall, in points.
         max_rise_mae: the most that the MAE of the depth of a set may rise, in percent.
     """
 
     calibrate: tuple[str, ...]
-    validate: tuple[str, ...]
     frames: int = 128
     max_drop_miou: float = 0.5
     max_rise_mae: float = 2.0

@@ -13,6 +13,9 @@ DEFAULT_MODEL = "ssdnet-lite"
 
 _SUFFIX = ".onnx"
 
+#: Column -> key in a row of `Contract.accuracy`, factor, digits.
+_ACCURACY = {"mIoU %": ("miou", 100.0, 1), "MAE mm": ("mae_m", 1000.0, 0)}
+
 
 def list_bundled_models() -> list[str]:
     """Return the names of the installed models."""
@@ -20,16 +23,26 @@ def list_bundled_models() -> list[str]:
 
 
 def describe_bundled_models() -> str:
-    """Return a table of the installed models, and where their accuracy is. Raises ContractError."""
-    lines = [f"{'model':16}{'MB':>6}{'classes':>9}{'depth m':>9}{'rows':>6}  trained on"]
-    for name in list_bundled_models():
-        file = load_model_file(find_model(name))
-        contract, megabytes = file.contract, len(file.content) / 1e6
-        lines.append(
-            f"{name:16}{megabytes:6.1f}{len(contract.classes):9}{contract.max_depth_m:9g}"
-            f"{contract.trained_height or 'n/a':>6}  {', '.join(contract.training.get('data', []))}"
-        )
-    return "\n".join([*lines, f"accuracy and terms: {_assets() / 'MODEL_CARD.md'}"])
+    """Return a table of the installed models: size, work and accuracy. Raises ContractError."""
+    lines = [f"{'model':16}{'MB':>6}{'GMACs':>8}" + "".join(f"{name:>8}" for name in _ACCURACY)]
+    notes: dict[str, None] = {}  # in the order of the columns, each once
+    for model in list_bundled_models():
+        file = load_model_file(find_model(model))
+        contract = file.contract
+        line = f"{model:16}{len(file.content) / 1e6:6.1f}{_cell(contract.giga_macs, 1)}"
+        notes["GMACs of a frame of {} x {}".format(*contract.native_size)] = None
+        for name, (key, factor, digits) in _ACCURACY.items():
+            rows = (contract.accuracy or {}).get("rows", [])
+            row = next((row for row in rows if row[key] is not None), None)
+            line += _cell(row and factor * row[key], digits)
+            if row is not None:
+                notes[f"{name} on {row['data']}, LiDAR {row['lidar']}"] = None
+        lines.append(line)
+    return "\n".join([*lines, *notes, f"more, and terms: {_assets() / 'MODEL_CARD.md'}"])
+
+
+def _cell(value: float | None, digits: int) -> str:
+    return f"{'n/a':>8}" if value is None else f"{value:8.{digits}f}"
 
 
 def find_model(model: str | bytes | PathLike[str] | None) -> Path:

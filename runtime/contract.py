@@ -25,6 +25,7 @@ MIN_DEPTH_RANGE_M = 1.0  # bounds of max_depth_m
 MAX_DEPTH_RANGE_M = 10_000.0
 MIN_FOCAL_PX = 1.0  # bounds of a focal length: from tiny pictures to long telephoto lenses
 MAX_FOCAL_PX = 1_000_000.0
+MAX_GIGA_MACS = 1_000_000.0
 
 _INPUT_RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"}
 _DIGEST_KEY = "document_sha256"
@@ -69,8 +70,12 @@ class Contract:
         trained_height: rows of the images it was trained on; None = not known.
         canonical_focal_px: focal length [px] of the camera in whose metres the graph works, see
             `runtime.canonical_focal`; None = plain metres.
-        quantization: of an "int8" file: the calibration data, the convolutions left in float, the
-            accuracy before and after, and the command that measures it again; else None.
+        giga_macs: multiplications with addition that a frame of `native_size` takes, billions;
+            None = not counted.
+        accuracy: measured with this file: "repeat", the command, and "rows", each with data, lidar,
+            frames, miou (0..1) and mae_m; None = not measured.
+        quantization: of an "int8" file: the calibration data, the convolutions left in float, and
+            the rows of `accuracy` in single precision; else None.
         content: the bytes of the file before this document; None in a file of schema 1.0.
     """
 
@@ -88,6 +93,8 @@ class Contract:
     checkpoint_sha256: str
     trained_height: int | None = None
     canonical_focal_px: float | None = None
+    giga_macs: float | None = None
+    accuracy: Mapping[str, Any] | None = None
     quantization: Mapping[str, Any] | None = None
     content: Content | None = None
 
@@ -151,6 +158,8 @@ class Contract:
                 checkpoint_sha256=_take(document, "checkpoint_sha256", str),
                 trained_height=_optional(document, "trained_height", check_side),
                 canonical_focal_px=_optional(document, "canonical_focal_px", check_focal_length),
+                giga_macs=_optional(document, "giga_macs", _check_giga_macs),
+                accuracy=_optional(document, "accuracy", _check_object),
                 quantization=_optional(document, "quantization", _check_object),
                 content=_content(document, text),
             )
@@ -272,6 +281,10 @@ def _optional(
     """Return the checked value of a key that older schemas lack, None where it is null."""
     value = document.get(key)
     return None if value is None else check(value, key)
+
+
+def _check_giga_macs(value: object, name: str) -> float:
+    return float(_checked(value, name, int | float, 0, MAX_GIGA_MACS, "billions"))
 
 
 def _check_object(value: object, name: str) -> dict[str, Any]:

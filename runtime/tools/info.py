@@ -65,6 +65,7 @@ def model_table(described: dict[str, Any]) -> str:
     metadata = described["metadata"]
     focal_px = metadata["canonical_focal_px"]
     rows = metadata["trained_height"]
+    giga_macs = metadata["giga_macs"]
     batch = "any number" if described["free_batch"] else "one"
     facts = [
         ("model", metadata["model_name"]),
@@ -86,7 +87,10 @@ def model_table(described: dict[str, Any]) -> str:
             "none: plain metres" if focal_px is None else f"{focal_px:g} px",
         ),
         ("precision", metadata["precision"]),
-        *((f"  {name}", _plain(fact)) for name, fact in (metadata["quantization"] or {}).items()),
+        *_facts(metadata["quantization"]),
+        ("GMACs a frame", "not counted" if giga_macs is None else f"{giga_macs:.3g}"),
+        ("accuracy", "" if metadata["accuracy"] else "not measured"),
+        *_facts(metadata["accuracy"]),
         ("resize", _pairs(metadata["resize"])),
         ("terms", _plain(metadata["training"].get("terms", "not stated"))),
         ("trained on", _plain(metadata["training"].get("data", "not stated"))),
@@ -101,6 +105,15 @@ def model_table(described: dict[str, Any]) -> str:
         ),
     ]
     return "\n".join(f"{_printable(name):24}{_printable(value)}".rstrip() for name, value in facts)
+
+
+def _facts(document: dict[str, Any] | None) -> list[tuple[str, str]]:
+    """Lines of an optional document; of a list of objects each on a line of its own."""
+    lines = []
+    for name, fact in (document or {}).items():
+        listed = isinstance(fact, list) and all(isinstance(entry, dict) for entry in fact)
+        lines += [(f"  {name}", _plain(entry)) for entry in (fact if listed else [fact])]
+    return lines
 
 
 def _size(size: tuple[int, int]) -> str:

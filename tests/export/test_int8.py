@@ -10,6 +10,7 @@ from export.probe_frames import probe_frames
 from runtime import Predictor
 from runtime.io.recording import read_recording
 from runtime.model_file import load_model_file
+from runtime.tools.bench_worker import count_cost
 from runtime.tools.verify_cli import app as verify_app
 
 SIZE = (64, 96)
@@ -56,12 +57,17 @@ def test_an_int8_file_states_how_it_was_made(export_int8, tmp_path, exported):
     facts = contract.quantization
     assert facts["calibration"] == ["folders:street"]
     assert facts["calibration_frames"] == 3
-    assert facts["repeat"].startswith("ssdnet-eval MODEL --data folders:street,depth=depth")
+    repeat = contract.accuracy["repeat"]
+    assert repeat.startswith("ssdnet-eval MODEL --data folders:street,depth=depth")
     assert str(tmp_path.parent) not in contract.to_json()
-    (row,) = [row for row in facts["accuracy"] if row["lidar"] == "none"]
-    assert row["frames"] == 3
-    assert row["miou"][0] == 1 > row["miou"][1] > 0.5
-    assert 0 < row["mae_m"][0] != row["mae_m"][1]
+    before, after = (
+        next(row for row in rows if row["lidar"] == "none")
+        for rows in (facts["accuracy_fp32"], contract.accuracy["rows"])
+    )
+    assert before["frames"] == after["frames"] == 3
+    assert before["miou"] == 1 > after["miou"] > 0.5
+    assert 0 < before["mae_m"] != after["mae_m"] > 0
+    assert f"MAE {1000 * before['mae_m']:.4g} -> {1000 * after['mae_m']:.4g} mm" in result.output
 
     # The engine verifies it within what was measured, and no more.
     recording = read_recording(tmp_path / "recording")
@@ -83,15 +89,46 @@ def test_a_missed_gate_writes_nothing_and_names_the_head(export_int8, tmp_path):
 @pytest.mark.slow
 def test_convolutions_that_cost_most_stay_in_float_until_the_gate_is_passed(export_int8, tmp_path):
     assert export_int8("--max-drop-miou", "100", "--max-rise-mae", "1000").exit_code == 0
-    (before,) = load_model_file(tmp_path / "lite.onnx").contract.quantization["accuracy"]
-    drop = 100 * (before["miou"][0] - before["miou"][1])
+    drop = 100 * (1 - _miou(tmp_path / "lite.onnx"))
     options = ["--max-rise-mae", "1000", "--overwrite"]
     result = export_int8("--max-drop-miou", f"{0.8 * drop:.4f}", *options)
     assert result.exit_code == 0, result.output
     facts = load_model_file(tmp_path / "lite.onnx").contract.quantization
     assert facts["float_convolutions"]
     assert all(name in result.output for name in facts["float_convolutions"])
-    assert 100 * (1 - facts["accuracy"][0]["miou"][1]) <= 0.8 * drop
+    assert 100 * (1 - _miou(tmp_path / "lite.onnx")) <= 0.8 * drop
+
+
+def _miou(path):
+    return load_model_file(path).contract.accuracy["rows"][0]["miou"]
+
+
+def test_a_file_in_single_precision_states_its_accuracy_and_its_work(
+    lite_checkpoint, data, tmp_path, exported
+):
+    path = tmp_path / "lite.onnx"
+    words = [str(lite_checkpoint), str(path), "--height", "64", "--width", "96"]
+    result = CliRunner().invoke(app, [*words, "--validate", f"folders:{data},depth=depth"])
+    assert result.exit_code == 0, result.output
+    contract = load_model_file(path).contract
+    assert contract.precision == "fp32"
+    assert contract.quantization is None
+    (row,) = contract.accuracy["rows"]
+    errors = []
+    with Predictor(path) as predictor:
+        for index in range(3):
+            rgb = cv2.imread(str(data / "images" / f"{index}.png"))[..., ::-1]
+            truth = cv2.imread(str(data / "depth" / f"{index}.png"), cv2.IMREAD_UNCHANGED) / 256
+            answer = predictor.predict(np.ascontiguousarray(rgb), None).depth
+            errors.append(np.abs(answer - truth)[truth > 0])
+    assert row["mae_m"] == pytest.approx(np.concatenate(errors).mean(), rel=1e-3)
+    assert row["miou"] is None
+    assert f"none, 3 frames: MAE {1000 * row['mae_m']:.4g} mm" in result.output
+    assert load_model_file(exported.path).contract.accuracy is None
+    (frame,) = probe_frames(SIZE, max_depth_m=80.0, seeds=(1,))[:1]
+    feeds = {"rgb": frame.rgb[None], "sparse_depth": frame.sparse_depth[None]}
+    counted, _ = count_cost(path.read_bytes(), feeds, tmp_path)
+    assert contract.giga_macs == pytest.approx(counted, rel=1e-6)
 
 
 def test_sets_that_cannot_tell_the_accuracy_are_refused(export_int8, tmp_path):

@@ -19,7 +19,7 @@ from training.datasets.sample import SampleSource
 from training.datasets.source_recipe import SourceRecipe
 from training.evaluation.classical import METHODS
 from training.evaluation.score_report import Row
-from training.evaluation.scored_model import ScoredModel, open_method, open_model
+from training.evaluation.scored_model import ScoredModel, open_method, open_model, trained_classes
 from training.evaluation.scoring import Answer, Scores, figures_over_places
 from training.lidar.faults import Fault, add_fault
 from training.lidar.split import LidarInput, frame_generator, split_lidar
@@ -117,7 +117,9 @@ def evaluate(
         for recipe, folder in zip(data, folders, strict=True):
             title = recipe.name or " ".join([folder, *_changed_keys(recipe)])
             for name, model in scored.items():
-                source = open_dataset(recipe, [Path()], classes=model.class_table)
+                source = open_dataset(
+                    recipe, [Path()], classes=trained_classes(model.classes, model.training)
+                )
                 rows += _score_all(name, model, title, source, lidars, faults, limit, save)
     if not rows:
         raise InputError(

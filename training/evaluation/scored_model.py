@@ -38,23 +38,26 @@ class ScoredModel:
     engine: str
     training: Mapping[str, Any] = field(default_factory=dict)
 
-    @property
-    def class_table(self) -> ClassTable:
-        """The classes it was trained with: a name in `models.CLASS_TABLES`, or its own table.
 
-        A network without a semantic head learned the boundaries of these classes, too. CamVid's
-        where the file does not name them.
-        """
-        if not self.classes:
-            recipe = self.training.get("recipe", {})
-            trained = recipe.get("model", {}).get("classes", "camvid")
-            if isinstance(trained, str):
-                return trained
-            return tuple(ClassInfo(info["name"], tuple(info["color"])) for info in trained)
-        for name, table in CLASS_TABLES.items():
-            if table == self.classes:
-                return name
-        return self.classes
+def trained_classes(classes: tuple[ClassInfo, ...], training: Mapping[str, Any]) -> ClassTable:
+    """The classes a file was trained with: a name in `models.CLASS_TABLES`, or its own table.
+
+    A network without a semantic head learned the boundaries of these classes, too. CamVid's where
+    the file does not name them.
+
+    Args:
+        classes: of the file's semantic head.
+        training: as the file records it.
+    """
+    if not classes:
+        trained = training.get("recipe", {}).get("model", {}).get("classes", "camvid")
+        if isinstance(trained, str):
+            return trained
+        return tuple(ClassInfo(info["name"], tuple(info["color"])) for info in trained)
+    for name, table in CLASS_TABLES.items():
+        if table == classes:
+            return name
+    return classes
 
 
 @contextmanager

@@ -15,7 +15,9 @@ def run(*arguments):
 
 
 def test_without_a_model_the_bundled_ones_are_listed():
-    assert [line.split()[0] for line in run().output.splitlines()[1:-1]] == list_bundled_models()
+    models = list_bundled_models()
+    _, *lines = run().output.splitlines()
+    assert [line.split()[0] for line in lines[: len(models)]] == models
     assert json.loads(run("--json").output) == {"bundled_models": list_bundled_models()}
 
 
@@ -26,6 +28,8 @@ def test_the_lines_hold_what_the_metadata_and_the_tensors_say(model_file, contra
         trained_height=400,
         training={"data": ["one", "two"], "terms": "research only"},
         parity={"depth": {"max_abs_m": 0.00012345}},
+        giga_macs=2.125,
+        accuracy={"repeat": "ssdnet-eval MODEL", "rows": [{"miou": 0.5}, {"miou": None}]},
     )
     path = model_file(size=(48, 64), contract=contract)
     lines = run(str(path)).output.splitlines()
@@ -36,6 +40,9 @@ def test_the_lines_hold_what_the_metadata_and_the_tensors_say(model_file, contra
     assert shown["trained for"] == "400 rows"
     assert shown["frames a run"] == "any number"
     assert shown["canonical focal length"] == "721.5 px"
+    assert shown["GMACs a frame"] == "2.12"
+    assert shown["repeat"] == "ssdnet-eval MODEL"
+    assert [line.split()[-1] for line in lines if line.startswith("  rows")] == ["0.5", "None"]
     assert shown["terms"] == "research only"
     assert shown["trained on"] == "one, two"
     assert shown["depth"] == "max_abs_m 0.00012345"

@@ -6,21 +6,21 @@ import numpy as np
 
 from models import create_model
 from runtime import Latency, Prediction
-from training.evaluation.scored_model import ScoredModel, engine_predict
+from training.evaluation.scored_model import engine_predict, trained_classes
 
 
 def test_a_network_without_classes_is_scored_in_the_table_it_was_trained_with():
     trained = {"recipe": {"model": {"classes": "cityscapes"}}}
-    assert ScoredModel(lambda rgb, depth: None, (), "", trained).class_table == "cityscapes"
-    assert ScoredModel(lambda rgb, depth: None, (), "").class_table == "camvid"
+    assert trained_classes((), trained) == "cityscapes"
+    assert trained_classes((), {}) == "camvid"
 
 
 def test_classes_of_no_table_are_a_table_of_their_own():
     own = create_model("ssdnet", num_classes=3).config.classes
-    assert ScoredModel(lambda rgb, depth: None, own, "").class_table == own
+    assert trained_classes(own, {}) == own
     table = [{"name": info.name, "color": list(info.color)} for info in own]
     trained = {"recipe": {"model": {"classes": table}}}
-    assert ScoredModel(lambda rgb, depth: None, (), "", trained).class_table == own
+    assert trained_classes((), trained) == own
 
 
 def test_the_uncertainty_of_a_file_is_part_of_its_answer():
