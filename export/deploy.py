@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from models import Network
-from models.answers import head_maps, to_unit
+from models.answers import class_ids, head_maps, to_unit
 from models.blocks import upsample
 from runtime.heads import HEADS, Unit
 
@@ -49,10 +49,12 @@ class DeployGraph(nn.Module):
         answers = {}
         maps = head_maps(coarse)
         if "semantic" in maps:
-            scores = upsample(maps.pop("semantic"), factor=self.model.semantic_stride)
+            scores, stride = maps.pop("semantic"), self.model.semantic_stride
             # Cropped last: an id is a byte, its scores are 4 bytes a class.
-            answers["semantic"] = to_unit("semantic", scores, max_depth_m)[:, :height, :width]
-            answers["semantic_logits"] = scores[:, :, :height, :width]
+            answers["semantic"] = class_ids(scores, stride)[:, :height, :width]
+            if self.with_logits:
+                logits = upsample(scores, factor=stride)
+                answers["semantic_logits"] = logits[:, :, :height, :width]
 
         grids: dict[int, dict[str, Tensor]] = {}
         for head, values in maps.items():

@@ -2,7 +2,9 @@
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
+from models.blocks import upsample
 from models.network import NetworkOutput
 from runtime.contract import NO_CLASS
 from runtime.heads import HEADS, Unit
@@ -51,18 +53,26 @@ def to_unit(head: str, values: Tensor, max_depth_m: float) -> Tensor:
         return values * max_depth_m
     if unit is Unit.PROBABILITY:
         return torch.sigmoid(values)
-    return _best_class(values) if unit is Unit.CLASS_ID else values
+    return class_ids(values) if unit is Unit.CLASS_ID else values
 
 
-def _best_class(logits: Tensor) -> Tensor:
-    """Class ids uint8 (N, H, W) of (N, C, H, W); NO_CLASS where a score is NaN or Inf.
+def class_ids(scores: Tensor, factor: int = 1) -> Tensor:
+    """Class ids of scores (N, C, h, w), upsampled by a factor: uint8 (N, h * factor, w * factor).
 
-    An arg-max hides NaN. The reshape keeps the classes innermost: without it ONNX Runtime moves the
-    transposition behind the ArgMax, which then strides through memory and takes twice as long.
+    NO_CLASS where a score that takes part is NaN or Inf, which an arg-max hides. It is looked for
+    before the upsampling, which spreads it over the cells beside it.
     """
-    batch, classes, height, width = logits.shape
-    scores = logits.permute(0, 2, 3, 1).reshape(-1, classes)
-    finite = scores.sum(dim=1) * 0 == 0  # NaN and Inf reach the sum, and times 0 both are NaN
-    ids = scores.argmax(dim=1).to(torch.uint8)
-    ids = torch.where(finite, ids, torch.tensor(NO_CLASS, dtype=torch.uint8))
-    return ids.reshape(batch, height, width)
+    # NaN and Inf reach the sum, and times 0 both are NaN.
+    unknown = (scores.sum(dim=1, keepdim=True) * 0 != 0).to(torch.float32)
+    if factor > 1:
+        unknown = F.max_pool2d(unknown, 3, 1, 1)
+    masked = (unknown * NO_CLASS).to(torch.uint8)
+    if factor > 1:
+        masked = F.interpolate(masked, scale_factor=float(factor), mode="nearest")
+        scores = upsample(scores, factor=factor)
+    # The reshape keeps the classes innermost: without it ONNX Runtime moves the transposition
+    # behind the ArgMax, which then strides through memory and takes twice as long.
+    batch, classes, height, width = scores.shape
+    innermost = scores.permute(0, 2, 3, 1).reshape(-1, classes)
+    ids = innermost.argmax(dim=1).to(torch.uint8).reshape(batch, height, width)
+    return torch.maximum(ids, masked[:, 0])
