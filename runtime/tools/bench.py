@@ -39,7 +39,7 @@ class BenchOptions:
     models: tuple[str, ...]  # bundled names and ONNX files; ratios are to the first
     sizes: tuple[tuple[int, int], ...]  # (height, width), of models of free size
     threads: tuple[int, ...]  # within an operator
-    batch: int = 1  # frames of a run, of models of free batch
+    batches: tuple[int, ...] = (1,)  # frames of a run, of models of free batch
     rounds: int = 100  # measured runs of each model
     rate_hz: float | None = None  # of frames, for a second in turn; None = one run in turn
     provider: str = "cpu"
@@ -59,11 +59,12 @@ class Figures:
 
 @dataclass
 class BenchRow:
-    """A model at a size with so many threads: facts and figures, or why there are none."""
+    """A model at a size, with so many threads and frames a run: figures, or why there are none."""
 
     model: str
     size: tuple[int, int]
     threads: int
+    batch: int
     opened: Opened | None = None
     error: str | None = None
     #: Latency and processor time of all threads, of each run.
@@ -73,7 +74,7 @@ class BenchRow:
 
 @dataclass
 class BenchReport:
-    """The outcome: a group of rows for each size and number of threads, which took turns."""
+    """The outcome: a group of rows, which took turns, for each size, threads and batch."""
 
     options: BenchOptions
     machine: MachineFacts
@@ -96,8 +97,8 @@ def bench(options: BenchOptions) -> BenchReport:
     version, load = import_onnxruntime().__version__, round(os.getloadavg()[0], 2)
     report = BenchReport(options, machine_facts(), version, load)
     try:
-        for size, threads in product(options.sizes, options.threads):
-            group = [BenchRow(model, size, threads) for model in options.models]
+        for case in product(options.sizes, options.threads, options.batches):
+            group = [BenchRow(model, *case) for model in options.models]
             report.groups.append(group)
             _measure(group, options)
     except KeyboardInterrupt:
@@ -159,8 +160,8 @@ class _Worker:
         self.row = row
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        request = {"model": row.model, "size": row.size, "threads": row.threads}
-        request |= {"batch": options.batch, "provider": options.provider}
+        request = {"model": row.model, "size": row.size, "threads": row.threads, "batch": row.batch}
+        request |= {"provider": options.provider}
         self._process = context.Process(target=serve, args=(theirs, scratch), kwargs=request)
         resource_tracker.ensure_running()  # else `start` does, which unblocks signals
         # The process inherits the mask: Ctrl-C is for the command alone.

@@ -43,8 +43,11 @@ def main(
         typer.Option(min=1, help="May be repeated. [default: the physical cores]"),
     ] = None,
     batch: Annotated[
-        int, typer.Option(min=1, help="Frames of a run, of models that take any number.")
-    ] = 1,
+        list[int],
+        typer.Option(
+            min=1, help="Frames of a run, of models that take any number; may be repeated."
+        ),
+    ] = [1],  # noqa: B006
     rounds: Annotated[
         int, typer.Option(min=1, help="Measured runs of each model; p99 needs 100.")
     ] = 100,
@@ -72,8 +75,8 @@ def main(
     """Measure latency, memory and load time of models side by side."""
     if rate is not None and not 0 < rate < math.inf:
         raise typer.BadParameter(f"--rate must be more than 0, got {rate}")
-    sizes, used = tuple(map(_size, size)), tuple(threads or [available_cores()])
-    options = BenchOptions(tuple(models), sizes, used, batch, rounds, rate, provider.value)
+    cases = tuple(map(_size, size)), tuple(threads or [available_cores()]), tuple(batch)
+    options = BenchOptions(tuple(models), *cases, rounds, rate, provider.value)
     with reported_errors("cpu"):
         with interruptible():
             report = bench(options)
@@ -100,7 +103,7 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def to_markdown(report: BenchReport) -> str:
-    """A line on the machine, and a table for each size and number of threads."""
+    """A line on the machine, and a table for each size, threads and batch."""
     options, machine = report.options, report.machine
     how = "runs in turn" if options.rate_hz is None else f"frames at {options.rate_hz:g} Hz"
     parts = [
@@ -114,9 +117,12 @@ def to_markdown(report: BenchReport) -> str:
     for group in report.groups:
         rows = [titles, ["---"] * len(titles), *map(_cells, group)]
         lines = [f"| {' | '.join(map(_cell, row))} |" for row in rows]
-        (height, width), threads = group[0].size, group[0].threads
-        parts.append("\n".join([f"**{height} x {width}, threads {threads}**\n", *lines]))
+        parts.append(f"**{_case(group[0])}**\n\n" + "\n".join(lines))
     return "\n\n".join(parts)
+
+
+def _case(row: BenchRow) -> str:
+    return f"{row.size[0]} x {row.size[1]}, threads {row.threads}, batch {row.batch}"
 
 
 def _cells(row: BenchRow) -> list[str]:
@@ -161,7 +167,7 @@ def _plot(report: BenchReport, path: Path) -> None:
 
     bars = [
         (
-            f"{row.model}, {row.size[0]} x {row.size[1]}, threads {row.threads}",
+            f"{row.model}, {_case(row)}",
             (row.figures.min_ms, row.figures.latency.median_ms, row.figures.latency.max_ms),
         )
         for group in report.groups

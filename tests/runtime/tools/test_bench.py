@@ -73,7 +73,7 @@ def write_convolution(path, shape=(1, 3, 32, 48)):
 def test_our_model_and_a_foreign_one_stand_side_by_side(run, model_file, tmp_path):
     foreign = write_convolution(tmp_path / "foreign|one.onnx")
     markdown, plot = tmp_path / "table.md", tmp_path / "plot.png"
-    options = ["--size", "64x96", "--batch", 2, "--md", markdown, "--plot", plot]
+    options = ["--size", "64x96", "--batch", 2, "--batch", 3, "--md", markdown, "--plot", plot]
     result, document = run(model_file(), foreign, *options)
     assert result.exit_code == 0, result.output
     assert markdown.read_text() == result.output
@@ -82,11 +82,13 @@ def test_our_model_and_a_foreign_one_stand_side_by_side(run, model_file, tmp_pat
     first = result.output.splitlines()[0]
     assert bench.machine_facts().processor in first
     assert "2 runs in turn" in first
-    assert "**32 x 48, threads 1**" in result.output
-    assert "**64 x 96, threads 1**" in result.output
-    titles, ours, theirs, _, large, _ = cells_of(result.output)
+    for case in ("32 x 48", "64 x 96"):
+        assert f"**{case}, threads 1, batch 2**" in result.output
+        assert f"**{case}, threads 1, batch 3**" in result.output
+    titles, ours, theirs, _, more, _, _, large, *_ = cells_of(result.output)
     assert len(titles) == len(ours) == len(theirs) == 15
-    assert (ours[1], large[1], theirs[1]) == ("2x32x48x3", "2x64x96x3", "1x3x32x48")
+    assert (ours[1], more[1], large[1]) == ("2x32x48x3", "3x32x48x3", "2x64x96x3")
+    assert theirs[1] == "1x3x32x48"
     assert (ours[7], ours[8], ours[14]) == ("1.00", "1.00 to 1.00", "")
     assert theirs[0] == f"{tmp_path}/foreign\\|one.onnx"
     assert theirs[14] == "its own size, its own batch"
@@ -96,7 +98,8 @@ def test_our_model_and_a_foreign_one_stand_side_by_side(run, model_file, tmp_pat
     rows = rows_of(document)
     assert document["format"] == "ssdnet-bench"
     assert document["machine"]["instruction_sets"] == [*bench.machine_facts().instruction_sets]
-    assert [row["size"] for row in rows] == [[32, 48]] * 2 + [[64, 96]] * 2
+    assert [row["size"] for row in rows] == [[32, 48]] * 4 + [[64, 96]] * 4
+    assert [row["batch"] for row in rows] == [2, 2, 3, 3] * 2
     assert rows[0]["opened"]["shapes"]["sparse_depth"] == [2, 32, 48]
     for row in rows:
         assert len(row["times_ms"]) == 2
@@ -197,8 +200,8 @@ def test_ratios_are_of_each_round_and_a_p99_is_of_a_hundred_runs():
     """A machine that becomes three times as slow changes times, not ratios."""
     opened = bench_worker.Opened({}, (), 1.0, 1.0, None, 2.0, None)
     slow = [1, 3, 1, 1, 3] * 20
-    first = bench.BenchRow("a", SIZE, 1, opened, None, [(10.0 * s, 4.0) for s in slow])
-    second = bench.BenchRow("b", SIZE, 1, opened, None, [(20.0 * s, 2.0) for s in slow])
+    first = bench.BenchRow("a", SIZE, 1, 1, opened, None, [(10.0 * s, 4.0) for s in slow])
+    second = bench.BenchRow("b", SIZE, 1, 1, opened, None, [(20.0 * s, 2.0) for s in slow])
     second.times_ms[:40] = [((10 + n) * s, 2.0) for n, s in enumerate(slow[:40])]
     second.times_ms[40:] = [(100.0 * s, 2.0) for s in slow[40:80]]  # then Ctrl-C
     found = bench._figures(second, first)
@@ -208,7 +211,7 @@ def test_ratios_are_of_each_round_and_a_p99_is_of_a_hundred_runs():
     found = bench._figures(first, first)
     assert (found.min_ms, found.latency.median_ms, found.latency.p99_ms) == (10, 10, 30)
     assert found.gmacs_per_s == pytest.approx(200)
-    assert bench._figures(bench.BenchRow("c", SIZE, 1), first) is None
+    assert bench._figures(bench.BenchRow("c", SIZE, 1, 1), first) is None
 
 
 @pytest.mark.parametrize(
