@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from models import Network
-from models.answers import class_ids, head_maps, to_unit
+from models.answers import class_ids, head_maps, to_unit, with_thin_boundary
 from models.blocks import upsample
 from runtime.heads import HEADS, Unit
 
@@ -71,4 +71,5 @@ class DeployGraph(nn.Module):
         for head in maps:
             if HEADS[head].unit is not Unit.METRES:
                 answers[head] = to_unit(head, answers[head], max_depth_m)
+        answers = with_thin_boundary(answers)
         return tuple(answers[head] for head in self.heads)

@@ -27,7 +27,7 @@ def answers(output: NetworkOutput, max_depth_m: float) -> dict[str, Tensor]:
         found[head] = converted if converted.ndim == 3 else converted[:, 0]
     if output.semantic_logits is not None:
         found["semantic_logits"] = output.semantic_logits
-    return found
+    return with_thin_boundary(found)
 
 
 def head_maps(output: NetworkOutput) -> dict[str, Tensor]:
@@ -76,3 +76,17 @@ def class_ids(scores: Tensor, factor: int = 1) -> Tensor:
     innermost = scores.permute(0, 2, 3, 1).reshape(-1, classes)
     ids = innermost.argmax(dim=1).to(torch.uint8).reshape(batch, height, width)
     return torch.maximum(ids, masked[:, 0])
+
+
+def with_thin_boundary(found: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Halve the probability of a boundary where the classes do not change; `answers` to `answers`.
+
+    The boundary decoder works at a quarter of the image's size, so its lines are wide; those of the
+    classes have the image's size. They change at a pixel if the 3 x 3 pixels around it have two.
+    """
+    if not {"boundary", "semantic"} <= found.keys():
+        return found
+    ids = found["semantic"].to(torch.float32)[:, None]
+    # The greatest id around a pixel, and minus the least one.
+    most, least = F.max_pool2d(torch.cat([ids, -ids], dim=1), 3, 1, 1).unbind(dim=1)
+    return found | {"boundary": found["boundary"] * (most + least).clamp(0.5, 1.0)}

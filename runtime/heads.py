@@ -30,7 +30,7 @@ class Encoding(StrEnum):
 class Difference(StrEnum):
     """How two answers of a head are compared."""
 
-    EQUAL_SHARE = "agreement"  # share of pixels with the same value
+    EQUAL_SHARE = "agreement"  # share of pixels with the same value, to a step of an 8-bit picture
     ABSOLUTE = "max_abs"  # largest absolute difference
     RELATIVE = "max_relative"  # largest difference as a share of the largest value
 
@@ -126,13 +126,14 @@ HEADS: dict[str, Head] = {
             encoding=Encoding.METRES_PNG,
             panel=Panel.DEPTH,
         ),
+        # Halved where the classes around a pixel are one: above 0.5 both heads see a boundary.
         Head(
             "boundary",
             "float32",
             Unit.PROBABILITY,
             resize="bilinear",
-            difference=Difference.ABSOLUTE,
-            tolerance=4e-4,  # a tenth of the step of an 8-bit picture
+            difference=Difference.EQUAL_SHARE,
+            tolerance=0.9955,  # a class that rounding changes halves or doubles 9 pixels around it
             least=0.0,
             most=1.0,
             saved_as="boundary",

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from runtime.errors import InputError
 from runtime.projection import check_intrinsics
 
-# Above this probability a pixel is an object's edge, where predicted depth passes from the near
-# surface to the far one through empty space.
-EDGE_BOUNDARY = 0.5
+#: Above this probability a pixel is an object's edge, where predicted depth passes from the near
+#: surface to the far one through empty space: 0.5 of the boundary decoder, see `runtime.heads`.
+EDGE_BOUNDARY = 0.25
 
 
 @dataclass(frozen=True, eq=False)

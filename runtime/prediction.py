@@ -153,7 +153,7 @@ class Prediction:
         intrinsics: NDArray[np.floating[Any]],
         rgb: NDArray[np.uint8] | None = None,
         *,
-        edge_boundary: float | None = 0.5,
+        edge_boundary: float | None = 0.25,
         keep_sky: bool = False,
     ) -> "PointCloud":
         """Return the depth as a point cloud in the camera's frame, labelled with `semantic`.

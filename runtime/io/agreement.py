@@ -16,6 +16,9 @@ from runtime.heads import HEADS, Difference, Unit
 #: How many times the limits of single precision those of half precision are: of a share of pixels
 #: that differ, and of a difference of values.
 HALF_SHARE, HALF_VALUE = 10, 100
+#: Largest difference of two values that count as equal: of ids 0, of probabilities a step of an
+#: 8-bit picture.
+EQUAL = 1 / 255
 
 
 def compare(head: str, answer: NDArray[Any], expected: NDArray[Any]) -> dict[str, float]:
@@ -27,14 +30,14 @@ def compare(head: str, answer: NDArray[Any], expected: NDArray[Any]) -> dict[str
         expected: the array it should be, of the same shape.
 
     Returns:
-        By the head's `difference`: {"agreement"}, the share of equal pixels; {"max_relative"}; or
-        {"max_abs", "mean_abs"}, with "_m" at the end where the unit is metres. A NaN in an array is
-        a NaN in the figures.
+        By the head's `difference`: {"agreement"}, the share of equal pixels, where NaN equals none;
+        {"max_relative"}; or {"max_abs", "mean_abs"}, with "_m" at the end where the unit is metres,
+        where a NaN in an array is a NaN in the figures.
     """
     row = HEADS[head]
-    if row.difference is Difference.EQUAL_SHARE:
-        return {row.difference.value: float((answer == expected).mean())}
     difference = np.abs(answer.astype(np.float64) - expected)
+    if row.difference is Difference.EQUAL_SHARE:
+        return {row.difference.value: float((difference <= EQUAL).mean())}
     if row.difference is Difference.RELATIVE:
         return {row.difference.value: float((difference / np.abs(expected).max()).max())}
     unit = "_m" if row.unit is Unit.METRES else ""

@@ -75,7 +75,7 @@ def test_dynamic_graph_answers_at_every_size(lite, dynamic_session, size):
         assert answers["semantic"].shape == (1, *size)
         assert (answers["semantic"][0] == expected["semantic"]).mean() > 0.999
         np.testing.assert_allclose(answers["depth"][0], expected["depth"], atol=2e-3)
-        np.testing.assert_allclose(answers["boundary"][0], expected["boundary"], atol=1e-4)
+        assert (np.abs(answers["boundary"][0] - expected["boundary"]) < 1e-4).mean() > 0.995
         np.testing.assert_allclose(
             answers["semantic_logits"][0], expected["semantic_logits"], atol=1e-3, rtol=1e-3
         )

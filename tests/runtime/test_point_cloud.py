@@ -48,9 +48,9 @@ def test_colours_and_labels_are_those_of_the_pixels_and_edges_have_no_point():
     at = cloud.rows, cloud.columns
     np.testing.assert_array_equal(cloud.rgb, rgb[at])
     np.testing.assert_array_equal(cloud.semantic, semantic[at])
-    assert (boundary[at] <= 0.5).all()
-    assert len(cloud.points) == (boundary[depth_map() > 0] <= 0.5).sum() - (
-        boundary[0, 3] <= 0.5  # infinity
+    assert (boundary[at] <= 0.25).all()
+    assert len(cloud.points) == (boundary[depth_map() > 0] <= 0.25).sum() - (
+        boundary[0, 3] <= 0.25  # infinity
     )
     assert len(to_points(depth_map(), K, **options, edge_boundary=None).points) == 48 * 64 - 5
 
@@ -61,11 +61,11 @@ def test_a_prediction_gives_its_cloud(model_file, make_frame):
         prediction = predictor.predict(rgb, sparse_depth)
         cloud = prediction.points(K, rgb)
         np.testing.assert_array_equal(
-            cloud.points[:, 2], prediction.depth[prediction.boundary <= 0.5]
+            cloud.points[:, 2], prediction.depth[prediction.boundary <= 0.25]
         )
-        np.testing.assert_array_equal(cloud.rgb, rgb[prediction.boundary <= 0.5])
+        np.testing.assert_array_equal(cloud.rgb, rgb[prediction.boundary <= 0.25])
         np.testing.assert_array_equal(
-            cloud.semantic, prediction.semantic[prediction.boundary <= 0.5]
+            cloud.semantic, prediction.semantic[prediction.boundary <= 0.25]
         )
         assert len(prediction.points(K, edge_boundary=None).points) == 48 * 64
         assert prediction.points(K).rgb is None
@@ -108,7 +108,7 @@ def test_the_sky_has_no_points_unless_asked_for(model_file, make_frame, contract
     )
     with Predictor(model_file(contract=sky), threads=1) as predictor:
         prediction = predictor.predict(*make_frame())
-    edges = prediction.boundary <= 0.5
+    edges = prediction.boundary <= 0.25
     assert 0 < (prediction.semantic[edges] == 1).sum() < edges.sum()
     assert len(prediction.points(K).points) == (edges & (prediction.semantic == 0)).sum()
     assert len(prediction.points(K, keep_sky=True).points) == edges.sum()

@@ -18,12 +18,17 @@ def test_classes_are_counted():
     [
         ("depth", ["max_abs_m", "mean_abs_m"]),
         ("depth_uncertainty", ["max_abs_m", "mean_abs_m"]),
-        ("boundary", ["max_abs", "mean_abs"]),
     ],
 )
 def test_differences_are_measured(head, names):
     answer, expected = np.float32([[1, 2], [3, 4]]), np.float32([[1, 2.5], [3, 3]])
     assert compare(head, answer, expected) == dict(zip(names, [1.0, 0.375], strict=True))
+
+
+def test_boundaries_are_equal_to_a_step_of_a_picture_and_nan_is_equal_to_nothing():
+    answer = np.float32([[0.5, 0.5], [0.5, np.nan]])
+    expected = np.float32([[0.5, 0.5039], [0.504, np.nan]])
+    assert compare("boundary", answer, expected) == {"agreement": 0.5}
 
 
 def test_scores_count_as_a_share_of_the_largest():
@@ -33,8 +38,8 @@ def test_scores_count_as_a_share_of_the_largest():
 
 def test_the_worst_is_the_least_agreement_and_the_largest_difference():
     assert worst("semantic", [{"agreement": 0.9}, {"agreement": 0.8}]) == {"agreement": 0.8}
-    figures = [{"max_abs": 1.0, "mean_abs": 0.5}, {"max_abs": 0.5, "mean_abs": 0.7}]
-    assert worst("boundary", figures) == {"max_abs": 1.0, "mean_abs": 0.7}
+    figures = [{"max_abs_m": 1.0, "mean_abs_m": 0.5}, {"max_abs_m": 0.5, "mean_abs_m": 0.7}]
+    assert worst("depth", figures) == {"max_abs_m": 1.0, "mean_abs_m": 0.7}
 
 
 def test_limits_hold_on_their_side_and_nan_never_does(contract):
@@ -44,8 +49,8 @@ def test_limits_hold_on_their_side_and_nan_never_does(contract):
     assert not within("depth", {"max_abs_m": 0.0041}, 0.004)
     assert within("semantic", {"agreement": 0.9995}, limit("semantic", contract))
     assert not within("semantic", {"agreement": 0.9994}, limit("semantic", contract))
-    nothing = compare("boundary", np.float32([[np.nan, 1]]), np.float32([[0, 1]]))
-    assert not within("boundary", worst("boundary", [{"max_abs": 0.0}, nothing]), 1.0)
+    nothing = compare("depth", np.float32([[np.nan, 1]]), np.float32([[0, 1]]))
+    assert not within("depth", worst("depth", [{"max_abs_m": 0.0, "mean_abs_m": 0.0}, nothing]), 1)
 
 
 def test_a_reduced_precision_has_wider_limits(contract):
