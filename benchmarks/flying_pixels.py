@@ -22,7 +22,7 @@ from training.loading.open_dataset import open_dataset
 
 FARTHEST_M = 80.0
 AROUND_PX = 3
-EDGES = (None, 0.9, 0.7, 0.5, 0.3)
+EDGES = (None, 0.5, 0.45, 0.35, 0.25, 0.15)
 
 
 def main() -> None:

@@ -16,9 +16,6 @@ from runtime.heads import HEADS, Difference, Unit
 #: How many times the limits of single precision those of half precision are: of a share of pixels
 #: that differ, and of a difference of values.
 HALF_SHARE, HALF_VALUE = 10, 100
-#: Largest difference of two values that count as equal: of ids 0, of probabilities a step of an
-#: 8-bit picture.
-EQUAL = 1 / 255
 
 
 def compare(head: str, answer: NDArray[Any], expected: NDArray[Any]) -> dict[str, float]:
@@ -30,16 +27,18 @@ def compare(head: str, answer: NDArray[Any], expected: NDArray[Any]) -> dict[str
         expected: the array it should be, of the same shape.
 
     Returns:
-        By the head's `difference`: {"agreement"}, the share of equal pixels, where NaN equals none;
-        {"max_relative"}; or {"max_abs", "mean_abs"}, with "_m" at the end where the unit is metres,
-        where a NaN in an array is a NaN in the figures.
+        By the head's `difference`: {"agreement"}, the share of equal pixels; {"max_relative"};
+        {"mean_abs", "max_abs"}; or {"max_abs", "mean_abs"}, with "_m" at the end where the unit is
+        metres. A NaN in an array is a NaN in the figures.
     """
     row = HEADS[head]
-    difference = np.abs(answer.astype(np.float64) - expected)
     if row.difference is Difference.EQUAL_SHARE:
-        return {row.difference.value: float((difference <= EQUAL).mean())}
+        return {row.difference.value: float((answer == expected).mean())}
+    difference = np.abs(answer.astype(np.float64) - expected)
     if row.difference is Difference.RELATIVE:
         return {row.difference.value: float((difference / np.abs(expected).max()).max())}
+    if row.difference is Difference.MEAN:
+        return {"mean_abs": float(difference.mean()), "max_abs": float(difference.max())}
     unit = "_m" if row.unit is Unit.METRES else ""
     return {f"max_abs{unit}": float(difference.max()), f"mean_abs{unit}": float(difference.mean())}
 
@@ -62,6 +61,8 @@ def limit(head: str, contract: Contract) -> float:
         first = float(next(iter(measured.values())))
         return 1 - 1.25 * (1 - first) if _larger_is_better(head) else max(own, 1.25 * first)
     if contract.precision == "fp16":
+        if HEADS[head].difference is Difference.MEAN:
+            return HALF_SHARE * own
         return 1 - HALF_SHARE * (1 - own) if _larger_is_better(head) else HALF_VALUE * own
     return own
 

@@ -315,6 +315,7 @@ def export_in_another_process(lite_checkpoint, exported, start_process):
     return start
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("traced")
 def test_a_killed_export_leaves_nothing_to_the_next(
     lite_checkpoint, tmp_path, export_in_another_process
@@ -329,6 +330,7 @@ def test_a_killed_export_leaves_nothing_to_the_next(
     assert list(tmp_path.iterdir()) == [target]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("traced")
 def test_of_two_exports_to_one_path_one_succeeds(
     lite_checkpoint, tmp_path, export_in_another_process

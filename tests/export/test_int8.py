@@ -103,6 +103,7 @@ def _miou(path):
     return load_model_file(path).contract.accuracy["rows"][0]["miou"]
 
 
+@pytest.mark.usefixtures("traced")
 def test_a_file_in_single_precision_states_its_accuracy_and_its_work(
     lite_checkpoint, data, tmp_path, exported
 ):

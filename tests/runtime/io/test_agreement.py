@@ -25,10 +25,17 @@ def test_differences_are_measured(head, names):
     assert compare(head, answer, expected) == dict(zip(names, [1.0, 0.375], strict=True))
 
 
-def test_boundaries_are_equal_to_a_step_of_a_picture_and_nan_is_equal_to_nothing():
-    answer = np.float32([[0.5, 0.5], [0.5, np.nan]])
-    expected = np.float32([[0.5, 0.5039], [0.504, np.nan]])
-    assert compare("boundary", answer, expected) == {"agreement": 0.5}
+def test_of_boundaries_the_mean_counts(contract):
+    """A class that rounding changes moves a few pixels far."""
+    answer, expected = np.zeros((20, 50), np.float32), np.zeros((20, 50), np.float32)
+    answer[0, :3] = 0.5
+    figures = compare("boundary", answer, expected)
+    assert figures == {"mean_abs": 0.0015, "max_abs": 0.5}
+    assert within("boundary", figures, limit("boundary", contract))
+    answer[0, :5] = 0.5
+    assert not within("boundary", compare("boundary", answer, expected), 2e-3)
+    expected[0, 0] = np.nan
+    assert not within("boundary", compare("boundary", answer, expected), 1.0)
 
 
 def test_scores_count_as_a_share_of_the_largest():
@@ -57,6 +64,7 @@ def test_a_reduced_precision_has_wider_limits(contract):
     half = replace(contract, max_depth_m=80.0, precision="fp16")
     assert limit("depth", half) == pytest.approx(0.4)
     assert limit("semantic", half) == pytest.approx(0.995)
+    assert limit("boundary", half) == pytest.approx(0.02)
     measured = {"semantic": {"agreement": 0.96}, "depth": {"max_abs_m": 8.0, "mean_abs_m": 0.1}}
     int8 = replace(half, precision="int8", parity=measured)
     assert limit("depth", int8) == pytest.approx(10.0)

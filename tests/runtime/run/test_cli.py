@@ -21,7 +21,10 @@ import runtime.run.report_files
 import runtime.run.run
 import runtime.sources.bundled_stream
 import runtime.sources.folders
+from runtime import list_bundled_models
+from runtime.bundled_models import find_model
 from runtime.io.recording import read_recording
+from runtime.model_file import load_model_file
 from runtime.run.cli import app
 from runtime.run.run_folder import KINDS
 
@@ -724,16 +727,28 @@ def test_saved_kinds_add_up(tmp_path, run):
 
 
 def test_the_bundled_models_are_listed():
+    """With size, work and accuracy, and what these were measured on."""
     result = CliRunner().invoke(app, ["--list-models"])
     assert result.exit_code == 0
-    _, *models, card = result.stdout.splitlines()
-    assert [line.split()[:5] for line in models] == [
-        ["ssdnet-lite", "12.4", "11", "100", "400"],
-        ["ssdnet-lite-int8", "3.3", "11", "100", "400"],
-        ["ssdnet-nano", "5.1", "11", "100", "400"],
-        ["ssdnet-nano-int8", "1.4", "11", "100", "400"],
+    heading, *lines = result.stdout.splitlines()
+    assert heading.split() == ["model", "MB", "GMACs", "mIoU", "%", "MAE", "mm"]
+    rows = {name: [float(cell) for cell in cells] for name, *cells in map(str.split, lines[:4])}
+    assert list(rows) == list_bundled_models()
+    for name, (megabytes, giga_macs, miou, mae_mm) in rows.items():
+        path = find_model(name)
+        assert megabytes == pytest.approx(path.stat().st_size / 1e6, abs=0.06)
+        assert giga_macs == pytest.approx(6.43 if "lite" in name else 2.05, abs=0.06)
+        measured = load_model_file(path).contract.accuracy["rows"]
+        assert [miou / 100, None] in [
+            [round(row["miou"], 3), row["mae_m"]] for row in measured if row["miou"]
+        ]
+        assert mae_mm in [round(1000 * row["mae_m"]) for row in measured if row["mae_m"]]
+    assert lines[4:7] == [
+        "GMACs of a frame of 512 x 1024",
+        "mIoU % on camvid split=val, LiDAR none",
+        "MAE mm on kitti_streets first=70 last=98, LiDAR own",
     ]
-    assert Path(card.partition(": ")[2]).is_file()
+    assert Path(lines[7].partition(": ")[2]).is_file()
 
 
 def test_help_needs_no_onnxruntime(monkeypatch):

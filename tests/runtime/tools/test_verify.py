@@ -92,7 +92,7 @@ def test_json_reports_the_same(recording):
     [
         ("depth", lambda values: values + np.float32(0.25), "depth: max_abs_m 0.25"),
         ("depth_uncertainty", lambda values: values + np.float32(0.25), "max_abs_m 0.25"),
-        ("boundary", lambda values: np.maximum(values - 0.5, 0), "boundary: agreement 0 "),
+        ("boundary", lambda values: np.maximum(values - 0.5, 0), "boundary: mean_abs 0."),
         ("semantic", lambda values: 1 - values, "semantic: agreement 0 "),
         ("semantic_logits", lambda values: values * np.float32(0.5), "max_relative 1"),
         ("depth", lambda values: values * np.nan, "depth: max_abs_m nan"),
@@ -114,7 +114,7 @@ def test_what_differs_is_reported_by_its_frame(recording, head, change, reported
 
 def test_a_tolerance_may_be_given_a_head(recording):
     spoil(recording, 1, "depth", lambda values: values + np.float32(0.25))
-    assert verify(recording, "--tolerance", "boundary=0.9", "--tolerance", "depth=0.3").exit_code == 0
+    assert verify(recording, "--tolerance", "boundary=1", "--tolerance", "depth=0.3").exit_code == 0
     assert verify(recording, "--tolerance", "depth=0.2").exit_code == 4
     assert verify(recording, "--tolerance", "speed=1").exit_code == 1
     assert verify(recording, "--tolerance", "depth").exit_code == 2

@@ -208,6 +208,7 @@ def screenshot(page, picture, *, width, dark=False):
     return cv2.imread(str(picture)).astype(int)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed (Debian: chromium)")
 def test_a_browser_shows_it_on_every_screen(page_of, stream, tmp_path):
     spoil(stream)
