@@ -95,12 +95,14 @@ def export_checkpoint(
 
     Raises:
         CheckpointError: for a checkpoint that cannot be read.
-        InputError: for an invalid size, and for sets that cannot tell the accuracy.
+        InputError: for an invalid size, and for no sets that can tell the accuracy.
         OutputError: for a target that exists (without `overwrite`) or cannot be written.
         ExportError: for weights that are not finite, if the graph cannot be made or differs
             from PyTorch by more than rounding, and for a gate that is missed.
         DatasetError: for data that cannot be read.
     """
+    if precision is Precision.INT8 or (isinstance(precision, Int8Options) and not validate):
+        raise InputError("int8 needs data: give Int8Options, and validate, its sets with truth")
     dynamic = dynamic or size is None
     size = size or DEFAULT_SIZE
     try:

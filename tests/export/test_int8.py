@@ -6,8 +6,10 @@ import pytest
 from typer.testing import CliRunner
 
 from export.cli import app
+from export.exporter import export_checkpoint
+from export.precision import Int8Options, Precision
 from export.probe_frames import probe_frames
-from runtime import Predictor
+from runtime import InputError, Predictor
 from runtime.io.recording import read_recording
 from runtime.model_file import load_model_file
 from runtime.tools.bench_worker import count_cost
@@ -140,6 +142,10 @@ def test_sets_that_cannot_tell_the_accuracy_are_refused(export_int8, tmp_path):
 
 
 def test_int8_needs_data(lite_checkpoint, tmp_path):
+    for precision in (Precision.INT8, Int8Options(("folders:x",))):
+        with pytest.raises(InputError, match="int8 needs data"):
+            export_checkpoint(lite_checkpoint, tmp_path / "a.onnx", precision=precision)
+    assert not (tmp_path / "a.onnx").exists()
     words = [str(lite_checkpoint), str(tmp_path / "lite.onnx"), "--precision", "int8"]
     result = CliRunner().invoke(app, [*words, "--calibrate", "folders:x"])
     assert result.exit_code == 2
