@@ -63,6 +63,7 @@ def quantize(
             extra_options={},
         )
         quantizer.quantize_model()
+    quantizer.model.topological_sort()  # ONNX demands it, ONNX Runtime does not
     quantized: onnx.ModelProto = quantizer.model.model
     return quantized
 

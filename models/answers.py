@@ -66,16 +66,18 @@ def class_ids(scores: Tensor, factor: int = 1) -> Tensor:
     unknown = (scores.sum(dim=1, keepdim=True) * 0 != 0).to(torch.float32)
     if factor > 1:
         unknown = F.max_pool2d(unknown, 3, 1, 1)
-    masked = (unknown * NO_CLASS).to(torch.uint8)
+    unknown = unknown.to(torch.uint8)
     if factor > 1:
-        masked = F.interpolate(masked, scale_factor=float(factor), mode="nearest")
+        unknown = F.interpolate(unknown, scale_factor=float(factor), mode="nearest")
         scores = upsample(scores, factor=factor)
     # The reshape keeps the classes innermost: without it ONNX Runtime moves the transposition
     # behind the ArgMax, which then strides through memory and takes twice as long.
     batch, classes, height, width = scores.shape
     innermost = scores.permute(0, 2, 3, 1).reshape(-1, classes)
     ids = innermost.argmax(dim=1).to(torch.uint8).reshape(batch, height, width)
-    return torch.maximum(ids, masked[:, 0])
+    # Not a maximum: ONNX Runtime has none of bytes on CUDA.
+    no_class = torch.tensor(NO_CLASS, dtype=torch.uint8)
+    return torch.where(unknown[:, 0].to(torch.bool), no_class, ids)
 
 
 def with_thin_boundary(found: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -68,6 +68,7 @@ def test_half_precision_keeps_inputs_outputs_and_answers(dynamic_model, feeds):
 
 def test_quantised_answers_are_close_to_the_float_ones(dynamic_model, feeds):
     quantized = quantize(dynamic_model, measure_ranges(dynamic_model, feeds))
+    onnx.checker.check_model(quantized, full_check=True)
     for feed in feeds:
         expected, found = run(dynamic_model, feed), run(quantized, feed)
         assert compare("semantic", found["semantic"], expected["semantic"])["agreement"] > 0.9
