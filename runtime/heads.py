@@ -99,6 +99,10 @@ class Head:
         return max_depth_m if self.unit is Unit.METRES else 1.0
 
 
+#: Above this `boundary` a pixel is an object's edge, where predicted depth passes from the near
+#: surface to the far one through empty space: 0.5 of the boundary decoder, see the head below.
+EDGE_BOUNDARY = 0.25
+
 #: Name -> head, in the order of the contract.
 HEADS: dict[str, Head] = {
     head.name: head

@@ -7,11 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
+from runtime.heads import EDGE_BOUNDARY
 from runtime.projection import check_intrinsics
-
-#: Above this probability a pixel is an object's edge, where predicted depth passes from the near
-#: surface to the far one through empty space: 0.5 of the boundary decoder, see `runtime.heads`.
-EDGE_BOUNDARY = 0.25
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
+from runtime.heads import EDGE_BOUNDARY
 
 if TYPE_CHECKING:
     from runtime.contract import Contract
@@ -153,7 +154,7 @@ class Prediction:
         intrinsics: NDArray[np.floating[Any]],
         rgb: NDArray[np.uint8] | None = None,
         *,
-        edge_boundary: float | None = 0.25,
+        edge_boundary: float | None = EDGE_BOUNDARY,
         keep_sky: bool = False,
     ) -> "PointCloud":
         """Return the depth as a point cloud in the camera's frame, labelled with `semantic`.
