@@ -37,10 +37,8 @@ def predict(
     if focal_length_px and contract.get("canonical_focal_px"):
         magnified = np.sqrt(size[0] * size[1] / (height * width))
         factor = contract["canonical_focal_px"] / (focal_length_px * magnified)
-        if contract["max_depth_m"] / factor < min(60, contract["max_depth_m"]):
-            factor = 1.0  # as the engine: so short a range would lose returns
     # Each usable return moves to pixel rint((u + 0.5) * new / old - 0.5), where the nearest stays.
-    usable = (sparse_depth > 0) & (sparse_depth <= contract["max_depth_m"] / factor)
+    usable = (sparse_depth > 0) & (sparse_depth <= max(contract["max_depth_m"] / factor, 250))
     places = zip(np.nonzero(usable), size, frame, strict=True)
     to = [np.rint(((2 * u + 1) * new - old) / (2 * old)).astype(int) for u, new, old in places]
     fed = np.full(size, np.inf, np.float32)

@@ -10,25 +10,19 @@ f / f_c.
 import math
 from typing import NamedTuple
 
-#: A focal length that would leave less range than this is ignored: the LiDAR's returns beyond the
-#: range would be lost, which costs more than the scale of what it does not measure.
-MIN_RANGE_M = 60.0
-
 
 class DepthScale(NamedTuple):
     """How metres become the depth of a network, for one camera and one size of frames.
 
     Attributes:
         factor: f_c / f, see `canonical_factor`.
-        range_m: depths beyond it are no measurement, and no answer is farther, metres.
-        focal_length_px: of the frame, as used; None = not known, or ignored.
-        ignored: whether a focal length was given that would cut the range below MIN_RANGE_M.
+        range_m: no answer is farther, and returns beyond it are fed as at it, metres.
+        focal_length_px: of the frame, as used; None = not known, or not used by the model.
     """
 
     factor: float
     range_m: float
     focal_length_px: float | None
-    ignored: bool = False
 
 
 def depth_scale(
@@ -52,10 +46,7 @@ def depth_scale(
         return DepthScale(1.0, max_depth_m, None)
     at_network = focal_length_at(network_size, focal_length_px, frame_size)
     factor = canonical_factor(canonical_focal_px, at_network)
-    range_m = max_depth_m / factor
-    if range_m < min(MIN_RANGE_M, max_depth_m):
-        return DepthScale(1.0, max_depth_m, None, ignored=True)
-    return DepthScale(factor, range_m, focal_length_px)
+    return DepthScale(factor, max_depth_m / factor, focal_length_px)
 
 
 def canonical_factor(canonical_focal_px: float | None, focal_length_px: float | None) -> float:

@@ -35,12 +35,12 @@ class Latency:
 
 @dataclass(frozen=True)
 class Cleaned:
-    """Pixels of the sparse depth that were treated as no measurement, by kind."""
+    """Pixels of the sparse depth that were changed, by kind: the first three became none."""
 
     nan: int = 0
     infinite: int = 0
     negative: int = 0
-    too_far: int = 0  # beyond the model's range, see `Predictor.predict`
+    too_far: int = 0  # beyond the range: fed as at its end, beyond 250 m as none
 
     @property
     def total(self) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.bundled_models import find_model
-from runtime.canonical_focal import MIN_RANGE_M, DepthScale, depth_scale
+from runtime.canonical_focal import DepthScale, depth_scale
 from runtime.contract import Contract, check_focal_length, check_size
 from runtime.cores import available_cores
 from runtime.errors import ContractError, InferenceError, InputError
@@ -115,7 +115,6 @@ class Predictor:
         self.provider = provider
         self.threads = threads or available_cores()
         self._device_id = device_id
-        self._warned = False
         self._cold_ms: float | None = None  # of the check of a fixed model, its very first run
         session = self._open_session(file.content)
         signature = read_signature(session, num_classes=len(self.contract.classes))
@@ -155,8 +154,9 @@ class Predictor:
         Args:
             rgb: uint8 (H, W, 3), RGB, not BGR.
             sparse_depth: float32 (H, W), metres along the optical axis; 0 = no measurement, as are
-                NaN, Inf, negative values and those beyond the range (`depth_scale`), which are
-                counted in `Prediction.cleaned`. None = the camera alone, as a map of zeros.
+                NaN, Inf, negative values and those beyond 250 m and the range (`depth_scale`).
+                Returns beyond the range alone are fed as at its end. `Prediction.cleaned` counts
+                all these. None = the camera alone, as a map of zeros.
             focal_length_px: fx of this frame's camera; None = the predictor's.
             stamp: any value, returned in the answer.
 
@@ -169,7 +169,6 @@ class Predictor:
         """
         started = time.perf_counter()
         frame = self._preprocess(rgb, sparse_depth, focal_length_px)
-        self._warn_of_range([frame])
         return self._predict([frame], [_ms_since(started)], [stamp], started)[0]
 
     def predict_batch(
@@ -215,7 +214,6 @@ class Predictor:
                     f"frame {index} of {len(frames)} must be (rgb, sparse_depth): {error}"
                 ) from error
             preprocess_ms.append(_ms_since(begun))
-        self._warn_of_range(prepared)
         return self._predict(prepared, preprocess_ms, stamps, started)
 
     def network_size(self, frame_size: tuple[int, int]) -> tuple[int, int]:
@@ -235,9 +233,6 @@ class Predictor:
         self, frame_size: tuple[int, int], *, focal_length_px: float | None = None
     ) -> DepthScale:
         """Return the depth range for a frame, and the focal length that is used.
-
-        A focal length that would leave a range below 60 m at the network's size is ignored, with
-        one RuntimeWarning from `predict`: returns beyond the range would be lost.
 
         Args:
             frame_size: (height, width) of the frame.
@@ -378,18 +373,6 @@ class Predictor:
                 zip(frames, preprocess_ms, stamps, answered, strict=True)
             )
         ]
-
-    def _warn_of_range(self, frames: Sequence[NetworkInput]) -> None:
-        if self._warned or not any(frame.scale.ignored for frame in frames):
-            return
-        self._warned = True
-        warnings.warn(
-            f"the focal length is ignored: it would leave a depth range of less than "
-            f"{MIN_RANGE_M:g} m at the network's size; run the network at a larger size, for "
-            'example with size="frame", to use it',
-            RuntimeWarning,
-            stacklevel=3,
-        )
 
     def _run(self, frames: Sequence[NetworkInput]) -> list[dict[str, NDArray[Any]]]:
         """Run frames of one network size as one batch: head -> array, of each."""

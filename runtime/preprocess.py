@@ -15,6 +15,9 @@ from runtime.errors import InputError
 from runtime.prediction import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW, Cleaned
 from runtime.resize import Size, move_returns, resize_image
 
+#: LiDARs of cars reach so far [m]. What is farther, in a range that ends before, is the mark of no
+#: return or another unit: 65535 of a 16-bit PNG is 256 m.
+MAX_RETURN_M = 250.0
 _CONSTANT_STEP = 16  # every 16th pixel usually rules out a constant image
 # Cells over the whole image, whatever its resolution. Of a 64-line scan of KITTI, 16 lines
 # have a return in 6.6 % of them and 4 lines in 1.8 %, at 125 x 414 as at 2160 x 3840; two lines
@@ -32,7 +35,7 @@ class NetworkInput:
         sparse_depth: float32 (h, w) at the network's size, metres times `scale.factor`, 0 =
             no measurement.
         frame_rgb: uint8 (H, W, 3) as given.
-        cleaned: depth pixels of the frame that were treated as no measurement.
+        cleaned: depth pixels of the frame that were changed.
         depth_returns: number of depth pixels of the frame that are left.
         degraded: reasons why the answer is worth less than usual.
         scale: from metres to the network's depth.
@@ -165,11 +168,11 @@ def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[n
 def clean_sparse_depth(
     sparse_depth: NDArray[np.float32], *, max_depth_m: float
 ) -> tuple[NDArray[np.float32], Cleaned, int]:
-    """Replace every invalid depth by 0.
+    """Replace invalid depth by 0 and what is beyond the range by its end.
 
     Args:
         sparse_depth: float32 (H, W), metres; not written to.
-        max_depth_m: what is beyond it is invalid.
+        max_depth_m: the range. Beyond it and MAX_RETURN_M nothing is valid.
 
     Returns:
         The depth (the same array if it was clean), what was cleaned, and the number of measurements
@@ -178,16 +181,16 @@ def clean_sparse_depth(
     low, high = sparse_depth.min(), sparse_depth.max()  # both NaN if any pixel is
     if low >= 0 and high <= max_depth_m:
         return sparse_depth, Cleaned(), cv2.countNonZero(sparse_depth)
-    usable = (sparse_depth >= 0) & (sparse_depth <= max_depth_m)
+    usable = (sparse_depth >= 0) & (sparse_depth <= max(max_depth_m, MAX_RETURN_M))
     refused = sparse_depth[~usable]
     infinite = np.isinf(refused)
+    kept = np.where(usable, np.minimum(sparse_depth, np.float32(max_depth_m)), np.float32(0))
     cleaned = Cleaned(
         nan=int(np.isnan(refused).sum()),
         infinite=int(infinite.sum()),
         negative=int(((refused < 0) & ~infinite).sum()),
-        too_far=int(((refused > max_depth_m) & ~infinite).sum()),
+        too_far=int((np.isfinite(sparse_depth) & (sparse_depth > max_depth_m)).sum()),
     )
-    kept = np.where(usable, sparse_depth, np.float32(0))
     return kept, cleaned, cv2.countNonZero(kept)
 
 

@@ -36,10 +36,10 @@ export function moveReturns(depth, [height, width], [newHeight, newWidth]) {
 export async function predict({ session, contract }, { data, height, width }, depth, focal) {
   const started = performance.now();
   const limit = contract.max_depth_m;
-  let factor = (focal && contract.canonical_focal_px / focal) || 1; // to canonical metres
-  if (limit / factor < Math.min(60, limit)) factor = 1; // as the engine: returns would be lost
+  const factor = (focal && contract.canonical_focal_px / focal) || 1; // to canonical metres
   const range = limit / factor;
-  const fed = depth.map((metres) => (metres <= range ? Math.min(metres * factor, limit) : 0));
+  const farthest = Math.max(range, 250); // as the engine: beyond it is no return
+  const fed = depth.map((metres) => (metres <= farthest ? Math.min(metres * factor, limit) : 0));
   const rgb = new Uint8Array(data.filter((_, index) => index % 4 < 3).buffer); // of RGBA
   const feeds = {
     rgb: new ort.Tensor("uint8", rgb, [1, height, width, 3]),

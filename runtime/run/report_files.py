@@ -87,9 +87,7 @@ def _scale_text(predictor: Predictor, frame_size: tuple[int, int] | None) -> str
     scale = predictor.depth_scale(frame_size)
     given_px = predictor.focal_length_px
     used = "not known" if given_px is None else f"{given_px:g} px"
-    if scale.ignored:
-        used += ", ignored, since it would leave too short a range"
-    elif scale.focal_length_px is None and given_px is not None:
+    if scale.focal_length_px is None and given_px is not None:
         used += ", not used by this model"
     return f"\nfocal length {used}; depth up to {scale.range_m:.4g} m"
 

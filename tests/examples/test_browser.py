@@ -211,7 +211,7 @@ def test_returns_are_fed_as_the_engine_feeds_them(
     answer = page.answer()
     page.set_focal_length(None)
     scale = depth_scale(80.0, 700.0, focal_px, frame_size=frame_size, network_size=network_size)
-    fed = move_returns(np.where(depth <= scale.range_m, depth, 0), network_size)
+    fed = move_returns(np.minimum(depth, scale.range_m), network_size)
     np.testing.assert_allclose(answer["depth"], fed + 1.5 / scale.factor, rtol=1e-6)
     np.testing.assert_array_equal(answer["depth_uncertainty"], answer["depth"] / 16)
     if network_size == frame_size:

@@ -236,7 +236,7 @@ def test_impossible_depth_is_no_measurement(model_file, make_frame):
     rgb, depth = make_frame()
     clean = depth.copy()
     places = [(1, 2), (3, 4), (5, 6), (7, 8), (9, 10)]
-    for (row, column), bad in zip(places, [np.nan, np.inf, -np.inf, -3.0, 80.5], strict=True):
+    for (row, column), bad in zip(places, [np.nan, np.inf, -np.inf, -3.0, 250.5], strict=True):
         depth[row, column], clean[row, column] = bad, 0
     with Predictor(model_file()) as predictor:
         prediction = predictor.predict(rgb, depth)

@@ -1,7 +1,6 @@
 """Canonical depth behind any camera: the factor goes on before the model and comes off after."""
 
 import dataclasses
-import warnings
 
 import numpy as np
 import pytest
@@ -85,7 +84,7 @@ def test_the_range_is_that_of_the_canonical_camera(canonical, make_frame):
     depth[:] = 0
     depth[0, :6] = 199, 201, 799, 801, np.nan, 5
     with Predictor(canonical) as predictor:
-        for focal, too_far, returns in ((200.0, 1, 4), (50.0, 3, 2)):
+        for focal, too_far, returns in ((200.0, 1, 4), (50.0, 3, 3)):
             prediction = predictor.predict(rgb, depth, focal_length_px=focal)
             assert prediction.cleaned.too_far == too_far
             assert prediction.cleaned.nan == 1
@@ -136,39 +135,27 @@ def test_numbers_of_numpy_are_numbers(canonical, frame, kind):
         np.testing.assert_allclose(predictor.predict(*frame).depth.min(), 2 * OFFSET_M)
 
 
-def test_a_focal_length_that_would_cut_the_range_is_ignored_with_one_warning(
+def test_a_wide_cameras_far_returns_are_fed_as_at_the_end_of_the_range(
     model_file, contract, make_frame
 ):
-    """80 canonical metres would be 40 m: a return at 60 m would be lost."""
+    """80 canonical metres are 40 m behind a lens half as long; an answer is never farther."""
     rgb, depth = make_frame()
-    depth[0, 0] = 60
+    depth[:] = 0
+    depth[0, :3] = 30, 60, 260
     path = model_file(contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX))
-    with Predictor(path, focal_length_px=50.0) as predictor, warnings.catch_warnings():
-        warnings.simplefilter("error")
-        plain = predictor.predict(rgb, depth, focal_length_px=CANONICAL_PX)
-        assert predictor.depth_scale((48, 64)) == (1.0, 80.0, None, True)
-        used = predictor.depth_scale((48, 64), focal_length_px=200.0)
-        assert used == (0.5, 160.0, 200.0, False)
-    with Predictor(path, focal_length_px=50.0, warmup=0) as predictor:
-        with pytest.warns(RuntimeWarning, match="focal length is ignored.*less than 60 m"):
-            prediction = predictor.predict(rgb, depth)
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            predictor.predict(rgb, depth)
-    assert prediction.cleaned.too_far == 0
-    np.testing.assert_array_equal(prediction.depth, plain.depth)
+    fed = []
+    with Predictor(path, focal_length_px=50.0) as predictor:
+        run = predictor._run
+        predictor._run = lambda frames: fed.append(frames[0].sparse_depth) or run(frames)
+        prediction = predictor.predict(rgb, depth)
+        assert predictor.depth_scale((48, 64)) == (2.0, 40.0, 50.0)
+    assert fed[0][0, :3].tolist() == [60, 80, 0]
+    assert (prediction.cleaned.too_far, prediction.depth_returns) == (2, 2)
 
 
-def test_the_range_counts_at_the_networks_size(model_file, contract, make_frame):
+def test_the_range_counts_at_the_networks_size(model_file, contract):
     """A frame run at half its size has half the focal length there."""
     path = model_file(contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX))
     with Predictor(path, size=48, focal_length_px=140.0) as predictor:
-        assert predictor.depth_scale((96, 128)).ignored
-        assert predictor.depth_scale((48, 64)) == (
-            pytest.approx(1 / 1.4),
-            pytest.approx(112.0),
-            140.0,
-            False,
-        )
-    with Predictor(path, size="frame", focal_length_px=140.0) as predictor:
-        assert not predictor.depth_scale((96, 128)).ignored
+        assert predictor.depth_scale((96, 128)).range_m == pytest.approx(56.0)
+        assert predictor.depth_scale((48, 64)).range_m == pytest.approx(112.0)

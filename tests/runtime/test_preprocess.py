@@ -76,12 +76,28 @@ def test_each_kind_of_impossible_depth_is_counted_and_removed():
     kept, cleaned, returns = clean_sparse_depth(depth, max_depth_m=80)
     assert cleaned == Cleaned(nan=3, infinite=2, negative=3, too_far=2)
     assert cleaned.total == 10
-    assert sorted(kept[kept != 0].tolist()) == pytest.approx([1e-3, 5, 80])
-    assert returns == 3
+    assert sorted(kept[kept != 0].tolist()) == pytest.approx([1e-3, 5, 80, 80])
+    assert returns == 4
     assert np.array_equal(depth, before, equal_nan=True), "the caller's array was written to"
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1.0, 81.0])
+@pytest.mark.parametrize(
+    ("range_m", "fed"),
+    [
+        (80.0, [0, 80, 80, 80, 0, 0]),
+        (200.0, [0, 100, 200, 200, 0, 0]),
+        (400.0, [0, 100, 201, 250, 251, 0]),
+    ],
+)
+def test_a_return_beyond_the_range_is_fed_as_its_end(range_m, fed):
+    """Up to what a LiDAR of a car can reach; 655 m is another unit, or the mark of no return."""
+    depth = np.array([[0, 100, 201, 250, 251, 655.35]], np.float32)
+    kept, cleaned, _ = clean_sparse_depth(depth, max_depth_m=range_m)
+    np.testing.assert_array_equal(kept, [fed])
+    assert cleaned == Cleaned(too_far=np.count_nonzero(depth > range_m))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1.0, 251.0])
 def test_a_single_bad_pixel_anywhere_is_seen(bad):
     for at in range(33 * 35):
         depth = np.ones((33, 35), np.float32)
