@@ -25,6 +25,20 @@ def cell_maxima(x: Tensor, side: int) -> Tensor:
     return _join_cells(x, side, torch.maximum)
 
 
+def halve(x: Tensor) -> Tensor:
+    """Mean over 4 x 4 pixels around every second one, 0 beyond the map: (N, C, H, W), both even."""
+    if torch.compiler.is_exporting():
+        return F.avg_pool2d(x, 4, 2, 1)
+    x = F.pad(x, (1, 1, 1, 1))
+    for dim in (2, 3):
+        first, *others = (x.narrow(dim, place, x.shape[dim] - 3) for place in range(4))
+        total = first.clone()
+        for other in others:
+            total += other
+        x = total[:, :, ::2] if dim == 2 else total[..., ::2]
+    return x / 16
+
+
 def _join_cells(x: Tensor, side: int, join: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
     for _ in range(side.bit_length() - 1):
         x = join(x[:, :, ::2], x[:, :, 1::2])  # rows first: contiguous in memory
@@ -67,3 +81,25 @@ def maxima_around(x: Tensor, window: int) -> Tensor:
             x = torch.maximum(x.narrow(dim, 0, length), x.narrow(dim, step, length))
             span += step
     return x
+
+
+def maxima_beside(x: Tensor) -> Tensor:
+    """Maximum over the 24 pixels around each, without itself, 0 beyond: (N, C, H, W) -> same.
+
+    x: not negative.
+    """
+    height, width = x.shape[2], x.shape[3]
+    x = F.pad(x, (2, 2, 2, 2))
+    rows = maxima_of([x[..., place : place + width] for place in range(5)])
+    others = [rows[:, :, place : place + height] for place in (0, 1, 3, 4)]
+    row = x[:, :, 2 : 2 + height]
+    others += [row[..., place : place + width] for place in (0, 1, 3, 4)]
+    return maxima_of(others)
+
+
+def maxima_of(maps: list[Tensor]) -> Tensor:
+    """Maximum of maps of one shape, pixel by pixel."""
+    total = maps[0]
+    for other in maps[1:]:
+        total = torch.maximum(total, other)
+    return total
