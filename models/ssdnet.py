@@ -21,6 +21,7 @@ from models.surfaces import (
     Surfaces,
     choose_surface,
     dilate_returns,
+    drop_isolated,
     error_scale,
     propagate_surfaces,
     reduce_scale,
@@ -125,6 +126,8 @@ class SSDNet(Network):
         config = self.config
         exact = bool(config.stem_channels)
         depth, valid_mask = self.normalise_depth(sparse_depth)
+        if config.depth_surfaces:
+            depth, valid_mask = drop_isolated(depth, valid_mask)
         inputs = []
         if config.use_rgb:
             inputs.append(self.normalise_rgb(rgb))
@@ -161,7 +164,7 @@ class SSDNet(Network):
         if self.depth_decoder is not None and self.depth_heads is not None:
             features = self.depth_decoder(bottom, skips, boundaries, exact=exact)
             depths = tuple(
-                torch.sigmoid(head(feature))
+                config.regressed_share * torch.sigmoid(head(feature))
                 for head, feature in zip(self.depth_heads, features, strict=True)
             )
             if surfaces is not None:

@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 from models.network import NetworkConfig
 from models.surfaces import COARSE_CELL
+from runtime.contract import check_max_depth
 
 # Limits, far beyond any network in use.
 MAX_STAGES = 8
@@ -51,6 +52,9 @@ class SSDNetConfig(NetworkConfig):
     #: Channels of one more UpBlock of the depth decoder, on the same grid, for that choice; 0 =
     #: none, the choice is made on the grid of the stem.
     depth_refine_channels: int = 0
+    #: Depth [m] that the regression reaches at most, without the surfaces that returns show; None =
+    #: `max_depth_m`.
+    regressed_depth_m: float | None = None
     boundary_channels: int = 16
     #: Gate the decoders by 1 - B (Eq. 1); without it B = 0 and a BaConv is a plain convolution.
     boundary_gating: bool = True
@@ -93,6 +97,8 @@ class SSDNetConfig(NetworkConfig):
             )
         if not self.sparse_depth_gain > 0:
             raise ValueError(f"sparse_depth_gain must be positive, got {self.sparse_depth_gain}")
+        if self.regressed_depth_m is not None:
+            check_max_depth(self.regressed_depth_m, "regressed_depth_m")
         if self.depth_surfaces and self.output_stride != COARSE_CELL:
             raise ValueError(f"depth_surfaces needs a stem of stride {COARSE_CELL}")
 
@@ -118,6 +124,11 @@ class SSDNetConfig(NetworkConfig):
         """Number of encoder features that the decoders get."""
         stages = len(self.encoder_channels)
         return stages if self.encoder_block == "plain" else stages - 1
+
+    @property
+    def regressed_share(self) -> float:
+        """Share of `max_depth_m` that the regression reaches."""
+        return min(1.0, (self.regressed_depth_m or self.max_depth_m) / self.max_depth_m)
 
     @property
     def output_stride(self) -> int:
@@ -150,6 +161,8 @@ SSDNET_LITE = SSDNetConfig(
     depth_surfaces=True,
     depth_refine_channels=16,
     global_context=True,
+    max_depth_m=200.0,
+    regressed_depth_m=100.0,
 )
 
 SSDNET_NANO = replace(

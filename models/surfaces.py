@@ -10,8 +10,10 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
-from models.pooling import cell_maxima, maxima_around, means_around
+from models.blocks import extend_to_multiple
+from models.pooling import cell_maxima, maxima_around, maxima_beside, means_around
 from models.pull_push import pull_push
 
 #: Side of a cell in pixels: of the coarse grid, where surfaces are propagated, and of the fine one.
@@ -29,6 +31,9 @@ AGREEMENT = 0.05
 SAME_SURFACE = 1.25
 #: Least and greatest log of the ratio of the error's scale to the depth.
 LOG_SCALE = (-6.0, 1.0)
+#: Returns that no other confirms, see `drop_isolated`: within this normalised depth, with returns
+#: in so many cells around, all of them more than so many times as far.
+ISOLATED_DEPTH, ISOLATED_CELLS, ISOLATED_RATIO = 0.05, 8, 2.0
 #: Channels of `surface_features`.
 FEATURE_CHANNELS = 6
 #: Radius [pixels] of the square around a return in which it may replace the depth.
@@ -63,6 +68,32 @@ class Surfaces(NamedTuple):
     mean: Tensor
     support: Tensor
     mean_support: Tensor
+
+
+def drop_isolated(depth: Tensor, valid_mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Drop near returns that no other return confirms: rain, snow, dust, crosstalk.
+
+    A return within ISOLATED_DEPTH is dropped if at least ISOLATED_CELLS of the 24 cells of
+    COARSE_CELL pixels around its own have returns, and all these are more than ISOLATED_RATIO times
+    as far: whatever stands so close covers more than one cell. As the dynamic radius outlier
+    removal of Charron et al. 2018, on the image's grid: the farther, the smaller a thing may be.
+
+    depth (N, 1, H, W): normalised, 0 = none; valid_mask: bool. Returns both without such returns.
+    """
+    measured = torch.cat([depth, valid_mask.to(depth.dtype)], dim=1)
+    inverse = _inverse(measured)
+    cells = cell_maxima(extend_to_multiple(inverse, COARSE_CELL), COARSE_CELL)
+    seen = (cells > 0).to(cells.dtype)
+    count = 25.0 * means_around(seen, 5) - seen
+    # Inverse depth beyond which a return stands alone in its cell.
+    most = torch.where(
+        count > ISOLATED_CELLS - 0.5,
+        (ISOLATED_RATIO * maxima_beside(cells)).clamp(min=1.0 / ISOLATED_DEPTH),
+        1.0 / NEAREST,
+    )
+    most = F.interpolate(most, scale_factor=float(COARSE_CELL), mode="nearest")
+    kept = inverse <= most[..., : depth.shape[2], : depth.shape[3]]
+    return torch.where(kept, depth, 0.0), valid_mask & kept
 
 
 def propagate_surfaces(measured: Tensor, *, levels: int) -> tuple[Surfaces, Tensor]:

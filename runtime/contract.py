@@ -207,10 +207,10 @@ def check_stride(stride: object) -> int:
     return int(_checked(stride, "stride", int, 1, MAX_STRIDE, "pixels"))
 
 
-def check_max_depth(max_depth_m: object) -> float:
-    """Return a depth range in metres; ValueError if it is out of range."""
+def check_max_depth(max_depth_m: object, name: str = "max_depth_m") -> float:
+    """Return a depth range in metres; ValueError naming it if it is out of range."""
     bounds = MIN_DEPTH_RANGE_M, MAX_DEPTH_RANGE_M
-    return float(_checked(max_depth_m, "max_depth_m", int | float, *bounds, "metres"))
+    return float(_checked(max_depth_m, name, int | float, *bounds, "metres"))
 
 
 def check_focal_length(focal_px: object, name: str) -> float:

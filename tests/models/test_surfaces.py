@@ -10,6 +10,9 @@ from models.surfaces import (
     COARSE_CELL,
     FINE_CELL,
     HEAD_CHANNELS,
+    ISOLATED_CELLS,
+    ISOLATED_DEPTH,
+    ISOLATED_RATIO,
     LOG_SCALE,
     MAX_SCALE_REDUCTION,
     NEAREST,
@@ -18,6 +21,7 @@ from models.surfaces import (
     Surfaces,
     choose_surface,
     dilate_returns,
+    drop_isolated,
     error_scale,
     propagate_surfaces,
     reduce_scale,
@@ -60,6 +64,58 @@ def head_of(**logits: float) -> torch.Tensor:
     assert len(channels) == HEAD_CHANNELS
     values = [logits.get(name, -30.0 if name in channels[:3] else 0.0) for name in channels]
     return torch.tensor(values).view(1, -1, 1, 1).expand(1, -1, *GRID)
+
+
+def scanned(lines: int, step: int = 2) -> torch.Tensor:
+    """Depth 0.2 at every ``step``-th column of every ``lines``-th row."""
+    depth = torch.zeros(1, 1, *SIZE)
+    depth[..., ::lines, ::step] = 0.2
+    return depth
+
+
+def kept(depth: torch.Tensor) -> torch.Tensor:
+    filtered, mask = drop_isolated(depth, depth > 0)
+    assert torch.equal(filtered > 0, mask)
+    assert torch.equal(filtered[mask], depth[mask])
+    return mask
+
+
+def test_a_near_return_that_no_other_confirms_is_dropped():
+    depth = scanned(5)
+    depth[0, 0, 63, 81] = 0.03
+    found = kept(depth)
+    assert not found[0, 0, 63, 81]
+    assert found.sum() == (depth > 0).sum() - 1
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        ((63, 81), 1.01 * ISOLATED_DEPTH),  # far: a small thing
+        ((63, 81), 0.2 / (0.99 * ISOLATED_RATIO)),  # hardly nearer than what is around it
+        ((63, 81), 0.3),  # behind
+    ],
+)
+def test_other_returns_are_kept(place, value):
+    depth = scanned(5)
+    depth[(0, 0, *place)] = value
+    assert kept(depth).sum() == (depth > 0).sum()
+
+
+def test_two_returns_beside_each_other_confirm_each_other():
+    """A pole in two scan lines."""
+    depth = scanned(5)
+    depth[0, 0, 60, 80] = depth[0, 0, 65, 80] = 0.03
+    assert kept(depth).sum() == (depth > 0).sum()
+
+
+@pytest.mark.parametrize("size", [(125, 190), (128, 192)])
+def test_where_returns_are_few_a_single_one_is_kept(size):
+    """With 16 lines a pole may have one return: its five cells of a line are no witnesses."""
+    depth = scanned(20)[..., : size[0], : size[1]].contiguous()
+    depth[0, 0, 60, 80] = 0.03
+    assert ISOLATED_CELLS > 5
+    assert kept(depth).sum() == (depth > 0).sum()
 
 
 def test_two_surfaces_in_one_cell_are_kept_apart():
