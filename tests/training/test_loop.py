@@ -294,7 +294,7 @@ def test_the_sky_and_masks_of_the_road_are_targets(data, tmp_path):
     source = (RenderedRecipe(path="scenes"),)
     run = replace(run, data=replace(run.data, source=source, augment=whole))
     plain = terms(run, tmp_path / "plain")
-    sky = terms(replace(run, data=replace(run.data, sky_depth=True)), tmp_path / "sky")
+    sky = terms(replace(run, data=replace(run.data, sky_depth_m=100.0)), tmp_path / "sky")
     assert plain.keys() == sky.keys() == {"depth"}
     assert sky["depth"] != plain["depth"]
     streets = replace(

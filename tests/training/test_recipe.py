@@ -386,6 +386,11 @@ def test_the_score_of_the_best_weights_is_of_a_validation_set(base):
             read_recipe(base / "base.toml", [sets, f"validation.best = '{name}'"])
 
 
+def test_pasted_classes_must_be_the_networks(base):
+    with pytest.raises(InputError, match=r"data\.paste_classes: model\.classes has no 'tram'"):
+        read_recipe(base / "base.toml", ["data.paste_classes = ['pole', 'tram']"])
+
+
 def test_losses_of_consistency_need_two_views(base):
     weight = "loss.depth_consistency_weight = 1.0"
     with pytest.raises(InputError, match=r"depth_consistency_weight .*pair_shift"):
@@ -435,14 +440,14 @@ def test_offsets_out_of_range_or_without_a_number_are_refused_by_name(base, offs
 
 
 def test_sky_needs_a_class_of_that_name(tmp_path):
-    text = MINIMAL.replace("batch_size = 4", "batch_size = 4\nsky_depth = true")
-    assert read(tmp_path, text).data.sky_depth
+    text = MINIMAL.replace("batch_size = 4", "batch_size = 4\nsky_depth_m = 100.0")
+    assert read(tmp_path, text).data.sky_depth_m == 100
     vkitti = text.replace('"ssdnet-lite"', '"ssdnet-lite"\nclasses = "virtual_kitti"', 1)
     recipe = read(tmp_path, vkitti)  # there it is written "Sky"
     assert recipe.model.class_table == "virtual_kitti"
     assert recipe.model.class_id("sky") == 1
     own = text.replace('"ssdnet-lite"', '"ssdnet-lite"\nclasses = [{name = "a", color = [0,0,0]}]')
-    with pytest.raises(InputError, match=r"data\.sky_depth needs a class called 'sky'"):
+    with pytest.raises(InputError, match=r"data\.sky_depth_m needs a class called 'sky'"):
         read(tmp_path, own)
 
 

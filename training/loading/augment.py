@@ -94,6 +94,10 @@ class AugmentConfig:
     #: Probabilities that the second view has no LiDAR, and that it has false returns.
     pair_lidar_missing: Share = 0.0
     pair_lidar_false: Share = 0.0
+    #: Probabilities that a sample takes over the style of another frame of the mixture, and that
+    #: things are pasted into it, see `training.loading.domain_mixing`.
+    style: Share = 0.0
+    paste: Share = 0.0
 
     def __post_init__(self) -> None:
         """Check the window that is magnified to the crop, and what both views share."""
@@ -235,8 +239,8 @@ def _change_maps(
     )
 
 
-def far_sky(sample: Sample, sky: int, max_depth_m: float) -> Sample:
-    """Set the depth target of the class ``sky`` to the far end of the range.
+def far_sky(sample: Sample, sky: int, depth_m: float) -> Sample:
+    """Set the depth target of the class ``sky``, unit of the sample's depth.
 
     Measured pixels do not change, nor do pixels close to another label, since leaves and wires
     before the sky are labelled sky: within `SKY_MARGIN_PX`, for labels of a network within
@@ -252,7 +256,7 @@ def far_sky(sample: Sample, sky: int, max_depth_m: float) -> Sample:
     window = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
     inner = cv2.erode((sample.semantic == sky).astype(np.uint8), window) > 0
     is_sky = unmeasured & inner
-    return replace(sample, depth=np.where(is_sky, np.float32(max_depth_m), sample.depth))
+    return replace(sample, depth=np.where(is_sky, np.float32(depth_m), sample.depth))
 
 
 def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:

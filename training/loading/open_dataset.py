@@ -48,7 +48,7 @@ def open_mixture(
 ) -> Mixture:
     """Mix data sets by the recipe's weights, with its augmentation and cache.
 
-    ``model`` has the unit and range of the depth; None = metres, and no depth of the sky.
+    ``model`` has the unit of the depth; None = metres, and no depth of the sky.
     """
     share = recipe.cache_gib / (max(1, recipe.workers) * len(sources))
     parts = [
@@ -56,14 +56,18 @@ def open_mixture(
             CachedSource(source, limit_bytes=int(share * 2**30)) if share else source,
             item.weight,
             replace(recipe.augment, scale=item.scale) if item.scale else recipe.augment,
+            things=item.things,
         )
         for item, source in zip(recipe.source, sources, strict=True)
     ]
-    depth = None
+    depth: DepthTarget | None = None
+    paste: tuple[int, ...] = ()
     if model is not None:
-        sky = model.class_id("sky") if recipe.sky_depth else None
-        depth = DepthTarget(model.max_depth_m, model.canonical_focal_px, sky)
-    return Mixture(parts, length=length, seed=recipe.seed, depth=depth)
+        named = [model.class_id(name) for name in recipe.paste_classes]
+        paste = tuple(each for each in named if each is not None)
+        sky = model.class_id("sky") if recipe.sky_depth_m else None
+        depth = DepthTarget(model.canonical_focal_px, sky, recipe.sky_depth_m)
+    return Mixture(parts, length=length, seed=recipe.seed, depth=depth, paste=paste)
 
 
 def count_pixels(

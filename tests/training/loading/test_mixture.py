@@ -102,11 +102,11 @@ def test_the_recipe_sets_the_unit_of_the_depth():
     plain = drawn({}, ModelRecipe("ssdnet-lite"))
     assert plain["depth"] == {0, 20}
     # Far in the target only: no LiDAR measures the sky. Close to another label it stays unknown.
-    far = drawn({"sky_depth": True}, ModelRecipe("ssdnet-lite", max_depth_m=90.0))
+    far = drawn({"sky_depth_m": 90.0}, ModelRecipe("ssdnet-lite"))
     assert far["depth"] == {0, 20, 90}
     assert far["sparse_depth"] == plain["sparse_depth"]
-    # The far end is that of the canonical range.
-    both = drawn({"sky_depth": True}, ModelRecipe("ssdnet-lite", canonical_focal_px=75.0))
+    # The depth of the sky is canonical already.
+    both = drawn({"sky_depth_m": 100.0}, ModelRecipe("ssdnet-lite", canonical_focal_px=75.0))
     assert both["depth"] == {0, 30, 100}
     assert 28 < max(both["sparse_depth"]) < 32
 
