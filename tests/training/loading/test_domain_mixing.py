@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from training.datasets.camvid import CamVidRecipe
-from training.datasets.virtual_kitti import RenderedRecipe
 from training.datasets.sample import IGNORE, Sample
+from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment import AugmentConfig
 from training.loading.domain_mixing import MAX_BAND, paste_things, swap_style
 from training.loading.mixture import as_tensors
