@@ -77,6 +77,11 @@ class NetworkConfig:
         """Number of semantic classes."""
         return len(self.classes)
 
+    @property
+    def target_depth_m(self) -> float:
+        """Largest depth [m] that can be learned without a return."""
+        return self.max_depth_m
+
     def to_dict(self) -> dict[str, Any]:
         """Return the configuration as plain Python values."""
         return asdict(self)

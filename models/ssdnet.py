@@ -163,8 +163,9 @@ class SSDNet(Network):
         depths = uncertainty = None
         if self.depth_decoder is not None and self.depth_heads is not None:
             features = self.depth_decoder(bottom, skips, boundaries, exact=exact)
+            share = config.target_depth_m / config.max_depth_m
             depths = tuple(
-                config.regressed_share * torch.sigmoid(head(feature))
+                share * torch.sigmoid(head(feature))
                 for head, feature in zip(self.depth_heads, features, strict=True)
             )
             if surfaces is not None:

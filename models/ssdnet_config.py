@@ -126,9 +126,9 @@ class SSDNetConfig(NetworkConfig):
         return stages if self.encoder_block == "plain" else stages - 1
 
     @property
-    def regressed_share(self) -> float:
-        """Share of `max_depth_m` that the regression reaches."""
-        return min(1.0, (self.regressed_depth_m or self.max_depth_m) / self.max_depth_m)
+    def target_depth_m(self) -> float:
+        """See `NetworkConfig`."""
+        return min(self.regressed_depth_m or self.max_depth_m, self.max_depth_m)
 
     @property
     def output_stride(self) -> int:

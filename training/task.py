@@ -84,6 +84,7 @@ def open_task(
         recipe.loss,
         weights,
         max_depth_m=network.config.max_depth_m,
+        target_depth_m=network.config.target_depth_m,
         road=recipe.model.class_id("road"),
     ).to(processes.device)
     return Task(sources, validation, network, criterion, weights, offsets)

@@ -16,12 +16,15 @@ _NEAREST = 1e-3
 DepthCriterion = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
-def normalise_depth(depth: Tensor, max_depth_m: float) -> tuple[Tensor, Tensor]:
+def normalise_depth(
+    depth: Tensor, max_depth_m: float, target_depth_m: float | None = None
+) -> tuple[Tensor, Tensor]:
     """Split metres into normalised depth 0..1 and a bool mask of what was measured.
 
-    `depth` float (N, 1, H, W) [m]; 0, negative, NaN, Inf or beyond `max_depth_m` = none.
+    `depth` float (N, 1, H, W) [m]; 0, negative, NaN, Inf or beyond `target_depth_m`, by default
+    `max_depth_m`, = none.
     """
-    valid = (depth > 0) & (depth <= max_depth_m)
+    valid = (depth > 0) & (depth <= (target_depth_m or max_depth_m))
     return torch.where(valid, depth, 0.0) / max_depth_m, valid
 
 

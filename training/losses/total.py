@@ -168,6 +168,7 @@ class SSDNetLoss(nn.Module):
         config: the options.
         class_weights: float (C,), see `training.losses.class_weights`; None = all 1.
         max_depth_m: depth [m] of the network's normalised output 1.0.
+        target_depth_m: see `models.NetworkConfig`; None = ``max_depth_m``.
         road: id of the class of the road masks; None = no such class.
     """
 
@@ -181,12 +182,14 @@ class SSDNetLoss(nn.Module):
         class_weights: Tensor | None = None,
         *,
         max_depth_m: float,
+        target_depth_m: float | None = None,
         road: int | None = None,
     ) -> None:
         super().__init__()
         self.config = config
         self.road = road
         self.max_depth_m = max_depth_m
+        self.target_depth_m = target_depth_m or max_depth_m
         self.register_buffer("class_weights", class_weights, persistent=False)
         # A likelihood may be negative, and its best weight would then be infinite.
         learned = [name for name in TERMS if self._weight(name) and name != "depth_uncertainty"]
@@ -215,7 +218,8 @@ class SSDNetLoss(nn.Module):
         Args:
             output: of `Network.forward`.
             semantic: int64 (N, H, W), 255 = unknown.
-            depth: float32 (N, 1, H, W), metres; 0, not finite or beyond `max_depth_m` = unknown.
+            depth: float32 (N, 1, H, W), metres; 0, not finite or beyond ``target_depth_m`` =
+                unknown.
             semantic_weight: float (N,), weight of each sample's labels in Eq. 5 and 6, below 1 for
                 labels made by a network; None = all 1.
             road_mask: uint8 (N, H, W), see `road_loss`; None = unknown.
@@ -303,7 +307,7 @@ class SSDNetLoss(nn.Module):
                 paper_depth_loss, l1=config.depth_l1, l2=config.depth_l2, ssim=config.depth_ssim
             )
         scales = output.depths if config.depth_scales == "mean" else output.depths[:1]
-        target, valid = normalise_depth(depth, self.max_depth_m)
+        target, valid = normalise_depth(depth, self.max_depth_m, self.target_depth_m)
         terms = {}
         if config.depth_weight:
             terms["depth"] = multi_scale_depth_loss(scales, target, valid, criterion)
@@ -312,7 +316,8 @@ class SSDNetLoss(nn.Module):
                 output.depth_uncertainty.float(),
                 output.depths[0].float(),
                 target,
-                valid & (target < 1.0),  # the sky, at the far end, is no measurement
+                # The sky, at the far end, is no measurement.
+                valid & (target < self.target_depth_m / self.max_depth_m),
                 max_depth_m=self.max_depth_m,
             )
         return terms

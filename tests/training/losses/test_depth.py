@@ -103,6 +103,13 @@ def test_box_mean_gradient_by_finite_differences():
     assert torch.autograd.gradcheck(lambda t: _BoxMean.apply(t, (3, 4)), (x,))
 
 
+def test_what_no_regression_reaches_is_no_target():
+    depth = torch.tensor([99.0, 100.0, 100.1, 200.0]).view(1, 1, 1, 4)
+    normalised, valid = normalise_depth(depth, 200.0, 100.0)
+    assert valid.flatten().tolist() == [True, True, False, False]
+    assert normalised.flatten().tolist() == pytest.approx([0.495, 0.5, 0, 0])
+
+
 def test_normalise_depth_keeps_only_measurements():
     depth = torch.tensor([0.0, -1.0, 50.0, 100.0, 100.5, float("nan"), float("inf")])
     normalised, valid = normalise_depth(depth.view(1, 1, 1, 7), 100.0)

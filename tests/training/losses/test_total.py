@@ -25,6 +25,7 @@ from training.losses.semantic import (
     soft_iou_loss,
     soft_overlap,
 )
+from training.losses.uncertainty import laplace_loss
 
 ALL_OFF = {
     "depth_weight": 0.0,
@@ -130,6 +131,29 @@ def test_total_is_the_weighted_sum_of_the_families():
         assert value.item() > 1e-3
     total = sum(getattr(config, f"{name}_weight") * value for name, value in expected.items())
     assert terms["total"].item() == pytest.approx(total.item(), rel=1e-5)
+
+
+def test_depth_ends_where_the_regression_does():
+    """Of a range of 200 m half: farther is no target, and at its end the sky no measurement."""
+    parts = leaves()
+    config = LossConfig(**{**ALL_OFF, "depth_weight": 1.0, "depth_uncertainty_weight": 1.0})
+    criterion = SSDNetLoss(config, max_depth_m=200.0, target_depth_m=100.0)
+    scale = torch.full_like(parts["depth"], 0.01)
+
+    def terms(far):
+        semantic, depth = targets()
+        depth[0, 0, :4], depth[0, 0, 4:8] = far, 100.0
+        output = answer(parts)._replace(depth_uncertainty=scale)
+        return criterion(output, semantic, depth), depth
+
+    (found, depth), (without, _) = terms(150.0), terms(0.0)
+    for name in ("depth", "depth_uncertainty"):
+        torch.testing.assert_close(found[name], without[name])
+    measured = (depth > 0) & (depth < 100)
+    expected = laplace_loss(
+        scale, torch.sigmoid(parts["depth"]), depth / 200, measured, max_depth_m=200.0
+    )
+    torch.testing.assert_close(found["depth_uncertainty"], expected)
 
 
 def test_literal_forms_of_the_paper():
