@@ -49,8 +49,8 @@ class Panel(StrEnum):
 class Head:
     """One output of a network.
 
-    Limits of heads in metres (`least`, `most`, `tolerance` of an absolute difference) are shares of
-    the contract's `max_depth_m`.
+    Limits of heads in metres are shares of the contract's `max_depth_m`; the `tolerance` of an
+    absolute difference is a share of it up to 100 m.
 
     Attributes:
         name: of the ONNX output, and in `Prediction.heads`.
@@ -93,7 +93,8 @@ class Head:
     def limit(self, max_depth_m: float) -> float:
         """Return `tolerance` in the unit of the difference."""
         absolute = self.difference is Difference.ABSOLUTE
-        return self.tolerance * (self._scale(max_depth_m) if absolute else 1.0)
+        # Nearer than 100 m an error counts, however far the range goes.
+        return self.tolerance * (self._scale(min(max_depth_m, 100.0)) if absolute else 1.0)
 
     def _scale(self, max_depth_m: float) -> float:
         return max_depth_m if self.unit is Unit.METRES else 1.0

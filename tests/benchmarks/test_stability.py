@@ -160,7 +160,7 @@ def steps(right):
 
 
 def test_flicker_is_measured_along_the_flow():
-    """All moves 2 px right. In the next frame depth is 1.2 times, in a fifth of it even more."""
+    """All moves 2 px right and 1.5 m nearer, in the second case a fifth of it farther than that."""
 
     def follow(rgb, next_rgb):
         return steps(2.0 if next_rgb[0, 0, 0] else -2.0)
@@ -169,7 +169,7 @@ def test_flicker_is_measured_along_the_flow():
         depth = np.tile(np.linspace(5, 50, WIDTH, dtype=np.float32), (HEIGHT, 1))
         semantic = np.tile(np.arange(WIDTH) // 10, (HEIGHT, 1)).astype(np.uint8)
         if rgb[0, 0, 0]:
-            depth, semantic = np.roll(depth, 2, 1) * np.float32(1.2), np.roll(semantic, 2, 1)
+            depth, semantic = np.roll(depth, 2, 1) - np.float32(1.5), np.roll(semantic, 2, 1)
             if rgb[0, 0, 0] == 2:
                 depth[:4] *= np.float32(np.exp(0.5))
                 semantic[0] = 99
