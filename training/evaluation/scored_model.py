@@ -131,14 +131,15 @@ def open_method(name: str) -> ScoredModel:
 def method_predict(method: CompletionMethod) -> Predict:
     """Return a classical method as a predictor.
 
-    As for a model, what is negative, not finite or beyond `FARTHEST_M` is no measurement. A depth
-    of 0, no answer, is scored as a depth.
+    What is negative, not finite or beyond `FARTHEST_M` is no measurement. A depth of 0, no answer,
+    is scored as a depth.
     """
 
     def predict(
         rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
     ) -> Answer:
-        cleaned, _, _ = clean_sparse_depth(sparse_depth, max_depth_m=FARTHEST_M)
+        near = np.where(sparse_depth > FARTHEST_M, np.float32(0), sparse_depth)
+        cleaned, _, _ = clean_sparse_depth(near, max_depth_m=FARTHEST_M)
         depth = method.complete(rgb, cleaned)
         if not np.isfinite(depth).all():
             raise SSDNetError(f"{type(method).__name__} answered with depths that are not finite.")

@@ -52,6 +52,8 @@ def test_the_worst_is_the_least_agreement_and_the_largest_difference():
 def test_limits_hold_on_their_side_and_nan_never_does(contract):
     contract = replace(contract, max_depth_m=80.0)
     assert limit("depth", contract) == pytest.approx(0.004)
+    for range_m in (100.0, 200.0):  # near depth is as exact whatever the range
+        assert limit("depth", replace(contract, max_depth_m=range_m)) == pytest.approx(0.005)
     assert within("depth", {"max_abs_m": 0.004}, 0.004)
     assert not within("depth", {"max_abs_m": 0.0041}, 0.004)
     assert within("semantic", {"agreement": 0.9995}, limit("semantic", contract))

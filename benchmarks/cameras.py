@@ -1,0 +1,121 @@
+"""Depth of cameras that no training frame is from, with and without their focal length.
+
+    python benchmarks/cameras.py MODEL [MODEL ...] --data DIR [--size 540 ...]
+
+- large: the frames of DIR/pandaset_front, 1920 x 1080 pixels with fx 1970. One LiDAR is fed, 64
+  lines all around, and the returns of the other one, which looks ahead, are the truth where no
+  fed return is.
+- wide: the frames of DIR/rendered/wide (`ssdnet-render DIR/rendered/wide --camera varied --frames 1
+  --scenes 24 --seed 910000`) whose image is over 80 degrees wide, with the rendered LiDAR.
+
+MODEL is a bundled name, an exported file or a checkpoint with depth. MAE and RMSE are means over
+frames, of the depths up to 100 m. Each --size is as in ssdnet-eval.
+"""
+
+import argparse
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime import project_points
+from runtime.bundled_models import find_model
+from runtime.network_size import parse_network_size
+from training.datasets.virtual_kitti import RenderedRecipe
+from training.evaluation.evaluate import short_names
+from training.evaluation.metrics import FARTHEST_M
+from training.evaluation.scored_model import open_method, open_model
+from training.evaluation.scoring import Predict
+from training.loading.open_dataset import open_dataset
+
+WIDE_DEG = 80.0
+FED_DEVICE, TRUE_DEVICE = 0, 1
+
+
+class Frame(NamedTuple):
+    """A frame and its truth; maps are float32 (H, W) [m], 0 = none."""
+
+    rgb: NDArray[np.uint8]
+    fed: NDArray[np.float32]
+    truth: NDArray[np.float32]
+    focal_length_px: float
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("models", nargs="+", metavar="MODEL")
+    parser.add_argument("--data", type=Path, required=True, action="append")
+    parser.add_argument("--size", nargs="+", default=["auto"])
+    parser.add_argument("--threads", type=int, default=2)
+    arguments = parser.parse_args()
+    readers = {"large": read_large, "wide": read_wide}
+    cameras = {name: read(arguments.data) for name, read in readers.items()}
+    print("| model | size | focal length | " + " | ".join(cameras) + " |")
+    print("|---|---|---|" + "---|" * len(cameras))
+
+    def print_row(title: str, predict: Predict, *, focal: bool) -> None:
+        cells = []
+        for frames in cameras.values():
+            mae, rmse = score(predict, frames, focal=focal)
+            cells.append(f"{1000 * mae:.0f} / {1000 * rmse:.0f}")
+        print(f"| {title} | {'given' if focal else ''} | {' | '.join(cells)} |", flush=True)
+
+    print_row("nearest | ", open_method("nearest").predict, focal=False)
+    paths = [Path(name) if name.endswith(".pt") else find_model(name) for name in arguments.models]
+    for title, path in zip(short_names(paths), paths, strict=True):
+        for size in arguments.size:
+            asked = parse_network_size(size)
+            with open_model(path, threads=arguments.threads, size=asked) as model:
+                for focal in (False, True):
+                    print_row(f"{title} | {size}", model.predict, focal=focal)
+
+
+def read_large(folders: Sequence[Path]) -> list[Frame]:
+    """Read the frames of `pandaset_front`."""
+    (root,) = (found for folder in folders if (found := folder / "pandaset_front").is_dir())
+    camera = json.loads((root / "intrinsics.json").read_text())
+    matrix = np.array([[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1]])
+    frames = []
+    for path in sorted((root / "image").glob("*.jpg")):
+        rgb = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+        points = np.fromfile(root / "points" / f"{path.stem}.bin", np.float32).reshape(-1, 6)
+        fed, other = (
+            project_points(points[points[:, 4] == device, :3], matrix, np.eye(4), rgb.shape[:2])
+            for device in (FED_DEVICE, TRUE_DEVICE)
+        )
+        frames.append(Frame(rgb, fed, np.where(fed > 0, np.float32(0), other), camera["fx"]))
+    return frames
+
+
+def read_wide(folders: Sequence[Path]) -> list[Frame]:
+    """Read the rendered frames whose image is over WIDE_DEG wide."""
+    recipe = RenderedRecipe(path="rendered/wide", scans=True)
+    source = open_dataset(recipe, list(folders), classes="camvid")
+    samples = (source[index] for index in range(len(source)))
+    return [
+        Frame(item.rgb, item.sparse_depth, item.depth, item.focal_length_px)
+        for item in samples
+        if 2 * math.atan(item.size[1] / 2 / item.focal_length_px) > math.radians(WIDE_DEG)
+    ]
+
+
+def score(predict: Predict, frames: Sequence[Frame], *, focal: bool) -> tuple[float, float]:
+    """Return MAE and RMSE [m], means over frames."""
+    figures = []
+    for frame in frames:
+        answer = predict(frame.rgb, frame.fed, frame.focal_length_px if focal else None)
+        known = (frame.truth > 0) & (frame.truth <= FARTHEST_M)
+        error = answer.depth[known] - frame.truth[known]
+        figures.append((np.abs(error).mean(), math.sqrt(np.square(error).mean())))
+    mae, rmse = np.mean(figures, axis=0)
+    return float(mae), float(rmse)
+
+
+if __name__ == "__main__":
+    main()
