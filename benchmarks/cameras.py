@@ -80,7 +80,8 @@ def read_large(folders: Sequence[Path]) -> list[Frame]:
     """Read the frames of `pandaset_front`."""
     (root,) = (found for folder in folders if (found := folder / "pandaset_front").is_dir())
     camera = json.loads((root / "intrinsics.json").read_text())
-    matrix = np.array([[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1]])
+    rows = [[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1]]
+    matrix = np.array(rows, np.float64)
     frames = []
     for path in sorted((root / "image").glob("*.jpg")):
         rgb = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
