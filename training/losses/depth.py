@@ -62,13 +62,16 @@ def metric_depth_loss(
     max_depth_m: float,
     l2: float,
     log: float = 0.0,
+    farthest: float = 1.0,
 ) -> Tensor:
     """Mean |e| + l2 * mean e^2 + log * mean |log ratio|, the error e in metres, at one scale, ().
 
     Not the paper's: for LiDAR targets, which are too sparse for SSIM's windows. `l2` is in 1/m,
     `log` in m: errors in metres are dominated by far pixels, the ratio of prediction and target
-    weighs near and far pixels equally.
+    weighs near and far pixels equally. A target of ``farthest``, normalised, is the sky: what is
+    predicted beyond it is right.
     """
+    prediction = torch.where(target < farthest, prediction, prediction.clamp(max=farthest))
     error = (prediction - target) * max_depth_m
     loss = error.abs() + l2 * error.square()
     if log:

@@ -301,6 +301,7 @@ class SSDNetLoss(nn.Module):
                 max_depth_m=self.max_depth_m,
                 l2=config.metric_l2,
                 log=config.metric_log,
+                farthest=self.target_depth_m / self.max_depth_m,
             )
         else:
             criterion = partial(

@@ -1,5 +1,7 @@
 """Eq. 2-4 against plain loops, scikit-image and cases by hand."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -101,6 +103,18 @@ def test_flat_surfaces_have_a_finite_ssim_gradient():
 def test_box_mean_gradient_by_finite_differences():
     x = torch.rand(1, 2, 7, 6, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda t: _BoxMean.apply(t, (3, 4)), (x,))
+
+
+def test_farther_than_the_sky_is_right_for_the_sky_alone():
+    prediction = torch.tensor([0.7, 0.4, 0.7]).view(1, 1, 1, 3).requires_grad_()
+    target = torch.tensor([0.5, 0.5, 0.3]).view(1, 1, 1, 3)
+    valid = torch.ones_like(target, dtype=torch.bool)
+    options = {"max_depth_m": 200.0, "l2": 0.0, "log": 10.0, "farthest": 0.5}
+    loss = metric_depth_loss(prediction, target, valid, **options)
+    expected = (20 + 10 * math.log(0.5 / 0.4) + 80 + 10 * math.log(0.7 / 0.3)) / 3
+    assert loss.item() == pytest.approx(expected, rel=1e-5)
+    (gradient,) = torch.autograd.grad(loss, prediction)
+    assert torch.sign(gradient).flatten().tolist() == [0, -1, 1]
 
 
 def test_what_no_regression_reaches_is_no_target():
