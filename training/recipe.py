@@ -74,7 +74,8 @@ class ModelRecipe:
     """Which network, by its name in `models.list_models()`."""
 
     name: str
-    max_depth_m: DepthRange = 100.0
+    #: How far depth reaches [m]; None = as the named network has it.
+    max_depth_m: DepthRange | None = None
     #: Focal length of the canonical camera [px], see `models.NetworkConfig`: the network is trained
     #: on depth * this / f, f the focal length fx of each crop, after magnification. A set without
     #: intrinsics is treated as of the canonical camera before magnification. None = plain metres.

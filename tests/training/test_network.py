@@ -61,7 +61,7 @@ def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("changed", "text"),
     [
-        ({"max_depth_m": 80.0}, "the depth range [m] was 100.0 and is 80.0 here"),
+        ({"max_depth_m": 80.0}, "the depth range [m] was 200.0 and is 80.0 here"),
         ({"boundary_gating": False}, "the gating by boundaries was True and is False here"),
     ],
 )
