@@ -25,20 +25,6 @@ def cell_maxima(x: Tensor, side: int) -> Tensor:
     return _join_cells(x, side, torch.maximum)
 
 
-def halve(x: Tensor) -> Tensor:
-    """Mean over 4 x 4 pixels around every second one, 0 beyond the map: (N, C, H, W), both even."""
-    if torch.compiler.is_exporting():
-        return F.avg_pool2d(x, 4, 2, 1)
-    x = F.pad(x, (1, 1, 1, 1))
-    for dim in (2, 3):
-        first, *others = (x.narrow(dim, place, x.shape[dim] - 3) for place in range(4))
-        total = first.clone()
-        for other in others:
-            total += other
-        x = total[:, :, ::2] if dim == 2 else total[..., ::2]
-    return x / 16
-
-
 def _join_cells(x: Tensor, side: int, join: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
     for _ in range(side.bit_length() - 1):
         x = join(x[:, :, ::2], x[:, :, 1::2])  # rows first: contiguous in memory

@@ -201,7 +201,8 @@ class SSDNet(Network):
             maps = upsample(maps, factor=COARSE_CELL // FINE_CELL)
             *upsampled, regressed, boundary_logits = maps.split(1, dim=1)
             surfaces = refine_surfaces(Surfaces(*upsampled), measured)
-        depth = choose_surface(head, regressed, surfaces)
+        reach = self.config.target_depth_m / self.config.max_depth_m
+        depth = choose_surface(head, regressed, surfaces, reach=reach)
         scale = error_scale(head, depth)
         maps = upsample(torch.cat([depth, scale, boundary_logits], dim=1), factor=stride)
         depth, scale, boundary_logits = maps.split(1, dim=1)

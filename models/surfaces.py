@@ -33,7 +33,7 @@ SAME_SURFACE = 1.25
 LOG_SCALE = (-6.0, 1.0)
 #: Returns that no other confirms, see `drop_isolated`: within this normalised depth, with returns
 #: in so many cells around, all of them more than so many times as far.
-ISOLATED_DEPTH, ISOLATED_CELLS, ISOLATED_RATIO = 0.05, 8, 2.0
+ISOLATED_DEPTH, ISOLATED_CELLS, ISOLATED_RATIO = 0.05, 8, 3.0
 #: Channels of `surface_features`.
 FEATURE_CHANNELS = 6
 #: Radius [pixels] of the square around a return in which it may replace the depth.
@@ -155,19 +155,23 @@ def refine_surfaces(upsampled: Surfaces, measured: Tensor) -> Surfaces:
     )
 
 
-def choose_surface(head: Tensor, regressed: Tensor, surfaces: Surfaces) -> Tensor:
+def choose_surface(
+    head: Tensor, regressed: Tensor, surfaces: Surfaces, *, reach: float = 1.0
+) -> Tensor:
     """Normalised depth (N, 1, h, w), NEAREST..1, from the candidates and the regressed depth.
 
     head (N, HEAD_CHANNELS, h, w): logits of the confidence in the mean, the farthest and the
     nearest surface, and a relative correction. Each in turn replaces the depth chosen before,
     weighted by its confidence: nested sigmoids give any weights that a soft-max can. Without
-    support the regressed depth remains.
+    support the regressed depth remains. No depth is beyond ``reach``, that of the regression,
+    unless the farthest surface is.
     """
     confidence = torch.sigmoid(head[:, :3])
     depth = regressed + confidence[:, :1] * surfaces.mean_support * (surfaces.mean - regressed)
     depth = depth + confidence[:, 1:2] * surfaces.support * (surfaces.farthest - depth)
     depth = depth + confidence[:, 2:3] * surfaces.support * (surfaces.nearest - depth)
-    return (depth * torch.exp(0.5 * torch.tanh(head[:, 3:4]))).clamp(NEAREST, 1.0)
+    depth = (depth * torch.exp(0.5 * torch.tanh(head[:, 3:4]))).clamp(min=NEAREST)
+    return torch.minimum(depth, (surfaces.farthest * surfaces.support).clamp(min=reach))
 
 
 def error_scale(head: Tensor, depth: Tensor) -> Tensor:

@@ -34,7 +34,9 @@ def dry_run(
             with folder_errors(out):
                 out.mkdir(parents=True, exist_ok=True)
             drawn = {key: values[:_DRAWN] for key, values in samples.items()}
-            overlay = Overlay(list_classes(recipe.model.class_table), task.network.config.max_depth_m)
+            overlay = Overlay(
+                list_classes(recipe.model.class_table), task.network.config.max_depth_m
+            )
             atomic_write(out / BATCH, encode_png(draw_batch(drawn, overlay)))
         processes.wait()
     return out / BATCH

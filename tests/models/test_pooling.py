@@ -7,7 +7,6 @@ from torch.nn import functional as F
 from models.pooling import (
     cell_maxima,
     cell_means,
-    halve,
     maxima_around,
     maxima_beside,
     means_around,
@@ -32,11 +31,6 @@ def test_windows(window):
     assert torch.equal(maxima_around(x, window), F.max_pool2d(x, window, 1, window // 2))
 
 
-def test_halves():
-    x = maps(18, 20)
-    torch.testing.assert_close(halve(x), F.avg_pool2d(x, 4, 2, 1))
-
-
 def test_maxima_beside_leave_the_pixel_itself_out():
     x = maps(9, 11).abs()
     windows = F.unfold(x.flatten(0, 1)[:, None], 5, padding=2).view(2, 2, 25, 9, 11)
@@ -47,11 +41,11 @@ def test_maxima_beside_leave_the_pixel_itself_out():
 def test_an_exported_graph_has_poolings():
     class Pools(torch.nn.Module):
         def forward(self, x):
-            x = cell_means(x, 2) + cell_maxima(x, 2) + halve(x)
+            x = cell_means(x, 2) + cell_maxima(x, 2)
             return means_around(x, 3) + maxima_around(x, 5)
 
     program = torch.export.export(Pools(), (maps(),))
     names = [str(node.target) for node in program.graph.nodes]
-    assert sum("avg_pool2d" in name for name in names) == 3
+    assert sum("avg_pool2d" in name for name in names) == 2
     assert sum("max_pool2d" in name for name in names) == 3
     torch.testing.assert_close(program.module()(maps()), Pools()(maps()))

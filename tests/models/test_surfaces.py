@@ -186,6 +186,17 @@ def test_a_candidate_of_full_confidence_is_the_answer(candidate):
     assert corrected.item() == pytest.approx(min(1.0, chosen.item() * np.exp(0.5)), rel=1e-3)
 
 
+def test_beyond_the_reach_of_the_regression_only_returns_are_answered():
+    found = propagated(measured(r40c40=0.05, r41c41=0.8))
+    own = torch.full((1, 1, *GRID), 0.45)
+    largest = head_of(correction=30.0)
+    chosen = choose_surface(largest, own, found, reach=0.5)
+    assert chosen[0, 0, 30, 40].item() == pytest.approx(0.5)  # no return is near
+    assert chosen[0, 0, 10, 10].item() == pytest.approx(0.45 * np.exp(0.5), rel=1e-4)
+    far = choose_surface(head_of(farthest=30.0, correction=30.0), own, found, reach=0.5)
+    assert far[0, 0, 10, 10].item() == pytest.approx(0.8, rel=1e-4)
+
+
 def test_a_return_replaces_the_surface_that_it_belongs_to():
     maps = measured(r40c40=0.05, r41c41=0.8, r42c42=0.2, r60c60=1.0)
     shape = (1, 1, SIZE[0] // FINE_CELL, SIZE[1] // FINE_CELL)
