@@ -66,10 +66,10 @@ def head_of(**logits: float) -> torch.Tensor:
     return torch.tensor(values).view(1, -1, 1, 1).expand(1, -1, *GRID)
 
 
-def scanned(lines: int, step: int = 2) -> torch.Tensor:
-    """Depth 0.2 at every ``step``-th column of every ``lines``-th row."""
+def scanned(lines: int, value: float = 0.2) -> torch.Tensor:
+    """A depth at every second column of every ``lines``-th row."""
     depth = torch.zeros(1, 1, *SIZE)
-    depth[..., ::lines, ::step] = 0.2
+    depth[..., ::lines, ::2] = value
     return depth
 
 
@@ -89,17 +89,19 @@ def test_a_near_return_that_no_other_confirms_is_dropped():
 
 
 @pytest.mark.parametrize(
-    ("place", "value"),
+    ("around", "value", "is_kept"),
     [
-        ((63, 81), 1.01 * ISOLATED_DEPTH),  # far: a small thing
-        ((63, 81), 0.2 / (0.99 * ISOLATED_RATIO)),  # hardly nearer than what is around it
-        ((63, 81), 0.3),  # behind
+        (0.2, 1.01 * ISOLATED_DEPTH, True),  # far: a small thing
+        (0.2, 0.99 * ISOLATED_DEPTH, False),
+        (0.1, 0.1 / (0.99 * ISOLATED_RATIO), True),  # hardly nearer than what is around it
+        (0.1, 0.1 / (1.01 * ISOLATED_RATIO), False),
+        (0.2, 0.3, True),  # behind
     ],
 )
-def test_other_returns_are_kept(place, value):
-    depth = scanned(5)
-    depth[(0, 0, *place)] = value
-    assert kept(depth).sum() == (depth > 0).sum()
+def test_only_what_is_near_and_far_before_all_others_is_dropped(around, value, is_kept):
+    depth = scanned(5, around)
+    depth[0, 0, 63, 81] = value
+    assert bool(kept(depth)[0, 0, 63, 81]) == is_kept
 
 
 def test_two_returns_beside_each_other_confirm_each_other():
