@@ -9,7 +9,7 @@
   --scenes 24 --seed 910000`) whose image is over 80 degrees wide, with the rendered LiDAR.
 
 MODEL is a bundled name, an exported file or a checkpoint with depth. MAE and RMSE are means over
-frames, of the depths up to 100 m. Each --size is as in ssdnet-eval.
+frames, of the true depths up to 100 m and up to 200 m. Each --size is as in ssdnet-eval.
 """
 
 import argparse
@@ -28,12 +28,12 @@ from runtime.bundled_models import find_model
 from runtime.network_size import parse_network_size
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.evaluate import short_names
-from training.evaluation.metrics import FARTHEST_M
 from training.evaluation.scored_model import open_method, open_model
 from training.evaluation.scoring import Predict
 from training.loading.open_dataset import open_dataset
 
 WIDE_DEG = 80.0
+FARTHEST_M = (100.0, 200.0)
 FED_DEVICE, TRUE_DEVICE = 0, 1
 
 
@@ -56,14 +56,15 @@ def main() -> None:
     arguments = parser.parse_args()
     readers = {"large": read_large, "wide": read_wide}
     cameras = {name: read(arguments.data) for name, read in readers.items()}
-    print("| model | size | focal length | " + " | ".join(cameras) + " |")
-    print("|---|---|---|" + "---|" * len(cameras))
+    columns = [f"{name}, to {farthest:g} m" for name in cameras for farthest in FARTHEST_M]
+    print("| model | size | focal length | " + " | ".join(columns) + " |")
+    print("|---|---|---|" + "---|" * len(columns))
 
     def print_row(title: str, predict: Predict, *, focal: bool) -> None:
         cells = []
         for frames in cameras.values():
-            mae, rmse = score(predict, frames, focal=focal)
-            cells.append(f"{1000 * mae:.0f} / {1000 * rmse:.0f}")
+            scores = score(predict, frames, focal=focal)
+            cells += [f"{1000 * mae:.0f} / {1000 * rmse:.0f}" for mae, rmse in scores]
         print(f"| {title} | {'given' if focal else ''} | {' | '.join(cells)} |", flush=True)
 
     print_row("nearest | ", open_method("nearest").predict, focal=False)
@@ -106,16 +107,19 @@ def read_wide(folders: Sequence[Path]) -> list[Frame]:
     ]
 
 
-def score(predict: Predict, frames: Sequence[Frame], *, focal: bool) -> tuple[float, float]:
-    """Return MAE and RMSE [m], means over frames."""
+def score(predict: Predict, frames: Sequence[Frame], *, focal: bool) -> list[list[float]]:
+    """Return MAE and RMSE [m] up to each of FARTHEST_M, means over frames."""
     figures = []
     for frame in frames:
         answer = predict(frame.rgb, frame.fed, frame.focal_length_px if focal else None)
-        known = (frame.truth > 0) & (frame.truth <= FARTHEST_M)
-        error = answer.depth[known] - frame.truth[known]
-        figures.append((np.abs(error).mean(), math.sqrt(np.square(error).mean())))
-    mae, rmse = np.mean(figures, axis=0)
-    return float(mae), float(rmse)
+        of_frame = []
+        for farthest in FARTHEST_M:
+            known = (frame.truth > 0) & (frame.truth <= farthest)
+            error = answer.depth[known] - frame.truth[known]
+            of_frame.append((np.abs(error).mean(), math.sqrt(np.square(error).mean())))
+        figures.append(of_frame)
+    means: list[list[float]] = np.mean(figures, axis=0).tolist()
+    return means
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ def test_one_lidar_is_fed_and_the_other_is_the_truth(tmp_path):
     np.testing.assert_array_equal(frame.truth, truth)
 
 
-def test_scores_are_means_over_frames_of_what_is_known_up_to_100_m():
+def test_scores_are_means_over_frames_of_what_is_known_up_to_100_and_200_m():
     seen = []
 
     def predict(rgb, sparse_depth, focal_length_px):
@@ -41,9 +41,10 @@ def test_scores_are_means_over_frames_of_what_is_known_up_to_100_m():
         maps = np.array(truth, np.float32)
         return Frame(np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2), np.float32), maps, 700.0)
 
-    frames = [frame([[10, 0], [16, 150]]), frame([[12, 13], [0, 0]])]
-    mae, rmse = score(predict, frames, focal=True)
-    assert mae == pytest.approx((3 + 0.5) / 2)
-    assert rmse == pytest.approx((math.sqrt(10) + math.sqrt(0.5)) / 2)
+    frames = [frame([[10, 250], [16, 150]]), frame([[12, 13], [0, 0]])]
+    near, far = score(predict, frames, focal=True)
+    assert near == pytest.approx([(3 + 0.5) / 2, (math.sqrt(10) + math.sqrt(0.5)) / 2])
+    whole = math.sqrt((4 + 16 + 138**2) / 3)
+    assert far == pytest.approx([(144 / 3 + 0.5) / 2, (whole + math.sqrt(0.5)) / 2])
     score(predict, frames, focal=False)
     assert seen == [700.0, 700.0, None, None]
