@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.preprocess import MAX_RETURN_M
+
 
 @dataclass(frozen=True)
 class ProbeFrame:
@@ -23,8 +25,8 @@ def probe_frames(
 
     Args:
         size: (height, width).
-        max_depth_m: range of the network; the faulty map has values beyond it, NaN, Inf and
-            negative ones among good ones.
+        max_depth_m: range of the network; the faulty map has values that are no return, NaN, Inf
+            and negative ones among good ones.
         seeds: of the random scenes.
     """
     frames = []
@@ -34,7 +36,8 @@ def probe_frames(
     frames.append(ProbeFrame("empty", rgb, np.zeros_like(depth)))
     frames.append(ProbeFrame("full", rgb, depth))
     faulty = _scan_lines(depth, seed=seeds[-1])
-    faults = np.array([np.nan, np.inf, -np.inf, -5.0, 2 * max_depth_m], dtype=np.float32)
+    no_return_m = 2 * max(max_depth_m, MAX_RETURN_M)  # nearer, the engine feeds the range's end
+    faults = np.array([np.nan, np.inf, -np.inf, -5.0, no_return_m], dtype=np.float32)
     rng = np.random.default_rng(seeds[-1])
     hit = rng.random(size) < 0.05
     faulty[hit] = rng.choice(faults, size=int(hit.sum()))

@@ -31,7 +31,7 @@ def test_contract_says_where_the_file_comes_from(exported, lite_checkpoint):
         assert predictor.input_size == SIZE
     assert contract.model_name == "ssdnet-lite"
     assert contract.classes == CAMVID_CLASSES
-    assert contract.max_depth_m == 100.0
+    assert contract.max_depth_m == 200.0
     assert contract.native_size == SIZE
     assert contract.stride == 8
     assert contract.precision == "fp32"
@@ -376,6 +376,6 @@ def test_probe_frames_hold_what_they_are_named_after():
     lines = frames["scan lines 0"].sparse_depth
     assert 0.02 < (lines > 0).mean() < 0.3
     faulty = frames["faulty"].sparse_depth
-    for kind in (np.isnan, np.isposinf, np.isneginf, lambda d: d == -5, lambda d: d == 100):
+    for kind in (np.isnan, np.isposinf, np.isneginf, lambda d: d == -5, lambda d: d == 500):
         assert kind(faulty).any()
     assert frames["full"].rgb.std() > 20

@@ -32,7 +32,7 @@ def test_contract_of_a_bundled_model(model):
     assert (contract.quantization is not None) == (contract.precision == "int8")
     assert [info.name for info in contract.classes][:4] == ["sky", "building", "pole", "road"]
     assert len(contract.classes) == 11
-    assert contract.max_depth_m == 100
+    assert contract.max_depth_m == 200
     assert "non-commercial" in contract.training["terms"]
     assert "unknown" not in contract.versions["ssdnet"]
     assert contract.parity["semantic"]

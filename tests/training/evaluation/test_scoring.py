@@ -223,7 +223,7 @@ def test_a_network_of_canonical_depth_sees_it_and_answers_in_metres():
 
         def forward(self, rgb, sparse_depth):
             self.fed = sparse_depth
-            metres = sparse_depth / 100
+            metres = sparse_depth / 200
             return NetworkOutput(depths=(metres,), depth_uncertainty=metres / 10)
 
     network, truth = Copy(), sample()
