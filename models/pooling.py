@@ -5,6 +5,7 @@ uses pooling operators, which are faster in ONNX Runtime.
 """
 
 from collections.abc import Callable
+from functools import reduce
 
 import torch
 from torch import Tensor
@@ -76,16 +77,8 @@ def maxima_beside(x: Tensor) -> Tensor:
     """
     height, width = x.shape[2], x.shape[3]
     x = F.pad(x, (2, 2, 2, 2))
-    rows = maxima_of([x[..., place : place + width] for place in range(5)])
+    rows = reduce(torch.maximum, [x[..., place : place + width] for place in range(5)])
     others = [rows[:, :, place : place + height] for place in (0, 1, 3, 4)]
     row = x[:, :, 2 : 2 + height]
     others += [row[..., place : place + width] for place in (0, 1, 3, 4)]
-    return maxima_of(others)
-
-
-def maxima_of(maps: list[Tensor]) -> Tensor:
-    """Maximum of maps of one shape, pixel by pixel."""
-    total = maps[0]
-    for other in maps[1:]:
-        total = torch.maximum(total, other)
-    return total
+    return reduce(torch.maximum, others)

@@ -127,7 +127,7 @@ class SSDNet(Network):
         exact = bool(config.stem_channels)
         depth, valid_mask = self.normalise_depth(sparse_depth)
         if config.depth_surfaces:
-            depth, valid_mask = drop_isolated(depth, valid_mask)
+            depth, valid_mask = drop_isolated(depth, valid_mask, max_depth_m=config.max_depth_m)
         inputs = []
         if config.use_rgb:
             inputs.append(self.normalise_rgb(rgb))
@@ -163,9 +163,8 @@ class SSDNet(Network):
         depths = uncertainty = None
         if self.depth_decoder is not None and self.depth_heads is not None:
             features = self.depth_decoder(bottom, skips, boundaries, exact=exact)
-            share = config.target_depth_m / config.max_depth_m
             depths = tuple(
-                share * torch.sigmoid(head(feature))
+                config.target_share * torch.sigmoid(head(feature))
                 for head, feature in zip(self.depth_heads, features, strict=True)
             )
             if surfaces is not None:
@@ -201,8 +200,7 @@ class SSDNet(Network):
             maps = upsample(maps, factor=COARSE_CELL // FINE_CELL)
             *upsampled, regressed, boundary_logits = maps.split(1, dim=1)
             surfaces = refine_surfaces(Surfaces(*upsampled), measured)
-        reach = self.config.target_depth_m / self.config.max_depth_m
-        depth = choose_surface(head, regressed, surfaces, reach=reach)
+        depth = choose_surface(head, regressed, surfaces, reach=self.config.target_share)
         scale = error_scale(head, depth)
         maps = upsample(torch.cat([depth, scale, boundary_logits], dim=1), factor=stride)
         depth, scale, boundary_logits = maps.split(1, dim=1)

@@ -31,9 +31,9 @@ AGREEMENT = 0.05
 SAME_SURFACE = 1.25
 #: Least and greatest log of the ratio of the error's scale to the depth.
 LOG_SCALE = (-6.0, 1.0)
-#: Returns that no other confirms, see `drop_isolated`: within this normalised depth, with returns
-#: in so many cells around, all of them more than so many times as far.
-ISOLATED_DEPTH, ISOLATED_CELLS, ISOLATED_RATIO = 0.05, 8, 3.0
+#: Returns that no other confirms, see `drop_isolated`: within this depth [m], with returns in so
+#: many cells around, all of them more than so many times as far.
+ISOLATED_M, ISOLATED_CELLS, ISOLATED_RATIO = 10.0, 8, 3.0
 #: Channels of `surface_features`.
 FEATURE_CHANNELS = 6
 #: Radius [pixels] of the square around a return in which it may replace the depth.
@@ -70,15 +70,18 @@ class Surfaces(NamedTuple):
     mean_support: Tensor
 
 
-def drop_isolated(depth: Tensor, valid_mask: Tensor) -> tuple[Tensor, Tensor]:
+def drop_isolated(
+    depth: Tensor, valid_mask: Tensor, *, max_depth_m: float
+) -> tuple[Tensor, Tensor]:
     """Drop near returns that no other return confirms: rain, snow, dust, crosstalk.
 
-    A return within ISOLATED_DEPTH is dropped if at least ISOLATED_CELLS of the 24 cells of
+    A return within ISOLATED_M is dropped if at least ISOLATED_CELLS of the 24 cells of
     COARSE_CELL pixels around its own have returns, and all these are more than ISOLATED_RATIO times
     as far: whatever stands so close covers more than one cell. As the dynamic radius outlier
     removal of Charron et al. 2018, on the image's grid: the farther, the smaller a thing may be.
 
-    depth (N, 1, H, W): normalised, 0 = none; valid_mask: bool. Returns both without such returns.
+    depth (N, 1, H, W): normalised by ``max_depth_m``, 0 = none; valid_mask: bool. Returns both
+    without such returns.
     """
     measured = torch.cat([depth, valid_mask.to(depth.dtype)], dim=1)
     inverse = _inverse(measured)
@@ -88,7 +91,7 @@ def drop_isolated(depth: Tensor, valid_mask: Tensor) -> tuple[Tensor, Tensor]:
     # Inverse depth beyond which a return stands alone in its cell.
     most = torch.where(
         count > ISOLATED_CELLS - 0.5,
-        (ISOLATED_RATIO * maxima_beside(cells)).clamp(min=1.0 / ISOLATED_DEPTH),
+        (ISOLATED_RATIO * maxima_beside(cells)).clamp(min=max_depth_m / ISOLATED_M),
         1.0 / NEAREST,
     )
     most = F.interpolate(most, scale_factor=float(COARSE_CELL), mode="nearest")

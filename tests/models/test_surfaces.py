@@ -11,7 +11,7 @@ from models.surfaces import (
     FINE_CELL,
     HEAD_CHANNELS,
     ISOLATED_CELLS,
-    ISOLATED_DEPTH,
+    ISOLATED_M,
     ISOLATED_RATIO,
     LOG_SCALE,
     MAX_SCALE_REDUCTION,
@@ -33,6 +33,7 @@ from models.surfaces import (
 
 SIZE = (128, 192)
 GRID = (32, 48)
+RANGE_M = 200.0
 
 
 def measured(**returns: float) -> torch.Tensor:
@@ -74,7 +75,7 @@ def scanned(lines: int, value: float = 0.2) -> torch.Tensor:
 
 
 def kept(depth: torch.Tensor) -> torch.Tensor:
-    filtered, mask = drop_isolated(depth, depth > 0)
+    filtered, mask = drop_isolated(depth, depth > 0, max_depth_m=RANGE_M)
     assert torch.equal(filtered > 0, mask)
     assert torch.equal(filtered[mask], depth[mask])
     return mask
@@ -91,8 +92,8 @@ def test_a_near_return_that_no_other_confirms_is_dropped():
 @pytest.mark.parametrize(
     ("around", "value", "is_kept"),
     [
-        (0.2, 1.01 * ISOLATED_DEPTH, True),  # far: a small thing
-        (0.2, 0.99 * ISOLATED_DEPTH, False),
+        (0.2, 1.01 * ISOLATED_M / RANGE_M, True),  # far: a small thing
+        (0.2, 0.99 * ISOLATED_M / RANGE_M, False),
         (0.1, 0.1 / (0.99 * ISOLATED_RATIO), True),  # hardly nearer than what is around it
         (0.1, 0.1 / (1.01 * ISOLATED_RATIO), False),
         (0.2, 0.3, True),  # behind
@@ -102,6 +103,15 @@ def test_only_what_is_near_and_far_before_all_others_is_dropped(around, value, i
     depth = scanned(5, around)
     depth[0, 0, 63, 81] = value
     assert bool(kept(depth)[0, 0, 63, 81]) == is_kept
+
+
+@pytest.mark.parametrize(("range_m", "is_kept"), [(80.0, False), (160.0, False), (320.0, True)])
+def test_near_is_counted_in_metres(range_m, is_kept):
+    """0.04 of the range are 3.2, 6.4 and 12.8 m."""
+    depth = scanned(5)
+    depth[0, 0, 63, 81] = 0.04
+    mask = drop_isolated(depth, depth > 0, max_depth_m=range_m)[1]
+    assert bool(mask[0, 0, 63, 81]) == is_kept
 
 
 def test_two_returns_beside_each_other_confirm_each_other():

@@ -17,7 +17,7 @@ from runtime.resize import resize_image
 from training.datasets.sample import Sample
 
 #: Largest half side of the swapped square of the spectrum, as a share of the image's shorter side.
-#: Yang and Soatto use 0.01 to 0.09; from 0.03 on rings are seen around edges.
+#: Yang and Soatto use 0.01 to 0.09.
 MAX_BAND = 0.02
 #: Things of fewer pixels are not pasted, nor those of which a larger share is behind a measurement.
 LEAST_THING_PX, HIDDEN_SHARE = 20, 0.1
