@@ -18,15 +18,13 @@ from models.surfaces import (
     FEATURE_CHANNELS,
     FINE_CELL,
     HEAD_CHANNELS,
+    Measured,
     Surfaces,
     choose_surface,
     dilate_returns,
-    drop_isolated,
-    error_scale,
+    measure,
     propagate_surfaces,
-    reduce_scale,
     refine_surfaces,
-    return_confidence,
     surface_features,
     take_returns,
 )
@@ -125,25 +123,27 @@ class SSDNet(Network):
         """
         config = self.config
         exact = bool(config.stem_channels)
-        depth, valid_mask = self.normalise_depth(sparse_depth)
-        if config.depth_surfaces:
-            depth, valid_mask = drop_isolated(depth, valid_mask, max_depth_m=config.max_depth_m)
         inputs = []
         if config.use_rgb:
             inputs.append(self.normalise_rgb(rgb))
         if config.use_sparse_depth:
+            depth, valid_mask = self.normalise_depth(sparse_depth)
             inputs.append(depth * config.sparse_depth_gain)
             if config.valid_mask_input:
                 inputs.append(valid_mask.to(depth.dtype))
-        x = torch.cat(inputs, dim=1)
         if exact:
-            x = pad_to_multiple(x, self.stride)
+            inputs = [pad_to_multiple(x, self.stride) for x in inputs]
+        measured = None
+        if config.depth_surfaces:
+            measured = measure(*inputs[-2:], max_depth_m=config.max_depth_m)
+            inputs[-2:] = measured.depth, measured.mask
+        x = torch.cat(inputs, dim=1)
         stem_features = [x]
         for layer in self.stem:
             stem_features.append(layer(stem_features[-1]))
         x_stem = stem_features[-1]
-        measured, surfaces, cues = x[:, -2:], None, None
-        if self.surface_stem is not None:
+        surfaces = cues = None
+        if self.surface_stem is not None and measured is not None:
             surfaces, density = propagate_surfaces(measured, levels=config.num_skips)
             cues = surface_features(surfaces, density)
             x_stem = x_stem + self.surface_stem(cues)
@@ -167,7 +167,7 @@ class SSDNet(Network):
                 config.target_share * torch.sigmoid(head(feature))
                 for head, feature in zip(self.depth_heads, features, strict=True)
             )
-            if surfaces is not None:
+            if surfaces is not None and measured is not None:
                 finest = features[0] + self.surface_project(cues)
                 if self.surface_semantics is not None:
                     finest = finest + self.surface_semantics(semantics)
@@ -184,7 +184,7 @@ class SSDNet(Network):
         head: Tensor,
         regressed: Tensor,
         surfaces: Surfaces,
-        measured: Tensor,
+        measured: Measured,
         boundary_logits: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return the depth, its uncertainty and the boundary's logits at full size.
@@ -200,15 +200,13 @@ class SSDNet(Network):
             maps = upsample(maps, factor=COARSE_CELL // FINE_CELL)
             *upsampled, regressed, boundary_logits = maps.split(1, dim=1)
             surfaces = refine_surfaces(Surfaces(*upsampled), measured)
-        depth = choose_surface(head, regressed, surfaces, reach=self.config.target_share)
-        scale = error_scale(head, depth)
+        depth, scale = choose_surface(head, regressed, surfaces, reach=self.config.target_share)
         maps = upsample(torch.cat([depth, scale, boundary_logits], dim=1), factor=stride)
         depth, scale, boundary_logits = maps.split(1, dim=1)
         # One value a cell is enough: the returns give the position of an edge.
-        confidence = F.interpolate(
-            return_confidence(head), scale_factor=float(stride), mode="nearest"
+        confidence = torch.sigmoid(head[:, 5:])
+        confidence = F.interpolate(confidence, scale_factor=float(stride), mode="nearest")
+        depth, scale = take_returns(
+            depth, scale, dilate_returns(measured), confidence, max_depth_m=self.config.max_depth_m
         )
-        before, behind, reduction = confidence.split(1, dim=1)
-        returns = dilate_returns(measured)
-        depth = take_returns(depth, returns, before, behind)
-        return depth, reduce_scale(scale, returns, reduction), boundary_logits
+        return depth, scale, boundary_logits

@@ -6,7 +6,6 @@ import torch
 
 from models import create_model
 from models.surfaces import (
-    AGREEMENT,
     COARSE_CELL,
     FINE_CELL,
     HEAD_CHANNELS,
@@ -16,17 +15,19 @@ from models.surfaces import (
     LOG_SCALE,
     MAX_SCALE_REDUCTION,
     NEAREST,
+    PARALLAX,
     RETURN_REACH,
+    SLOPE,
+    SPREAD_SHARE,
     WINDOWS,
+    Measured,
     Surfaces,
     choose_surface,
     dilate_returns,
-    drop_isolated,
-    error_scale,
+    measure,
     propagate_surfaces,
-    reduce_scale,
     refine_surfaces,
-    return_confidence,
+    replace,
     surface_features,
     take_returns,
 )
@@ -36,17 +37,22 @@ GRID = (32, 48)
 RANGE_M = 200.0
 
 
-def measured(**returns: float) -> torch.Tensor:
-    """A map with returns at r<row>c<column> = normalised depth."""
-    maps = torch.zeros(1, 2, *SIZE)
-    for place, depth in returns.items():
+def measured(**returns: float) -> Measured:
+    """Returns at r<row>c<column> = normalised depth."""
+    depth = torch.zeros(1, 1, *SIZE)
+    for place, value in returns.items():
         row, column = (int(number) for number in place[1:].split("c"))
-        maps[0, 0, row, column] = depth
-        maps[0, 1, row, column] = 1.0
-    return maps
+        depth[0, 0, row, column] = value
+    return measured_where(depth)
 
 
-def propagated(maps: torch.Tensor) -> Surfaces:
+def measured_where(depth: torch.Tensor) -> Measured:
+    """What a depth map holds, isolated returns too."""
+    mask = (depth > 0).float()
+    return Measured(depth, mask, mask / depth.clamp(min=NEAREST))
+
+
+def propagated(maps: Measured) -> Surfaces:
     return propagate_surfaces(maps, levels=4)[0]
 
 
@@ -74,10 +80,11 @@ def scanned(lines: int, value: float = 0.2) -> torch.Tensor:
     return depth
 
 
-def kept(depth: torch.Tensor) -> torch.Tensor:
-    filtered, mask = drop_isolated(depth, depth > 0, max_depth_m=RANGE_M)
-    assert torch.equal(filtered > 0, mask)
-    assert torch.equal(filtered[mask], depth[mask])
+def kept(depth: torch.Tensor, max_depth_m: float = RANGE_M) -> torch.Tensor:
+    found = measure(depth, (depth > 0).float(), max_depth_m=max_depth_m)
+    mask = found.mask > 0
+    left = measured_where(torch.where(mask, depth, 0.0))
+    assert all(torch.equal(one, other) for one, other in zip(found, left, strict=True))
     return mask
 
 
@@ -110,8 +117,7 @@ def test_near_is_counted_in_metres(range_m, is_kept):
     """0.04 of the range are 3.2, 6.4 and 12.8 m."""
     depth = scanned(5)
     depth[0, 0, 63, 81] = 0.04
-    mask = drop_isolated(depth, depth > 0, max_depth_m=range_m)[1]
-    assert bool(mask[0, 0, 63, 81]) == is_kept
+    assert bool(kept(depth, range_m)[0, 0, 63, 81]) == is_kept
 
 
 def test_two_returns_beside_each_other_confirm_each_other():
@@ -121,10 +127,9 @@ def test_two_returns_beside_each_other_confirm_each_other():
     assert kept(depth).sum() == (depth > 0).sum()
 
 
-@pytest.mark.parametrize("size", [(125, 190), (128, 192)])
-def test_where_returns_are_few_a_single_one_is_kept(size):
+def test_where_returns_are_few_a_single_one_is_kept():
     """With 16 lines a pole may have one return: its five cells of a line are no witnesses."""
-    depth = scanned(20)[..., : size[0], : size[1]].contiguous()
+    depth = scanned(20)
     depth[0, 0, 60, 80] = 0.03
     assert ISOLATED_CELLS > 5
     assert kept(depth).sum() == (depth > 0).sum()
@@ -154,12 +159,10 @@ def test_a_surface_is_propagated_as_far_as_the_windows_reach_and_no_further():
 
 def test_the_nearest_surface_is_the_nearest_of_a_plain_loop_before_smoothing():
     rng = np.random.default_rng(0)
-    maps = torch.zeros(1, 2, *SIZE)
     taken = torch.from_numpy(rng.random(SIZE) < 0.1)
-    maps[0, 1] = taken.float()
-    maps[0, 0] = torch.from_numpy(rng.uniform(0.02, 0.9, SIZE).astype(np.float32)) * taken
-    found = propagated(maps)
-    depth, side = maps[0, 0].numpy(), COARSE_CELL
+    maps = torch.from_numpy(rng.uniform(0.02, 0.9, SIZE).astype(np.float32)) * taken
+    found = propagated(measured_where(maps[None, None]))
+    depth, side = maps.numpy(), COARSE_CELL
     for row, column in ((5, 7), (20, 33), (25, 40)):
         cells = []
         for r in range(row - 1, row + 2):
@@ -181,20 +184,22 @@ def test_nothing_measured_supports_nothing():
     assert not surface_features(found, density).any()
     own = torch.full((1, 1, *GRID), 0.4)
     confident = head_of(mean=30.0, farthest=30.0, nearest=30.0)
-    assert torch.allclose(choose_surface(confident, own, found), own)
+    depth, scale = choose_surface(confident, own, found)
+    assert torch.allclose(depth, own)
+    assert torch.equal(scale, choose_surface(head_of(), own, found)[1])  # nothing to disagree with
 
 
 @pytest.mark.parametrize("candidate", ["mean", "farthest", "nearest"])
 def test_a_candidate_of_full_confidence_is_the_answer(candidate):
     found = propagated(measured(r40c40=0.05, r41c41=0.8))
     own = torch.full((1, 1, *GRID), 0.4)
-    chosen = choose_surface(head_of(**{candidate: 30.0}), own, found)[0, 0, 10, 10]
+    chosen = choose_surface(head_of(**{candidate: 30.0}), own, found)[0][0, 0, 10, 10]
     share = found.mean_support[0, 0, 10, 10].item() if candidate == "mean" else 1.0
     assert share > 0.99
     expected = 0.4 + share * (getattr(found, candidate)[0, 0, 10, 10].item() - 0.4)
     assert chosen.item() == pytest.approx(expected, rel=1e-3)
     largest = head_of(**{candidate: 30.0}, correction=30.0)
-    corrected = choose_surface(largest, own, found)[0, 0, 10, 10]
+    corrected = choose_surface(largest, own, found)[0][0, 0, 10, 10]
     assert corrected.item() == pytest.approx(min(1.0, chosen.item() * np.exp(0.5)), rel=1e-3)
 
 
@@ -202,10 +207,10 @@ def test_beyond_the_reach_of_the_regression_only_returns_are_answered():
     found = propagated(measured(r40c40=0.05, r41c41=0.8))
     own = torch.full((1, 1, *GRID), 0.45)
     largest = head_of(correction=30.0)
-    chosen = choose_surface(largest, own, found, reach=0.5)
+    chosen, _ = choose_surface(largest, own, found, reach=0.5)
     assert chosen[0, 0, 30, 40].item() == pytest.approx(0.5)  # no return is near
     assert chosen[0, 0, 10, 10].item() == pytest.approx(0.45 * np.exp(0.5), rel=1e-4)
-    far = choose_surface(head_of(farthest=30.0, correction=30.0), own, found, reach=0.5)
+    far, _ = choose_surface(head_of(farthest=30.0, correction=30.0), own, found, reach=0.5)
     assert far[0, 0, 10, 10].item() == pytest.approx(0.8, rel=1e-4)
 
 
@@ -239,23 +244,59 @@ def test_features_lie_in_0_1():
     assert features.max() <= 1 + 1e-6
 
 
-def test_the_scale_of_the_error_is_a_bounded_share_of_the_depth():
-    depth = torch.full((1, 1, *GRID), 0.5)
-    scales = [error_scale(head_of(scale=logit), depth)[0, 0, 0, 0].item() for logit in (-99, 0, 99)]
+def test_where_nothing_disagrees_the_error_is_a_bounded_share_of_the_depth():
+    own, found = torch.full((1, 1, *GRID), 0.5), propagated(measured())
+    scales = [
+        choose_surface(head_of(scale=logit), own, found)[1][0, 0, 0, 0].item()
+        for logit in (-99, 0, 99)
+    ]
     middle = sum(LOG_SCALE) / 2
     assert scales == pytest.approx(
         [0.5 * np.exp(log) for log in (LOG_SCALE[0], middle, LOG_SCALE[1])], rel=1e-4
     )
 
 
+def test_the_error_grows_with_the_spread_of_the_candidates():
+    """Half of 0.8 and half of 0.4; then half of 0.05 and half of what that gave."""
+    own = torch.full((1, 1, *GRID), 0.4)
+    found = propagated(measured(r40c40=0.05, r41c41=0.8))
+    halves = head_of(farthest=0.0, nearest=0.0, scale=-99.0)
+    depth, scale = (maps[0, 0, 10, 10].item() for maps in choose_surface(halves, own, found))
+    assert depth == pytest.approx(0.325, rel=1e-3)
+    spread = 0.5 * (0.2 + 2 * 0.275)
+    assert scale == pytest.approx(0.325 * np.exp(LOG_SCALE[0]) + SPREAD_SHARE * spread, rel=1e-3)
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.3, 1.0])
+def test_the_spread_of_two_depths_is_their_mean_distance_from_their_mean(weight):
+    depth, spread = replace(*(torch.tensor(value) for value in (0.4, 0.0, 0.2, weight)))
+    mean = 0.4 + 0.2 * weight
+    assert depth.item() == pytest.approx(mean)
+    distance = (1 - weight) * abs(0.4 - mean) + weight * abs(0.6 - mean)
+    assert spread.item() == pytest.approx(distance)
+    assert replace(*(torch.tensor(value) for value in (0.4, 0.1, 0.0, weight)))[
+        1
+    ].item() == pytest.approx(0.1 * (1 - weight))
+
+
+def test_the_scale_does_not_train_the_choice():
+    own = torch.full((1, 1, *GRID), 0.4, requires_grad=True)
+    head = head_of(mean=0.0, farthest=0.0, nearest=0.0).clone().requires_grad_()
+    found = propagated(measured(r40c40=0.05, r41c41=0.8))
+    choose_surface(head, own, found)[1].sum().backward()
+    trained = head.grad.abs().sum(dim=(0, 2, 3)) > 0
+    assert trained.tolist() == [False] * 4 + [True] + [False] * 3
+    assert own.grad is None or not own.grad.any()
+
+
 def test_the_nearest_return_is_that_of_a_plain_loop():
     rng = np.random.default_rng(1)
     taken = torch.from_numpy(rng.random(SIZE) < 0.03)
-    maps = torch.zeros(1, 2, *SIZE)
-    maps[0, 0] = torch.from_numpy(rng.uniform(0.02, 0.99, SIZE).astype(np.float32)) * taken
-    maps[0, 1] = taken.float()
-    dilated, near, here = (maps[0, 0].numpy() for maps in dilate_returns(maps))
-    depth = maps[0, 0].numpy()
+    maps = torch.from_numpy(rng.uniform(0.02, 0.99, SIZE).astype(np.float32)) * taken
+    inverse, near, here = (
+        found[0, 0].numpy() for found in dilate_returns(measured_where(maps[None, None]))
+    )
+    depth = maps.numpy()
     assert np.array_equal(here > 0, depth > 0)
     found = 0
     for row in range(0, SIZE[0], 3):
@@ -269,59 +310,108 @@ def test_the_nearest_return_is_that_of_a_plain_loop():
                     break
             assert near[row, column] == (expected > 0)
             if expected:
-                assert dilated[row, column] == pytest.approx(expected, rel=1e-5)
+                assert 1 / inverse[row, column] == pytest.approx(expected, rel=1e-5)
             found += expected > 0
     assert 0.3 < found / (43 * 64) < 0.7
 
 
-def test_the_confidence_in_returns_is_the_sigmoid_of_its_own_channels():
-    confidence = return_confidence(head_of(before=30.0, behind=-30.0, mean=30.0, scale=30.0))
-    assert confidence.shape == (1, 3, *GRID)
-    assert torch.allclose(confidence[0, :, 3, 5], torch.tensor([1.0, 0.0, 0.5]))
+DEPTH = torch.full((1, 1, *SIZE), 0.5)
+SCALE = torch.full((1, 1, *SIZE), 0.04)
+
+
+def taken(
+    before: float, behind: float, depth: float = 0.5, reduction: float = 0.0, **returns: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    confidence = torch.tensor([before, behind, reduction]).view(1, 3, 1, 1).expand(1, 3, *SIZE)
+    around = dilate_returns(measured(**returns))
+    found = take_returns(
+        torch.full_like(DEPTH, depth), SCALE, around, confidence, max_depth_m=RANGE_M
+    )
+    return found[0][0, 0], found[1][0, 0]
 
 
 @pytest.mark.parametrize(("returned", "channel"), [(0.05, 0), (0.9, 1)])
 def test_a_return_of_full_confidence_is_taken_beside_it_and_nowhere_else(returned, channel):
     """Returns before and behind the predicted depth have a channel of confidence each."""
-    depth, returns = torch.full((1, 1, *SIZE), 0.5), dilate_returns(measured(r40c40=returned))
-    for share, expected in ((1.0, returned), (0.5, (0.5 + returned) / 2), (0.0, 0.5)):
-        confidence = [torch.zeros_like(depth), torch.zeros_like(depth)]
-        confidence[channel] += share
-        taken = take_returns(depth, returns, *confidence)[0, 0]
-        assert torch.allclose(taken[38:43, 38:43], torch.tensor(expected))
-        taken[38:43, 38:43] = 0.5
-        assert torch.equal(taken, depth[0, 0])
-
-
-def test_nothing_measured_is_nothing_taken():
-    depth = torch.full((1, 1, *SIZE), 0.5)
-    returns, fully = dilate_returns(measured()), torch.ones_like(depth)
-    assert torch.equal(take_returns(depth, returns, fully, fully), depth)
-    assert torch.equal(reduce_scale(depth, returns, fully), depth)
+    for share in (1.0, 0.5, 0.0):
+        confidence = [0.0, 0.0]
+        confidence[channel] = share
+        depth, scale = taken(*confidence, r40c40=returned)
+        square = np.s_[38:43, 38:43]
+        assert torch.allclose(depth[square], torch.tensor(0.5 + share * (returned - 0.5)))
+        spread = 2 * share * (1 - share) * abs(returned - 0.5)
+        assert torch.allclose(scale[square], torch.tensor(0.04 + SPREAD_SHARE * spread))
+        depth[square], scale[square] = 0.5, 0.04
+        assert torch.equal(depth, DEPTH[0, 0])
+        assert torch.equal(scale, SCALE[0, 0])
 
 
 def test_the_error_scale_is_reduced_near_returns_only():
-    scale = torch.full((1, 1, *SIZE), 0.5)
-    reduction = torch.full_like(scale, 0.4)
-    reduced = reduce_scale(scale, dilate_returns(measured(r40c40=0.05)), reduction)[0, 0]
-    assert torch.allclose(
-        reduced[38:43, 38:43], torch.tensor(0.5 * (1 - 0.4 * MAX_SCALE_REDUCTION))
-    )
-    reduced[38:43, 38:43] = 0.5
-    assert torch.equal(reduced, scale[0, 0])
+    _, scale = taken(0.0, 0.0, reduction=0.4, r40c40=0.05)
+    assert torch.allclose(scale[38:43, 38:43], torch.tensor(0.04 * (1 - 0.4 * MAX_SCALE_REDUCTION)))
+    scale[38:43, 38:43] = 0.04
+    assert torch.equal(scale, SCALE[0, 0])
 
 
-def test_returns_that_agree_are_taken_without_confidence_and_others_are_not():
-    depth = torch.full((1, 1, *SIZE), 0.5)
-    near, far, close = 0.5 * (1 - 0.9 * AGREEMENT), 0.8, 0.5 * (1 + 1.5 * AGREEMENT)
-    returns = measured(r1c1=near, r2c20=far, r3c40=close)
-    zero = torch.zeros_like(depth)
-    kept = take_returns(depth, dilate_returns(returns), zero, zero)[0, 0]
-    assert kept[1, 1].item() == pytest.approx(near)
-    assert kept[2, 20].item() == pytest.approx(0.5)
-    assert kept[3, 40].item() == pytest.approx((0.5 + close) / 2)
-    kept[1, 1] = kept[3, 40] = 0.5
-    assert torch.allclose(kept, depth[0, 0])  # beside it agreement is not enough
+def test_nothing_measured_is_nothing_taken():
+    depth, scale = taken(1.0, 1.0, reduction=1.0)
+    assert torch.equal(depth, DEPTH[0, 0])
+    assert torch.equal(scale, SCALE[0, 0])
+
+
+def at_parallax(share: float, depth: float = 0.5) -> float:
+    """The normalised depth of a return whose parallax against a depth is a share of PARALLAX."""
+    return 1 / (1 / depth - share * RANGE_M * PARALLAX)
+
+
+def test_a_return_at_the_pixel_that_cannot_show_through_is_taken_without_confidence():
+    shares = {
+        "r1c1": -0.9,
+        "r2c20": -1.5,
+        "r3c40": -2.1,
+        "r50c1": 0.9,
+        "r50c20": 1.5,
+        "r50c40": 2.1,
+    }
+    returns = {place: at_parallax(share) for place, share in shares.items()}
+    depth, _ = taken(0.0, 0.0, **returns)
+    for place, share in shares.items():
+        row, column = (int(number) for number in place[1:].split("c"))
+        weight = min(1.0, max(0.0, 2 - abs(share)))
+        assert depth[row, column].item() == pytest.approx(
+            0.5 + weight * (returns[place] - 0.5), rel=1e-4
+        )
+        if share < 0:  # beside it one before the predicted depth needs confidence
+            assert depth[row, column + 1].item() == 0.5
+
+
+@pytest.mark.parametrize(
+    ("depth", "step", "weight"),
+    [
+        (0.4, 2.1 * SLOPE, 1.0),
+        (0.4, 1.5 * SLOPE, 0.5),
+        (0.4, 0.9 * SLOPE, 0.0),  # a slope, which is predicted better than copied
+        (0.05, 2.1 * SLOPE, 0.0),  # 10 m: past a surface as near a LiDAR sees
+        (0.4, -2.1 * SLOPE, 0.0),  # before it
+    ],
+)
+def test_beside_a_return_one_behind_that_cannot_show_through_is_taken(depth, step, weight):
+    returned = depth * (1 + step)
+    found, _ = taken(0.0, 0.0, depth, r40c40=returned)
+    for row, column in ((38, 38), (40, 42), (39, 41)):
+        assert found[row, column].item() == pytest.approx(
+            depth + weight * (returned - depth), rel=1e-4
+        )
+    assert found[40, 43].item() == pytest.approx(depth)
+
+
+@pytest.mark.parametrize(("range_m", "weight"), [(50.0, 0.0), (200.0, 1.0)])
+def test_parallax_is_counted_in_metres(range_m, weight):
+    """A return a tenth behind 0.4: 20 and 80 m."""
+    around, nothing = dilate_returns(measured(r40c40=0.44)), torch.zeros(1, 3, *SIZE)
+    depth = torch.full_like(DEPTH, 0.4)
+    found, _ = take_returns(depth, SCALE, around, nothing, max_depth_m=range_m)
+    assert found[0, 0, 41, 41].item() == pytest.approx(0.4 + weight * 0.04)
 
 
 @pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])
