@@ -430,6 +430,19 @@ def test_a_network_with_it_predicts_at_full_size_and_keeps_the_coarser_depths(na
         assert answer.depth_uncertainty.min() > 0
 
 
+def test_a_network_answers_as_if_an_isolated_return_were_not_there():
+    network = create_model("ssdnet-nano").eval()
+    rgb, depth = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
+    depth[..., ::5, ::2] = 40.0
+    spoiled = depth.clone()
+    spoiled[0, 0, 33, 41] = 6.0
+    with torch.no_grad():
+        expected, answer = network(rgb, depth), network(rgb, spoiled)
+    assert torch.equal(answer.depths[0], expected.depths[0])
+    assert torch.equal(answer.semantic_logits, expected.semantic_logits)
+    assert torch.equal(answer.depth_uncertainty, expected.depth_uncertainty)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
