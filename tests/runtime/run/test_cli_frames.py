@@ -1,0 +1,278 @@
+"""Which frames ssdnet-run reads, and what it does with those that are bad."""
+
+import json
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import runtime.run.report_files
+import runtime.run.run
+import runtime.sources.bundled_stream
+import runtime.sources.folders
+from cli_runs import N, arguments, files_in, rows_of
+from runtime.io.recording import read_recording
+from runtime.run.cli import app
+from runtime.run.run_folder import KINDS
+
+
+def test_the_depth_scale(tmp_path, run, stream):
+    run("--depth-scale", 512, "--save", "depth")
+    units = cv2.imread(str(stream[1] / "f0.png"), cv2.IMREAD_UNCHANGED) / 512
+    depth = cv2.imread(str(tmp_path / "out/depth/f0.png"), cv2.IMREAD_UNCHANGED) / 256
+    np.testing.assert_allclose(depth, units + 1.5, atol=0.51 / 256)
+
+
+@pytest.fixture
+def run_metres(tmp_path, model_file):
+    """Run a model that sees red / 16 metres on two frames, whose depth PNGs are made of them."""
+
+    def see_red(graph):
+        (node,) = (each for each in graph.node if each.output[0] == "depth")
+        graph.node.remove(node)
+        node.op_type, node.input[:] = "Mul", ["red", "sixteenth"]
+        graph.node.insert(3, node)
+
+    def invoke(to_units, *given):
+        folders = tmp_path / "cam", tmp_path / "lidar"
+        red = (4000 / (20 + np.arange(48)[:, None]) - np.arange(64) / 2).astype(np.uint8)
+        bgr, depth = np.stack([red, red // 2, red], axis=-1), np.rint(to_units(red / 16))
+        for folder, picture in zip(folders, (bgr, depth.astype(np.uint16)), strict=True):
+            folder.mkdir()
+            for name in ("0.png", "1.png"):
+                assert cv2.imwrite(str(folder / name), picture)
+        model = model_file(edit=see_red)
+        result = CliRunner().invoke(app, [*arguments(folders, model, tmp_path), *map(str, given)])
+        assert result.exit_code == 0, result.output
+        return result
+
+    return invoke
+
+
+@pytest.mark.parametrize(
+    ("to_units", "scale", "warning"),
+    [
+        (lambda m: m * 1000, 256, "the returns are 3.9 times as far as the camera alone sees: "
+         "try --depth-scale 1000"),
+        (lambda m: m * 256, 2560, "the returns are 0.1 times as far as the camera alone sees: "
+         "try --depth-scale 256"),
+        (lambda m: m * 25.6, 256, "the returns are 0.1 times as far as the camera alone sees: "
+         "try --depth-scale of about 26"),
+        (lambda m: m[:, ::-1] * 256, 256, "the returns fit the mirrored image: left and right are "
+         "swapped in one of them"),
+        (lambda m: 65535 / m, 256, "the returns are far where the camera alone sees near: they may "
+         "be inverse depth or disparity"),
+        (lambda m: m * 1000, 1000, None),
+    ],
+)  # fmt: skip
+def test_depth_that_contradicts_the_image_is_reported(
+    tmp_path, run_metres, to_units, scale, warning
+):
+    recording = tmp_path / "recording"
+    result = run_metres(to_units, "--depth-scale", scale, "--record", recording)
+    warned = re.findall(r"^warning: (.*)$", result.stdout, re.MULTILINE)
+    assert warned == ([warning] if warning else [])
+    frames = json.loads((tmp_path / "out/report.json").read_text())["frames"]
+    assert frames["implausible_depth"] == warning
+    assert frames["degraded"] == ({"implausible_depth": 2} if warning else {})
+    rows = rows_of(tmp_path / "out")
+    assert {row["degraded"] for row in rows} == {"implausible_depth" if warning else ""}
+    recorded = read_recording(recording).frames
+    assert [frame.degraded for frame in recorded] == [(), ()], "what ssdnet-verify predicts again"
+
+
+@pytest.mark.parametrize("parts", [1, 3, N, N + 2])
+def test_shards_are_disjoint_and_together_the_whole(tmp_path, run, parts):
+    """Byte for byte; a part without a frame is a run of none."""
+    assert run("--out", tmp_path / "whole").exit_code == 0
+    union = {}
+    for part in range(1, parts + 1):
+        folder = tmp_path / str(part)
+        result = run("--out", folder, "--shard", f"{part}/{parts}")
+        assert result.exit_code == 0, result.output
+        files = {file for file in files_in(folder) if Path(file).parent.name in KINDS}
+        assert len(rows_of(folder)) == len(range(part - 1, N, parts))
+        assert not files & union.keys()
+        union |= {file: (folder / file).read_bytes() for file in files}
+    whole = tmp_path / "whole"
+    answers = {file for file in files_in(whole) if Path(file).parent.name in KINDS}
+    assert len(answers) == N * len(KINDS)
+    assert union == {file: (whole / file).read_bytes() for file in answers}
+
+
+def test_a_shard_is_of_the_frames_within_the_limit(tmp_path, run):
+    assert run("--limit", 5, "--shard", "2/2").exit_code == 0
+    assert [row["name"] for row in rows_of(tmp_path / "out")] == ["f1", "f3"]
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["inputs"]["shard"] == "2/2"
+
+
+def test_the_limit(tmp_path, run):
+    assert run("--limit", 3).exit_code == 0
+    assert len(rows_of(tmp_path / "out")) == 3
+
+
+def test_the_demo_runs_the_bundled_stream(tmp_path, stream, model_file, monkeypatch):
+    bundled = tmp_path / "assets" / "stream"
+    bundled.mkdir(parents=True)
+    arguments = ["--demo", "--model", str(model_file()), "--out", str(tmp_path / "out")]
+    monkeypatch.setattr(runtime.sources.bundled_stream.resources, "files", lambda package: tmp_path)
+    empty = CliRunner().invoke(app, arguments)
+    assert empty.exit_code == 1
+    stream[0].rename(bundled / "rgb")
+    stream[1].rename(bundled / "depth")
+    assert CliRunner().invoke(app, arguments).exit_code == 0
+    assert len(rows_of(tmp_path / "out")) == N
+    inputs = json.loads((tmp_path / "out/report.json").read_text())["inputs"]
+    assert inputs["focal_length_px"] == pytest.approx(483.35, abs=0.01)  # of the rendered camera
+
+
+def test_a_missing_bundled_stream_is_an_error(tmp_path, model_file, monkeypatch):
+    monkeypatch.setattr(runtime.sources.bundled_stream.resources, "files", lambda package: tmp_path)
+    result = CliRunner().invoke(app, ["--demo", "--out", str(tmp_path / "out")])
+    assert result.exit_code == 1
+    assert "bundled stream" in result.stderr
+
+
+# --- bad input ---------------------------------------------------------------------------------
+
+
+def test_skipped_frames_are_counted_named_and_exit_code_3(tmp_path, run, stream, monkeypatch):
+    rgb, depth = stream
+    drawn: dict[int, float] = {}
+    draw = runtime.run.report_files.draw_latency
+
+    def spy(latencies_ms, **options):
+        drawn.update(latencies_ms)
+        return draw(latencies_ms, **options)
+
+    monkeypatch.setattr(runtime.run.report_files, "draw_latency", spy)
+    (depth / "f1.png").unlink()
+    (rgb / "f2.png").unlink()
+    picture = rgb / "f4.png"
+    picture.write_bytes(picture.read_bytes()[:700])
+    cv2.imwrite(str(depth / "f6.png"), np.zeros((48, 64), np.uint8))
+    cv2.imwrite(str(depth / "f8.png"), np.zeros((40, 64), np.uint16))
+    result = run()
+    assert result.exit_code == 3
+    assert "frames: 12 (7 ok, 5 skipped)" in result.stdout
+    rows = {row["name"]: row for row in rows_of(tmp_path / "out")}
+    reasons = {
+        "f1": "no depth map",
+        "f2": "no image",
+        "f4": "truncated",
+        "f6": "got uint8",
+        "f8": "(40, 64)",
+    }
+    assert {name for name, row in rows.items() if row["status"] == "skipped"} == set(reasons)
+    for name, reason in reasons.items():
+        assert reason in rows[name]["reason"]
+        assert re.search(rf"  {name}: skipped: .*{re.escape(reason)}", result.stdout)
+        assert rows[name]["predict_ms"] == ""
+    written = {p.stem for p in (tmp_path / "out/overlay").iterdir()}
+    assert written == rows.keys() - reasons.keys()
+    assert {f"f{index}" for index in drawn} == written
+
+
+def test_a_first_frame_that_is_damaged_does_not_matter_to_the_warm_up(run, stream):
+    (stream[0] / "f0.png").write_bytes(b"")
+    result = run()
+    assert result.exit_code == 3
+    assert "11 ok" in result.stdout
+
+
+def test_only_the_first_few_frames_are_read_to_warm_up(run, stream, monkeypatch):
+    for picture in stream[0].iterdir():
+        picture.write_bytes(b"")
+    read = []
+    read_rgb = runtime.sources.folders.read_rgb
+
+    def count(path):
+        read.append(path)
+        return read_rgb(path)
+
+    monkeypatch.setattr(runtime.sources.folders, "read_rgb", count)
+    monkeypatch.setattr(runtime.run.run, "_FIRST_FRAMES", 3)
+    assert "none of the first 3 frames" in run().output
+    assert len(read) == 3
+
+
+def test_a_picture_of_another_size_than_the_calibrations_is_skipped(tmp_path, run, stream):
+    size = "size = [48, 64]"
+    matrices = f"intrinsics = {[[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]}\nextrinsics = "
+    calibration = tmp_path / "camera.toml"
+    calibration.write_text(f"{size}\n{matrices}{np.eye(4).tolist()}\n")
+    cv2.imwrite(str(stream[0] / "f3.png"), np.full((50, 64, 3), 90, np.uint8))
+    cv2.imwrite(str(stream[1] / "f3.png"), np.full((50, 64), 2560, np.uint16))
+    result = run("--calibration", calibration, "--save", "depth,cloud")
+    assert result.exit_code == 3, result.output
+    skipped = [row for row in rows_of(tmp_path / "out") if row["status"] == "skipped"]
+    assert [row["name"] for row in skipped] == ["f3"]
+    assert "of images of (48, 64)" in skipped[0]["reason"]
+    assert len(list((tmp_path / "out/cloud").iterdir())) == N - 1
+
+
+def test_empty_lidar_frames_are_counted(tmp_path, run, stream):
+    for index in (2, 5):
+        cv2.imwrite(str(stream[1] / f"f{index}.png"), np.zeros((48, 64), np.uint16))
+    result = run()
+    assert result.exit_code == 0
+    assert "degraded: no_depth: 2" in result.stdout
+    assert rows_of(tmp_path / "out")[5]["degraded"] == "no_depth"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (lambda rgb, depth: [p.unlink() for p in rgb.iterdir()], "has no .png"),
+        (lambda rgb, depth: [p.rename(p.with_stem(p.stem + "_d")) for p in depth.iterdir()],
+         "no name occurs in both"),
+        (lambda rgb, depth: depth.rename(depth.with_name("gone")), "cannot list the folder"),
+    ],
+    ids=["empty", "no matching names", "missing"],
+)  # fmt: skip
+def test_folders_that_make_no_stream_are_exit_code_1(tmp_path, run, stream, spoil, text):
+    spoil(*stream)
+    result = run()
+    assert result.exit_code == 1
+    assert result.stderr.startswith("error: ")
+    assert text in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_frames_that_are_skipped_for_one_reason_are_one_line(tmp_path, stream, run):
+    rgb, depth = stream
+    for name in ("f3", "f4", "f7"):
+        (depth / f"{name}.png").unlink()
+    (rgb / "f9.png").write_bytes(b"")
+    result = run()
+    assert result.exit_code == 3
+    assert "\n  3 frames, first f3: skipped: f3 has an image, but no depth map\n" in result.stdout
+    assert f"\n  f9: skipped: {rgb / 'f9.png'} is empty" in result.stdout
+    assert result.stdout.count("skipped:") == 2
+    assert [row["name"] for row in rows_of(tmp_path / "out") if row["reason"]] == [
+        "f3", "f4", "f7", "f9"
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("warmup", [0, 1])
+@pytest.mark.parametrize("n", [19, 20])
+def test_a_stream_that_is_refused_from_the_start_is_an_error(
+    tmp_path, make_stream, all_heads, n, warmup
+):
+    folders = make_stream(n)
+    for path in folders[1].iterdir():
+        assert cv2.imwrite(str(path), np.zeros((40, 64), np.uint16))
+    given = [*arguments(folders, all_heads, tmp_path), "--warmup", str(warmup)]
+    result = CliRunner().invoke(app, given)
+    if n < 20:
+        assert result.exit_code == 3
+        assert f"{n} frames, first f0: skipped: sparse_depth must have the shape" in result.stdout
+    else:
+        assert result.exit_code == 1
+        assert "error: none of the first 20 frames can be predicted" in result.stderr
+        assert "20 frames, first f0: sparse_depth must have the shape" in result.stderr
+        assert not (tmp_path / "out").exists()

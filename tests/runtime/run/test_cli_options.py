@@ -1,0 +1,202 @@
+"""Options of ssdnet-run: the model and how it runs, help, and values that are refused."""
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cli_runs import arguments, files_in, rows_of
+from runtime import list_bundled_models
+from runtime.bundled_models import find_model
+from runtime.model_file import load_model_file
+from runtime.run.cli import app
+
+
+@pytest.mark.parametrize(
+    ("size", "runs_at"),
+    [("auto", (40, 53)), ("frame", (52, 69)), ("64", (64, 85)), ("33x70", (33, 70))],
+)
+def test_the_size_at_which_the_network_ran_is_reported(
+    tmp_path, make_frame, model_file, contract, size, runs_at
+):
+    for folder in ("cam", "lidar"):
+        (tmp_path / folder).mkdir()
+    rgb, depth = make_frame(52, 69)
+    cv2.imwrite(str(tmp_path / "cam/f.png"), rgb[..., ::-1])
+    cv2.imwrite(str(tmp_path / "lidar/f.png"), np.rint(depth * 256).astype(np.uint16))
+    model = model_file(contract=dataclasses.replace(contract, trained_height=40))
+    given = arguments((tmp_path / "cam", tmp_path / "lidar"), model, tmp_path)
+    result = CliRunner().invoke(app, [*given, "--size", size])
+    assert result.exit_code == 0, result.output
+    height, width = runs_at
+    assert f"frames 52 x 69, network at {height} x {width}\n" in result.stdout
+    (row,) = rows_of(tmp_path / "out")
+    assert (row["height"], row["width"]) == ("52", "69")
+    assert (row["network_height"], row["network_width"]) == (str(height), str(width))
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["frames"]["by_network_size"] == {f"{height} x {width}": 1}
+    assert report["model"]["trained_height"] == 40
+    assert cv2.imread(str(tmp_path / "out/semantic/f.png"), -1).shape == (52, 69)
+
+
+def test_a_size_that_the_command_does_not_know_is_a_usage_error(run):
+    result = run("--size", "large")
+    assert result.exit_code == 2
+    assert "--size 'large'" in result.output
+
+
+@pytest.mark.parametrize("rate", ["0", "-1", "nan", "inf"])
+def test_a_rate_out_of_range_is_a_usage_error(run, rate):
+    result = run("--rate", rate)
+    assert result.exit_code == 2
+    assert "--rate" in result.output
+
+
+def test_a_pinned_model_is_the_one_that_runs(tmp_path, run):
+    assert run().exit_code == 0
+    digest = json.loads((tmp_path / "out/report.json").read_text())["model"]["sha256"]
+    assert run("--sha256", digest, "--overwrite").exit_code == 0
+    for other, text in (("0" * 64, digest), ("abc", "64 hexadecimal digits")):
+        result = run("--sha256", other, "--overwrite")
+        assert result.exit_code == 1
+        assert text in result.stderr
+
+
+def test_a_model_by_its_name(tmp_path, run):
+    assert run("--model", "ssdnet-lite").exit_code == 0
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert report["model"]["path"].endswith("assets/ssdnet-lite.onnx")
+    result = run("--model", "ssdnet-huge", "--overwrite")
+    assert result.exit_code == 1
+    assert "no bundled model is called 'ssdnet-huge'; there are: " in result.stderr
+
+
+def test_a_bad_model_is_exit_code_1_and_leaves_an_earlier_run_alone(tmp_path, run):
+    assert run().exit_code == 0
+    before = files_in(tmp_path / "out")
+    (tmp_path / "bad.onnx").write_bytes(b"no model")
+    result = run("--model", tmp_path / "bad.onnx", "--overwrite")
+    assert result.exit_code == 1
+    assert "cannot be loaded" in result.stderr
+    assert files_in(tmp_path / "out") == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["--depth", "somewhere"],
+        ["--demo", "--depth", "somewhere"],
+        ["--rgb", "somewhere", "--source", "folders:somewhere"],
+        ["--demo", "--max-skew-ms", "-1"],
+        ["--demo", "--rgb", "somewhere"],
+        ["--demo", "somewhere"],
+        ["somewhere", "--rgb", "somewhere"],
+        ["--demo", "--save", "everything"],
+        ["--demo", "--save", "depth,all"],
+        ["--demo", "--save", "none", "--save", "depth"],
+        ["--demo", "--threads", "0"],
+        ["--demo", "--limit", "0"],
+        ["--demo", "--depth-scale", "0"],
+        ["--demo", "--depth-scale", "nan"],
+        ["--demo", "--depth-scale", "1e-50"],
+        ["--demo", "--deadline-ms", "-1"],
+        ["--demo", "--deadline-ms", "1.5e308"],
+        ["--demo", "--provider", "gpu"],
+        ["--demo", "--warmup", "-1"],
+        ["--demo", "--video", "out.avi"],
+        ["--demo", "--shard", "0/4"],
+        ["--demo", "--shard", "5/4"],
+        ["--demo", "--shard", "1"],
+        ["--demo", "--shard", "-1/4"],
+        ["--demo", "--shard", "1/9999999"],
+        ["--no-such-option"],
+    ],
+)
+def test_wrong_usage_is_exit_code_2(arguments, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 2, result.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_bundled_models_are_listed():
+    """With size, work and accuracy, and what these were measured on."""
+    result = CliRunner().invoke(app, ["--list-models"])
+    assert result.exit_code == 0
+    heading, *lines = result.stdout.splitlines()
+    assert heading.split() == ["model", "MB", "GMACs", "mIoU", "%", "MAE", "mm"]
+    rows = {name: [float(cell) for cell in cells] for name, *cells in map(str.split, lines[:4])}
+    assert list(rows) == list_bundled_models()
+    for name, (megabytes, giga_macs, miou, mae_mm) in rows.items():
+        path = find_model(name)
+        assert megabytes == pytest.approx(path.stat().st_size / 1e6, abs=0.06)
+        assert giga_macs == pytest.approx(6.43 if "lite" in name else 2.05, abs=0.06)
+        measured = load_model_file(path).contract.accuracy["rows"]
+        assert [miou / 100, None] in [
+            [round(row["miou"], 3), row["mae_m"]] for row in measured if row["miou"]
+        ]
+        assert mae_mm in [round(1000 * row["mae_m"]) for row in measured if row["mae_m"]]
+    assert lines[4:7] == [
+        "GMACs of a frame of 512 x 1024",
+        "mIoU % on camvid split=val, LiDAR none",
+        "MAE mm on kitti_streets first=70 last=98, LiDAR own",
+    ]
+    assert Path(lines[7].partition(": ")[2]).is_file()
+
+
+def test_help_needs_no_onnxruntime(monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    result = CliRunner().invoke(app, ["--help"])
+    assert result.exit_code == 0
+    for option in ("--rgb", "--depth", "--demo", "--depth-scale", "--deadline-ms", "--overwrite"):
+        assert option in result.stdout
+    assert "Exit codes" in result.stdout
+
+
+def test_without_onnxruntime_the_commands_are_printed(run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    result = run()
+    assert result.exit_code == 1
+    assert 'pip install "ssdnet[cpu]"' in result.stderr
+
+
+def test_the_focal_length_reaches_the_model(tmp_path, run, model_file, contract):
+    """The graph adds 1.5 canonical metres: 3 m behind a lens twice as long."""
+    path = model_file("c.onnx", contract=dataclasses.replace(contract, canonical_focal_px=100.0))
+    result = run("--model", path, "--focal-length", 200)
+    assert result.exit_code == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["model"]["canonical_focal_px"] == 100.0
+    assert report["inputs"]["focal_length_px"] == 200.0
+    assert report["inputs"]["used_focal_length_px"] == 200.0
+    assert report["inputs"]["depth_range_m"] == 160.0
+    assert "focal length 200 px; depth up to 160 m\n" in result.stdout
+    picture = next((tmp_path / "out" / "depth").iterdir())
+    assert cv2.imread(str(picture), cv2.IMREAD_UNCHANGED).min() == 3 * 256
+
+
+def test_a_focal_length_that_is_not_known_or_not_used_is_reported(run):
+    arguments = ["--limit", 1, "--save", "none"]
+    assert "\nfocal length not known; depth up to 80 m\n" in run(*arguments).stdout
+    given = run(*arguments, "--focal-length", 200, "--overwrite").stdout
+    assert "\nfocal length 200 px, not used by this model; depth up to 80 m\n" in given
+
+
+@pytest.mark.parametrize("value", ["0", "-5", "nan", "1e9"])
+def test_a_focal_length_out_of_range_is_a_usage_error(run, value):
+    result = run("--focal-length", value)
+    assert result.exit_code == 2
+    assert "--focal-length must be a number from 1 to 1e+06" in result.output
+
+
+@pytest.mark.parametrize("shard", ["1/" + "9" * 5000, "9" * 5000 + "/1", "1/\N{SUPERSCRIPT TWO}"])
+def test_a_shard_of_odd_digits_is_a_usage_error(run, shard):
+    result = run("--shard", shard)
+    assert result.exit_code == 2, result.exception
+    assert "--shard is I/N" in result.output
