@@ -1,4 +1,8 @@
-"""A clock that stands still until a test moves it, and a predictor whose answers are known."""
+"""A clock that stands still until a test moves it, and a predictor whose answers are known.
+
+No test with them sleeps: the clock is moved by hand, and a prediction lasts until its gate is
+opened.
+"""
 
 import threading
 from types import SimpleNamespace
@@ -8,6 +12,8 @@ import pytest
 from runtime.live.push_stream import PushStream
 from runtime.prediction import Latency, Prediction
 from runtime.preprocess import preprocess
+
+pytest.register_assert_rewrite("stream_messages")  # so that `add_up` shows the counts
 
 MS = 1_000_000
 

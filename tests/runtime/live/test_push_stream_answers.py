@@ -1,0 +1,220 @@
+"""What an answer of the stream carries, and what its statistics and watchdog say."""
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+
+from runtime.errors import InferenceError
+from runtime.io.calibration import Calibration
+from runtime.live.push_stream import PushStream
+from runtime.predictor import Predictor
+from stream_messages import depth, image, push_pair
+
+MS = 1_000_000
+
+
+def test_answers_of_the_engine_come_back_with_both_stamps(model_file, make_frame):
+    rgb, sparse_depth = make_frame()
+    with Predictor(model_file(), threads=1) as predictor:
+        expected = predictor.predict(rgb, sparse_depth)
+        with PushStream(predictor, mode="live", deadline_ms=1e6, max_skew_ms=20) as stream:
+            stream.push_image(rgb, 1.0)
+            stream.push_depth(sparse_depth, 1_000_000_000)
+            result = next(iter(stream))
+            stream.close()
+            assert list(stream) == []
+    for head in predictor.heads:
+        np.testing.assert_array_equal(
+            getattr(result.prediction, head), getattr(expected, head), strict=True
+        )
+    np.testing.assert_array_equal(result.rgb, rgb)
+    assert (result.sequence, result.image_stamp, result.depth_stamp) == (0, 1.0, 1_000_000_000)
+    assert (result.skew_ms, result.deadline_met) == (0, True)
+    assert result.age_ms == result.latency_ms > 0
+
+
+def test_latency_age_and_deadline(setup):
+    now = iter([1.0, 2.5])
+    made = setup(mode="live", deadline_ms=30, sensor_clock=lambda: next(now))
+    made.predictor.takes_ms = 30
+    push_pair(made.stream, 0)
+    first = next(made.stream)
+    made.predictor.takes_ms = 30.001
+    push_pair(made.stream, 10)
+    second = next(made.stream)
+    assert (first.latency_ms, first.age_ms, first.deadline_met) == (30, 1000, True)
+    assert (second.latency_ms, second.age_ms, second.deadline_met) == (30.001, 1500, False)
+
+
+def test_the_skew_of_a_frame_has_a_sign_and_that_of_the_statistics_none(setup):
+    made = setup(mode="replay")
+    for image_ms, depth_ms in ((0, 20), (100, 60)):
+        made.stream.push_image(image(), image_ms * MS)
+        made.stream.push_depth(depth(), depth_ms * MS)
+    made.stream.close()
+    assert [result.skew_ms for result in made.stream] == [20, -40]
+    skew = made.stream.statistics.stages["skew"]
+    assert (skew.n, skew.mean_ms, skew.max_ms) == (2, 30, 40)
+
+
+def test_in_a_replay_latency_begins_with_the_turn_and_there_is_no_age(setup):
+    made = setup(mode="replay")
+    made.predictor.takes_ms = 30
+    for number in range(3):
+        push_pair(made.stream, number)
+    made.stream.close()
+    assert [(r.latency_ms, r.age_ms, r.deadline_met) for r in made.stream] == [(30, None, None)] * 3
+
+
+def test_pushed_arrays_may_be_reused_afterwards(setup):
+    made = setup(mode="replay")
+    made.predictor.gate.clear()
+    rgb, sparse_depth = image(3), depth(3)
+    made.stream.push_image(rgb, 0)
+    made.stream.push_depth(sparse_depth, 0)
+    rgb[:], sparse_depth[:] = 0, 0
+    made.predictor.gate.set()
+    result = next(made.stream)
+    assert (result.rgb == image(3)).all()
+    assert (result.prediction.depth == depth(3) + 1).all()
+
+
+# --- statistics and the watchdog ---------------------------------------------------------------
+
+
+def test_statistics_hold_every_answer(setup):
+    made = setup(mode="live", deadline_ms=30)
+    for number, takes_ms in enumerate([10, 40, 50, 20]):
+        made.predictor.takes_ms = takes_ms
+        made.stream.push_image(image(), number / 10)
+        made.stream.push_depth(depth(), number / 10)
+        next(made.stream)
+    statistics = made.stream.statistics
+    stages = statistics.stages
+    assert (stages["latency"].n, stages["latency"].max_ms, stages["latency"].mean_ms) == (4, 50, 30)
+    assert stages["age"] == stages["latency"]
+    assert (stages["skew"].n, stages["skew"].max_ms) == (4, 0)
+    assert (stages["jitter"].n, stages["predict"].n) == (3, 4)
+    assert (statistics.missed.count, statistics.missed.longest_run) == (2, 2)
+
+
+def test_the_watchdog_reports_changes_and_its_present_state(setup):
+    reported, heard = [], threading.Semaphore(0)
+
+    def hear(state):
+        reported.append((str(state.level), state.reasons))
+        heard.release()
+
+    made = setup(mode="live", deadline_ms=30, on_state=hear)
+    assert str(made.stream.state.level) == "n/a"
+    push_pair(made.stream, 0)
+    next(made.stream)
+    made.predictor.takes_ms = 31
+    push_pair(made.stream, 1)
+    next(made.stream)
+    for _ in range(2):
+        assert heard.acquire(timeout=60)
+    made.clock.advance_ms(500)
+    assert heard.acquire(timeout=60)
+    made.predictor.gate.clear()
+    push_pair(made.stream, 2)
+    made.clock.advance_ms(2000)
+    assert str(made.stream.state.level) == "ERROR", "while the worker hangs"
+    made.predictor.gate.set()
+    made.predictor.takes_ms = 0
+    made.stream.close()
+    assert reported[:3] == [("OK", ()), ("WARN", ("late",)), ("WARN", ("late", "silence_ms"))]
+
+
+def test_errors_reach_the_watchdog(setup):
+    reported, heard = [], threading.Semaphore(0)
+
+    def hear(state):
+        reported.append(state.reasons)
+        heard.release()
+
+    made = setup(mode="replay", on_state=hear)
+    made.predictor.fail_with = InferenceError("the device was lost")
+    push_pair(made.stream, 0)
+    while ("failed",) not in reported:
+        assert heard.acquire(timeout=60)
+
+
+def test_stamps_that_jump_back_are_no_jitter(setup):
+    made = setup(mode="live")
+    for number in (100, 0):
+        push_pair(made.stream, number)
+        next(made.stream)
+    assert made.stream.counts.jumps_back == 1
+    assert made.stream.statistics.stages["jitter"] is None
+    push_pair(made.stream, 1)
+    next(made.stream)
+    assert made.stream.statistics.stages["jitter"].n == 1
+
+
+# --- health and calibration --------------------------------------------------------------------
+
+
+def test_a_frozen_camera_and_a_lost_sector_are_flagged(setup):
+    made = setup(mode="replay", on_state=lambda state: None)
+    whole = np.random.default_rng(0).uniform(1, 50, (32, 40)).astype(np.float32)
+    sector = whole.copy()
+    sector[:, :10] = 0
+    for number in range(8):
+        made.stream.push_image(image(min(number, 6)), number / 10)
+        made.stream.push_depth(whole if number < 6 else sector, number / 10)
+        if number < 7:
+            next(made.stream)
+    assert next(made.stream).health == ("image_frozen", "lidar_sector_lost")
+    assert made.stream.state.reasons == ("degraded",)
+
+
+def test_points_are_projected_and_the_focal_length_is_the_cameras(setup):
+    intrinsics = np.array([[30.0, 0, 20], [0, 30, 16], [0, 0, 1]])
+    made = setup(mode="replay", calibration=Calibration(intrinsics, np.eye(4), (32, 40)))
+    points = np.array([[0, 0, 10, 0.5], [2, 0, 10, 0.5], [0, 0, -3, 0.5]], np.float32)
+    made.stream.push_image(image(), 0)
+    made.stream.push_points(points, 0)
+    points[:] = 1
+    result = next(made.stream)
+    expected = np.ones((32, 40), np.float32)
+    expected[16, [20, 26]] = 11
+    np.testing.assert_array_equal(result.prediction.depth, expected)
+    assert made.predictor.focal_lengths_px == [30]
+
+
+def test_returns_are_held_out_with_the_option_consistency(setup):
+    made = setup(mode="replay", consistency=0.5)
+    plain = setup(mode="replay")
+    for stream in (made.stream, plain.stream):
+        push_pair(stream, 0)
+        stream.push_image(image(1), 0.2)
+        stream.close()
+    result, camera_only = made.stream
+    assert 0.4 < result.prediction.depth_returns / (32 * 40) < 0.6
+    assert result.consistency.holdout_error == 0, "0 + 1 m where 1 m was held out"
+    assert result.consistency.scale_error == 0
+    assert camera_only.consistency is None
+    assert next(plain.stream).prediction.depth_returns == 32 * 40
+    assert next(plain.stream).consistency is None
+
+
+def test_depth_that_contradicts_the_image_is_reported_with_the_option_consistency(
+    setup, monkeypatch
+):
+    row, column = np.mgrid[:32, :40]
+    seen = ((40 - row + column / 2) / 10).astype(np.float32)
+    for options, degraded in (({"consistency": 0.05}, ("implausible_depth",)), ({}, ())):
+        made = setup(mode="replay", **options)
+
+        def see(rgb, sparse_depth, predict=made.predictor.predict, **others):
+            answer = predict(rgb, sparse_depth, **others)
+            return answer if sparse_depth.any() else replace(answer, heads={"depth": seen})
+
+        monkeypatch.setattr(made.predictor, "predict", see)
+        for stamp in (0.0, 0.1):
+            made.stream.push_image(image(), stamp)
+            made.stream.push_depth(10 * seen, stamp)
+        made.stream.close()
+        assert [result.prediction.degraded for result in made.stream] == [degraded] * 2
