@@ -25,6 +25,7 @@ from models.surfaces import (
     measure,
     propagate_surfaces,
     refine_surfaces,
+    return_confidence,
     surface_features,
     take_returns,
 )
@@ -204,8 +205,9 @@ class SSDNet(Network):
         maps = upsample(torch.cat([depth, scale, boundary_logits], dim=1), factor=stride)
         depth, scale, boundary_logits = maps.split(1, dim=1)
         # One value a cell is enough: the returns give the position of an edge.
-        confidence = torch.sigmoid(head[:, 5:])
-        confidence = F.interpolate(confidence, scale_factor=float(stride), mode="nearest")
+        confidence = F.interpolate(
+            return_confidence(head), scale_factor=float(stride), mode="nearest"
+        )
         depth, scale = take_returns(
             depth, scale, dilate_returns(measured), confidence, max_depth_m=self.config.max_depth_m
         )

@@ -36,8 +36,8 @@ SLOPE = 0.03
 SAME_SURFACE = 1.25
 #: Least and greatest log of the ratio of the error's scale to the depth.
 LOG_SCALE = (-6.0, 1.0)
-#: Returns that no other confirms, see `measure`: within this depth [m], with returns in so
-#: many cells around, all of them more than so many times as far.
+#: Returns that no other confirms, see `measure`: within this depth [m], with returns in so many
+#: cells around, all of them more than so many times as far.
 ISOLATED_M, ISOLATED_CELLS, ISOLATED_RATIO = 10.0, 8, 3.0
 #: Channels of `surface_features`.
 FEATURE_CHANNELS = 6
@@ -47,7 +47,7 @@ RETURN_REACH = 2
 MAX_SCALE_REDUCTION = 0.9
 #: Share of the spread of the candidates that is added to the error's scale.
 SPREAD_SHARE = 0.25
-#: Channels of the head: five of `choose_surface`, then three of `take_returns`.
+#: Channels of the head: five of `choose_surface`, then three of `return_confidence`.
 HEAD_CHANNELS = 8
 
 
@@ -214,6 +214,15 @@ def replace(
     return depth + taken, (1.0 - weight) * (spread + 2.0 * taken.abs())
 
 
+def return_confidence(head: Tensor) -> Tensor:
+    """The head's last channels, about the returns beside a pixel: (N, 3, h, w), 0..1.
+
+    The confidence in a return before the predicted depth, that in one behind it, and the reduction
+    of the error's scale, see `take_returns`.
+    """
+    return torch.sigmoid(head[:, 5:8])
+
+
 def dilate_returns(measured: Measured) -> Returns:
     """Dilate the returns by RETURN_REACH pixels."""
     inverse = measured.inverse
@@ -234,9 +243,9 @@ def take_returns(
     return is the pixel's: in any case if it is at the pixel itself, and beside it if it is behind
     by more than a slope explains.
 
-    depth, scale (N, 1, H, W): normalised by ``max_depth_m``; confidence (N, 3, H, W), 0..1: in a
-    return before the predicted depth, in one behind it, and the reduction of the scale beside a
-    return. Returns the depth, and the scale with the spread of the two depths.
+    depth, scale (N, 1, H, W): normalised by ``max_depth_m``; confidence (N, 3, H, W): of
+    `return_confidence`. Returns the depth, and the scale, reduced beside a return, with the spread
+    of the two depths.
     """
     before, behind, reduction = confidence.split(1, dim=1)
     inverse = 1.0 / depth

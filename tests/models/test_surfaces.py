@@ -28,6 +28,7 @@ from models.surfaces import (
     propagate_surfaces,
     refine_surfaces,
     replace,
+    return_confidence,
     surface_features,
     take_returns,
 )
@@ -313,6 +314,12 @@ def test_the_nearest_return_is_that_of_a_plain_loop():
                 assert 1 / inverse[row, column] == pytest.approx(expected, rel=1e-5)
             found += expected > 0
     assert 0.3 < found / (43 * 64) < 0.7
+
+
+def test_the_confidence_in_returns_is_the_sigmoid_of_its_own_channels():
+    confidence = return_confidence(head_of(before=30.0, behind=-30.0, mean=30.0, scale=30.0))
+    assert confidence.shape == (1, 3, *GRID)
+    assert torch.allclose(confidence[0, :, 3, 5], torch.tensor([1.0, 0.0, 0.5]))
 
 
 DEPTH = torch.full((1, 1, *SIZE), 0.5)
