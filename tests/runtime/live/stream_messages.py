@@ -15,22 +15,33 @@ def depth(value=0):
     return np.full((32, 40), 1 + value % 50, np.float32)
 
 
-def push_pair(stream, number):
+def push_image(stream, number):
     stream.push_image(image(number), number / 10)
+
+
+def push_depth(stream, number):
     stream.push_depth(depth(number), number / 10)
 
 
-def push_all(made, frames):
-    """Start a thread that pushes so many pairs. Returns it and the event of its end."""
+def push_pair(stream, number):
+    push_image(stream, number)
+    push_depth(stream, number)
+
+
+def push_all(made, frames, push=push_pair):
+    """Start a thread that pushes so many frames, `push(stream, number)` each.
+
+    Returns it and the event of its end.
+    """
     done = threading.Event()
 
-    def push():
+    def push_each():
         for number in range(frames):
-            push_pair(made.stream, number)
+            push(made.stream, number)
         done.set()
         made.clock.notify()
 
-    pusher = threading.Thread(target=push)
+    pusher = threading.Thread(target=push_each)
     pusher.start()
     return pusher, done
 

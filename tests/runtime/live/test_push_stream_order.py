@@ -5,7 +5,7 @@ from collections import Counter
 
 import pytest
 
-from stream_messages import add_up, depth, image, push_all, push_pair
+from stream_messages import add_up, depth, image, push_all, push_depth, push_image, push_pair
 
 
 def test_a_replay_answers_every_frame_in_order_from_two_threads(setup):
@@ -140,23 +140,12 @@ def test_depth_without_an_image_is_dropped_and_counted(setup):
 def test_a_replay_waits_for_the_other_sensor_however_long_max_wait_is(setup):
     """Pairs follow from the stamps, not from the threads' turns."""
     made = setup(mode="replay", max_wait_ms=5)
-    pushed = threading.Event()
-
-    def push_images():
-        for number in range(40):
-            made.stream.push_image(image(number), number / 10)
-        pushed.set()
-
-    camera = threading.Thread(target=push_images)
-    camera.start()
+    camera, pushed = push_all(made, 40, push_image)
     assert made.clock.holds_up(camera, made.stream._changed, ended=pushed.is_set)
     for _ in range(199):
         made.clock.advance_ms(10)
         assert made.stream.counts.images.pushed == 17
-    lidar = threading.Thread(
-        target=lambda: [made.stream.push_depth(depth(n), n / 10) for n in range(40)]
-    )
-    lidar.start()
+    lidar, _ = push_all(made, 40, push_depth)
     closer = threading.Thread(target=lambda: (camera.join(), lidar.join(), made.stream.close()))
     closer.start()
     assert [(r.image_stamp, r.depth_stamp) for r in made.stream] == [
@@ -168,16 +157,7 @@ def test_a_replay_waits_for_the_other_sensor_however_long_max_wait_is(setup):
 @pytest.mark.parametrize("max_wait_ms", [0, 50])
 def test_a_replay_of_one_sensor_alone_pauses_once_and_goes_on(setup, max_wait_ms):
     made = setup(mode="replay", max_wait_ms=max_wait_ms)
-    pushed = threading.Event()
-
-    def push_images():
-        for number in range(40):
-            made.stream.push_image(image(number), number / 10)
-        pushed.set()
-        made.clock.notify()
-
-    camera = threading.Thread(target=push_images)
-    camera.start()
+    camera, pushed = push_all(made, 40, push_image)
     assert made.clock.holds_up(camera, made.stream._changed, ended=pushed.is_set)
     assert made.stream.counts.images.pushed == 17
     made.clock.advance_ms(2000)
@@ -191,16 +171,7 @@ def test_a_replay_of_one_sensor_alone_pauses_once_and_goes_on(setup, max_wait_ms
 
 def test_a_replay_of_depth_alone_is_unmatched_to_the_last(setup):
     made = setup(mode="replay", max_wait_ms=0)
-    pushed = threading.Event()
-
-    def push_depths():
-        for number in range(17):
-            made.stream.push_depth(depth(number), number / 10)
-        pushed.set()
-        made.clock.notify()
-
-    lidar = threading.Thread(target=push_depths)
-    lidar.start()
+    lidar, pushed = push_all(made, 17, push_depth)
     made.clock.holds_up(lidar, made.stream._changed, ended=pushed.is_set)
     made.clock.advance_ms(2000)
     lidar.join(60)
