@@ -11,6 +11,9 @@ fed, at the frames' own size. On the validation frames of DIR/kitti_streets:
 - lidar: share of the pixels that change class without the LiDAR.
 - false: 12 false returns of 3 m, at most 6 px from a return and where the answer is over 12 m.
   Pixels whose depth changes by more than 10 %, per false return.
+- seam: jump of the log depth across the scan's upper edge beyond that of the answer without LiDAR,
+  or against it; mean of the columns whose class does not change there and is not sky.
+- border: share of the first 6 rows that is not sky, of the columns with sky below them.
 
 On consecutive frames of DIR/kitti_drive_0009 (--drive, --flicker):
 
@@ -49,7 +52,7 @@ from training.evaluation.depth_regions import distance_px
 from training.evaluation.evaluate import short_names
 from training.evaluation.metrics import SemanticScores
 from training.evaluation.scored_model import ScoredModel, open_model, trained_classes
-from training.evaluation.scoring import Predict
+from training.evaluation.scoring import Answer, Predict
 from training.lidar.simulate import SENSOR_LINES, scan_lines
 from training.lidar.split import frame_generator
 from training.loading.open_dataset import open_dataset
@@ -60,6 +63,9 @@ SKIPPED_COLUMNS = 32
 NEAR_RETURN_PX = 6
 SHIFT_CHANGE, FALSE_CHANGE = 0.05, 0.10
 FALSE_RETURNS, FALSE_M, FALSE_BEYOND_M = 12, 3.0, 12.0
+#: Columns over which the scan's upper edge is the highest return, and half the step across it.
+EDGE_COLUMNS, SEAM_PX = 17, 8
+BORDER_ROWS = 6
 FLOW_AGREEMENT_PX = 0.5
 FLICKER_PERCENTILE = 90
 #: Focal length of the assumed camera, as a share of its width.
@@ -71,6 +77,8 @@ COLUMNS = (
     ("shift_class", "shift class %", 100.0),
     ("lidar_class", "lidar class %", 100.0),
     ("false_px", "false px", 1.0),
+    ("seam", "seam %", 100.0),
+    ("border", "border %", 100.0),
     ("flicker_depth", "flicker depth %", 100.0),
     ("flicker_class", "flicker class %", 100.0),
     ("camvid_miou", "CamVid mIoU %", 100.0),
@@ -151,6 +159,8 @@ def run_probes(
     figures = probe_shift(predict, frames, sky=sky)
     figures |= probe_lidar(predict, frames)
     figures |= probe_false_returns(predict, frames)
+    figures |= probe_seam(predict, frames, sky=sky)
+    figures |= probe_border(predict, frames, sky=sky)
     consecutive = (Frame(item.rgb, item.depth, item.focal_length_px) for item in drive)
     figures |= probe_flicker(predict, consecutive, follow=optical_flow)
     if trained_classes(model.classes, model.training) == "camvid":
@@ -202,6 +212,48 @@ def probe_false_returns(predict: Predict, frames: Iterable[Frame]) -> Figures:
         after = predict(*frame._replace(sparse_depth=spoiled)).depth
         changes += np.count_nonzero(relative_change(before, after) > FALSE_CHANGE), count
     return {"false_px": share(changes)}
+
+
+def probe_seam(predict: Predict, frames: Iterable[Frame], *, sky: int | None) -> Figures:
+    """Return the mean over all frames' columns of `seam_jumps`."""
+    jumps = []
+    for frame in frames:
+        alone = predict(*frame._replace(sparse_depth=np.zeros_like(frame.sparse_depth)))
+        jumps.append(seam_jumps(predict(*frame), alone, frame.sparse_depth > 0, sky=sky))
+    jump = np.concatenate(jumps)
+    seen = jump[~np.isnan(jump)]
+    return {"seam": float(seen.mean()) if seen.size else float("nan")}
+
+
+def seam_jumps(
+    answer: Answer, alone: Answer, measured: NDArray[np.bool_], *, sky: int | None
+) -> NDArray[np.float32]:
+    """Return the seam at each column, float32 (W,); NaN where there is none to see.
+
+    ``alone`` is the answer without LiDAR, ``measured`` bool (H, W), where the scan has a return.
+    """
+    height, width = measured.shape
+    top = np.where(measured.any(axis=0), measured.argmax(axis=0), height).astype(np.float32)
+    edge = cv2.erode(top[None], np.ones((1, EDGE_COLUMNS), np.uint8))[0].astype(np.int64)
+    columns = np.flatnonzero((edge >= SEAM_PX) & (edge + SEAM_PX < height))
+    rows = edge[columns] + np.arange(-SEAM_PX, SEAM_PX + 1)[:, None]
+    classes = answer.semantic[rows, columns]
+    same = (classes == classes[0]).all(axis=0) & (classes[0] != (-1 if sky is None else sky))
+    logs = (np.log(each.depth[rows[[0, -1]], columns]) for each in (answer, alone))
+    jump, expected = (log[0] - log[1] for log in logs)
+    beyond = jump - jump.clip(np.minimum(expected, 0), np.maximum(expected, 0))
+    result = np.full(width, np.nan, np.float32)
+    result[columns[same]] = np.abs(beyond)[same]
+    return result
+
+
+def probe_border(predict: Predict, frames: Iterable[Frame], *, sky: int | None) -> Figures:
+    """Return the share of the first `BORDER_ROWS` that is not sky, above sky."""
+    classes = np.zeros(2)
+    for frame in frames:
+        is_sky = predict(*frame).semantic == (-1 if sky is None else sky)
+        classes += tally(~is_sky[:BORDER_ROWS, is_sky[BORDER_ROWS]])
+    return {"border": share(classes)}
 
 
 #: (rgb, rgb of the next frame) -> float32 (H, W, 2), step of each pixel [px]: right, down.

