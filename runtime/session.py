@@ -164,8 +164,8 @@ def _unloadable(error: Exception) -> ContractError:
     text = str(error)
     if "external data" in text.lower():
         return ContractError(
-            f"the model keeps weights outside its own file ({text}): "
-            "export it into one file with ssdnet-export"
+            "the model keeps weights outside its own file: export it into one file with "
+            "ssdnet-export"
         )
     if "IR version" in text or "opset" in text.lower():
         fault = "it is of a newer version than this ONNX Runtime; update onnxruntime"
