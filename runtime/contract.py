@@ -27,7 +27,10 @@ MIN_FOCAL_PX = 1.0  # bounds of a focal length: from tiny pictures to long telep
 MAX_FOCAL_PX = 1_000_000.0
 MAX_GIGA_MACS = 1_000_000.0
 
-_INPUT_RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"}
+#: Written until schema 2.0 for readers of older versions, which require it; not read.
+_RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"} | {
+    head.name: head.resize for head in HEADS.values()
+}
 _DIGEST_KEY = "document_sha256"
 _MINOR_VERSION = re.compile("[0-9]{1,4}")
 _JSON_TYPES = {dict: "an object", list: "a list", str: "text", int: "an integer"}
@@ -61,7 +64,6 @@ class Contract:
         max_depth_m: depths beyond it are no measurement; canonical metres if there are any.
         native_size: (height, width) it was exported and verified at; a dynamic model takes any.
         stride: the graph pads to a multiple of it, and crops back.
-        resize: tensor -> rule where the network runs at another size than the frame's.
         precision: "fp32", "fp16" or "int8".
         training: the data it was trained on and their terms.
         versions: of the software that made the file (ssdnet, torch, onnx, opset).
@@ -85,7 +87,6 @@ class Contract:
     max_depth_m: float
     native_size: tuple[int, int]
     stride: int
-    resize: Mapping[str, str]
     precision: str
     training: Mapping[str, Any]
     versions: Mapping[str, str]
@@ -109,7 +110,7 @@ class Contract:
         With `content` its last key is "document_sha256": the SHA-256 of the UTF-8 bytes before the
         comma in front of that key.
         """
-        document = asdict(self)
+        document = {"resize": _RESIZE, **asdict(self)}
         if self.content is None:
             del document["content"]
             return json.dumps(document, allow_nan=False)
@@ -150,7 +151,6 @@ class Contract:
                 max_depth_m=check_max_depth(_take(document, "max_depth_m")),
                 native_size=check_size(_take(document, "native_size"), "native_size"),
                 stride=check_stride(_take(document, "stride")),
-                resize=_resize(document),
                 precision=check_name(_take(document, "precision"), "precision"),
                 training=_take(document, "training", dict),
                 versions=_text_mapping(document, "versions"),
@@ -171,17 +171,6 @@ class Contract:
                 "ssdnet-export"
             ) from error
         return contract
-
-
-def resize_rules() -> dict[str, str]:
-    """Return how each tensor is resized where the network runs at another size than the frame's.
-
-    "bilinear" takes the mean of the area along each side that shrinks, so that no pixel is skipped,
-    and is bilinear along one that grows. "nearest" never mixes two values: a head takes the pixel
-    with the nearest centre, and each return of `sparse_depth` is moved to its one pixel; of several
-    in one pixel the nearest to the camera is kept. `runtime.resize` implements both.
-    """
-    return _INPUT_RESIZE | {head.name: head.resize for head in HEADS.values()}
 
 
 def check_side(side: object, name: str) -> int:
@@ -340,13 +329,3 @@ def _class(entry: object, name: str) -> ClassInfo:
     return ClassInfo(
         name=_take(entry, "name"), color=tuple(_take(entry, "color", list, f"{name}.color"))
     )
-
-
-def _resize(document: Mapping[str, Any]) -> dict[str, str]:
-    rules = _text_mapping(document, "resize")
-    for tensor, known in resize_rules().items():
-        # A head that was added after the file was written has no rule in it.
-        rule = _take(rules, tensor) if tensor in _INPUT_RESIZE else rules.get(tensor, known)
-        if rule != known:
-            raise _wrong(f"resize.{tensor}", known, rule)
-    return rules

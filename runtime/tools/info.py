@@ -91,7 +91,6 @@ def model_table(described: dict[str, Any]) -> str:
         ("GMACs a frame", "not counted" if giga_macs is None else f"{giga_macs:.3g}"),
         ("accuracy", "" if metadata["accuracy"] else "not measured"),
         *_facts(metadata["accuracy"]),
-        ("resize", _pairs(metadata["resize"])),
         ("terms", _plain(metadata["training"].get("terms", "not stated"))),
         ("trained on", _plain(metadata["training"].get("data", "not stated"))),
         ("made by", _pairs(metadata["versions"])),
