@@ -5,6 +5,7 @@ from importlib import resources
 from os import PathLike
 from pathlib import Path
 
+from runtime.checks import shown
 from runtime.errors import ContractError, InputError
 from runtime.model_file import load_model_file
 
@@ -73,7 +74,7 @@ def find_model(model: str | bytes | PathLike[str] | None) -> Path:
     known = list_bundled_models()
     if name not in known:
         raise ContractError(
-            f"no bundled model is called {name[:200]!r}; there are: "
+            f"no bundled model is called {shown(name, 200)}; there are: "
             f"{', '.join(known) or 'none, so install ssdnet again'}. Name one of these, or an ONNX "
             'file by a path that ends in ".onnx" or holds a folder ("./FILE")'
         )

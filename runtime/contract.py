@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
 
+from runtime.checks import check_integer, check_number, shown
 from runtime.errors import ContractError
 from runtime.heads import HEADS
 
@@ -33,7 +34,7 @@ _RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"} | {
 }
 _DIGEST_KEY = "document_sha256"
 _MINOR_VERSION = re.compile("[0-9]{1,4}")
-_JSON_TYPES = {dict: "an object", list: "a list", str: "text", int: "an integer"}
+_JSON_TYPES: dict[type, str] = {dict: "an object", list: "a list", str: "text"}
 _Checked = TypeVar("_Checked")
 
 
@@ -175,43 +176,42 @@ class Contract:
 
 def check_side(side: object, name: str) -> int:
     """Return an image's height or width; ValueError naming it if it is out of range."""
-    return int(_checked(side, name, int, MIN_SIDE, MAX_SIDE, "pixels"))
+    return check_integer(name, side, MIN_SIDE, MAX_SIDE, "pixels")
 
 
 def check_size(size: object, name: str = "size") -> tuple[int, int]:
     """Return an image's (height, width); ValueError naming it if it is out of range."""
     if not isinstance(size, Sequence) or isinstance(size, str) or len(size) != 2:
-        raise ValueError(f"{name} must be (height, width), got {size!r:.80}")
+        raise ValueError(f"{name} must be (height, width), got {shown(size)}")
     height, width = (
         check_side(side, f"{name}: {text}")
         for side, text in zip(size, ("height", "width"), strict=True)
     )
     if height * width > MAX_PIXELS:
-        raise ValueError(f"{name} must have at most {MAX_PIXELS} pixels, got {size!r:.80}")
+        raise ValueError(f"{name} must have at most {MAX_PIXELS} pixels, got {shown(size)}")
     return height, width
 
 
 def check_stride(stride: object) -> int:
     """Return a network's stride; ValueError if it is out of range."""
-    return int(_checked(stride, "stride", int, 1, MAX_STRIDE, "pixels"))
+    return check_integer("stride", stride, 1, MAX_STRIDE, "pixels")
 
 
 def check_max_depth(max_depth_m: object, name: str = "max_depth_m") -> float:
     """Return a depth range in metres; ValueError naming it if it is out of range."""
-    bounds = MIN_DEPTH_RANGE_M, MAX_DEPTH_RANGE_M
-    return float(_checked(max_depth_m, name, int | float, *bounds, "metres"))
+    return check_number(name, max_depth_m, MIN_DEPTH_RANGE_M, MAX_DEPTH_RANGE_M, "metres")
 
 
 def check_focal_length(focal_px: object, name: str) -> float:
     """Return a focal length in pixels; ValueError naming it if it is out of range."""
-    return float(_checked(focal_px, name, int | float, MIN_FOCAL_PX, MAX_FOCAL_PX, "pixels"))
+    return check_number(name, focal_px, MIN_FOCAL_PX, MAX_FOCAL_PX, "pixels")
 
 
 def check_name(text: object, name: str) -> str:
     """Return the name of a class or a model; ValueError unless it is short and printable."""
     if not isinstance(text, str) or not text.isprintable() or not 1 <= len(text) <= MAX_NAME_LENGTH:
         raise ValueError(
-            f"{name} must be printable text of 1 to {MAX_NAME_LENGTH} characters, got {text!r:.80}"
+            f"{name} must be printable text of 1 to {MAX_NAME_LENGTH} characters, got {shown(text)}"
         )
     return text
 
@@ -222,15 +222,15 @@ def check_classes(classes: Sequence[ClassInfo]) -> tuple[ClassInfo, ...]:
         raise ValueError(f"classes must be at most {MAX_CLASSES}, got {len(classes)}")
     for index, info in enumerate(classes):
         check_name(info.name, f"classes[{index}].name")
-        if len(info.color) != 3 or not all(
-            _is_integer(part) and 0 <= part <= 255 for part in info.color
-        ):
+        if len(info.color) != 3:
             raise ValueError(
-                f"classes[{index}].color must be three integers 0..255, got {info.color!r:.80}"
+                f"classes[{index}].color must be red, green and blue, got {shown(info.color)}"
             )
+        for place, part in enumerate(info.color):
+            check_integer(f"classes[{index}].color[{place}]", part, 0, 255)
     names = [info.name for info in classes]
     if len(set(names)) < len(names):
-        raise ValueError(f"classes must have different names, got {names!r:.80}")
+        raise ValueError(f"classes must have different names, got {shown(names)}")
     return tuple(classes)
 
 
@@ -241,15 +241,9 @@ def find_sky(classes: Sequence[ClassInfo]) -> int | None:
 
 def _wrong(name: str, expected: str, found: object) -> ContractError:
     return ContractError(
-        f"the model's metadata is damaged: {name} must be {expected}, found {found!r:.80}: "
+        f"the model's metadata is damaged: {name} must be {expected}, found {shown(found)}: "
         "export the model again with ssdnet-export"
     )
-
-
-def _checked(value: Any, name: str, kind: Any, least: float, most: float, unit: str) -> Any:
-    if isinstance(value, bool) or not isinstance(value, kind) or not least <= value <= most:
-        raise ValueError(f"{name} must be {least:g} to {most:g} {unit}, got {value!r:.80}")
-    return value
 
 
 def _take(document: Mapping[str, Any], key: str, kind: type = object, name: str = "") -> Any:
@@ -273,7 +267,7 @@ def _optional(
 
 
 def _check_giga_macs(value: object, name: str) -> float:
-    return float(_checked(value, name, int | float, 0, MAX_GIGA_MACS, "billions"))
+    return check_number(name, value, 0, MAX_GIGA_MACS, "billions")
 
 
 def _check_object(value: object, name: str) -> dict[str, Any]:
@@ -289,10 +283,6 @@ def _text_mapping(document: Mapping[str, Any], key: str) -> dict[str, str]:
     return mapping
 
 
-def _is_integer(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
 def _content(document: Mapping[str, Any], text: str) -> Content | None:
     """Read `content`; by the version or the keys of schema 1.1 it and the digest are required."""
     minor = document["schema_version"].partition(".")[2]
@@ -305,11 +295,9 @@ def _content(document: Mapping[str, Any], text: str) -> Content | None:
     if text != _with_digest(before):
         raise ContractError(
             f"the model's metadata was changed after it was written ({_DIGEST_KEY} is "
-            f"{digest!r:.80}): get the model again, or export it again with ssdnet-export"
+            f"{shown(digest)}): get the model again, or export it again with ssdnet-export"
         )
-    size = _take(value, "bytes", int, "content.bytes")
-    if isinstance(size, bool):
-        raise _wrong("content.bytes", "an integer", size)
+    size = check_integer("content.bytes", _take(value, "bytes"), 0)
     return Content(bytes=size, sha256=_take(value, "sha256", str, "content.sha256"))
 
 

@@ -21,6 +21,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from runtime.checks import shown
 from runtime.contract import METADATA_KEY, Content, Contract
 from runtime.errors import ContractError, InputError
 from runtime.read_input import read_input
@@ -59,7 +60,7 @@ def load_model_file(path: Path, *, sha256: str | None = None) -> ModelFile:
     """
     if sha256 is not None and not (isinstance(sha256, str) and _SHA256.fullmatch(sha256)):
         raise InputError(
-            f"sha256 must be the 64 hexadecimal digits of a file's SHA-256, got {sha256!r:.80}"
+            f"sha256 must be the 64 hexadecimal digits of a file's SHA-256, got {shown(sha256)}"
         )
     content = _read(path)
     if sha256 is not None:

@@ -1,6 +1,5 @@
 """The engine: a model file, and `predict`."""
 
-import operator
 import time
 import warnings
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from runtime.bundled_models import find_model
 from runtime.canonical_focal import DepthScale, depth_scale
+from runtime.checks import check_integer
 from runtime.contract import Contract, check_focal_length, check_size
 from runtime.cores import available_cores
 from runtime.errors import ContractError, InferenceError, InputError
@@ -104,9 +104,9 @@ class Predictor:
         warmup: int = 1,
     ) -> None:
         if threads is not None:
-            threads = _require_count("threads", threads, at_least=1, at_most=_MOST_THREADS)
-        warmup = _require_count("warmup", warmup, at_least=0)
-        device_id = _require_count("device_id", device_id, at_least=0)
+            threads = check_integer("threads", threads, 1, _MOST_THREADS, error=InputError)
+        warmup = check_integer("warmup", warmup, 0, error=InputError)
+        device_id = check_integer("device_id", device_id, 0, error=InputError)
         self.focal_length_px = _check_focal_length(focal_length_px)
         started = time.perf_counter()
         path = find_model(model)
@@ -263,13 +263,11 @@ class Predictor:
             ContractError: if an answer is not finite.
             InferenceError: as `predict`.
         """
-        runs = _require_count("runs", runs, at_least=0)
-        if not isinstance(size, Sequence):
-            raise InputError(f"size must be (height, width), got {size!r:.80}")
+        runs = check_integer("runs", runs, 0, error=InputError)
         try:
-            size = check_size([operator.index(side) for side in size])
-        except (TypeError, ValueError) as error:
-            raise InputError(f"size must be (height, width), got {size!r:.80}: {error}") from error
+            size = check_size(size)
+        except ValueError as error:
+            raise InputError(str(error)) from error
         rgb, sparse_depth = _empty_frame(size)
         for _ in range(runs):
             started = time.perf_counter()
@@ -439,26 +437,11 @@ def _check_focal_length(focal_px: Any) -> float | None:
     if focal_px is None:
         return None
     try:
-        return check_focal_length(
-            float(focal_px) if isinstance(focal_px, np.number) else focal_px, "focal_length_px"
-        )
+        return check_focal_length(focal_px, "focal_length_px")
     except ValueError as error:
         raise InputError(
             f"{error}: give fx of the camera's matrix, in pixels of the frames, or leave it out"
         ) from error
-
-
-def _require_count(name: str, value: Any, *, at_least: int, at_most: int = 2**31 - 1) -> int:
-    try:
-        count = operator.index(value)
-    except TypeError:
-        count = at_least - 1
-    if isinstance(value, bool) or not at_least <= count <= at_most:
-        limit = f" and at most {at_most}" if count > at_most else ""
-        raise InputError(
-            f"{name} must be a whole number of at least {at_least}{limit}, got {value!r}"
-        )
-    return count
 
 
 def _ms_since(started: float) -> float:

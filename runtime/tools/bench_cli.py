@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from runtime.checks import shown
 from runtime.command import (
     ERROR,
     INTERRUPTED,
@@ -98,7 +99,7 @@ def main(
 def _size(text: str) -> tuple[int, int]:
     sides = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text, re.ASCII | re.IGNORECASE)
     if sides is None:
-        raise typer.BadParameter(f"--size is HEIGHTxWIDTH, as 375x1242, got {text!r:.80}")
+        raise typer.BadParameter(f"--size is HEIGHTxWIDTH, as 375x1242, got {shown(text)}")
     return int(sides[1]), int(sides[2])
 
 

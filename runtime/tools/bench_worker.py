@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.bundled_models import find_model
+from runtime.checks import shown
 from runtime.errors import InputError, SSDNetError
 from runtime.model_file import MAX_MODEL_BYTES
 from runtime.read_input import read_input
@@ -142,7 +143,7 @@ def make_input(name: str, element: str, shape: Sequence[int]) -> NDArray[Any]:
     """
     dtype = _dtype(element.removeprefix("tensor(").removesuffix(")"))
     if dtype is None:
-        raise InputError(f"the input {name!r:.80} is {element}: expected a tensor of numbers")
+        raise InputError(f"the input {shown(name)} is {element}: expected a tensor of numbers")
     rng = np.random.default_rng(0)
     if dtype == np.uint8:
         return rng.integers(0, 256, shape, dtype=np.uint8)

@@ -367,7 +367,8 @@ def test_warm_up_refuses_what_cannot_be(model_file, size, runs):
     [{"threads": 0}, {"threads": -1}, {"threads": 2**31}, {"warmup": -1}, {"threads": 1.0}],
 )
 def test_arguments_out_of_range_are_refused(model_file, arguments):
-    with pytest.raises(InputError, match="at least"):
+    (name,) = arguments
+    with pytest.raises(InputError, match=f"{name} must be a whole number of "):
         Predictor(model_file(), **arguments)
 
 
