@@ -16,7 +16,7 @@ class DepthScale(NamedTuple):
 
     Attributes:
         factor: f_c / f, see `canonical_factor`.
-        range_m: no answer is farther, and returns beyond it are fed as at it, metres.
+        range_m: no answer is farther, and returns beyond it are clipped to it, metres.
         focal_length_px: of the frame, as used; None = not known, or not used by the model.
     """
 

@@ -12,7 +12,7 @@ from runtime.errors import ContractError
 from runtime.heads import HEADS
 
 METADATA_KEY = "ssdnet"
-SCHEMA_VERSION = "1.3"
+SCHEMA_VERSION = "1.4"
 
 # Limits of a model file and of a network's configuration.
 MIN_SIDE = 32  # rows, columns: networks of the family halve an image up to five times
@@ -24,6 +24,9 @@ MAX_CLASSES = 255  # ids are uint8, and one of them is NO_CLASS
 MAX_NAME_LENGTH = 64
 MIN_DEPTH_RANGE_M = 1.0  # bounds of max_depth_m
 MAX_DEPTH_RANGE_M = 10_000.0
+#: LiDARs of cars reach so far [m]. What is farther, in a range that ends before, is the mark of no
+#: return or another unit: 65535 of a 16-bit PNG is 256 m.
+MAX_RETURN_M = 250.0
 MIN_FOCAL_PX = 1.0  # bounds of a focal length: from tiny pictures to long telephoto lenses
 MAX_FOCAL_PX = 1_000_000.0
 MAX_GIGA_MACS = 1_000_000.0
@@ -62,7 +65,8 @@ class Contract:
         schema_version: "major.minor"; a reader refuses another major than its own.
         model_name: for example "ssdnet-lite".
         classes: in the order of the ids of `semantic`; empty without a semantic head.
-        max_depth_m: depths beyond it are no measurement; canonical metres if there are any.
+        max_depth_m: the range: no answer is farther, and returns beyond it are clipped, see
+            `farthest_return`; canonical metres if there are any.
         native_size: (height, width) it was exported and verified at; a dynamic model takes any.
         stride: the graph pads to a multiple of it, and crops back.
         precision: "fp32", "fp16" or "int8".
@@ -200,6 +204,14 @@ def check_stride(stride: object) -> int:
 def check_max_depth(max_depth_m: object, name: str = "max_depth_m") -> float:
     """Return a depth range in metres; ValueError naming it if it is out of range."""
     return check_number(name, max_depth_m, MIN_DEPTH_RANGE_M, MAX_DEPTH_RANGE_M, "metres")
+
+
+def farthest_return(range_m: float) -> float:
+    """Return the largest depth [m] that is a return: beyond the range it is clipped to the range.
+
+    Farther ones, Inf, NaN, 0 and negative values are no measurement.
+    """
+    return max(range_m, MAX_RETURN_M)
 
 
 def check_focal_length(focal_px: object, name: str) -> float:

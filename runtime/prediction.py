@@ -40,7 +40,7 @@ class Cleaned:
     nan: int = 0
     infinite: int = 0
     negative: int = 0
-    too_far: int = 0  # beyond the range: fed as at its end, beyond 250 m as none
+    too_far: int = 0  # beyond the range: clipped to it; beyond 250 m, too: none
 
     @property
     def total(self) -> int:

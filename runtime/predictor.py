@@ -154,9 +154,9 @@ class Predictor:
         Args:
             rgb: uint8 (H, W, 3), RGB, not BGR.
             sparse_depth: float32 (H, W), metres along the optical axis; 0 = no measurement, as are
-                NaN, Inf, negative values and those beyond 250 m and the range (`depth_scale`).
-                Returns beyond the range alone are fed as at its end. `Prediction.cleaned` counts
-                all these. None = the camera alone, as a map of zeros.
+                NaN, Inf, negative values and those beyond both 250 m and the range
+                (`depth_scale`). Other returns beyond the range are clipped to it.
+                `Prediction.cleaned` counts all these. None = the camera alone.
             focal_length_px: fx of this frame's camera; None = the predictor's.
             stamp: any value, returned in the answer.
 
