@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from runtime.network_size import NetworkSize, check_network_size, network_size
 from runtime.postprocess import faults, to_frame
 from runtime.prediction import Cleaned, Latency, Prediction
 from runtime.preprocess import NetworkInput, preprocess
+from runtime.process_guard import ProcessGuard
 from runtime.session import node_counts, open_session
 from runtime.signature import check_outputs, read_signature
 
@@ -34,7 +35,8 @@ class Predictor:
 
     One predictor may be used by several threads: `predict` and `predict_batch` keep nothing of a
     frame outside the call. The threads share the same `threads` cores, so that several frames at
-    once take longer each. After an error of `predict` the predictor stays usable.
+    once take longer each. After an error of `predict` the predictor stays usable. Each process
+    makes its own: a predictor cannot be pickled, and raises InferenceError after a fork.
 
     Args:
         model: an ONNX file made by ssdnet-export, or the name of a bundled model, see `find_model`;
@@ -108,6 +110,7 @@ class Predictor:
         warmup = check_integer("warmup", warmup, 0, error=InputError)
         device_id = check_integer("device_id", device_id, 0, error=InputError)
         self.focal_length_px = _check_focal_length(focal_length_px)
+        self._guard = ProcessGuard("Predictor")
         started = time.perf_counter()
         path = find_model(model)
         file = load_model_file(path, sha256=sha256)
@@ -141,7 +144,7 @@ class Predictor:
     def predict(
         self,
         rgb: NDArray[np.uint8],
-        sparse_depth: NDArray[np.float32] | None,
+        sparse_depth: NDArray[np.float32] | None = None,
         *,
         focal_length_px: float | None = None,
         stamp: Any = None,
@@ -287,12 +290,20 @@ class Predictor:
             ContractError: if the file is no longer the one that was opened.
             ProviderError: if the provider cannot run it any more.
         """
+        self._guard.check()
         file = load_model_file(Path(self.model), sha256=self.digest)
         self._session = self._open_session(file.content)
 
     def close(self) -> None:
         """Free the session; calls in progress end normally, later ones raise InferenceError."""
-        self._session = None
+        if not self._guard.is_forked:  # there the session would wait for its threads
+            self._session = None
+
+    def __reduce__(self) -> NoReturn:
+        raise InputError(
+            "a Predictor cannot be pickled or copied: give the path of its model, and make a "
+            "Predictor in each process"
+        )
 
     def __enter__(self) -> "Predictor":
         return self
@@ -374,6 +385,7 @@ class Predictor:
 
     def _run(self, frames: Sequence[NetworkInput]) -> list[dict[str, NDArray[Any]]]:
         """Run frames of one network size as one batch: head -> array, of each."""
+        self._guard.check()
         session = self._session
         if session is None:
             raise InferenceError("the predictor is closed: make a new one")
