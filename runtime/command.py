@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from enum import StrEnum
 from types import FrameType
 
-from runtime.errors import SSDNetError
+from runtime.errors import SSDNetError, import_remedy
 
 ERROR, INTERRUPTED = 1, 130  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -102,7 +102,7 @@ def stop_requested() -> Iterator[Callable[[], bool]]:
 def reported_errors(extras: str) -> Iterator[None]:
     """Turn an exception of the block into a line on stderr and an exit code.
 
-    SSDNetError is exit code 1. ImportError, too; the line then says to install ``ssdnet[extras]``.
+    SSDNetError is exit code 1; ImportError, too, with `import_remedy` of `extras`.
     KeyboardInterrupt is exit code 130 without a line.
     """
     try:
@@ -110,7 +110,7 @@ def reported_errors(extras: str) -> Iterator[None]:
     except SSDNetError as error:
         _end(f"error: {error}", error)
     except ImportError as error:
-        _end(f'error: {error}: pip install "ssdnet[{extras}]"', error)
+        _end(f"error: {error}: {import_remedy(error, extras)}", error)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
 

@@ -114,9 +114,11 @@ def preprocess(
 
 def check_rgb(rgb: Any) -> NDArray[np.uint8]:
     """Return `rgb`, contiguous; InputError unless it is uint8 (H, W, 3), each side >= MIN_SIDE."""
-    if not isinstance(rgb, np.ndarray) or isinstance(rgb, np.ma.MaskedArray):
+    if isinstance(rgb, np.ma.MaskedArray):
+        raise InputError("rgb must be a plain numpy array, got a masked one: use rgb.filled(0)")
+    if not isinstance(rgb, np.ndarray):
         raise InputError(
-            f"rgb must be a plain numpy array, got {type(rgb).__name__}: a mask would be lost"
+            f"rgb must be a numpy array, got {type(rgb).__name__}: use np.asarray(rgb)"
         )
     if rgb.ndim != 3 or rgb.shape[2] != 3:
         hint = ""

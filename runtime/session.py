@@ -8,28 +8,27 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from runtime.errors import ContractError, ProviderError
+from runtime.errors import ContractError, ProviderError, import_remedy, install_command
 
 PROVIDERS: Mapping[str, str] = MappingProxyType(
     {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 )
-_INSTALL = (
-    'pip install "ssdnet[cpu]" for the CPU, or pip install "ssdnet[gpu]" for an NVIDIA GPU '
-    "(one of the two: they exclude each other)"
-)
 _GPU_NEEDS = (
-    'it needs an NVIDIA driver and: pip uninstall -y onnxruntime; pip install "ssdnet[gpu]"'
+    f"it needs an NVIDIA driver and: pip uninstall -y onnxruntime; {install_command('gpu')}"
 )
 # A convolution on another provider means that the requested one does not do the work.
 _HEAVY_OPERATORS = frozenset({"Conv", "FusedConv", "QLinearConv", "ConvInteger", "NhwcConv"})
 
 
 def import_onnxruntime() -> Any:
-    """Return the onnxruntime module; ProviderError with the two commands if it is missing."""
+    """Return the onnxruntime module; ProviderError if it is missing or broken."""
     try:
         import onnxruntime
     except ImportError as error:
-        raise ProviderError(f"ONNX Runtime is not installed ({error}): {_INSTALL}") from error
+        raise ProviderError(
+            f"no ONNX Runtime ({error}): {import_remedy(error, 'cpu')} (for an NVIDIA GPU gpu in "
+            "the place of cpu: they exclude each other)"
+        ) from error
     return onnxruntime
 
 
@@ -107,7 +106,7 @@ def _provider_options(provider: str, device_id: int) -> dict[str, str]:
 def _require_available(ort: Any, provider: str, name: str) -> None:
     available = ort.get_available_providers()
     if name not in available:
-        needs = _GPU_NEEDS if provider == "cuda" else _INSTALL
+        needs = _GPU_NEEDS if provider == "cuda" else install_command("cpu")
         raise ProviderError(
             f"provider {provider!r} is not part of the installed ONNX Runtime {ort.__version__} "
             f"(it has {', '.join(available)}): {needs}"
