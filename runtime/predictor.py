@@ -22,7 +22,7 @@ from runtime.postprocess import faults, to_frame
 from runtime.prediction import Cleaned, Latency, Prediction
 from runtime.preprocess import NetworkInput, preprocess
 from runtime.process_guard import ProcessGuard
-from runtime.session import node_counts, open_session
+from runtime.session import explain, node_counts, open_session
 from runtime.signature import check_outputs, read_signature
 
 _MOST_THREADS = 1024
@@ -399,7 +399,7 @@ class Predictor:
         except Exception as error:
             several = f"{len(frames)} frames" if len(frames) > 1 else "a frame"
             raise InferenceError(
-                f"the session failed on {several} of {height} x {width}: {error}"
+                f"the session failed on {several} of {height} x {width}: {explain(error)}"
             ) from error
         outputs = dict(zip(self.heads, batches, strict=True))
         classes = len(self.contract.classes)

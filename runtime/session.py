@@ -3,6 +3,7 @@
 import contextlib
 import io
 import os
+import re
 from collections import Counter
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -16,6 +17,7 @@ PROVIDERS: Mapping[str, str] = MappingProxyType(
 _GPU_NEEDS = (
     f"it needs an NVIDIA driver and: pip uninstall -y onnxruntime; {install_command('gpu')}"
 )
+_NO_MEMORY = re.compile("allocate|bad_alloc|out of memory", re.IGNORECASE)
 # A convolution on another provider means that the requested one does not do the work.
 _HEAVY_OPERATORS = frozenset({"Conv", "FusedConv", "QLinearConv", "ConvInteger", "NhwcConv"})
 
@@ -68,6 +70,13 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
         ) from error
     _require_running(session, provider, name, printed)
     return session
+
+
+def explain(error: Exception) -> str:
+    """Return the text of an error of ONNX Runtime or NumPy; running out of memory is said so."""
+    if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
+        return f"out of memory, choose a smaller size or fewer frames ({error})"
+    return str(error)
 
 
 def node_counts(session: Any) -> dict[str, int] | None:
@@ -160,7 +169,7 @@ def _assigned_nodes(session: Any) -> list[tuple[str, str]] | None:
 
 def _unloadable(error: Exception) -> ContractError:
     """The error for a file that ONNX Runtime refuses."""
-    text = str(error)
+    text = explain(error)
     if "external data" in text.lower():
         return ContractError(
             "the model keeps weights outside its own file: export it into one file with "

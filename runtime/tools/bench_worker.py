@@ -19,7 +19,7 @@ from runtime.checks import shown
 from runtime.errors import InputError, SSDNetError
 from runtime.model_file import MAX_MODEL_BYTES
 from runtime.read_input import read_input
-from runtime.session import import_onnxruntime, open_session
+from runtime.session import explain, import_onnxruntime, open_session
 
 Feeds = Mapping[str, NDArray[Any]]
 
@@ -53,8 +53,9 @@ def serve(pipe: Connection, scratch: Path, **request: Any) -> None:
     except EOFError:  # the other process has ended
         return
     except Exception as error:  # ONNX Runtime raises errors of any type
-        ours = isinstance(error, SSDNetError)
-        pipe.send(str(error) if ours else f"{type(error).__name__}: {error}")
+        text = explain(error)
+        ours = isinstance(error, SSDNetError) or text != str(error)
+        pipe.send(text if ours else f"{type(error).__name__}: {error}")
 
 
 def _open(

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -425,6 +426,16 @@ def test_a_frame_without_depth_may_leave_it_out(model_file, make_frame):
     alone, none = predictor.predict(rgb), predictor.predict(rgb, None)
     np.testing.assert_array_equal(alone.depth, none.depth)
     assert alone.degraded == none.degraded == ("no_depth",)
+
+
+def test_a_session_without_memory_says_so(model_file, make_frame, monkeypatch):
+    def fail(*arguments):
+        raise RuntimeError("Failed to allocate memory for requested buffer of size 96256000")
+
+    predictor = Predictor(model_file())
+    predictor._session = SimpleNamespace(run=fail)
+    with pytest.raises(InferenceError, match="out of memory, choose a smaller size or fewer"):
+        predictor.predict(*make_frame())
 
 
 def test_a_prediction_names_its_classes_and_is_short(model_file, make_frame):
