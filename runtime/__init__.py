@@ -18,9 +18,7 @@ if TYPE_CHECKING:
     from runtime.bundled_models import list_bundled_models
     from runtime.contract import ClassInfo, Contract
     from runtime.errors import (
-        CheckpointError,
         ContractError,
-        DatasetError,
         InferenceError,
         InputError,
         OutputError,
@@ -36,12 +34,10 @@ if TYPE_CHECKING:
 
 #: Public name -> the module that holds it.
 _MODULES = {
-    "CheckpointError": "runtime.errors",
     "ClassInfo": "runtime.contract",
     "Cleaned": "runtime.prediction",
     "Contract": "runtime.contract",
     "ContractError": "runtime.errors",
-    "DatasetError": "runtime.errors",
     "InferenceError": "runtime.errors",
     "InputError": "runtime.errors",
     "Latency": "runtime.prediction",
@@ -57,12 +53,10 @@ _MODULES = {
 }
 
 __all__ = [
-    "CheckpointError",
     "ClassInfo",
     "Cleaned",
     "Contract",
     "ContractError",
-    "DatasetError",
     "InferenceError",
     "InputError",
     "Latency",

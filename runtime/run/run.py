@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from runtime.command import stop_requested
 from runtime.drawing.overlay import SharedOverlay
-from runtime.engine_facts import engine_facts
 from runtime.errors import InputError, OutputError, SSDNetError
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
+from runtime.io.engine_facts import engine_facts
 from runtime.io.recording import Settings
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.predictor import Predictor

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from runtime.command import SIGNALS, stop_requested
-from runtime.engine_facts import MachineFacts, machine_facts
+from runtime.io.engine_facts import MachineFacts, machine_facts
 from runtime.session import import_onnxruntime
 from runtime.sync.latency import LatencyStatistics, latency_statistics
 from runtime.tools.bench_worker import Opened, serve

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Literal
 
-from runtime.engine_facts import machine_facts
 from runtime.errors import SSDNetError
+from runtime.io.engine_facts import machine_facts
 from runtime.tools.cuda_libraries import DRIVER, cuda_major, find_library, library_names
 
 #: "note" is a fact, or something missing that is not needed; only "fault" fails.

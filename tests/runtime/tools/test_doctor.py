@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from runtime import list_bundled_models
-from runtime.engine_facts import machine_facts
+from runtime.io.engine_facts import machine_facts
 from runtime.tools import cuda_libraries, doctor
 from runtime.tools.doctor_cli import app
 
