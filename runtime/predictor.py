@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.bundled_models import find_model
-from runtime.canonical_focal import DepthScale, depth_scale
+from runtime.canonical_focal import CameraScale, camera_scale
 from runtime.checks import check_integer
 from runtime.contract import Contract, check_focal_length, check_size
 from runtime.cores import available_cores
@@ -158,7 +158,7 @@ class Predictor:
             rgb: uint8 (H, W, 3), RGB, not BGR.
             sparse_depth: float32 (H, W), metres along the optical axis; 0 = no measurement, as are
                 NaN, Inf, negative values and those beyond both 250 m and the range
-                (`depth_scale`). Other returns beyond the range are clipped to it.
+                (`camera_scale`). Other returns beyond the range are clipped to it.
                 `Prediction.cleaned` counts all these. None = the camera alone.
             focal_length_px: fx of this frame's camera; None = the predictor's.
             stamp: any value, returned in the answer.
@@ -206,7 +206,7 @@ class Predictor:
         stamps = _one_each("stamps", stamps, frames)
         prepared, preprocess_ms = [], []
         for index, (frame, focal) in enumerate(zip(frames, focals, strict=True)):
-            begun = time.perf_counter()
+            frame_started = time.perf_counter()
             try:
                 rgb, sparse_depth = frame
                 prepared.append(self._preprocess(rgb, sparse_depth, focal))
@@ -216,7 +216,7 @@ class Predictor:
                 raise InputError(
                     f"frame {index} of {len(frames)} must be (rgb, sparse_depth): {error}"
                 ) from error
-            preprocess_ms.append(_ms_since(begun))
+            preprocess_ms.append(_ms_since(frame_started))
         return self._predict(prepared, preprocess_ms, stamps, started)
 
     def network_size(self, frame_size: tuple[int, int]) -> tuple[int, int]:
@@ -232,9 +232,9 @@ class Predictor:
             self.size, frame_size, trained_height=self.contract.trained_height
         )
 
-    def depth_scale(
+    def camera_scale(
         self, frame_size: tuple[int, int], *, focal_length_px: float | None = None
-    ) -> DepthScale:
+    ) -> CameraScale:
         """Return the depth range for a frame, and the focal length that is used.
 
         Args:
@@ -244,7 +244,7 @@ class Predictor:
         Raises:
             InputError: as `network_size`, and for a focal length out of range.
         """
-        return depth_scale(
+        return camera_scale(
             self.contract.max_depth_m,
             self.contract.canonical_focal_px,
             self._focal_length(focal_length_px),
@@ -320,7 +320,7 @@ class Predictor:
         """Raise ContractError unless the network's answer to an empty frame of `size` is finite."""
         started = time.perf_counter()
         rgb, sparse_depth = _empty_frame(size)
-        scale = DepthScale(1.0, self.contract.max_depth_m, None)
+        scale = CameraScale(1.0, self.contract.max_depth_m, None)
         (outputs,) = self._run([NetworkInput(rgb, sparse_depth, rgb, Cleaned(), 0, (), scale)])
         if size == self.input_size:
             self._cold_ms = _ms_since(started)
@@ -355,15 +355,15 @@ class Predictor:
         outputs: dict[int, dict[str, NDArray[Any]]] = {}
         inference_ms: dict[int, float] = {}
         for members in batches.values():
-            begun = time.perf_counter()
+            batch_started = time.perf_counter()
             outputs.update(zip(members, self._run([frames[i] for i in members]), strict=True))
-            inference_ms.update(dict.fromkeys(members, _ms_since(begun)))
+            inference_ms.update(dict.fromkeys(members, _ms_since(batch_started)))
         answered = []
         for index, frame in enumerate(frames):
-            begun = time.perf_counter()
+            frame_started = time.perf_counter()
             found = faults(outputs[index], self.contract)
             heads = to_frame(outputs[index], frame)
-            answered.append((heads, found, _ms_since(begun)))
+            answered.append((heads, found, _ms_since(frame_started)))
         total_ms = _ms_since(started)
         return [
             Prediction(

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.canonical_focal import DepthScale, depth_scale
+from runtime.canonical_focal import CameraScale, camera_scale
 from runtime.contract import MIN_SIDE, farthest_return
 from runtime.errors import InputError
 from runtime.prediction import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW, Cleaned
@@ -44,7 +44,7 @@ class NetworkInput:
     cleaned: Cleaned
     depth_returns: int
     degraded: tuple[str, ...]
-    scale: DepthScale
+    scale: CameraScale
 
     @property
     def frame_size(self) -> Size:
@@ -85,7 +85,7 @@ def preprocess(
         sparse_depth = np.zeros(frame_size, np.float32)
     sparse_depth = check_sparse_depth(sparse_depth, size=frame_size)
     size = size_for(frame_size)
-    scale = depth_scale(
+    scale = camera_scale(
         max_depth_m,
         canonical_focal_px,
         focal_length_px,

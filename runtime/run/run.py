@@ -275,7 +275,7 @@ def _report(
     result: StreamResult,
     doubt: str | None,
 ) -> RunReport:
-    scale = predictor.depth_scale(frame_size) if frame_size else None
+    scale = predictor.camera_scale(frame_size) if frame_size else None
     inputs = {
         "source": options.source_name,
         **source.inputs,
