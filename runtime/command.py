@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from enum import StrEnum
 from types import FrameType
+from typing import Any
 
 from runtime.errors import SSDNetError, import_remedy
 
@@ -48,9 +49,7 @@ def end_quietly() -> None:
 
     During imports a KeyboardInterrupt would end as a traceback, or as another error.
     """
-    for number in SIGNALS:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as a shell starts background jobs
-            signal.signal(number, end_now)
+    _handle(end_now)
 
 
 def end_now(number: int, frame: FrameType | None) -> None:
@@ -61,15 +60,12 @@ def end_now(number: int, frame: FrameType | None) -> None:
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM raise KeyboardInterrupt in the block; the second ends the process."""
-    before = {number: signal.getsignal(number) for number in SIGNALS}
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         end_quietly()
         raise KeyboardInterrupt
 
-    for number, handler in before.items():
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, interrupt)
+    before = _handle(interrupt)
     try:
         yield
     finally:
@@ -85,10 +81,7 @@ def stop_requested() -> Iterator[Callable[[], bool]]:
     frame and its row in the table.
     """
     received: list[int] = []
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    for number, handler in before.items():
-        if handler is not signal.SIG_IGN:  # as a shell starts background jobs
-            signal.signal(number, lambda number, frame: received.append(number))
+    before = _handle(lambda number, frame: received.append(number))
     try:
         yield lambda: bool(received)
     finally:
@@ -96,6 +89,15 @@ def stop_requested() -> Iterator[Callable[[], bool]]:
             if handler is end_now:  # the command is done: nothing is left to stop
                 handler = signal.SIG_IGN
             signal.signal(number, handler or signal.SIG_DFL)
+
+
+def _handle(handler: Callable[[int, FrameType | None], None]) -> dict[signal.Signals, Any]:
+    """Handle all signals that are not ignored, as a shell starts background jobs: the old ones."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    for number, old in before.items():
+        if old is not signal.SIG_IGN:
+            signal.signal(number, handler)
+    return before
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from runtime.bundled_models import find_model
 from runtime.canonical_focal import CameraScale, camera_scale
 from runtime.checks import check_integer
-from runtime.contract import Contract, check_focal_length, check_size
+from runtime.contract import check_focal_length, check_size
 from runtime.cores import available_cores
 from runtime.errors import ContractError, InferenceError, InputError
 from runtime.model_file import load_model_file
@@ -78,21 +78,6 @@ class Predictor:
         InferenceError: if the model fails on an empty frame.
     """
 
-    contract: Contract
-    digest: str
-    model: str
-    provider: str
-    providers: tuple[str, ...]
-    node_counts: dict[str, int] | None
-    threads: int
-    input_size: tuple[int, int] | None
-    free_batch: bool
-    size: NetworkSize
-    focal_length_px: float | None
-    heads: tuple[str, ...]
-    load_ms: float
-    first_inference_ms: float | None
-
     def __init__(
         self,
         model: str | bytes | PathLike[str] | None = None,
@@ -135,7 +120,7 @@ class Predictor:
                 RuntimeWarning,
                 stacklevel=2,
             )
-        self.first_inference_ms = None
+        self.first_inference_ms: float | None = None
         if warmup:
             self.warm_up(self.input_size or self.contract.native_size, runs=warmup)
         else:
