@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from runtime import Predictor, PushStream
-from runtime.engine_facts import cpu_name
+from runtime.io.engine_facts import cpu_name
 from runtime.run.process import dedicate_process
 from runtime.sources.frames import Frame
 from soak import resized_frames

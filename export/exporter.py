@@ -26,7 +26,7 @@ from export.trace import DEFAULT_OPSET, trace
 from export.triton import require_replaceable, write_triton_model
 from models import Checkpoint, Network, load_checkpoint
 from runtime import Contract, InputError, OutputError, __version__
-from runtime.contract import MIN_SIDE, SCHEMA_VERSION, check_size, resize_rules
+from runtime.contract import MIN_SIDE, SCHEMA_VERSION, check_size
 from runtime.io.atomic_write import atomic_file
 from runtime.io.recording import RecordedFrame, Recorder, Settings, record
 from runtime.model_file import with_contract
@@ -193,7 +193,6 @@ def _contract(
         max_depth_m=config.max_depth_m,
         native_size=size,
         stride=checkpoint.model.stride,
-        resize=resize_rules(),
         precision="fp32",
         training=training,
         versions={

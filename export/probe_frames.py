@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.preprocess import MAX_RETURN_M
+from runtime.contract import farthest_return
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ def probe_frames(
     Args:
         size: (height, width).
         max_depth_m: range of the network; the faulty map has values that are no return, NaN, Inf
-            and negative ones among good ones.
+            and negative ones, and such beyond the range among good ones.
         seeds: of the random scenes.
     """
     frames = []
@@ -36,8 +36,9 @@ def probe_frames(
     frames.append(ProbeFrame("empty", rgb, np.zeros_like(depth)))
     frames.append(ProbeFrame("full", rgb, depth))
     faulty = _scan_lines(depth, seed=seeds[-1])
-    no_return_m = 2 * max(max_depth_m, MAX_RETURN_M)  # nearer, the engine feeds the range's end
-    faults = np.array([np.nan, np.inf, -np.inf, -5.0, no_return_m], dtype=np.float32)
+    clipped_m = (max_depth_m + farthest_return(max_depth_m)) / 2
+    no_return_m = 2 * farthest_return(max_depth_m)
+    faults = np.array([np.nan, np.inf, -np.inf, -5.0, clipped_m, no_return_m], dtype=np.float32)
     rng = np.random.default_rng(seeds[-1])
     hit = rng.random(size) < 0.05
     faulty[hit] = rng.choice(faults, size=int(hit.sum()))

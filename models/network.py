@@ -18,6 +18,7 @@ from runtime.contract import (
     check_max_depth,
     check_name,
     check_stride,
+    farthest_return,
 )
 
 
@@ -52,7 +53,7 @@ class NetworkConfig:
     name: str
     #: Semantic classes in the order of their ids; empty without a semantic head.
     classes: tuple[ClassInfo, ...] = CAMVID_CLASSES
-    #: Depth [m] of the normalised output 1.0; a measurement beyond it is treated as missing.
+    #: Depth [m] of the normalised output 1.0; returns beyond it are clipped to it.
     max_depth_m: float = 100.0
     #: Focal length [px] of the canonical camera (Yin et al. 2023, Metric3D): the input depth is
     #: multiplied by this / f and the output depth by f / this, f the focal length fx [px] of the
@@ -173,8 +174,9 @@ class Network(nn.Module):
 
         Args:
             rgb: float (N, 3, H, W), RGB in 0..255; H, W >= MIN_SIDE, odd sizes too.
-            sparse_depth: float (N, 1, H, W), metres; 0, negative, NaN, Inf or beyond
-                ``config.max_depth_m`` = no measurement.
+            sparse_depth: float (N, 1, H, W), metres; 0, negative, NaN, Inf or beyond both 250 m and
+                ``config.max_depth_m`` = no measurement; other returns beyond the latter are clipped
+                to it.
             upsample_semantic: False leaves the semantic logits on their own grid of
                 ceil(H / s) x ceil(W / s), s = ``semantic_stride``.
 
@@ -236,8 +238,8 @@ class Network(nn.Module):
         All (N, 1, H, W). `sparse_depth` is in metres, see `forward`.
         """
         limit = self.config.max_depth_m
-        valid_mask = (sparse_depth > 0) & (sparse_depth <= limit)  # False for NaN
-        return torch.where(valid_mask, sparse_depth, 0.0) / limit, valid_mask
+        valid_mask = (sparse_depth > 0) & (sparse_depth <= farthest_return(limit))  # not for NaN
+        return torch.where(valid_mask, sparse_depth.clamp(max=limit), 0.0) / limit, valid_mask
 
 
 def initialise(module: nn.Module) -> None:

@@ -15,75 +15,45 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from runtime.bundled_models import list_bundled_models
-    from runtime.contract import ClassInfo, Contract
-    from runtime.errors import (
-        CheckpointError,
-        ContractError,
-        DatasetError,
-        InferenceError,
-        InputError,
-        OutputError,
-        ProviderError,
-        SSDNetError,
-    )
-    from runtime.live.push_stream import PushStream
-    from runtime.prediction import Cleaned, Latency, Prediction
-    from runtime.predictor import Predictor
-    from runtime.projection import OcclusionFilter, project_points
+    from runtime.bundled_models import list_bundled_models as list_bundled_models
+    from runtime.contract import ClassInfo as ClassInfo
+    from runtime.contract import Contract as Contract
+    from runtime.errors import ContractError as ContractError
+    from runtime.errors import InferenceError as InferenceError
+    from runtime.errors import InputError as InputError
+    from runtime.errors import OutputError as OutputError
+    from runtime.errors import ProviderError as ProviderError
+    from runtime.errors import SSDNetError as SSDNetError
+    from runtime.live.push_stream import PushStream as PushStream
+    from runtime.prediction import Cleaned as Cleaned
+    from runtime.prediction import Latency as Latency
+    from runtime.prediction import Prediction as Prediction
+    from runtime.predictor import Predictor as Predictor
+    from runtime.projection import OcclusionFilter as OcclusionFilter
+    from runtime.projection import project_points as project_points
 
     __version__: str
 
-#: Public name -> the module that holds it.
+#: Module -> the public names that it holds.
 _MODULES = {
-    "CheckpointError": "runtime.errors",
-    "ClassInfo": "runtime.contract",
-    "Cleaned": "runtime.prediction",
-    "Contract": "runtime.contract",
-    "ContractError": "runtime.errors",
-    "DatasetError": "runtime.errors",
-    "InferenceError": "runtime.errors",
-    "InputError": "runtime.errors",
-    "Latency": "runtime.prediction",
-    "OcclusionFilter": "runtime.projection",
-    "OutputError": "runtime.errors",
-    "Prediction": "runtime.prediction",
-    "Predictor": "runtime.predictor",
-    "ProviderError": "runtime.errors",
-    "PushStream": "runtime.live.push_stream",
-    "SSDNetError": "runtime.errors",
-    "list_bundled_models": "runtime.bundled_models",
-    "project_points": "runtime.projection",
+    "bundled_models": "list_bundled_models",
+    "contract": "ClassInfo Contract",
+    "errors": "ContractError InferenceError InputError OutputError ProviderError SSDNetError",
+    "live.push_stream": "PushStream",
+    "prediction": "Cleaned Latency Prediction",
+    "predictor": "Predictor",
+    "projection": "OcclusionFilter project_points",
 }
+_HOMES = {name: f"runtime.{home}" for home, names in _MODULES.items() for name in names.split()}
 
-__all__ = [
-    "CheckpointError",
-    "ClassInfo",
-    "Cleaned",
-    "Contract",
-    "ContractError",
-    "DatasetError",
-    "InferenceError",
-    "InputError",
-    "Latency",
-    "OcclusionFilter",
-    "OutputError",
-    "Prediction",
-    "Predictor",
-    "ProviderError",
-    "PushStream",
-    "SSDNetError",
-    "__version__",
-    "list_bundled_models",
-    "project_points",
-]
+__all__ = [*_HOMES, "__version__"]
 
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         value: Any = _installed_version()
-    elif name in _MODULES:
-        value = getattr(import_module(_MODULES[name]), name)
+    elif name in _HOMES:
+        value = getattr(import_module(_HOMES[name]), name)
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = value  # looked up once

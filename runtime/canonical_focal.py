@@ -11,12 +11,12 @@ import math
 from typing import NamedTuple
 
 
-class DepthScale(NamedTuple):
+class CameraScale(NamedTuple):
     """How metres become the depth of a network, for one camera and one size of frames.
 
     Attributes:
         factor: f_c / f, see `canonical_factor`.
-        range_m: no answer is farther, and returns beyond it are fed as at it, metres.
+        range_m: no answer is farther, and returns beyond it are clipped to it, metres.
         focal_length_px: of the frame, as used; None = not known, or not used by the model.
     """
 
@@ -25,14 +25,14 @@ class DepthScale(NamedTuple):
     focal_length_px: float | None
 
 
-def depth_scale(
+def camera_scale(
     max_depth_m: float,
     canonical_focal_px: float | None,
     focal_length_px: float | None,
     *,
     frame_size: tuple[int, int],
     network_size: tuple[int, int],
-) -> DepthScale:
+) -> CameraScale:
     """Return the scale for a frame.
 
     Args:
@@ -43,10 +43,10 @@ def depth_scale(
         network_size: (height, width) at which the network runs.
     """
     if canonical_focal_px is None or focal_length_px is None:
-        return DepthScale(1.0, max_depth_m, None)
+        return CameraScale(1.0, max_depth_m, None)
     at_network = focal_length_at(network_size, focal_length_px, frame_size)
     factor = canonical_factor(canonical_focal_px, at_network)
-    return DepthScale(factor, max_depth_m / factor, focal_length_px)
+    return CameraScale(factor, max_depth_m / factor, focal_length_px)
 
 
 def canonical_factor(canonical_focal_px: float | None, focal_length_px: float | None) -> float:

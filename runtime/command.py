@@ -7,8 +7,9 @@ import sys
 from collections.abc import Callable, Iterator
 from enum import StrEnum
 from types import FrameType
+from typing import Any
 
-from runtime.errors import SSDNetError
+from runtime.errors import SSDNetError, import_remedy
 
 ERROR, INTERRUPTED = 1, 130  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -48,9 +49,7 @@ def end_quietly() -> None:
 
     During imports a KeyboardInterrupt would end as a traceback, or as another error.
     """
-    for number in SIGNALS:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as a shell starts background jobs
-            signal.signal(number, end_now)
+    _handle(end_now)
 
 
 def end_now(number: int, frame: FrameType | None) -> None:
@@ -61,15 +60,12 @@ def end_now(number: int, frame: FrameType | None) -> None:
 @contextlib.contextmanager
 def interruptible() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM raise KeyboardInterrupt in the block; the second ends the process."""
-    before = {number: signal.getsignal(number) for number in SIGNALS}
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         end_quietly()
         raise KeyboardInterrupt
 
-    for number, handler in before.items():
-        if handler is not signal.SIG_IGN:
-            signal.signal(number, interrupt)
+    before = _handle(interrupt)
     try:
         yield
     finally:
@@ -85,10 +81,7 @@ def stop_requested() -> Iterator[Callable[[], bool]]:
     frame and its row in the table.
     """
     received: list[int] = []
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    for number, handler in before.items():
-        if handler is not signal.SIG_IGN:  # as a shell starts background jobs
-            signal.signal(number, lambda number, frame: received.append(number))
+    before = _handle(lambda number, frame: received.append(number))
     try:
         yield lambda: bool(received)
     finally:
@@ -98,11 +91,20 @@ def stop_requested() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler or signal.SIG_DFL)
 
 
+def _handle(handler: Callable[[int, FrameType | None], None]) -> dict[signal.Signals, Any]:
+    """Handle all signals that are not ignored, as a shell starts background jobs: the old ones."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    for number, old in before.items():
+        if old is not signal.SIG_IGN:
+            signal.signal(number, handler)
+    return before
+
+
 @contextlib.contextmanager
 def reported_errors(extras: str) -> Iterator[None]:
     """Turn an exception of the block into a line on stderr and an exit code.
 
-    SSDNetError is exit code 1. ImportError, too; the line then says to install ``ssdnet[extras]``.
+    SSDNetError is exit code 1; ImportError, too, with `import_remedy` of `extras`.
     KeyboardInterrupt is exit code 130 without a line.
     """
     try:
@@ -110,7 +112,7 @@ def reported_errors(extras: str) -> Iterator[None]:
     except SSDNetError as error:
         _end(f"error: {error}", error)
     except ImportError as error:
-        _end(f'error: {error}: pip install "ssdnet[{extras}]"', error)
+        _end(f"error: {error}: {import_remedy(error, extras)}", error)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
 

@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
 
+from runtime.checks import check_integer, check_number, shown
 from runtime.errors import ContractError
 from runtime.heads import HEADS
 
 METADATA_KEY = "ssdnet"
-SCHEMA_VERSION = "1.3"
+SCHEMA_VERSION = "1.4"
 
 # Limits of a model file and of a network's configuration.
 MIN_SIDE = 32  # rows, columns: networks of the family halve an image up to five times
@@ -23,14 +24,20 @@ MAX_CLASSES = 255  # ids are uint8, and one of them is NO_CLASS
 MAX_NAME_LENGTH = 64
 MIN_DEPTH_RANGE_M = 1.0  # bounds of max_depth_m
 MAX_DEPTH_RANGE_M = 10_000.0
+#: LiDARs of cars reach so far [m]. What is farther, in a range that ends before, is the mark of no
+#: return or another unit: 65535 of a 16-bit PNG is 256 m.
+MAX_RETURN_M = 250.0
 MIN_FOCAL_PX = 1.0  # bounds of a focal length: from tiny pictures to long telephoto lenses
 MAX_FOCAL_PX = 1_000_000.0
 MAX_GIGA_MACS = 1_000_000.0
 
-_INPUT_RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"}
+#: Written until schema 2.0 for readers of older versions, which require it; not read.
+_RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"} | {
+    head.name: head.resize for head in HEADS.values()
+}
 _DIGEST_KEY = "document_sha256"
 _MINOR_VERSION = re.compile("[0-9]{1,4}")
-_JSON_TYPES = {dict: "an object", list: "a list", str: "text", int: "an integer"}
+_JSON_TYPES: dict[type, str] = {dict: "an object", list: "a list", str: "text"}
 _Checked = TypeVar("_Checked")
 
 
@@ -58,10 +65,10 @@ class Contract:
         schema_version: "major.minor"; a reader refuses another major than its own.
         model_name: for example "ssdnet-lite".
         classes: in the order of the ids of `semantic`; empty without a semantic head.
-        max_depth_m: depths beyond it are no measurement; canonical metres if there are any.
+        max_depth_m: the range: no answer is farther, and returns beyond it are clipped, see
+            `farthest_return`; canonical metres if there are any.
         native_size: (height, width) it was exported and verified at; a dynamic model takes any.
         stride: the graph pads to a multiple of it, and crops back.
-        resize: tensor -> rule where the network runs at another size than the frame's.
         precision: "fp32", "fp16" or "int8".
         training: the data it was trained on and their terms.
         versions: of the software that made the file (ssdnet, torch, onnx, opset).
@@ -85,7 +92,6 @@ class Contract:
     max_depth_m: float
     native_size: tuple[int, int]
     stride: int
-    resize: Mapping[str, str]
     precision: str
     training: Mapping[str, Any]
     versions: Mapping[str, str]
@@ -109,7 +115,7 @@ class Contract:
         With `content` its last key is "document_sha256": the SHA-256 of the UTF-8 bytes before the
         comma in front of that key.
         """
-        document = asdict(self)
+        document = {"resize": _RESIZE, **asdict(self)}
         if self.content is None:
             del document["content"]
             return json.dumps(document, allow_nan=False)
@@ -150,7 +156,6 @@ class Contract:
                 max_depth_m=check_max_depth(_take(document, "max_depth_m")),
                 native_size=check_size(_take(document, "native_size"), "native_size"),
                 stride=check_stride(_take(document, "stride")),
-                resize=_resize(document),
                 precision=check_name(_take(document, "precision"), "precision"),
                 training=_take(document, "training", dict),
                 versions=_text_mapping(document, "versions"),
@@ -173,56 +178,52 @@ class Contract:
         return contract
 
 
-def resize_rules() -> dict[str, str]:
-    """Return how each tensor is resized where the network runs at another size than the frame's.
-
-    "bilinear" takes the mean of the area along each side that shrinks, so that no pixel is skipped,
-    and is bilinear along one that grows. "nearest" never mixes two values: a head takes the pixel
-    with the nearest centre, and each return of `sparse_depth` is moved to its one pixel; of several
-    in one pixel the nearest to the camera is kept. `runtime.resize` implements both.
-    """
-    return _INPUT_RESIZE | {head.name: head.resize for head in HEADS.values()}
-
-
 def check_side(side: object, name: str) -> int:
     """Return an image's height or width; ValueError naming it if it is out of range."""
-    return int(_checked(side, name, int, MIN_SIDE, MAX_SIDE, "pixels"))
+    return check_integer(name, side, MIN_SIDE, MAX_SIDE, "pixels")
 
 
 def check_size(size: object, name: str = "size") -> tuple[int, int]:
     """Return an image's (height, width); ValueError naming it if it is out of range."""
     if not isinstance(size, Sequence) or isinstance(size, str) or len(size) != 2:
-        raise ValueError(f"{name} must be (height, width), got {size!r:.80}")
+        raise ValueError(f"{name} must be (height, width), got {shown(size)}")
     height, width = (
         check_side(side, f"{name}: {text}")
         for side, text in zip(size, ("height", "width"), strict=True)
     )
     if height * width > MAX_PIXELS:
-        raise ValueError(f"{name} must have at most {MAX_PIXELS} pixels, got {size!r:.80}")
+        raise ValueError(f"{name} must have at most {MAX_PIXELS} pixels, got {shown(size)}")
     return height, width
 
 
 def check_stride(stride: object) -> int:
     """Return a network's stride; ValueError if it is out of range."""
-    return int(_checked(stride, "stride", int, 1, MAX_STRIDE, "pixels"))
+    return check_integer("stride", stride, 1, MAX_STRIDE, "pixels")
 
 
 def check_max_depth(max_depth_m: object, name: str = "max_depth_m") -> float:
     """Return a depth range in metres; ValueError naming it if it is out of range."""
-    bounds = MIN_DEPTH_RANGE_M, MAX_DEPTH_RANGE_M
-    return float(_checked(max_depth_m, name, int | float, *bounds, "metres"))
+    return check_number(name, max_depth_m, MIN_DEPTH_RANGE_M, MAX_DEPTH_RANGE_M, "metres")
+
+
+def farthest_return(range_m: float) -> float:
+    """Return the largest depth [m] that is a return: beyond the range it is clipped to the range.
+
+    Farther ones, Inf, NaN, 0 and negative values are no measurement.
+    """
+    return max(range_m, MAX_RETURN_M)
 
 
 def check_focal_length(focal_px: object, name: str) -> float:
     """Return a focal length in pixels; ValueError naming it if it is out of range."""
-    return float(_checked(focal_px, name, int | float, MIN_FOCAL_PX, MAX_FOCAL_PX, "pixels"))
+    return check_number(name, focal_px, MIN_FOCAL_PX, MAX_FOCAL_PX, "pixels")
 
 
 def check_name(text: object, name: str) -> str:
     """Return the name of a class or a model; ValueError unless it is short and printable."""
     if not isinstance(text, str) or not text.isprintable() or not 1 <= len(text) <= MAX_NAME_LENGTH:
         raise ValueError(
-            f"{name} must be printable text of 1 to {MAX_NAME_LENGTH} characters, got {text!r:.80}"
+            f"{name} must be printable text of 1 to {MAX_NAME_LENGTH} characters, got {shown(text)}"
         )
     return text
 
@@ -233,15 +234,15 @@ def check_classes(classes: Sequence[ClassInfo]) -> tuple[ClassInfo, ...]:
         raise ValueError(f"classes must be at most {MAX_CLASSES}, got {len(classes)}")
     for index, info in enumerate(classes):
         check_name(info.name, f"classes[{index}].name")
-        if len(info.color) != 3 or not all(
-            _is_integer(part) and 0 <= part <= 255 for part in info.color
-        ):
+        if len(info.color) != 3:
             raise ValueError(
-                f"classes[{index}].color must be three integers 0..255, got {info.color!r:.80}"
+                f"classes[{index}].color must be red, green and blue, got {shown(info.color)}"
             )
+        for place, part in enumerate(info.color):
+            check_integer(f"classes[{index}].color[{place}]", part, 0, 255)
     names = [info.name for info in classes]
     if len(set(names)) < len(names):
-        raise ValueError(f"classes must have different names, got {names!r:.80}")
+        raise ValueError(f"classes must have different names, got {shown(names)}")
     return tuple(classes)
 
 
@@ -252,15 +253,9 @@ def find_sky(classes: Sequence[ClassInfo]) -> int | None:
 
 def _wrong(name: str, expected: str, found: object) -> ContractError:
     return ContractError(
-        f"the model's metadata is damaged: {name} must be {expected}, found {found!r:.80}: "
+        f"the model's metadata is damaged: {name} must be {expected}, found {shown(found)}: "
         "export the model again with ssdnet-export"
     )
-
-
-def _checked(value: Any, name: str, kind: Any, least: float, most: float, unit: str) -> Any:
-    if isinstance(value, bool) or not isinstance(value, kind) or not least <= value <= most:
-        raise ValueError(f"{name} must be {least:g} to {most:g} {unit}, got {value!r:.80}")
-    return value
 
 
 def _take(document: Mapping[str, Any], key: str, kind: type = object, name: str = "") -> Any:
@@ -284,7 +279,7 @@ def _optional(
 
 
 def _check_giga_macs(value: object, name: str) -> float:
-    return float(_checked(value, name, int | float, 0, MAX_GIGA_MACS, "billions"))
+    return check_number(name, value, 0, MAX_GIGA_MACS, "billions")
 
 
 def _check_object(value: object, name: str) -> dict[str, Any]:
@@ -300,10 +295,6 @@ def _text_mapping(document: Mapping[str, Any], key: str) -> dict[str, str]:
     return mapping
 
 
-def _is_integer(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
 def _content(document: Mapping[str, Any], text: str) -> Content | None:
     """Read `content`; by the version or the keys of schema 1.1 it and the digest are required."""
     minor = document["schema_version"].partition(".")[2]
@@ -316,11 +307,9 @@ def _content(document: Mapping[str, Any], text: str) -> Content | None:
     if text != _with_digest(before):
         raise ContractError(
             f"the model's metadata was changed after it was written ({_DIGEST_KEY} is "
-            f"{digest!r:.80}): get the model again, or export it again with ssdnet-export"
+            f"{shown(digest)}): get the model again, or export it again with ssdnet-export"
         )
-    size = _take(value, "bytes", int, "content.bytes")
-    if isinstance(size, bool):
-        raise _wrong("content.bytes", "an integer", size)
+    size = check_integer("content.bytes", _take(value, "bytes"), 0)
     return Content(bytes=size, sha256=_take(value, "sha256", str, "content.sha256"))
 
 
@@ -340,13 +329,3 @@ def _class(entry: object, name: str) -> ClassInfo:
     return ClassInfo(
         name=_take(entry, "name"), color=tuple(_take(entry, "color", list, f"{name}.color"))
     )
-
-
-def _resize(document: Mapping[str, Any]) -> dict[str, str]:
-    rules = _text_mapping(document, "resize")
-    for tensor, known in resize_rules().items():
-        # A head that was added after the file was written has no rule in it.
-        rule = _take(rules, tensor) if tensor in _INPUT_RESIZE else rules.get(tensor, known)
-        if rule != known:
-            raise _wrong(f"resize.{tensor}", known, rule)
-    return rules

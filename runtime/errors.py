@@ -31,3 +31,15 @@ class CheckpointError(SSDNetError):
 
 class DatasetError(SSDNetError):
     """A data set folder or one of its files does not have the expected layout."""
+
+
+def install_command(extras: str) -> str:
+    """Return the command that installs these extras, as the README has it."""
+    return f'pip install -c constraints.txt ".[{extras}]" in a clone of ssdnet'
+
+
+def import_remedy(error: ImportError, extras: str) -> str:
+    """Return what to do about an import of a package of these extras that failed."""
+    if isinstance(error, ModuleNotFoundError):
+        return install_command(extras)
+    return "it is installed but cannot be loaded, ssdnet-doctor examines it"

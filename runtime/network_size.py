@@ -1,8 +1,8 @@
 """The size at which a network runs for a frame: the rule of engine and evaluation."""
 
-import operator
 from typing import Any, Literal
 
+from runtime.checks import shown
 from runtime.contract import MAX_PIXELS, MAX_SIDE, MIN_SIDE, check_side, check_size
 from runtime.errors import InputError
 
@@ -28,7 +28,7 @@ def check_network_size(requested: Any, *, fixed: bool) -> NetworkSize:
         return None
     if fixed:
         raise InputError(
-            f"size = {requested!r:.80}, but the model is of fixed size: leave size out, or export "
+            f"size = {shown(requested)}, but the model is of fixed size: leave size out, or export "
             "the model without --height and --width"
         )
     if isinstance(requested, str) and requested == "frame":
@@ -54,7 +54,7 @@ def parse_network_size(text: str) -> NetworkSize:
         return _in_range(numbers[0] if len(numbers) == 1 else numbers)
     except ValueError as error:
         raise InputError(
-            f"--size {text!r:.80}: {error}; expected auto (about the trained height), frame (the "
+            f"--size {shown(text)}: {error}; expected auto (about the trained height), frame (the "
             "frame's own), a number of rows such as 400, or HEIGHTxWIDTH such as 400x640"
         ) from error
 
@@ -95,16 +95,5 @@ def network_size(
 def _in_range(requested: Any) -> int | tuple[int, int]:
     """Return rows or (height, width) in plain integers; ValueError for anything else."""
     if isinstance(requested, tuple | list):
-        return check_size([_integer(side) for side in requested])
-    return check_side(_integer(requested), "size")
-
-
-def _integer(value: Any) -> int:
-    """Return a whole number of any library; ValueError for anything else, booleans included."""
-    try:
-        number = operator.index(value)
-    except TypeError:
-        number = None
-    if number is None or isinstance(value, bool):
-        raise ValueError(f"size = {value!r:.80} is not a whole number")
-    return number
+        return check_size(requested)
+    return check_side(requested, "size")

@@ -40,7 +40,7 @@ class Cleaned:
     nan: int = 0
     infinite: int = 0
     negative: int = 0
-    too_far: int = 0  # beyond the range: fed as at its end, beyond 250 m as none
+    too_far: int = 0  # beyond the range: clipped to it; beyond 250 m, too: none
 
     @property
     def total(self) -> int:
@@ -48,7 +48,7 @@ class Cleaned:
         return self.nan + self.infinite + self.negative + self.too_far
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Prediction:
     """The answers for one frame, at the frame's own size (H, W). The arrays belong to the caller.
 
@@ -76,7 +76,21 @@ class Prediction:
     cleaned: Cleaned = field(default_factory=Cleaned)
     depth_returns: int = 0
     stamp: Any = None
-    contract: "Contract | None" = field(default=None, repr=False)
+    contract: "Contract | None" = None
+
+    def __repr__(self) -> str:
+        height, width = self.frame_size
+        heads = ", ".join(self.heads)
+        doubts = "".join(f", {reason}" for reason in self.degraded)
+        return (
+            f"Prediction({heads}; {height} x {width}; {self.latency.total_ms:.1f} ms; "
+            f"{'valid' if self.valid else 'invalid'}{doubts})"
+        )
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """Names of the classes in the order of the ids of `semantic`; () where none are known."""
+        return () if self.contract is None else tuple(each.name for each in self.contract.classes)
 
     @property
     def semantic(self) -> NDArray[np.uint8] | None:

@@ -1,19 +1,19 @@
 """The engine: a model file, and `predict`."""
 
-import operator
 import time
 import warnings
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.bundled_models import find_model
-from runtime.canonical_focal import DepthScale, depth_scale
-from runtime.contract import Contract, check_focal_length, check_size
+from runtime.canonical_focal import CameraScale, camera_scale
+from runtime.checks import check_integer
+from runtime.contract import check_focal_length, check_size
 from runtime.cores import available_cores
 from runtime.errors import ContractError, InferenceError, InputError
 from runtime.model_file import load_model_file
@@ -21,7 +21,8 @@ from runtime.network_size import NetworkSize, check_network_size, network_size
 from runtime.postprocess import faults, to_frame
 from runtime.prediction import Cleaned, Latency, Prediction
 from runtime.preprocess import NetworkInput, preprocess
-from runtime.session import node_counts, open_session
+from runtime.process_guard import ProcessGuard
+from runtime.session import explain, node_counts, open_session
 from runtime.signature import check_outputs, read_signature
 
 _MOST_THREADS = 1024
@@ -34,7 +35,8 @@ class Predictor:
 
     One predictor may be used by several threads: `predict` and `predict_batch` keep nothing of a
     frame outside the call. The threads share the same `threads` cores, so that several frames at
-    once take longer each. After an error of `predict` the predictor stays usable.
+    once take longer each. After an error of `predict` the predictor stays usable. Each process
+    makes its own: a predictor cannot be pickled, and raises InferenceError after a fork.
 
     Args:
         model: an ONNX file made by ssdnet-export, or the name of a bundled model, see `find_model`;
@@ -76,21 +78,6 @@ class Predictor:
         InferenceError: if the model fails on an empty frame.
     """
 
-    contract: Contract
-    digest: str
-    model: str
-    provider: str
-    providers: tuple[str, ...]
-    node_counts: dict[str, int] | None
-    threads: int
-    input_size: tuple[int, int] | None
-    free_batch: bool
-    size: NetworkSize
-    focal_length_px: float | None
-    heads: tuple[str, ...]
-    load_ms: float
-    first_inference_ms: float | None
-
     def __init__(
         self,
         model: str | bytes | PathLike[str] | None = None,
@@ -104,10 +91,11 @@ class Predictor:
         warmup: int = 1,
     ) -> None:
         if threads is not None:
-            threads = _require_count("threads", threads, at_least=1, at_most=_MOST_THREADS)
-        warmup = _require_count("warmup", warmup, at_least=0)
-        device_id = _require_count("device_id", device_id, at_least=0)
+            threads = check_integer("threads", threads, 1, _MOST_THREADS, error=InputError)
+        warmup = check_integer("warmup", warmup, 0, error=InputError)
+        device_id = check_integer("device_id", device_id, 0, error=InputError)
         self.focal_length_px = _check_focal_length(focal_length_px)
+        self._guard = ProcessGuard("Predictor")
         started = time.perf_counter()
         path = find_model(model)
         file = load_model_file(path, sha256=sha256)
@@ -132,7 +120,7 @@ class Predictor:
                 RuntimeWarning,
                 stacklevel=2,
             )
-        self.first_inference_ms = None
+        self.first_inference_ms: float | None = None
         if warmup:
             self.warm_up(self.input_size or self.contract.native_size, runs=warmup)
         else:
@@ -141,7 +129,7 @@ class Predictor:
     def predict(
         self,
         rgb: NDArray[np.uint8],
-        sparse_depth: NDArray[np.float32] | None,
+        sparse_depth: NDArray[np.float32] | None = None,
         *,
         focal_length_px: float | None = None,
         stamp: Any = None,
@@ -154,9 +142,9 @@ class Predictor:
         Args:
             rgb: uint8 (H, W, 3), RGB, not BGR.
             sparse_depth: float32 (H, W), metres along the optical axis; 0 = no measurement, as are
-                NaN, Inf, negative values and those beyond 250 m and the range (`depth_scale`).
-                Returns beyond the range alone are fed as at its end. `Prediction.cleaned` counts
-                all these. None = the camera alone, as a map of zeros.
+                NaN, Inf, negative values and those beyond both 250 m and the range
+                (`camera_scale`). Other returns beyond the range are clipped to it.
+                `Prediction.cleaned` counts all these. None = the camera alone.
             focal_length_px: fx of this frame's camera; None = the predictor's.
             stamp: any value, returned in the answer.
 
@@ -203,7 +191,7 @@ class Predictor:
         stamps = _one_each("stamps", stamps, frames)
         prepared, preprocess_ms = [], []
         for index, (frame, focal) in enumerate(zip(frames, focals, strict=True)):
-            begun = time.perf_counter()
+            frame_started = time.perf_counter()
             try:
                 rgb, sparse_depth = frame
                 prepared.append(self._preprocess(rgb, sparse_depth, focal))
@@ -213,7 +201,7 @@ class Predictor:
                 raise InputError(
                     f"frame {index} of {len(frames)} must be (rgb, sparse_depth): {error}"
                 ) from error
-            preprocess_ms.append(_ms_since(begun))
+            preprocess_ms.append(_ms_since(frame_started))
         return self._predict(prepared, preprocess_ms, stamps, started)
 
     def network_size(self, frame_size: tuple[int, int]) -> tuple[int, int]:
@@ -229,9 +217,9 @@ class Predictor:
             self.size, frame_size, trained_height=self.contract.trained_height
         )
 
-    def depth_scale(
+    def camera_scale(
         self, frame_size: tuple[int, int], *, focal_length_px: float | None = None
-    ) -> DepthScale:
+    ) -> CameraScale:
         """Return the depth range for a frame, and the focal length that is used.
 
         Args:
@@ -241,7 +229,7 @@ class Predictor:
         Raises:
             InputError: as `network_size`, and for a focal length out of range.
         """
-        return depth_scale(
+        return camera_scale(
             self.contract.max_depth_m,
             self.contract.canonical_focal_px,
             self._focal_length(focal_length_px),
@@ -263,13 +251,11 @@ class Predictor:
             ContractError: if an answer is not finite.
             InferenceError: as `predict`.
         """
-        runs = _require_count("runs", runs, at_least=0)
-        if not isinstance(size, Sequence):
-            raise InputError(f"size must be (height, width), got {size!r:.80}")
+        runs = check_integer("runs", runs, 0, error=InputError)
         try:
-            size = check_size([operator.index(side) for side in size])
-        except (TypeError, ValueError) as error:
-            raise InputError(f"size must be (height, width), got {size!r:.80}: {error}") from error
+            size = check_size(size)
+        except ValueError as error:
+            raise InputError(str(error)) from error
         rgb, sparse_depth = _empty_frame(size)
         for _ in range(runs):
             started = time.perf_counter()
@@ -289,12 +275,20 @@ class Predictor:
             ContractError: if the file is no longer the one that was opened.
             ProviderError: if the provider cannot run it any more.
         """
+        self._guard.check()
         file = load_model_file(Path(self.model), sha256=self.digest)
         self._session = self._open_session(file.content)
 
     def close(self) -> None:
         """Free the session; calls in progress end normally, later ones raise InferenceError."""
-        self._session = None
+        if not self._guard.is_forked:  # there the session would wait for its threads
+            self._session = None
+
+    def __reduce__(self) -> NoReturn:
+        raise InputError(
+            "a Predictor cannot be pickled or copied: give the path of its model, and make a "
+            "Predictor in each process"
+        )
 
     def __enter__(self) -> "Predictor":
         return self
@@ -311,7 +305,7 @@ class Predictor:
         """Raise ContractError unless the network's answer to an empty frame of `size` is finite."""
         started = time.perf_counter()
         rgb, sparse_depth = _empty_frame(size)
-        scale = DepthScale(1.0, self.contract.max_depth_m, None)
+        scale = CameraScale(1.0, self.contract.max_depth_m, None)
         (outputs,) = self._run([NetworkInput(rgb, sparse_depth, rgb, Cleaned(), 0, (), scale)])
         if size == self.input_size:
             self._cold_ms = _ms_since(started)
@@ -346,15 +340,15 @@ class Predictor:
         outputs: dict[int, dict[str, NDArray[Any]]] = {}
         inference_ms: dict[int, float] = {}
         for members in batches.values():
-            begun = time.perf_counter()
+            batch_started = time.perf_counter()
             outputs.update(zip(members, self._run([frames[i] for i in members]), strict=True))
-            inference_ms.update(dict.fromkeys(members, _ms_since(begun)))
+            inference_ms.update(dict.fromkeys(members, _ms_since(batch_started)))
         answered = []
         for index, frame in enumerate(frames):
-            begun = time.perf_counter()
+            frame_started = time.perf_counter()
             found = faults(outputs[index], self.contract)
             heads = to_frame(outputs[index], frame)
-            answered.append((heads, found, _ms_since(begun)))
+            answered.append((heads, found, _ms_since(frame_started)))
         total_ms = _ms_since(started)
         return [
             Prediction(
@@ -376,6 +370,7 @@ class Predictor:
 
     def _run(self, frames: Sequence[NetworkInput]) -> list[dict[str, NDArray[Any]]]:
         """Run frames of one network size as one batch: head -> array, of each."""
+        self._guard.check()
         session = self._session
         if session is None:
             raise InferenceError("the predictor is closed: make a new one")
@@ -389,7 +384,7 @@ class Predictor:
         except Exception as error:
             several = f"{len(frames)} frames" if len(frames) > 1 else "a frame"
             raise InferenceError(
-                f"the session failed on {several} of {height} x {width}: {error}"
+                f"the session failed on {several} of {height} x {width}: {explain(error)}"
             ) from error
         outputs = dict(zip(self.heads, batches, strict=True))
         classes = len(self.contract.classes)
@@ -439,26 +434,11 @@ def _check_focal_length(focal_px: Any) -> float | None:
     if focal_px is None:
         return None
     try:
-        return check_focal_length(
-            float(focal_px) if isinstance(focal_px, np.number) else focal_px, "focal_length_px"
-        )
+        return check_focal_length(focal_px, "focal_length_px")
     except ValueError as error:
         raise InputError(
             f"{error}: give fx of the camera's matrix, in pixels of the frames, or leave it out"
         ) from error
-
-
-def _require_count(name: str, value: Any, *, at_least: int, at_most: int = 2**31 - 1) -> int:
-    try:
-        count = operator.index(value)
-    except TypeError:
-        count = at_least - 1
-    if isinstance(value, bool) or not at_least <= count <= at_most:
-        limit = f" and at most {at_most}" if count > at_most else ""
-        raise InputError(
-            f"{name} must be a whole number of at least {at_least}{limit}, got {value!r}"
-        )
-    return count
 
 
 def _ms_since(started: float) -> float:

@@ -9,15 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.canonical_focal import DepthScale, depth_scale
-from runtime.contract import MIN_SIDE
+from runtime.canonical_focal import CameraScale, camera_scale
+from runtime.contract import MIN_SIDE, farthest_return
 from runtime.errors import InputError
 from runtime.prediction import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW, Cleaned
 from runtime.resize import Size, move_returns, resize_image
 
-#: LiDARs of cars reach so far [m]. What is farther, in a range that ends before, is the mark of no
-#: return or another unit: 65535 of a 16-bit PNG is 256 m.
-MAX_RETURN_M = 250.0
 _CONSTANT_STEP = 16  # every 16th pixel usually rules out a constant image
 # Cells over the whole image, whatever its resolution. Of a 64-line scan of KITTI, 16 lines
 # have a return in 6.6 % of them and 4 lines in 1.8 %, at 125 x 414 as at 2160 x 3840; two lines
@@ -47,7 +44,7 @@ class NetworkInput:
     cleaned: Cleaned
     depth_returns: int
     degraded: tuple[str, ...]
-    scale: DepthScale
+    scale: CameraScale
 
     @property
     def frame_size(self) -> Size:
@@ -88,7 +85,7 @@ def preprocess(
         sparse_depth = np.zeros(frame_size, np.float32)
     sparse_depth = check_sparse_depth(sparse_depth, size=frame_size)
     size = size_for(frame_size)
-    scale = depth_scale(
+    scale = camera_scale(
         max_depth_m,
         canonical_focal_px,
         focal_length_px,
@@ -117,9 +114,11 @@ def preprocess(
 
 def check_rgb(rgb: Any) -> NDArray[np.uint8]:
     """Return `rgb`, contiguous; InputError unless it is uint8 (H, W, 3), each side >= MIN_SIDE."""
-    if not isinstance(rgb, np.ndarray) or isinstance(rgb, np.ma.MaskedArray):
+    if isinstance(rgb, np.ma.MaskedArray):
+        raise InputError("rgb must be a plain numpy array, got a masked one: use rgb.filled(0)")
+    if not isinstance(rgb, np.ndarray):
         raise InputError(
-            f"rgb must be a plain numpy array, got {type(rgb).__name__}: a mask would be lost"
+            f"rgb must be a numpy array, got {type(rgb).__name__}: use np.asarray(rgb)"
         )
     if rgb.ndim != 3 or rgb.shape[2] != 3:
         hint = ""
@@ -168,11 +167,11 @@ def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[n
 def clean_sparse_depth(
     sparse_depth: NDArray[np.float32], *, max_depth_m: float
 ) -> tuple[NDArray[np.float32], Cleaned, int]:
-    """Replace invalid depth by 0 and what is beyond the range by its end.
+    """Replace invalid depth by 0 and clip returns to the range, see `farthest_return`.
 
     Args:
         sparse_depth: float32 (H, W), metres; not written to.
-        max_depth_m: the range. Beyond it and MAX_RETURN_M nothing is valid.
+        max_depth_m: the range.
 
     Returns:
         The depth (the same array if it was clean), what was cleaned, and the number of measurements
@@ -181,7 +180,7 @@ def clean_sparse_depth(
     low, high = sparse_depth.min(), sparse_depth.max()  # both NaN if any pixel is
     if low >= 0 and high <= max_depth_m:
         return sparse_depth, Cleaned(), cv2.countNonZero(sparse_depth)
-    usable = (sparse_depth >= 0) & (sparse_depth <= max(max_depth_m, MAX_RETURN_M))
+    usable = (sparse_depth >= 0) & (sparse_depth <= farthest_return(max_depth_m))
     refused = sparse_depth[~usable]
     infinite = np.isinf(refused)
     kept = np.where(usable, np.minimum(sparse_depth, np.float32(max_depth_m)), np.float32(0))

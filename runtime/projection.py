@@ -12,11 +12,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.contract import MAX_SIDE
+from runtime.checks import check_integer, check_number, shown
+from runtime.contract import MAX_DEPTH_RANGE_M, MAX_SIDE
 from runtime.errors import InputError
 
 _INDEX_BITS = 32
 _MAX_WINDOW = 1023  # pixels
+_MAX_RELATIVE_GAP = 0.999
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,8 @@ class OcclusionFilter:
     Attributes:
         window: (height, width), odd, pixels. The default bridges the gap between two of 64 scan
             lines in images of 1242 x 375.
-        relative_gap: 0 <= relative_gap < 1.
-        gap_m: metres, not negative.
+        relative_gap: 0 to 0.999.
+        gap_m: metres, 0 to 10,000.
 
     Raises:
         InputError: for values out of range.
@@ -44,27 +46,11 @@ class OcclusionFilter:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        window, gaps = self.window, (self.relative_gap, self.gap_m)
-        if (
-            not isinstance(window, tuple)
-            or len(window) != 2
-            or not all(
-                type(side) is int and 0 < side <= _MAX_WINDOW and side % 2 for side in window
-            )
-        ):
-            raise InputError(
-                f"window must be (height, width), odd and 1 to {_MAX_WINDOW} pixels each, got "
-                f"{window!r:.80}"
-            )
-        if not (
-            all(isinstance(gap, int | float | np.floating) for gap in gaps)
-            and 0 <= self.relative_gap < 1
-            and 0 <= self.gap_m < np.inf
-        ):
-            raise InputError(
-                "relative_gap must be 0 to less than 1 and gap_m not negative, got "
-                f"{self.relative_gap!r:.80} and {self.gap_m!r:.80}"
-            )
+        window = _check_sides("window", self.window, _MAX_WINDOW)
+        if not all(side % 2 for side in window):
+            raise InputError(f"each side of window must be odd, got {window}")
+        check_number("relative_gap", self.relative_gap, 0, _MAX_RELATIVE_GAP, error=InputError)
+        check_number("gap_m", self.gap_m, 0, MAX_DEPTH_RANGE_M, "metres", error=InputError)
 
     def apply(
         self, target: NDArray[np.float32], returns: NDArray[np.float32]
@@ -145,7 +131,7 @@ def project_with_rows(
             f"the last row of extrinsics must be 0, 0, 0, 1, got {extrinsics[3].tolist()}: is the "
             "matrix transposed?"
         )
-    height, width = _check_size(size)
+    height, width = _check_sides("size", size, MAX_SIDE)
     with np.errstate(over="ignore", invalid="ignore"):
         product = intrinsics.astype(np.float64) @ extrinsics[:3].astype(np.float64)
         matrix = product.astype(np.float32)
@@ -239,11 +225,11 @@ def _is_plain(array: Any) -> bool:
     return isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix)
 
 
-def _check_size(size: Any) -> tuple[int, int]:
-    if (
-        not isinstance(size, tuple)
-        or len(size) != 2
-        or not all(isinstance(side, int | np.integer) and 0 < side <= MAX_SIDE for side in size)
-    ):
-        raise InputError(f"size must be (height, width), 1..{MAX_SIDE} pixels each, got {size!r}")
-    return int(size[0]), int(size[1])
+def _check_sides(name: str, sides: Any, most: int) -> tuple[int, int]:
+    if not isinstance(sides, tuple) or len(sides) != 2:
+        raise InputError(f"{name} must be (height, width), got {shown(sides)}")
+    height, width = (
+        check_integer(f"each side of {name}", side, 1, most, "pixels", error=InputError)
+        for side in sides
+    )
+    return height, width

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from runtime.checks import cut
 from runtime.errors import InputError
 
 MAX_FILE_BYTES = 256_000_000  # of an image or a scan
@@ -75,7 +76,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # also of an integer of 5,000 digits
-        raise InputError(f"{_shown(path)} is not valid TOML: {str(error)[:200]}") from error
+        raise InputError(f"{_shown(path)} is not valid TOML: {cut(str(error), 200)}") from error
 
 
 def require_regular(path: Path, *, max_bytes: int | None = None) -> None:
@@ -108,4 +109,4 @@ def _reason(error: OSError | ValueError) -> str:
 
 
 def _shown(path: Path) -> str:
-    return f"{str(path)[:200]}…" if len(str(path)) > 200 else str(path)
+    return cut(str(path), 200)

@@ -3,33 +3,34 @@
 import contextlib
 import io
 import os
+import re
 from collections import Counter
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from runtime.errors import ContractError, ProviderError
+from runtime.errors import ContractError, ProviderError, import_remedy, install_command
 
 PROVIDERS: Mapping[str, str] = MappingProxyType(
     {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 )
-_INSTALL = (
-    'pip install "ssdnet[cpu]" for the CPU, or pip install "ssdnet[gpu]" for an NVIDIA GPU '
-    "(one of the two: they exclude each other)"
-)
 _GPU_NEEDS = (
-    'it needs an NVIDIA driver and: pip uninstall -y onnxruntime; pip install "ssdnet[gpu]"'
+    f"it needs an NVIDIA driver and: pip uninstall -y onnxruntime; {install_command('gpu')}"
 )
+_NO_MEMORY = re.compile("allocate|bad_alloc|out of memory", re.IGNORECASE)
 # A convolution on another provider means that the requested one does not do the work.
 _HEAVY_OPERATORS = frozenset({"Conv", "FusedConv", "QLinearConv", "ConvInteger", "NhwcConv"})
 
 
 def import_onnxruntime() -> Any:
-    """Return the onnxruntime module; ProviderError with the two commands if it is missing."""
+    """Return the onnxruntime module; ProviderError if it is missing or broken."""
     try:
         import onnxruntime
     except ImportError as error:
-        raise ProviderError(f"ONNX Runtime is not installed ({error}): {_INSTALL}") from error
+        raise ProviderError(
+            f"no ONNX Runtime ({error}): {import_remedy(error, 'cpu')} (for an NVIDIA GPU gpu in "
+            "the place of cpu: they exclude each other)"
+        ) from error
     return onnxruntime
 
 
@@ -71,6 +72,13 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
     return session
 
 
+def explain(error: Exception) -> str:
+    """Return the text of an error of ONNX Runtime or NumPy; running out of memory is said so."""
+    if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
+        return f"out of memory, choose a smaller size or fewer frames ({error})"
+    return str(error)
+
+
 def node_counts(session: Any) -> dict[str, int] | None:
     """Return execution provider -> number of graph nodes; None if it is not reported."""
     nodes = _assigned_nodes(session)
@@ -107,7 +115,7 @@ def _provider_options(provider: str, device_id: int) -> dict[str, str]:
 def _require_available(ort: Any, provider: str, name: str) -> None:
     available = ort.get_available_providers()
     if name not in available:
-        needs = _GPU_NEEDS if provider == "cuda" else _INSTALL
+        needs = _GPU_NEEDS if provider == "cuda" else install_command("cpu")
         raise ProviderError(
             f"provider {provider!r} is not part of the installed ONNX Runtime {ort.__version__} "
             f"(it has {', '.join(available)}): {needs}"
@@ -161,11 +169,11 @@ def _assigned_nodes(session: Any) -> list[tuple[str, str]] | None:
 
 def _unloadable(error: Exception) -> ContractError:
     """The error for a file that ONNX Runtime refuses."""
-    text = str(error)
+    text = explain(error)
     if "external data" in text.lower():
         return ContractError(
-            f"the model keeps weights outside its own file ({text}): "
-            "export it into one file with ssdnet-export"
+            "the model keeps weights outside its own file: export it into one file with "
+            "ssdnet-export"
         )
     if "IR version" in text or "opset" in text.lower():
         fault = "it is of a newer version than this ONNX Runtime; update onnxruntime"

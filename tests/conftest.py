@@ -44,13 +44,6 @@ CONTRACT = Contract(
     max_depth_m=MAX_DEPTH_M,
     native_size=(48, 64),
     stride=1,
-    resize={
-        "rgb": "bilinear",
-        "sparse_depth": "nearest",
-        "semantic": "nearest",
-        "depth": "nearest",
-        "boundary": "bilinear",
-    },
     precision="fp32",
     training={"data": [], "terms": "none"},
     versions={"opset": "20"},

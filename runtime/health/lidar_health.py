@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.contract import MAX_RETURN_M
+
 LIDAR_SECTOR_LOST = "lidar_sector_lost"
 LIDAR_LINES_LOST = "lidar_lines_lost"
 
@@ -33,7 +35,7 @@ class LidarHealth:
 
     def check(self, sparse_depth: NDArray[np.float32]) -> tuple[str, ...]:
         """Return what is wrong with a depth map; one without any return is not checked."""
-        mask = ((sparse_depth > 0) & (sparse_depth < np.inf)).view(np.uint8)
+        mask = ((sparse_depth > 0) & (sparse_depth <= MAX_RETURN_M)).view(np.uint8)
         returns = [
             _cells(cv2.reduce(mask, 0, cv2.REDUCE_SUM, dtype=cv2.CV_32S).ravel(), _COLUMNS),
             _cells(cv2.reduce(mask, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S).ravel(), _ROWS),

@@ -43,6 +43,7 @@ from runtime.live.payload import check_depth, check_points
 from runtime.live.stream_statistics import StatisticsRecorder, StreamStatistics
 from runtime.live.watchdog import Watchdog, WatchdogLimits, WatchdogState
 from runtime.preprocess import check_rgb
+from runtime.process_guard import ProcessGuard
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, NS_PER_MS, Stamp, stamp_ns
 from runtime.sync.synchronizer import Decided, Message, Pair, Synchronizer
@@ -67,8 +68,8 @@ class PushStream:
     stream.counts, stream.statistics  # the outcome of every message; latency, age, jitter
     ```
 
-    All methods may be called from any thread. Results are fetched by iterating, which ends after
-    `close()`, or passed to `on_result`.
+    All methods may be called from any thread of the process that made the stream. Results are
+    fetched by iterating, which ends after `close()`, or passed to `on_result`.
 
     Args:
         predictor: a `Predictor`, or a drop-in replacement; it must outlive the stream.
@@ -155,6 +156,7 @@ class PushStream:
         self._alone: Sensor | None = None  # replay: goes on without the other sensor
         self._answers = 0
         self._closed = self._ended = self._failure_raised = False
+        self._guard = ProcessGuard("PushStream")
         self._failure: BaseException | None = None
         reference = weakref.ref(self)
         self._worker = threading.Thread(
@@ -164,7 +166,7 @@ class PushStream:
             daemon=True,
         )
         self._worker.start()
-        weakref.finalize(self, _end_worker, reference, self._changed, self._worker)
+        weakref.finalize(self, _end_worker, reference, self._changed, self._worker, self._guard)
 
     # --- what sensors call ---------------------------------------------------------------------
 
@@ -211,6 +213,7 @@ class PushStream:
         self._push(Sensor.DEPTH, check, points, stamp)
 
     def _push(self, sensor: Sensor, check: Callable[[Any], Any], data: Any, stamp: Any) -> None:
+        self._guard.check()
         outcome = Outcome.BAD_STAMP
         try:
             nanoseconds = stamp_ns(stamp)
@@ -300,6 +303,7 @@ class PushStream:
         Raises:
             Exception: what a callback raised, or any other unexpected error of the worker; once.
         """
+        self._guard.check()
         inside = self._lock_is_held()
         with self._changed:
             self._closed = True
@@ -325,6 +329,7 @@ class PushStream:
 
     def __next__(self) -> FrameResult:
         """Wait for the next result. StopIteration after the last one of a closed stream."""
+        self._guard.check()
         with self._changed:
             while not self._results and not self._ended:
                 self._clock.wait(self._answered, None)
@@ -509,9 +514,14 @@ def _work(
 
 
 def _end_worker(
-    reference: "weakref.ref[PushStream]", changed: threading.Condition, worker: threading.Thread
+    reference: "weakref.ref[PushStream]",
+    changed: threading.Condition,
+    worker: threading.Thread,
+    guard: ProcessGuard,
 ) -> None:
     """Called when a stream was collected, or at exit, where its prediction must end before."""
+    if guard.is_forked:
+        return
     with changed:
         stream = reference()
         if stream is not None:

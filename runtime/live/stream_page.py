@@ -10,8 +10,8 @@ from runtime.drawing.report_page.facts import collect_facts
 from runtime.drawing.report_page.page import PageContent, render_page
 from runtime.drawing.report_page.samples import SampleKeeper
 from runtime.drawing.report_page.timeline import Moment, Timeline
-from runtime.engine_facts import engine_facts
 from runtime.io.atomic_write import atomic_path
+from runtime.io.engine_facts import engine_facts
 from runtime.live.frame_result import FrameResult
 from runtime.live.message_counter import MessageCounts
 from runtime.live.push_stream import PushStream

@@ -7,12 +7,13 @@ from typing import Annotated
 
 import typer
 
-from runtime.bundled_models import DEFAULT_MODEL, describe_bundled_models, list_bundled_models
+from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
 from runtime.command import ERROR, Provider, print_result, reported_errors
 from runtime.command_options import NoDevice, Version
 from runtime.contract import MAX_PIXELS
 from runtime.io.encode import METRES_PNG_SCALE
 from runtime.io.images import KITTI_DEPTH_SCALE
+from runtime.io.model_table import describe_bundled_models
 from runtime.io.scan import SCAN_SUFFIXES
 from runtime.run.options import RunOptions, UsageError
 from runtime.run.outputs.output import DEFAULT_RATE_HZ, FILE_SUFFIXES, RERUN_LIVE

@@ -84,7 +84,7 @@ def describe_predictor(predictor: Predictor, frame_size: tuple[int, int] | None)
 def _scale_text(predictor: Predictor, frame_size: tuple[int, int] | None) -> str:
     if frame_size is None:
         return ""
-    scale = predictor.depth_scale(frame_size)
+    scale = predictor.camera_scale(frame_size)
     given_px = predictor.focal_length_px
     used = "not known" if given_px is None else f"{given_px:g} px"
     if scale.focal_length_px is None and given_px is not None:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from runtime.command import stop_requested
 from runtime.drawing.overlay import SharedOverlay
-from runtime.engine_facts import engine_facts
 from runtime.errors import InputError, OutputError, SSDNetError
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
+from runtime.io.engine_facts import engine_facts
 from runtime.io.recording import Settings
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.predictor import Predictor
@@ -275,7 +275,7 @@ def _report(
     result: StreamResult,
     doubt: str | None,
 ) -> RunReport:
-    scale = predictor.depth_scale(frame_size) if frame_size else None
+    scale = predictor.camera_scale(frame_size) if frame_size else None
     inputs = {
         "source": options.source_name,
         **source.inputs,

@@ -7,8 +7,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from runtime.engine_facts import EngineFacts
 from runtime.io.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
+from runtime.io.engine_facts import EngineFacts
 from runtime.run.pipeline import OK, SKIPPED, FrameRecord, StreamResult
 from runtime.sync.latency import (
     LatencyStatistics,

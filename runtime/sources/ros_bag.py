@@ -10,7 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from runtime.errors import InputError, SSDNetError
+from runtime.errors import InputError, SSDNetError, install_command
 from runtime.read_input import MAX_TEXT_BYTES, require_regular
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def _open(path: Path) -> "tuple[AnyReader, Typestore]":
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
         raise InputError(
-            f'rosbags, which reads bags, is not installed ({error}): pip install "ssdnet[bag]"'
+            f"rosbags, which reads bags, is not installed ({error}): {install_command('bag')}"
         ) from error
     _bound_decompression()
     files = [path]

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from runtime.command import SIGNALS, stop_requested
-from runtime.engine_facts import MachineFacts, machine_facts
+from runtime.io.engine_facts import MachineFacts, machine_facts
 from runtime.session import import_onnxruntime
 from runtime.sync.latency import LatencyStatistics, latency_statistics
 from runtime.tools.bench_worker import Opened, serve
@@ -36,7 +36,7 @@ _WARM_UP = 2  # runs of each model
 class BenchOptions:
     """What is measured."""
 
-    models: tuple[str, ...]  # bundled names and ONNX files; ratios are to the first
+    models: tuple[str, ...]  # bundled names and ONNX files; ratios are to the first that ran
     sizes: tuple[tuple[int, int], ...]  # (height, width), of models of free size
     threads: tuple[int, ...]  # within an operator
     batches: tuple[int, ...] = (1,)  # frames of a run, of models of free batch
@@ -47,7 +47,7 @@ class BenchOptions:
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of a model's runs; a ratio is the quartiles of each run's to the first model's."""
+    """Figures of a model's runs; a ratio is the quartiles of each run's to `reference`'s."""
 
     latency: LatencyStatistics
     min_ms: float
@@ -105,8 +105,13 @@ def bench(options: BenchOptions) -> BenchReport:
         report.interrupted = True
     for group in report.groups:
         for row in group:
-            row.figures = _figures(row, group[0])
+            row.figures = _figures(row, reference(group))
     return report
+
+
+def reference(group: Sequence[BenchRow]) -> BenchRow:
+    """Return the row of a group that others are compared with: the first that ran."""
+    return next((row for row in group if row.times_ms), group[0])
 
 
 def _figures(row: BenchRow, first: BenchRow) -> Figures | None:
@@ -187,7 +192,9 @@ class _Worker:
         except (EOFError, OSError):
             self._process.join()
             code = self._process.exitcode
-            answer = f"its process ended with exit code {code}" + ", out of memory?" * (code == -9)
+            answer = f"its process ended with exit code {code}"
+            if code == -signal.SIGKILL:
+                answer = "its process was killed, most likely since it ran out of memory"
         if not isinstance(answer, str):
             return answer
         self.row.error = answer

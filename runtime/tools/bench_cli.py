@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from runtime.checks import shown
 from runtime.command import (
     ERROR,
     INTERRUPTED,
@@ -19,7 +20,7 @@ from runtime.command import (
 from runtime.command_options import NoDevice, Version
 from runtime.cores import available_cores
 from runtime.io.atomic_write import atomic_write
-from runtime.tools.bench import BenchOptions, BenchReport, BenchRow, bench
+from runtime.tools.bench import BenchOptions, BenchReport, BenchRow, bench, reference
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -98,7 +99,7 @@ def main(
 def _size(text: str) -> tuple[int, int]:
     sides = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text, re.ASCII | re.IGNORECASE)
     if sides is None:
-        raise typer.BadParameter(f"--size is HEIGHTxWIDTH, as 375x1242, got {text!r:.80}")
+        raise typer.BadParameter(f"--size is HEIGHTxWIDTH, as 375x1242, got {shown(text)}")
     return int(sides[1]), int(sides[2])
 
 
@@ -111,10 +112,10 @@ def to_markdown(report: BenchReport) -> str:
         f"at the start, onnxruntime {report.onnxruntime} on {options.provider}, Python "
         f"{machine.python}; {options.rounds} {how}{', interrupted' * report.interrupted}"
     ]
-    titles = ["model", "input", "GMACs", "params M", "median ms", "min ms", "p99 ms"]
-    titles += [f"ratio to {options.models[0]}", "quartiles", "processor ms", "GMAC/s"]
-    titles += ["peak MB", "load ms", "first ms", "note"]
     for group in report.groups:
+        titles = ["model", "input", "GMACs", "params M", "median ms", "min ms", "p99 ms"]
+        titles += [f"ratio to {reference(group).model}", "quartiles", "processor ms", "GMAC/s"]
+        titles += ["peak MB", "load ms", "first ms", "note"]
         rows = [titles, ["---"] * len(titles), *map(_cells, group)]
         lines = [f"| {' | '.join(map(_cell, row))} |" for row in rows]
         parts.append(f"**{_case(group[0])}**\n\n" + "\n".join(lines))

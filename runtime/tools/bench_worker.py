@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.bundled_models import find_model
+from runtime.checks import shown
 from runtime.errors import InputError, SSDNetError
 from runtime.model_file import MAX_MODEL_BYTES
 from runtime.read_input import read_input
-from runtime.session import import_onnxruntime, open_session
+from runtime.session import explain, import_onnxruntime, open_session
 
 Feeds = Mapping[str, NDArray[Any]]
 
@@ -52,8 +53,9 @@ def serve(pipe: Connection, scratch: Path, **request: Any) -> None:
     except EOFError:  # the other process has ended
         return
     except Exception as error:  # ONNX Runtime raises errors of any type
-        ours = isinstance(error, SSDNetError)
-        pipe.send(str(error) if ours else f"{type(error).__name__}: {error}")
+        text = explain(error)
+        ours = isinstance(error, SSDNetError) or text != str(error)
+        pipe.send(text if ours else f"{type(error).__name__}: {error}")
 
 
 def _open(
@@ -142,7 +144,7 @@ def make_input(name: str, element: str, shape: Sequence[int]) -> NDArray[Any]:
     """
     dtype = _dtype(element.removeprefix("tensor(").removesuffix(")"))
     if dtype is None:
-        raise InputError(f"the input {name!r:.80} is {element}: expected a tensor of numbers")
+        raise InputError(f"the input {shown(name)} is {element}: expected a tensor of numbers")
     rng = np.random.default_rng(0)
     if dtype == np.uint8:
         return rng.integers(0, 256, shape, dtype=np.uint8)

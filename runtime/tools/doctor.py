@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Literal
 
-from runtime.engine_facts import machine_facts
 from runtime.errors import SSDNetError
+from runtime.io.engine_facts import machine_facts
 from runtime.tools.cuda_libraries import DRIVER, cuda_major, find_library, library_names
 
 #: "note" is a fact, or something missing that is not needed; only "fault" fails.
@@ -57,16 +57,14 @@ def examine(provider: str, *, seconds: float = 1.0) -> Iterator[Check]:
         yield _package(module, distribution)
     for distribution, extras in _EXTRAS.items():
         found = installed(distribution)
-        yield Check(
-            distribution, "note", found or f'not installed, only needed for "ssdnet[{extras}]"'
-        )
+        yield Check(distribution, "note", found or f'not installed, only needed for ".[{extras}]"')
     yield _wheel(provider)
     try:
         ort = importlib.import_module("onnxruntime")
         ort.get_available_providers()
     except Exception as error:
         extra = "gpu" if provider == "cuda" else "cpu"
-        yield Check("onnxruntime", "fault", _text(error), pip("install", f"ssdnet[{extra}]"))
+        yield Check("onnxruntime", "fault", _text(error), _install(extra))
         return
     yield _providers(ort, provider)
     yield from _libraries(ort, provider)
@@ -101,6 +99,10 @@ def pip(*arguments: str) -> str:
     return shlex.join([sys.executable, "-m", "pip", *arguments])
 
 
+def _install(extra: str) -> str:
+    return pip("install", "-c", "constraints.txt", f".[{extra}]")
+
+
 def _package(module: str, distribution: str) -> Check:
     """Whether a package can be imported."""
     found = installed(distribution)
@@ -122,7 +124,7 @@ def _wheel(provider: str) -> Check:
     text = ", ".join(f"{name} {number}" for name, number in found.items() if number) or "none"
     if all(found.values()):
         extra = "gpu" if provider == "cuda" else "cpu"
-        remedy = f"{pip('uninstall', '-y', *_ORT_WHEELS)} && {pip('install', f'ssdnet[{extra}]')}"
+        remedy = f"{pip('uninstall', '-y', *_ORT_WHEELS)} && {_install(extra)}"
         fault = f"{text}: they own the same files and exclude each other"
         return Check("onnxruntime wheel", "warning", fault, remedy)
     return Check("onnxruntime wheel", "ok" if any(found.values()) else "warning", text)
@@ -136,7 +138,7 @@ def _providers(ort: Any, provider: str) -> Check:
             "providers",
             "fault",
             f"{found}; {_CUDA_PROVIDER} is missing",
-            f"{pip('uninstall', '-y', 'onnxruntime')} && {pip('install', 'ssdnet[gpu]')}",
+            f"{pip('uninstall', '-y', 'onnxruntime')} && {_install('gpu')}",
         )
     return Check("providers", "ok", found)
 
@@ -165,7 +167,7 @@ def _libraries(ort: Any, provider: str) -> Iterator[Check]:
 def self_test(model: str, provider: str, *, seconds: float) -> Check:
     """Predict bundled frames with a bundled model, and check the answers."""
     name = f"{model} on {provider}"
-    reinstall = pip("install", "--force-reinstall", "--no-deps", "ssdnet")
+    reinstall = pip("install", "--force-reinstall", "--no-deps", ".")
     try:
         times_ms, error = _predict_bundled(model, provider, seconds)
     except SSDNetError as problem:  # its text says what to do

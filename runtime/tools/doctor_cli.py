@@ -59,6 +59,7 @@ def _line(check: Check) -> str:
 def _verdict(faults: int, provider: str) -> str:
     if faults:
         return (
-            f"{faults} fault{'s' * (faults > 1)}: run the commands behind the arrows, in this order"
+            f"{faults} fault{'s' * (faults > 1)}: run the commands behind the arrows in a clone of "
+            "ssdnet, in this order"
         )
     return f"the engine works on {provider}"

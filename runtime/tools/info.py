@@ -7,9 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from runtime.bundled_models import describe_bundled_models, list_bundled_models
+from runtime.bundled_models import list_bundled_models
 from runtime.command import ERROR, print_result, reported_errors
 from runtime.command_options import Version
+from runtime.io.model_table import describe_bundled_models
 from runtime.predictor import Predictor
 
 INFO_FORMAT, INFO_VERSION = "ssdnet-info", "1.0"
@@ -91,7 +92,6 @@ def model_table(described: dict[str, Any]) -> str:
         ("GMACs a frame", "not counted" if giga_macs is None else f"{giga_macs:.3g}"),
         ("accuracy", "" if metadata["accuracy"] else "not measured"),
         *_facts(metadata["accuracy"]),
-        ("resize", _pairs(metadata["resize"])),
         ("terms", _plain(metadata["training"].get("terms", "not stated"))),
         ("trained on", _plain(metadata["training"].get("data", "not stated"))),
         ("made by", _pairs(metadata["versions"])),

@@ -266,7 +266,7 @@ WRONG = {
         "not as it was exported",
     ),
     "a newer schema": (
-        lambda model, image, depth: changed(model, b'"1.3"', b'"2.0"'),
+        lambda model, image, depth: changed(model, b'"1.4"', b'"2.0"'),
         "schema is 2.0",
     ),
     "a text as an image": (

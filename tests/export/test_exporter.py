@@ -18,8 +18,9 @@ from export.exporter import export_checkpoint
 from export.parity import measure_parity
 from export.probe_frames import probe_frames
 from models import CAMVID_CLASSES, load_checkpoint, save_checkpoint
-from runtime import CheckpointError, ContractError, InputError, OutputError, Predictor
+from runtime import ContractError, InputError, OutputError, Predictor
 from runtime.contract import SCHEMA_VERSION
+from runtime.errors import CheckpointError
 from runtime.model_file import with_contract
 
 SIZE = (64, 96)

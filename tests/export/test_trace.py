@@ -93,7 +93,7 @@ def test_faulty_depth_means_no_measurement_inside_the_graph(dynamic_session):
     rng = np.random.default_rng(0)
     frame = probe_frames((64, 96), max_depth_m=100.0, seeds=(1,))[0]
     spoiled = frame.sparse_depth.copy()
-    faults = np.array([np.nan, np.inf, -np.inf, -1.0, 200.5], dtype=np.float32)
+    faults = np.array([np.nan, np.inf, -np.inf, -1.0, 250.5], dtype=np.float32)
     hit = rng.random(spoiled.shape) < 0.3
     spoiled[hit] = rng.choice(faults, int(hit.sum()))
     removed = np.where(hit, np.float32(0), frame.sparse_depth)
@@ -102,6 +102,18 @@ def test_faulty_depth_means_no_measurement_inside_the_graph(dynamic_session):
     expected = run(dynamic_session, [ProbeFrame("removed", frame.rgb, removed)])
     for head, answer in answers.items():
         assert np.isfinite(answer).all()
+        np.testing.assert_array_equal(answer, expected[head])
+
+
+def test_far_returns_are_clipped_inside_the_graph(dynamic_session, lite):
+    frame = probe_frames((64, 96), max_depth_m=100.0, seeds=(1,))[0]
+    far, clipped = frame.sparse_depth.copy(), frame.sparse_depth.copy()
+    hit = np.random.default_rng(0).random(far.shape) < 0.1
+    far[hit], clipped[hit] = 249.5, lite.config.max_depth_m
+    assert lite.config.max_depth_m < 249
+    answers = run(dynamic_session, [ProbeFrame("far", frame.rgb, far)])
+    expected = run(dynamic_session, [ProbeFrame("clipped", frame.rgb, clipped)])
+    for head, answer in answers.items():
         np.testing.assert_array_equal(answer, expected[head])
 
 

@@ -21,11 +21,15 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals"
     ("error", "code", "text"),
     [
         (InputError("the fault"), 1, "error: the fault\n"),
-        (ImportError("No module named 'x'"), 1,
-         "error: No module named 'x': pip install \"ssdnet[train]\"\n"),
+        (ModuleNotFoundError("No module named 'x'"), 1,
+         "error: No module named 'x': pip install -c constraints.txt \".[train]\" "
+         "in a clone of ssdnet\n"),
+        (ImportError("libGL.so.1: cannot open shared object file"), 1,
+         "error: libGL.so.1: cannot open shared object file: it is installed but cannot be loaded, "
+         "ssdnet-doctor examines it\n"),
         (KeyboardInterrupt(), 130, ""),
     ],
-    ids=["ours", "missing package", "Ctrl-C"],
+    ids=["ours", "missing package", "broken package", "Ctrl-C"],
 )  # fmt: skip
 def test_an_error_is_a_line_and_an_exit_code(capfd, error, code, text):
     with pytest.raises(SystemExit) as caught, reported_errors("train"):

@@ -1,11 +1,15 @@
 """The predictor on models whose right answers can be worked out by hand."""
 
+import copy
 import dataclasses
 import hashlib
+import os
+import pickle
 import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -367,8 +371,80 @@ def test_warm_up_refuses_what_cannot_be(model_file, size, runs):
     [{"threads": 0}, {"threads": -1}, {"threads": 2**31}, {"warmup": -1}, {"threads": 1.0}],
 )
 def test_arguments_out_of_range_are_refused(model_file, arguments):
-    with pytest.raises(InputError, match="at least"):
+    (name,) = arguments
+    with pytest.raises(InputError, match=f"{name} must be a whole number of "):
         Predictor(model_file(), **arguments)
+
+
+FORKED = """
+import os, sys, numpy as np
+from runtime import InferenceError, Predictor, PushStream
+rgb, depth = np.full((48, 64, 3), 7, np.uint8), np.zeros((48, 64), np.float32)
+predictor = Predictor(sys.argv[1], threads=2)
+stream = PushStream(predictor)
+calls = {
+    "predict": lambda: predictor.predict(rgb),
+    "reset": predictor.reset,
+    "push": lambda: stream.push_image(rgb, 1.0),
+    "next": lambda: next(stream),
+    "close": stream.close,
+}
+child = os.fork()
+if not child:
+    refused = 0
+    for call in calls.values():
+        try:
+            call()
+        except InferenceError as error:
+            refused += "in each process" in str(error)
+    predictor.close()
+    os._exit(refused)
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == len(calls)
+stream.push_image(rgb, 1.0)
+stream.close()
+assert [result.prediction.valid for result in stream] == [True]
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_after_a_fork_every_call_is_an_error_and_the_parent_goes_on(model_file):
+    """A child has no worker and none of the session's threads: frames would wait for ever."""
+    program = [sys.executable, "-W", "ignore", "-c", FORKED, model_file()]
+    done = subprocess.run(program, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("copy_it", [pickle.dumps, copy.copy, copy.deepcopy])
+def test_a_predictor_that_is_pickled_names_what_to_do(model_file, copy_it):
+    with pytest.raises(InputError, match="make a Predictor in each process"):
+        copy_it(Predictor(model_file(), warmup=0))
+
+
+def test_a_frame_without_depth_may_leave_it_out(model_file, make_frame):
+    rgb, _ = make_frame()
+    predictor = Predictor(model_file())
+    alone, none = predictor.predict(rgb), predictor.predict(rgb, None)
+    np.testing.assert_array_equal(alone.depth, none.depth)
+    assert alone.degraded == none.degraded == ("no_depth",)
+
+
+def test_a_session_without_memory_says_so(model_file, make_frame, monkeypatch):
+    def fail(*arguments):
+        raise RuntimeError("Failed to allocate memory for requested buffer of size 96256000")
+
+    predictor = Predictor(model_file())
+    predictor._session = SimpleNamespace(run=fail)
+    with pytest.raises(InferenceError, match="out of memory, choose a smaller size or fewer"):
+        predictor.predict(*make_frame())
+
+
+def test_a_prediction_names_its_classes_and_is_short(model_file, make_frame):
+    prediction = Predictor(model_file()).predict(make_frame()[0])
+    assert prediction.class_names == ("dark", "red")
+    shown = repr(prediction)
+    assert shown.startswith("Prediction(semantic, depth, boundary; ")
+    assert shown.endswith(" ms; valid, no_depth)")
+    assert dataclasses.replace(prediction, contract=None).class_names == ()
 
 
 def test_memory_does_not_grow(model_file, make_frame):

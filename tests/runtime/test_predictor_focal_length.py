@@ -148,7 +148,7 @@ def test_a_wide_cameras_far_returns_are_fed_as_at_the_end_of_the_range(
         run = predictor._run
         predictor._run = lambda frames: fed.append(frames[0].sparse_depth) or run(frames)
         prediction = predictor.predict(rgb, depth)
-        assert predictor.depth_scale((48, 64)) == (2.0, 40.0, 50.0)
+        assert predictor.camera_scale((48, 64)) == (2.0, 40.0, 50.0)
     assert fed[0][0, :3].tolist() == [60, 80, 0]
     assert (prediction.cleaned.too_far, prediction.depth_returns) == (2, 2)
 
@@ -157,5 +157,5 @@ def test_the_range_counts_at_the_networks_size(model_file, contract):
     """A frame run at half its size has half the focal length there."""
     path = model_file(contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX))
     with Predictor(path, size=48, focal_length_px=140.0) as predictor:
-        assert predictor.depth_scale((96, 128)).range_m == pytest.approx(56.0)
-        assert predictor.depth_scale((48, 64)).range_m == pytest.approx(112.0)
+        assert predictor.camera_scale((96, 128)).range_m == pytest.approx(56.0)
+        assert predictor.camera_scale((48, 64)).range_m == pytest.approx(112.0)

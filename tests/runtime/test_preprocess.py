@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+import torch
 
+from models import create_model
 from runtime import Cleaned, InputError
 from runtime.prediction import SPARSE_DEPTH_LOW
 from runtime.preprocess import (
@@ -97,6 +99,17 @@ def test_a_return_beyond_the_range_is_fed_as_its_end(range_m, fed):
     assert cleaned == Cleaned(too_far=np.count_nonzero(depth > range_m))
 
 
+@pytest.mark.parametrize("range_m", [80.0, 200.0, 400.0])
+def test_the_networks_have_the_same_rule(range_m):
+    values = [0, -1, -0.0, 1e-3, 79, 81, 200, 201, 250, 251, 399, 401, 655.35, np.nan, np.inf]
+    depth = np.array([[*values, -np.inf]], np.float32)
+    kept, _, _ = clean_sparse_depth(depth, max_depth_m=range_m)
+    network = create_model("ssdnet-nano", max_depth_m=range_m)
+    share, measured = network.normalise_depth(torch.from_numpy(depth)[None, None])
+    np.testing.assert_array_equal(measured[0, 0].numpy(), kept > 0)
+    np.testing.assert_allclose(share[0, 0].numpy() * range_m, kept, rtol=1e-6)
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1.0, 251.0])
 def test_a_single_bad_pixel_anywhere_is_seen(bad):
     for at in range(33 * 35):
@@ -168,5 +181,5 @@ def test_a_masked_array_is_refused():
     with pytest.raises(InputError, match=r"masked.*filled\(0\)"):
         check_sparse_depth(masked, size=(40, 50))
     assert not check_sparse_depth(masked.filled(0), size=(40, 50)).any()
-    with pytest.raises(InputError, match="mask would be lost"):
+    with pytest.raises(InputError, match=r"a masked one: use rgb\.filled"):
         check_rgb(np.ma.masked_array(np.zeros((40, 50, 3), np.uint8)))

@@ -1,5 +1,6 @@
 """What was asked for is what runs, or an error says what is missing: with a stand-in runtime."""
 
+import builtins
 import sys
 from types import SimpleNamespace
 
@@ -7,6 +8,7 @@ import onnxruntime
 import pytest
 
 from runtime import ContractError, Predictor, ProviderError
+from runtime.errors import install_command
 from runtime.session import node_counts, open_session
 
 CPU, CUDA = "CPUExecutionProvider", "CUDAExecutionProvider"
@@ -78,14 +80,26 @@ def test_without_onnxruntime_the_two_commands_are_named(monkeypatch, model_file)
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(ProviderError) as error:
         Predictor(model_file())
-    assert 'pip install "ssdnet[cpu]"' in str(error.value)
-    assert 'pip install "ssdnet[gpu]"' in str(error.value)
+    assert install_command("cpu") in str(error.value)
+    assert "gpu in the place of cpu" in str(error.value)
+
+
+def test_an_onnxruntime_that_cannot_be_loaded_is_not_called_missing(monkeypatch):
+    def broken(name, *arguments, **options):
+        if name == "onnxruntime":
+            raise ImportError("libcudart.so.13: cannot open shared object file")
+        return import_module(name, *arguments, **options)
+
+    import_module = builtins.__import__
+    monkeypatch.setattr(builtins, "__import__", broken)
+    with pytest.raises(ProviderError, match=r"libcudart.*cannot be loaded, ssdnet-doctor"):
+        open_cuda()
 
 
 def test_cuda_that_this_onnxruntime_does_not_have(model_file, make_frame):
     if CUDA in onnxruntime.get_available_providers():
         pytest.skip("the installed ONNX Runtime has CUDA")
-    with pytest.raises(ProviderError, match=r"'cuda' is not part of .*ssdnet\[gpu\]"):
+    with pytest.raises(ProviderError, match=r"'cuda' is not part of .*\.\[gpu\]"):
         Predictor(model_file(), provider="cuda")
 
 

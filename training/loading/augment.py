@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from runtime.contract import MAX_RETURN_M
 from runtime.resize import move_returns, move_scan_lines, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample, nothing_known
 from training.lidar.faults import add_false_returns, drop_sectors, misalign
 from training.lidar.simulate import SENSOR_LINES
 from training.lidar.solid_state import solid_state_scan
-from training.lidar.split import LidarInput, split_lidar
+from training.lidar.split import LidarInput, masked, split_lidar
 from training.limits import (
     PAIR_BORDER_PX,
     PAIR_STEP_PX,
@@ -204,6 +205,8 @@ def canonical_depth(sample: Sample, focal_px: float) -> Sample:
     if focal is None:
         return sample
     factor = np.float32(focal_px / focal)
+    if (fed := sample.sparse_depth) is not None:  # the limit of returns counts in metres
+        sample = replace(sample, sparse_depth=masked(fed, fed <= MAX_RETURN_M))
     return _change_depth(sample, lambda depth: depth * factor)
 
 

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from runtime.engine_facts import EngineFacts
+from runtime.io.engine_facts import EngineFacts
 
 _LIBRARIES = {"onnxruntime": "ONNX Runtime", "cv2": "OpenCV", "numpy": "NumPy"}
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
-from runtime.errors import OutputError
+from runtime.errors import OutputError, install_command
 from runtime.heads import HEADS
 from runtime.io.atomic_write import atomic_path
 from runtime.io.encode import encode_jpeg
@@ -147,7 +147,7 @@ def open_mcap(
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
     except ImportError as error:
         raise OutputError(
-            f"an MCAP file needs the package rosbags ({error}): pip install 'ssdnet[bag]'"
+            f"an MCAP file needs the package rosbags ({error}): {install_command('bag')}"
         ) from error
     with atomic_path(path, overwrite=overwrite) as temporary:
         folder = temporary.with_suffix("")

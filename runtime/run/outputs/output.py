@@ -6,7 +6,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Protocol
 
-from runtime.errors import OutputError
+from runtime.errors import OutputError, install_command
 from runtime.io.atomic_write import atomic_path
 from runtime.prediction import Prediction
 from runtime.sources.frames import Frame
@@ -58,5 +58,5 @@ def require_package(option: str, package: str, *, extra: str) -> None:
     if importlib.util.find_spec(package) is None:
         raise OutputError(
             f"{option} needs the package {package}, which is not installed: "
-            f'pip install "ssdnet[{extra}]"'
+            f"{install_command(extra)}"
         )

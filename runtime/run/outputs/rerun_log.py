@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from runtime.contract import Contract
-from runtime.errors import OutputError
+from runtime.errors import OutputError, install_command
 from runtime.io.atomic_write import atomic_path
 from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
@@ -110,7 +110,7 @@ def open_rerun(
         import rerun
     except ImportError as error:
         raise OutputError(
-            f"Rerun needs the package rerun-sdk ({error}): pip install 'ssdnet[rerun]'"
+            f"Rerun needs the package rerun-sdk ({error}): {install_command('rerun')}"
         ) from error
     log = rerun.RecordingStream("ssdnet")
     with contextlib.ExitStack() as made:

@@ -25,9 +25,11 @@ def learned():
     return health
 
 
-def test_a_lost_sector():
+@pytest.mark.parametrize("nothing_m", [0, 655.35, np.inf, np.nan, -1])
+def test_a_lost_sector(nothing_m):
+    """Whatever stands for no return, as 65535 of a 16-bit PNG."""
     depth = scan(9)
-    depth[:, 100:160] = 0
+    depth[:, 100:160] = nothing_m
     health = learned()
     assert [health.check(depth) for _ in range(50)] == [("lidar_sector_lost",)] * 50, "not learned"
     assert health.check(scan(10)) == ()

@@ -163,7 +163,7 @@ def test_without_onnxruntime_the_commands_are_printed(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     result = run()
     assert result.exit_code == 1
-    assert 'pip install "ssdnet[cpu]"' in result.stderr
+    assert 'pip install -c constraints.txt ".[cpu]"' in result.stderr
 
 
 def test_the_focal_length_reaches_the_model(tmp_path, run, model_file, contract):

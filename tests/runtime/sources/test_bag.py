@@ -411,7 +411,7 @@ def test_without_rosbags_the_error_names_the_install_command(recorded, run, monk
     monkeypatch.setattr(builtins, "__import__", without_rosbags)
     answers = run("--source", f"bag:{recorded}")
     assert answers.exit_code == 1
-    assert 'pip install "ssdnet[bag]"' in answers.text.replace("\n", " ")
+    assert 'pip install -c constraints.txt ".[bag]"' in answers.text.replace("\n", " ")
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99])

@@ -129,7 +129,8 @@ def test_what_cannot_run_is_a_row_with_its_reason(run, model_file, tmp_path):
     assert [row["error"] is None for row in rows_of(document)] == [False] * 4 + [True]
     good = rows_of(document)[-1]["figures"]
     assert good["min_ms"] > 0
-    assert good["ratio"] is None, "the first model has no times"
+    assert good["ratio"] == [1, 1, 1], "it is the first that ran"
+    assert cells_of(result.output)[0][7] == f"ratio to {models[-1]}"
 
 
 def test_a_failure_between_the_runs_takes_the_row_and_leaves_the_others(
@@ -149,9 +150,14 @@ def test_a_failure_between_the_runs_takes_the_row_and_leaves_the_others(
     monkeypatch.setattr(bench_worker, "time_runs", fail)
     result, document = run(model_file(), model_file(), model_file(), "--rounds", 3)
     assert result.exit_code == 1
-    errors = ["MemoryError: too much", None, "its process ended with exit code 3"]
+    errors = [
+        "out of memory, choose a smaller size or fewer frames (too much)",
+        None,
+        "its process ended with exit code 3",
+    ]
     assert [row["error"] for row in rows_of(document)] == errors
     assert [len(row["times_ms"]) for row in rows_of(document)] == [0, 3, 0]
+    assert rows_of(document)[1]["figures"]["ratio"] == [1, 1, 1], "it is the first that ran"
 
 
 def test_models_take_turns_after_runs_that_do_not_count(run, model_file, monkeypatch):
@@ -393,7 +399,7 @@ def test_each_model_has_a_process_and_one_that_ends_is_a_row(start_process, mode
     _, nano, small, failed = cells_of(stdout)
     assert stderr == ""
     assert float(nano[11]) > float(small[11]) > 20, "each has its own peak of memory"
-    assert "Unable to allocate" in failed[14]
+    assert failed[14].startswith("out of memory, choose a smaller size")
 
 
 def test_weights_of_8_bits_are_counted_as_those_of_32(tmp_path):

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from runtime import list_bundled_models
-from runtime.engine_facts import machine_facts
+from runtime.io.engine_facts import machine_facts
 from runtime.tools import cuda_libraries, doctor
 from runtime.tools.doctor_cli import app
 
@@ -100,7 +100,7 @@ def test_no_gpu_is_a_fault_only_where_cuda_is_asked_for(fake_runtime):
     assert faults("cpu") == {}
     pip = f"{sys.executable} -m pip"
     assert faults("cuda") == {
-        "providers": f"{pip} uninstall -y onnxruntime && {pip} install 'ssdnet[gpu]'",
+        "providers": f"{pip} uninstall -y onnxruntime && {pip} install -c constraints.txt '.[gpu]'",
         "libcuda.so.1": "install NVIDIA's driver: it comes with the system, not with pip",
     }
     assert CliRunner().invoke(app, ["--provider", "cuda"]).exit_code == 1
@@ -127,14 +127,17 @@ def test_both_wheels_at_once_are_reported(fake_runtime):
     check = examine("cpu")["onnxruntime wheel"]
     assert check.status == "warning"
     assert check.remedy.startswith(f"{sys.executable} -m pip uninstall -y onnxruntime onnx")
-    assert check.remedy.endswith("-m pip install 'ssdnet[cpu]'")
+    assert check.remedy.endswith("-m pip install -c constraints.txt '.[cpu]'")
 
 
 def test_without_onnxruntime_the_rest_is_still_reported(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     checks = examine("cpu")
     assert checks["numpy"].status == "ok"
-    assert checks["onnxruntime"].remedy == f"{sys.executable} -m pip install 'ssdnet[cpu]'"
+    assert (
+        checks["onnxruntime"].remedy
+        == f"{sys.executable} -m pip install -c constraints.txt '.[cpu]'"
+    )
     assert faults("cpu").keys() == {"onnxruntime"}
 
 
@@ -193,7 +196,7 @@ def test_the_command_starts_where_a_package_is_broken(module):
     )
     assert done.returncode == 1, done.stderr
     assert "Traceback" not in done.stderr
-    assert "ssdnet[cpu]" in done.stdout or "opencv-python-headless" in done.stdout
+    assert ".[cpu]" in done.stdout or "opencv-python-headless" in done.stdout
 
 
 class Broken:

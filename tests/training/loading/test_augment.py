@@ -354,6 +354,14 @@ def test_the_focal_length_is_fx_as_in_the_engine():
     assert canonical_depth(unknown, 30.0) is unknown
 
 
+def test_the_mark_of_no_return_is_none_in_canonical_depth():
+    """655.35 m of a short focal length would be 164 canonical metres, within the range."""
+    fed = np.zeros((48, 64), np.float32)
+    fed[0, :3] = 40, 250, 655.35
+    sample = replace(plane(), intrinsics=np.diag([200.0, 200.0, 1.0]), sparse_depth=fed)
+    np.testing.assert_allclose(canonical_depth(sample, 50.0).sparse_depth[0, :3], [10, 62.5, 0])
+
+
 @pytest.mark.parametrize("scale_depth", [False, True])
 @pytest.mark.parametrize(("known", "factor"), [(True, 200 / (50 * 2)), (False, 1 / 2)])
 def test_augmented_samples_are_in_canonical_depth(known, factor, scale_depth):

@@ -14,7 +14,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import InferenceError, ProviderError
+from runtime.errors import InferenceError, ProviderError, install_command
 from training.evaluation.classical.method import Depth, is_measured
 
 #: Least weight of neighbours: exp() of two different colours would cut a region off.
@@ -91,7 +91,7 @@ def _import_sparse() -> ModuleType:
         import scipy.sparse.linalg
     except ImportError as error:
         raise ProviderError(
-            f'SciPy is not installed ({error}), which mrf needs: pip install "ssdnet[train]"'
+            f"SciPy is not installed ({error}), which mrf needs: {install_command('train')}"
         ) from error
     sparse: ModuleType = scipy.sparse
     return sparse

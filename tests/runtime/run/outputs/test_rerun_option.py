@@ -18,7 +18,7 @@ def test_without_the_package_the_command_fails_before_anything_is_written(
     )
     result = run("--rerun", tmp_path / "a.rrd")
     assert result.exit_code == 1
-    assert 'pip install "ssdnet[rerun]"' in result.stderr
+    assert 'pip install -c constraints.txt ".[rerun]"' in result.stderr
     assert not (tmp_path / "out").exists()
 
 

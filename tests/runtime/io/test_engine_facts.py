@@ -7,8 +7,8 @@ import pytest
 
 import runtime
 from runtime import Predictor
-from runtime import engine_facts as facts_module
-from runtime.engine_facts import engine_facts, machine_facts
+from runtime.io import engine_facts as facts_module
+from runtime.io.engine_facts import engine_facts, machine_facts
 
 
 def test_the_facts_are_those_of_the_predictor(model_file, contract):

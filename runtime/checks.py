@@ -1,0 +1,53 @@
+"""Checks of numbers that callers and files give, and how an error shows a value. Leaf of all."""
+
+import numbers
+import operator
+from typing import Any
+
+
+def shown(value: object, most: int = 80) -> str:
+    """Return a value for an error message: its repr, cut after `most` characters."""
+    return cut(repr(value), most)
+
+
+def cut(text: str, most: int = 80) -> str:
+    """Return a text for an error message, cut after `most` characters."""
+    return text if len(text) <= most else f"{text[:most]}…"
+
+
+def check_number(
+    name: str,
+    value: Any,
+    least: float,
+    most: float,
+    unit: str = "",
+    *,
+    error: type[Exception] = ValueError,
+) -> float:
+    """Return a number of any library; `error`, naming it, unless it is one of least to most."""
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not (is_number and least <= value <= most):
+        raise error(f"{name} must be {least:g} to {most:g}{unit and ' '}{unit}, got {shown(value)}")
+    return float(value)
+
+
+def check_integer(
+    name: str,
+    value: Any,
+    least: int,
+    most: int = 2**31 - 1,
+    unit: str = "",
+    *,
+    error: type[Exception] = ValueError,
+) -> int:
+    """Return a whole number of any library; `error` as of `check_number`, also for booleans."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = least - 1
+    if isinstance(value, bool) or not least <= number <= most:
+        raise error(
+            f"{name} must be a whole number of {least} to {most}{unit and ' '}{unit}, got "
+            f"{shown(value)}"
+        )
+    return number

@@ -1,0 +1,25 @@
+"""Objects whose threads a fork does not copy: of use in the process that made them alone."""
+
+import os
+
+from runtime.errors import InferenceError
+
+
+class ProcessGuard:
+    """Remembers the process that made an object; `what` names the object."""
+
+    def __init__(self, what: str) -> None:
+        self._what, self._process = what, os.getpid()
+
+    @property
+    def is_forked(self) -> bool:
+        """Whether this is a child of that process."""
+        return os.getpid() != self._process
+
+    def check(self) -> None:
+        """Raise InferenceError in a child."""
+        if self.is_forked:
+            raise InferenceError(
+                f"the {self._what} was made before this process was forked, and its threads are "
+                f"not here: make a {self._what} in each process"
+            )
