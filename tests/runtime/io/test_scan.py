@@ -194,6 +194,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_damaged_scan_is_an_input_error_and_takes_no_memory(tmp_path, name):
     content, message = HOSTILE[name]
