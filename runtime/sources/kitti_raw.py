@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration
+from runtime.io.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
 from runtime.io.images import RGB_SUFFIXES, list_files, read_rgb
 from runtime.io.scan import read_scan
 from runtime.read_input import read_text
@@ -38,7 +38,7 @@ class KittiRawSource(Source):
         InputError: if a folder, the calibration or a time stamp is missing or damaged.
     """
 
-    accepted = "a drive of KITTI raw data (holds velodyne_points/)"
+    accepted = "a drive of KITTI raw data (holds velodyne_points/data/)"
     options = ("camera", "calibration", "max_skew_ms")
 
     def __init__(
@@ -59,12 +59,11 @@ class KittiRawSource(Source):
         self.folders = (images / "data", scans / "data")
         self._drive, self._camera = drive, camera
         if calibration is None:
-            own = os.path.exists(drive / "calib_cam_to_cam.txt")
-            calibration = drive if own else Path(os.path.realpath(drive)).parent
-            if not os.path.exists(calibration / "calib_cam_to_cam.txt"):
+            calibration = find_raw_calibration(drive)
+            if calibration is None:
                 raise InputError(
-                    f"neither {drive} nor {calibration} has KITTI's calib_cam_to_cam.txt and "
-                    "calib_velo_to_cam.txt: put the day's there, or give --calibration"
+                    f"neither {drive} nor {Path(os.path.realpath(drive)).parent} has KITTI's "
+                    f"{RAW_CAMERAS} and {RAW_SCANNER}: put the day's there, or give --calibration"
                 )
         self._calibration_path = calibration
         self.calibration: Calibration = Calibration.from_file(calibration, camera=camera)
@@ -82,7 +81,7 @@ class KittiRawSource(Source):
     @staticmethod
     def accepts(path: Path) -> bool:
         """See `Source.accepts`."""
-        return os.path.isdir(path / "velodyne_points")
+        return os.path.isdir(path / "velodyne_points" / "data")
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`."""

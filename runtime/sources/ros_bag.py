@@ -163,7 +163,8 @@ def _bounded_reader(path: Path, *, is_ros1: bool) -> Any:
 def _load_anew(name: str) -> Any:
     """A module of its own, which nobody else imports."""
     spec = importlib.util.find_spec(name)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
