@@ -4,7 +4,7 @@ import os
 import re
 from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from runtime.errors import InputError
 from runtime.io.calibration import FrameCalibrations
@@ -47,7 +47,13 @@ class FolderSource(Source):
     """
 
     accepted = "a folder of images, or one image"
-    options = ("depth", "points", "depth_scale", "point_columns", "calibration")
+    options: ClassVar[tuple[str, ...]] = (
+        "depth",
+        "points",
+        "depth_scale",
+        "point_columns",
+        "calibration",
+    )
     #: Whether an image without depth is a frame of the camera alone, and depth without an image
     #: left out. Otherwise both are frames that cannot be read.
     camera_alone = False
