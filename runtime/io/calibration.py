@@ -214,7 +214,8 @@ class FrameCalibrations:
 
     def __init__(self, path: Path, *, camera: int = 2) -> None:
         self._path, self._camera, self._files = path, camera, dict[str, Path]()
-        if os.path.isdir(path) and not os.path.lexists(path / RAW_CAMERAS):
+        of_raw = (path / RAW_CAMERAS, path / RAW_SCANNER)
+        if os.path.isdir(path) and not any(map(os.path.lexists, of_raw)):
             self._files = list_files(path, (".txt", ".toml"))
             path = self._files[min(self._files, key=natural_order)]
         self.first = Calibration.from_file(path, camera=camera)

@@ -177,7 +177,7 @@ class FolderSource(Source):
             assert calibration is not None  # see __init__
             scan = read_scan(frame.depth, columns=self._point_columns)
             depth = calibration.project(scan, (rgb.shape[0], rgb.shape[1]))
-        return Frame(rgb, depth, calibration=calibration)
+        return Frame(rgb, depth, frame.image_stamp_ns, frame.depth_stamp_ns, calibration)
 
     @property
     def inputs(self) -> dict[str, Any]:
