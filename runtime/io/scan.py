@@ -114,8 +114,8 @@ def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
 
 def _is_of_a_scanner(points: NDArray[np.float32]) -> bool | None:
     """Whether the first points lie near and in rings or sweeps; None: there are too few."""
-    first = points[:_JUDGED_POINTS, :3].astype(np.float64)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):  # of NaN and infinity
+        first = points[:_JUDGED_POINTS, :3].astype(np.float64)
         distances = np.sqrt(np.einsum("ij,ij->i", first, first))
     is_return = np.isfinite(distances) & (distances > 0)
     if np.count_nonzero(is_return) < _LEAST_JUDGED:

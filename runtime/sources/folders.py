@@ -30,7 +30,8 @@ _KITTI_CAMERA = re.compile(r"(?:^|/)image_0?([0-3])(?:/data)?$")
 class FolderSource(Source):
     """Pairs of files with the same stem, in natural order ("9" before "10").
 
-    Where no stem occurs in both folders, files are paired by the numbers in their names.
+    Where no stem occurs in both folders, files are paired whose stems have the same numbers and
+    differ by a word, as image_7 and depth_7.
 
     Args:
         rgb: folder of PNG and JPEG files, or one such file.
@@ -136,12 +137,16 @@ class FolderSource(Source):
             return depths
         stems = {_numbers(stem): stem for stem in images}
         by_number = {_numbers(stem): path for stem, path in depths.items()}
-        paired = sorted((stems.keys() & by_number.keys()) - {()})
+        paired = sorted(
+            number
+            for number in stems.keys() & by_number.keys()
+            if number and _differ_by_a_word(stems[number], by_number[number].stem)
+        )
         if not paired or len(stems) < len(images) or len(by_number) < len(depths):
             raise InputError(
                 f"no name occurs in both folders: {self._rgb} has {_few(images)}, {self._depth} "
                 f"has {_few(depths)}: the image and the {self._what} of a frame need the same file "
-                "stem, or stems with the same numbers"
+                "stem, or stems that differ by a word, as image_7 and depth_7"
             )
         first = paired[0]
         self._notes.append(
@@ -219,6 +224,12 @@ def _is_image(path: Path) -> bool:
 
 def _numbers(stem: str) -> tuple[str, ...]:
     return tuple(re.findall("[0-9]+", stem))
+
+
+def _differ_by_a_word(stem: str, other: str) -> bool:
+    """Whether each has a word that the other lacks."""
+    words, others = (Counter(re.findall(r"[^\W\d_]+", text)) for text in (stem, other))
+    return bool(words - others and others - words)
 
 
 def _few(names: dict[str, Path]) -> str:

@@ -59,6 +59,13 @@ def test_pairs_by_numbers_are_said_to_be_guessed(frames, run):
     assert "guessed: pairs by the numbers in their names, as left_0.png with depth_0.png" in text
 
 
+def test_a_word_more_in_one_of_the_folders_is_no_pair(frames, run):
+    data, _ = frames("image/left_{}.png", "depth/left_{}_holes.png")
+    answers = run(data)
+    assert answers.exit_code == 1
+    assert "stems that differ by a word, as image_7 and depth_7" in answers.text.replace("\n", " ")
+
+
 def test_numbers_that_occur_twice_pair_nothing(frames, run, tmp_path):
     data, _ = frames("image/left_{}.png", "depth/depth_{}.png")
     (data / "depth/other_1.png").touch()
