@@ -113,18 +113,18 @@ def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
 
 
 def _is_of_a_scanner(points: NDArray[np.float32]) -> bool | None:
-    """Whether the first points lie near and in rings or sweeps; None: there are too few."""
+    """Whether points in the middle lie near and in rings or sweeps; None: there are too few."""
+    start = max(0, (len(points) - _JUDGED_POINTS) // 2)  # the first may be sky: no returns
     with np.errstate(over="ignore", invalid="ignore"):  # of NaN and infinity
-        first = points[:_JUDGED_POINTS, :3].astype(np.float64)
-        distances = np.sqrt(np.einsum("ij,ij->i", first, first))
+        judged = points[start : start + _JUDGED_POINTS, :3].astype(np.float64)
+        distances = np.sqrt(np.einsum("ij,ij->i", judged, judged))
     is_return = np.isfinite(distances) & (distances > 0)
     if np.count_nonzero(is_return) < _LEAST_JUDGED:
         return None
-    first, distances = first[is_return], distances[is_return]
-    directions = first / distances[:, None]
+    directions = judged[is_return] / distances[is_return, None]
     cosines = np.einsum("ij,ij->i", directions[1:], directions[:-1])
     is_ordered = np.median(cosines) > math.cos(math.radians(_MAX_TURN_DEGREES))
-    return bool(is_ordered and np.median(distances) < _MAX_DISTANCE_M)
+    return bool(is_ordered and np.median(distances[is_return]) < _MAX_DISTANCE_M)
 
 
 def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:

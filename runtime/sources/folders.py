@@ -107,7 +107,7 @@ class FolderSource(Source):
 
         Raises:
             InputError: if a folder is missing or has no images, if a stem occurs twice in a folder,
-                or if neither a stem nor a number occurs in both.
+                or if no two files make a pair.
         """
         self._left_out.clear()
         self._notes.clear()
@@ -119,11 +119,12 @@ class FolderSource(Source):
             depths = {self._rgb.stem: self._depth}
         else:
             depths = self._pair(images, self._list_depths(self._depth))
-        names = images.keys() if self._is_one or self.camera_alone else {*images, *(depths or {})}
-        alone = len((depths or {}).keys() - names)
-        if alone and self.camera_alone:
-            self._left_out[f"{Sensor.DEPTH}: {Outcome.NO_IMAGE}"] = alone
-        return pair_up(sorted(names, key=natural_order), images, depths, limit=limit)
+        without_image = set() if self._is_one else (depths or {}).keys() - images.keys()
+        if self.camera_alone and without_image:
+            self._left_out[f"{Sensor.DEPTH}: {Outcome.NO_IMAGE}"] = len(without_image)
+            without_image = set()
+        names = sorted(images.keys() | without_image, key=natural_order)
+        return pair_up(names, images, depths, limit=limit)
 
     def _list_images(self) -> dict[str, Path]:
         return list_files(self._rgb)

@@ -57,6 +57,12 @@ class KittiObjectSource(FolderSource):
         """See `Source.accepts`."""
         return os.path.isdir(path / "image_2") and os.path.isdir(path / "calib")
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """See `Source.notes`."""
+        alone = ("no velodyne folder: the camera alone; name the scans by --points",)
+        return super().notes + (alone if self._depth is None else ())
+
 
 def _find_scans(path: Path) -> Path | None:
     """The folder of scans; None if there is none. Raises InputError of several."""

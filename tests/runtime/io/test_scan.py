@@ -267,6 +267,14 @@ def test_a_number_that_does_not_divide_the_file_names_the_one_that_fits(tmp_path
         read_scan(tmp_path / "a.bin", columns=6)
 
 
+def test_rings_without_returns_at_the_start_hide_nothing(tmp_path):
+    scan = sweep(6, points=6400)
+    scan[:2400] = 0
+    scan.tofile(tmp_path / "a.bin")
+    with pytest.raises(InputError, match="give --point-columns 6"):
+        read_scan(tmp_path / "a.bin")
+
+
 def test_points_in_no_order_are_read_as_asked(tmp_path):
     shuffled = np.random.default_rng(1).permutation(sweep(4))
     shuffled[::7] = np.nan
