@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
+from runtime.io.images import list_files, natural_order
 from runtime.io.kitti_calibration import NumbersFile, chain
 from runtime.projection import OcclusionFilter, project_points
 from runtime.read_input import read_toml
 
-_TOML_KEYS = {"intrinsics", "extrinsics", "size"}
-_RAW_FILES = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt")
+RAW_CAMERAS, RAW_SCANNER = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt"
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,8 @@ class Calibration:
 
         Args:
             path: folder of raw data's calib_cam_to_cam.txt and calib_velo_to_cam.txt, or one file
-                with P2, R0_rect and Tr_velo_to_cam (object) or P2 and Tr (odometry).
+                with P2, R0_rect and Tr_velo_to_cam (object), with P2 and Tr (odometry), or of nine
+                numbers, the intrinsics alone (depth selection).
             camera: whose images, 0 to 3.
 
         Raises:
@@ -110,17 +111,21 @@ class Calibration:
         path = Path(path)
         size, rectify = None, np.eye(3)
         if os.path.isdir(path):
-            cameras = NumbersFile(path / "calib_cam_to_cam.txt")
-            scanner = NumbersFile(path / "calib_velo_to_cam.txt")
+            cameras = NumbersFile(path / RAW_CAMERAS)
+            scanner = NumbersFile(path / RAW_SCANNER)
             projection = cameras.matrix(f"P_rect_{camera:02d}", 3, 4)
             rectify = cameras.matrix("R_rect_00", 3, 3)
             to_camera = np.hstack([scanner.matrix("R", 3, 3), scanner.matrix("T", 3, 1)])
             width, height = cameras.matrix(f"S_rect_{camera:02d}", 2, 1)[:, 0]
             size = (int(height), int(width))
-        elif path.name in _RAW_FILES:
-            raise InputError(f"{path} is one of two, {' and '.join(_RAW_FILES)}: give their folder")
+        elif path.name in (RAW_CAMERAS, RAW_SCANNER):
+            raise InputError(
+                f"{path} is one of two, {RAW_CAMERAS} and {RAW_SCANNER}: give their folder"
+            )
         else:
             numbers = NumbersFile(path)
+            if "" in numbers:
+                return cls(numbers.matrix("", 3, 3), np.eye(4))
             projection = numbers.matrix(f"P{camera}", 3, 4)
             odometry = "Tr" in numbers
             if not odometry:
@@ -165,24 +170,63 @@ class Calibration:
         """Read a TOML file.
 
         Args:
-            path: file of `intrinsics` (3 rows of 3), `extrinsics` (4 of 4) and optionally `size`
-                ([height, width]).
+            path: file of `intrinsics` (3 rows of 3), `extrinsics` (4 of 4) or, where the points
+                are in the camera's frame, `points_in = "camera"`, and optionally `size` ([height,
+                width]).
 
         Raises:
             InputError: if the file cannot be read, and for unknown and missing keys.
         """
         keys = read_toml(Path(path))
-        if not {"intrinsics", "extrinsics"} <= keys.keys() <= _TOML_KEYS:
+        in_camera = keys.get("points_in") == "camera"
+        if keys.keys() - {"size"} != {"intrinsics", "points_in" if in_camera else "extrinsics"}:
             raise InputError(
                 f"{path} has the keys {', '.join(sorted(keys)) or 'none'}, expected intrinsics, "
-                "extrinsics and optionally size"
+                'extrinsics (or points_in = "camera") and optionally size'
             )
         size = keys.get("size")
         return cls(
             _matrix(f"intrinsics of {path}", keys["intrinsics"], 3, 3),
-            _matrix(f"extrinsics of {path}", keys["extrinsics"], 4, 4),
+            _matrix(f"extrinsics of {path}", keys.get("extrinsics", np.eye(4)), 4, 4),
             tuple(size) if isinstance(size, list) else size,
         )
+
+
+def find_raw_calibration(drive: Path) -> Path | None:
+    """The folder of KITTI raw data's calibration, a drive or the one above it; None without."""
+    folders = (drive, Path(os.path.realpath(drive)).parent)
+    return next((each for each in folders if os.path.exists(each / RAW_CAMERAS)), None)
+
+
+class FrameCalibrations:
+    """The calibration of each frame: one for all, or a folder with a file a frame.
+
+    Args:
+        path: as `Calibration.from_file`, or a folder with a file of the name of each frame.
+        camera: as `Calibration.from_file`.
+
+    Attributes:
+        first: of all frames, or of the first file of the folder.
+
+    Raises:
+        InputError: if it cannot be read; of the other files when they are asked for.
+    """
+
+    def __init__(self, path: Path, *, camera: int = 2) -> None:
+        self._path, self._camera, self._files = path, camera, dict[str, Path]()
+        of_raw = (path / RAW_CAMERAS, path / RAW_SCANNER)
+        if os.path.isdir(path) and not any(map(os.path.lexists, of_raw)):
+            self._files = list_files(path, (".txt", ".toml"))
+            path = self._files[min(self._files, key=natural_order)]
+        self.first = Calibration.from_file(path, camera=camera)
+
+    def of(self, name: str) -> Calibration:
+        """Return the calibration of a frame. Raises InputError."""
+        if not self._files:
+            return self.first
+        if name not in self._files:
+            raise InputError(f"{name} has no calibration in {self._path}")
+        return Calibration.from_file(self._files[name], camera=self._camera)
 
 
 def _matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:

@@ -36,12 +36,17 @@ def read_rgb(path: Path) -> NDArray[np.uint8]:
         InputError: if the file cannot be read, is truncated or damaged, or has more than 8 bits a
             channel.
     """
+    return decode_rgb(read_input(path), name=str(path))
+
+
+def decode_rgb(content: bytes, *, name: str) -> NDArray[np.uint8]:
+    """Decode the content of such a file as `read_rgb` does; `name` is for the errors."""
     flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-    image = decode(path, flags)
+    image = decode_content(content, flags, name=name)
     if image.dtype != np.uint8:
         raise InputError(
-            f"{path} must be an image of 8 bits a channel, got {image.dtype.itemsize * 8} bits: "
-            "is it a depth map, the folders swapped?"
+            f"{name} must hold 8 bits a channel, got {image.dtype.itemsize * 8} bits: "
+            "is it a depth map, are the image and depth folders swapped?"
         )
     return image
 

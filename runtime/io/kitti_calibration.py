@@ -11,13 +11,19 @@ from runtime.read_input import read_text
 
 
 class NumbersFile:
-    """A text file of `name: numbers` lines. Raises InputError if it cannot be read."""
+    """A text file of `name: numbers` lines, or of numbers alone, which have the name "".
+
+    Raises InputError if it cannot be read.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         lines = read_text(path).splitlines()
-        entries = (line.partition(":") for line in lines if not line.lstrip().startswith("#"))
+        lines = [line for line in lines if not line.lstrip().startswith("#")]
+        entries = (line.partition(":") for line in lines)
         self._entries = {name.strip(): numbers for name, colon, numbers in entries if colon}
+        if not self._entries and any(map(str.strip, lines)):
+            self._entries = {"": " ".join(lines)}
 
     def __contains__(self, name: str) -> bool:
         return name in self._entries

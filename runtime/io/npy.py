@@ -24,6 +24,8 @@ def read_npy(path: Path) -> NDArray[Any]:
     file = io.BytesIO(content)
     try:
         shape, is_fortran, dtype = _READ_HEADER[npy.read_magic(file)](file)
+        if min(shape, default=0) < 0:
+            raise ValueError(f"its shape is {shape}")
         array = np.frombuffer(content, dtype, math.prod(shape), file.tell())
         return array.reshape(shape, order="F" if is_fortran else "C")
     except Exception as error:  # the header is an expression of Python: anything can be wrong

@@ -6,6 +6,7 @@ Polygon File Format", 1994.
 
 import io
 import itertools
+import math
 import re
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,13 +32,17 @@ _TYPES = {name: code for names in _NAMES for name, code in zip(names, _CODES, st
 _TYPES |= {"i8": "i8", "u8": "u8"}
 _ASCII, _COMPRESSED = "ascii", "binary_compressed"
 #: Encoding of the points -> order of the bytes.
-_ENCODINGS = {
-    _ASCII: "",
-    "binary": "<",
-    _COMPRESSED: "<",
-    "binary_little_endian": "<",
-    "binary_big_endian": ">",
-}
+_OF_PCD = {_ASCII: "", "binary": "<", _COMPRESSED: "<"}
+_OF_PLY = {_ASCII: "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_LONGEST_LITERAL = 32  # bytes, of LZF
+# A raw file does not say how many numbers a point has, but a scanner turns: the directions of two
+# points in a row differ by 0.2 degrees along a ring, by up to 21 between the lasers of a sweep, and
+# by 80 and more at the median where the numbers of different points are mixed.
+_COLUMNS = (3, 4, 5, 6)
+_MAX_TURN_DEGREES = 40
+_MAX_DISTANCE_M = 250
+_JUDGED_POINTS, _LEAST_JUDGED = 2000, 50
+_DAMAGED = "its compressed points are truncated or damaged"
 
 
 class _Header(NamedTuple):
@@ -59,7 +64,8 @@ def read_scan(path: Path, *, columns: int | None = None) -> NDArray[np.float32]:
         other columns of a .npy or raw file, such as KITTI's reflectance.
 
     Raises:
-        InputError: if the file cannot be read, is truncated or damaged, or lacks x, y or z.
+        InputError: if the file cannot be read, is truncated or damaged, lacks x, y or z, or is a
+            raw file whose points are those of a scanner only with another number of columns.
     """
     name = path.name.lower()
     try:
@@ -81,13 +87,44 @@ def _check_array(array: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
-    if columns < 3 or len(content) % (4 * columns):
+    values: NDArray[np.float32] = np.frombuffer(content, "<f4", len(content) // 4)
+    fits = columns >= 3 and len(content) % (4 * columns) == 0
+    if fits:
+        points = values.astype(np.float32).reshape(-1, columns)
+        if _is_of_a_scanner(points) is not False:
+            return points
+    others = [
+        str(count)
+        for count in _COLUMNS
+        if len(content) % (4 * count) == 0 and _is_of_a_scanner(values.reshape(-1, count))
+    ]
+    if fits and not others:
+        return points  # in no order that can be recognised
+    remedy = f": give --point-columns {' or '.join(others)}" if others else ""
+    if fits:
         raise ValueError(
-            f"its {len(content)} bytes are not points of {columns} float32: it is truncated, of "
-            "another format, or has other columns (--point-columns, with --points)"
+            f"its points jump about if each has {columns} float32, and lie in the order of a "
+            f"scanner if it has {' or '.join(others)}{remedy}"
         )
-    points: NDArray[np.float32] = np.frombuffer(content, "<f4").astype(np.float32)
-    return points.reshape(-1, columns)
+    raise ValueError(
+        f"its {len(content)} bytes are not points of {columns} float32: it is truncated, of "
+        f"another format, or has other columns (--point-columns, with --points){remedy}"
+    )
+
+
+def _is_of_a_scanner(points: NDArray[np.float32]) -> bool | None:
+    """Whether points in the middle lie near and in rings or sweeps; None: there are too few."""
+    start = max(0, (len(points) - _JUDGED_POINTS) // 2)  # the first may be sky: no returns
+    with np.errstate(over="ignore", invalid="ignore"):  # of NaN and infinity
+        judged = points[start : start + _JUDGED_POINTS, :3].astype(np.float64)
+        distances = np.sqrt(np.einsum("ij,ij->i", judged, judged))
+    is_return = np.isfinite(distances) & (distances > 0)
+    if np.count_nonzero(is_return) < _LEAST_JUDGED:
+        return None
+    directions = judged[is_return] / distances[is_return, None]
+    cosines = np.einsum("ij,ij->i", directions[1:], directions[:-1])
+    is_ordered = np.median(cosines) > math.cos(math.radians(_MAX_TURN_DEGREES))
+    return bool(is_ordered and np.median(distances[is_return]) < _MAX_DISTANCE_M)
 
 
 def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
@@ -95,11 +132,14 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
     last = _LAST_LINE.search(content, 0, _MAX_HEADER_BYTES)
     if last is None:
         raise ValueError("its header does not end: it is truncated or of another format")
+    if not is_pcd and not content.startswith(b"ply"):
+        raise ValueError("its first line is not 'ply': it is damaged or of another format")
     header, body = content[: last.end()].decode("latin-1"), content[last.end() :]
     lines = [line.split() for line in header.split("\n")]
     fields, points, encoding = (_parse_pcd if is_pcd else _parse_ply)(lines)
-    if encoding not in _ENCODINGS:
-        expected = ", ".join(_ENCODINGS)
+    encodings = _OF_PCD if is_pcd else _OF_PLY
+    if encoding not in encodings:
+        expected = ", ".join(encodings)
         raise ValueError(f"its points are {encoding!r:.40}, expected one of {expected}")
     places, width, size = _place(fields)
     if encoding == _COMPRESSED:
@@ -112,7 +152,11 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
     if points == 0:
         return np.zeros((0, 3), np.float32)
     if encoding == _ASCII:
-        table = itertools.islice(io.TextIOWrapper(io.BytesIO(body), "ascii"), points)
+        text = itertools.filterfalse(str.isspace, io.TextIOWrapper(io.BytesIO(body), "ascii"))
+        first = next(text, None)
+        if first is None:
+            raise ValueError(f"it has 0 of {points} points: is it truncated?")
+        table = itertools.islice(itertools.chain([first], text), points)
         columns = [column for column, _, _ in places]
         rows = np.loadtxt(table, np.float32, comments=None, usecols=columns, ndmin=2)
         if len(rows) < points:
@@ -122,7 +166,7 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
     for _, start, code in places:
         # Compressed points are stored a field of all after the other.
         whole, step = (points, int(code[1])) if encoding == _COMPRESSED else (1, size)
-        axes.append(np.ndarray(points, _ENCODINGS[encoding] + code, body, start * whole, (step,)))
+        axes.append(np.ndarray(points, encodings[encoding] + code, body, start * whole, (step,)))
     with np.errstate(over="ignore", invalid="ignore"):
         return np.stack(axes, axis=1, dtype=np.float32, casting="same_kind")
 
@@ -132,10 +176,10 @@ def _parse_pcd(lines: list[list[str]]) -> _Header:
     if missing := {"FIELDS", "SIZE", "TYPE", "POINTS"} - header.keys():
         raise ValueError(f"its header lacks {', '.join(sorted(missing))}")
     names = header["FIELDS"]
-    counts = map(int, header.get("COUNT", ["1"] * len(names)))
+    counts = map(_count, header.get("COUNT", ["1"] * len(names)))
     types = map("".join, zip(header["TYPE"], header["SIZE"], strict=True))
     fields = [(name, t.lower(), n) for name, t, n in zip(names, types, counts, strict=True)]
-    return _Header(fields, int(" ".join(header["POINTS"])), " ".join(header["DATA"]))
+    return _Header(fields, _count(" ".join(header["POINTS"])), " ".join(header["DATA"]))
 
 
 def _parse_ply(lines: list[list[str]]) -> _Header:
@@ -150,7 +194,14 @@ def _parse_ply(lines: list[list[str]]) -> _Header:
                 fields.append((name, " ".join(types), 1))
     if not elements or elements[0][:1] != ["vertex"]:
         raise ValueError("its header does not have vertex as its first element")
-    return _Header(fields, int(" ".join(elements[0][1:])), encoding)
+    return _Header(fields, _count(" ".join(elements[0][1:])), encoding)
+
+
+def _count(text: str) -> int:
+    """A number of a header; int() takes underscores, too."""
+    if not re.fullmatch("-?[0-9]+", text):
+        raise ValueError(f"invalid literal for a count: {text!r:.40}")
+    return int(text)
 
 
 def _place(fields: list[tuple[str, str, int]]) -> tuple[list[tuple[int, int, str]], int, int]:
@@ -176,13 +227,20 @@ def _decompress(body: bytes, size: int) -> bytes:
     """The compressed points of a PCD file. Raises ValueError unless they have `size` bytes."""
     if size > MAX_FILE_BYTES:
         raise ValueError(f"its points take {size:,} bytes, expected at most {MAX_FILE_BYTES:,}")
-    packed = body[8 : 8 + int.from_bytes(body[:4], "little")]  # after both of its sizes
+    length, unpacked = np.frombuffer(body, "<u4", 2).tolist() if len(body) >= 8 else (0, 0)
+    # An encoder never makes more of it than literals of full length, and that bounds the time.
+    if unpacked != size or not length <= min(len(body) - 8, size + size // _LONGEST_LITERAL + 1):
+        raise ValueError(_DAMAGED)
+    packed = memoryview(body)[8 : 8 + length]
     data, at = bytearray(), 0
     try:
         while at < len(packed) and len(data) <= size:
             control, at = packed[at], at + 1
-            if control < 32:  # so many bytes and one more follow
-                data += packed[at : at + control + 1]
+            if control < _LONGEST_LITERAL:  # so many bytes and one more follow
+                literal = packed[at : at + control + 1]
+                if len(literal) <= control:
+                    raise IndexError
+                data += literal
                 at += control + 1
                 continue
             length = (control >> 5) + 2  # of bytes that are there, maybe up to those it appends
@@ -190,11 +248,11 @@ def _decompress(body: bytes, size: int) -> bytes:
                 length, at = length + packed[at], at + 1
             start, at = len(data) - 1 - ((control & 31) << 8) - packed[at], at + 1
             if start < 0:
-                break
+                raise IndexError
             copied = data[start : start + length]
             data += (copied * (length // len(copied) + 1))[:length]
-    except IndexError:  # truncated
-        pass
-    if len(data) != size:
-        raise ValueError("its compressed points are truncated or damaged")
+    except IndexError as error:  # it ends in the middle, or copies what is not there
+        raise ValueError(_DAMAGED) from error
+    if at != len(packed) or len(data) != size:
+        raise ValueError(_DAMAGED)
     return bytes(data)

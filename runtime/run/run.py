@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from runtime.command import stop_requested
 from runtime.drawing.overlay import SharedOverlay
 from runtime.errors import InputError, OutputError, SSDNetError
+from runtime.health.calibration_size import CalibrationSize
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.io.engine_facts import engine_facts
 from runtime.io.recording import Settings
@@ -156,13 +157,17 @@ def _doubt(predictor: Predictor, frames: Sequence[ListedFrame], source: Source) 
 
     Done before the stream, since it takes predictions from the camera alone.
     """
-    check = DepthPlausibility()
+    check, size_check = DepthPlausibility(), CalibrationSize()
     for listed in frames if "depth" in predictor.heads else ():
         with contextlib.suppress(SSDNetError):  # the run itself reports it
             frame = source.read(listed)
             check_sparse_depth(frame.sparse_depth, size=(frame.rgb.shape[0], frame.rgb.shape[1]))
             if (frame.sparse_depth > 0).any():
-                check.add(predictor.predict(frame.rgb, None), frame.sparse_depth)
+                camera_only = predictor.predict(frame.rgb, None)
+                check.add(camera_only, frame.sparse_depth)
+                size_check.add(camera_only, frame.sparse_depth, frame.calibration)
+    if (other_size := size_check.finding()) is not None:
+        return other_size
     finding, scale = check.finding(), source.inputs.get("depth_scale")
     if finding is None or finding.ratio is None:
         return finding and finding.cause

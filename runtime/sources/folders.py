@@ -1,11 +1,13 @@
 """Images and depth maps or scans of the same names in two folders, or one of each."""
 
 import os
+import re
+from collections import Counter
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration
+from runtime.io.calibration import FrameCalibrations
 from runtime.io.images import (
     DEPTH_SUFFIXES,
     KITTI_DEPTH_SCALE,
@@ -18,33 +20,44 @@ from runtime.io.images import (
 from runtime.io.scan import SCAN_SUFFIXES, read_scan
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source, no_depth, pair_up
+from runtime.sync.outcome import Outcome, Sensor
+from runtime.sync.stamp_matching import left_out_note
 
-_SCAN_FOLDERS = ("points", "velodyne")
+#: Camera of a folder of KITTI: image_02, image_2/, image_02/data.
+_KITTI_CAMERA = re.compile(r"(?:^|/)image_0?([0-3])(?:/data)?$")
 
 
 class FolderSource(Source):
     """Pairs of files with the same stem, in natural order ("9" before "10").
 
+    Where no stem occurs in both folders, files are paired whose stems have the same numbers and
+    differ by a word, as image_7 and depth_7.
+
     Args:
-        rgb: folder of PNG and JPEG files, or one such file; or, unless `depth` or `points` is
-            given, a folder that holds an image*/ and a depth*/, points*/ or velodyne*/ folder.
+        rgb: folder of PNG and JPEG files, or one such file.
         depth: folder of depth maps, or the one of one image, see `read_sparse_depth`.
         points: the same of scans, see `read_scan`, in place of depth; None: the camera alone.
         depth_scale: units of 16-bit depth maps per metre.
         point_columns: numbers per point of .bin scans; None: as `read_scan`.
-        calibration: TOML or KITTI file, see `Calibration.from_file`. Scans need one; None: the only
-            calib* file beside points*/ or velodyne*/.
+        calibration: TOML or KITTI file, see `Calibration.from_file`, or a folder with such a file
+            of the name of each frame. Scans need one.
 
     Raises:
-        InputError: for a folder that holds several folders of a kind, for a file with a folder, for
-            scans with depth or without a calibration, and if the calibration cannot be read.
+        InputError: for a folder with a file of the other kind, for scans with depth or without a
+            calibration, and if the calibration cannot be read.
     """
 
-    accepted = (
-        "a folder of images, one image, or a folder that holds image*/ and depth*/, or image*/, "
-        "points*/ and a calib* file"
+    accepted = "a folder of images, or one image"
+    options: ClassVar[tuple[str, ...]] = (
+        "depth",
+        "points",
+        "depth_scale",
+        "point_columns",
+        "calibration",
     )
-    options = ("depth", "points", "depth_scale", "point_columns", "calibration")
+    #: Whether an image without depth is a frame of the camera alone, and depth without an image
+    #: left out. Otherwise both are frames that cannot be read.
+    camera_alone = False
 
     def __init__(
         self,
@@ -56,12 +69,6 @@ class FolderSource(Source):
         point_columns: int | None = None,
         calibration: Path | None = None,
     ) -> None:
-        if depth is None and points is None and (inner := _inner_folders(rgb)):
-            if inner[1].name.startswith(_SCAN_FOLDERS):
-                calibration = calibration or _inner_calibration(rgb)
-                rgb, points = inner
-            else:
-                rgb, depth = inner
         if points is not None and depth is not None:
             raise InputError(f"give depth maps ({depth}) or scans ({points}), not both")
         if points is not None and calibration is None:
@@ -70,57 +77,113 @@ class FolderSource(Source):
         self._calibration, self._has_scans = calibration, points is not None
         self._what = "scan" if self._has_scans else "depth map"
         self._rgb, self._depth, self._is_one = rgb, depth or points, _is_image(rgb)
-        if self._depth is not None and os.path.isfile(self._depth) != self._is_one:
+        self._left_out: Counter[str] = Counter()
+        self._notes: list[str] = []
+        self._unused_scans = 0
+        if self._depth is not None and os.path.isfile(self._depth) and not self._is_one:
             raise InputError(
                 f"{rgb} and {self._depth} must be two folders, or an image and its {self._what}"
             )
-        paths = (rgb,) if self._depth is None else (rgb, self._depth)
-        self.folders = tuple(path.parent for path in paths) if self._is_one else paths
+        self.folders = tuple(
+            path.parent if os.path.isfile(path) else path
+            for path in (rgb, self._depth)
+            if path is not None
+        )
+        self._calibrations: FrameCalibrations | None = None
         if calibration is not None:
-            self.calibration = Calibration.from_file(calibration)
+            camera = _KITTI_CAMERA.search(rgb.as_posix())
+            self._calibrations = FrameCalibrations(
+                calibration, camera=int(camera[1]) if camera else 2
+            )
+            self.calibration = self._calibrations.first
 
     @staticmethod
     def accepts(path: Path) -> bool:
         """See `Source.accepts`."""
-        return _is_image(path) or any(map(_is_image, _entries(path))) or bool(_inner_folders(path))
+        return _is_image(path) or any(map(_is_image, list_entries(path)))
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`. A name without a partner is listed too.
 
         Raises:
             InputError: if a folder is missing or has no images, if a stem occurs twice in a folder,
-                or if no stem occurs in both.
+                or if no two files make a pair.
         """
-        if self._is_one:
-            return (ListedFrame(0, self._rgb.stem, self._rgb, self._depth),)
-        images, suffixes = (
-            list_files(self._rgb),
-            SCAN_SUFFIXES if self._has_scans else DEPTH_SUFFIXES,
+        self._left_out.clear()
+        self._notes.clear()
+        images = {self._rgb.stem: self._rgb} if self._is_one else self._list_images()
+        depths = None
+        if self._depth is None:
+            self._find_unused_scans()
+        elif self._is_one and os.path.isfile(self._depth):
+            depths = {self._rgb.stem: self._depth}
+        else:
+            depths = self._pair(images, self._list_depths(self._depth))
+        without_image = set() if self._is_one else (depths or {}).keys() - images.keys()
+        if self.camera_alone and without_image:
+            self._left_out[f"{Sensor.DEPTH}: {Outcome.NO_IMAGE}"] = len(without_image)
+            without_image = set()
+        names = sorted(images.keys() | without_image, key=natural_order)
+        return pair_up(names, images, depths, limit=limit)
+
+    def _list_images(self) -> dict[str, Path]:
+        return list_files(self._rgb)
+
+    def _list_depths(self, folder: Path) -> dict[str, Path]:
+        return list_files(folder, SCAN_SUFFIXES if self._has_scans else DEPTH_SUFFIXES)
+
+    def _pair(self, images: dict[str, Path], depths: dict[str, Path]) -> dict[str, Path]:
+        """The depth maps or scans by the stems of their images. Raises InputError."""
+        if images.keys() & depths.keys():
+            return depths
+        stems = {_numbers(stem): stem for stem in images}
+        by_number = {_numbers(stem): path for stem, path in depths.items()}
+        paired = sorted(
+            number
+            for number in stems.keys() & by_number.keys()
+            if number and _differ_by_a_word(stems[number], by_number[number].stem)
         )
-        depths = None if self._depth is None else list_files(self._depth, suffixes)
-        if depths is not None and not images.keys() & depths.keys():
+        if not paired or len(stems) < len(images) or len(by_number) < len(depths):
             raise InputError(
                 f"no name occurs in both folders: {self._rgb} has {_few(images)}, {self._depth} "
                 f"has {_few(depths)}: the image and the {self._what} of a frame need the same file "
-                "stem"
+                "stem, or stems that differ by a word, as image_7 and depth_7"
             )
-        names = sorted(images.keys() | (depths or {}).keys(), key=natural_order)
-        return pair_up(names, images, depths, limit=limit)
+        first = paired[0]
+        self._notes.append(
+            f"guessed: pairs by the numbers in their names, as {images[stems[first]].name} with "
+            f"{by_number[first].name}"
+        )
+        return {stems.get(n, path.stem): path for n, path in by_number.items()}
+
+    def _find_unused_scans(self) -> None:
+        folder = self._rgb.parent if self._is_one else self._rgb
+        kinds = tuple(suffix for suffix in SCAN_SUFFIXES if suffix != ".npy")  # may be anything
+        scans = [path.name for path in list_entries(folder) if path.name.lower().endswith(kinds)]
+        if self._is_one:
+            scans = [name for name in scans if name.startswith(f"{self._rgb.stem}.")]
+        self._unused_scans = len(scans)
+        if scans:
+            self._notes.append(
+                f"warning: {folder} also holds {len(scans)} scans such as {min(scans)}, which are "
+                f"not used: give --points {folder} and --calibration"
+            )
 
     def read(self, frame: ListedFrame) -> Frame:
         """See `Source.read`. Raises InputError also where one of the two files is missing."""
-        if self._depth is not None:
+        if self._depth is not None and not self.camera_alone:
             require_pair(frame, self._what)
         rgb = read_rgb(frame.image)
-        if self._depth is None:
+        calibration = None if self._calibrations is None else self._calibrations.of(frame.name)
+        if frame.depth is None:
             depth = no_depth(rgb)
         elif not self._has_scans:
             depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
         else:
-            assert self.calibration is not None  # see __init__
+            assert calibration is not None  # see __init__
             scan = read_scan(frame.depth, columns=self._point_columns)
-            depth = self.calibration.project(scan, (rgb.shape[0], rgb.shape[1]))
-        return Frame(rgb, depth, calibration=self.calibration)
+            depth = calibration.project(scan, (rgb.shape[0], rgb.shape[1]))
+        return Frame(rgb, depth, frame.image_stamp_ns, frame.depth_stamp_ns, calibration)
 
     @property
     def inputs(self) -> dict[str, Any]:
@@ -129,7 +192,15 @@ class FolderSource(Source):
         calibration = None if self._calibration is None else str(self._calibration)
         scans = {"points": depth, "point_columns": self._point_columns, "calibration": calibration}
         maps = {"depth": depth, "depth_scale": self._depth_scale}
-        return {"rgb": str(self._rgb), **(scans if self._has_scans else maps)}
+        inputs = {"rgb": str(self._rgb), **(scans if self._has_scans else maps)}
+        if self._unused_scans:
+            inputs["unused_scans"] = self._unused_scans
+        return inputs | ({"left_out": dict(self._left_out)} if self.camera_alone else {})
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """See `Source.notes`."""
+        return (*self._notes, *left_out_note(self._left_out))
 
 
 def require_pair(frame: ListedFrame, what: str = "depth map") -> None:
@@ -140,40 +211,26 @@ def require_pair(frame: ListedFrame, what: str = "depth map") -> None:
         raise InputError(f"{frame.name} has an image, but no {what}")
 
 
-def _is_image(path: Path) -> bool:
-    return path.suffix.lower() in RGB_SUFFIXES and os.path.isfile(path)
-
-
-def _entries(path: Path) -> list[Path]:
-    """What a folder holds; nothing if it is none."""
+def list_entries(path: Path) -> list[Path]:
+    """What a folder holds, without hidden files; nothing if it is none."""
     try:
-        return list(path.iterdir())
+        return [entry for entry in path.iterdir() if not entry.name.startswith(".")]
     except OSError:
         return []
 
 
-def _inner_folders(path: Path) -> tuple[Path, Path] | None:
-    """The image*/ and the depth*/ folder, or else that of scans, that a folder holds; or None."""
-    entries = _entries(path)
-    images, maps, scans = (
-        sorted(entry for entry in entries if entry.name.startswith(kind) and os.path.isdir(entry))
-        for kind in ("image", "depth", _SCAN_FOLDERS)
-    )
-    others = maps or scans
-    if not (images and others):
-        return None
-    if len(images) + len(others) > 2:
-        names = ", ".join(folder.name for folder in images + others)
-        raise InputError(
-            f"{path} holds {names}: choose two folders by --rgb and --depth or --points"
-        )
-    return images[0], others[0]
+def _is_image(path: Path) -> bool:
+    return path.suffix.lower() in RGB_SUFFIXES and os.path.isfile(path)
 
 
-def _inner_calibration(path: Path) -> Path | None:
-    """The only calib* file that a folder holds; None of none or several."""
-    files = [entry for entry in _entries(path) if entry.name.startswith("calib")]
-    return files[0] if len(files) == 1 else None
+def _numbers(stem: str) -> tuple[str, ...]:
+    return tuple(re.findall("[0-9]+", stem))
+
+
+def _differ_by_a_word(stem: str, other: str) -> bool:
+    """Whether each has a word that the other lacks."""
+    words, others = (Counter(re.findall(r"[^\W\d_]+", text)) for text in (stem, other))
+    return bool(words - others and others - words)
 
 
 def _few(names: dict[str, Path]) -> str:

@@ -1,25 +1,25 @@
 """A drive of KITTI raw data (Geiger et al. 2013), its scans projected into the camera."""
 
 import os
-from collections import Counter
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from runtime.errors import InputError
-from runtime.io.calibration import Calibration
-from runtime.io.images import RGB_SUFFIXES, list_files, read_rgb
-from runtime.io.scan import read_scan
+from runtime.io.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
+from runtime.io.images import RGB_SUFFIXES, list_files
 from runtime.read_input import read_text
-from runtime.sources.frames import Frame
-from runtime.sources.source import ListedFrame, Source, no_depth, pair_up, up_to
-from runtime.sync.outcome import Outcome, Sensor
+from runtime.sources.folders import FolderSource
+from runtime.sources.source import ListedFrame, up_to
+from runtime.sync.outcome import Sensor
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
-from runtime.sync.stamp_matching import left_out_note, match_by_stamp
+from runtime.sync.stamp_matching import match_by_stamp
+
+_SCANS = (".bin",)
 
 
-class KittiRawSource(Source):
+class KittiRawSource(FolderSource):
     """``image_0<camera>/data/*.png`` and ``velodyne_points/data/*.bin`` of a drive.
 
     Images and scans are matched by the time stamps in timestamps.txt, or by their numbers where a
@@ -38,8 +38,10 @@ class KittiRawSource(Source):
         InputError: if a folder, the calibration or a time stamp is missing or damaged.
     """
 
-    accepted = "a drive of KITTI raw data (holds velodyne_points/)"
+    accepted = "a drive of KITTI raw data (holds velodyne_points/data/)"
     options = ("camera", "calibration", "max_skew_ms")
+    camera_alone = True
+    calibration: Calibration
 
     def __init__(
         self,
@@ -56,54 +58,40 @@ class KittiRawSource(Source):
                     f"{drive} is no drive of KITTI raw data, {folder} is missing: give a folder "
                     "like 2011_09_26/2011_09_26_drive_0001_sync, or another --camera"
                 )
-        self.folders = (images / "data", scans / "data")
-        self._drive, self._camera = drive, camera
         if calibration is None:
-            own = os.path.exists(drive / "calib_cam_to_cam.txt")
-            calibration = drive if own else Path(os.path.realpath(drive)).parent
-            if not os.path.exists(calibration / "calib_cam_to_cam.txt"):
+            calibration = find_raw_calibration(drive)
+            if calibration is None:
                 raise InputError(
-                    f"neither {drive} nor {calibration} has KITTI's calib_cam_to_cam.txt and "
-                    "calib_velo_to_cam.txt: put the day's there, or give --calibration"
+                    f"neither {drive} nor {Path(os.path.realpath(drive)).parent} has KITTI's "
+                    f"{RAW_CAMERAS} and {RAW_SCANNER}: put the day's there, or give --calibration"
                 )
-        self._calibration_path = calibration
-        self.calibration: Calibration = Calibration.from_file(calibration, camera=camera)
-        self._images = _by_number(list_files(images / "data", RGB_SUFFIXES))
-        self._scans = _by_number(list_files(scans / "data", (".bin",)))
-        self._image_stamps: dict[int, int] = {}
-        self._scan_stamps: dict[int, int] = {}
+        super().__init__(images / "data", points=scans / "data", calibration=calibration)
+        self._drive, self._camera = drive, camera
+        self._stamped: list[tuple[Sensor, int, Path]] = []
         if max_skew_ms is not None:
-            self._image_stamps = _read_stamps(images / "timestamps.txt", self._images)
-            self._scan_stamps = _read_stamps(scans / "timestamps.txt", self._scans)
-        stamped = self._image_stamps and self._scan_stamps
-        self._max_skew_ms = max_skew_ms if stamped else None
-        self._left_out: Counter[str] = Counter()
+            pictures = _read_stamps(Sensor.IMAGE, images, RGB_SUFFIXES)
+            returns = _read_stamps(Sensor.DEPTH, scans, _SCANS)
+            if pictures and returns:
+                self._stamped = sorted(pictures + returns, key=lambda message: message[1])
+        self._max_skew_ms = max_skew_ms if self._stamped else None
 
     @staticmethod
     def accepts(path: Path) -> bool:
         """See `Source.accepts`."""
-        return os.path.isdir(path / "velodyne_points")
+        return os.path.isdir(path / "velodyne_points" / "data")
 
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`."""
+        if self._max_skew_ms is None:
+            return super().list_frames(limit=limit)
         self._left_out.clear()
-        if self._max_skew_ms is not None:
-            return up_to(self._match(self._max_skew_ms), limit)
-        alone = self._scans.keys() - self._images.keys()
-        self._left_out.update({f"{Sensor.DEPTH}: {Outcome.NO_IMAGE}": len(alone)} if alone else {})
-        return pair_up(
-            sorted(self._images),
-            self._images,
-            self._scans,
-            limit=limit,
-            name=lambda number: self._images[number].stem,
-        )
+        return up_to(self._match(self._max_skew_ms), limit)
+
+    def _list_depths(self, folder: Path) -> dict[str, Path]:
+        return list_files(folder, _SCANS)
 
     def _match(self, max_skew_ms: float) -> Iterator[ListedFrame]:
-        messages = [(Sensor.IMAGE, self._image_stamps[n], p) for n, p in self._images.items()]
-        messages += [(Sensor.DEPTH, self._scan_stamps[n], p) for n, p in self._scans.items()]
-        messages.sort(key=lambda message: message[1])
-        pairs = match_by_stamp(messages, max_skew_ms=max_skew_ms, left_out=self._left_out)
+        pairs = match_by_stamp(self._stamped, max_skew_ms=max_skew_ms, left_out=self._left_out)
         for sequence, (image, scan) in enumerate(pairs):
             yield ListedFrame(
                 sequence,
@@ -115,33 +103,16 @@ class KittiRawSource(Source):
                 complete=scan is not None,
             )
 
-    def read(self, frame: ListedFrame) -> Frame:
-        """See `Source.read`."""
-        rgb = read_rgb(frame.image)
-        if frame.depth is None:
-            sparse_depth = no_depth(rgb)
-        else:
-            height, width = rgb.shape[:2]
-            sparse_depth = self.calibration.project(read_scan(frame.depth), (height, width))
-        return Frame(
-            rgb, sparse_depth, frame.image_stamp_ns, frame.depth_stamp_ns, self.calibration
-        )
-
     @property
     def inputs(self) -> dict[str, Any]:
         """See `Source.inputs`."""
         return {
             "drive": str(self._drive),
             "camera": self._camera,
-            "calibration": str(self._calibration_path),
+            "calibration": str(self._calibration),
             "max_skew_ms": self._max_skew_ms,
             "left_out": dict(self._left_out),
         }
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """See `Source.notes`."""
-        return left_out_note(self._left_out)
 
 
 def _by_number(paths: dict[str, Path]) -> dict[int, Path]:
@@ -156,13 +127,18 @@ def _by_number(paths: dict[str, Path]) -> dict[int, Path]:
     return numbers
 
 
-def _read_stamps(path: Path, numbers: dict[int, Path]) -> dict[int, int]:
-    """Nanoseconds of each number: its line of timestamps.txt, from 0; empty without the file.
+def _read_stamps(
+    sensor: Sensor, folder: Path, suffixes: tuple[str, ...]
+) -> list[tuple[Sensor, int, Path]]:
+    """(sensor, nanoseconds, path) of each number: its line of timestamps.txt, from 0.
 
-    Raises InputError for a line that is no time, and for a number without one.
+    Empty without the file. Raises InputError for a line that is no time, and for a number without
+    one.
     """
+    numbers = _by_number(list_files(folder / "data", suffixes))
+    path = folder / "timestamps.txt"
     if not os.path.lexists(path):
-        return {}
+        return []
     lines = read_text(path).splitlines()
     last = max(numbers)
     if last >= len(lines):
@@ -170,7 +146,10 @@ def _read_stamps(path: Path, numbers: dict[int, Path]) -> dict[int, int]:
             f"{path} has {len(lines)} lines, {numbers[last].name} is number {last}, counted from "
             "0: the file is truncated or of another drive"
         )
-    return {n: _nanoseconds(lines[n], f"line {n + 1} of {path}") for n in numbers}
+    return [
+        (sensor, _nanoseconds(lines[number], f"line {number + 1} of {path}"), file)
+        for number, file in numbers.items()
+    ]
 
 
 def _nanoseconds(text: str, where: str) -> int:

@@ -9,16 +9,20 @@ from typing import Any
 from runtime.errors import InputError
 from runtime.sources.bag import BagSource
 from runtime.sources.folders import FolderSource
+from runtime.sources.kitti_object import KittiObjectSource
 from runtime.sources.kitti_raw import KittiRawSource
+from runtime.sources.one_folder import OneFolderSource
 from runtime.sources.source import Source
 from runtime.sources.video import VideoSource
 from runtime.sources.virtual_kitti import VirtualKittiSource
 
 SOURCES: dict[str, type[Source]] = {
     "kitti-raw": KittiRawSource,
+    "kitti-object": KittiObjectSource,
     "vkitti": VirtualKittiSource,
     "video": VideoSource,
     "bag": BagSource,
+    "one-folder": OneFolderSource,
     "folders": FolderSource,  # last: another kind may hold images, too
 }
 
@@ -28,7 +32,13 @@ def detect_kind(path: Path) -> str:
     for kind, source in SOURCES.items():
         if source.accepts(path):
             return kind
-    fault = "is none of these" if os.path.exists(path) else "does not exist; give one of these"
+    try:
+        os.stat(path)
+        fault = "is none of these"
+    except FileNotFoundError:
+        fault = "does not exist; give one of these"
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        fault = f"cannot be read ({getattr(error, 'strerror', None) or error}); give one of these"
     accepted = "; ".join(source.accepted for source in SOURCES.values())
     raise InputError(f"{path} {fault}: {accepted}. --source KIND:PATH names the kind")
 

@@ -1,6 +1,7 @@
 """Bags of ROS 1 and ROS 2 and MCAP files: topics and messages, through `rosbags` (extra `bag`)."""
 
 import contextlib
+import importlib.util
 import os
 import struct
 from collections import Counter
@@ -117,7 +118,6 @@ def _open(path: Path) -> "tuple[AnyReader, Typestore]":
         raise InputError(
             f"rosbags, which reads bags, is not installed ({error}): {install_command('bag')}"
         ) from error
-    _bound_decompression()
     files = [path]
     if os.path.isdir(path):
         files = [file for file in path.iterdir() if file.suffix in _BAG_SUFFIXES]
@@ -131,24 +131,43 @@ def _open(path: Path) -> "tuple[AnyReader, Typestore]":
     with reading(path):
         # Bags before ROS 2 Iron hold no definitions.
         reader = AnyReader([path], default_typestore=definitions)
+        reader.readers = [_bounded_reader(path, is_ros1=is_ros1)]
         reader.open()
     return reader, definitions
 
 
-def _bound_decompression() -> None:
-    """Make rosbags decompress at most `MAX_CHUNK_BYTES` at a time: by itself it has no limit."""
+def _bounded_reader(path: Path, *, is_ros1: bool) -> Any:
+    """The reader of a bag that decompresses at most `MAX_CHUNK_BYTES` at a time.
+
+    Those of rosbags have no limit and no place to give one. They are made anew from its files, so
+    that rosbags itself stays as it is.
+    """
     import bz2
 
     import lz4.frame  # type: ignore[import-untyped]
-    from rosbags.rosbag1 import reader as rosbag1
-    from rosbags.rosbag2 import reader as rosbag2
-    from rosbags.rosbag2 import storage_mcap
 
-    zstd: Any = vars(storage_mcap)["zstd"]
-    lz4_bounded, zstd_bounded = bounded(lz4.frame.open), bounded(zstd.open)
-    rosbag1.decompressors |= {"bz2": bounded(bz2.open), "lz4": lz4_bounded}
-    storage_mcap.DECOMPRESSORS |= {"lz4": lz4_bounded, "zstd": zstd_bounded}
-    vars(rosbag2)["zstd"] = SimpleNamespace(open=zstd.open, decompress=zstd_bounded)
+    if is_ros1:
+        ros1 = _load_anew("rosbags.rosbag1.reader")
+        ros1.decompressors |= {"bz2": bounded(bz2.open), "lz4": bounded(lz4.frame.open)}
+        return ros1.Reader(path)
+    ros2, mcap = (_load_anew(f"rosbags.rosbag2.{name}") for name in ("reader", "storage_mcap"))
+    zstd_open = ros2.zstd.open
+    zstd = bounded(zstd_open)
+    ros2.zstd = SimpleNamespace(open=zstd_open, decompress=zstd)
+    mcap.DECOMPRESSORS |= {"lz4": bounded(lz4.frame.open), "zstd": zstd}
+    ros2.DirectoryReader.STORAGE_PLUGINS["mcap"] = mcap.McapReader
+    ros2.Reader.STORAGE_PLUGINS[".mcap"] = mcap.McapReader
+    return ros2.Reader(path)
+
+
+def _load_anew(name: str) -> Any:
+    """A module of its own, which nobody else imports."""
+    spec = importlib.util.find_spec(name)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def bounded(open_stream: Callable[[BytesIO], Any]) -> Callable[..., bytes]:

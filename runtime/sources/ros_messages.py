@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.io.images import decode_content, require_pixels
+from runtime.io.images import decode_rgb, require_pixels
 
 #: Encoding of an image -> channels and the conversion to RGB.
 _PICTURES: dict[str, tuple[int, int | None]] = {
@@ -80,14 +80,8 @@ def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
             f"a CompressedImage has the format {message.format!r:.60}, a depth map of "
             "compressed_depth_image_transport: republish it as raw"
         )
-    flags = cv2.IMREAD_COLOR_RGB | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     content = bytes(memoryview(message.data))
-    image = decode_content(content, flags, name=f"a CompressedImage ({message.format!r:.40})")
-    if image.dtype != np.uint8:
-        raise InputError(
-            f"a CompressedImage must hold 8 bits a channel, got {image.dtype.itemsize * 8}"
-        )
-    return image
+    return decode_rgb(content, name=f"a CompressedImage ({message.format!r:.40})")
 
 
 def decode_depth_image(message: Any) -> NDArray[np.float32]:

@@ -112,10 +112,31 @@ def test_toml(tmp_path):
     assert calibration.size == SIZE
 
 
+def test_toml_of_points_in_the_camera_frame(tmp_path):
+    path = tmp_path / "camera.toml"
+    path.write_text(f'intrinsics = {K.tolist()}\npoints_in = "camera"\n')
+    calibration = Calibration.from_toml(path)
+    np.testing.assert_array_equal(calibration.extrinsics, np.eye(4))
+    np.testing.assert_array_equal(calibration.intrinsics, K)
+
+
+def test_nine_numbers_are_the_intrinsics(tmp_path):
+    path = tmp_path / "0000000005_image_02.txt"
+    path.write_text(f"{numbers(K)} \n")
+    calibration = Calibration.from_file(path)
+    np.testing.assert_array_equal(calibration.intrinsics, K)
+    np.testing.assert_array_equal(calibration.extrinsics, np.eye(4))
+    path.write_text("1 2 3")
+    with pytest.raises(InputError, match="has 3 numbers, expected 9"):
+        Calibration.from_file(path)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "has the keys none"),
+        ('intrinsics = 1\npoints_in = "lidar"', r'expected .*points_in = "camera"'),
+        ('intrinsics = 1\nextrinsics = 2\npoints_in = "camera"', "has the keys extrinsics"),
         ("intrinsics = 1", "has the keys intrinsics"),
         ("intrinsics = 1\nextrinsics = 2\ncolour = 3", "has the keys colour"),
         ("intrinsics = 1\nextrinsics = 2", "3 x 3 finite numbers, got 1"),

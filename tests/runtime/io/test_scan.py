@@ -1,11 +1,14 @@
 """Files of scans to float32 points."""
 
 import io
+import os
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import runtime.io.scan
 from runtime import InputError
 from runtime.io.scan import read_scan
 
@@ -131,6 +134,13 @@ def saved(array) -> bytes:
     return file.getvalue()
 
 
+def cut_literal() -> bytes:
+    """Two points of which the last literal says 32 bytes and has 28, as many as are missing."""
+    packed = bytes([31, *range(32)]) + bytes([31, *range(28)])
+    sizes = np.array([len(packed), 60], "<u4").tobytes()
+    return pcd(sizes + packed, "binary_compressed", 4)
+
+
 BILLION = 10**9
 HOSTILE = {
     "cut.bin": (bytes(1602), r"1602 bytes are not points of 4 float32.*--point-columns"),
@@ -149,7 +159,17 @@ HOSTILE = {
     "huge-count.pcd": (pcd(OF_PCD, "binary", COUNT=f"{BILLION} 1 1 1"), "50 points take"),
     "digits.pcd": (pcd(OF_PCD, "binary", POINTS="9" * 5000), "digits"),
     "negative.pcd": (pcd(OF_PCD, "binary", -1), "-1 points"),
-    "back.pcd": (pcd(b"\x03\0\0\0\x2e\x02\0\0\x20\xff\0", "binary_compressed"), "damaged"),
+    "back.pcd": (pcd(b"\x03\0\0\0\xee\x02\0\0\x20\xff\0", "binary_compressed"), "damaged"),
+    "big.pcd": (pcd(OF_PCD, "binary_big_endian"), "expected one of ascii, binary, binary_c"),
+    "mixed.ply": (ply(OF_PCD, "binary_compressed"), "expected one of ascii, binary_little_endian"),
+    "headless.ply": (FILES["little.ply"].removeprefix(b"ply\n"), "first line is not 'ply'"),
+    "underscore.pcd": (pcd(OF_PCD, "binary", POINTS="5_0"), "count: '5_0'"),
+    "plus.ply": (ply(records("<", *OF_PLY), "binary_little_endian", "+50"), "a count: '.50'"),
+    "cut-literal.pcd": (cut_literal(), "truncated or damaged"),
+    "cut-packed.pcd": (pcd(compressed()[:-1], "binary_compressed"), "truncated or damaged"),
+    "other-size.pcd": (pcd(b"\0\0\0\0\0\0\0\0", "binary_compressed"), "truncated or damaged"),
+    "no-sizes.pcd": (pcd(b"\0", "binary_compressed"), "truncated or damaged"),
+    "blank.pcd": (pcd(b" \n" * 400, "ascii"), "0 of 50 points"),
     "other.pcd": (pcd(OF_PCD, "zip"), "'zip', expected one of ascii, binary"),
     "short.pcd": (pcd(OF_PCD, "binary", SIZE="1 4"), "zip"),
     "lacks.pcd": (pcd(OF_PCD, "binary", TYPE="", POINTS=""), "header lacks POINTS, TYPE"),
@@ -168,11 +188,13 @@ HOSTILE = {
     "int.npy": (saved(np.zeros((50, 3), np.int32)), "expected floats"),
     "objects.npy": (saved(POINTS.astype(object)), "no .npy file of numbers"),
     "cut.npy": (saved(POINTS)[:-1], "truncated"),
+    "back.npy": (saved(POINTS).replace(b"(50, 3), ", b"(-1, 3), "), "its shape is .-1, 3"),
     "huge.npy": (saved(POINTS).replace(b"(50, 3), ", b"(50000000000, 3), "), "truncated"),
     "text.npy": (b"x y z", "no .npy file of numbers"),
 }
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_damaged_scan_is_an_input_error_and_takes_no_memory(tmp_path, name):
     content, message = HOSTILE[name]
@@ -185,3 +207,99 @@ def test_a_damaged_scan_is_an_input_error_and_takes_no_memory(tmp_path, name):
     finally:
         tracemalloc.stop()
     assert str(tmp_path / name) in str(raised.value)
+
+
+@pytest.mark.filterwarnings("error")
+def test_blank_lines_between_points_do_not_count(tmp_path):
+    (tmp_path / "a.pcd").write_bytes(FILES["ascii.pcd"].replace(b"ascii\n", b"ascii\n\n \n"))
+    np.testing.assert_array_equal(read_scan(tmp_path / "a.pcd"), POINTS)
+
+
+def test_compressed_points_take_no_more_time_than_the_header_declares(tmp_path, monkeypatch):
+    """A byte a literal: twice what it declares, which no encoder makes."""
+    size, unpacked = 15 * 200_000, 15 * 200_000
+    packed = b"\0x" * size
+    body = np.array([len(packed), unpacked], "<u4").tobytes() + packed
+    (tmp_path / "a.pcd").write_bytes(pcd(body, "binary_compressed", 200_000))
+    monkeypatch.setattr(runtime.io.scan, "bytearray", None, raising=False)  # nothing is unpacked
+    with pytest.raises(InputError, match="truncated or damaged"):
+        read_scan(tmp_path / "a.pcd")
+
+
+# --- the number of columns of raw files --------------------------------------------------------
+
+
+def sweep(columns: int, *, lasers: int = 16, points: int = 3200) -> np.ndarray:
+    """A scanner that turns: laser after laser of each direction, as they fire."""
+    random = np.random.default_rng(0)
+    turn = np.repeat(np.linspace(-3, 3, points // lasers), lasers)
+    elevation = np.tile(np.radians([*range(-15, 1, 2), *range(1, 17, 2)]), points // lasers)
+    elevation[::2], elevation[1::2] = elevation[1::2].copy(), elevation[::2].copy()
+    distance = random.uniform(5, 60, points)
+    scan = random.uniform(0, 255, (points, columns)).astype(np.float32)
+    scan[:, 0] = distance * np.cos(elevation) * np.cos(turn)
+    scan[:, 1] = distance * np.cos(elevation) * np.sin(turn)
+    scan[:, 2] = distance * np.sin(elevation)
+    return scan
+
+
+@pytest.mark.parametrize("right", [3, 4, 5, 6])
+@pytest.mark.parametrize("given", [None, 4, 5, 6])
+def test_another_number_of_columns_is_an_error_that_names_the_right_one(tmp_path, right, given):
+    scan = sweep(right, points=15 * 16 * 16)
+    scan.tofile(tmp_path / "a.bin")
+    if (given or 4) == right or (right, given) == (3, 6):  # each second point is a scan, too
+        assert read_scan(tmp_path / "a.bin", columns=given).size == scan.size
+        return
+    with pytest.raises(InputError, match=f"{given or 4} float32.*: give --point-columns {right}"):
+        read_scan(tmp_path / "a.bin", columns=given)
+
+
+def test_several_numbers_of_columns_that_fit_are_all_named(tmp_path):
+    sweep(3).tofile(tmp_path / "a.bin")
+    with pytest.raises(InputError, match="give --point-columns 3 or 6"):
+        read_scan(tmp_path / "a.bin")
+
+
+def test_a_number_that_does_not_divide_the_file_names_the_one_that_fits(tmp_path):
+    sweep(5, points=16 * 17).tofile(tmp_path / "a.bin")
+    with pytest.raises(InputError, match=r"not points of 6 float32.*: give --point-columns 5"):
+        read_scan(tmp_path / "a.bin", columns=6)
+
+
+def test_rings_without_returns_at_the_start_hide_nothing(tmp_path):
+    scan = sweep(6, points=6400)
+    scan[:2400] = 0
+    scan.tofile(tmp_path / "a.bin")
+    with pytest.raises(InputError, match="give --point-columns 6"):
+        read_scan(tmp_path / "a.bin")
+
+
+def test_points_in_no_order_are_read_as_asked(tmp_path):
+    shuffled = np.random.default_rng(1).permutation(sweep(4))
+    shuffled[::7] = np.nan
+    shuffled.tofile(tmp_path / "a.bin")
+    np.testing.assert_array_equal(read_scan(tmp_path / "a.bin"), shuffled)
+
+
+DATA = os.environ.get("SSDNET_DATA")
+
+
+@pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
+@pytest.mark.parametrize(
+    ("folder", "columns"),
+    [
+        ("kitti_stream/velodyne_fov", 4),
+        ("kitti_streets/velodyne_fov", 4),
+        ("kitti_object/velodyne_fov", 4),
+        ("kitti_drive_0009/velodyne_fov", 4),
+        ("pandaset_front/points", 6),
+    ],
+)
+def test_recorded_scans_have_one_number_of_columns(folder, columns):
+    for path in sorted((Path(DATA) / folder).iterdir()):
+        points = read_scan(path, columns=columns)
+        assert points.shape[1] == columns
+        for other in {4, 5, 6} - {columns}:
+            with pytest.raises(InputError, match=f"give --point-columns {columns}$"):
+                read_scan(path, columns=other)

@@ -539,6 +539,26 @@ def test_a_compressed_bag_is_read_up_to_a_limit(
         BagSource(path).list_frames()
 
 
+@pytest.mark.parametrize(("kind", "compression"), PACKED)
+def test_rosbags_itself_stays_as_it_is(make_bag, make_frame, kind, compression):
+    """Another part of the process may read bags with it, too."""
+    from rosbags.rosbag1 import reader as ros1
+    from rosbags.rosbag2 import reader as ros2
+    from rosbags.rosbag2 import storage_mcap as mcap
+
+    def internals():
+        plugins = (ros2.Reader.STORAGE_PLUGINS, ros2.DirectoryReader.STORAGE_PLUGINS)
+        tables = [dict(table) for table in (ros1.decompressors, mcap.DECOMPRESSORS, *plugins)]
+        return [*tables, ros2.zstd]
+
+    before = internals()
+    bag = make_bag(kind)
+    add_camera(bag, make_frame)
+    with BagSource(bag.write(compression=compression), depth_topic="none") as source:
+        assert len(source.list_frames()) == N
+    assert internals() == before
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="needs RLIMIT_AS")
 def test_a_bomb_takes_no_more_than_the_limit():
     """6 GB of zeros in 200 kB, where 1 GB is left."""

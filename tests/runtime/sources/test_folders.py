@@ -51,7 +51,14 @@ def test_an_image_and_its_depth_map_are_one_frame(folders, run, tmp_path):
     assert abs(answers.fed_depth("4") - folders[2][4]).max() < 0.01
     alone = run(image, "--overwrite")
     assert (alone.names, alone.column("degraded")) == (["4"], ["no_depth"])
+    depth.rename(folders[1] / "4.png")
     mixed = run(image, "--depth", folders[1], out="other")
+    assert (mixed.exit_code, mixed.names) == (0, ["4"])
+    assert abs(mixed.fed_depth("4") - folders[2][4]).max() < 0.01
+    none = run(tmp_path / "cam/1.png", "--depth", folders[1], out="none")
+    assert none.exit_code == 1
+    assert "has 0, 2, 3 …: the image and the depth map of a frame need" in none.text
+    mixed = run(folders[0], "--depth", folders[1] / "4.png", out="other")
     assert mixed.exit_code == 1
     assert "must be two folders, or an image and its depth map" in mixed.text
 

@@ -11,7 +11,7 @@ from runtime.sources.registry import SOURCES, open_source
 
 @pytest.mark.parametrize("text", ["", "folders", "folders:", "folder:/tmp", ":/tmp", "/tmp"])
 def test_what_is_no_kind_and_path_is_an_error_with_the_kinds(text):
-    with pytest.raises(InputError, match="KIND:PATH with one of the kinds kitti-raw, vkitti"):
+    with pytest.raises(InputError, match="KIND:PATH with one of the kinds kitti-raw, kitti-object"):
         open_source(text)
 
 
@@ -53,11 +53,18 @@ def test_a_path_that_is_no_source_is_an_error_with_what_is_accepted(run, tmp_pat
 
 def test_a_named_kind_overrides_what_the_path_looks_like(run, tmp_path, make_frame, write_rgb):
     write_rgb(tmp_path / "drive/0.png", make_frame()[0])
-    (tmp_path / "drive/velodyne_points").mkdir()
+    (tmp_path / "drive/velodyne_points/data").mkdir(parents=True)
     answers = run(tmp_path / "drive")
     assert answers.exit_code == 1
     assert "is no drive of KITTI raw data" in answers.text
     assert run("--source", f"folders:{tmp_path / 'drive'}").names == ["0"]
+
+
+def test_a_loop_of_links_is_not_called_missing(run, tmp_path):
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    answers = run(tmp_path / "loop")
+    assert answers.exit_code == 1
+    assert "loop cannot be read (Too many levels of symbolic links); give" in answers.text
 
 
 @pytest.mark.parametrize("kind", SOURCES)

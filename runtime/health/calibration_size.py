@@ -1,0 +1,90 @@
+"""Whether a calibration is of images of the size of those that it is used with.
+
+A calibration for images of another size puts the principal point far from the middle, as it also is
+in pictures that were cut. Only where the returns, moved as with a scaled calibration, also fit the
+depth that the model predicts from the image alone better than where they are, it is reported.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.health.depth_plausibility import FIRST_FRAMES
+from runtime.io.calibration import Calibration
+from runtime.prediction import IMAGE_CONSTANT, Prediction
+
+_FAR = 0.08  # of the width, from the middle; KITTI, PandaSet and View-of-Delft: at most 0.02
+_LEAST_RETURNS = 200
+_BANDS = 48  # over the height of the image
+# Gain in correlation, median of up to five frames, of KITTI and PandaSet at 0.5, 0.67, 0.8 and 2
+# times the size of their calibration: 0.18 to 1.1; cut at the left or right: -0.3 and less.
+_LEAST_GAIN = 0.1
+
+
+class CalibrationSize:
+    """Compares the returns of the first frames of a stream with the camera-only prediction."""
+
+    def __init__(self) -> None:
+        self._gains: list[float] = []
+        self._suspect = ""
+        self._scale = 1.0
+
+    def add(
+        self,
+        camera_only: Prediction,
+        sparse_depth: NDArray[np.float32],
+        calibration: Calibration | None,
+    ) -> None:
+        """Add a frame; ignored after FIRST_FRAMES, and where there is nothing to compare.
+
+        Args:
+            camera_only: prediction from the image of the frame without any return.
+            sparse_depth: float32 (H, W), metres, projected with the calibration.
+            calibration: of the frame.
+        """
+        if calibration is None or calibration.size is not None or camera_only.depth is None:
+            return
+        height, width = sparse_depth.shape
+        middle_x, middle_y = calibration.intrinsics[:2, 2]
+        if abs(middle_x / width - 0.5) < _FAR or middle_x <= 0 or len(self._gains) == FIRST_FRAMES:
+            return
+        if not camera_only.valid or IMAGE_CONSTANT in camera_only.degraded:
+            return
+        scale = width / (2 * middle_x)
+        row, column = np.nonzero((sparse_depth > 0) & (sparse_depth < np.inf))
+        inside = (row * scale < height - 0.5) & (column * scale < width - 0.5)
+        if np.count_nonzero(inside) < _LEAST_RETURNS:
+            return
+        measured = np.log(sparse_depth[row, column].astype(np.float64))
+        moved = np.rint(np.stack([row, column])[:, inside] * scale).astype(np.intp)
+        gain = _fit(camera_only.depth, moved, measured[inside])
+        gain -= _fit(camera_only.depth, np.stack([row, column]), measured)
+        self._gains.append(gain)
+        self._scale = scale
+        self._suspect = (
+            f"its principal point ({middle_x:.0f}, {middle_y:.0f}) is far from the middle of the "
+            f"images of {height} x {width}"
+        )
+
+    def finding(self) -> str | None:
+        """What is wrong by the frames so far, and what to do; None: nothing was found."""
+        if not self._gains or np.median(self._gains) < _LEAST_GAIN:
+            return None
+        return (
+            f"the calibration seems to be of images of another size: {self._suspect}, and the "
+            f"returns fit them better at {self._scale:.2g} times its scale. Use images of the size "
+            f"that was calibrated, or multiply the first two rows of the intrinsics by the width "
+            f"now / the width then, about {self._scale:.2g}, in a TOML file for --calibration"
+        )
+
+
+def _fit(
+    depth: NDArray[np.float32], place: NDArray[np.intp], measured: NDArray[np.float64]
+) -> float:
+    """Mean correlation of log depths, as they are and without the mean of each band of rows."""
+    seen = np.log(np.maximum(depth[place[0], place[1]], 0.1, dtype=np.float64))
+    band = place[0] * _BANDS // len(depth)
+    count = np.maximum(np.bincount(band, minlength=_BANDS), 1)
+    pairs = [(measured, seen)]
+    pairs.append(tuple(each - (np.bincount(band, each, _BANDS) / count)[band] for each in pairs[0]))
+    with np.errstate(divide="ignore", invalid="ignore"):  # of a constant depth
+        return float(np.mean([np.nan_to_num(np.corrcoef(*pair)[0, 1]) for pair in pairs]))

@@ -1,0 +1,75 @@
+"""Frames in the layout of KITTI's object data (Geiger et al. 2012), as of View-of-Delft, too."""
+
+import os
+from pathlib import Path
+
+from runtime.errors import InputError
+from runtime.sources.folders import FolderSource
+
+
+class KittiObjectSource(FolderSource):
+    """``image_<camera>/ID.png``, ``velodyne/ID.bin`` and ``calib/ID.txt``.
+
+    Each frame has a calibration of its own; the focal length is that of the first one. An image
+    without a scan is a frame of the camera alone; a scan without an image is left out. Everything
+    else in the folder is ignored.
+
+    Args:
+        path: folder like training.
+        camera: 2 = left, 3 = right.
+        points: folder of the scans; None: velodyne, or the only velodyne* folder.
+        point_columns: numbers per point of .bin scans; None: as `read_scan`.
+        calibration: as of `FolderSource`; None: calib.
+
+    Raises:
+        InputError: if the images are missing, if there are several velodyne* folders, and if a
+            calibration cannot be read.
+    """
+
+    accepted = "KITTI's object layout (holds image_2/, velodyne/ and calib/)"
+    options = ("camera", "points", "point_columns", "calibration")
+    camera_alone = True
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        camera: int = 2,
+        points: Path | None = None,
+        point_columns: int | None = None,
+        calibration: Path | None = None,
+    ) -> None:
+        images = path / f"image_{camera}"
+        if not os.path.isdir(images):
+            raise InputError(
+                f"{path} is not in KITTI's object layout, {images} is missing: give a folder like "
+                "training, or another --camera"
+            )
+        super().__init__(
+            images,
+            points=points or _find_scans(path),
+            point_columns=point_columns,
+            calibration=calibration or path / "calib",
+        )
+
+    @staticmethod
+    def accepts(path: Path) -> bool:
+        """See `Source.accepts`."""
+        return os.path.isdir(path / "image_2") and os.path.isdir(path / "calib")
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """See `Source.notes`."""
+        alone = ("no velodyne folder: the camera alone; name the scans by --points",)
+        return super().notes + (alone if self._depth is None else ())
+
+
+def _find_scans(path: Path) -> Path | None:
+    """The folder of scans; None if there is none. Raises InputError of several."""
+    if os.path.isdir(path / "velodyne"):
+        return path / "velodyne"
+    folders = sorted(folder for folder in path.glob("velodyne*") if os.path.isdir(folder))
+    if len(folders) > 1:
+        names = ", ".join(folder.name for folder in folders)
+        raise InputError(f"{path} holds {names}: choose the folder of the scans by --points")
+    return folders[0] if folders else None

@@ -1,0 +1,137 @@
+"""One folder that holds images and depth maps or scans, which are found by their names."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+from runtime.errors import InputError
+from runtime.io.calibration import find_raw_calibration
+from runtime.io.images import DEPTH_SUFFIXES, RGB_SUFFIXES, list_files
+from runtime.io.scan import SCAN_SUFFIXES
+from runtime.sources.folders import FolderSource, list_entries
+
+_IMAGES = ("image", "rgb", "color")
+_MAPS = ("depth", "sparse_depth")
+_SCANS = ("points", "velodyne", "lidar")  # hold depth maps, too, as in KITTI's depth selection
+_JPEG = (".jpg", ".jpeg")
+_MAP = "depth"  # in the name of a map that lies beside its image
+
+
+class OneFolderSource(FolderSource):
+    """As `FolderSource`, of two folders or of both kinds of files in one folder.
+
+    It holds an image*/, rgb*/ or color*/ folder, and a depth*/, points*/, velodyne*/ or lidar*/
+    folder. Or it holds images and, of the same stems, scans, or depth maps beside JPEGs, or depth
+    maps with "depth" in their names. The calibration is the only calib* file or folder in it, or
+    KITTI's two files in it or in the folder above, or, of depth maps, an intrinsics/ folder.
+
+    Args:
+        path: the folder.
+        **options: as of `FolderSource`; with `depth` or `points` the images are those in `path`.
+
+    Raises:
+        InputError: if it holds several folders of a kind, or images beside such folders; else as
+            `FolderSource`.
+    """
+
+    accepted = (
+        "a folder that holds image*/ and depth*/, or image*/, points*/ and a calib* file, or "
+        "images and depth maps or scans of the same names"
+    )
+
+    def __init__(self, path: Path, **options: Any) -> None:
+        rgb, found = path, None
+        if options.get("depth") is None and options.get("points") is None:
+            rgb, found = _find_folders(path) or (path, path)
+        if found is not None:
+            scans = _have_scans(found)
+            if options.get("calibration") is None:
+                options["calibration"] = _find_calibration(path) if scans else _intrinsics(path)
+            if not scans or found != path or options["calibration"] is not None:
+                options["points" if scans else "depth"] = found
+        self._is_beside = found == path
+        super().__init__(rgb, **options)
+
+    @staticmethod
+    def accepts(path: Path) -> bool:
+        """See `Source.accepts`."""
+        return _find_folders(path) is not None or _holds_both(path)
+
+    def _list_images(self) -> dict[str, Path]:
+        if not self._is_beside or self._has_scans:
+            return super()._list_images()
+        images = list_files(self._rgb, _JPEG if _holds(self._rgb, _JPEG) else RGB_SUFFIXES)
+        return {stem: path for stem, path in images.items() if _MAP not in stem.lower()}
+
+    def _list_depths(self, folder: Path) -> dict[str, Path]:
+        depths = super()._list_depths(folder)
+        if not self._is_beside or self._has_scans or _holds(folder, _JPEG):
+            return depths
+        return {stem: path for stem, path in depths.items() if _MAP in stem.lower()}
+
+
+def _find_folders(path: Path) -> tuple[Path, Path] | None:
+    """The folder of images and that of depth maps, or else of scans, in a folder; or None.
+
+    Raises InputError where it must be chosen what to read.
+    """
+    images, maps, scans = (
+        sorted(e for e in list_entries(path) if e.name.startswith(kind) and os.path.isdir(e))
+        for kind in (_IMAGES, _MAPS, _SCANS)
+    )
+    others = maps or scans
+    if not (images and others):
+        return None
+    if len(images) + len(others) > 2:
+        names = ", ".join(folder.name for folder in images + others)
+        raise InputError(
+            f"{path} holds {names}: choose two folders by --rgb and --depth or --points"
+        )
+    if _holds(path, RGB_SUFFIXES):
+        raise InputError(
+            f"{path} holds images, and the folders {images[0].name} and {others[0].name}: give "
+            f"--rgb {path} for its own images, or --rgb {images[0]} with --depth or --points "
+            f"{others[0]}"
+        )
+    return images[0], others[0]
+
+
+def _holds_both(path: Path) -> bool:
+    """Whether images and their depth maps or scans lie in one folder."""
+    names = [entry.name.lower() for entry in list_entries(path)]
+
+    def stems(suffixes: tuple[str, ...]) -> set[str]:
+        return {name.removesuffix(end) for end in suffixes for name in names if name.endswith(end)}
+
+    images, maps = stems(RGB_SUFFIXES), stems(DEPTH_SUFFIXES)
+    named = {stem for stem in maps if _MAP in stem}
+    return bool(
+        images & stems(_scan_suffixes()) or stems(_JPEG) & maps or (named and images - named)
+    )
+
+
+def _scan_suffixes() -> tuple[str, ...]:
+    return tuple(suffix for suffix in SCAN_SUFFIXES if suffix not in DEPTH_SUFFIXES)
+
+
+def _holds(folder: Path, suffixes: tuple[str, ...]) -> bool:
+    return any(entry.name.lower().endswith(suffixes) for entry in list_entries(folder))
+
+
+def _have_scans(folder: Path) -> bool:
+    """Whether a folder holds scans rather than depth maps."""
+    return _holds(folder, _scan_suffixes()) or not _holds(folder, DEPTH_SUFFIXES)
+
+
+def _find_calibration(path: Path) -> Path | None:
+    """The calibration of scans in or above a folder; None of none or several."""
+    if (folder := find_raw_calibration(path)) is not None:
+        return folder
+    files = [entry for entry in list_entries(path) if entry.name.startswith("calib")]
+    return files[0] if len(files) == 1 else None
+
+
+def _intrinsics(path: Path) -> Path | None:
+    """The folder of intrinsics of KITTI's depth selection; None if there is none."""
+    folder = path / "intrinsics"
+    return folder if os.path.isdir(folder) else None

@@ -1,0 +1,156 @@
+"""A calibration of another image size is found by the picture, not by its principal point alone."""
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from runtime import Predictor
+from runtime.health.calibration_size import CalibrationSize
+from runtime.io.calibration import Calibration
+from runtime.io.images import read_rgb, read_sparse_depth
+from runtime.io.scan import read_scan
+from runtime.run.cli import app
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
+
+DATA = os.environ.get("SSDNET_DATA")
+
+
+@pytest.fixture(scope="module")
+def nano():
+    with Predictor("ssdnet-nano") as predictor:
+        yield predictor
+
+
+@pytest.fixture(scope="module")
+def bundled():
+    """Images of the bundled stream, their returns as points in the camera's frame, intrinsics."""
+    images, depths = bundled_stream()
+    frames = []
+    for name in ("00000", "00007", "00014"):
+        rgb = read_rgb(images / f"{name}.jpg")
+        height, width = rgb.shape[:2]
+        focal = BUNDLED_FOCAL_LENGTH_PX
+        intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+        depth = read_sparse_depth(depths / f"{name}.png")
+        row, column = np.nonzero(depth)
+        rays = np.stack([column, row, np.ones(len(row))]).T @ np.linalg.inv(intrinsics).T
+        frames.append((rgb, (rays * depth[row, column, None]).astype(np.float32)))
+    return frames, intrinsics
+
+
+def changed(rgb, intrinsics, change):
+    """An image and the intrinsics that are used with it."""
+    intrinsics = intrinsics.copy()
+    third_y, third_x = rgb.shape[0] // 3, rgb.shape[1] // 3
+    if change == "cut at the top":
+        intrinsics[1, 2] -= third_y
+        return rgb[third_y:], intrinsics
+    if change == "cut at the left":
+        intrinsics[0, 2] -= third_x
+        return rgb[:, third_x:], intrinsics
+    if change == "cut at the right":
+        return rgb[:, :-third_x], intrinsics
+    if change > 1:
+        intrinsics[:2] /= change
+        return rgb, intrinsics
+    return cv2.resize(rgb, None, fx=change, fy=change, interpolation=cv2.INTER_AREA), intrinsics
+
+
+def finding_of(predictor, frames, change):
+    check = CalibrationSize()
+    for rgb, points, calibration in frames:
+        image, intrinsics = changed(rgb, calibration.intrinsics, change)
+        image = np.ascontiguousarray(image)
+        calibration = dataclasses.replace(calibration, intrinsics=intrinsics)
+        sparse_depth = calibration.project(points, image.shape[:2])
+        camera_only = predictor.predict(image, None, focal_length_px=intrinsics[0, 0])
+        check.add(camera_only, sparse_depth, calibration)
+    return check.finding()
+
+
+WRONG = (0.5, 2 / 3, 2)
+RIGHT = (1.0, "cut at the top", "cut at the left", "cut at the right")
+
+
+@pytest.mark.parametrize("change", WRONG + RIGHT)
+def test_images_of_another_size_are_found_and_cut_ones_are_not(nano, bundled, change):
+    frames, intrinsics = bundled
+    calibration = Calibration(intrinsics, np.eye(4))
+    finding = finding_of(nano, [(*frame, calibration) for frame in frames], change)
+    assert (finding is not None) == (change in WRONG)
+    if finding is not None:
+        assert f"returns fit them better at {change:.2g} times its scale" in finding
+        assert "multiply the first two rows of the intrinsics" in finding
+
+
+def test_a_calibration_with_a_size_and_none_at_all_are_not_judged(nano, bundled):
+    frames, intrinsics = bundled
+    rgb, points = frames[0]
+    small = np.ascontiguousarray(rgb[::2, ::2])
+    size = small.shape[:2]
+    calibration = Calibration(intrinsics, np.eye(4), size)
+    check = CalibrationSize()
+    camera_only = nano.predict(small, None)
+    for each in (calibration, None):
+        check.add(camera_only, calibration.project(points, size), each)
+    assert check.finding() is None
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_a_run_warns_reports_and_degrades(bundled, tmp_path, scale):
+    frames, intrinsics = bundled
+    for name in ("image", "points"):
+        (tmp_path / f"data/{name}").mkdir(parents=True)
+    for index, (rgb, points) in enumerate(frames):
+        small = cv2.resize(rgb, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
+        assert cv2.imwrite(str(tmp_path / f"data/image/{index}.png"), small[..., ::-1])
+        points.tofile(tmp_path / f"data/points/{index}.bin")
+    text = f'intrinsics = {intrinsics.tolist()}\npoints_in = "camera"\n'
+    (tmp_path / "data/calib.toml").write_text(text)
+    arguments = [tmp_path / "data", "--point-columns", 3, "--model", "ssdnet-nano"]
+    arguments += ["--out", tmp_path / "out", "--save", "none", "--warmup", 0]
+    result = CliRunner().invoke(app, [str(each) for each in arguments])
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    is_wrong = scale == 2
+    assert ("warning: the calibration seems to be of images of another size" in result.output) == (
+        is_wrong
+    ), result.output
+    assert ("another size" in str(report["frames"]["implausible_depth"])) == is_wrong
+    assert report["frames"]["degraded"] == ({"implausible_depth": 3} if is_wrong else {})
+    assert report["frames"]["by_status"] == {"ok": 3}
+
+
+@pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
+@pytest.mark.parametrize("change", WRONG + RIGHT)
+def test_recorded_images_of_another_size_are_found_and_cut_ones_are_not(nano, change):
+    kitti = Path(DATA) / "kitti_object"
+    front = Path(DATA) / "pandaset_front"
+    lens = json.loads((front / "intrinsics.json").read_text())
+    matrix = np.array([[lens["fx"], 0, lens["cx"]], [0, lens["fy"], lens["cy"]], [0, 0, 1]])
+    recordings = {
+        "kitti": [
+            (
+                read_rgb(kitti / f"image_2/{name}.jpg"),
+                read_scan(kitti / f"velodyne_fov/{name}.bin"),
+                Calibration.from_file(kitti / f"calib/{name}.txt"),
+            )
+            for name in ("000004", "000006", "000009")
+        ],
+        "pandaset": [
+            (
+                read_rgb(front / f"image/{name}.jpg"),
+                read_scan(front / f"points/{name}.bin", columns=6),
+                Calibration(matrix, np.eye(4)),
+            )
+            for name in ("000000", "000008")
+        ],
+    }
+    for name, frames in recordings.items():
+        finding = finding_of(nano, frames, change)
+        assert (finding is not None) == (change in WRONG), (name, finding)

@@ -1,0 +1,140 @@
+"""KITTI's object layout through ssdnet-run: a calibration a frame."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from runtime import InputError
+from runtime.sources.kitti_object import KittiObjectSource
+
+SIZE = (48, 64)
+DATA = os.environ.get("SSDNET_DATA")
+
+
+def calibration(focal_px, *, baseline_px=0.0):
+    """As KITTI writes it; camera 3 is beside the others."""
+    lines = [f"P{n}: {focal_px} 0 32 0 0 {focal_px} 24 0 0 0 1 0" for n in range(3)]
+    lines.append(f"P3: {focal_px} 0 32 {baseline_px} 0 {focal_px} 24 0 0 0 1 0")
+    lines.append("R0_rect: 1 0 0 0 1 0 0 0 1")
+    lines.append("Tr_velo_to_cam: 0 -1 0 0 0 0 -1 -0.3 1 0 0 0")
+    lines.append("Tr_imu_to_velo: 1 0 0 0 0 1 0 0 0 0 1 0")
+    return "\n".join(lines) + "\n\n"
+
+
+@pytest.fixture
+def training(tmp_path, make_frame, make_scan, write_rgb):
+    """Five frames with focal lengths of 60 to 64 px; labels and a right camera beside them."""
+    folder = tmp_path / "training"
+    for name in ("velodyne", "calib", "label_2", "image_3"):
+        (folder / name).mkdir(parents=True)
+    for number in range(5):
+        write_rgb(folder / f"image_2/{number:06d}.png", make_frame(*SIZE, seed=number)[0])
+        make_scan(number).tofile(folder / f"velodyne/{number:06d}.bin")
+        (folder / f"calib/{number:06d}.txt").write_text(calibration(60 + number))
+        (folder / f"label_2/{number:06d}.txt").write_text("Car 0 0 0 0 0 0 0 0 0 0 0 0 0 0\n")
+    return folder
+
+
+def projected(scan, focal_px, shift_m=0.0):
+    """By the matrices above, a return after the other, the nearest wins."""
+    depth = np.full(SIZE, np.inf)
+    for x, y, z, _ in scan.astype(np.float64):
+        column = round(focal_px * (-y + shift_m) / x + 32)
+        row = round(focal_px * (-z - 0.3) / x + 24)
+        if 0 <= row < SIZE[0] and 0 <= column < SIZE[1]:
+            depth[row, column] = min(depth[row, column], x)
+    return np.where(np.isinf(depth), 0, depth)
+
+
+def test_each_frame_has_its_calibration(training, run, make_scan):
+    answers = run(training)
+    assert answers.exit_code == 0, answers.text
+    assert answers.names == [f"{number:06d}" for number in range(5)]
+    for number in range(5):
+        expected = projected(make_scan(number), 60 + number)
+        assert np.count_nonzero(expected) > 100
+        assert abs(answers.fed_depth(f"{number:06d}") - expected).max() < 0.01
+    inputs = answers.report["inputs"]
+    assert inputs["source"] == f"kitti-object:{training}"
+    assert inputs["focal_length_px"] == 60, "of the first frame"
+
+
+def test_the_parts_may_be_named(training, run, make_scan):
+    """As folders, of which the calibration is one."""
+    given = ["--points", training / "velodyne", "--calibration", training / "calib"]
+    for rgb in (["--rgb", training / "image_2"], [training / "image_2"], [training]):
+        answers = run(*rgb, *given, "--overwrite")
+        assert answers.exit_code == 0, answers.text
+        assert abs(answers.fed_depth("000004") - projected(make_scan(4), 64)).max() < 0.01
+
+
+@pytest.mark.parametrize("given", ["{}:--camera:3", "--rgb:{}/image_3", "{}/image_3"])
+def test_the_right_camera_has_its_own_projection(
+    training, run, make_frame, write_rgb, given, make_scan
+):
+    write_rgb(training / "image_3/000001.png", make_frame(*SIZE)[0])
+    (training / "calib/000001.txt").write_text(calibration(61, baseline_px=-30.5))
+    arguments = given.format(training).split(":")
+    if "image_3" in given:
+        arguments += ["--points", training / "velodyne", "--calibration", training / "calib"]
+    answers = run(*arguments)
+    expected = projected(make_scan(1), 61, shift_m=-0.5)
+    assert abs(answers.fed_depth("000001") - expected).max() < 0.01
+
+
+def test_an_image_without_its_scan_is_the_camera_alone(training, run):
+    (training / "velodyne/000001.bin").unlink()
+    (training / "image_2/000003.png").unlink()
+    answers = run(training)
+    assert answers.exit_code == 0, answers.text
+    assert answers.names == ["000000", "000001", "000002", "000004"]
+    assert answers.column("degraded") == ["", "no_depth", "", ""]
+    assert "degraded: no_depth: 1" in answers.text
+    assert answers.report["inputs"]["left_out"] == {"depth: no_image": 1}
+    assert "left out: depth: no_image 1" in answers.text
+
+
+def test_other_folders_of_scans_are_named_or_the_only_one(training, run):
+    (training / "velodyne").rename(training / "velodyne_fov")
+    assert run(training).report["inputs"]["points"] == str(training / "velodyne_fov")
+    (training / "velodyne_reduced").mkdir()
+    several = run(training, "--overwrite")
+    assert several.exit_code == 1
+    assert "holds velodyne_fov, velodyne_reduced: choose" in several.text
+    named = run(training, "--points", training / "velodyne_fov", "--overwrite")
+    assert (named.exit_code, set(named.column("degraded"))) == (0, {""})
+
+
+def test_without_scans_the_camera_alone_is_answered(training, run):
+    (training / "velodyne").rename(training / "scans")
+    answers = run(training)
+    assert (answers.exit_code, set(answers.column("degraded"))) == (0, {"no_depth"})
+    assert "no velodyne folder: the camera alone; name the scans by --points" in answers.text
+    assert answers.report["inputs"]["focal_length_px"] == 60
+
+
+def test_what_is_missing_is_named(training, run):
+    with pytest.raises(InputError, match=r"image_1 is missing: give a folder .* --camera"):
+        KittiObjectSource(training, camera=1)
+    (training / "calib/000002.txt").unlink()
+    (training / "calib/000003.txt").write_text("P2: 1 2 3\n")
+    answers = run(training)
+    assert answers.exit_code == 3
+    assert answers.column("status") == ["ok", "ok", "skipped", "skipped", "ok"]
+    assert "000002 has no calibration in" in answers.column("reason")[2]
+    assert "'P2' has 3 numbers, expected 12" in answers.column("reason")[3]
+
+
+@pytest.mark.skipif(not DATA, reason="SSDNET_DATA names no folder of recordings")
+def test_recorded_frames_have_returns_where_there_are_scans():
+    folder = Path(DATA) / "kitti_object"
+    with KittiObjectSource(folder, points=folder / "velodyne_fov") as source:
+        frames = {listed.name: source.read(listed) for listed in source.list_frames()}
+    returns = {name: np.count_nonzero(frame.sparse_depth) for name, frame in frames.items()}
+    with_scan = [name for name, count in returns.items() if count]
+    assert len(frames) == 18
+    assert with_scan == [f"{number:06d}" for number in (4, 5, 6, 7, 9)]
+    assert all(returns[name] > 15_000 for name in with_scan)
+    assert len({frame.calibration.focal_length_px for frame in frames.values()}) > 1
