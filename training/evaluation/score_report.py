@@ -72,6 +72,7 @@ class Row:
         places: figures by place, where the set knows the places of its frames and has several.
         figures_over_places: the mean over these places, see `scoring.figures_over_places`.
         heads: what the model answered.
+        labelled: class -> its labelled pixels, and the frames that show it.
     """
 
     model: str
@@ -84,6 +85,7 @@ class Row:
     places: dict[str, dict[str, float]] = field(default_factory=dict)
     figures_over_places: dict[str, float] = field(default_factory=dict)
     heads: Sequence[str] = ()
+    labelled: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
 def format_table(rows: Sequence[Row]) -> str:
