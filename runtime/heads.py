@@ -103,9 +103,10 @@ class Head:
         return max_depth_m if self.unit is Unit.METRES else 1.0
 
 
-#: Above this `boundary` a pixel is an object's edge, where predicted depth passes from the near
-#: surface to the far one through empty space: 0.5 of the boundary decoder, see the head below.
-EDGE_BOUNDARY = 0.25
+#: Above this probability of the boundary decoder a pixel is an object's edge, where predicted depth
+#: passes from the near surface to the far one through empty space. With classes `boundary` is half
+#: of it where only the decoder sees one, see the head below.
+EDGE_BOUNDARY = 0.5
 
 #: Name -> head, in the order of the contract.
 HEADS: dict[str, Head] = {
@@ -138,7 +139,7 @@ HEADS: dict[str, Head] = {
             encoding=Encoding.METRES_PNG,
             panel=Panel.DEPTH,
         ),
-        # Halved where the classes around a pixel are one: above 0.5 both heads see a boundary.
+        # With classes it is halved where those around a pixel are one: above 0.5 both heads see it.
         Head(
             "boundary",
             "float32",
