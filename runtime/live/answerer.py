@@ -81,7 +81,9 @@ class Answerer:
                 camera_only = self._predict(rgb, np.zeros(size, np.float32), pair)
                 if self._check_depth:
                     self._judge(camera_only, sparse_depth)
-            consistency = self._consistency.score(prediction, camera_only, sparse_depth, held_out)
+            consistency = self._consistency.score(
+                prediction, camera_only, sparse_depth, held_out, stamp_ns=pair.image.stamp_ns
+            )
         if pair.depth is not None:
             self._since += 1
             self._last = None if prediction.depth is None else (pair, sparse_depth)
