@@ -3,22 +3,26 @@
 import math
 import re
 import shlex
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from runtime.errors import InputError
 from training.evaluation.cli import parse_source
 from training.evaluation.evaluate import evaluate
+from training.evaluation.score_report import Row
 from training.lidar.split import LidarInput
 
-#: What a file is measured with: all returns of a frame, 16 lines, none.
-LIDARS = ("own", "16", "none")
+#: What a file is measured with: all returns of a frame, 16 lines, none. What an 8-bit file is fed,
+#: too, where no set gives a LiDAR with its depth.
+LIDARS, OTHER_LIDAR = ("own", "16", "none"), "random:0.05"
+#: Labelled pixels and frames from which the IoU of a class can be compared.
+LEAST_CLASS_PIXELS, LEAST_CLASS_FRAMES = 20_000, 10
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Accuracy on one set with one LiDAR; None = the set cannot tell.
+    """Accuracy on one set with one LiDAR; None = the set or the model cannot tell.
 
     Attributes:
         data: the set, as `ssdnet-eval` names it.
@@ -26,17 +30,25 @@ class Accuracy:
         frames: number of them.
         miou: 0..1.
         mae_m: of the depth [m].
+        boundary_f: 0..1.
+        coverage_1: share of the depth's errors within `depth_uncertainty`.
+        class_iou: class -> IoU, of those that are labelled often enough to compare it.
     """
 
     data: str
     lidar: str
     frames: int
-    miou: float | None
-    mae_m: float | None
+    miou: float | None = None
+    mae_m: float | None = None
+    boundary_f: float | None = None
+    coverage_1: float | None = None
+    class_iou: Mapping[str, float] = field(default_factory=dict)
 
 
-def measure_accuracy(path: Path, data: Sequence[str]) -> list[Accuracy]:
-    """Measure a file, named ``*.onnx``, on data sets as `ssdnet-eval` takes them.
+def measure_accuracy(
+    path: Path, data: Sequence[str], lidars: Sequence[str] = LIDARS
+) -> list[Accuracy]:
+    """Measure a file, named ``*.onnx``, on data sets and LiDARs as `ssdnet-eval` takes them.
 
     Raises:
         DatasetError, InputError: for data that cannot be read, or that hold neither labels nor
@@ -45,14 +57,10 @@ def measure_accuracy(path: Path, data: Sequence[str]) -> list[Accuracy]:
     rows = evaluate(
         [str(path)],
         [parse_source(text) for text in data],
-        lidars=[LidarInput.parse(text) for text in LIDARS],
+        lidars=[LidarInput.parse(text) for text in lidars],
         faults=["none"],
     )
-    found = []
-    for row in rows:
-        figures = (row.figures.get(key, math.nan) for key in ("miou", "mae_m"))
-        known = (None if math.isnan(value) else value for value in figures)
-        found.append(Accuracy(row.data, row.lidar, row.frames, *known))
+    found = [_accuracy(row) for row in rows]
     if all(item.miou is None and item.mae_m is None for item in found):
         raise InputError(
             "--validate: these sets hold neither labels of the model's classes nor depth, so the "
@@ -61,10 +69,25 @@ def measure_accuracy(path: Path, data: Sequence[str]) -> list[Accuracy]:
     return found
 
 
-def repeat_command(data: Iterable[str]) -> str:
+def _accuracy(row: Row) -> Accuracy:
+    known = {key: value for key, value in row.figures.items() if not math.isnan(value)}
+    often = [
+        name
+        for name, (pixels, frames) in row.labelled.items()
+        if pixels >= LEAST_CLASS_PIXELS and frames >= LEAST_CLASS_FRAMES
+    ]
+    return Accuracy(
+        *(row.data, row.lidar, row.frames),
+        **{key: known.get(key) for key in ("miou", "mae_m", "boundary_f", "coverage_1")},
+        class_iou={name: known[f"iou_{name}"] for name in often if f"iou_{name}" in known},
+    )
+
+
+def repeat_command(data: Iterable[str], rows: Iterable[Accuracy]) -> str:
     """Return the command that measures a file on these sets again."""
     sets = [word for text in data for word in ("--data", without_folders(text))]
-    return shlex.join(["ssdnet-eval", "MODEL", *sets, "--lidar", ",".join(LIDARS)])
+    lidars = dict.fromkeys((*LIDARS, *(row.lidar for row in rows)))
+    return shlex.join(["ssdnet-eval", "MODEL", *sets, "--lidar", ",".join(lidars)])
 
 
 def without_folders(text: str) -> str:

@@ -10,6 +10,15 @@ from runtime.command import interruptible, reported_errors
 from runtime.command_options import Version
 from runtime.contract import MIN_SIDE, Contract
 
+_LEAST_FRAMES = 100  # of a set, to tell what int8 costs
+#: Key in `Contract.accuracy`, name, factor, unit.
+_FIGURES = (
+    ("miou", "mIoU", 1e2, "%"),
+    ("boundary_f", "boundary F", 1e2, "%"),
+    ("mae_m", "MAE", 1e3, "mm"),
+    ("coverage_1", "errors within one scale", 1e2, "%"),
+)
+
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
 
@@ -143,11 +152,19 @@ def _print_accuracy(contract: Contract) -> None:
     for before, row in zip(quantization.get("accuracy_fp32", rows), rows, strict=True):
         versions = [before, row] if quantization else [row]
         figures = []
-        for key, name, factor, unit in (("miou", "mIoU", 1e2, "%"), ("mae_m", "MAE", 1e3, "mm")):
+        for key, name, factor, unit in _FIGURES:
             if row[key] is not None:
                 values = " -> ".join(f"{factor * each[key]:.4g}" for each in versions)
                 figures.append(f"{name} {values} {unit}")
         typer.echo(
             f"  {row['data']}, LiDAR {row['lidar']}, {row['frames']} frames: {', '.join(figures)}"
         )
+    for data, frames in {row["data"]: row["frames"] for row in rows}.items():
+        if frames < _LEAST_FRAMES:
+            typer.echo(
+                f"{data} has {frames} frames, fewer than {_LEAST_FRAMES}: small differences on it "
+                "may be chance"
+            )
+    for fact in quantization.get("not_gated", ()):
+        typer.echo(f"not gated: {fact}")
     typer.echo(f"measure it again: {contract.accuracy['repeat']}")

@@ -254,7 +254,8 @@ def _finish(
     if isinstance(precision, Int8Options):
         from export.int8 import quantize_within
 
-        quantized = quantize_within(model, precision, validate=validate, write=write)
+        names = [info.name for info in contract.classes]
+        quantized = quantize_within(model, precision, validate=validate, classes=names, write=write)
         model, accuracy = quantized.model, quantized.accuracy
         contract = replace(contract, quantization=quantized.facts)
     else:
@@ -263,7 +264,7 @@ def _finish(
             write(model, path)
             accuracy = measure_accuracy(path, validate)
     measured = {
-        "repeat": repeat_command(validate),
+        "repeat": repeat_command(validate, accuracy),
         "rows": [asdict(row) for row in accuracy],
     }
     return model, replace(contract, accuracy=measured)

@@ -11,12 +11,20 @@ from typing import Any
 import numpy as np
 import onnx
 
-from export.accuracy import Accuracy, measure_accuracy, without_folders
+from export.accuracy import (
+    LEAST_CLASS_FRAMES,
+    LEAST_CLASS_PIXELS,
+    LIDARS,
+    OTHER_LIDAR,
+    Accuracy,
+    measure_accuracy,
+    without_folders,
+)
 from export.errors import ExportError
 from export.precision import Int8Options
 from export.quantize import Feed, measure_ranges, quantize
 from export.trunk import trunk
-from runtime import Predictor
+from runtime import InputError, Predictor
 from runtime.heads import HEADS, Unit
 from runtime.preprocess import preprocess
 from runtime.session import open_session
@@ -28,6 +36,34 @@ from training.loading.open_dataset import open_dataset
 #: What a calibration frame is fed, in turn: a range that no calibration frame reaches is clipped.
 CALIBRATION_LIDARS = ("own", "none", "16", "4")
 _SENSITIVITY_FRAMES = 4
+#: The gate beside `Int8Options`: points of a class's IoU, of the boundary's F (0..1), and points of
+#: the share of errors within one scale of the uncertainty, up or down.
+MAX_DROP_CLASS_IOU, MAX_DROP_BOUNDARY_F, MAX_CHANGE_COVERAGE = 3.0, 0.01, 3.0
+#: Head -> its figure in `Accuracy`; scores are those of the classes.
+_FIGURES = {
+    "semantic": "miou",
+    "semantic_logits": "miou",
+    "depth": "mae_m",
+    "boundary": "boundary_f",
+    "depth_uncertainty": "coverage_1",
+}
+#: Head, figure, what a set needs, sets that have it.
+_NEEDED = (
+    (
+        "semantic",
+        "miou",
+        "labels of the model's classes",
+        "folders:DIR,labels=FOLDER, camvid:DIR, cityscapes:DIR, kitti_streets:DIR, "
+        "virtual_kitti:DIR",
+    ),
+    (
+        "depth",
+        "mae_m",
+        "depth",
+        "folders:DIR,depth=FOLDER, kitti_depth:DIR, kitti_streets:DIR, kitti_raw:DIR, "
+        "virtual_kitti:DIR",
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -50,6 +86,7 @@ def quantize_within(
     options: Int8Options,
     *,
     validate: Sequence[str],
+    classes: Sequence[str],
     write: Callable[[onnx.ModelProto, Path], object],
 ) -> Quantized:
     """Quantise a graph; convolutions that cost too much accuracy stay in single precision.
@@ -62,13 +99,15 @@ def quantize_within(
         model: a traced graph.
         options: data and gate.
         validate: data sets that accuracy is measured on before and after.
+        classes: names of the model's classes.
         write: writes a graph as a file that the engine runs.
 
     Raises:
-        DatasetError, InputError: for data that cannot be read, or that hold neither labels nor
-            depth.
+        DatasetError, InputError: for data that cannot be read, or that hold no labels for a model
+            of classes, or no depth for one of depth.
         ExportError: if the gate is missed with half of the convolutions in float.
     """
+    heads = [output.name for output in model.graph.output]
     names = trunk(model)
     convolutions = [n.name for n in model.graph.node if n.op_type == "Conv" and n.name in names]
     in_float: list[str] = []
@@ -78,11 +117,16 @@ def quantize_within(
         write(model, path)
         feeds = list(_feeds(path, options))
         ranges = measure_ranges(model, feeds)
-        before = measure_accuracy(path, validate)
+        lidars = LIDARS
+        before = measure_accuracy(path, validate, lidars)
+        _require_rows(heads, before)
+        if {row.lidar for row in before if row.mae_m is not None} == {"none"}:
+            lidars = (*LIDARS, OTHER_LIDAR)
+            before = measure_accuracy(path, validate, lidars)
         while True:
             quantized = quantize(model, ranges, keep_float=in_float)
             write(quantized, path)
-            accuracy = measure_accuracy(path, validate)
+            accuracy = measure_accuracy(path, validate, lidars)
             missed = _missed(before, accuracy, options)
             if not missed:
                 break
@@ -102,6 +146,7 @@ def quantize_within(
         "calibration_frames": len(feeds),
         "float_convolutions": in_float,
         "accuracy_fp32": [asdict(item) for item in before],
+        "not_gated": _not_gated(heads, classes, before),
     }
     return Quantized(quantized, accuracy, facts)
 
@@ -136,18 +181,60 @@ def _missed(
     excess: dict[str, tuple[float, str]] = {}
     for first, second in zip(before, after, strict=True):
         where = f"on {first.data}, LiDAR {first.lidar}"
-        if first.miou is not None and second.miou is not None:
-            drop = 100 * (first.miou - second.miou)
-            text = f"semantic loses {drop:.2f} points of mIoU {where} (at most "
-            found = drop / max(options.max_drop_miou, 1e-9), f"{text}{options.max_drop_miou:g})"
-            excess["semantic"] = max(excess.get("semantic", found), found)
-        if first.mae_m is not None and second.mae_m is not None:
-            rise = 100 * (second.mae_m / max(first.mae_m, 1e-9) - 1)
-            text = f"depth's MAE rises by {rise:.2f} % {where} (at most "
-            found = rise / max(options.max_rise_mae, 1e-9), f"{text}{options.max_rise_mae:g} %)"
-            excess["depth"] = max(excess.get("depth", found), found)
+        for head, loss, most, words in _losses(first, second, options):
+            found = loss / max(most, 1e-9), f"{words} {where} (at most {most:g})"
+            excess[head] = max(excess.get(head, found), found)
     worst_first = sorted(excess.items(), key=lambda entry: -entry[1][0])
     return {head: text for head, (ratio, text) in worst_first if ratio > 1}
+
+
+def _losses(
+    before: Accuracy, after: Accuracy, options: Int8Options
+) -> Iterator[tuple[str, float, float, str]]:
+    """Yield head, loss, its limit, and the loss in words, of what was measured in both."""
+    if before.miou is not None and after.miou is not None:
+        drop = 100 * (before.miou - after.miou)
+        yield "semantic", drop, options.max_drop_miou, f"semantic loses {drop:.2f} points of mIoU"
+    for name, iou in before.class_iou.items():
+        drop = 100 * (iou - after.class_iou[name])
+        words = f"semantic loses {drop:.2f} points of the IoU of {name}"
+        yield "semantic", drop, MAX_DROP_CLASS_IOU, words
+    if before.boundary_f is not None and after.boundary_f is not None:
+        drop = before.boundary_f - after.boundary_f
+        yield "boundary", drop, MAX_DROP_BOUNDARY_F, f"boundary loses {drop:.4f} of F"
+    if before.mae_m is not None and after.mae_m is not None:
+        rise = 100 * (after.mae_m / max(before.mae_m, 1e-9) - 1)
+        yield "depth", rise, options.max_rise_mae, f"depth's MAE rises by {rise:.2f} %"
+    if before.coverage_1 is not None and after.coverage_1 is not None:
+        change = 100 * abs(before.coverage_1 - after.coverage_1)
+        words = f"depth_uncertainty covers {change:.2f} points more or fewer of the errors"
+        yield "depth_uncertainty", change, MAX_CHANGE_COVERAGE, words
+
+
+def _require_rows(heads: Collection[str], rows: Sequence[Accuracy]) -> None:
+    """Raise InputError for a head that no set can tell the accuracy of."""
+    for head, figure, truth, sets in _NEEDED:
+        if head in heads and all(getattr(row, figure) is None for row in rows):
+            raise InputError(
+                f"--validate: no set has {truth}, so what int8 costs the {head} head cannot be "
+                f"measured, and nothing was written; add one of {sets}"
+            )
+
+
+def _not_gated(heads: Sequence[str], classes: Sequence[str], rows: Sequence[Accuracy]) -> list[str]:
+    """What these sets cannot tell, in words."""
+    found = [
+        f"{head}: no set has its figure"
+        for head in heads
+        if head not in _FIGURES or all(getattr(row, _FIGURES[head]) is None for row in rows)
+    ]
+    compared = {name for row in rows for name in row.class_iou}
+    if rare := [name for name in classes if "semantic" in heads and name not in compared]:
+        found.append(
+            f"IoU of {', '.join(rare)}: fewer than {LEAST_CLASS_PIXELS} labelled pixels or "
+            f"{LEAST_CLASS_FRAMES} frames"
+        )
+    return found
 
 
 def _rank(

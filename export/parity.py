@@ -14,7 +14,7 @@ from export.probe_frames import ProbeFrame
 from models import Network
 from models.answers import answers
 from runtime import Predictor
-from runtime.io.agreement import compare, limit, within, worst
+from runtime.io.agreement import compare, file_limits, within, worst
 from runtime.session import open_session
 
 
@@ -72,9 +72,9 @@ def measure_parity(
                     measured.setdefault(head, []).append(figures)
     parity = {}
     for head, all_figures in measured.items():
-        largest = worst(head, all_figures)
-        tolerance = limit(head, predictor.contract)
-        parity[head] = HeadParity(largest, within(head, largest, tolerance))
+        largest = worst(all_figures)
+        limits = file_limits(head, predictor.contract)
+        parity[head] = HeadParity(largest, within(largest, limits))
     return parity
 
 

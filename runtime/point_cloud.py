@@ -1,7 +1,7 @@
 """From a predicted depth map to a point cloud, without the points between objects."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ def to_points(
     rgb: NDArray[np.uint8] | None = None,
     semantic: NDArray[np.uint8] | None = None,
     boundary: NDArray[np.float32] | None = None,
-    edge_boundary: float | None = EDGE_BOUNDARY,
+    edge_boundary: float | Literal["auto"] | None = "auto",
     sky: int | None = None,
 ) -> PointCloud:
     """Return a point for each pixel that has depth, row after row.
@@ -49,7 +49,8 @@ def to_points(
         rgb: uint8 (H, W, 3), colours of the points.
         semantic: uint8 (H, W), class ids.
         boundary: float32 (H, W), probability; pixels above `edge_boundary` have no point.
-        edge_boundary: None = all are kept.
+        edge_boundary: "auto" = 0.25 with `semantic`, 0.5 without, because the boundary of a model
+            without classes is never halved; None = all are kept.
         sky: class id whose pixels have no point; None = there is none.
 
     Raises:
@@ -63,6 +64,8 @@ def to_points(
             raise InputError(
                 f"{name} must have the size of the depth map, {depth.shape}, got {array.shape[:2]}"
             )
+    if edge_boundary == "auto":
+        edge_boundary = EDGE_BOUNDARY if semantic is None else EDGE_BOUNDARY / 2
     kept = (depth > 0) & (depth < np.inf)
     if boundary is not None and edge_boundary is not None:
         kept &= boundary <= edge_boundary

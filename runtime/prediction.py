@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
-from runtime.heads import EDGE_BOUNDARY
 
 if TYPE_CHECKING:
     from runtime.contract import Contract
@@ -168,7 +167,7 @@ class Prediction:
         intrinsics: NDArray[np.floating[Any]],
         rgb: NDArray[np.uint8] | None = None,
         *,
-        edge_boundary: float | None = EDGE_BOUNDARY,
+        edge_boundary: float | Literal["auto"] | None = "auto",
         keep_sky: bool = False,
     ) -> "PointCloud":
         """Return the depth as a point cloud in the camera's frame, labelled with `semantic`.
@@ -177,7 +176,8 @@ class Prediction:
             intrinsics: float (3, 3) of the rectified camera, in pixels of the frame.
             rgb: uint8 (H, W, 3), the frame's image, for the colours of the points.
             edge_boundary: pixels whose `boundary` is above it have no point: depth passes from one
-                surface to the next there; None = all have one.
+                surface to the next there; "auto" = 0.25 with classes, 0.5 without; None = all
+                have one.
             keep_sky: keep the points of the class "sky", whose depth is meaningless.
 
         Raises:

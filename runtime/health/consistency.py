@@ -3,8 +3,8 @@
 Which figure changes depends on the fault (measured in docs/streams.md): edge agreement and hold-out
 error with a rotated calibration or shifted stamps, the scale error with wrong depths. Returns are
 held out in squares, because between the remaining returns the network interpolates them, whatever
-is in the image. There are no limits: the usual values depend on model, sensors and roads, so a
-stack compares the figures with those of its own healthy streams.
+is in the image. There are no limits: the usual values depend on model, sensors and roads, so each
+figure stands beside its change against the stream's own first minute.
 """
 
 from dataclasses import dataclass
@@ -23,6 +23,7 @@ _NEIGHBOUR_PX = 8  # returns of a line or column that are compared with each oth
 _JUMP = 1.25  # ratio of their depths
 _NEAR_M = 30.0  # up to here returns are dense enough
 _LEAST_DEPTH_M = 0.1
+_FIRST_NS = 60_000_000_000  # the frames that later ones are compared with
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,18 @@ class Consistency:
         scale_error: median log(depth / return) where depth is predicted from the camera alone,
             every 10th frame; it shifts with the LiDAR's scale, and is not near 0 for a model
             without the camera's focal length.
+        holdout_change: `holdout_error` minus its mean over the first minute of the stream, by the
+            stamps; None during that minute.
+        edge_change: the same of `edge_agreement`.
+        scale_change: the same of `scale_error`.
     """
 
     holdout_error: float | None = None
     edge_agreement: float | None = None
     scale_error: float | None = None
+    holdout_change: float | None = None
+    edge_change: float | None = None
+    scale_change: float | None = None
 
 
 class ConsistencyCheck:
@@ -61,8 +69,9 @@ class ConsistencyCheck:
             )
         self._share = share
         self._random = np.random.default_rng(0)
-        self._means = Consistency()
+        self._holdout, self._edges, self._scale = _Figure(), _Figure(), _Figure(weight=0.5)
         self._frames = 0
+        self._first_ns: int | None = None
 
     @property
     def scale_is_due(self) -> bool:
@@ -86,6 +95,8 @@ class ConsistencyCheck:
         camera_only: Prediction | None,
         sparse_depth: NDArray[np.float32],
         held_out: NDArray[np.bool_],
+        *,
+        stamp_ns: int = 0,
     ) -> Consistency:
         """Add a frame and return the running means.
 
@@ -94,6 +105,7 @@ class ConsistencyCheck:
             camera_only: prediction without any return; None unless `scale_is_due`.
             sparse_depth: float32 (H, W), metres, all returns.
             held_out: bool (H, W), as of `hold_out`.
+            stamp_ns: of the image.
         """
         self._frames += 1
         returns = (sparse_depth > 0) & (sparse_depth < np.inf)
@@ -108,12 +120,39 @@ class ConsistencyCheck:
             )
         if camera_only is not None and camera_only.depth is not None and returns.any():
             scale_error = float(np.median(_log_ratio(camera_only.depth, sparse_depth, returns)))
-        self._means = Consistency(
-            _running(self._means.holdout_error, holdout_error),
-            _running(self._means.edge_agreement, edge_agreement),
-            _running(self._means.scale_error, scale_error, weight=0.5),
+        if self._first_ns is None:
+            self._first_ns = stamp_ns
+        first = stamp_ns - self._first_ns < _FIRST_NS
+        figures = self._holdout, self._edges, self._scale
+        values = holdout_error, edge_agreement, scale_error
+        for figure, value in zip(figures, values, strict=True):
+            figure.add(value, first=first)
+        return Consistency(
+            *(figure.mean for figure in figures),
+            *(None if first else figure.change for figure in figures),
         )
-        return self._means
+
+
+class _Figure:
+    """A running mean, and the mean of the first minute."""
+
+    def __init__(self, *, weight: float = _WEIGHT) -> None:
+        self.mean: float | None = None
+        self._weight, self._first, self._frames = weight, 0.0, 0
+
+    @property
+    def change(self) -> float | None:
+        """The running mean minus that of the first minute; None without a figure in it."""
+        return self.mean - self._first if self.mean is not None and self._frames else None
+
+    def add(self, value: float | None, *, first: bool) -> None:
+        """Add a frame; None = it has no such figure."""
+        if value is None:
+            return
+        self.mean = value if self.mean is None else self.mean + self._weight * (value - self.mean)
+        if first:
+            self._frames += 1
+            self._first += (value - self._first) / self._frames
 
 
 def _log_ratio(
@@ -142,9 +181,3 @@ def _edge_agreement(
     if not jumps.size or not others.size:
         return None
     return float(jumps.mean() - others.mean())
-
-
-def _running(mean: float | None, value: float | None, *, weight: float = _WEIGHT) -> float | None:
-    if mean is None or value is None:
-        return value if mean is None else mean
-    return mean + weight * (value - mean)

@@ -1,12 +1,14 @@
 """Whether the returns can be metres of what the camera sees: unit, inverse depth, mirrored maps.
 
-The first frames with returns are compared with the depth that the model predicts from the image
-alone. Its scale is nearly right and its structure is that of the image, so the logarithms of both
+Some frames with returns are compared with the depth that the model predicts from the image alone.
+Its scale is nearly right and its structure is that of the image, so the logarithms of both
 correlate, also where only the unit of the returns is wrong. The correlation counts after the mean
 of each band of rows was subtracted: near below and far above is what any image looks like, also to
 a model that cannot see in the dark. Limits and what recordings reach: docs/streams.md.
 """
 
+import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +16,15 @@ from numpy.typing import NDArray
 
 from runtime.prediction import IMAGE_CONSTANT, Prediction
 
-FIRST_FRAMES = 5  # their median counts
+FIRST_FRAMES = 5  # checked when a stream starts; the median of the last so many counts
 _LEAST_RETURNS, _MOST_RETURNS = 200, 50_000  # of denser maps every n-th counts
 _BANDS = 48  # over the height of the image
 _LEAST_DEPTH_M = 0.1
 _ALIKE = 0.5  # correlation from which two depth maps show the same scene
 _MIRRORED_MARGIN = 0.2  # by which the mirrored map must correlate better
 _NEAREST, _FARTHEST = 0.25, 2.5  # return / camera-only depth; right ones: 0.66 to 1.14
+_FOCAL_RATIO = 10  # farther off no focal length is
+_DEPTH_SCALES = (1, 100, 256, 1000)  # of metres, centimetres, KITTI and millimetres
 
 
 class Implausible(NamedTuple):
@@ -29,15 +33,38 @@ class Implausible(NamedTuple):
     cause: str
     ratio: float | None = None  # return / camera-only depth, where only the scale is wrong
 
+    def advice(self, *, depth_scale: float | None, focal_length_px: float | None) -> str:
+        """Return the cause, and what to try.
+
+        Args:
+            depth_scale: units per metre that the returns were read with; None = they were metres.
+            focal_length_px: that the model used; None = none, and it is no cause.
+        """
+        if self.ratio is None:
+            return self.cause
+        what = "check their unit"
+        if depth_scale is not None:
+            wanted = depth_scale * self.ratio
+            usual = min(_DEPTH_SCALES, key=lambda each: abs(math.log(each / wanted)))
+            right = f"{usual}" if 0.5 < usual / wanted < 2 else f"of about {_rounded(wanted)}"
+            what = f"try --depth-scale {right}"
+        if focal_length_px is not None and 1 / _FOCAL_RATIO < self.ratio < _FOCAL_RATIO:
+            fits = _rounded(focal_length_px * self.ratio)
+            what += f", or check the focal length of {focal_length_px:g} px: about {fits} would fit"
+        return f"{self.cause}: {what}"
+
 
 class DepthPlausibility:
-    """Compares the returns of the first frames of a stream with the camera-only prediction."""
+    """Compares the returns of frames of a stream with the camera-only prediction.
+
+    The last FIRST_FRAMES count, so that a unit that changes is found and an early alarm is cleared.
+    """
 
     def __init__(self) -> None:
-        self._figures: list[tuple[float, float, float, float]] = []
+        self._figures: deque[tuple[float, float, float, float]] = deque(maxlen=FIRST_FRAMES)
 
     def add(self, camera_only: Prediction, sparse_depth: NDArray[np.float32]) -> None:
-        """Add a frame; ignored after FIRST_FRAMES, with few returns, or without camera-only depth.
+        """Add a frame; ignored with few returns, or without camera-only depth.
 
         Args:
             camera_only: prediction from the image of the frame without any return.
@@ -46,9 +73,7 @@ class DepthPlausibility:
         depth = camera_only.depth
         row, column = np.nonzero((sparse_depth > 0) & (sparse_depth < np.inf))
         trusted = camera_only.valid and IMAGE_CONSTANT not in camera_only.degraded
-        if len(self._figures) == FIRST_FRAMES or depth is None or not trusted:
-            return
-        if len(row) < _LEAST_RETURNS:
+        if depth is None or not trusted or len(row) < _LEAST_RETURNS:
             return
         step = len(row) // _MOST_RETURNS + 1
         row, column = row[::step], column[::step]
@@ -68,7 +93,7 @@ class DepthPlausibility:
         )
 
     def finding(self) -> Implausible | None:
-        """What is wrong by the frames so far; None = nothing, or it cannot be told."""
+        """What is wrong by the last frames; None = nothing, or it cannot be told."""
         if not self._figures:
             return None
         log_ratio, overall, alike, mirrored = np.median(self._figures, axis=0)
@@ -84,9 +109,13 @@ class DepthPlausibility:
         ratio = float(np.exp(log_ratio))
         if min(overall, alike) >= _ALIKE and not _NEAREST <= ratio <= _FARTHEST:
             return Implausible(
-                f"the returns are {ratio:.2g} times as far as the camera alone sees", ratio
+                f"the returns are {_rounded(ratio)} times as far as the camera alone sees", ratio
             )
         return None
+
+
+def _rounded(value: float) -> str:
+    return f"{float(f'{value:.2g}'):g}"
 
 
 def _within(band: NDArray[np.intp], values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
 """How far apart two answers of a head are, and how far they may be.
 
 One rule for an export (the file against PyTorch) and for a recording (a run against an earlier
-one), by the rows of `runtime.heads`. The first of a head's figures is compared with its limit.
+one), by the rows of `runtime.heads`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,11 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.contract import Contract
-from runtime.heads import HEADS, Difference, Unit
+from runtime.heads import HEADS, Difference, Head, Unit
 
 #: How many times the limits of single precision those of half precision are: of a share of pixels
 #: that differ, and of a difference of values.
 HALF_SHARE, HALF_VALUE = 10, 100
+
+_SHARE = Difference.EQUAL_SHARE.value  # the only figure of which more is better
+#: The figure that rounding of single pixels hardly moves.
+_MEANS = {
+    Difference.EQUAL_SHARE: _SHARE,
+    Difference.MEAN: Difference.MEAN.value,
+    Difference.ABSOLUTE: "mean_relative",
+    Difference.RELATIVE: "mean_relative",
+}
+_LEAST_MEAN = 1e-9
 
 
 def compare(head: str, answer: NDArray[Any], expected: NDArray[Any]) -> dict[str, float]:
@@ -27,51 +37,95 @@ def compare(head: str, answer: NDArray[Any], expected: NDArray[Any]) -> dict[str
         expected: the array it should be, of the same shape.
 
     Returns:
-        By the head's `difference`: {"agreement"}, the share of equal pixels; {"max_relative"};
-        {"mean_abs", "max_abs"}; or {"max_abs", "mean_abs"}, with "_m" at the end where the unit is
-        metres. A NaN in an array is a NaN in the figures.
+        By the head's `difference`: {"agreement"}, the share of equal pixels; {"max_relative",
+        "mean_relative"}; {"mean_abs", "max_abs"}; or {"max_abs", "mean_abs", "mean_relative"},
+        with "_m" after "abs" where the unit is metres. "mean_relative" is the mean difference as a
+        share of the mean expected value. A NaN in an array is a NaN in the figures.
     """
     row = HEADS[head]
     if row.difference is Difference.EQUAL_SHARE:
         return {row.difference.value: float((answer == expected).mean())}
-    difference = np.abs(answer.astype(np.float64) - expected)
-    if row.difference is Difference.RELATIVE:
-        return {row.difference.value: float((difference / np.abs(expected).max()).max())}
+    difference, size = np.abs(answer.astype(np.float64) - expected), np.abs(expected)
+    largest, mean = float(difference.max()), float(difference.mean())
     if row.difference is Difference.MEAN:
-        return {"mean_abs": float(difference.mean()), "max_abs": float(difference.max())}
+        return {"mean_abs": mean, "max_abs": largest}
+    mean_relative = mean / max(float(size.mean(dtype=np.float64)), _LEAST_MEAN)
+    if row.difference is Difference.RELATIVE:
+        max_relative = float((difference / size.max()).max())
+        return {row.difference.value: max_relative, "mean_relative": mean_relative}
     unit = "_m" if row.unit is Unit.METRES else ""
-    return {f"max_abs{unit}": float(difference.max()), f"mean_abs{unit}": float(difference.mean())}
+    return {f"max_abs{unit}": largest, f"mean_abs{unit}": mean, "mean_relative": mean_relative}
 
 
-def worst(head: str, figures: Sequence[Mapping[str, float]]) -> dict[str, float]:
+def first_figure(head: str) -> str:
+    """Return the name of the figure that `Head.tolerance` limits."""
+    row = HEADS[head]
+    in_metres = row.unit is Unit.METRES and row.difference is Difference.ABSOLUTE
+    return f"{row.difference}_m" if in_metres else row.difference.value
+
+
+def worst(figures: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Return the worst of each figure of one head over all frames; NaN if any is."""
-    pick = np.min if _larger_is_better(head) else np.max  # both let NaN through
-    return {name: float(pick([figure[name] for figure in figures])) for name in figures[0]}
+    return {
+        # Both let NaN through.
+        name: float((np.min if name == _SHARE else np.max)([figure[name] for figure in figures]))
+        for name in figures[0]
+    }
 
 
-def limit(head: str, contract: Contract) -> float:
-    """Return the limit of a head's first figure for a file, in that figure's unit.
+def file_limits(head: str, contract: Contract) -> dict[str, float]:
+    """Return the limits of a file's answers against PyTorch's on the machine of the export.
 
-    In half precision it is wider. 8-bit integers have no limit but what was measured when the file
-    was made (`Contract.parity`), and a quarter more.
+    The first figure of the head has one. For 8-bit integers they say nothing: what these may cost
+    is the gate of `export.int8`.
     """
-    own = HEADS[head].limit(contract.max_depth_m)
-    measured = contract.parity.get(head)
-    if contract.precision == "int8" and measured:
-        first = float(next(iter(measured.values())))
-        return 1 - 1.25 * (1 - first) if _larger_is_better(head) else max(own, 1.25 * first)
-    if contract.precision == "fp16":
-        if HEADS[head].difference is Difference.MEAN:
-            return HALF_SHARE * own
-        return 1 - HALF_SHARE * (1 - own) if _larger_is_better(head) else HALF_VALUE * own
-    return own
+    row = HEADS[head]
+    room = _room(row, row.limit(contract.max_depth_m), contract.precision)
+    return _limit(first_figure(head), room)
 
 
-def within(head: str, figures: Mapping[str, float], limit: float) -> bool:
-    """Return whether a head's figures keep to `limit`; NaN does not."""
-    first = next(iter(figures.values()))
-    return first >= limit if _larger_is_better(head) else first <= limit
+def recording_limits(head: str, contract: Contract, *, from_torch: bool) -> dict[str, float]:
+    """Return the limits of the file of a recording on another machine or in another version.
+
+    A float file repeats its own answers as exactly as PyTorch's. In 8 bits another order of
+    operations moves some pixels far, so that the share of equal pixels or a mean is limited. So it
+    is for answers of PyTorch, from which the file may also differ as it did when it was exported.
+
+    Args:
+        head: name in `HEADS`.
+        contract: of the file.
+        from_torch: whether PyTorch gave the recorded answers, not the file.
+    """
+    if contract.precision != "int8" and not from_torch:
+        return file_limits(head, contract)
+    row = HEADS[head]
+    name = _MEANS[row.difference]
+    if contract.precision == "int8":
+        room = row.tolerance_int8
+    else:
+        room = _room(row, row.tolerance, contract.precision)
+    measured = contract.parity.get(head, {}).get(name) if from_torch else None
+    if measured is not None:
+        room += 1 - measured if name == _SHARE else measured
+    return _limit(name, room)
 
 
-def _larger_is_better(head: str) -> bool:
-    return HEADS[head].difference is Difference.EQUAL_SHARE
+def within(figures: Mapping[str, float], limits: Mapping[str, float]) -> bool:
+    """Return whether figures of a head keep to their limits; NaN does not."""
+    return all(
+        figures[name] >= limit if name == _SHARE else figures[name] <= limit
+        for name, limit in limits.items()
+    )
+
+
+def _room(row: Head, tolerance: float, precision: str) -> float:
+    """The share of pixels that may differ, or the difference."""
+    room = 1 - tolerance if row.difference is Difference.EQUAL_SHARE else tolerance
+    if precision != "fp16":
+        return room
+    is_value = row.difference in (Difference.ABSOLUTE, Difference.RELATIVE)
+    return room * (HALF_VALUE if is_value else HALF_SHARE)
+
+
+def _limit(name: str, room: float) -> dict[str, float]:
+    return {name: max(1 - room, 0.0) if name == _SHARE else room}

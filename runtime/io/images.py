@@ -65,8 +65,7 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
     Raises:
         InputError: if the file cannot be read, is truncated or damaged, or holds anything else.
     """
-    is_npy = path.suffix.lower() == ".npy"
-    depth = read_npy(path) if is_npy else decode(path, cv2.IMREAD_UNCHANGED)
+    depth = _read_map(path)
     kind = depth.dtype.str[1:]
     if depth.ndim != 2 or not (kind == "u2" or kind.startswith("f")):
         raise InputError(
@@ -78,6 +77,16 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
     with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no measurement
         metres: NDArray[np.float32] = np.divide(depth, scale, dtype=np.float32, casting="same_kind")
     return metres
+
+
+def holds_metres(path: Path) -> bool:
+    """Whether a depth map is of floats, which are metres. Raises InputError."""
+    return path.suffix.lower() != ".png" and _read_map(path).dtype.kind == "f"
+
+
+def _read_map(path: Path) -> NDArray[Any]:
+    is_npy = path.suffix.lower() == ".npy"
+    return read_npy(path) if is_npy else decode(path, cv2.IMREAD_UNCHANGED)
 
 
 def decode(path: Path, flags: int) -> NDArray[Any]:

@@ -27,15 +27,18 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError, OutputError
 from runtime.heads import HEADS
-from runtime.io.agreement import limit
+from runtime.io.agreement import compare, first_figure, recording_limits
 from runtime.io.atomic_write import atomic_folder
 from runtime.model_file import load_model_file
 from runtime.network_size import NetworkSize
 from runtime.read_input import open_input, read_text
 
-RECORDING_FORMAT, RECORDING_VERSION = "ssdnet-recording", "1.0"
+RECORDING_FORMAT, RECORDING_VERSION = "ssdnet-recording", "2.0"
 RECORDING_FILE, MODEL_FILE = "recording.json", "model.onnx"
 _FRAMES = "frames"
+
+# Version 1 has one limit a head. Those of 8-bit models passed nearly anything; others lie within:
+_FLOAT_LIMITS = {"semantic": 0.99, "depth": 1.0, "depth_uncertainty": 1.0, "boundary": 0.05}
 
 MAX_FRAME_BYTES = 2**32  # of the largest cameras with all heads
 
@@ -85,7 +88,7 @@ class Recording:
         settings: of the predictor.
         model_name: of the model that answered.
         model_sha256: digest of that model's file.
-        limits: head -> limit of its first figure, see `runtime.io.agreement`.
+        limits: head -> limits of its figures, see `runtime.io.agreement`.
         frames: facts about each frame.
     """
 
@@ -93,7 +96,7 @@ class Recording:
     settings: Settings
     model_name: str
     model_sha256: str
-    limits: Mapping[str, float]
+    limits: Mapping[str, Mapping[str, float]]
     frames: tuple[RecordedFrame, ...]
 
     @property
@@ -158,12 +161,17 @@ class Recorder:
             ContractError: if the file cannot be read or has another digest.
         """
         file = load_model_file(model, sha256=sha256)
+        from_torch = self._settings.provider == "torch"
         document = {
             "format": RECORDING_FORMAT,
             "version": RECORDING_VERSION,
             "settings": asdict(self._settings),
             "model": {"name": file.contract.model_name, "sha256": file.sha256},
-            "limits": {head: limit(head, file.contract) for head in HEADS if head in self._heads},
+            "limits": {
+                head: recording_limits(head, file.contract, from_torch=from_torch)
+                for head in HEADS
+                if head in self._heads
+            },
             "frames": [asdict(frame) for frame in self._frames],
         }
         (self._folder / MODEL_FILE).write_bytes(file.content)
@@ -245,8 +253,9 @@ def _parse(folder: Path, document: Any) -> Recording:
     if document["format"] != RECORDING_FORMAT:
         raise ValueError(f"format is {document['format']!r:.80}, expected {RECORDING_FORMAT!r}")
     major = str(document["version"]).partition(".")[0]
-    if major != RECORDING_VERSION.partition(".")[0]:
-        raise ValueError(f"version is {document['version']!r:.80}, this reader reads {major}.x")
+    if major not in ("1", "2"):
+        raise ValueError(f"version is {document['version']!r:.80}, this reader reads 1.x and 2.x")
+    limits = _first_limits(document["limits"]) if major == "1" else document["limits"]
     settings = document["settings"]
     size, focal_px = settings["size"], settings["focal_length_px"]
     return Recording(
@@ -259,7 +268,7 @@ def _parse(folder: Path, document: Any) -> Recording:
         ),
         model_name=str(document["model"]["name"]),
         model_sha256=str(document["model"]["sha256"]),
-        limits={_head(name): _finite(value) for name, value in document["limits"].items()},
+        limits={name: _limits(name, entry) for name, entry in limits.items()},
         frames=tuple(_frame(entry) for entry in document["frames"]),
     )
 
@@ -272,6 +281,25 @@ def _frame(entry: Any) -> RecordedFrame:
         degraded=None if degraded is None else tuple(map(str, degraded)),
         predict_ms=None if predict_ms is None else _finite(predict_ms),
     )
+
+
+def _first_limits(limits: Any) -> dict[str, dict[str, float]]:
+    """The limits of version 1. Raises ValueError for those of an 8-bit model."""
+    for head, most in _FLOAT_LIMITS.items():
+        value = _finite(limits.get(head, most))
+        if value < most if head == "semantic" else value > most:
+            raise ValueError(
+                f"the limit of {head}, {value:g}, is of an 8-bit model and of an older version, "
+                "and passes nearly any answer"
+            )
+    return {head: {first_figure(_head(head)): value} for head, value in limits.items()}
+
+
+def _limits(head: str, entry: Mapping[str, Any]) -> dict[str, float]:
+    known = compare(_head(head), np.ones(1), np.ones(1)).keys()
+    if not entry or entry.keys() - known:
+        raise ValueError(f"the limits of {head} are {entry!r:.80}, expected some of {[*known]}")
+    return {name: _finite(value) for name, value in entry.items()}
 
 
 def _head(name: str) -> str:

@@ -1,18 +1,22 @@
 """The prediction of a matched frame, and the checks of its sensors."""
 
+import contextlib
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.errors import SSDNetError
 from runtime.health.consistency import Consistency, ConsistencyCheck
-from runtime.health.depth_plausibility import DepthPlausibility
+from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.health.frame_health import FrameHealth
 from runtime.io.calibration import Calibration
 from runtime.live.payload import Points
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.sync.synchronizer import Pair
+
+_CHECK_EVERY = 100  # frames with depth, after the first ones
 
 
 class FramePredictor(Protocol):
@@ -42,11 +46,19 @@ class Answerer:
     """Projects, predicts and checks one frame of a stream after another. Not thread-safe."""
 
     def __init__(
-        self, predictor: FramePredictor, calibration: Calibration | None, consistency: float | None
+        self,
+        predictor: FramePredictor,
+        calibration: Calibration | None,
+        consistency: float | None,
+        *,
+        check_depth: bool = True,
     ) -> None:
         self._predictor, self._calibration = predictor, calibration
         self._health, self._plausibility = FrameHealth(), DepthPlausibility()
         self._is_implausible = False
+        self._check_depth = check_depth
+        self._last: tuple[Pair, NDArray[np.float32]] | None = None  # not checked, with its returns
+        self._checks = self._since = 0  # frames checked; frames with depth since then
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
 
     def answer(self, pair: Pair) -> Answer:
@@ -67,14 +79,40 @@ class Answerer:
             prediction, camera_only = self._predict(rgb, left, pair), None
             if self._consistency.scale_is_due:
                 camera_only = self._predict(rgb, np.zeros(size, np.float32), pair)
-                self._plausibility.add(camera_only, sparse_depth)
-                self._is_implausible = self._plausibility.finding() is not None
-            consistency = self._consistency.score(prediction, camera_only, sparse_depth, held_out)
+                if self._check_depth:
+                    self._judge(camera_only, sparse_depth)
+            consistency = self._consistency.score(
+                prediction, camera_only, sparse_depth, held_out, stamp_ns=pair.image.stamp_ns
+            )
+        if pair.depth is not None:
+            self._since += 1
+            self._last = None if prediction.depth is None else (pair, sparse_depth)
             if self._is_implausible:
                 degraded = (*prediction.degraded, IMPLAUSIBLE_DEPTH)
                 prediction = replace(prediction, degraded=degraded)
         health = self._health.check(rgb, sparse_depth)  # predict has checked that they fit
         return Answer(prediction, health, consistency)
+
+    def check_last(self, *, idle: bool) -> None:
+        """Compare the returns of the last frame with a prediction from its image alone, if due.
+
+        The first FIRST_FRAMES with depth are, then one in _CHECK_EVERY, when the stream is idle.
+        With `consistency` its predictions serve.
+        """
+        last, self._last = self._last, None
+        if last is None or self._consistency is not None or not self._check_depth:
+            return
+        if self._checks >= FIRST_FRAMES and not (idle and self._since >= _CHECK_EVERY):
+            return
+        self._checks, self._since = self._checks + 1, 0
+        pair, sparse_depth = last
+        with contextlib.suppress(SSDNetError):  # the next frame's own prediction reports it
+            camera_only = self._predict(pair.image.data, np.zeros_like(sparse_depth), pair)
+            self._judge(camera_only, sparse_depth)
+
+    def _judge(self, camera_only: Prediction, sparse_depth: NDArray[np.float32]) -> None:
+        self._plausibility.add(camera_only, sparse_depth)
+        self._is_implausible = self._plausibility.finding() is not None
 
     def _predict(
         self, rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], pair: Pair

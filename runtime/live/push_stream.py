@@ -85,6 +85,10 @@ class PushStream:
         consistency: share of the returns that is held out of each frame to check whether camera
             and LiDAR are still calibrated and in sync (0.05, for example); every 10th frame then
             takes a second prediction. None = no check.
+        check_depth: whether returns are compared with a prediction from the image alone, for
+            "implausible_depth" in `Prediction.degraded` of the frames after it: of the first five
+            frames with depth, then of one in a hundred, live when no frame waits. It runs after the
+            frame's result was handed over, and is in no latency of that frame.
         on_result: called with each `FrameResult` in the stream's thread, instead of iterating.
         on_error: called there with each InputError or InferenceError of a frame, and with an
             unexpected error, which ends the stream.
@@ -112,6 +116,7 @@ class PushStream:
         max_wait_ms: float = 50.0,
         calibration: Calibration | None = None,
         consistency: float | None = None,
+        check_depth: bool = True,
         on_result: Callable[[FrameResult], object] | None = None,
         on_error: Callable[[Exception], object] | None = None,
         on_state: Callable[[WatchdogState], object] | None = None,
@@ -132,7 +137,8 @@ class PushStream:
             None if deadline_ms is None else _check_ms("deadline_ms", deadline_ms, least=1e-6)
         )
         self._calibration = calibration
-        self._answerer = Answerer(predictor, calibration, consistency)  # the worker's alone
+        # The worker's alone.
+        self._answerer = Answerer(predictor, calibration, consistency, check_depth=check_depth)
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
         self._sensor_clock = sensor_clock
         self._clock = clock or MonotonicClock()
@@ -374,6 +380,9 @@ class PushStream:
                 return False
         if pair is not None:
             self._answer(pair)
+            with self._changed:
+                idle = not (self._live and self._ready)  # a replay does not depend on the clock
+            self._answerer.check_last(idle=idle)
         if self._on_state is not None and (state := self.state) != self._reported_state:
             self._reported_state = state
             self._on_state(state)

@@ -1,7 +1,6 @@
 """Run a model over a stream of frames, and write what was asked for."""
 
 import contextlib
-import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -13,6 +12,7 @@ from runtime.errors import InputError, OutputError, SSDNetError
 from runtime.health.calibration_size import CalibrationSize
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.io.engine_facts import engine_facts
+from runtime.io.images import holds_metres
 from runtime.io.recording import Settings
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.predictor import Predictor
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from runtime.run.outputs.run_page import RunPage
 
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
-_DEPTH_SCALES = (1, 100, 256, 1000)  # of metres, centimetres, KITTI and millimetres
 
 OnRecord = Callable[[FrameRecord], None]
 #: Called before the first frame with a text about the run and the number of frames; returns what is
@@ -158,6 +157,7 @@ def _doubt(predictor: Predictor, frames: Sequence[ListedFrame], source: Source) 
     Done before the stream, since it takes predictions from the camera alone.
     """
     check, size_check = DepthPlausibility(), CalibrationSize()
+    depth_scale = source.inputs.get("depth_scale")
     for listed in frames if "depth" in predictor.heads else ():
         with contextlib.suppress(SSDNetError):  # the run itself reports it
             frame = source.read(listed)
@@ -166,17 +166,14 @@ def _doubt(predictor: Predictor, frames: Sequence[ListedFrame], source: Source) 
                 camera_only = predictor.predict(frame.rgb, None)
                 check.add(camera_only, frame.sparse_depth)
                 size_check.add(camera_only, frame.sparse_depth, frame.calibration)
+                if depth_scale is not None and holds_metres(listed.depth):
+                    depth_scale = None
     if (other_size := size_check.finding()) is not None:
         return other_size
-    finding, scale = check.finding(), source.inputs.get("depth_scale")
-    if finding is None or finding.ratio is None:
-        return finding and finding.cause
-    if scale is None:
-        return f"{finding.cause}: check their unit"
-    wanted = scale * finding.ratio
-    usual = min(_DEPTH_SCALES, key=lambda each: abs(math.log(each / wanted)))
-    right = f"{usual}" if 0.5 < usual / wanted < 2 else f"of about {float(f'{wanted:.2g}'):g}"
-    return f"{finding.cause}: try --depth-scale {right}"
+    finding, focal_px = check.finding(), predictor.focal_length_px
+    if predictor.contract.canonical_focal_px is None:
+        focal_px = None
+    return finding and finding.advice(depth_scale=depth_scale, focal_length_px=focal_px)
 
 
 def _require_apart(out: Path, inputs: Sequence[Path]) -> None:

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InferenceError, InputError
-from runtime.io.agreement import compare, within, worst
+from runtime.io.agreement import compare, first_figure, within, worst
 from runtime.io.recording import RecordedFrame, Recording
 from runtime.prediction import Prediction
 from runtime.predictor import Predictor
 
-VERIFY_FORMAT, VERIFY_VERSION = "ssdnet-verify", "1.0"
+VERIFY_FORMAT, VERIFY_VERSION = "ssdnet-verify", "2.0"
 
 # The network may run at so many times the frame's pixels, and at so many pixels in any case.
 _MAX_MAGNIFICATION = 16
@@ -57,7 +57,7 @@ class VerifyReport:
         model: name of the model that answered now.
         sha256: digest of its file.
         provider: that it ran on.
-        limits: head -> limit of its first figure.
+        limits: head -> limits of its figures.
         checks: of the frames, in order.
         max_slowdown: limit of `slowdown`; None = times are not compared.
     """
@@ -66,7 +66,7 @@ class VerifyReport:
     model: str
     sha256: str
     provider: str
-    limits: Mapping[str, float]
+    limits: Mapping[str, Mapping[str, float]]
     checks: tuple[FrameCheck, ...]
     max_slowdown: float | None = None
 
@@ -108,7 +108,7 @@ class VerifyReport:
     def worst(self, head: str) -> dict[str, float] | None:
         """The worst of each figure of a head over all frames; None if no frame has any."""
         figures = [check.figures[head] for check in self.checks if head in check.figures]
-        return worst(head, figures) if figures else None
+        return worst(figures) if figures else None
 
     def document(self) -> dict[str, Any]:
         """Return the content of --json, see VERIFY_VERSION."""
@@ -144,7 +144,8 @@ def verify(
     Args:
         predictor: answers the frames.
         recording: frames and answers.
-        tolerances: head -> limit of its first figure, in place of the recording's.
+        tolerances: head -> limit of its first figure (share of equal pixels, largest or mean
+            difference), in place of the recording's limits.
         max_slowdown: limit of the median time over the recorded one; None = not compared.
 
     Raises:
@@ -156,7 +157,8 @@ def verify(
             f"--tolerance names {', '.join(unknown)}, the recording holds "
             f"{', '.join(recording.limits)}"
         )
-    limits = {**recording.limits, **tolerances}
+    given = {head: {first_figure(head): value} for head, value in tolerances.items()}
+    limits = {**recording.limits, **given}
     warm: set[tuple[int, ...]] = set()
     checks = tuple(
         _check_frame(predictor, frame, recording.arrays(index), limits, warm)
@@ -182,7 +184,7 @@ def _check_frame(
     predictor: Predictor,
     frame: RecordedFrame,
     arrays: dict[str, NDArray[Any]],
-    limits: Mapping[str, float],
+    limits: Mapping[str, Mapping[str, float]],
     warm: set[tuple[int, ...]],
 ) -> FrameCheck:
     """Predict a frame again. warm: shapes of pictures that were predicted before."""
@@ -211,7 +213,7 @@ def _check_frame(
         else:
             figures[head] = compare(head, answer, expected)
     failed = tuple(
-        head for head in limits if head in figures and not within(head, figures[head], limits[head])
+        head for head in limits if head in figures and not within(figures[head], limits[head])
     )
     return FrameCheck(frame, figures, failed, tuple(faults), prediction.latency.total_ms)
 

@@ -46,9 +46,9 @@ def main(
         list[str] | None,
         typer.Option(
             metavar="HEAD=LIMIT",
-            help="Limit of a head in place of the recorded limit; can be repeated. semantic: least "
-            "share of equal pixels; others: largest difference (metres, probability; for "
-            "semantic_logits relative to the largest score).",
+            help="Limit of a head in place of the recorded limits; can be repeated. semantic: "
+            "least share of equal pixels; boundary: mean difference; others: largest difference "
+            "(metres; for semantic_logits relative to the largest score).",
         ),
     ] = None,
     max_slowdown: Annotated[
@@ -117,11 +117,11 @@ def _table(report: VerifyReport) -> str:
         "",
         f"{'head':18}{'figure':14}{'worst':>12}{'limit':>12}",
     ]
-    for head, limit in report.limits.items():
-        figures = report.worst(head)
-        name, value = next(iter(figures.items())) if figures else ("", None)
-        shown = "n/a" if value is None else f"{value:.6g}"
-        lines.append(f"{head:18}{name:14}{shown:>12}{limit:>12.6g}")
+    for head, limits in report.limits.items():
+        figures = report.worst(head) or {}
+        for name, limit in limits.items():
+            shown = f"{figures[name]:.6g}" if figures else "n/a"
+            lines.append(f"{head:18}{name:14}{shown:>12}{limit:>12.6g}")
     if report.slowdown is not None:
         limit_text = "no limit" if report.max_slowdown is None else f"{report.max_slowdown:g}"
         lines.append(f"{'time':18}{'x recorded':14}{report.slowdown:>12.3f}{limit_text:>12}")
@@ -141,10 +141,11 @@ def _table(report: VerifyReport) -> str:
     return "\n".join(lines)
 
 
-def _differences(check: FrameCheck, limits: Mapping[str, float]) -> list[str]:
+def _differences(check: FrameCheck, limits: Mapping[str, Mapping[str, float]]) -> list[str]:
     name = check.frame.name
     lines = [f"  {name}: {fault}" for fault in check.faults]
     for head in check.failed:
         figures = ", ".join(f"{key} {value:.6g}" for key, value in check.figures[head].items())
-        lines.append(f"  {name}: {head}: {figures} (limit {limits[head]:.6g})")
+        limit = ", ".join(f"{key} {value:.6g}" for key, value in limits[head].items())
+        lines.append(f"  {name}: {head}: {figures} (limit {limit})")
     return lines

@@ -12,7 +12,7 @@ import pytest
 
 from runtime import Predictor
 from runtime.bundled_models import find_model
-from runtime.io.agreement import compare, limit, within
+from runtime.io.agreement import compare, file_limits, within
 from runtime.sources.bundled_stream import bundled_frames, bundled_stream
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "bare_onnxruntime.py"
@@ -64,7 +64,7 @@ def test_a_large_camera_with_the_bundled_model():
         assert answers.keys() == set(predictor.heads)
     for head, values in answers.items():
         figures = compare(head, values, getattr(prediction, head))
-        assert within(head, figures, limit(head, predictor.contract)), (head, figures)
+        assert within(figures, file_limits(head, predictor.contract)), (head, figures)
 
 
 def test_it_needs_nothing_of_this_project(tmp_path):

@@ -75,6 +75,21 @@ def test_a_prediction_gives_its_cloud(model_file, make_frame):
             predictor.predict(rgb, sparse_depth).points(K)
 
 
+def test_the_boundary_of_a_model_without_classes_is_not_halved(model_file, make_frame):
+    """Every pixel was an edge where it says less than even odds."""
+    depth, boundary = np.full((8, 8), 5, np.float32), np.full((8, 8), 0.3, np.float32)
+    assert len(to_points(depth, K, boundary=boundary).points) == 64
+    assert len(to_points(depth, K, boundary=2 * boundary).points) == 0
+    assert len(to_points(depth, K, boundary=boundary, edge_boundary=0.25).points) == 0
+    labels = np.zeros((8, 8), np.uint8)
+    assert len(to_points(depth, K, boundary=boundary, semantic=labels).points) == 0
+    with Predictor(model_file(heads=("depth", "boundary")), threads=1) as predictor:
+        prediction = predictor.predict(*make_frame())
+    kept = prediction.boundary <= 0.5
+    assert (prediction.boundary[kept] > 0.25).any()
+    assert len(prediction.points(K).points) == kept.sum()
+
+
 def test_without_depth_there_is_no_cloud(model_file, make_frame):
     with Predictor(model_file(heads=("semantic",)), threads=1) as predictor:
         prediction = predictor.predict(*make_frame())

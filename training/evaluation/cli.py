@@ -55,6 +55,9 @@ def evaluate(
     limit: Annotated[
         int | None, typer.Option(min=1, help="Frames of each set, evenly spread.")
     ] = None,
+    all_columns: Annotated[
+        bool, typer.Option("--all", help="Print every figure, not the main ones alone.")
+    ] = False,
     json: Annotated[Path | None, typer.Option(help="Write every figure here.")] = None,
     plot: Annotated[
         Path | None, typer.Option(help="Draw accuracy against the LiDAR here (PNG).")
@@ -105,7 +108,7 @@ def evaluate(
                 limit=limit,
                 save=folder,
             )
-            typer.echo(format_table(rows))
+            typer.echo(format_table(rows, all_columns=all_columns))
             if json is not None:
                 write_json(rows, json)
             if plot is not None:

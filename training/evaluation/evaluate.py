@@ -210,5 +210,6 @@ def _score_all(
                 places=by_place,
                 figures_over_places=figures_over_places(by_place.values()),
                 heads=sorted(total.heads),
+                labelled=total.labelled(class_names),
             )
     return list(rows.values())

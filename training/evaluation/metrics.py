@@ -49,11 +49,13 @@ class SemanticScores:
 
     Attributes:
         confusion: int64 (C, C), pixels by label (row) and prediction (column).
+        frames: int64 (C,), frames in which a class is labelled.
     """
 
     def __init__(self, num_classes: int) -> None:
         self.num_classes = num_classes
         self.confusion: NDArray[np.int64] = np.zeros((num_classes, num_classes), dtype=np.int64)
+        self.frames: NDArray[np.int64] = np.zeros(num_classes, dtype=np.int64)
 
     def update(self, prediction: NDArray[np.integer], semantic: NDArray[np.integer]) -> None:
         """Count a frame.
@@ -80,11 +82,13 @@ class SemanticScores:
             validate_args=False,
         )
         self.confusion += counts.numpy()
+        self.frames += counts.numpy().any(axis=1)
 
     def merge(self, other: "SemanticScores") -> None:
         """Add another's counts. Raises ValueError for another number of classes."""
         require_equal("num_classes", self.num_classes, other.num_classes)
         self.confusion += other.confusion
+        self.frames += other.frames
 
     def compute_categories(
         self, class_names: Sequence[str], groups: Mapping[str, Set[str]]

@@ -12,7 +12,10 @@ from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_file, atomic_write
 from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
 
-#: What the table shows, in this order, where a row has it: key, title, factor.
+_RANGES_M = ((0, 20), (0, 50), (0, 10), (10, 20), (20, 40), (40, 100))
+#: What the table shows unless all is asked for.
+_MAIN = ("miou", "accuracy", "road_iou", "boundary_f", "mae_m", "rmse_m", "coverage_1", "mae_px")
+#: All that it can show, in this order, where a row has it: key, title, factor.
 _COLUMNS = (
     ("miou", "mIoU %", 100.0),
     ("category_miou", "mIoU cat %", 100.0),
@@ -20,22 +23,18 @@ _COLUMNS = (
     ("mean_accuracy", "mAcc %", 100.0),
     ("fwiou", "fwIoU %", 100.0),
     ("road_iou", "road IoU %", 100.0),
-    ("mae_m_0_20", "MAE 0-20 m [m]", 1.0),
-    ("mae_m_0_50", "0-50", 1.0),
-    ("mae_m", "0-100", 1.0),
-    ("mae_m_0_10", "MAE 0-10 m [m]", 1.0),
-    ("mae_m_10_20", "10-20", 1.0),
-    ("mae_m_20_40", "20-40", 1.0),
-    ("mae_m_40_100", "40-100", 1.0),
+    ("mae_m", "MAE [m]", 1.0),
+    *((f"mae_m_{a}_{b}", f"MAE {a}-{b} m", 1.0) for a, b in _RANGES_M),
     *(
         (f"mae_m_{region}", f"MAE {title} [mm]", 1000.0)
         for region, title in zip(
-            RETURN_DISTANCES, ("at a return", "1-2 px from it", "3-6 px", "> 6 px"), strict=True
+            RETURN_DISTANCES,
+            ("at a return", "1-2 px from it", "3-6 px from it", "> 6 px from it"),
+            strict=True,
         )
     ),
-    ("rmse_m_0_20", "RMSE 0-20 m [m]", 1.0),
-    ("rmse_m_0_50", "0-50", 1.0),
-    ("rmse_m", "0-100", 1.0),
+    ("rmse_m", "RMSE [m]", 1.0),
+    *((f"rmse_m_{a}_{b}", f"RMSE {a}-{b} m", 1.0) for a, b in _RANGES_M[:2]),
     ("imae_per_km", "iMAE [1/km]", 1.0),
     ("irmse_per_km", "iRMSE [1/km]", 1.0),
     *(
@@ -43,16 +42,17 @@ _COLUMNS = (
         for region in REGIONS
         for error in ("mae", "rmse")
     ),
-    ("mae_m_confident_50", "MAE [mm] of the most confident 50 %", 1000.0),
-    ("mae_m_confident_80", "80 %", 1000.0),
-    ("mae_m_confident_100", "100 %", 1000.0),
+    *(
+        (f"mae_m_confident_{share}", f"MAE of the most confident {share} % [mm]", 1000.0)
+        for share in (50, 80, 100)
+    ),
     ("coverage_1", "errors within 1 scale %", 100.0),
-    ("coverage_2", "2 scales %", 100.0),
+    ("coverage_2", "errors within 2 scales %", 100.0),
     ("mae_px", "disparity MAE [px]", 1.0),
-    ("rmse_px", "RMSE [px]", 1.0),
+    ("rmse_px", "disparity RMSE [px]", 1.0),
     ("boundary_precision", "boundary P %", 100.0),
-    ("boundary_recall", "R %", 100.0),
-    ("boundary_f", "F %", 100.0),
+    ("boundary_recall", "boundary R %", 100.0),
+    ("boundary_f", "boundary F %", 100.0),
 )
 _PLOTTED = (("miou", "mIoU [%]", 100.0), ("mae_m", "MAE [m]", 1.0), ("rmse_m", "RMSE [m]", 1.0))
 
@@ -72,6 +72,7 @@ class Row:
         places: figures by place, where the set knows the places of its frames and has several.
         figures_over_places: the mean over these places, see `scoring.figures_over_places`.
         heads: what the model answered.
+        labelled: class -> its labelled pixels, and the frames that show it.
     """
 
     model: str
@@ -84,17 +85,27 @@ class Row:
     places: dict[str, dict[str, float]] = field(default_factory=dict)
     figures_over_places: dict[str, float] = field(default_factory=dict)
     heads: Sequence[str] = ()
+    labelled: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
-def format_table(rows: Sequence[Row]) -> str:
+def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
     """Lay rows out as a Markdown table, with what could not be scored below it.
 
     Columns that no row has are left out. A row with places has a second line, the mean over them.
+
+    Args:
+        rows: what was scored.
+        all_columns: show every figure, not the main ones alone.
     """
-    columns = [column for column in _COLUMNS if any(column[0] in row.figures for row in rows)]
-    titles = ["model", "engine", "data", "frames", "LiDAR", "fault"]
-    cells = [[*titles, *(title for _, title, _ in columns)]]
+    known = [column for column in _COLUMNS if any(column[0] in row.figures for row in rows)]
+    columns = [column for column in known if all_columns or column[0] in _MAIN]
     notes = []
+    if len(columns) < len(known):
+        notes.append(f"{len(known) - len(columns)} more figures: --all, or --json")
+    titles = ["model", "data", "frames", "LiDAR"]
+    titles += ["engine"] if all_columns else []
+    titles += ["fault"] if all_columns or any(row.fault != "none" for row in rows) else []
+    cells = [[*titles, *(title for _, title, _ in columns)]]
     for row in rows:
         for head, (figure, truth) in _TRUTH.items():
             if head in row.heads and figure not in row.figures:
@@ -113,8 +124,9 @@ def format_table(rows: Sequence[Row]) -> str:
                 f"{figures[key] * factor:.3f}" if key in figures else ""
                 for key, _, factor in columns
             ]
-            words = [row.model, row.engine, row.data, frames, row.lidar, row.fault]
-            cells.append([*words, *values])
+            words = {"model": row.model, "data": row.data, "frames": frames, "LiDAR": row.lidar}
+            words |= {"engine": row.engine, "fault": row.fault}
+            cells.append([*(words[title] for title in titles), *values])
     notes = list(dict.fromkeys(notes))
     if len(cells) == 1:
         return "\n".join(notes)

@@ -144,6 +144,12 @@ class Scores:
         self.uncertainty.merge(other.uncertainty)
         self.road.merge(other.road)
 
+    def labelled(self, class_names: Sequence[str]) -> dict[str, tuple[int, int]]:
+        """Return class -> labelled pixels, and frames that show it, of those that are labelled."""
+        pixels, frames = self.semantic.confusion.sum(axis=1), self.semantic.frames
+        counts = zip(class_names, pixels.tolist(), frames.tolist(), strict=True)
+        return {name: (n, shown) for name, n, shown in counts if n}
+
     def figures(self, class_names: Sequence[str] = ()) -> dict[str, float]:
         """Return the scores as named numbers: shares 0..1, metres, 1/km, pixels.
 

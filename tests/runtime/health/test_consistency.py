@@ -75,6 +75,29 @@ def test_the_figures_by_hand_and_their_running_means():
     assert again.scale_error == found.scale_error, "not due this time"
 
 
+def test_the_change_is_against_the_first_minute_of_the_stream():
+    """What is healthy depends on the rig; its own first minute does not."""
+    check = ConsistencyCheck(0.5)
+    depth, held_out = scan(), np.zeros((60, 80), dtype=bool)
+    held_out[0, 0] = True
+    start_ns = 1_700_000_000_000_000_000
+
+    def score(second, factor):
+        answers = (answer(depth * np.float32(scale)) for scale in factor)
+        return check.score(*answers, depth, held_out, stamp_ns=start_ns + round(second * 1e9))
+
+    for second, error in ((0, 1.1), (30, 1.3), (59.9, 1.2)):
+        found = score(second, (error, 1.5))
+        assert (found.holdout_change, found.scale_change) == (None, None)
+    usual = np.log([1.1, 1.3, 1.2]).mean()
+    for second in range(60, 160):
+        found = score(second, (2.0, 0.5))
+    assert found.holdout_change == pytest.approx(found.holdout_error - usual, abs=1e-6)
+    assert found.holdout_change == pytest.approx(np.log(2) - usual, abs=1e-3)
+    assert found.scale_change == pytest.approx(np.log(0.5 / 1.5), abs=1e-3)
+    assert found.edge_change is None, "the model has no boundary"
+
+
 def test_the_edges_agree_less_when_the_returns_are_shifted():
     boundary = np.zeros((60, 80), np.float32)
     boundary[:, 39:41] = 1

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from runtime import Predictor
-from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
+from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility, Implausible
 from runtime.io.images import read_rgb, read_sparse_depth
 from runtime.prediction import IMAGE_CONSTANT, NO_DEPTH, Latency, Prediction
 from runtime.sources.bundled_stream import bundled_stream
@@ -77,16 +77,41 @@ def test_what_the_camera_cannot_see_is_no_reason():
     assert find(np.full(SIZE, np.nan, np.float32)) is None
 
 
-def test_the_median_of_the_first_frames_counts():
+def test_the_median_of_the_last_frames_counts():
     check = DepthPlausibility()
     seen, right, wrong = camera_only(scene(1)), returns(scene()), returns(scene() * 10)
     assert check.finding() is None
     for sparse in (right, right, wrong):
         check.add(seen, sparse)
     assert check.finding() is None
-    for sparse in (wrong, wrong, *[right] * FIRST_FRAMES):
+    for sparse in (wrong, wrong):
         check.add(seen, sparse)
     assert check.finding().ratio == pytest.approx(10, rel=0.05)
+    for _ in range(FIRST_FRAMES):  # an early alarm is cleared
+        check.add(seen, right)
+    assert check.finding() is None
+    for _ in range(3):  # a unit that changes later is found
+        check.add(seen, wrong)
+    assert check.finding().ratio == pytest.approx(10, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "depth_scale", "focal_px", "advice"),
+    [
+        (3.9, 256, None, "try --depth-scale 1000"),
+        (0.1, 256, None, "try --depth-scale of about 26"),
+        (1e6, None, None, "check their unit"),
+        (4, None, 300, "check their unit, or check the focal length of 300 px: about 1200 would "
+         "fit"),
+        (4, 256, 180.5, "try --depth-scale 1000, or check the focal length of 180.5 px: about 720 "
+         "would fit"),
+    ],
+)  # fmt: skip
+def test_the_advice_names_what_was_given(ratio, depth_scale, focal_px, advice):
+    found = Implausible("the cause", ratio)
+    text = found.advice(depth_scale=depth_scale, focal_length_px=focal_px)
+    assert text == f"the cause: {advice}"
+    assert Implausible("mirrored").advice(depth_scale=256, focal_length_px=300) == "mirrored"
 
 
 def test_a_bundled_model_on_a_frame_of_the_bundled_stream():

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from runtime.io.agreement import compare, limit, within, worst
+from runtime.heads import HEADS
+from runtime.io.agreement import compare, file_limits, recording_limits, within, worst
 
 
 def test_classes_are_counted():
@@ -16,13 +17,15 @@ def test_classes_are_counted():
 @pytest.mark.parametrize(
     ("head", "names"),
     [
-        ("depth", ["max_abs_m", "mean_abs_m"]),
-        ("depth_uncertainty", ["max_abs_m", "mean_abs_m"]),
+        ("depth", ["max_abs_m", "mean_abs_m", "mean_relative"]),
+        ("depth_uncertainty", ["max_abs_m", "mean_abs_m", "mean_relative"]),
     ],
 )
 def test_differences_are_measured(head, names):
     answer, expected = np.float32([[1, 2], [3, 4]]), np.float32([[1, 2.5], [3, 3]])
-    assert compare(head, answer, expected) == dict(zip(names, [1.0, 0.375], strict=True))
+    assert compare(head, answer, expected) == dict(
+        zip(names, [1.0, 0.375, 0.375 / 2.375], strict=True)
+    )
 
 
 def test_of_boundaries_the_mean_counts(contract):
@@ -31,44 +34,87 @@ def test_of_boundaries_the_mean_counts(contract):
     answer[0, :3] = 0.5
     figures = compare("boundary", answer, expected)
     assert figures == {"mean_abs": 0.0015, "max_abs": 0.5}
-    assert within("boundary", figures, limit("boundary", contract))
+    assert within(figures, file_limits("boundary", contract))
     answer[0, :5] = 0.5
-    assert not within("boundary", compare("boundary", answer, expected), 2e-3)
+    assert not within(compare("boundary", answer, expected), {"mean_abs": 2e-3})
     expected[0, 0] = np.nan
-    assert not within("boundary", compare("boundary", answer, expected), 1.0)
+    assert not within(compare("boundary", answer, expected), {"mean_abs": 1.0})
 
 
 def test_scores_count_as_a_share_of_the_largest():
     answer, expected = np.float32([[[1.0, -3.0]]]), np.float32([[[1.0, -4.0]]])
-    assert compare("semantic_logits", answer, expected) == {"max_relative": 0.25}
+    assert compare("semantic_logits", answer, expected) == {
+        "max_relative": 0.25,
+        "mean_relative": 0.2,
+    }
 
 
 def test_the_worst_is_the_least_agreement_and_the_largest_difference():
-    assert worst("semantic", [{"agreement": 0.9}, {"agreement": 0.8}]) == {"agreement": 0.8}
+    assert worst([{"agreement": 0.9}, {"agreement": 0.8}]) == {"agreement": 0.8}
     figures = [{"max_abs_m": 1.0, "mean_abs_m": 0.5}, {"max_abs_m": 0.5, "mean_abs_m": 0.7}]
-    assert worst("depth", figures) == {"max_abs_m": 1.0, "mean_abs_m": 0.7}
+    assert worst(figures) == {"max_abs_m": 1.0, "mean_abs_m": 0.7}
 
 
 def test_limits_hold_on_their_side_and_nan_never_does(contract):
     contract = replace(contract, max_depth_m=80.0)
-    assert limit("depth", contract) == pytest.approx(0.004)
+    assert file_limits("depth", contract) == {"max_abs_m": pytest.approx(0.004)}
     for range_m in (100.0, 200.0):  # near depth is as exact whatever the range
-        assert limit("depth", replace(contract, max_depth_m=range_m)) == pytest.approx(0.005)
-    assert within("depth", {"max_abs_m": 0.004}, 0.004)
-    assert not within("depth", {"max_abs_m": 0.0041}, 0.004)
-    assert within("semantic", {"agreement": 0.9995}, limit("semantic", contract))
-    assert not within("semantic", {"agreement": 0.9994}, limit("semantic", contract))
+        farther = replace(contract, max_depth_m=range_m)
+        assert file_limits("depth", farther) == {"max_abs_m": pytest.approx(0.005)}
+    assert within({"max_abs_m": 0.004}, {"max_abs_m": 0.004})
+    assert not within({"max_abs_m": 0.0041}, {"max_abs_m": 0.004})
+    assert within({"agreement": 0.9995}, file_limits("semantic", contract))
+    assert not within({"agreement": 0.9994}, file_limits("semantic", contract))
     nothing = compare("depth", np.float32([[np.nan, 1]]), np.float32([[0, 1]]))
-    assert not within("depth", worst("depth", [{"max_abs_m": 0.0, "mean_abs_m": 0.0}, nothing]), 1)
+    good = {"max_abs_m": 0.0, "mean_abs_m": 0.0, "mean_relative": 0.0}
+    for figure in nothing:
+        assert not within(worst([good, nothing]), {figure: 1})
 
 
-def test_a_reduced_precision_has_wider_limits(contract):
+def test_half_precision_has_wider_limits(contract):
     half = replace(contract, max_depth_m=80.0, precision="fp16")
-    assert limit("depth", half) == pytest.approx(0.4)
-    assert limit("semantic", half) == pytest.approx(0.995)
-    assert limit("boundary", half) == pytest.approx(0.02)
-    measured = {"semantic": {"agreement": 0.96}, "depth": {"max_abs_m": 8.0, "mean_abs_m": 0.1}}
-    int8 = replace(half, precision="int8", parity=measured)
-    assert limit("depth", int8) == pytest.approx(10.0)
-    assert limit("semantic", int8) == pytest.approx(0.95)
-    assert limit("boundary", int8) == limit("boundary", replace(half, precision="fp32"))
+    assert file_limits("depth", half) == {"max_abs_m": pytest.approx(0.4)}
+    assert file_limits("semantic", half) == {"agreement": pytest.approx(0.995)}
+    assert file_limits("boundary", half) == {"mean_abs": pytest.approx(0.02)}
+
+
+def test_a_float_file_repeats_its_answers_as_exactly_as_pytorchs(contract):
+    for head in HEADS:
+        limits = recording_limits(head, contract, from_torch=False)
+        assert limits == file_limits(head, contract)
+
+
+def test_eight_bits_are_limited_by_shares_and_means_whatever_the_parity(contract):
+    far = {"semantic": {"agreement": 0.7}, "depth": {"max_abs_m": 90.0, "mean_relative": 0.3}}
+    exact = {"semantic": {"agreement": 1.0}, "depth": {"max_abs_m": 0.0, "mean_relative": 0.0}}
+    for parity in (far, exact, {}):
+        int8 = replace(contract, precision="int8", parity=parity)
+        assert recording_limits("semantic", int8, from_torch=False) == {"agreement": 0.96}
+        assert recording_limits("depth", int8, from_torch=False) == {"mean_relative": 0.025}
+        assert recording_limits("boundary", int8, from_torch=False) == {"mean_abs": 0.02}
+        uncertainty = recording_limits("depth_uncertainty", int8, from_torch=False)
+        assert uncertainty == {"mean_relative": 0.1}
+
+
+def test_pytorchs_answers_are_limited_by_means_beside_the_measured_difference(contract):
+    measured = {
+        "semantic": {"agreement": 0.9},
+        "depth": {"max_abs_m": 90.0, "mean_abs_m": 2.0, "mean_relative": 0.1},
+    }
+    int8 = replace(contract, precision="int8", parity=measured)
+    assert recording_limits("semantic", int8, from_torch=True) == {"agreement": pytest.approx(0.86)}
+    limits = recording_limits("depth", int8, from_torch=True)
+    assert limits == {"mean_relative": pytest.approx(0.125)}
+    exact = {"semantic": {"agreement": 1.0}, "depth": {"max_abs_m": 0.0, "mean_relative": 0.0}}
+    for head in ("semantic", "depth"):  # in 8 bits never stricter than in floats
+        ((_, of_int8),) = recording_limits(
+            head, replace(int8, parity=exact), from_torch=True
+        ).items()
+        ((_, of_fp32),) = recording_limits(
+            head, replace(contract, parity=exact), from_torch=True
+        ).items()
+        assert of_int8 < of_fp32 if head == "semantic" else of_int8 > of_fp32
+    half = replace(contract, precision="fp16", parity=exact)
+    assert recording_limits("depth", half, from_torch=True) == {
+        "mean_relative": pytest.approx(0.005)
+    }

@@ -35,7 +35,7 @@ def test_what_was_recorded_comes_back(recording, model_file, make_frame, contrac
     assert read.settings == SETTINGS
     assert read.model.read_bytes() == model_file("again.onnx").read_bytes()
     assert read.model_name == contract.model_name
-    assert read.limits == {"depth": pytest.approx(5e-5 * contract.max_depth_m)}
+    assert read.limits == {"depth": {"max_abs_m": pytest.approx(5e-5 * contract.max_depth_m)}}
     assert read.frames[0] == RecordedFrame("frame 0", True, ("no_depth",), 12.5)
     rgb, depth = make_frame(seed=0)
     arrays = read.arrays(0)
@@ -82,16 +82,26 @@ def edit(folder, **changes):
     "changes",
     [
         {"format": "another"},
-        {"version": "2.0"},
+        {"version": "3.0"},
         {"settings": {"size": None}},
         {"settings": []},
         {"model": None},
-        {"limits": {"speed": 1}},
         {"limits": None},
-        {"limits": {"depth": 10**400}},
-        {"limits": {"depth": "1"}},
-        {"limits": {"depth": float("nan")}},
-        {"limits": {"depth": -1}},
+        *(
+            {"limits": {"depth": limits}}
+            for limits in (
+                {},
+                1,
+                {"agreement": 1},
+                {"max_abs_m": 10**400},
+                {"max_abs_m": "1"},
+                {"max_abs_m": float("nan")},
+                {"max_abs_m": -1},
+            )
+        ),
+        {"limits": {"speed": {"max_abs": 1}}},
+        {"version": "1.0", "limits": {"speed": 1}},
+        {"version": "1.0", "limits": {"depth": "1"}},
         {"frames": [{"name": "x"}]},
         {"frames": 7},
         {"frames": [{"name": "x", "valid": True, "degraded": 3, "predict_ms": 1}]},
@@ -102,6 +112,19 @@ def test_a_document_that_was_changed_is_refused(recording, changes):
     edit(recording, **changes)
     with pytest.raises(InputError, match="is not the document of a recording"):
         read_recording(recording)
+
+
+def test_a_recording_of_version_1_is_read_unless_its_limits_pass_anything(recording):
+    edit(recording, version="1.0", limits={"semantic": 0.995, "depth": 0.5, "boundary": 0.02})
+    assert read_recording(recording).limits == {
+        "semantic": {"agreement": 0.995},
+        "depth": {"max_abs_m": 0.5},
+        "boundary": {"mean_abs": 0.02},
+    }
+    for limits in ({"depth": 80.8}, {"semantic": 0.706}, {"boundary": 0.109}):
+        edit(recording, limits=limits)
+        with pytest.raises(InputError, match=r"8-bit model and of an older version.*record again"):
+            read_recording(recording)
 
 
 @pytest.mark.parametrize(("content", "message"), [(b"{", "not JSON"), (None, "cannot read")])

@@ -114,13 +114,16 @@ def checked_predictor():
 
 @pytest.fixture
 def setup():
-    """Make a stream on a manual clock: `.stream`, `.clock`, `.predictor`. Closed at the end."""
+    """Make a stream on a manual clock: `.stream`, `.clock`, `.predictor`. Closed at the end.
+
+    Without `check_depth` the predictor is asked once a frame.
+    """
     made = []
 
-    def make(**options):
+    def make(*, check_depth=False, **options):
         clock, predictor = ManualClock(), CheckedPredictor()
         predictor.clock = clock
-        stream = PushStream(predictor, clock=clock, **options)
+        stream = PushStream(predictor, clock=clock, check_depth=check_depth, **options)
         made.append((stream, predictor))
         return SimpleNamespace(stream=stream, clock=clock, predictor=predictor)
 

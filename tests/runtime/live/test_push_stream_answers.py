@@ -7,8 +7,11 @@ import numpy as np
 
 from runtime.errors import InferenceError
 from runtime.io.calibration import Calibration
+from runtime.live.answerer import Answerer
 from runtime.live.push_stream import PushStream
+from runtime.prediction import Latency, Prediction
 from runtime.predictor import Predictor
+from runtime.sync.synchronizer import Message, Pair
 from stream_messages import depth, image, push_pair
 
 MS = 1_000_000
@@ -200,12 +203,17 @@ def test_returns_are_held_out_with_the_option_consistency(setup):
     assert next(plain.stream).consistency is None
 
 
-def test_depth_that_contradicts_the_image_is_reported_with_the_option_consistency(
-    setup, monkeypatch
-):
+def test_depth_that_contradicts_the_image_is_reported(setup, monkeypatch):
+    """With `consistency` from the frame on, else from the next one."""
+    flag = ("implausible_depth",)
     row, column = np.mgrid[:32, :40]
     seen = ((40 - row + column / 2) / 10).astype(np.float32)
-    for options, degraded in (({"consistency": 0.05}, ("implausible_depth",)), ({}, ())):
+    for options, degraded in (
+        ({"consistency": 0.05, "check_depth": True}, [flag, flag]),
+        ({"check_depth": True}, [(), flag]),
+        ({"consistency": 0.05, "check_depth": False}, [(), ()]),
+        ({"check_depth": False}, [(), ()]),
+    ):
         made = setup(mode="replay", **options)
 
         def see(rgb, sparse_depth, predict=made.predictor.predict, **others):
@@ -217,4 +225,51 @@ def test_depth_that_contradicts_the_image_is_reported_with_the_option_consistenc
             made.stream.push_image(image(), stamp)
             made.stream.push_depth(10 * seen, stamp)
         made.stream.close()
-        assert [result.prediction.degraded for result in made.stream] == [degraded] * 2
+        assert [result.prediction.degraded for result in made.stream] == degraded
+
+
+def test_returns_are_checked_after_their_result_and_in_no_latency(setup, monkeypatch):
+    """Of the first five frames, and then of one in a hundred."""
+    events = []
+    made = setup(mode="replay", check_depth=True, on_result=lambda r: events.append(r.sequence))
+    made.predictor.takes_ms = 10
+
+    def predict(rgb, sparse_depth, predict=made.predictor.predict, **others):
+        if not sparse_depth.any():
+            events.append("checked")
+        return predict(rgb, sparse_depth, **others)
+
+    monkeypatch.setattr(made.predictor, "predict", predict)
+    for number in range(206):
+        push_pair(made.stream, number)
+    made.stream.close()
+    checked = [events[i - 1] for i, event in enumerate(events) if event == "checked"]
+    assert checked == [0, 1, 2, 3, 4, 104, 204]
+    assert made.stream.statistics.stages["latency"].max_ms == 10
+
+
+def test_a_live_stream_checks_later_frames_when_none_waits():
+    asked = []
+
+    class Predictor:
+        focal_length_px = None
+
+        def predict(self, rgb, sparse_depth, **others):
+            asked.append(bool(sparse_depth.any()))
+            latency = Latency(0, 0, 0, 0)
+            return Prediction({"depth": sparse_depth + 1}, (32, 40), (32, 40), latency)
+
+    answerer = Answerer(Predictor(), None, None)
+    messages = (Message(0.0, 0, 0, data) for data in (image(), depth()))
+    pair = Pair(*messages)
+
+    def frame(*, idle):
+        answerer.answer(pair)
+        answerer.check_last(idle=idle)
+        return asked.pop() is False
+
+    assert [frame(idle=False) for _ in range(6)] == [True] * 5 + [False]
+    assert not any(frame(idle=False) for _ in range(150))
+    assert frame(idle=True)
+    assert not any(frame(idle=True) for _ in range(99))
+    assert frame(idle=True)

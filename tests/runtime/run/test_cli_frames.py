@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -27,7 +28,7 @@ def test_the_depth_scale(tmp_path, run, stream):
 
 
 @pytest.fixture
-def run_metres(tmp_path, model_file):
+def run_metres(tmp_path, model_file, contract):
     """Run a model that sees red / 16 metres on two frames, whose depth PNGs are made of them."""
 
     def see_red(graph):
@@ -36,15 +37,19 @@ def run_metres(tmp_path, model_file):
         node.op_type, node.input[:] = "Mul", ["red", "sixteenth"]
         graph.node.insert(3, node)
 
-    def invoke(to_units, *given):
+    def invoke(to_units, *given, floats=False):
         folders = tmp_path / "cam", tmp_path / "lidar"
         red = (4000 / (20 + np.arange(48)[:, None]) - np.arange(64) / 2).astype(np.uint8)
         bgr, depth = np.stack([red, red // 2, red], axis=-1), np.rint(to_units(red / 16))
-        for folder, picture in zip(folders, (bgr, depth.astype(np.uint16)), strict=True):
+        for folder in folders:
             folder.mkdir()
-            for name in ("0.png", "1.png"):
-                assert cv2.imwrite(str(folder / name), picture)
-        model = model_file(edit=see_red)
+        for name in ("0", "1"):
+            assert cv2.imwrite(str(folders[0] / f"{name}.png"), bgr)
+            if floats:
+                np.save(folders[1] / f"{name}.npy", depth.astype(np.float32))
+            else:
+                assert cv2.imwrite(str(folders[1] / f"{name}.png"), depth.astype(np.uint16))
+        model = model_file(edit=see_red, contract=replace(contract, canonical_focal_px=100.0))
         result = CliRunner().invoke(app, [*arguments(folders, model, tmp_path), *map(str, given)])
         assert result.exit_code == 0, result.output
         return result
@@ -82,6 +87,24 @@ def test_depth_that_contradicts_the_image_is_reported(
     assert {row["degraded"] for row in rows} == {"implausible_depth" if warning else ""}
     recorded = read_recording(recording).frames
     assert [frame.degraded for frame in recorded] == [(), ()], "what ssdnet-verify predicts again"
+
+
+@pytest.mark.parametrize(
+    ("units_a_metre", "floats", "given", "advice"),
+    [
+        (1000, True, (), "1000 times as far as the camera alone sees: check their unit"),
+        (1000, True, ("--focal-length", 100), "1000 times as far as the camera alone sees: check "
+         "their unit"),
+        (1, True, ("--focal-length", 25), "4 times as far as the camera alone sees: check their "
+         "unit, or check the focal length of 25 px: about 100 would fit"),
+        (256, False, ("--focal-length", 25), "4 times as far as the camera alone sees: try "
+         "--depth-scale 1000, or check the focal length of 25 px: about 100 would fit"),
+    ],
+)  # fmt: skip
+def test_the_advice_names_a_cause_that_can_be(run_metres, units_a_metre, floats, given, advice):
+    """Float maps have no scale; a focal length that was given may be wrong."""
+    result = run_metres(lambda m: m * units_a_metre, *given, floats=floats)
+    assert f"warning: the returns are {advice}\n" in result.stdout
 
 
 @pytest.mark.parametrize("parts", [1, 3, N, N + 2])

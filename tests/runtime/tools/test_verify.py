@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from runtime.io.recording import read_recording
+import runtime.session
+from runtime import Predictor
+from runtime.bundled_models import find_model
+from runtime.io.recording import RecordedFrame, Settings, read_recording, record
 from runtime.run.cli import app as run_app
+from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
 from runtime.tools.verify_cli import app
 
 NAMES = ["00000", "00001", "00002"]
@@ -180,6 +184,61 @@ def test_another_model_is_held_against_the_recorded_answers(recording, model_fil
         "00000: answered depth, recorded was semantic, depth"
         in verify(recording, "--model", fewer).output
     )
+
+
+@pytest.fixture(scope="module")
+def int8_recording(tmp_path_factory) -> Path:
+    """Two frames of the bundled stream and the answers of a bundled 8-bit model."""
+    folder = tmp_path_factory.mktemp("int8") / "recording"
+    settings = Settings("the-test", focal_length_px=BUNDLED_FOCAL_LENGTH_PX)
+    with (
+        Predictor(
+            "ssdnet-nano-int8", focal_length_px=BUNDLED_FOCAL_LENGTH_PX, threads=2
+        ) as predictor,
+        record(folder, settings) as recorder,
+    ):
+        for frame in bundled_frames()[::10][:2]:
+            prediction = predictor.predict(frame.rgb, frame.sparse_depth)
+            heads = prediction.heads
+            recorder.add(RecordedFrame(frame.name), frame.rgb, frame.sparse_depth, heads)
+        recorder.finish(find_model("ssdnet-nano-int8"))
+    return folder
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("level", ["ORT_DISABLE_ALL", "ORT_ENABLE_BASIC", "ORT_ENABLE_ALL"])
+def test_an_8_bit_file_verifies_where_it_rounds_elsewhere(
+    int8_recording, monkeypatch, level, threads
+):
+    make = runtime.session._options
+
+    def options(ort, threads):
+        made = make(ort, threads)
+        made.graph_optimization_level = getattr(ort.GraphOptimizationLevel, level)
+        return made
+
+    monkeypatch.setattr(runtime.session, "_options", options)
+    result = verify(int8_recording, "--threads", threads, "--json")
+    assert result.exit_code == 0, result.output
+    agreement = min(
+        frame["figures"]["semantic"]["agreement"] for frame in json.loads(result.output)["frames"]
+    )
+    assert agreement == 1 if level == "ORT_ENABLE_ALL" else agreement < 0.9999
+
+
+def test_an_8_bit_file_does_not_verify_with_other_returns_or_another_model(
+    int8_recording, tmp_path
+):
+    copy = tmp_path / "copy"
+    shutil.copytree(int8_recording, copy)
+    spoil(copy, 1, "sparse_depth", lambda depth: depth * np.float32(0.7))
+    result = verify(copy)
+    assert result.exit_code == 4
+    assert "1 of 2 frames differ" in result.output
+    assert ": depth: max_abs_m" in result.output
+    document = json.loads(verify(int8_recording, "--model", "ssdnet-lite-int8", "--json").output)
+    heads = {"semantic", "depth", "boundary", "depth_uncertainty"}
+    assert [set(frame["failed"]) for frame in document["frames"]] == [heads, heads]
 
 
 def test_another_model_in_the_recording_is_refused(recording, model_file):

@@ -1,17 +1,36 @@
 """Rows of scores as a table."""
 
-from training.evaluation.score_report import Row, format_table
+from dataclasses import replace
+
+from training.evaluation.score_report import _COLUMNS, Row, format_table
 
 
 def test_table_leaves_out_what_no_row_has():
     rows = [Row("a", "torch on cpu", "x", "64", "none", 3, {"miou": 0.5, "mae_m": 1.25})]
-    header, line, row = format_table(rows).splitlines()
+    header, line, row = format_table(rows, all_columns=True).splitlines()
     assert "mIoU %" in header
     assert "boundary" not in header
     assert set(line) == {"|", "-"}
     assert [cell.strip() for cell in row.split("|")[1:-1]] == [
-        *("a", "torch on cpu", "x", "3", "64", "none", "50.000", "1.250")
+        *("a", "x", "3", "64", "torch on cpu", "none", "50.000", "1.250")
     ]
+
+
+def test_about_ten_columns_are_printed_unless_all_are_asked_for():
+    figures = {key: 0.5 for key, _, _ in _COLUMNS}
+    row = Row("a", "torch on cpu", "x", "64", "none", 3, figures)
+    header, _, cells, note = format_table([row]).splitlines()
+    titles = [title.strip() for title in header.split("|")[1:-1]]
+    assert titles[:6] == ["model", "data", "frames", "LiDAR", "mIoU %", "Acc %"]
+    assert {"boundary F %", "MAE [m]", "RMSE [m]"} <= set(titles)
+    assert len(titles) == len(set(titles)) <= 12
+    assert cells.count("|") == header.count("|")
+    assert note == f"{len(figures) - len(titles) + 4} more figures: --all, or --json"
+    header, *_ = format_table([row], all_columns=True).splitlines()
+    every = [title.strip() for title in header.split("|")[1:-1]]
+    assert len(every) == len(set(every)) == 6 + len(figures)
+    assert set(titles) < set(every)
+    assert "fault" in format_table([row, replace(row, fault="nan")])
 
 
 def test_rows_without_figures_are_lines_below_the_table():
