@@ -12,11 +12,9 @@ from runtime.sources.folders import FolderSource
 from runtime.sources.kitti_raw import KittiRawSource
 from runtime.sources.source import Source
 from runtime.sources.video import VideoSource
-from runtime.sources.virtual_kitti import VirtualKittiSource
 
 SOURCES: dict[str, type[Source]] = {
     "kitti-raw": KittiRawSource,
-    "vkitti": VirtualKittiSource,
     "video": VideoSource,
     "bag": BagSource,
     "folders": FolderSource,  # last: another kind may hold images, too
