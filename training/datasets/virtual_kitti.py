@@ -61,7 +61,7 @@ class _SelectionRecipe(SourceRecipe):
 class VirtualKittiRecipe(_SelectionRecipe):
     """Options of Virtual KITTI 2 in a recipe."""
 
-    kind: Literal["virtual_kitti"] = "virtual_kitti"
+    kind: Literal["virtual-kitti"] = "virtual-kitti"
     split: Split = "train"
     #: 0 = left, 1 = right.
     cameras: Annotated[tuple[Literal[0, 1], ...], Field(min_length=1, max_length=2)] = (0,)
@@ -91,7 +91,7 @@ class RenderedRecipe(_SelectionRecipe):
 class VirtualKitti1Recipe(_SelectionRecipe):
     """Options of Virtual KITTI 1.3.1, the edition of the paper's experiments."""
 
-    kind: Literal["virtual_kitti_1"] = "virtual_kitti_1"
+    kind: Literal["virtual-kitti-1"] = "virtual-kitti-1"
     split: Split = "train"
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti1":
