@@ -1,7 +1,7 @@
 """Write the files of each frame of a run: all files of a frame, or none."""
 
 import contextlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Self
 
@@ -15,6 +15,8 @@ from runtime.io.encode import ENCODERS, encode_jpeg
 from runtime.io.ply import encode_ply
 from runtime.prediction import Prediction
 from runtime.run.outputs.intrinsics import intrinsics_of
+from runtime.run.outputs.output import OpenRun
+from runtime.run.report_files import write_report
 from runtime.run.run_folder import CLOUD, KINDS, OVERLAY, SAVED_HEADS, SUFFIXES, RunFolder
 from runtime.sources.frames import Frame
 
@@ -94,3 +96,24 @@ class FrameWriter:
                 f"cannot encode {path} of a frame of {height} x {width} ({error}): leave out "
                 f"{kind} with --save"
             ) from error
+
+
+@contextlib.contextmanager
+def open_frame_files(run: OpenRun) -> Iterator[FrameWriter | None]:
+    """Make the folder of --out, with the files of --save and, when the block ends, the report.
+
+    Yields None where no file of a frame is to be written.
+    """
+    writer = FrameWriter(
+        run.options.folder,
+        run.predictor.contract,
+        kinds=run.kinds,
+        names=run.names,
+        overwrite=run.options.overwrite,
+        focal_length_px=run.predictor.focal_length_px,
+        overlay=run.overlay,
+    )
+    with writer:
+        yield writer if run.kinds else None
+    if run.report is not None:
+        write_report(run.report)

@@ -12,7 +12,8 @@ from runtime.drawing.overlay import Overlay
 from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_path
 from runtime.prediction import Prediction
-from runtime.run.outputs.output import DEFAULT_RATE_HZ
+from runtime.run.options import DEFAULT_RATE_HZ
+from runtime.run.outputs.output import OpenRun
 from runtime.sources.frames import Frame
 
 _CODEC = "mp4v"  # MPEG-4 part 2: what OpenCV's wheels encode on every system, without licences
@@ -67,19 +68,11 @@ class VideoWriter:
 
 
 @contextlib.contextmanager
-def open_video(
-    path: Path, overlay: Overlay, *, rate_hz: float | None = None, overwrite: bool = True
-) -> Iterator[VideoWriter]:
-    """Make a video that gets its name when the block ends; after an error there it is removed.
-
-    Args:
-        path: of the file; a run without a frame leaves none there.
-        overlay: draws the frames.
-        rate_hz: None = DEFAULT_RATE_HZ.
-        overwrite: whether an existing file is replaced.
-    """
-    with atomic_path(path, overwrite=overwrite) as temporary:
-        writer = VideoWriter(temporary, overlay, rate_hz or DEFAULT_RATE_HZ)
+def open_video(run: OpenRun) -> Iterator[VideoWriter]:
+    """Make the video of --video at --rate; a run without a frame leaves none there."""
+    assert run.options.video is not None
+    with atomic_path(run.options.video, overwrite=run.options.overwrite) as temporary:
+        writer = VideoWriter(temporary, run.overlay, run.options.rate or DEFAULT_RATE_HZ)
         yield writer
         writer.finish()
 

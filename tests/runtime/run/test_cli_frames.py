@@ -17,6 +17,7 @@ from cli_runs import N, arguments, files_in, rows_of
 from runtime.io.recording import read_recording
 from runtime.run.cli import app
 from runtime.run.run_folder import KINDS
+from runtime.sources.folders import FolderSource
 
 
 def test_the_depth_scale(tmp_path, run, stream):
@@ -276,3 +277,31 @@ def test_a_stream_that_is_refused_from_the_start_is_an_error(
         assert "error: none of the first 20 frames can be predicted" in result.stderr
         assert "20 frames, first f0: sparse_depth must have the shape" in result.stderr
         assert not (tmp_path / "out").exists()
+
+
+def test_every_frame_is_read_once(run, monkeypatch):
+    """Also those that warm the model up and those whose returns are checked before the stream."""
+    read, names = FolderSource.read, []
+
+    def count(self, frame):
+        names.append(frame.name)
+        return read(self, frame)
+
+    monkeypatch.setattr(FolderSource, "read", count)
+    assert run("--save", "none").exit_code == 0
+    assert sorted(names) == sorted(f"f{index}" for index in range(12))
+    names.clear()
+    assert run("--save", "none", "--shard", "2/3", "--overwrite").exit_code == 0
+    first = {f"f{index}" for index in range(5)}  # of the whole stream: the same for all shards
+    assert sorted(names) == sorted(first | {"f1", "f4", "f7", "f10"})
+
+
+def test_a_damaged_first_frame_is_read_once_and_reported(run, stream, tmp_path, monkeypatch):
+    (stream[0] / "f0.png").write_bytes(b"")
+    read, names = FolderSource.read, []
+    monkeypatch.setattr(
+        FolderSource, "read", lambda self, frame: (names.append(frame.name), read(self, frame))[1]
+    )
+    assert run("--save", "none").exit_code == 3
+    assert names.count("f0") == 1
+    assert rows_of(tmp_path / "out")[0]["status"] == "skipped"
