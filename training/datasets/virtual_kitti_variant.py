@@ -82,7 +82,8 @@ def _read_calibrations(path: Path, camera: int) -> dict[int, Calibration]:
             fx, fy, cx, cy = numbers = tuple(float(text) for text in row[2:])
         except (IndexError, ValueError) as error:
             raise InputError(
-                f"{path}: {' '.join(row)!r:.80} is not 'frame cameraID fx fy cx cy': restore the file"
+                f"{path}: {' '.join(row)!r:.80} is not 'frame cameraID fx fy cx cy': "
+                "restore the file"
             ) from error
         if row_camera == camera:
             if numbers not in made:
