@@ -66,8 +66,9 @@ def _print_models(wanted: bool) -> None:
 @app.command(
     cls=GroupedCommand,
     epilog="Exit codes: 0 done; 1 error; 2 usage; 3 finished, but frames were skipped, answers "
-    "were invalid, or the run was stopped by Ctrl-C or SIGTERM; 4 a frame missed --deadline-ms, "
-    "also if others were skipped; 130 stopped by Ctrl-C or SIGTERM before the first frame.",
+    "were invalid, the LiDAR returns are implausible, or the run was stopped by Ctrl-C or SIGTERM; "
+    "4 a frame missed --deadline-ms, also if others were skipped; 130 stopped by "
+    "Ctrl-C or SIGTERM before the first frame.",
 )
 @with_fields_of(RunOptions)
 def main(

@@ -298,6 +298,12 @@ class RunOptions:
         asked = [kind.strip() for text in self.save or ["all"] for kind in text.split(",")]
         if asked in (["all"], ["none"]):
             return KINDS if asked == ["all"] else ()
+        if len(asked) > 1 and (alone := [kind for kind in ("none", "all") if kind in asked]):
+            others = [kind for kind in asked if kind not in alone] or alone[1:] or alone
+            raise UsageError(
+                f"--save {alone[0]} stands alone, and {', '.join(others)} is asked for, too: leave "
+                f"one of them out"
+            )
         if unknown := [kind for kind in asked if kind not in SUFFIXES]:
             raise UsageError(f"--save knows {', '.join(SUFFIXES)}, all and none, not {unknown}")
         return tuple(kind for kind in SUFFIXES if kind in asked)

@@ -46,9 +46,7 @@ def run_metres(tmp_path, model_file):
             for name in ("0.png", "1.png"):
                 assert cv2.imwrite(str(folder / name), picture)
         model = model_file(edit=see_red)
-        result = CliRunner().invoke(app, [*arguments(folders, model, tmp_path), *map(str, given)])
-        assert result.exit_code == 0, result.output
-        return result
+        return CliRunner().invoke(app, [*arguments(folders, model, tmp_path), *map(str, given)])
 
     return invoke
 
@@ -76,6 +74,7 @@ def test_depth_that_contradicts_the_image_is_reported(
     result = run_metres(to_units, "--depth-scale", scale, "--record", recording)
     warned = re.findall(r"^warning: (.*)$", result.stdout, re.MULTILINE)
     assert warned == ([warning] if warning else [])
+    assert result.exit_code == (3 if warning else 0), result.output
     frames = json.loads((tmp_path / "out/report.json").read_text())["frames"]
     assert frames["implausible_depth"] == warning
     assert frames["degraded"] == ({"implausible_depth": 2} if warning else {})
