@@ -32,6 +32,7 @@ from runtime.sources.source import Source
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
 
 MAX_SHARDS = 1_000_000
+MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG
 #: Option that names a file -> its suffix.
 FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap", "rerun": ".rrd"}
 DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
@@ -162,6 +163,16 @@ class RunOptions:
             f"16-bit PNGs, metres x {METRES_PNG_SCALE}. A cloud is a PLY file with colours and "
             "class ids, 16 bytes per pixel, and needs --calibration or --focal-length. "
             "[default: all]",
+        ),
+    ] = None
+    overlay_width: Annotated[
+        int | None,
+        _OUTPUTS(
+            min=16,
+            max=MAX_OVERLAY_WIDTH,
+            help="Largest width in pixels of a panel of the overlays and the video; a frame is "
+            "shrunk by a whole number. [default: 640, panels one above the other 960; of the "
+            "video the frame's width]",
         ),
     ] = None
     report: Annotated[

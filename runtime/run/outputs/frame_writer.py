@@ -32,6 +32,7 @@ class FrameWriter:
         overwrite: see `RunFolder`.
         focal_length_px: for clouds of frames without a calibration, see `intrinsics_of`.
         overlay: draws the overlays; None = a new one.
+        overlay_width: largest width of a panel of an overlay; None = as `Overlay` has it.
 
     Raises:
         OutputError: if the folder cannot be used.
@@ -47,9 +48,11 @@ class FrameWriter:
         overwrite: bool = False,
         focal_length_px: float | None = None,
         overlay: Overlay | None = None,
+        overlay_width: int | None = None,
     ) -> None:
         self._classes, self._focal_length_px = contract.classes, focal_length_px
         self._overlay = overlay or Overlay(contract.classes, contract.max_depth_m)
+        self._overlay_width = overlay_width
         self._folder = RunFolder(folder, kinds=kinds, names=names, overwrite=overwrite)
 
     def __enter__(self) -> Self:
@@ -86,7 +89,9 @@ class FrameWriter:
             return encode_ply(prediction.points(intrinsics, frame.rgb), self._classes)
         try:
             if kind == OVERLAY:
-                return encode_jpeg(self._overlay.draw(frame.rgb, prediction))
+                return encode_jpeg(
+                    self._overlay.draw(frame.rgb, prediction, widest=self._overlay_width)
+                )
             head, encoding = SAVED_HEADS[kind]
             values = prediction.heads.get(head)
             return None if values is None else ENCODERS[encoding](values)
@@ -112,6 +117,7 @@ def open_frame_files(run: OpenRun) -> Iterator[FrameWriter | None]:
         overwrite=run.options.overwrite,
         focal_length_px=run.predictor.focal_length_px,
         overlay=run.overlay,
+        overlay_width=run.options.overlay_width,
     )
     with writer:
         yield writer if run.kinds else None

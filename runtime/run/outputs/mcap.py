@@ -41,7 +41,7 @@ class McapWriter:
         self._rate_hz = run.options.rate or DEFAULT_RATE_HZ
         self._typestore = get_typestore(Stores.ROS2_JAZZY)
         self._types = self._typestore.types
-        self._overlay = run.overlay
+        self._overlay, self._overlay_width = run.overlay, run.options.overlay_width
         self._connections: dict[str, Any] = {}
         self._frames = 0
 
@@ -76,7 +76,7 @@ class McapWriter:
                     step=image.shape[1] * image.itemsize,
                     data=np.ascontiguousarray(image).reshape(-1).view(np.uint8),
                 )
-        overlay = encode_jpeg(self._overlay.draw(frame.rgb, prediction))
+        overlay = encode_jpeg(self._overlay.draw(frame.rgb, prediction, widest=self._overlay_width))
         self._add(
             OVERLAY,
             "sensor_msgs/msg/CompressedImage",

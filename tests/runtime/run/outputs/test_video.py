@@ -6,9 +6,11 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import runtime.run.run
 from runtime import OutputError
+from runtime.run.cli import app
 from runtime.run.outputs.video import open_video
 from runtime.sources.frames import Frame
 
@@ -64,6 +66,29 @@ def test_frames_of_other_sizes_are_fitted_into_the_first(tmp_path, answered, siz
     assert len(pictures) == 2
     assert pictures[0].shape == pictures[1].shape
     assert pictures[1].mean() > 5
+
+
+@pytest.mark.parametrize(
+    ("given", "panel", "in_video"),
+    [([], (500, 320), (1000, 640)), (["--overlay-width", 250], (250, 160), (250, 160))],
+)
+def test_the_video_has_the_width_of_the_frames(
+    tmp_path, model_file, make_frame, given, panel, in_video
+):
+    """Overlays are at most 640 wide, unless --overlay-width says otherwise for both."""
+    rgb, _ = make_frame(640, 1000)
+    rgb[..., 1] = rgb[..., 2] // 2
+    cv2.imwrite(str(tmp_path / "a.png"), rgb[..., ::-1])
+    command = [tmp_path / "a.png", "--model", model_file(), "--out", tmp_path / "out", *given]
+    command += ["--save", "overlay", "--video", tmp_path / "a.mp4", "--size", 64]
+    result = CliRunner().invoke(app, [str(word) for word in command])
+    assert result.exit_code == 0, result.output
+    overlay = cv2.imread(str(tmp_path / "out/overlay/a.jpg"))
+    panels = overlay.shape[1] // panel[0]
+    assert panels * panel[0] == overlay.shape[1]
+    assert overlay.shape[0] >= panel[1]
+    _, (picture,) = read_video(tmp_path / "a.mp4")
+    assert picture.shape[1] == min(panels * in_video[0], 4096)
 
 
 def test_a_run_without_frames_has_no_video(tmp_path, open_run):
