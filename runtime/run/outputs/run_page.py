@@ -11,7 +11,6 @@ from typing import Any
 from runtime.contract import Contract
 from runtime.drawing.report_page.charts import LATE
 from runtime.drawing.report_page.facts import collect_facts
-from runtime.drawing.report_page.page import PageContent, Problem, render_page
 from runtime.drawing.report_page.samples import SampleKeeper
 from runtime.drawing.report_page.timeline import Moment, Timeline
 from runtime.io.atomic_write import atomic_write
@@ -36,6 +35,8 @@ class RunPage:
 
     def render(self, report: RunReport) -> bytes:
         """Return the page."""
+        from runtime.drawing.report_page.page import PageContent, Problem, render_page
+
         timeline = Timeline()
         for record in report.records:
             timeline.add(_moment(record, report))
