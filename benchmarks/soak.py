@@ -409,7 +409,7 @@ def soak_sources(*, rounds: int, seed: int) -> list[str]:
 
 def _read_others(rgb: Path, depth: Path, originals: dict[int, Frame], damaged: str) -> None:
     """Read all frames; the one that is damaged may be an InputError."""
-    with open_source(f"folders:{rgb}", depth=depth) as source:
+    with open_source("folders", rgb, depth=depth) as source:
         for index, listed in enumerate(source.list_frames()):
             if listed.name == damaged:
                 with contextlib.suppress(InputError):

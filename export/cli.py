@@ -96,6 +96,9 @@ def export(
     _version: Version = False,
 ) -> None:
     """Export a checkpoint to one self-contained ONNX file and verify it against PyTorch."""
+    if model.suffix != ".onnx":
+        right = model.with_name(model.name.removesuffix(".pt") + ".onnx")
+        raise typer.BadParameter(f"an exported file ends in .onnx, got {model.name}: give {right}")
     if (height is None) != (width is None):
         raise typer.BadParameter("give both --height and --width, or neither")
     if (precision is Precision.INT8) != bool(calibrate):

@@ -161,7 +161,7 @@ def _check_target(target: Path, checkpoint: Path, *, overwrite: bool) -> None:
     if target.exists() and checkpoint.exists() and target.samefile(checkpoint):
         raise OutputError(f"{target} is the checkpoint itself: choose another name")
     if target.exists() and not overwrite:
-        raise OutputError(f"{target} exists: choose another name, or overwrite it")
+        raise OutputError(f"{target} exists: choose another name, or replace it with --overwrite")
     if not target.parent.is_dir():
         raise OutputError(f"{target.parent} is not a folder: create it first")
 

@@ -89,7 +89,9 @@ def write_triton_model(
 def require_replaceable(folder: Path, *, overwrite: bool) -> None:
     """Raise OutputError if something is at `folder` that may not be replaced."""
     if folder.exists() and not overwrite:
-        raise OutputError(f"{folder} exists: choose another repository, or overwrite it")
+        raise OutputError(
+            f"{folder} exists: choose another repository, or replace it with --overwrite"
+        )
     if folder.exists() and not (folder / CONFIG_FILE).is_file():
         raise OutputError(f"{folder} is not a model of a Triton repository: choose another one")
 

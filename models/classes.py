@@ -5,17 +5,18 @@ from collections.abc import Mapping
 from runtime.contract import ClassInfo
 
 #: CamVid's eleven classes in the split and order of the SegNet papers (Brostow et al. 2009;
-#: Badrinarayanan et al. 2017); colours are RGB.
+#: Badrinarayanan et al. 2017); colours are RGB. Those of pavement, sign, fence and car are
+#: Cityscapes', since CamVid's look alike over an image.
 CAMVID_CLASSES: tuple[ClassInfo, ...] = (
     ClassInfo("sky", (128, 128, 128)),
     ClassInfo("building", (128, 0, 0)),
     ClassInfo("pole", (192, 192, 128)),
     ClassInfo("road", (128, 64, 128)),
-    ClassInfo("pavement", (0, 0, 192)),
+    ClassInfo("pavement", (244, 35, 232)),
     ClassInfo("tree", (128, 128, 0)),
-    ClassInfo("sign", (192, 128, 128)),
-    ClassInfo("fence", (64, 64, 128)),
-    ClassInfo("car", (64, 0, 128)),
+    ClassInfo("sign", (220, 220, 0)),
+    ClassInfo("fence", (190, 153, 153)),
+    ClassInfo("car", (0, 0, 142)),
     ClassInfo("pedestrian", (64, 64, 0)),
     ClassInfo("bicyclist", (0, 128, 192)),
 )

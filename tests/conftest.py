@@ -2,11 +2,14 @@
 
 import contextlib
 import dataclasses
+import importlib.util
 import multiprocessing
 import os
+import secrets
 import shutil
 import signal
 import subprocess
+import sys
 import threading
 from collections.abc import Callable
 from html.parser import HTMLParser
@@ -314,3 +317,43 @@ def mount_disk(tmp_path):
     yield mount
     for disk in mounted:
         subprocess.run(["umount", "--lazy", str(disk)], check=True)  # a file may be open yet
+
+
+@pytest.fixture(scope="session")
+def cluster():
+    """A local Ray of its own, that reports to nobody and leaves nothing in the home."""
+    if importlib.util.find_spec("ray") is None:
+        pytest.skip("the extra ray is not installed")
+    before = dict(os.environ)
+    os.environ |= {
+        "RAY_USAGE_STATS_ENABLED": "0",
+        "RAY_AUTH_TOKEN": secrets.token_hex(32),
+        "RAY_worker_niceness": "0",  # by default others go first
+    }
+    import ray
+
+    ray.init(
+        address="local",
+        num_cpus=2,
+        object_store_memory=128 << 20,
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level="ERROR",
+    )
+    yield ray
+    ray.shutdown()
+    os.environ.clear()
+    os.environ.update(before)
+
+
+@pytest.fixture
+def predict_source(cluster):
+    """The function of examples/ray_data.py; its actor is sent to the cluster by value."""
+    path = Path(__file__).parents[1] / "examples" / "ray_data.py"
+    spec = importlib.util.spec_from_file_location("ray_data_example", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    cluster.cloudpickle.register_pickle_by_value(module)
+    yield module.predict_source
+    cluster.cloudpickle.unregister_pickle_by_value(module)

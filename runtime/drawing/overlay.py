@@ -57,17 +57,20 @@ class Overlay:
         )
         self._legends: dict[tuple[int, tuple[ColorScale, ...]], NDArray[np.uint8]] = {}
 
-    def draw(self, rgb: NDArray[np.uint8] | None, prediction: Answers) -> NDArray[np.uint8]:
+    def draw(
+        self, rgb: NDArray[np.uint8] | None, prediction: Answers, *, widest: int | None = None
+    ) -> NDArray[np.uint8]:
         """Draw one frame.
 
         Args:
             rgb: uint8 (H, W, 3), RGB; None = the answers alone.
             prediction: answers at the image's size.
+            widest: largest width of a panel; None = 640, of stacked ones 960.
 
         Returns:
             uint8 (H', W', 3), BGR, as OpenCV writes it.
         """
-        panels = self.panels(rgb, prediction)
+        panels = self.panels(rgb, prediction, widest=widest)
         height, width = _size(rgb, prediction)
         stacked = width >= _STACK_ASPECT * height
         for title, panel in panels.items():
@@ -88,12 +91,7 @@ class Overlay:
             prediction: answers at the image's size.
             widest: largest width of a panel; None = that of `draw`.
         """
-        height, width = _size(rgb, prediction)
-        if widest is None:
-            stacked = width >= _STACK_ASPECT * height
-            widest = _STACKED_WIDTH if stacked else _PANEL_WIDTH
-        step = max(-(-width // widest), -(-height // _PANEL_HEIGHT))
-        step = min(step, height, width)  # a very long frame keeps a line
+        step = _step(*_size(rgb, prediction), widest)
         image = None if rgb is None else cv2.cvtColor(_shrink(rgb, step), cv2.COLOR_RGB2BGR)
         panels: dict[str, NDArray[Any]] = {} if image is None else {"image": image}
         heads = prediction.heads
@@ -157,19 +155,32 @@ class SharedOverlay(Overlay):
     """An overlay shared by several outputs: each frame is drawn once, and the picture is shared."""
 
     _of: tuple[NDArray[np.uint8] | None, Answers] | None = None
-    _drawn: NDArray[np.uint8]
+    _drawn: dict[int, NDArray[np.uint8]]  # step -> picture
 
-    def draw(self, rgb: NDArray[np.uint8] | None, prediction: Answers) -> NDArray[np.uint8]:
-        """Draw a frame, or return the picture if it was the last one drawn."""
+    def draw(
+        self, rgb: NDArray[np.uint8] | None, prediction: Answers, *, widest: int | None = None
+    ) -> NDArray[np.uint8]:
+        """Draw a frame, or return the picture if it is of the last one and of this size."""
         if self._of is None or self._of[0] is not rgb or self._of[1] is not prediction:
-            self._of, self._drawn = (rgb, prediction), super().draw(rgb, prediction)
-        return self._drawn
+            self._of, self._drawn = (rgb, prediction), {}
+        step = _step(*_size(rgb, prediction), widest)
+        if step not in self._drawn:
+            self._drawn[step] = super().draw(rgb, prediction, widest=widest)
+        return self._drawn[step]
 
 
 def _size(rgb: NDArray[np.uint8] | None, prediction: Answers) -> tuple[int, int]:
     """(height, width) of the frame."""
     array = next(iter(prediction.heads.values())) if rgb is None else rgb[..., 0]
     return array.shape[-2], array.shape[-1]
+
+
+def _step(height: int, width: int, widest: int | None) -> int:
+    """The whole number by which a frame is shrunk, so that its panels are at most `widest` wide."""
+    if widest is None:
+        widest = _STACKED_WIDTH if width >= _STACK_ASPECT * height else _PANEL_WIDTH
+    step = max(-(-width // widest), -(-height // _PANEL_HEIGHT))
+    return min(step, height, width)  # a very long frame keeps a line
 
 
 def _class_lines(swatches: Sequence[ClassInfo], width: int) -> list[NDArray[np.uint8]]:

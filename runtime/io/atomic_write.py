@@ -273,4 +273,4 @@ def _earlier_entries(path: Path, own: Callable[[], Iterable[Path]] | None) -> li
 
 
 def _taken(path: Path) -> OutputError:
-    return OutputError(f"{path} exists: choose another name, or ask to overwrite it")
+    return OutputError(f"{path} exists: choose another name, or replace it with --overwrite")

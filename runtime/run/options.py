@@ -1,26 +1,51 @@
-"""The options of `ssdnet-run`: collected once, checked before anything is opened."""
+"""The options of `ssdnet-run`: written once, and checked before anything is opened."""
 
+import contextlib
 import itertools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
-from runtime.contract import MAX_FOCAL_PX, MIN_FOCAL_PX
+import typer
+
+from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
+from runtime.command import Provider
+from runtime.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.errors import InputError
+from runtime.io.encode import METRES_PNG_SCALE
+from runtime.io.images import KITTI_DEPTH_SCALE
+from runtime.io.scan import SCAN_SUFFIXES
 from runtime.network_size import NetworkSize, parse_network_size
-from runtime.run.outputs.output import FILE_SUFFIXES, RERUN_LIVE, is_rerun_file
 from runtime.run.run_folder import KINDS, SUFFIXES
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.registry import choose_source, detect_kind
+from runtime.sources.registry import (
+    SOURCES,
+    SourcePath,
+    choose_source,
+    detect_source,
+    parse_source,
+)
 from runtime.sources.source import Source
+from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
 
 MAX_SHARDS = 1_000_000
+MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG
+#: Option that names a file -> its suffix.
+FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap", "rerun": ".rrd"}
+DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
+RERUN_LIVE = "live"  # --rerun: the viewer on this machine
 _OUT = Path("ssdnet-run")
 
 Item = TypeVar("Item")
+
+# The groups of --help, in their order there.
+_INPUT, _OUTPUTS, _MODEL, _TIMING, _TOPICS = (
+    partial(typer.Option, rich_help_panel=title)
+    for title in ("Input", "Outputs", "Model", "Timing", "Topics of a bag")
+)
 
 
 class UsageError(InputError):
@@ -36,39 +61,223 @@ class RunOptions:
         InputError: if `path` is no source, or `demo` is set and the bundled stream is missing.
     """
 
-    path: Path | None = None
-    rgb: Path | None = None
-    depth: Path | None = None
-    points: Path | None = None
-    source: str | None = None
-    demo: bool = False
-    model: str | None = None
-    sha256: str | None = None
-    out: Path | None = None
-    provider: str = "cpu"
-    size: str = "auto"
-    focal_length: float | None = None
-    threads: int | None = None
-    depth_scale: float | None = None
-    point_columns: int | None = None
-    calibration: Path | None = None
-    camera: int | None = None
-    image_topic: str | None = None
-    depth_topic: str | None = None
-    info_topic: str | None = None
-    max_skew_ms: float | None = None
-    deadline_ms: float | None = None
-    rate: float | None = None
-    limit: int | None = None
-    shard: str | None = None
-    warmup: int = 3
-    save: Sequence[str] | None = None
-    record: Path | None = None
-    video: Path | None = None
-    report: Path | None = None
-    mcap: Path | None = None
-    rerun: str | None = None
-    overwrite: bool = False
+    path: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[PATH]",
+            help="Frames to predict: "
+            + "; ".join(kind.accepted for kind in SOURCES.values())
+            + ". Its kind follows from the path.",
+        ),
+    ] = None
+    rgb: Annotated[
+        Path | None,
+        _INPUT(
+            help=f"Folder of the images (PNG or JPEG, at most {MAX_PIXELS // 10**6} megapixels)."
+        ),
+    ] = None
+    depth: Annotated[
+        Path | None,
+        _INPUT(
+            help="Folder of the sparse depth maps, or the one of one image: PNG, TIFF or .npy of "
+            "16 bits (see --depth-scale), TIFF or .npy of floats in metres. "
+            "[default: camera only]",
+        ),
+    ] = None
+    points: Annotated[
+        Path | None,
+        _INPUT(
+            help="Folder of LiDAR scans, or the one of one image, in place of --depth: "
+            f"{', '.join(SCAN_SUFFIXES)}. Needs --calibration.",
+        ),
+    ] = None
+    calibration: Annotated[
+        Path | None,
+        _INPUT(
+            help="Calibration of camera and LiDAR: a TOML file, or a file or folder of KITTI. "
+            "[default: from the source]"
+        ),
+    ] = None
+    demo: Annotated[bool, _INPUT("--demo", help="Run the bundled stream.")] = False
+    limit: Annotated[int | None, _INPUT(min=1, help="Stop after N complete frames.")] = None
+    focal_length: Annotated[
+        float | None,
+        _INPUT(
+            help="Focal length of the camera (fx) in pixels of the images. A model with a "
+            "canonical focal length then fits any camera; other models ignore it. "
+            "[default: from the calibration of the source, else unknown]",
+        ),
+    ] = None
+    depth_scale: Annotated[
+        float | None,
+        _INPUT(
+            help="Units per metre of 16-bit depth maps: KITTI 256, Virtual KITTI 100. "
+            f"[default: {KITTI_DEPTH_SCALE:g}]"
+        ),
+    ] = None
+    point_columns: Annotated[
+        int | None,
+        _INPUT(
+            min=3,
+            help="float32 per point of .bin scans, x, y, z first. [default: 4, of .pcd.bin 5]",
+        ),
+    ] = None
+    source: Annotated[
+        str | None,
+        _INPUT(
+            metavar="KIND:PATH",
+            help=f"A path whose kind is named: {', '.join(SOURCES)}. --rgb DIR is folders:DIR. See "
+            "docs/streams.md.",
+        ),
+    ] = None
+    camera: Annotated[
+        int | None,
+        _INPUT(min=0, max=3, help="Camera of kitti-raw: 2 left, 3 right. [default: left]"),
+    ] = None
+    shard: Annotated[
+        str | None,
+        _INPUT(
+            metavar="I/N",
+            help="Run part I of N of the stream, from 1/N to N/N: every N-th frame (of --limit "
+            "frames if given). All parts together give the results of one run.",
+        ),
+    ] = None
+    out: Annotated[
+        Path | None,
+        _OUTPUTS(help="Folder of the results. [default: ssdnet-run, or ssdnet-run-2, ...]"),
+    ] = None
+    overwrite: Annotated[
+        bool,
+        _OUTPUTS(
+            "--overwrite",
+            help="Replace the files of an earlier run in --out, and existing files of the options "
+            "below. Files of others are never replaced.",
+        ),
+    ] = False
+    save: Annotated[
+        list[str] | None,
+        _OUTPUTS(
+            metavar="KIND,...",
+            help=f"Files to write of each frame: {', '.join(SUFFIXES)}; all = everything that the "
+            "model answers, except clouds; or none. May be repeated. Depth and uncertainty are "
+            f"16-bit PNGs, metres x {METRES_PNG_SCALE}. A cloud is a PLY file with colours and "
+            "class ids, 16 bytes per pixel, and needs --calibration or --focal-length. "
+            "[default: all]",
+        ),
+    ] = None
+    overlay_width: Annotated[
+        int | None,
+        _OUTPUTS(
+            min=16,
+            max=MAX_OVERLAY_WIDTH,
+            help="Largest width in pixels of a panel of the overlays and the video; a frame is "
+            "shrunk by a whole number. [default: 640, panels one above the other 960; of the "
+            "video the frame's width]",
+        ),
+    ] = None
+    report: Annotated[
+        Path | None,
+        _OUTPUTS(
+            metavar=f"FILE{FILE_SUFFIXES['report']}",
+            help="Write an HTML page: latency over time, stages, health, sample images, and facts "
+            "of the run.",
+        ),
+    ] = None
+    video: Annotated[
+        Path | None,
+        _OUTPUTS(
+            metavar=f"FILE{FILE_SUFFIXES['video']}",
+            help=f"Write the overlays as a video, at --rate or {DEFAULT_RATE_HZ:g} Hz.",
+        ),
+    ] = None
+    rerun: Annotated[
+        str | None,
+        _OUTPUTS(
+            metavar=f"FILE{FILE_SUFFIXES['rerun']}|{RERUN_LIVE}|URL",
+            help="Log the run for the viewer Rerun (extra rerun): to a file, to the viewer on this "
+            "machine, or to rerun+http://HOST:PORT/proxy. The cloud needs --calibration or "
+            "--focal-length.",
+        ),
+    ] = None
+    mcap: Annotated[
+        Path | None,
+        _OUTPUTS(
+            metavar=f"FILE{FILE_SUFFIXES['mcap']}",
+            help="Write the results as standard ROS 2 messages (extra bag), with the stamps of the "
+            "camera, or at --rate where there are none.",
+        ),
+    ] = None
+    record: Annotated[
+        Path | None,
+        _OUTPUTS(
+            metavar="DIR",
+            help="Record frames, results and model for ssdnet-verify; about 17 bytes per pixel and "
+            "frame.",
+        ),
+    ] = None
+    model: Annotated[
+        str | None,
+        _MODEL(
+            metavar="NAME|PATH",
+            help=f"Name of a bundled model ({', '.join(list_bundled_models())}), or path of an "
+            f"ONNX file made by ssdnet-export (ends in .onnx or contains a /). "
+            f"[default: {DEFAULT_MODEL}]",
+        ),
+    ] = None
+    provider: Annotated[Provider, _MODEL(help="Where the model runs.")] = Provider.cpu
+    size: Annotated[
+        str,
+        _MODEL(
+            help="Size at which the network runs: auto (about the height it was trained for, if "
+            "the frame is much larger), frame (size of the frame), ROWS, or HEIGHTxWIDTH. Results "
+            "have the size of the frame."
+        ),
+    ] = "auto"
+    threads: Annotated[
+        int | None, _MODEL(min=1, help="Threads of inference. [default: physical cores]")
+    ] = None
+    sha256: Annotated[
+        str | None, _MODEL(help="Required SHA-256 of the model file. [default: any]")
+    ] = None
+    deadline_ms: Annotated[
+        float | None,
+        _TIMING(
+            help="Deadline of a prediction, without reading and writing; with --rate it counts "
+            "from when the frame is due."
+        ),
+    ] = None
+    rate: Annotated[
+        float | None,
+        _TIMING(
+            help="Frames per second: frames are due at fixed times as from a sensor "
+            "(constant-stream), and age and jitter are reported. [default: each when the one "
+            "before is done (single-stream)]"
+        ),
+    ] = None
+    warmup: Annotated[
+        int, _TIMING(min=0, help="Predictions before the first frame, not in the statistics.")
+    ] = 3
+    max_skew_ms: Annotated[
+        float | None,
+        _TIMING(
+            help="Largest difference of the stamps of an image and its depth, for sources with "
+            f"stamps of both. [default: {DEFAULT_MAX_SKEW_MS:g}]"
+        ),
+    ] = None
+    image_topic: Annotated[
+        str | None, _TOPICS(help="Topic of the images. [default: the only one]")
+    ] = None
+    depth_topic: Annotated[
+        str | None,
+        _TOPICS(
+            help="Topic of the point clouds or depth images; none = camera only. "
+            "[default: the only one]"
+        ),
+    ] = None
+    info_topic: Annotated[
+        str | None,
+        _TOPICS(help="Topic of the CameraInfo. [default: the one beside the images]"),
+    ] = None
 
     def __post_init__(self) -> None:
         """Check every option."""
@@ -100,6 +309,12 @@ class RunOptions:
         asked = [kind.strip() for text in self.save or ["all"] for kind in text.split(",")]
         if asked in (["all"], ["none"]):
             return KINDS if asked == ["all"] else ()
+        if len(asked) > 1 and (alone := [kind for kind in ("none", "all") if kind in asked]):
+            others = [kind for kind in asked if kind not in alone] or alone[1:] or alone
+            raise UsageError(
+                f"--save {alone[0]} stands alone, and {', '.join(others)} is asked for, too: leave "
+                f"one of them out"
+            )
         if unknown := [kind for kind in asked if kind not in SUFFIXES]:
             raise UsageError(f"--save knows {', '.join(SUFFIXES)}, all and none, not {unknown}")
         return tuple(kind for kind in SUFFIXES if kind in asked)
@@ -115,45 +330,39 @@ class RunOptions:
     @cached_property
     def network_size(self) -> NetworkSize:
         """--size, as `Predictor` takes it."""
-        try:
+        with _usage_errors():
             return parse_network_size(self.size)
-        except InputError as error:
-            raise UsageError(str(error)) from error
 
     @cached_property
-    def source_name(self) -> str:
-        """The source as KIND:PATH."""
+    def source_path(self) -> SourcePath:
+        """The source and its kind."""
         if self.path is not None:
-            return f"{detect_kind(self.path)}:{self.path}"
-        return self.source or f"folders:{bundled_stream()[0] if self.demo else self.rgb}"
+            return detect_source(self.path)
+        if self.source is not None:
+            with _usage_errors():
+                return parse_source(self.source)
+        return SourcePath("folders", bundled_stream()[0] if self.demo else Path(self.rgb or ""))
 
     @cached_property
     def open_source(self) -> Callable[[], Source]:
         """Opens the source."""
-        name, depth = self.source_name, bundled_stream()[1] if self.demo else self.depth
-        try:
-            return choose_source(
-                name,
-                depth=depth,
-                points=self.points,
-                depth_scale=self.depth_scale,
-                point_columns=self.point_columns,
-                calibration=self.calibration,
-                camera=self.camera,
-                image_topic=self.image_topic,
-                depth_topic=self.depth_topic,
-                info_topic=self.info_topic,
-                max_skew_ms=self.max_skew_ms,
-            )
-        except InputError as error:
-            raise UsageError(str(error)) from error
+        names = {name for source in SOURCES.values() for name in source.options}
+        given = {name: getattr(self, name) for name in names}
+        if self.demo:
+            given["depth"] = bundled_stream()[1]
+        kind, path = self.source_path
+        with _usage_errors():
+            return choose_source(kind, path, **given)
 
     @property
     def named_files(self) -> dict[str, Path]:
         """Option -> the file that it names, without those that were not given."""
-        rerun = Path(self.rerun) if self.rerun and is_rerun_file(self.rerun) else None
-        files = {"video": self.video, "report": self.report, "mcap": self.mcap, "rerun": rerun}
-        return {option: path for option, path in files.items() if path is not None}
+        named = {option: getattr(self, option) for option in FILE_SUFFIXES}
+        return {
+            option: Path(name)
+            for option, name in named.items()
+            if name is not None and (option != "rerun" or is_rerun_file(name))
+        }
 
     def focal_length_px(self, source: Source) -> float | None:
         """The focal length of the run: --focal-length, else that of the source."""
@@ -189,11 +398,25 @@ class RunOptions:
         return int(part), int(parts)
 
 
+def is_rerun_file(target: str) -> bool:
+    """Whether --rerun names a file, not a viewer."""
+    return target.lower().endswith(FILE_SUFFIXES["rerun"])
+
+
 def is_viewer(target: str) -> bool:
     """Whether --rerun names a viewer."""
     return target == RERUN_LIVE or target.startswith(
         ("rerun://", "rerun+http://", "rerun+https://")
     )
+
+
+@contextlib.contextmanager
+def _usage_errors() -> Iterator[None]:
+    """Let an InputError of the block be a UsageError."""
+    try:
+        yield
+    except InputError as error:
+        raise UsageError(str(error)) from error
 
 
 def _require_range(option: str, value: float | None, least: float, most: float) -> None:

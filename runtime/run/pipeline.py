@@ -23,6 +23,7 @@ _NICENESS = 10
 _STOP_POLL_S = 0.1  # between two looks at `stop` while waiting
 
 WriteFrame = Callable[[Frame, Prediction], None]
+TimedFrame = tuple[Frame, float]  # with the ms of reading it
 
 
 @dataclass(frozen=True)
@@ -110,15 +111,43 @@ class StreamResult:
     rate_hz: float | None = None
 
 
-def timed_read(read: Callable[[ListedFrame], Frame], listed: ListedFrame) -> tuple[Frame, float]:
-    """Read a frame; returns it under its name, and the time in ms."""
-    started = time.perf_counter()
-    frame = read(listed)
-    return replace(frame, name=listed.name), (time.perf_counter() - started) * 1e3
+class FrameReader:
+    """Reads each frame of a source once, also those that are looked at before the stream.
+
+    Args:
+        read: reads a frame; raises an SSDNetError where it cannot be read.
+    """
+
+    def __init__(self, read: Callable[[ListedFrame], Frame]) -> None:
+        self._read = read
+        self._kept: dict[int, TimedFrame | SSDNetError] = {}
+
+    def look(self, listed: ListedFrame) -> Frame:
+        """Read a frame, and keep it for `take`. Raises what reading raises."""
+        if listed.sequence not in self._kept:
+            try:
+                self._kept[listed.sequence] = self.take(listed)
+            except SSDNetError as error:
+                self._kept[listed.sequence] = error
+        kept = self._kept[listed.sequence]
+        if isinstance(kept, SSDNetError):
+            raise kept
+        return kept[0]
+
+    def take(self, listed: ListedFrame) -> TimedFrame:
+        """Return a frame under its name, and how long it was read in ms."""
+        kept = self._kept.pop(listed.sequence, None)
+        if isinstance(kept, SSDNetError):
+            raise kept
+        if kept is not None:
+            return kept
+        started = time.perf_counter()
+        frame = self._read(listed)
+        return replace(frame, name=listed.name), (time.perf_counter() - started) * 1e3
 
 
 def answer_frame(
-    predictor: Predictor, index: int, name: str, read: Callable[[], tuple[Frame, float]]
+    predictor: Predictor, index: int, name: str, read: Callable[[], TimedFrame]
 ) -> Answer:
     """Read and predict one frame.
 
@@ -126,7 +155,7 @@ def answer_frame(
         predictor: predicts it.
         index: position of the frame in the stream.
         name: of the frame.
-        read: returns what `timed_read` does; an SSDNetError says why it cannot be read.
+        read: returns what `FrameReader.take` does; an SSDNetError says why it cannot be read.
     """
     try:
         frame, read_ms = read()
@@ -156,7 +185,7 @@ def run_stream(
     predictor: Predictor,
     frames: Sequence[ListedFrame],
     *,
-    read: Callable[[ListedFrame], Frame],
+    reader: FrameReader,
     rate_hz: float | None = None,
     degraded: tuple[str, ...] = (),
     write: WriteFrame | None = None,
@@ -172,8 +201,7 @@ def run_stream(
     Args:
         predictor: predicts the frames, in the calling thread.
         frames: to read.
-        read: called with each of `frames`, in order, in the reading thread; raises an SSDNetError
-            where a frame cannot be read.
+        reader: of `frames`, in order, in the reading thread.
         rate_hz: frames are due at this rate from the start on, and none is predicted earlier
             (constant stream of MLPerf); None = each when the one before is done (single stream).
         degraded: reasons that hold for the whole stream, added to those of each prediction.
@@ -186,20 +214,20 @@ def run_stream(
     Raises:
         Exception: what `write` and `record` raise ends the stream.
     """
-    reads: deque[tuple[int, str, Future[tuple[Frame, float]]]] = deque()
+    reads: deque[tuple[int, str, Future[TimedFrame]]] = deque()
     writes: deque[tuple[FrameRecord, Future[float] | None]] = deque()
     records: list[FrameRecord] = []
     waiting = iter(enumerate(frames))
     health, jitter = FrameHealth(), Jitter()
 
-    def read_checked(listed: ListedFrame) -> tuple[Frame, float]:
-        frame, read_ms = timed_read(read, listed)
+    def read_checked(listed: ListedFrame) -> TimedFrame:
+        frame, read_ms = reader.take(listed)
         found = health.check(frame.rgb, frame.sparse_depth)
         return replace(frame, health=found), read_ms
 
     def read_next() -> None:
         for index, listed in waiting:
-            reads.append((index, listed.name, reader.submit(read_checked, listed)))
+            reads.append((index, listed.name, reading_thread.submit(read_checked, listed)))
             return
 
     def finish_oldest() -> None:
@@ -208,7 +236,7 @@ def run_stream(
         records.append(done)
         on_record(done)
 
-    reader = ThreadPoolExecutor(1, thread_name_prefix="read", initializer=_lower_priority)
+    reading_thread = ThreadPoolExecutor(1, thread_name_prefix="read", initializer=_lower_priority)
     writer = ThreadPoolExecutor(1, thread_name_prefix="write", initializer=_lower_priority)
     started = time.perf_counter()
     try:
@@ -242,7 +270,7 @@ def run_stream(
         while writes:
             finish_oldest()
     finally:
-        reader.shutdown(cancel_futures=True)
+        reading_thread.shutdown(cancel_futures=True)
         writer.shutdown(cancel_futures=True)
     wall_s = time.perf_counter() - started
     return StreamResult(tuple(records), wall_s, bool(reads), rate_hz)

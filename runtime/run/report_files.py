@@ -86,7 +86,7 @@ def _scale_text(predictor: Predictor, frame_size: tuple[int, int] | None) -> str
         return ""
     scale = predictor.camera_scale(frame_size)
     given_px = predictor.focal_length_px
-    used = "not known" if given_px is None else f"{given_px:g} px"
+    used = "not known: give --focal-length" if given_px is None else f"{given_px:g} px"
     if scale.focal_length_px is None and given_px is not None:
         used += ", not used by this model"
     return f"\nfocal length {used}; depth up to {scale.range_m:.4g} m"

@@ -4,7 +4,6 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from runtime.command import stop_requested
 from runtime.drawing.overlay import SharedOverlay
@@ -13,27 +12,19 @@ from runtime.health.calibration_size import CalibrationSize
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.io.engine_facts import engine_facts
 from runtime.io.images import holds_metres
-from runtime.io.recording import Settings
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth
 from runtime.run.options import RunOptions
-from runtime.run.outputs.frame_writer import FrameWriter
-from runtime.run.outputs.mcap import open_mcap
-from runtime.run.outputs.output import Output, require_free, require_package
-from runtime.run.outputs.rerun_log import open_rerun
-from runtime.run.outputs.run_recording import open_recording
-from runtime.run.outputs.video import open_video
-from runtime.run.pipeline import FrameRecord, StreamResult, WriteFrame, run_stream
+from runtime.run.outputs.output import OpenRun, Output, require_free, require_package
+from runtime.run.outputs.registry import OUTPUTS, RECORDERS, OpenOutput
+from runtime.run.pipeline import FrameReader, FrameRecord, StreamResult, WriteFrame, run_stream
 from runtime.run.process import dedicate_process
-from runtime.run.report_files import describe_predictor, group_reasons, write_report
+from runtime.run.report_files import describe_predictor, group_reasons
 from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, SUFFIXES
 from runtime.run.run_report import RunReport
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source
-
-if TYPE_CHECKING:
-    from runtime.run.outputs.run_page import RunPage
 
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
 
@@ -66,31 +57,32 @@ def run(
         _require_apart(options.folder, source.folders)
         listed = source.list_frames(limit=options.limit)
         frames = options.shard_of(listed)
+        reader = FrameReader(source.read)
         with _open_predictor(options, source) as predictor:
             kinds = _answered_kinds(options, predictor)
-            frame_size = _warm_up(predictor, frames, source, runs=options.warmup)
+            frame_size = _warm_up(predictor, frames, reader, runs=options.warmup)
             _require_outputs(options, source)
-            doubt = _doubt(predictor, listed[:FIRST_FRAMES], source)  # the same for all shards
+            # The same for all shards.
+            doubt = _implausible_depth(predictor, listed[:FIRST_FRAMES], reader, source)
             lines = [*source.notes, describe_predictor(predictor, frame_size)]
             about = "\n".join([*lines, f"warning: {doubt}"] if doubt else lines)
-            page = _page(options, predictor)
-            with stop_requested() as stop:
-                with _open_outputs(options, predictor, kinds, frames, page) as (write, record):
-                    result = run_stream(
-                        predictor,
-                        frames,
-                        read=source.read,
-                        rate_hz=options.rate,
-                        degraded=(IMPLAUSIBLE_DEPTH,) if doubt else (),
-                        write=write,
-                        record=record,
-                        on_record=on_start(about, len(frames)),
-                        stop=stop,
-                    )
-                report = _report(options, source, predictor, kinds, frame_size, result, doubt)
-                write_report(report)
-                if page is not None:
-                    page.finish(report)
+            contract, names = predictor.contract, [each.name for each in frames]
+            overlay = SharedOverlay(contract.classes, contract.max_depth_m)
+            opened = OpenRun(options, predictor, overlay, kinds, names)
+            with stop_requested() as stop, _open_outputs(opened) as (write, record):
+                result = run_stream(
+                    predictor,
+                    frames,
+                    reader=reader,
+                    rate_hz=options.rate,
+                    degraded=(IMPLAUSIBLE_DEPTH,) if doubt else (),
+                    write=write,
+                    record=record,
+                    on_record=on_start(about, len(frames)),
+                    stop=stop,
+                )
+                report = _report(opened, source, frame_size, result, doubt)
+                opened.report = report
             return report
 
 
@@ -98,7 +90,7 @@ def _open_predictor(options: RunOptions, source: Source) -> Predictor:
     return Predictor(
         options.model,
         sha256=options.sha256,
-        provider=options.provider,
+        provider=str(options.provider),
         size=options.network_size,
         focal_length_px=options.focal_length_px(source),
         threads=options.threads,
@@ -125,7 +117,7 @@ def _answered_kinds(options: RunOptions, predictor: Predictor) -> tuple[str, ...
 
 
 def _warm_up(
-    predictor: Predictor, frames: Sequence[ListedFrame], source: Source, *, runs: int
+    predictor: Predictor, frames: Sequence[ListedFrame], reader: FrameReader, *, runs: int
 ) -> tuple[int, int] | None:
     """Warm up at the size of the first frame that can be predicted; returns that size.
 
@@ -135,7 +127,7 @@ def _warm_up(
     reasons = []
     for listed in frames[:_FIRST_FRAMES]:
         try:
-            frame = source.read(listed)
+            frame = reader.look(listed)
             size = (frame.rgb.shape[0], frame.rgb.shape[1])
             check_sparse_depth(frame.sparse_depth, size=size)
             predictor.warm_up(size, runs=runs)
@@ -151,7 +143,9 @@ def _warm_up(
     return None
 
 
-def _doubt(predictor: Predictor, frames: Sequence[ListedFrame], source: Source) -> str | None:
+def _implausible_depth(
+    predictor: Predictor, frames: Sequence[ListedFrame], reader: FrameReader, source: Source
+) -> str | None:
     """Why the returns of the first frames cannot be right, and what to try; None = nothing found.
 
     Done before the stream, since it takes predictions from the camera alone.
@@ -160,7 +154,7 @@ def _doubt(predictor: Predictor, frames: Sequence[ListedFrame], source: Source) 
     depth_scale = source.inputs.get("depth_scale")
     for listed in frames if "depth" in predictor.heads else ():
         with contextlib.suppress(SSDNetError):  # the run itself reports it
-            frame = source.read(listed)
+            frame = reader.look(listed)
             check_sparse_depth(frame.sparse_depth, size=(frame.rgb.shape[0], frame.rgb.shape[1]))
             if (frame.sparse_depth > 0).any():
                 camera_only = predictor.predict(frame.rgb, None)
@@ -194,66 +188,20 @@ def _require_outputs(options: RunOptions, source: Source) -> None:
         require_free(path, overwrite=options.overwrite, inputs=source.recordings)
 
 
-def _page(options: RunOptions, predictor: Predictor) -> "RunPage | None":
-    if options.report is None:
-        return None
-    from runtime.run.outputs.run_page import RunPage
-
-    return RunPage(options.report, predictor.contract, overwrite=options.overwrite)
-
-
 @contextlib.contextmanager
-def _open_outputs(
-    options: RunOptions,
-    predictor: Predictor,
-    kinds: tuple[str, ...],
-    frames: Sequence[ListedFrame],
-    page: Output | None,
-) -> Iterator[tuple[WriteFrame | None, WriteFrame | None]]:
-    """Make the run's folder, open all outputs; yields `write` and `record` of `run_stream`."""
-    contract, focal_px = predictor.contract, predictor.focal_length_px
-    overlay = SharedOverlay(contract.classes, contract.max_depth_m)
-    with contextlib.ExitStack() as opened:
-        recordings: list[Output] = []
-        if options.record is not None:
-            settings = Settings("ssdnet-run", options.network_size, focal_px, options.provider)
-            recording = open_recording(
-                options.record, settings, predictor, overwrite=options.overwrite
-            )
-            recordings.append(opened.enter_context(recording))
-        frame_files = FrameWriter(
-            options.folder,
-            contract,
-            kinds=kinds,
-            names=[listed.name for listed in frames],
-            overwrite=options.overwrite,
-            focal_length_px=focal_px,
-            overlay=overlay,
-        )
-        files = opened.enter_context(frame_files)  # without kinds they are but the folder
-        outputs: list[Output] = [files] if kinds else []
-        if options.video is not None:
-            video = open_video(
-                options.video, overlay, rate_hz=options.rate, overwrite=options.overwrite
-            )
-            outputs.append(opened.enter_context(video))
-        if options.mcap is not None:
-            mcap = open_mcap(
-                options.mcap,
-                contract,
-                overlay,
-                rate_hz=options.rate,
-                overwrite=options.overwrite,
-            )
-            outputs.append(opened.enter_context(mcap))
-        if options.rerun is not None:
-            logger = open_rerun(
-                options.rerun, contract, focal_length_px=focal_px, overwrite=options.overwrite
-            )
-            outputs.append(opened.enter_context(logger))
-        if page is not None:
-            outputs.append(page)
-        yield _write_to(outputs), _write_to(recordings)
+def _open_outputs(run: OpenRun) -> Iterator[tuple[WriteFrame | None, WriteFrame | None]]:
+    """Open the outputs that were asked for; yields `write` and `record` of `run_stream`."""
+
+    def open_all(table: dict[str, OpenOutput], stack: contextlib.ExitStack) -> list[Output]:
+        asked = [name for name in table if name == "out" or getattr(run.options, name)]
+        opened = [stack.enter_context(table[name](run)) for name in asked]
+        return [output for output in opened if output is not None]
+
+    # Recordings are opened first, and closed first.
+    with contextlib.ExitStack() as others, contextlib.ExitStack() as recordings:
+        recorders = open_all(RECORDERS, recordings)
+        outputs = open_all(OUTPUTS, others)
+        yield _write_to(outputs), _write_to(recorders)
 
 
 def _write_to(outputs: Sequence[Output]) -> WriteFrame | None:
@@ -269,17 +217,16 @@ def _write_to(outputs: Sequence[Output]) -> WriteFrame | None:
 
 
 def _report(
-    options: RunOptions,
+    run: OpenRun,
     source: Source,
-    predictor: Predictor,
-    kinds: tuple[str, ...],
     frame_size: tuple[int, int] | None,
     result: StreamResult,
-    doubt: str | None,
+    implausible_depth: str | None,
 ) -> RunReport:
+    options, predictor = run.options, run.predictor
     scale = predictor.camera_scale(frame_size) if frame_size else None
     inputs = {
-        "source": options.source_name,
+        "source": ":".join(map(str, options.source_path)),
         **source.inputs,
         "focal_length_px": predictor.focal_length_px,
         "used_focal_length_px": scale and scale.focal_length_px,
@@ -287,7 +234,12 @@ def _report(
         "shard": options.shard,
         "warmup": options.warmup,
     }
-    engine = engine_facts(predictor)
     return RunReport(
-        engine, inputs, options.folder, kinds, result, options.deadline_ms, implausible_depth=doubt
+        engine_facts(predictor),
+        inputs,
+        options.folder,
+        tuple(run.kinds),
+        result,
+        options.deadline_ms,
+        implausible_depth,
     )

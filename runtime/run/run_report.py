@@ -135,10 +135,11 @@ class RunReport:
 
     @property
     def exit_code(self) -> int:
-        """0, FRAMES_SKIPPED, or DEADLINE_MISSED, which outranks it."""
+        """0, FRAMES_SKIPPED (also if the depth is implausible), or DEADLINE_MISSED before all."""
         if self.missed is not None and self.missed.count:
             return DEADLINE_MISSED
-        return FRAMES_SKIPPED if self.stream.interrupted or self.not_ok else 0
+        doubtful = self.implausible_depth is not None and self.records
+        return FRAMES_SKIPPED if self.stream.interrupted or self.not_ok or doubtful else 0
 
     def document(self) -> dict[str, Any]:
         """Return the content of report.json, see REPORT_VERSION."""

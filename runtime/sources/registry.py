@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from runtime.errors import InputError
 from runtime.sources.bag import BagSource
@@ -14,12 +14,10 @@ from runtime.sources.kitti_raw import KittiRawSource
 from runtime.sources.one_folder import OneFolderSource
 from runtime.sources.source import Source
 from runtime.sources.video import VideoSource
-from runtime.sources.virtual_kitti import VirtualKittiSource
 
 SOURCES: dict[str, type[Source]] = {
     "kitti-raw": KittiRawSource,
     "kitti-object": KittiObjectSource,
-    "vkitti": VirtualKittiSource,
     "video": VideoSource,
     "bag": BagSource,
     "one-folder": OneFolderSource,
@@ -27,11 +25,25 @@ SOURCES: dict[str, type[Source]] = {
 }
 
 
-def detect_kind(path: Path) -> str:
+#: Kinds of earlier releases, and what replaces them.
+_REMOVED = {
+    "vkitti": "link its images and depth maps into two folders under the same names, and give "
+    "--source folders:IMAGES --depth DEPTH --depth-scale 100"
+}
+
+
+class SourcePath(NamedTuple):
+    """A recording whose kind is known."""
+
+    kind: str
+    path: Path
+
+
+def detect_source(path: Path) -> SourcePath:
     """Return the kind of source that a path is. Raises InputError with what is accepted."""
     for kind, source in SOURCES.items():
         if source.accepts(path):
-            return kind
+            return SourcePath(kind, path)
     try:
         os.stat(path)
         fault = "is none of these"
@@ -43,24 +55,31 @@ def detect_kind(path: Path) -> str:
     raise InputError(f"{path} {fault}: {accepted}. --source KIND:PATH names the kind")
 
 
-def choose_source(text: str, **options: Any) -> Callable[[], Source]:
+def parse_source(text: str) -> SourcePath:
+    """Read "KIND:PATH". Raises InputError for another form or an unknown kind."""
+    kind, _, path = text.partition(":")
+    if not path:
+        raise InputError(f"a source is KIND:PATH with {_kinds()}, got {text!r:.80}")
+    _require_kind(kind)
+    # The shell does not expand the home in KIND:~/PATH.
+    return SourcePath(kind, Path(os.path.expanduser(path)))
+
+
+def choose_source(kind: str, path: str | Path, **options: Any) -> Callable[[], Source]:
     """Return a function that opens a source, and that can be pickled.
 
     Args:
-        text: "KIND:PATH".
+        kind: of SOURCES.
+        path: of the recording.
         **options: those of the kind, see its class; None: not given.
 
     Returns:
         The function; it raises InputError for a path that is no recording of this kind.
 
     Raises:
-        InputError: for an unknown kind, without a path, or for options that the kind does not take.
+        InputError: for an unknown kind, or for options that the kind does not take.
     """
-    kind, _, path = text.partition(":")
-    if kind not in SOURCES or not path:
-        raise InputError(
-            f"a source is KIND:PATH with one of the kinds {', '.join(SOURCES)}, got {text!r:.80}"
-        )
+    _require_kind(kind)
     source = SOURCES[kind]
     given = {name: value for name, value in options.items() if value is not None}
     foreign = [name for name in given if name not in source.options]
@@ -69,13 +88,26 @@ def choose_source(text: str, **options: Any) -> Callable[[], Source]:
             f"a source of the kind {kind} takes {_as_options(source.options)}, not "
             f"{_as_options(foreign)}"
         )
-    # The shell does not expand the home in KIND:~/PATH.
-    return partial(source, Path(os.path.expanduser(path)), **given)
+    return partial(source, Path(path), **given)
 
 
-def open_source(text: str, **options: Any) -> Source:
-    """Open the source that "KIND:PATH" names; arguments and errors as of `choose_source`."""
-    return choose_source(text, **options)()
+def open_source(kind: str, path: str | Path, **options: Any) -> Source:
+    """Open a source; arguments and errors as of `choose_source`."""
+    return choose_source(kind, path, **options)()
+
+
+def _require_kind(kind: str) -> None:
+    """Raise InputError for an unknown kind, with the right spelling where there is one."""
+    if kind in _REMOVED:
+        raise InputError(f"there is no source {kind} any more: {_REMOVED[kind]}")
+    if kind not in SOURCES:
+        right = kind.replace("_", "-")
+        remedy = f"write {right}" if right in SOURCES else f"give {_kinds()}"
+        raise InputError(f"there is no kind of source {kind!r:.80}: {remedy}")
+
+
+def _kinds() -> str:
+    return f"one of the kinds {', '.join(SOURCES)}"
 
 
 def _as_options(names: Iterable[str]) -> str:

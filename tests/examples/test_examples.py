@@ -11,7 +11,10 @@ import pytest
 from runtime.sources.bundled_stream import bundled_stream
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-TESTED = {"bare_onnxruntime.py", "callbacks.py", "driving_loop.py", "multi_camera.py"}
+TESTED = {
+    *("bare_onnxruntime.py", "callbacks.py", "driving_loop.py", "multi_camera.py"),
+    "ray_data.py",  # by test_ray_data.py
+}
 
 
 @pytest.fixture

@@ -261,6 +261,15 @@ def test_weights_that_are_not_finite_are_refused(lite, tmp_path, name, value):
     assert [path.name for path in tmp_path.iterdir()] == ["c.pt"]
 
 
+@pytest.mark.parametrize("name", ["m", "m.pt"])
+def test_a_name_without_its_suffix_is_refused_with_the_right_one(tmp_path, name):
+    result = CliRunner().invoke(app, [str(tmp_path / "c.pt"), str(tmp_path / name)])
+    assert result.exit_code == 2
+    text = "".join(result.output.split())
+    assert f"give{tmp_path / 'm.onnx'}" in text
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("content", "text"), [(b"not a checkpoint", "of another kind"), (None, "no such")]
 )

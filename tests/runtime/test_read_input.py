@@ -24,7 +24,6 @@ from runtime.io.scan import read_scan
 from runtime.sources.folders import FolderSource
 from runtime.sources.kitti_raw import KittiRawSource
 from runtime.sources.video import VideoSource
-from runtime.sources.virtual_kitti import VirtualKittiSource
 
 READERS = {
     "rgb": read_rgb,
@@ -34,7 +33,6 @@ READERS = {
     "video": VideoSource,
     "folder": lambda path: FolderSource(path / "none").list_frames(),
     "kitti-raw": lambda path: KittiRawSource(path / "none"),
-    "vkitti": lambda path: VirtualKittiSource(path / "none"),
 }
 try:
     import rosbags.highlevel

@@ -157,7 +157,7 @@ def test_a_reader_without_labels_is_named_with_its_frame(run, monkeypatch, spoil
 
 def test_a_split_without_frames_says_what_is_there(run, tmp_path):
     write_second_edition(tmp_path / "vkitti", "Scene02", "rain")
-    source = "data.source = [{kind = 'virtual_kitti', path = 'vkitti', split = '%s'}]"
+    source = "data.source = [{kind = 'virtual-kitti', path = 'vkitti', split = '%s'}]"
     for split, scenes in (("test", "scene 1"), ("val", "the frames of scene 20 from 547 on")):
         result = run("--set", source % split)
         assert result.exit_code == 1

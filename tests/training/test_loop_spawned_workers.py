@@ -37,10 +37,10 @@ frequency_samples = 2
 augment.crop = [32, 32]
 cache_gib = 0.1
 [[data.source]]
-kind = "kitti_stream"
+kind = "kitti-stream"
 path = "stream"
 [[data.source]]
-kind = "rendered_on_the_fly"
+kind = "rendered-on-the-fly"
 num_scenes = 1
 frames_per_scene = 1
 size = [32, 64]

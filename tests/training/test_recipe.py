@@ -68,6 +68,11 @@ def test_fields_of_the_networks_configuration(tmp_path):
         ("scale = [1, 2]", "scale = [1, 2, 3]", r"scale = \[1, 2, 3\]: .* at most 2 items"),
         ("scale = [1, 2]", "scale = [2, 1]", r"scale = \[2, 1\]: expected low <= high"),
         ("scale = [1, 2]", "size = [1.5, 64]", r"size\[0\] = 1.5: .*valid integer"),
+        (
+            'kind = "camvid"',
+            'kind = "kitti_streets"',
+            r"data.source\[0\].kind = 'kitti_streets' is written 'kitti-streets'",
+        ),
         ('kind = "camvid"', "", r"missing key data\.source\[0\]\.kind"),
         ('path = "camvid"', "", r"missing key data\.source\[0\]\.path"),
         ('path = "camvid"', 'path = ""', r"data\.source\[0\]\.path = '': "),
@@ -118,7 +123,7 @@ seed = 5
 kind = "camvid"
 path = "camvid"
 [[data.source]]
-kind = "kitti_stream"
+kind = "kitti-stream"
 path = "kitti_stream"
 [schedule]
 steps = 10
@@ -218,15 +223,15 @@ def test_mistaken_bases_are_named(base, text, message):
         ("camvid", {"scenes": ("Scene01",)}),
         ("cityscapes", {"frames": "list.txt"}),
         ("cityscapes", {"semantic_weight": 0.5}),
-        ("kitti_depth", {"drives": ("2011_09_26_drive_0001_sync",)}),
-        ("kitti_raw", {"split": "val"}),
-        ("kitti_raw", {"last": 9}),
-        ("kitti_stream", {"cameras": (3,)}),
+        ("kitti-depth", {"drives": ("2011_09_26_drive_0001_sync",)}),
+        ("kitti-raw", {"split": "val"}),
+        ("kitti-raw", {"last": 9}),
+        ("kitti-stream", {"cameras": (3,)}),
         ("rendered", {"split": "val"}),
         ("rendered", {"num_scenes": 3}),
-        ("rendered_on_the_fly", {"scenes": ("Scene01",)}),
-        ("virtual_kitti", {"withhold_hidden": True}),
-        ("virtual_kitti_1", {"cameras": (1,)}),
+        ("rendered-on-the-fly", {"scenes": ("Scene01",)}),
+        ("virtual-kitti", {"withhold_hidden": True}),
+        ("virtual-kitti-1", {"cameras": (1,)}),
     ],
 )
 def test_keys_that_mean_nothing_to_a_kind_are_refused(kind, keys):
@@ -240,19 +245,19 @@ def test_keys_that_mean_nothing_to_a_kind_are_refused(kind, keys):
     [
         ("camvid", {"split": "test"}),
         ("cityscapes", {"split": "val"}),
-        ("kitti_depth", {"split": "selection", "cameras": (2, 3)}),
-        ("kitti_raw", {"drives": ("d",), "cameras": (3,), "withhold_hidden": True}),
-        ("kitti_stream", {"first": 1, "last": 2, "semantic_weight": 0.2}),
+        ("kitti-depth", {"split": "selection", "cameras": (2, 3)}),
+        ("kitti-raw", {"drives": ("d",), "cameras": (3,), "withhold_hidden": True}),
+        ("kitti-stream", {"first": 1, "last": 2, "semantic_weight": 0.2}),
         ("rendered", {"scenes": ("s",), "variants": ("v",), "frames": "f.txt"}),
         (
-            "rendered_on_the_fly",
+            "rendered-on-the-fly",
             {"variants": ("fog",), "num_scenes": 2, "frames_per_scene": 1, "scene_seed": 9},
         ),
         (
-            "virtual_kitti",
+            "virtual-kitti",
             {"split": "all", "scenes": ("s",), "variants": ("v",), "frames": "f", "cameras": (1,)},
         ),
-        ("virtual_kitti_1", {"split": "all", "scenes": ("s",), "variants": ("v",), "frames": "f"}),
+        ("virtual-kitti-1", {"split": "all", "scenes": ("s",), "variants": ("v",), "frames": "f"}),
     ],
 )
 def test_every_kind_takes_its_own_keys(kind, keys):
@@ -263,7 +268,7 @@ def test_every_kind_takes_its_own_keys(kind, keys):
 
 
 def test_only_scenes_rendered_on_the_fly_need_no_path():
-    assert build(AnySource, {"kind": "rendered_on_the_fly"}).title == "rendered_on_the_fly"
+    assert build(AnySource, {"kind": "rendered-on-the-fly"}).title == "rendered-on-the-fly"
     assert RenderedRecipe(path="rendered/val").title == "rendered/val"
     with pytest.raises(InputError, match="missing key path"):
         build(AnySource, {"kind": "rendered"})
@@ -362,11 +367,11 @@ def test_two_validation_sets_of_one_path_are_refused():
             r"data\.source\[0\]\.scale = .* from a window",
         ),
         (
-            "data.source = [{kind = 'rendered_on_the_fly', num_scenes = 1000000000}]",
+            "data.source = [{kind = 'rendered-on-the-fly', num_scenes = 1000000000}]",
             r"source\[0\]\.num_scenes",
         ),
         (
-            "data.source = [{kind = 'kitti_stream', path = 'a', last = 1000000000000}]",
+            "data.source = [{kind = 'kitti-stream', path = 'a', last = 1000000000000}]",
             r"source\[0\]\.last",
         ),
     ],

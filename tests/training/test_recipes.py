@@ -27,10 +27,10 @@ FOLDER = Path(recipes.__file__).parent
 SCORES = {
     "camvid": {"miou", "boundary_f"},
     "cityscapes": {"miou", "boundary_f", "mae_m", "rmse_m"},
-    "kitti_depth": {"mae_m", "rmse_m"},
-    "kitti_stream": {"miou", "boundary_f", "mae_m", "rmse_m"},
-    "kitti_streets": {"mae_m", "rmse_m"},
-    "virtual_kitti_1": {"miou", "boundary_f", "mae_m", "rmse_m"},
+    "kitti-depth": {"mae_m", "rmse_m"},
+    "kitti-stream": {"miou", "boundary_f", "mae_m", "rmse_m"},
+    "kitti-streets": {"mae_m", "rmse_m"},
+    "virtual-kitti-1": {"miou", "boundary_f", "mae_m", "rmse_m"},
 }
 
 

@@ -30,7 +30,7 @@ from training.limits import STRICT
 class KittiDepthRecipe(SourceRecipe):
     """Options of KITTI's depth completion benchmark in a recipe."""
 
-    kind: Literal["kitti_depth"] = "kitti_depth"
+    kind: Literal["kitti-depth"] = "kitti-depth"
     split: Literal["train", "val", "selection"] = "train"
     #: 2 = left, 3 = right.
     cameras: Annotated[tuple[Literal[2, 3], ...], Field(min_length=1, max_length=2)] = (2,)

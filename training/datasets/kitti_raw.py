@@ -37,7 +37,7 @@ _WITHOUT_SCAN: Mapping[str, frozenset[str]] = {
 class KittiRawRecipe(SourceRecipe):
     """Options of KITTI raw data in a recipe."""
 
-    kind: Literal["kitti_raw"] = "kitti_raw"
+    kind: Literal["kitti-raw"] = "kitti-raw"
     #: All by default.
     drives: Names | None = None
     #: 2 = left, 3 = right.

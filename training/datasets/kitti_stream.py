@@ -27,7 +27,7 @@ from training.limits import STRICT, Index, Share
 class KittiStreamRecipe(SourceRecipe):
     """Options of a recorded KITTI stream in a recipe."""
 
-    kind: Literal["kitti_stream"] = "kitti_stream"
+    kind: Literal["kitti-stream"] = "kitti-stream"
     #: First and last frame, inclusive.
     first: Index = 0
     last: Index | None = None

@@ -34,7 +34,7 @@ _PLACES = (70, 71, 72, 83, 84, 85, 88, 89, 99)
 class KittiStreetsRecipe(SourceRecipe):
     """Options of KITTI's streets in a recipe."""
 
-    kind: Literal["kitti_streets"] = "kitti_streets"
+    kind: Literal["kitti-streets"] = "kitti-streets"
     #: First and last number of the frames taken, inclusive. Neighbours often show one place:
     #: validate on another block of numbers than the one trained on.
     first: Index = 0

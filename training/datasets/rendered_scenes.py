@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class RenderedOnTheFlyRecipe(SourceRecipe):
     """Options of scenes that are rendered while training, in a recipe."""
 
-    kind: Literal["rendered_on_the_fly"] = "rendered_on_the_fly"
+    kind: Literal["rendered-on-the-fly"] = "rendered-on-the-fly"
     #: No folder; a name for the scores.
     path: str = ""
     #: All by default.

@@ -15,7 +15,6 @@ from pydantic.dataclasses import dataclass
 from runtime.errors import DatasetError
 from runtime.io.kitti_calibration import NumbersFile
 from runtime.sources.source import ListedFrame
-from runtime.sources.virtual_kitti import VirtualKittiSource, read_depth
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import (
     dataset_errors,
@@ -34,6 +33,7 @@ from training.datasets.virtual_kitti_split import (
     read_frame_list,
     require_every_frame,
 )
+from training.datasets.virtual_kitti_variant import VirtualKittiVariant, read_depth
 from training.lidar.scan import project_lines
 from training.limits import STRICT
 
@@ -61,7 +61,7 @@ class _SelectionRecipe(SourceRecipe):
 class VirtualKittiRecipe(_SelectionRecipe):
     """Options of Virtual KITTI 2 in a recipe."""
 
-    kind: Literal["virtual_kitti"] = "virtual_kitti"
+    kind: Literal["virtual-kitti"] = "virtual-kitti"
     split: Split = "train"
     #: 0 = left, 1 = right.
     cameras: Annotated[tuple[Literal[0, 1], ...], Field(min_length=1, max_length=2)] = (0,)
@@ -91,7 +91,7 @@ class RenderedRecipe(_SelectionRecipe):
 class VirtualKitti1Recipe(_SelectionRecipe):
     """Options of Virtual KITTI 1.3.1, the edition of the paper's experiments."""
 
-    kind: Literal["virtual_kitti_1"] = "virtual_kitti_1"
+    kind: Literal["virtual-kitti-1"] = "virtual-kitti-1"
     split: Split = "train"
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti1":
@@ -130,7 +130,7 @@ class VirtualKitti:
         #: From the LiDAR to the camera, of each variant.
         self._extrinsics: dict[Path, NDArray[np.float64]] = {}
         self._colors: dict[Path, ColorTable] = {}
-        self._frames: list[tuple[Path, int, VirtualKittiSource, ListedFrame]] = []
+        self._frames: list[tuple[Path, int, VirtualKittiVariant, ListedFrame]] = []
         variants = [variant for scene in _folders(root) for variant in _folders(scene)]
         for variant in variants:
             if selection.takes_variant(variant.parent.name, variant.name):
@@ -143,17 +143,15 @@ class VirtualKitti:
 
     @dataset_errors()
     def _add(self, variant: Path, camera: int, selection: Selection) -> None:
-        source = VirtualKittiSource(variant, camera=camera)
-        if not source.calibrations:
-            raise DatasetError(f"{variant / 'intrinsic.txt'}: missing.")
+        reader = VirtualKittiVariant(variant, camera=camera)
         frames = [
             frame
-            for frame in source.list_frames()
+            for frame in reader.list_frames()
             if frame.image is not None
             and selection.takes(variant.parent.name, variant.name, frame.name)
         ]
         for frame in frames:
-            if int(frame.name) not in source.calibrations:
+            if int(frame.name) not in reader.calibrations:
                 raise DatasetError(
                     f"{variant / 'intrinsic.txt'}: no row for frame {int(frame.name)} of camera "
                     f"{camera}."
@@ -169,18 +167,18 @@ class VirtualKitti:
             require_folder(lidar, "the LiDAR's scans, which ssdnet-render writes", files=files)
             to_camera = NumbersFile(variant / "calib.txt").matrix("Tr_velo_to_cam", 3, 4)
             self._extrinsics[variant] = np.vstack([to_camera, np.eye(4)[3]])
-        self._frames += [(variant, camera, source, frame) for frame in frames]
+        self._frames += [(variant, camera, reader, frame) for frame in frames]
 
     def __len__(self) -> int:
         return len(self._frames)
 
     @dataset_errors()
     def __getitem__(self, index: int) -> Sample:
-        variant, camera, source, listed = self._frames[index]
-        frame = source.read(listed)
-        size = (frame.rgb.shape[0], frame.rgb.shape[1])
-        require_size(listed.depth, frame.sparse_depth.shape, size)
-        intrinsics = source.calibrations[int(listed.name)].intrinsics
+        variant, camera, reader, listed = self._frames[index]
+        rgb, depth = read_rgb(listed.image), read_depth(listed.depth)
+        size = (rgb.shape[0], rgb.shape[1])
+        require_size(listed.depth, depth.shape, size)
+        intrinsics = reader.calibrations[int(listed.name)].intrinsics
         frames, folder = variant / "frames", f"Camera_{camera}"
         sparse_depth = scan_line = None
         if self._scans:
@@ -191,8 +189,8 @@ class VirtualKitti:
         label = frames / "classSegmentation" / folder / f"classgt_{listed.name}.png"
         name = f"{variant.parent.name}/{variant.name}/{listed.name}"
         return Sample(
-            rgb=frame.rgb,
-            depth=frame.sparse_depth,
+            rgb=rgb,
+            depth=depth,
             sparse_depth=sparse_depth,
             scan_line=scan_line,
             semantic=read_classes(label, self._colors[variant], size),

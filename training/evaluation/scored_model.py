@@ -54,8 +54,9 @@ def trained_classes(classes: tuple[ClassInfo, ...], training: Mapping[str, Any])
         if isinstance(trained, str):
             return trained
         return tuple(ClassInfo(info["name"], tuple(info["color"])) for info in trained)
+    names = [info.name for info in classes]  # a file keeps the colours of its day
     for name, table in CLASS_TABLES.items():
-        if table == classes:
+        if [info.name for info in table] == names:
             return name
     return classes
 

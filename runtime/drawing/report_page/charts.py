@@ -1,168 +1,127 @@
-"""Charts of the report page as inline SVG; page.css has their colours."""
+"""Charts of the report page: SVG that stretches with the page; page.css has their colours."""
 
-from collections.abc import Sequence
-from html import escape
+from collections.abc import Iterable, Sequence
+from itertools import groupby
 
 from runtime.drawing.axis import Axis, frame_ticks
+from runtime.drawing.report_page.html import Html, fill, join
 from runtime.drawing.report_page.timeline import Span
 from runtime.sync.latency import LatencyStatistics
 
 LATE, SKIPPED, INVALID = "late", "skipped", "invalid"
 _DROPS = (SKIPPED, INVALID)  # frames without a usable answer
-_LEFT, _RIGHT, _TOP, _BOTTOM = 48, 14, 22, 34  # pixels
-_SPAN_WIDTH, _POINT_WIDTH = 2, 7  # least pixels of a span, and of a span with a point
-_STRIP = 1000  # units across a strip, which the page stretches
+_WIDTH, _HEIGHT = 1000, 300  # units of the chart
+_FRAME_TICKS = 6  # at most
+_MOST_POINTS = 140  # spans of a chart; of more only the late ones have a point
+_LEAST_BAR = 0.0025  # of a strip
+MOST_SPANS = 490
+
+Bar = tuple[float, float, float, float]  # from, to, height and opacity, 0..1 each
 
 
-def latency_chart(
-    spans: Sequence[Span], *, width: int, height: int, deadline_ms: float | None, title: str
-) -> str:
+def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None, title: str) -> Html:
     """Draw latencies over the frames, with the deadline, late frames, and frames without an answer.
 
     Where several frames share a span, a band shows the smallest and largest latency.
 
     Args:
         spans: of the frames, in order.
-        width: pixels.
-        height: pixels.
         deadline_ms: None = there is none.
         title: what the latencies are of.
 
     Returns:
-        SVG; "" if no frame was answered.
+        An element of the page's width; "" if no frame was answered.
     """
     answered = [span for span in spans if span.answered]
     if not answered:
-        return ""
+        return Html()
     means = sorted(span.mean_ms for span in answered)
-    axis = Axis(
-        min(span.low_ms for span in answered),
-        means[len(means) // 2],
-        max(span.high_ms for span in answered),
-        deadline_ms,
-    )
+    lowest, highest = min(span.low_ms for span in answered), max(span.high_ms for span in answered)
+    axis = Axis(lowest, means[len(means) // 2], highest, deadline_ms)
     last = max(spans[-1].last, 1)
-    inner, bottom = width - _LEFT - _RIGHT, height - _BOTTOM
 
     def x(frame: float) -> float:
-        return _LEFT + (frame / last if len(spans) > 1 else 0.5) * inner
+        return round(_WIDTH * (frame / last if len(spans) > 1 else 0.5), 1)
 
-    def y(value: float) -> float:
-        return bottom - axis.place(value) * (bottom - _TOP)
+    def y(value_ms: float) -> float:
+        return round(_HEIGHT * (1 - axis.place(value_ms)), 1)
 
-    parts = [
-        f'<svg class="chart w{width}" viewBox="0 0 {width} {height}" role="img" '
-        f'aria-label="{escape(title)} over the frames">'
-    ]
-    for tick in axis.ticks:
-        parts.append(
-            f'<line class="grid" x1="{_LEFT}" x2="{width - _RIGHT}" y1="{y(tick):.1f}" '
-            f'y2="{y(tick):.1f}"/><text x="{_LEFT - 8}" y="{y(tick) + 4:.1f}" '
-            f'text-anchor="end">{tick:g}</text>'
-        )
-    parts.append(f'<text x="{_LEFT - 8}" y="12" text-anchor="start" dx="-40">{axis.unit}</text>')
-    for frame in frame_ticks(last, inner // 90):
-        anchor = "end" if frame == last and frame else "middle"
-        parts.append(
-            f'<text x="{x(frame):.1f}" y="{bottom + 18}" text-anchor="{anchor}">{frame}</text>'
-        )
-    parts.append(
-        f'<text x="{_LEFT + inner / 2}" y="{height - 3}" text-anchor="middle">frame</text>'
-    )
+    drawn = [fill("gridline", kind="grid", y=y(tick)) for tick in axis.ticks]
     for span in spans:
-        if any(span.marks[drop] for drop in _DROPS):
-            parts.append(_drop(span, x(span.middle), bottom))
-    for run in _unbroken(spans):
+        if kinds := [drop for drop in _DROPS if span.marks[drop]]:
+            where = span.name if span.frames == 1 else f"frames {span.first} to {span.last}"
+            drawn.append(fill("drop", x=x(span.middle), text=f"{where}: {' '.join(kinds)}"))
+    for is_answered, group in groupby(spans, lambda span: span.answered > 0):
+        if not is_answered:
+            continue
+        run = list(group)
         if any(span.answered > 1 for span in run):
-            upper = [f"{x(span.middle):.1f},{y(span.high_ms):.1f}" for span in run]
-            lower = [f"{x(span.middle):.1f},{y(span.low_ms):.1f}" for span in reversed(run)]
-            parts.append(f'<polygon class="band" points="{" ".join(upper + lower)}"/>')
-        line = " ".join(f"{x(span.middle):.1f},{y(span.mean_ms):.1f}" for span in run)
-        parts.append(f'<polyline class="line" points="{line}"/>')
+            band = [(x(span.middle), y(span.high_ms)) for span in run]
+            band += [(x(span.middle), y(span.low_ms)) for span in reversed(run)]
+            drawn.append(fill("band", points=_points(band)))
+        line = _points((x(span.middle), y(span.mean_ms)) for span in run)
+        drawn.append(fill("line", points=line))
     if deadline_ms is not None:
-        at = y(deadline_ms)
-        parts.append(
-            f'<line class="deadline" x1="{_LEFT}" x2="{width - _RIGHT}" y1="{at:.1f}" '
-            f'y2="{at:.1f}"/>'
-        )
-    sparse = len(spans) <= inner / _POINT_WIDTH
+        drawn.append(fill("gridline", kind="deadline", y=y(deadline_ms)))
     for span in answered:
         late = span.marks[LATE]
-        if not (sparse or late):
-            continue
-        at = y(span.high_ms if late else span.mean_ms)
-        text = f"{span.name}: {span.mean_ms:.1f} ms" if span.frames == 1 else _of_several(span)
-        parts.append(
-            f'<circle class="{"late" if late else "point"}" cx="{x(span.middle):.1f}" '
-            f'cy="{at:.1f}" r="{3.5 if late else 2.5}"><title>{escape(text)}</title></circle>'
-        )
-    return "".join([*parts, "</svg>"])
+        if late or len(spans) <= _MOST_POINTS:
+            text = f"{span.name}: {span.mean_ms:.1f} ms" if span.frames == 1 else _of_several(span)
+            at = y(span.high_ms if late else span.mean_ms)
+            kind = LATE if late else "point"
+            drawn.append(fill("point", kind=kind, x=x(span.middle), y=at, text=text))
+    ticks = [fill("ytick", at=100 * axis.place(tick), text=f"{tick:g}") for tick in axis.ticks]
+    for frame in frame_ticks(last, _FRAME_TICKS):
+        ticks.append(fill("xtick", at=x(frame) * 100 / _WIDTH, text=frame))
+    return fill("chart", title=title, unit=axis.unit, drawn=join(drawn), ticks=join(ticks))
 
 
-def spans_across(width: int) -> int:
-    """Number of spans in a chart of this width."""
-    return max((width - _LEFT - _RIGHT) // _SPAN_WIDTH, 1)
+def mark_strip(spans: Sequence[Span], mark: str) -> Html:
+    """Draw where along the frames a mark occurs."""
+    bars: list[Bar] = []
+    frames = spans[-1].last + 1
+    for share, group in groupby(spans, lambda span: span.marks[mark] / span.frames):
+        run = list(group)
+        if share:
+            start, end = run[0].first / frames, (run[-1].last + 1) / frames
+            bars.append((start, end, 1.0, 0.6 + 0.4 * share))
+    return _strip(bars)
 
 
-def mark_strip(spans: Sequence[Span], mark: str) -> str:
-    """Draw where along the frames a mark occurs, without text: the page stretches it."""
-    scale = _STRIP / (spans[-1].last + 1)
-    blocks: list[list[float]] = []  # [from, to, share]
-    for span in spans:
-        if count := span.marks[mark]:
-            share = count / span.frames
-            if blocks and blocks[-1][1] == span.first and blocks[-1][2] == share:
-                blocks[-1][1] = span.last + 1
-            else:
-                blocks.append([span.first, span.last + 1, share])
-    drawn = "".join(
-        f'<rect x="{start * scale:.2f}" y="0" width="{max((end - start) * scale, 2.5):.2f}" '
-        f'height="10" fill-opacity="{0.6 + 0.4 * share:.2f}"/>'
-        for start, end, share in blocks
-    )
-    return _strip(drawn, 10)
-
-
-def returns_strip(spans: Sequence[Span]) -> str:
+def returns_strip(spans: Sequence[Span]) -> Html:
     """Draw the number of LiDAR returns of the frames."""
-    scale = _STRIP / (spans[-1].last + 1)
-    known = [(span, span.mean_returns) for span in spans if span.mean_returns is not None]
-    most = max((returns for _, returns in known if returns is not None), default=0) or 1
-    bars = "".join(
-        f'<rect x="{span.first * scale:.2f}" y="{40 - 40 * (returns or 0) / most:.2f}" '
-        f'width="{span.frames * scale + 0.3:.2f}" height="{40 * (returns or 0) / most:.2f}"/>'
-        for span, returns in known
-    )
-    return _strip(bars, 40)
-
-
-def range_strip(statistics: LatencyStatistics, most_ms: float) -> str:
-    """Draw the latency of a stage: a bar to the median, a lighter one to the maximum."""
-    median, highest = (
-        _STRIP * value / most_ms for value in (statistics.median_ms, statistics.max_ms)
-    )
+    frames = spans[-1].last + 1
+    most = max((span.mean_returns or 0 for span in spans), default=0) or 1
     return _strip(
-        f'<rect class="most" x="0" y="3" width="{highest:.1f}" height="4"/>'
-        f'<rect x="0" y="0" width="{max(median, 2):.1f}" height="10"/>',
-        10,
+        (span.first / frames, (span.last + 1.03) / frames, span.mean_returns / most, 1.0)
+        for span in spans
+        if span.mean_returns is not None
     )
 
 
-def _strip(content: str, height: int) -> str:
-    return (
-        f'<svg class="strip" viewBox="0 0 {_STRIP} {height}" preserveAspectRatio="none" '
-        f'aria-hidden="true">{content}</svg>'
-    )
+def range_strip(statistics: LatencyStatistics, most_ms: float) -> Html:
+    """Draw the latency of a stage: a bar to the median, a lighter one to the maximum."""
+    median, highest = statistics.median_ms / most_ms, statistics.max_ms / most_ms
+    return _strip([(0, highest, 1.0, 0.3), (0, median, 1.0, 1.0)])
 
 
-def _drop(span: Span, x: float, bottom: float) -> str:
-    kinds = " ".join(drop for drop in _DROPS if span.marks[drop])
-    where = span.name if span.frames == 1 else f"frames {span.first} to {span.last}"
-    return (
-        f'<g class="drop"><title>{escape(where)}: {kinds}</title>'
-        f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{bottom}"/>'
-        f'<path d="M{x - 4:.1f} {bottom - 9}l8 8m0 -8l-8 8"/></g>'
-    )
+def _strip(bars: Iterable[Bar]) -> Html:
+    drawn = [
+        fill(
+            "bar",
+            x=round(1000 * start, 2),
+            width=round(1000 * max(end - start, _LEAST_BAR), 2),
+            y=round(100 - 100 * height, 2),
+            height=round(100 * height, 2),
+            opacity=round(opacity, 2),
+        )
+        for start, end, height, opacity in bars
+    ]
+    return fill("strip", bars=join(drawn))
+
+
+def _points(points: Iterable[tuple[float, float]]) -> str:
+    return " ".join(f"{x},{y}" for x, y in points)
 
 
 def _of_several(span: Span) -> str:
@@ -170,14 +129,3 @@ def _of_several(span: Span) -> str:
         f"frames {span.first} to {span.last}: mean {span.mean_ms:.1f} ms, "
         f"max {span.high_ms:.1f} ms, {span.marks[LATE]} late"
     )
-
-
-def _unbroken(spans: Sequence[Span]) -> list[list[Span]]:
-    """Runs of answered spans, without gaps."""
-    runs: list[list[Span]] = [[]]
-    for span in spans:
-        if span.answered:
-            runs[-1].append(span)
-        elif runs[-1]:
-            runs.append([])
-    return [run for run in runs if run]

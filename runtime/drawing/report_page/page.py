@@ -3,32 +3,30 @@
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
-from importlib import resources
 
 from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
 from runtime.drawing.report_page.charts import (
     INVALID,
     LATE,
+    MOST_SPANS,
     SKIPPED,
     latency_chart,
     mark_strip,
     range_strip,
     returns_strip,
-    spans_across,
 )
+from runtime.drawing.report_page.html import Html, fill, join, read_resource
 from runtime.drawing.report_page.samples import Sample
 from runtime.drawing.report_page.timeline import Timeline
 from runtime.io.encode import encode_png
 from runtime.sync.latency import LatencyStatistics, MissedDeadlines
 
-#: The page has the chart in each of these sizes and shows the one that fits the screen.
-_CHARTS = ((1040, 300), (640, 270), (380, 230))
 _PARTS = ("preprocess", "inference", "postprocess")  # of a prediction
 _BAD = (SKIPPED, INVALID, LATE)
 _FEW_PROBLEMS, _MOST_PROBLEMS = 10, 200
 _BAR_WIDTH = 640
+_NOTHING = Html()
 #: Mark -> its meaning.
 _MEANINGS = {
     SKIPPED: "could not be read or predicted",
@@ -96,39 +94,32 @@ class PageContent:
 
 def render_page(content: PageContent) -> bytes:
     """Return the page, HTML in UTF-8 without external resources."""
-    style = resources.files(__package__).joinpath("page.css").read_text(encoding="utf-8")
-    badge = '<span class="badge warn">interrupted</span>' if content.interrupted else ""
-    command = f'<code class="command">{escape(content.command)}</code>' if content.command else ""
-    sections = [
-        _latency(content),
-        _stages(content),
-        _health(content),
-        _problems(content.problems),
-        _samples(content),
-        _facts(content.facts),
-    ]
-    page = (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        # The browser then refuses to load anything.
-        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
-        "img-src data:; style-src 'unsafe-inline'\">"
-        f'<link rel="icon" href="data:,"><title>{escape(content.title)}: run report</title>'
-        f"<style>{style}</style></head>\n<body><main>"
-        f"<header><h1>{escape(content.title)} {badge}</h1>{command}</header>\n"
-        + _tiles(content)
-        + "\n".join(section for section in sections if section)
-        + "</main></body></html>\n"
+    sections = {
+        "Latency over time": _latency(content),
+        "Percentiles and stages": _stages(content),
+        "Health over time": _health(content),
+        "Frames without an answer": _problems(content.problems),
+        "Samples": _samples(content),
+        "Facts": _facts(content.facts),
+    }
+    page = fill(
+        "page",
+        title=content.title,
+        style=Html(read_resource("page.css")),
+        badges=fill("badge", kind="warn", text="interrupted") if content.interrupted else "",
+        command=fill("command", command=content.command) if content.command else "",
+        tiles=_tiles(content),
+        sections=join(
+            fill("section", title=title, content=part) for title, part in sections.items() if part
+        ),
     )
-    return page.encode(errors="backslashreplace")  # file names need not be valid text
+    return (page + "\n").encode(errors="backslashreplace")  # file names need not be valid text
 
 
-def _tiles(content: PageContent) -> str:
-    total = content.timeline.frames
+def _tiles(content: PageContent) -> Html:
     counts = ", ".join(f"{count:,} {status}" for status, count in content.frames.items())
-    tiles = [("frames", f"{total:,}", counts or "none", "")]
-    times = content.responses
-    if times is not None:
+    tiles = [("frames", f"{content.timeline.frames:,}", counts or "none", "")]
+    if (times := content.responses) is not None:
         tiles.append((f"median {content.response}", f"{_ms(times.median_ms)} ms", "", ""))
         name, value = _highest_percentile(times)
         tiles.append((f"{name} {content.response}", f"{_ms(value)} ms", f"n = {times.n:,}", ""))
@@ -142,186 +133,145 @@ def _tiles(content: PageContent) -> str:
     flagged = content.timeline.flagged
     kind = "warn" if flagged else "good"
     tiles.append(("flagged frames", f"{flagged:,}", "late, unanswered or degraded", kind))
-    return (
-        '<div class="tiles">'
-        + "".join(
-            f'<div class="tile"><span>{escape(label)}</span><b class="{kind}">{escape(value)}</b>'
-            f"<span>{escape(note)}</span></div>"
-            for label, value, note, kind in tiles
-        )
-        + "</div>"
+    return join(
+        fill("tile", label=label, value=value, note=note, kind=kind)
+        for label, value, note, kind in tiles
     )
 
 
-def _latency(content: PageContent) -> str:
-    charts = [
-        latency_chart(
-            content.timeline.spans(spans_across(width)),
-            width=width,
-            height=height,
-            deadline_ms=content.deadline_ms,
-            title=content.response,
-        )
-        for width, height in _CHARTS
-    ]
-    if not any(charts):
-        return _section("Latency over time", '<p class="soft">No frame was answered.</p>')
-    shared = len(content.timeline.spans(spans_across(_CHARTS[0][0]))) < content.timeline.frames
-    marks = content.timeline.marks
-    keys = ['<span class="key dot"></span>' + escape(content.response)]
-    if shared:
-        keys.append('<span class="key range"></span>smallest to largest of the frames there')
-    if content.deadline_ms is not None:
-        keys.append(f'<span class="key dash"></span>deadline {content.deadline_ms:g} ms')
-    if marks[LATE]:
-        keys.append(f'<span class="key dot red"></span>late ({marks[LATE]:,})')
-    if dropped := marks[SKIPPED] + marks[INVALID]:
-        keys.append(f'<span class="key cross">&times;</span>no usable answer ({dropped:,})')
-    legend = "".join(f"<span>{key}</span>" for key in keys)
-    return _section("Latency over time", "".join(charts) + f'<div class="legend">{legend}</div>')
+def _latency(content: PageContent) -> Html:
+    timeline, deadline_ms = content.timeline, content.deadline_ms
+    spans = timeline.spans(MOST_SPANS)
+    chart = latency_chart(spans, deadline_ms=deadline_ms, title=content.response)
+    if not chart:
+        return fill("note", kind="soft", text="No frame was answered.")
+    keys = {"dot": content.response}
+    if len(spans) < timeline.frames:
+        keys["range"] = "smallest to largest of the frames there"
+    if deadline_ms is not None:
+        keys["dash"] = f"deadline {deadline_ms:g} ms"
+    if late := timeline.marks[LATE]:
+        keys["dot red"] = f"late ({late:,})"
+    if dropped := timeline.marks[SKIPPED] + timeline.marks[INVALID]:
+        keys["dot warn"] = f"no usable answer ({dropped:,})"
+    return chart + _legend(keys)
 
 
-def _stages(content: PageContent) -> str:
+def _stages(content: PageContent) -> Html:
     stages = {name: each for name, each in content.stages.items() if each is not None}
     if not stages:
-        return ""
+        return _NOTHING
     means = {name: stages[name].mean_ms for name in _PARTS if name in stages}
-    whole = sum(means.values())
-    bar = ""
-    if whole:
-        bar = (
-            '<p class="note">Parts of a prediction, mean</p><div class="stack">'
-            + "".join(
-                f'<div class="{name}" style="width:{mean / whole:.2%}"></div>'
-                for name, mean in means.items()
-            )
-            + '</div><div class="legend">'
-            + "".join(
-                f'<span><span class="key square {name}"></span>{name} {_ms(mean)} ms, '
-                f"{mean / whole:.0%}</span>"
-                for name, mean in means.items()
-            )
-            + "</div>"
-        )
+    shares = {name: mean / (sum(means.values()) or 1) for name, mean in means.items()}
+    keys = {f"square {name}": f"{name} {_ms(means[name])} ms, {shares[name]:.0%}" for name in means}
+    bars = (fill("part", kind=name, share=f"{share:.2%}") for name, share in shares.items())
+    parts = fill("parts", bars=join(bars), keys=_keys(keys)) if means else _NOTHING
     most_ms = max(each.max_ms for each in stages.values()) or 1.0
-    rows = "".join(
-        f"<tr><td>{escape(name)}</td>"
-        + "".join(f"<td>{cell}</td>" for cell in _cells(each))
-        + f'<td class="wide">{range_strip(each, most_ms)}</td></tr>'
+    rows = [
+        _row(name, *_cells(each), last=fill("wide", strip=range_strip(each, most_ms)))
         for name, each in stages.items()
-    )
-    heads = "".join(
-        f"<th>{name}</th>"
-        for name in ("stage, ms", "n", "mean", "median", "p90", "p99", "p99.9", "max")
-    )
-    table = (
-        f'<div class="scroll"><table><thead><tr>{heads}<th class="wide"></th></tr></thead>'
-        f"<tbody>{rows}</tbody></table></div>"
-        '<p class="note">A percentile needs enough frames beyond it: p99 is shown from 100 '
-        "frames on. Reading and writing run in parallel with the prediction. Bars: median and "
-        "maximum.</p>"
-    )
-    return _section("Percentiles and stages", bar + table)
+    ]
+    return parts + fill("stages", rows=join(rows))
 
 
-def _health(content: PageContent) -> str:
+def _health(content: PageContent) -> Html:
     timeline = content.timeline
-    spans = timeline.spans(500)
-    lanes = []
-    for mark, count in sorted(timeline.marks.items(), key=lambda item: _rank(*item)):
-        kind = "bad" if mark in _BAD else "warn"
-        meaning = f"<small>{escape(_MEANINGS[mark])}</small>" if mark in _MEANINGS else ""
-        lanes.append(
-            f'<div class="lane {kind}"><div><b>{escape(mark)}</b> <span class="count">{count:,} '
-            f"of {timeline.frames:,}</span>{meaning}</div>{mark_strip(spans, mark)}</div>"
+    spans = timeline.spans(MOST_SPANS)
+    lanes = [
+        fill(
+            "lane",
+            kind="bad" if mark in _BAD else "warn",
+            name=mark,
+            count=f"{count:,} of {timeline.frames:,}",
+            meaning=_MEANINGS.get(mark, ""),
+            strip=mark_strip(spans, mark),
         )
-    known = [span.mean_returns for span in spans if span.mean_returns is not None]
+        for mark, count in sorted(timeline.marks.items(), key=lambda item: _rank(*item))
+    ]
     if not lanes and timeline.frames:
-        lanes.append('<p class="good">All frames were answered, none is flagged.</p>')
+        text = "All frames were answered, none is flagged."
+        lanes.append(fill("note", kind="good", text=text))
+    known = [span.mean_returns for span in spans if span.mean_returns is not None]
     if known:
-        least, most = min(known), max(known)
-        lanes.append(
-            '<div class="lane"><div><b>LiDAR returns</b> <span class="count">'
-            f"{least:,.0f} to {most:,.0f}</span><small>used per frame</small></div>"
-            f'<div class="tall">{returns_strip(spans)}</div></div>'
-        )
-    if not lanes:
-        return ""
-    last = f"{timeline.frames - 1:,}"
-    lanes.append(f'<p class="note">From frame 0 (left) to {last} (right).</p>')
-    return _section("Health over time", "".join(lanes))
+        count = f"{min(known):,.0f} to {max(known):,.0f}"
+        lane = {"name": "LiDAR returns", "count": count, "meaning": "used per frame"}
+        lanes.append(fill("lane", kind="tall", strip=returns_strip(spans), **lane))
+    if lanes:
+        text = f"From frame 0 (left) to {timeline.frames - 1:,} (right)."
+        lanes.append(fill("note", kind="note", text=text))
+    return join(lanes)
 
 
-def _problems(problems: Sequence[Problem]) -> str:
+def _problems(problems: Sequence[Problem]) -> Html:
+    def table(shown: Sequence[Problem]) -> Html:
+        rows = (_row(each.name, each.status, each.reason) for each in shown)
+        return fill("problems", rows=join(rows))
+
     if not problems:
-        return ""
-    shown = _problem_table(problems[:_FEW_PROBLEMS])
+        return _NOTHING
+    parts = [table(problems[:_FEW_PROBLEMS])]
     if rest := problems[_FEW_PROBLEMS:_MOST_PROBLEMS]:
-        shown += f"<details><summary>{len(rest)} more</summary>{_problem_table(rest)}</details>"
+        parts.append(fill("more", count=len(rest), table=table(rest)))
     if (beyond := len(problems) - _MOST_PROBLEMS) > 0:
-        shown += f'<p class="note">and {beyond:,} more, see frames.csv</p>'
-    return _section("Frames without an answer", shown)
+        parts.append(fill("note", kind="note", text=f"and {beyond:,} more, see frames.csv"))
+    return join(parts)
 
 
-def _problem_table(problems: Sequence[Problem]) -> str:
-    rows = "".join(
-        f"<tr><td>{escape(each.name)}</td><td>{escape(each.status)}</td>"
-        f"<td>{escape(each.reason)}</td></tr>"
-        for each in problems
-    )
-    return (
-        '<div class="scroll"><table class="problems"><thead><tr><th>frame</th><th>status</th>'
-        f"<th>why</th></tr></thead><tbody>{rows}</tbody></table></div>"
-    )
-
-
-def _samples(content: PageContent) -> str:
+def _samples(content: PageContent) -> Html:
     if not content.samples:
-        return ""
-    figures = []
+        return _NOTHING
+    parts = []
     for sample in content.samples:
-        badges = ['<span class="badge">slowest</span>'] if sample.slowest else []
-        badges += [f'<span class="badge warn">{escape(mark)}</span>' for mark in sample.marks]
-        panels = "".join(
-            f'<div><span>{escape(title)}</span><img alt="{escape(title)} of {escape(sample.name)}" '
-            f'src="{_data("image/jpeg", jpeg)}"></div>'
+        badges = [fill("badge", kind="", text="slowest")] if sample.slowest else []
+        badges += [fill("badge", kind="warn", text=mark) for mark in sample.marks]
+        panels = join(
+            fill("panel", title=title, name=sample.name, image=_data("image/jpeg", jpeg))
             for title, jpeg in sample.panels
         )
-        count = {1: "one", 2: "two"}.get(len(sample.panels), "")
-        figures.append(
-            f'<figure><figcaption><b>{escape(sample.name)}</b> <span class="count">predicted in '
-            f"{_ms(sample.predict_ms)} ms</span> {' '.join(badges)}</figcaption>"
-            f'<div class="panels {count}">{panels}</div></figure>'
+        time = _ms(sample.predict_ms)
+        parts.append(
+            fill("sample", name=sample.name, time=time, badges=join(badges), panels=panels)
         )
     contract = content.contract
-    chips = "".join(
-        f'<span><span class="key square" style="background:rgb{info.color}"></span>'
-        f"{escape(info.name)}</span>"
-        for info in contract.classes
-    )
-    bar = Overlay(contract.classes, contract.max_depth_m).draw_depth_bar(_BAR_WIDTH)
-    png = bytes(encode_png(bar))
-    key = f'<div class="legend">{chips}</div>' if chips else ""
-    if any("depth" in title for sample in content.samples for title, _ in sample.panels):
-        scale = f'<img alt="colour scale of the depth" src="{_data("image/png", png)}">'
-        key += f'<div class="bar">{scale}</div>'
-    return _section("Samples", "".join(figures) + key)
-
-
-def _facts(facts: Mapping[str, Mapping[str, str]]) -> str:
-    groups = "".join(
-        f"<div><h3>{escape(heading)}</h3><dl>"
-        + "".join(
-            f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in group.items()
+    if contract.classes:
+        swatches = (
+            fill(
+                "key",
+                kind="square",
+                style=Html(f' style="background:rgb{info.color}"'),
+                text=info.name,
+            )
+            for info in contract.classes
         )
-        + "</dl></div>"
-        for heading, group in facts.items()
+        parts.append(fill("legend", keys=join(swatches)))
+    if any("depth" in title for sample in content.samples for title, _ in sample.panels):
+        bar = Overlay(contract.classes, contract.max_depth_m).draw_depth_bar(_BAR_WIDTH)
+        parts.append(fill("scale", image=_data("image/png", bytes(encode_png(bar)))))
+    return join(parts)
+
+
+def _facts(facts: Mapping[str, Mapping[str, str]]) -> Html:
+    groups = (
+        fill(
+            "group",
+            title=title,
+            facts=join(fill("fact", name=name, value=value) for name, value in group.items()),
+        )
+        for title, group in facts.items()
     )
-    return _section("Facts", f'<div class="facts">{groups}</div>')
+    return fill("facts", groups=join(groups))
 
 
-def _section(title: str, content: str) -> str:
-    return f"<section><h2>{escape(title)}</h2>{content}</section>"
+def _row(*cells: str, last: Html = _NOTHING) -> Html:
+    return fill("row", cells=join(fill("cell", text=cell) for cell in cells) + last)
+
+
+def _legend(keys: Mapping[str, str]) -> Html:
+    return fill("legend", keys=_keys(keys))
+
+
+def _keys(keys: Mapping[str, str]) -> Html:
+    return join(fill("key", kind=kind, style="", text=text) for kind, text in keys.items())
 
 
 def _rank(mark: str, count: int) -> tuple[int, int, str]:
@@ -338,14 +288,8 @@ def _highest_percentile(times: LatencyStatistics) -> tuple[str, float]:
 
 
 def _cells(times: LatencyStatistics) -> list[str]:
-    values = (
-        times.mean_ms,
-        times.median_ms,
-        times.p90_ms,
-        times.p99_ms,
-        times.p99_9_ms,
-        times.max_ms,
-    )
+    names = ("mean_ms", "median_ms", "p90_ms", "p99_ms", "p99_9_ms", "max_ms")
+    values = (getattr(times, name) for name in names)
     return [f"{times.n:,}", *("n/a" if value is None else _ms(value) for value in values)]
 
 

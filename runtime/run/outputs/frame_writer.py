@@ -1,7 +1,7 @@
 """Write the files of each frame of a run: all files of a frame, or none."""
 
 import contextlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Self
 
@@ -15,6 +15,8 @@ from runtime.io.encode import ENCODERS, encode_jpeg
 from runtime.io.ply import encode_ply
 from runtime.prediction import Prediction
 from runtime.run.outputs.intrinsics import intrinsics_of
+from runtime.run.outputs.output import OpenRun
+from runtime.run.report_files import write_report
 from runtime.run.run_folder import CLOUD, KINDS, OVERLAY, SAVED_HEADS, SUFFIXES, RunFolder
 from runtime.sources.frames import Frame
 
@@ -30,6 +32,7 @@ class FrameWriter:
         overwrite: see `RunFolder`.
         focal_length_px: for clouds of frames without a calibration, see `intrinsics_of`.
         overlay: draws the overlays; None = a new one.
+        overlay_width: largest width of a panel of an overlay; None = as `Overlay` has it.
 
     Raises:
         OutputError: if the folder cannot be used.
@@ -45,9 +48,11 @@ class FrameWriter:
         overwrite: bool = False,
         focal_length_px: float | None = None,
         overlay: Overlay | None = None,
+        overlay_width: int | None = None,
     ) -> None:
         self._classes, self._focal_length_px = contract.classes, focal_length_px
         self._overlay = overlay or Overlay(contract.classes, contract.max_depth_m)
+        self._overlay_width = overlay_width
         self._folder = RunFolder(folder, kinds=kinds, names=names, overwrite=overwrite)
 
     def __enter__(self) -> Self:
@@ -84,7 +89,9 @@ class FrameWriter:
             return encode_ply(prediction.points(intrinsics, frame.rgb), self._classes)
         try:
             if kind == OVERLAY:
-                return encode_jpeg(self._overlay.draw(frame.rgb, prediction))
+                return encode_jpeg(
+                    self._overlay.draw(frame.rgb, prediction, widest=self._overlay_width)
+                )
             head, encoding = SAVED_HEADS[kind]
             values = prediction.heads.get(head)
             return None if values is None else ENCODERS[encoding](values)
@@ -94,3 +101,25 @@ class FrameWriter:
                 f"cannot encode {path} of a frame of {height} x {width} ({error}): leave out "
                 f"{kind} with --save"
             ) from error
+
+
+@contextlib.contextmanager
+def open_frame_files(run: OpenRun) -> Iterator[FrameWriter | None]:
+    """Make the folder of --out, with the files of --save and, when the block ends, the report.
+
+    Yields None where no file of a frame is to be written.
+    """
+    writer = FrameWriter(
+        run.options.folder,
+        run.predictor.contract,
+        kinds=run.kinds,
+        names=run.names,
+        overwrite=run.options.overwrite,
+        focal_length_px=run.predictor.focal_length_px,
+        overlay=run.overlay,
+        overlay_width=run.options.overlay_width,
+    )
+    with writer:
+        yield writer if run.kinds else None
+    if run.report is not None:
+        write_report(run.report)

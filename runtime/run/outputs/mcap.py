@@ -5,19 +5,17 @@ import json
 import os
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from runtime.contract import Contract
-from runtime.drawing.overlay import Overlay
 from runtime.errors import OutputError, install_command
 from runtime.heads import HEADS
 from runtime.io.atomic_write import atomic_path
 from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
-from runtime.run.outputs.output import DEFAULT_RATE_HZ, FILE_SUFFIXES
+from runtime.run.options import DEFAULT_RATE_HZ, FILE_SUFFIXES
+from runtime.run.outputs.output import OpenRun
 from runtime.sources.frames import Frame
 
 _ENCODINGS = {"uint8": "mono8", "float32": "32FC1"}  # dtype -> of sensor_msgs/msg/Image
@@ -36,13 +34,14 @@ _LAST_NS = 2**31 * _S  # builtin_interfaces/msg/Time has 32 bits for the seconds
 class McapWriter:
     """Append the messages of each frame; see `open_mcap`."""
 
-    def __init__(self, bag: Any, contract: Contract, overlay: Overlay, rate_hz: float) -> None:
+    def __init__(self, bag: Any, run: OpenRun) -> None:
         from rosbags.typesys import Stores, get_typestore
 
-        self._bag, self._contract, self._rate_hz = bag, contract, rate_hz
+        self._bag, self._contract = bag, run.predictor.contract
+        self._rate_hz = run.options.rate or DEFAULT_RATE_HZ
         self._typestore = get_typestore(Stores.ROS2_JAZZY)
         self._types = self._typestore.types
-        self._overlay = overlay
+        self._overlay, self._overlay_width = run.overlay, run.options.overlay_width
         self._connections: dict[str, Any] = {}
         self._frames = 0
 
@@ -77,7 +76,7 @@ class McapWriter:
                     step=image.shape[1] * image.itemsize,
                     data=np.ascontiguousarray(image).reshape(-1).view(np.uint8),
                 )
-        overlay = encode_jpeg(self._overlay.draw(frame.rgb, prediction))
+        overlay = encode_jpeg(self._overlay.draw(frame.rgb, prediction, widest=self._overlay_width))
         self._add(
             OVERLAY,
             "sensor_msgs/msg/CompressedImage",
@@ -126,22 +125,10 @@ class McapWriter:
 
 
 @contextlib.contextmanager
-def open_mcap(
-    path: Path,
-    contract: Contract,
-    overlay: Overlay,
-    *,
-    rate_hz: float | None = None,
-    overwrite: bool = True,
-) -> Iterator[McapWriter]:
-    """Make an MCAP file that gets its name when the block ends; after an error there it is removed.
+def open_mcap(run: OpenRun) -> Iterator[McapWriter]:
+    """Make the file of --mcap; frames without stamps are at --rate, the first of them at 0.
 
-    Args:
-        path: of the file; a run without a frame leaves none there.
-        contract: of the model.
-        overlay: draws the frames.
-        rate_hz: of frames without stamps, the first of which is at 0; None = DEFAULT_RATE_HZ.
-        overwrite: whether an existing file is replaced.
+    A run without a frame leaves no file there.
     """
     try:
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -149,12 +136,13 @@ def open_mcap(
         raise OutputError(
             f"an MCAP file needs the package rosbags ({error}): {install_command('bag')}"
         ) from error
-    with atomic_path(path, overwrite=overwrite) as temporary:
+    assert run.options.mcap is not None
+    with atomic_path(run.options.mcap, overwrite=run.options.overwrite) as temporary:
         folder = temporary.with_suffix("")
         bag = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
         bag.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         with bag:
-            writer = McapWriter(bag, contract, overlay, rate_hz or DEFAULT_RATE_HZ)
+            writer = McapWriter(bag, run)
             yield writer
         if writer._frames:
             os.replace(folder / f"{folder.name}{FILE_SUFFIXES['mcap']}", temporary)

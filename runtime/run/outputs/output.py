@@ -2,19 +2,40 @@
 
 import importlib.util
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from runtime.drawing.overlay import Overlay
 from runtime.errors import OutputError, install_command
 from runtime.io.atomic_write import atomic_path
 from runtime.prediction import Prediction
+from runtime.predictor import Predictor
+from runtime.run.options import RunOptions
+from runtime.run.run_report import RunReport
 from runtime.sources.frames import Frame
 
-DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
-#: Option that names a file -> its suffix.
-FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap", "rerun": ".rrd"}
-RERUN_LIVE = "live"  # --rerun: the viewer on this machine
+
+@dataclass
+class OpenRun:
+    """A run while it is open: what an output may need.
+
+    Attributes:
+        options: of the run.
+        predictor: of the run.
+        overlay: draws the frames, for all outputs.
+        kinds: of SUFFIXES, the files of a frame to write.
+        names: of the frames.
+        report: set after the last frame, before the outputs are closed.
+    """
+
+    options: RunOptions
+    predictor: Predictor
+    overlay: Overlay
+    kinds: Sequence[str] = ()
+    names: Collection[str] = ()
+    report: RunReport | None = None
 
 
 class Output(Protocol):
@@ -46,11 +67,6 @@ def require_free(path: Path, *, overwrite: bool, inputs: Collection[Path] = ()) 
             raise OutputError(f"{path} is what the run reads: choose another name")
     with atomic_path(path, overwrite=False):  # whether it could be made
         pass
-
-
-def is_rerun_file(target: str) -> bool:
-    """Whether --rerun names a file, not a viewer."""
-    return target.lower().endswith(FILE_SUFFIXES["rerun"])
 
 
 def require_package(option: str, package: str, *, extra: str) -> None:

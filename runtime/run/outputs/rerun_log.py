@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from runtime.contract import Contract
 from runtime.errors import OutputError, install_command
 from runtime.io.atomic_write import atomic_path
 from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
+from runtime.predictor import Predictor
+from runtime.run.options import RERUN_LIVE, is_rerun_file
 from runtime.run.outputs.intrinsics import intrinsics_of
-from runtime.run.outputs.output import RERUN_LIVE, is_rerun_file
+from runtime.run.outputs.output import OpenRun
 from runtime.sources.frames import Frame
 
 #: Entities, and the timelines they are logged on.
@@ -32,13 +33,12 @@ _REMEDY = "make room, choose another place, or see that the viewer is open"
 class RerunLogger:
     """Log each frame; see `open_rerun`."""
 
-    def __init__(
-        self, log: Any, contract: Contract, focal_length_px: float | None, target: str
-    ) -> None:
+    def __init__(self, log: Any, predictor: Predictor, target: str) -> None:
         import rerun
 
+        contract = predictor.contract
         self._rerun, self._log, self._contract = rerun, log, contract
-        self._focal_length_px, self._target = focal_length_px, target
+        self._focal_length_px, self._target = predictor.focal_length_px, target
         self._frames = 0
         classes = [(index, info.name, info.color) for index, info in enumerate(contract.classes)]
         log.log("/", rerun.AnnotationContext(classes), static=True)
@@ -90,21 +90,10 @@ class RerunLogger:
 
 
 @contextlib.contextmanager
-def open_rerun(
-    target: str,
-    contract: Contract,
-    *,
-    focal_length_px: float | None = None,
-    overwrite: bool = True,
-) -> Iterator[RerunLogger]:
-    """Log a run to a viewer, or to a file that gets its name when the block ends.
+def open_rerun(run: OpenRun) -> Iterator[RerunLogger]:
+    """Log a run to --rerun: a viewer, or a file that gets its name when the block ends.
 
-    Args:
-        target: a path that ends in .rrd; RERUN_LIVE, the viewer on this machine, which is started
-            unless one is open; or the address of a viewer, rerun+http://HOST:PORT/proxy.
-        contract: of the model.
-        focal_length_px: for the clouds of frames without a calibration, see `intrinsics_of`.
-        overwrite: whether an existing file is replaced.
+    The viewer on this machine (RERUN_LIVE) is started unless one is open.
     """
     try:
         import rerun
@@ -112,12 +101,15 @@ def open_rerun(
         raise OutputError(
             f"Rerun needs the package rerun-sdk ({error}): {install_command('rerun')}"
         ) from error
+    target = run.options.rerun or RERUN_LIVE
     log = rerun.RecordingStream("ssdnet")
     with contextlib.ExitStack() as made:
         temporary = None
         try:
             if is_rerun_file(target):
-                temporary = made.enter_context(atomic_path(Path(target), overwrite=overwrite))
+                temporary = made.enter_context(
+                    atomic_path(Path(target), overwrite=run.options.overwrite)
+                )
                 log.save(temporary, default_blueprint=_blueprint())
             elif target == RERUN_LIVE:
                 with _scripts_on_path():
@@ -127,7 +119,7 @@ def open_rerun(
         except (RuntimeError, ValueError) as error:
             raise OutputError(f"cannot log to {target}: {error}") from error
         try:
-            yield RerunLogger(log, contract, focal_length_px, target)
+            yield RerunLogger(log, run.predictor, target)
         finally:
             closed = _close(log)
         if not closed or (temporary is not None and not _is_whole(temporary)):

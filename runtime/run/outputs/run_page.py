@@ -1,7 +1,9 @@
 """The page of a run over a stream of frames."""
 
+import contextlib
 import shlex
 import sys
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -9,21 +11,21 @@ from typing import Any
 from runtime.contract import Contract
 from runtime.drawing.report_page.charts import LATE
 from runtime.drawing.report_page.facts import collect_facts
-from runtime.drawing.report_page.page import PageContent, Problem, render_page
 from runtime.drawing.report_page.samples import SampleKeeper
 from runtime.drawing.report_page.timeline import Moment, Timeline
 from runtime.io.atomic_write import atomic_write
 from runtime.prediction import Prediction
+from runtime.run.outputs.output import OpenRun
 from runtime.run.pipeline import OK, FrameRecord
 from runtime.run.run_report import RunReport
 from runtime.sources.frames import Frame
 
 
 class RunPage:
-    """Keep sample pictures of a run, and make its page when the report is known."""
+    """Keeps sample pictures of a run, and makes its page; see `open_page`."""
 
-    def __init__(self, path: Path, contract: Contract, *, overwrite: bool) -> None:
-        self._path, self._contract, self._overwrite = path, contract, overwrite
+    def __init__(self, contract: Contract) -> None:
+        self._contract = contract
         self._started = datetime.now(UTC)
         self._samples = SampleKeeper(contract)
 
@@ -31,8 +33,10 @@ class RunPage:
         """Keep a frame and its answer as a sample, perhaps; nothing is written yet."""
         self._samples.look(frame.name, frame.rgb, prediction, frame.health)
 
-    def finish(self, report: RunReport) -> None:
-        """Write the page, whole or not at all. Raises OutputError."""
+    def render(self, report: RunReport) -> bytes:
+        """Return the page."""
+        from runtime.drawing.report_page.page import PageContent, Problem, render_page
+
         timeline = Timeline()
         for record in report.records:
             timeline.add(_moment(record, report))
@@ -55,7 +59,18 @@ class RunPage:
             samples=self._samples.samples(),
             facts=collect_facts(report.engine, "Run", _run_facts(report, self._started)),
         )
-        atomic_write(self._path, render_page(content), overwrite=self._overwrite)
+        return render_page(content)
+
+
+@contextlib.contextmanager
+def open_page(run: OpenRun) -> Iterator[RunPage]:
+    """Make the page of --report, written when the block ends."""
+    assert run.options.report is not None
+    page = RunPage(run.predictor.contract)
+    yield page
+    if run.report is not None:
+        content = page.render(run.report)
+        atomic_write(run.options.report, content, overwrite=run.options.overwrite)
 
 
 def _moment(record: FrameRecord, report: RunReport) -> Moment:

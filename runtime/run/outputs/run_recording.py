@@ -6,7 +6,7 @@ from pathlib import Path
 
 from runtime.io.recording import RecordedFrame, Recorder, Settings, record
 from runtime.prediction import Prediction
-from runtime.predictor import Predictor
+from runtime.run.outputs.output import OpenRun
 from runtime.sources.frames import Frame
 
 
@@ -25,10 +25,12 @@ class RunRecording:
 
 
 @contextlib.contextmanager
-def open_recording(
-    folder: Path, settings: Settings, predictor: Predictor, *, overwrite: bool
-) -> Iterator[RunRecording]:
-    """Make a recording in `folder`, whole when the block ends, removed after an error there."""
-    with record(folder, settings, overwrite=overwrite) as recorder:
+def open_recording(run: OpenRun) -> Iterator[RunRecording]:
+    """Make the recording of --record, whole when the block ends, removed after an error there."""
+    options, predictor = run.options, run.predictor
+    assert options.record is not None
+    focal_length_px, provider = predictor.focal_length_px, str(options.provider)
+    settings = Settings("ssdnet-run", options.network_size, focal_length_px, provider)
+    with record(options.record, settings, overwrite=options.overwrite) as recorder:
         yield RunRecording(recorder)
         recorder.finish(Path(predictor.model), sha256=predictor.digest)

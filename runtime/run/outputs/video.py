@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.drawing.overlay import Overlay
 from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_path
 from runtime.prediction import Prediction
-from runtime.run.outputs.output import DEFAULT_RATE_HZ
+from runtime.run.options import DEFAULT_RATE_HZ
+from runtime.run.outputs.output import OpenRun
 from runtime.sources.frames import Frame
 
 _CODEC = "mp4v"  # MPEG-4 part 2: what OpenCV's wheels encode on every system, without licences
@@ -22,15 +22,18 @@ _LARGEST_SIDE = 4096  # pixels: what players decode
 class VideoWriter:
     """Append the overlay of each frame to a video; see `open_video`."""
 
-    def __init__(self, path: Path, overlay: Overlay, rate_hz: float) -> None:
-        self._path, self._overlay, self._rate_hz = path, overlay, rate_hz
+    def __init__(self, path: Path, run: OpenRun) -> None:
+        self._path, self._overlay = path, run.overlay
+        self._overlay_width = run.options.overlay_width
+        self._rate_hz = run.options.rate or DEFAULT_RATE_HZ
         self._file: cv2.VideoWriter | None = None
         self._size = (0, 0)
         self._frames = 0
 
     def write(self, frame: Frame, prediction: Prediction) -> None:
         """Draw a frame and append it, fitted into the size of the first one. Raises OutputError."""
-        picture = self._overlay.draw(frame.rgb, prediction)
+        widest = self._overlay_width or frame.rgb.shape[1]
+        picture = self._overlay.draw(frame.rgb, prediction, widest=widest)
         if self._file is None:
             self._size = _video_size(*picture.shape[:2])
             self._file = self._open()
@@ -67,19 +70,11 @@ class VideoWriter:
 
 
 @contextlib.contextmanager
-def open_video(
-    path: Path, overlay: Overlay, *, rate_hz: float | None = None, overwrite: bool = True
-) -> Iterator[VideoWriter]:
-    """Make a video that gets its name when the block ends; after an error there it is removed.
-
-    Args:
-        path: of the file; a run without a frame leaves none there.
-        overlay: draws the frames.
-        rate_hz: None = DEFAULT_RATE_HZ.
-        overwrite: whether an existing file is replaced.
-    """
-    with atomic_path(path, overwrite=overwrite) as temporary:
-        writer = VideoWriter(temporary, overlay, rate_hz or DEFAULT_RATE_HZ)
+def open_video(run: OpenRun) -> Iterator[VideoWriter]:
+    """Make the video of --video at --rate; a run without a frame leaves none there."""
+    assert run.options.video is not None
+    with atomic_path(run.options.video, overwrite=run.options.overwrite) as temporary:
+        writer = VideoWriter(temporary, run)
         yield writer
         writer.finish()
 

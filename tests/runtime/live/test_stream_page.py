@@ -38,7 +38,7 @@ def test_the_page_shows_the_stream(tmp_path, streamed, read_page):
     assert read.after("images") == f"{N} pushed; {N} answered"
     assert read.after("depth maps") == f"{N} pushed; {N - 1} answered; 1 unmatched (no_image 1)"
     assert read.after("state").split(", ") == [stream.state.level, *stream.state.reasons]
-    assert text.count('<circle class="late"') == 3 * N
+    assert text.count('<path class="late"') == N
     assert text.count("<figure>") >= 3
     for stage, figures in stream.statistics.stages.items():
         assert (figures is None) == (stage not in read.texts)

@@ -18,6 +18,7 @@ from cli_runs import N, arguments, files_in, rows_of
 from runtime.io.recording import read_recording
 from runtime.run.cli import app
 from runtime.run.run_folder import KINDS
+from runtime.sources.folders import FolderSource
 
 
 def test_the_depth_scale(tmp_path, run, stream):
@@ -50,9 +51,7 @@ def run_metres(tmp_path, model_file, contract):
             else:
                 assert cv2.imwrite(str(folders[1] / f"{name}.png"), depth.astype(np.uint16))
         model = model_file(edit=see_red, contract=replace(contract, canonical_focal_px=100.0))
-        result = CliRunner().invoke(app, [*arguments(folders, model, tmp_path), *map(str, given)])
-        assert result.exit_code == 0, result.output
-        return result
+        return CliRunner().invoke(app, [*arguments(folders, model, tmp_path), *map(str, given)])
 
     return invoke
 
@@ -80,6 +79,7 @@ def test_depth_that_contradicts_the_image_is_reported(
     result = run_metres(to_units, "--depth-scale", scale, "--record", recording)
     warned = re.findall(r"^warning: (.*)$", result.stdout, re.MULTILINE)
     assert warned == ([warning] if warning else [])
+    assert result.exit_code == (3 if warning else 0), result.output
     frames = json.loads((tmp_path / "out/report.json").read_text())["frames"]
     assert frames["implausible_depth"] == warning
     assert frames["degraded"] == ({"implausible_depth": 2} if warning else {})
@@ -299,3 +299,31 @@ def test_a_stream_that_is_refused_from_the_start_is_an_error(
         assert "error: none of the first 20 frames can be predicted" in result.stderr
         assert "20 frames, first f0: sparse_depth must have the shape" in result.stderr
         assert not (tmp_path / "out").exists()
+
+
+def test_every_frame_is_read_once(run, monkeypatch):
+    """Also those that warm the model up and those whose returns are checked before the stream."""
+    read, names = FolderSource.read, []
+
+    def count(self, frame):
+        names.append(frame.name)
+        return read(self, frame)
+
+    monkeypatch.setattr(FolderSource, "read", count)
+    assert run("--save", "none").exit_code == 0
+    assert sorted(names) == sorted(f"f{index}" for index in range(12))
+    names.clear()
+    assert run("--save", "none", "--shard", "2/3", "--overwrite").exit_code == 0
+    first = {f"f{index}" for index in range(5)}  # of the whole stream: the same for all shards
+    assert sorted(names) == sorted(first | {"f1", "f4", "f7", "f10"})
+
+
+def test_a_damaged_first_frame_is_read_once_and_reported(run, stream, tmp_path, monkeypatch):
+    (stream[0] / "f0.png").write_bytes(b"")
+    read, names = FolderSource.read, []
+    monkeypatch.setattr(
+        FolderSource, "read", lambda self, frame: (names.append(frame.name), read(self, frame))[1]
+    )
+    assert run("--save", "none").exit_code == 3
+    assert names.count("f0") == 1
+    assert rows_of(tmp_path / "out")[0]["status"] == "skipped"

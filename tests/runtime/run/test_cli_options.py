@@ -183,9 +183,26 @@ def test_the_focal_length_reaches_the_model(tmp_path, run, model_file, contract)
 
 def test_a_focal_length_that_is_not_known_or_not_used_is_reported(run):
     arguments = ["--limit", 1, "--save", "none"]
-    assert "\nfocal length not known; depth up to 80 m\n" in run(*arguments).stdout
+    assert (
+        "\nfocal length not known: give --focal-length; depth up to 80 m\n"
+        in run(*arguments).stdout
+    )
     given = run(*arguments, "--focal-length", 200, "--overwrite").stdout
     assert "\nfocal length 200 px, not used by this model; depth up to 80 m\n" in given
+
+
+@pytest.mark.parametrize(
+    ("kinds", "text"),
+    [
+        (["overlay", "none"], "--save none stands alone, and overlay is asked for, too"),
+        (["depth,all"], "--save all stands alone, and depth is asked for, too"),
+        (["all", "none"], "--save none stands alone, and all is asked for, too"),
+    ],
+)
+def test_a_conflict_of_what_to_save_is_named(run, kinds, text):
+    result = run(*(word for kind in kinds for word in ("--save", kind)))
+    assert result.exit_code == 2
+    assert text in " ".join(result.output.split())
 
 
 @pytest.mark.parametrize("value", ["0", "-5", "nan", "1e9"])

@@ -2,10 +2,13 @@
 
 import dataclasses
 import inspect
+import re
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from runtime.command import Provider
 from runtime.run import cli
 from runtime.run.options import RunOptions, UsageError
 
@@ -22,7 +25,7 @@ def test_every_option_of_the_command_reaches_the_run(monkeypatch):
 
     parameters = inspect.signature(cli.main).parameters
     options = {name: f"the {name}" for name in parameters}
-    options["provider"] = cli.Provider.cuda
+    options["provider"] = Provider.cuda
     monkeypatch.setattr(cli, "RunOptions", keep)
     with pytest.raises(Stop):
         cli.main(**options)
@@ -37,6 +40,17 @@ def test_the_defaults_are_those_of_the_command():
     parameters = inspect.signature(cli.main).parameters
     for field in dataclasses.fields(RunOptions):
         assert parameters[field.name].default == field.default, field.name
+
+
+def test_help_groups_the_options():
+    lines = CliRunner().invoke(cli.app, ["--help"]).stdout.splitlines()
+    titles = [line for line in lines if re.fullmatch(r"[A-Z][a-z ]+:", line)]
+    assert titles == [
+        *("Arguments:", "Input:", "Outputs:", "Model:", "Timing:", "Topics of a bag:", "Other:")
+    ]
+    for option, title in (("--rgb", "Input:"), ("--video", "Outputs:"), ("--rate", "Timing:")):
+        (at,) = (number for number, line in enumerate(lines) if line.startswith(f"  {option} "))
+        assert [line for line in lines[:at] if line in titles][-1] == title
 
 
 @pytest.mark.parametrize(
@@ -62,5 +76,5 @@ def test_options_are_parsed_once(tmp_path):
     assert options.kinds == ("depth", "boundary", "cloud")
     assert options.network_size == (40, 56)
     assert list(options.shard_of(range(8))) == [1, 4, 7]
-    assert options.source_name == f"folders:{tmp_path}"
+    assert options.source_path == ("folders", tmp_path)
     assert options.named_files == {}

@@ -14,7 +14,7 @@ import pytest
 import runtime.io.images
 import runtime.run.pipeline
 from runtime import OutputError, Predictor
-from runtime.run.pipeline import run_stream
+from runtime.run.pipeline import FrameReader, run_stream
 from runtime.sources.folders import FolderSource
 
 
@@ -43,7 +43,8 @@ def predictor(model_file):
 
 def run(predictor, folders, **options):
     source = FolderSource(folders[0], depth=folders[1])
-    return run_stream(predictor, source.list_frames(), **{"read": source.read, **options})
+    reader = FrameReader(options.pop("read", source.read))
+    return run_stream(predictor, source.list_frames(), reader=reader, **options)
 
 
 def test_every_frame_is_predicted_and_written_in_order(predictor, stream_of, make_frame):

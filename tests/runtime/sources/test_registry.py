@@ -6,36 +6,52 @@ import pytest
 
 from runtime import InputError
 from runtime.sources.folders import FolderSource
-from runtime.sources.registry import SOURCES, open_source
+from runtime.sources.registry import SOURCES, open_source, parse_source
+
+KINDS = "one of the kinds kitti-raw, kitti-object, video, bag, one-folder, folders"
 
 
 @pytest.mark.parametrize("text", ["", "folders", "folders:", "folder:/tmp", ":/tmp", "/tmp"])
 def test_what_is_no_kind_and_path_is_an_error_with_the_kinds(text):
-    with pytest.raises(InputError, match="KIND:PATH with one of the kinds kitti-raw, kitti-object"):
-        open_source(text)
+    with pytest.raises(InputError, match=KINDS):
+        parse_source(text)
+
+
+def test_a_kind_with_an_underscore_is_answered_with_the_right_spelling(run):
+    with pytest.raises(InputError, match="no kind of source 'kitti_raw': write kitti-raw"):
+        open_source("kitti_raw", "drive")
+    answers = run("--source", "kitti_raw:drive")
+    assert answers.exit_code == 2
+    assert "write kitti-raw" in answers.text
+
+
+def test_a_source_of_an_earlier_release_is_answered_with_what_replaces_it(run):
+    answers = run("--source", "vkitti:Scene01/clone")
+    assert answers.exit_code == 2
+    assert "--source folders:IMAGES --depth DEPTH --depth-scale 100" in answers.text
 
 
 def test_a_path_may_hold_a_colon():
-    source = open_source("folders:a:b", depth=Path("c"))
+    source = open_source(*parse_source("folders:a:b"), depth=Path("c"))
     assert isinstance(source, FolderSource)
     assert source.folders == (Path("a:b"), Path("c"))
 
 
 def test_a_path_may_start_at_home(monkeypatch):
     monkeypatch.setenv("HOME", "/home/driver")
-    assert open_source("folders:~/drive").folders == (Path("/home/driver/drive"),)
+    assert parse_source("folders:~/drive") == ("folders", Path("/home/driver/drive"))
 
 
 @pytest.mark.parametrize("kind", SOURCES)
 def test_options_of_another_kind_are_refused_by_name(kind):
     with pytest.raises(InputError, match=rf"kind {kind} takes --.*, not --no-such$"):
-        open_source(f"{kind}:x", no_such=1)
+        open_source(kind, "x", no_such=1)
 
 
 def test_options_of_another_kind_are_wrong_usage_of_the_command(run, tmp_path):
-    answers = run("--source", f"vkitti:{tmp_path}", "--depth", tmp_path)
+    answers = run("--source", f"kitti-raw:{tmp_path}", "--depth", tmp_path)
     assert answers.exit_code == 2
-    assert "takes --camera, not --depth" in answers.text
+    assert "takes --camera, --calibration, --max-skew-ms, not --depth" in answers.text
     assert run("--source", "nothing:here").exit_code == 2
     assert not (tmp_path / "out").exists()
 
@@ -46,7 +62,7 @@ def test_a_path_that_is_no_source_is_an_error_with_what_is_accepted(run, tmp_pat
     answers = run(tmp_path / name)
     assert answers.exit_code == 1
     assert ("does not exist" if "none" in name else "is none of these") in answers.text
-    for accepted in ("KITTI raw", "Virtual KITTI", ".mp4", ".mcap", "image*/ and depth*/"):
+    for accepted in ("KITTI raw", ".mp4", ".mcap", "image*/ and depth*/"):
         assert accepted in answers.text
     assert not (tmp_path / "out").exists()
 

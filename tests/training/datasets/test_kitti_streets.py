@@ -80,7 +80,7 @@ def test_hand_made_labels_are_read_where_they_are(streets):
 
 def test_the_recipe_passes_its_classes_on(streets):
     write(streets / "semantic" / "000003.png", np.zeros((HEIGHT, WIDTH), np.uint8))
-    recipe = build(AnySource, {"kind": "kitti_streets", "path": streets.name})
+    recipe = build(AnySource, {"kind": "kitti-streets", "path": streets.name})
     known = {
         table: open_dataset(recipe, [streets.parent], classes=table)[1].semantic != 255
         for table in ("camvid", "cityscapes")
@@ -102,7 +102,7 @@ def test_the_lines_asked_for_are_fed_and_the_whole_truth_is_scored(streets):
     [(0, None, ["2", "3", "7"]), (3, None, ["3", "7"]), (0, 3, ["2", "3"]), (4, 7, ["7"])],
 )
 def test_blocks_are_of_numbers_not_of_places(streets, first, last, names):
-    keys = {"kind": "kitti_streets", "path": streets.name, "first": first}
+    keys = {"kind": "kitti-streets", "path": streets.name, "first": first}
     recipe = build(AnySource, keys if last is None else {**keys, "last": last})
     source = open_dataset(recipe, [streets.parent], classes="camvid")
     assert [source[index].name for index in range(len(source))] == [

@@ -130,18 +130,18 @@ def data(tmp_path_factory):
     camvid.write_frame(root / "camvid", rgb, label)
     cityscapes.write_frame(root / "cityscapes")
     cityscapes.write_stereo(root / "cityscapes")
-    kitti_depth.write_drive(root / "kitti_depth", images="raw")
-    kitti_stream.write_stream(root / "kitti_stream")
-    kitti_streets.write_streets(root / "kitti_streets")
-    drive = root / "kitti_raw" / "2011_09_26" / "2011_09_26_drive_0001_sync"
+    kitti_depth.write_drive(root / "kitti-depth", images="raw")
+    kitti_stream.write_stream(root / "kitti-stream")
+    kitti_streets.write_streets(root / "kitti-streets")
+    drive = root / "kitti-raw" / "2011_09_26" / "2011_09_26_drive_0001_sync"
     write(drive / "image_02" / "data" / "0000000000.png", np.zeros((8, 16, 3), np.uint8))
     (drive / "velodyne_points" / "data").mkdir(parents=True)
     points = np.array(kitti_stream.POINTS, "<f4")
     (drive / "velodyne_points" / "data" / "0000000000.bin").write_bytes(points.tobytes())
     kitti_stream.write_calibration(drive.parent)
-    for kind in ("rendered", "virtual_kitti"):
+    for kind in ("rendered", "virtual-kitti"):
         virtual_kitti.write_second_edition(root / kind, "Scene02")
-    virtual_kitti.write_first_edition(root / "virtual_kitti_1", "0002")
+    virtual_kitti.write_first_edition(root / "virtual-kitti-1", "0002")
     write(root / "folders" / "images" / "a.png", rgb)
     return root
 
@@ -149,7 +149,7 @@ def data(tmp_path_factory):
 @pytest.mark.parametrize("kind", DATASETS)
 def test_every_kind_goes_to_a_worker_process_even_after_it_was_read(kind, data):
     options = {"kind": kind, "path": kind, "size": [32, 64]}
-    if kind == "rendered_on_the_fly":
+    if kind == "rendered-on-the-fly":
         pytest.importorskip("embreex", reason="the renderer needs the train extra")
         options |= {"num_scenes": 1, "frames_per_scene": 1}
     classes = "cityscapes" if kind == "cityscapes" else "camvid"

@@ -2,14 +2,12 @@
 
 import numpy as np
 
-from layouts import kitti_stream, virtual_kitti
+from layouts import kitti_stream
 from layouts.pictures import write
 from runtime.sources.folders import FolderSource
 from runtime.sources.kitti_raw import KittiRawSource
-from runtime.sources.virtual_kitti import VirtualKittiSource
 from training.datasets.folders import FoldersRecipe
 from training.datasets.kitti_raw import KittiRaw
-from training.datasets.virtual_kitti import VirtualKitti
 
 
 def assert_same(sample, frame):
@@ -37,17 +35,6 @@ def test_kitti_raw(tmp_path):
     for index, listed in enumerate(source.list_frames()):
         assert_same(samples[index], source.read(listed))
     assert index == 1
-
-
-def test_virtual_kitti(tmp_path):
-    variant = virtual_kitti.write_second_edition(tmp_path, cameras=(0, 1))
-    for camera in (0, 1):
-        samples = VirtualKitti(tmp_path, cameras=(camera,))
-        source = VirtualKittiSource(variant, camera=camera)
-        for index, listed in enumerate(source.list_frames()):
-            assert_same(samples[index], source.read(listed))
-        assert index == 1
-        assert samples[0].intrinsics[0, 0] != samples[1].intrinsics[0, 0]
 
 
 def test_folders(tmp_path):

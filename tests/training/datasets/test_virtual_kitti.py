@@ -400,15 +400,15 @@ def test_recipes_choose_edition_split_and_list(tmp_path):
         return [source[index].name for index in range(len(source))]
 
     test = ["Scene01/clone/00000", "Scene01/clone/00001"]
-    assert names("virtual_kitti", "vkitti2", split="test") == test
-    assert names("virtual_kitti", "vkitti2", split="test", cameras=[1]) == [f"{n}/1" for n in test]
+    assert names("virtual-kitti", "vkitti2", split="test") == test
+    assert names("virtual-kitti", "vkitti2", split="test", cameras=[1]) == [f"{n}/1" for n in test]
     # Virtual KITTI's own split knows neither scenes nor variants of rendered ones: all are taken.
     assert len(names("rendered", "vkitti2")) == 4
-    assert names("virtual_kitti_1", "vkitti1", classes="virtual_kitti") == [
+    assert names("virtual-kitti-1", "vkitti1", classes="virtual_kitti") == [
         "0002/fog/00000",
         "0002/fog/00001",
     ]
-    assert names("virtual_kitti", "vkitti2", frames="mine.txt") == ["Scene02/30-deg-left/00001"]
+    assert names("virtual-kitti", "vkitti2", frames="mine.txt") == ["Scene02/30-deg-left/00001"]
     small = RenderedRecipe(path="vkitti2", size=(32, 48))
     assert open_dataset(small, [tmp_path / "nowhere", tmp_path], classes="camvid")[0].size == (
         32,
@@ -419,7 +419,7 @@ def test_recipes_choose_edition_split_and_list(tmp_path):
     with pytest.raises(
         InputError, match="split = 'trainval'; choose one of 'train', 'val', 'test' or"
     ):
-        names("virtual_kitti", "vkitti2", split="trainval")
+        names("virtual-kitti", "vkitti2", split="trainval")
     with pytest.raises(DatasetError, match=r"cannot read .*vkitti2/no\.txt"):
         names("rendered", "vkitti2", frames="no.txt")
 

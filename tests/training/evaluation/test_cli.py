@@ -280,7 +280,7 @@ def test_frames_of_one_place_count_as_one_in_the_mean_over_places(tmp_path):
     cv2.imwrite(str(tmp_path / "disp_occ_0/000083.png"), far)
     out = tmp_path / "rows.json"
     command = ["nearest", "--lidar", "64", "--json", out, "--data"]
-    result = run(*command, f"kitti_streets:{tmp_path}")
+    result = run(*command, f"kitti-streets:{tmp_path}")
     assert result.exit_code == 0, result.output
     (row,) = json.loads(out.read_text())
     assert row["figures"]["mae_m"] == pytest.approx(10 / 3)
@@ -292,7 +292,7 @@ def test_frames_of_one_place_count_as_one_in_the_mean_over_places(tmp_path):
     assert "mean over 2 places" in result.output.splitlines()[-2]
     for last in (71, 73):  # no place is known of the first, and the others show one
         kitti_streets.write_streets(tmp_path, (last - 2,))
-        assert run(*command, f"kitti_streets:{tmp_path},last={last}").exit_code == 0
+        assert run(*command, f"kitti-streets:{tmp_path},last={last}").exit_code == 0
         (row,) = json.loads(out.read_text())
         assert (row["places"], row["figures_over_places"]) == ({}, {})
 
@@ -378,11 +378,11 @@ def test_data_sets_are_given_as_in_a_recipe():
     assert parse_source("cityscapes:/a:b,split=val,size=[512,1024]") == CityscapesRecipe(
         path="/a:b", split="val", size=(512, 1024)
     )
-    assert parse_source("kitti_stream:x,first=50,last=59") == KittiStreamRecipe(
+    assert parse_source("kitti-stream:x,first=50,last=59") == KittiStreamRecipe(
         path="x", first=50, last=59
     )
-    with pytest.raises(InputError, match=r"kitti_stream:x.*: first = 'a': .*valid integer"):
-        parse_source("kitti_stream:x,first=a")
+    with pytest.raises(InputError, match=r"kitti-stream:x.*: first = 'a': .*valid integer"):
+        parse_source("kitti-stream:x,first=a")
 
 
 def test_a_bundled_model_is_scored_by_its_name(folder, tmp_path):
@@ -393,3 +393,8 @@ def test_a_bundled_model_is_scored_by_its_name(folder, tmp_path):
     result = run("ssdnet-huge", *data)
     assert result.exit_code == 1
     assert "no bundled model is called 'ssdnet-huge'; there are: " in result.output
+
+
+def test_a_kind_with_an_underscore_is_answered_with_the_right_spelling():
+    with pytest.raises(InputError, match=r"kind = 'kitti_streets' is written 'kitti-streets'"):
+        parse_source("kitti_streets:x")

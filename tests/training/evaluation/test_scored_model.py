@@ -1,11 +1,12 @@
 """Models as they are scored: their class tables, and the engine's heads in an answer."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
 
-from models import create_model
-from runtime import Latency, Prediction
+from models import CAMVID_CLASSES, create_model
+from runtime import Latency, Prediction, Predictor
 from training.evaluation.scored_model import engine_predict, trained_classes
 
 
@@ -40,3 +41,14 @@ def test_the_uncertainty_of_a_file_is_part_of_its_answer():
     engine = SimpleNamespace(predict=lambda rgb, depth, focal_length_px: prediction)
     answer = engine_predict(engine)(None, None, None)
     assert [values[0, 0] for values in answer] == [1, 2, 3, 4]
+
+
+def test_a_file_has_the_classes_of_camvid_whatever_its_colours():
+    """A bundled file keeps the colours of its release."""
+    with Predictor(warmup=0) as predictor:
+        classes = tuple(predictor.contract.classes)
+    assert [info.name for info in classes] == [info.name for info in CAMVID_CLASSES]
+    assert trained_classes(classes, {}) == "camvid"
+    gray = tuple(dataclasses.replace(info, color=(9, 9, 9)) for info in CAMVID_CLASSES)
+    assert trained_classes(gray, {}) == "camvid"
+    assert trained_classes(classes[:5], {}) == classes[:5]

@@ -4,6 +4,8 @@ import pytest
 
 from runtime import Predictor
 from runtime.drawing.overlay import SharedOverlay
+from runtime.run.options import RunOptions
+from runtime.run.outputs.output import OpenRun
 from runtime.sources.frames import Frame
 
 
@@ -20,3 +22,18 @@ def answered(model_file, make_frame):
 def overlay(contract):
     """What draws the frames of a run."""
     return SharedOverlay(contract.classes, contract.max_depth_m)
+
+
+@pytest.fixture
+def open_run(model_file, overlay):
+    """Make a run with these options, which is open for its outputs."""
+
+    def make(**options):
+        heads = ("semantic", "depth", "boundary", "depth_uncertainty")
+        model = model_file(heads=heads)
+        predictor = Predictor(model, focal_length_px=options.get("focal_length"))
+        return OpenRun(
+            RunOptions(**{"demo": True, "overwrite": True, **options}), predictor, overlay
+        )
+
+    return make

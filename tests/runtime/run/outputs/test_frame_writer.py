@@ -58,7 +58,9 @@ def test_only_what_was_asked_for_and_what_the_model_has(tmp_path, contract, answ
 
 
 def test_what_a_format_cannot_hold_is_an_output_error(tmp_path, contract, answered, monkeypatch):
-    monkeypatch.setattr(Overlay, "draw", lambda *_: np.zeros((8, 65600, 3), np.uint8))
+    monkeypatch.setattr(
+        Overlay, "draw", lambda *arguments, **options: np.zeros((8, 65600, 3), np.uint8)
+    )
     writer = FrameWriter(tmp_path / "out", contract, kinds=KINDS)
     with pytest.raises(OutputError, match=r"cannot encode .*a\.jpg.*leave out overlay"):
         writer.write(*answered)

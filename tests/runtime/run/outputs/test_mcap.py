@@ -33,11 +33,11 @@ def read_mcap(path):
 
 
 def test_the_answers_are_read_back_with_the_stamps_of_the_camera(
-    tmp_path, contract, answered, overlay
+    tmp_path, contract, answered, open_run
 ):
     frame, prediction = answered
     path = tmp_path / "deep" / "a.mcap"
-    with open_mcap(path, contract, overlay) as mcap:
+    with open_mcap(open_run(mcap=path)) as mcap:
         for number in range(3):
             stamp_ns = STAMP_NS + number * 100_000_000
             stamped = Frame(frame.rgb, frame.sparse_depth, stamp_ns, name=f"f{number}")
@@ -68,11 +68,11 @@ def test_the_answers_are_read_back_with_the_stamps_of_the_camera(
     assert float(values["total_ms"]) == pytest.approx(prediction.latency.total_ms, abs=1e-3)
 
 
-def test_what_is_degraded_is_a_warning(tmp_path, contract, answered, model_file, overlay):
+def test_what_is_degraded_is_a_warning(tmp_path, answered, model_file, open_run):
     frame, _ = answered
     with runtime.Predictor(model_file()) as predictor:
         camera_only = predictor.predict(frame.rgb, np.zeros_like(frame.sparse_depth))
-    with open_mcap(tmp_path / "a.mcap", contract, overlay) as mcap:
+    with open_mcap(open_run(mcap=tmp_path / "a.mcap")) as mcap:
         mcap.write(frame, camera_only)
     topics = read_mcap(tmp_path / "a.mcap")
     ((_, diagnostics),) = topics["/diagnostics"]
@@ -88,14 +88,12 @@ def test_frames_without_stamps_come_at_the_rate(tmp_path, run):
 
 
 @pytest.mark.parametrize("stamp_ns", [-1, 2**31 * 10**9])
-def test_a_stamp_that_ros_cannot_hold_leaves_no_file(
-    tmp_path, contract, answered, stamp_ns, overlay
-):
+def test_a_stamp_that_ros_cannot_hold_leaves_no_file(tmp_path, answered, stamp_ns, open_run):
     frame, prediction = answered
     path = tmp_path / "made" / "a.mcap"
 
     def fail():
-        with open_mcap(path, contract, overlay) as mcap:
+        with open_mcap(open_run(mcap=path)) as mcap:
             mcap.write(frame, prediction)
             mcap.write(Frame(frame.rgb, frame.sparse_depth, stamp_ns), prediction)
 
@@ -133,12 +131,10 @@ def test_what_is_there_is_replaced_only_when_asked_and_another_ending_is_refused
     assert run("--mcap", tmp_path / "a.bag").exit_code == 2
 
 
-def test_without_the_extra_the_error_names_what_to_install(
-    tmp_path, contract, monkeypatch, overlay
-):
+def test_without_the_extra_the_error_names_what_to_install(tmp_path, monkeypatch, open_run):
     monkeypatch.setitem(__import__("sys").modules, "rosbags.rosbag2", None)
     with (
         pytest.raises(OutputError, match=r'pip install .*"\.\[bag\]"'),
-        open_mcap(tmp_path / "a.mcap", contract, overlay),
+        open_mcap(open_run(mcap=tmp_path / "a.mcap")),
     ):
         pass

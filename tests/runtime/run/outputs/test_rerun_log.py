@@ -45,10 +45,10 @@ def calm(answered):
     return Frame(np.full_like(frame.rgb, 90), frame.sparse_depth, name="x"), prediction
 
 
-def test_a_file_holds_what_was_predicted(tmp_path, contract, calm):
+def test_a_file_holds_what_was_predicted(tmp_path, calm, open_run):
     frame, prediction = calm
     path = tmp_path / "deep" / "a.rrd"
-    with open_rerun(str(path), contract, focal_length_px=50.0) as log:
+    with open_rerun(open_run(rerun=str(path), focal_length=50.0)) as log:
         for stamp_ns in (1_000_000_000, 2_000_000_000, None):
             stamped = Frame(frame.rgb, frame.sparse_depth, image_stamp_ns=stamp_ns)
             log.write(stamped, prediction)
@@ -83,17 +83,17 @@ def test_a_file_holds_what_was_predicted(tmp_path, contract, calm):
     assert sensor == [timedelta(seconds=1), timedelta(seconds=2)]
 
 
-def test_without_a_camera_there_is_no_cloud(tmp_path, contract, calm):
-    with open_rerun(str(tmp_path / "a.rrd"), contract) as log:
+def test_without_a_camera_there_is_no_cloud(tmp_path, calm, open_run):
+    with open_rerun(open_run(rerun=str(tmp_path / "a.rrd"))) as log:
         log.write(*calm)
     logged = read_log(tmp_path / "a.rrd")
     assert "/camera/depth" in logged
     assert "/cloud" not in logged
 
 
-def test_an_error_leaves_no_file(tmp_path, contract, calm):
+def test_an_error_leaves_no_file(tmp_path, calm, open_run):
     def fail():
-        with open_rerun(str(tmp_path / "a.rrd"), contract) as log:
+        with open_rerun(open_run(rerun=str(tmp_path / "a.rrd"))) as log:
             log.write(*calm)
             raise ZeroDivisionError
 
@@ -109,7 +109,9 @@ def test_a_full_disk_is_an_output_error(mount_disk, tmp_path, answered):
         "import sys; from pathlib import Path; import numpy as np\n"
         "from runtime import Predictor, OutputError\n"
         "from runtime.sources.frames import Frame\n"
+        "from runtime.run.options import RunOptions\n"
         "from runtime.run.outputs import rerun_log\n"
+        "from runtime.run.outputs.output import OpenRun\n"
         "rerun_log._PATIENCE_S = 1.0\n"
         "predictor = Predictor(sys.argv[1], threads=1)\n"
         "rgb = np.random.default_rng(0).integers(1, 255, (200, 300, 3), dtype=np.uint8)\n"
@@ -117,7 +119,8 @@ def test_a_full_disk_is_an_output_error(mount_disk, tmp_path, answered):
         "frame = Frame(rgb, np.ones((200, 300), np.float32))\n"
         "answer = predictor.predict(frame.rgb, frame.sparse_depth)\n"
         "try:\n"
-        "    with rerun_log.open_rerun(sys.argv[2], predictor.contract) as log:\n"
+        "    options = RunOptions(demo=True, rerun=sys.argv[2])\n"
+        "    with rerun_log.open_rerun(OpenRun(options, predictor, None)) as log:\n"
         "        for _ in range(20): log.write(frame, answer)\n"
         "except OutputError as error: print(error)\n"
     )
@@ -137,19 +140,19 @@ def free_port():
         return probe.getsockname()[1]
 
 
-def test_a_viewer_that_is_not_there_is_an_output_error(contract, calm, monkeypatch):
+def test_a_viewer_that_is_not_there_is_an_output_error(calm, monkeypatch, open_run):
     monkeypatch.setattr(rerun_log, "_PATIENCE_S", 1.0)
 
     def log_to_nobody():
         target = f"rerun+http://127.0.0.1:{free_port()}/proxy"
-        with open_rerun(target, contract) as log:
+        with open_rerun(open_run(rerun=target)) as log:
             log.write(*calm)
 
     with pytest.raises(OutputError, match=r"does not take x .*see that the viewer is open"):
         log_to_nobody()
 
 
-def test_the_viewer_of_an_environment_that_is_not_active_is_found(contract, calm, monkeypatch):
+def test_the_viewer_of_an_environment_that_is_not_active_is_found(calm, monkeypatch, open_run):
     found = []
     monkeypatch.setattr(
         rerun.RecordingStream,
@@ -157,7 +160,7 @@ def test_the_viewer_of_an_environment_that_is_not_active_is_found(contract, calm
         lambda self, **options: found.append(shutil.which("rerun")),
     )
     monkeypatch.setenv("PATH", "/nowhere")
-    with open_rerun("live", contract) as log:
+    with open_rerun(open_run(rerun="live")) as log:
         log.write(*calm)
     assert found == [str(Path(sys.executable).with_name("rerun"))]
     assert os.environ["PATH"] == "/nowhere"

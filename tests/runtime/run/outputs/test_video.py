@@ -6,9 +6,11 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import runtime.run.run
 from runtime import OutputError
+from runtime.run.cli import app
 from runtime.run.outputs.video import open_video
 from runtime.sources.frames import Frame
 
@@ -28,10 +30,10 @@ def mean_difference(one, other):
     return abs(one.astype(int) - other).mean()
 
 
-def test_it_shows_the_overlays_in_their_order(tmp_path, overlay, answered):
+def test_it_shows_the_overlays_in_their_order(tmp_path, overlay, answered, open_run):
     frame, prediction = answered
     expected = []
-    with open_video(tmp_path / "deep" / "a.mp4", overlay) as video:
+    with open_video(open_run(video=tmp_path / "deep" / "a.mp4")) as video:
         for brightness in (40, 120, 200):
             frame = Frame(np.full_like(frame.rgb, brightness), frame.sparse_depth)
             video.write(frame, prediction)
@@ -48,7 +50,7 @@ def test_it_shows_the_overlays_in_their_order(tmp_path, overlay, answered):
 
 
 @pytest.mark.parametrize("size", [(48, 64), (61, 81), (200, 300), (30, 400), (480, 31)])
-def test_frames_of_other_sizes_are_fitted_into_the_first(tmp_path, overlay, answered, size):
+def test_frames_of_other_sizes_are_fitted_into_the_first(tmp_path, answered, size, open_run):
     frame, prediction = answered
     other = cv2.resize(frame.rgb, size[::-1])
     resized = {
@@ -56,7 +58,7 @@ def test_frames_of_other_sizes_are_fitted_into_the_first(tmp_path, overlay, answ
         for head in ("semantic", "depth", "boundary", "depth_uncertainty")
     }
     answer = SimpleNamespace(heads=resized)
-    with open_video(tmp_path / "a.mp4", overlay, rate_hz=30) as video:
+    with open_video(open_run(video=tmp_path / "a.mp4", rate=30)) as video:
         video.write(frame, prediction)
         video.write(Frame(other, frame.sparse_depth), answer)
     rate_hz, pictures = read_video(tmp_path / "a.mp4")
@@ -66,16 +68,39 @@ def test_frames_of_other_sizes_are_fitted_into_the_first(tmp_path, overlay, answ
     assert pictures[1].mean() > 5
 
 
-def test_a_run_without_frames_has_no_video(tmp_path, overlay):
+@pytest.mark.parametrize(
+    ("given", "panel", "in_video"),
+    [([], (500, 320), (1000, 640)), (["--overlay-width", 250], (250, 160), (250, 160))],
+)
+def test_the_video_has_the_width_of_the_frames(
+    tmp_path, model_file, make_frame, given, panel, in_video
+):
+    """Overlays are at most 640 wide, unless --overlay-width says otherwise for both."""
+    rgb, _ = make_frame(640, 1000)
+    rgb[..., 1] = rgb[..., 2] // 2
+    cv2.imwrite(str(tmp_path / "a.png"), rgb[..., ::-1])
+    command = [tmp_path / "a.png", "--model", model_file(), "--out", tmp_path / "out", *given]
+    command += ["--save", "overlay", "--video", tmp_path / "a.mp4", "--size", 64]
+    result = CliRunner().invoke(app, [str(word) for word in command])
+    assert result.exit_code == 0, result.output
+    overlay = cv2.imread(str(tmp_path / "out/overlay/a.jpg"))
+    panels = overlay.shape[1] // panel[0]
+    assert panels * panel[0] == overlay.shape[1]
+    assert overlay.shape[0] >= panel[1]
+    _, (picture,) = read_video(tmp_path / "a.mp4")
+    assert picture.shape[1] == min(panels * in_video[0], 4096)
+
+
+def test_a_run_without_frames_has_no_video(tmp_path, open_run):
     (tmp_path / "a.mp4").write_text("of before")
-    with open_video(tmp_path / "a.mp4", overlay):
+    with open_video(open_run(video=tmp_path / "a.mp4")):
         pass
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]
 
 
-def test_an_error_leaves_no_video(tmp_path, overlay, answered):
+def test_an_error_leaves_no_video(tmp_path, answered, open_run):
     def fail():
-        with open_video(tmp_path / "a.mp4", overlay) as video:
+        with open_video(open_run(video=tmp_path / "a.mp4")) as video:
             video.write(*answered)
             raise ZeroDivisionError
 
@@ -84,12 +109,12 @@ def test_an_error_leaves_no_video(tmp_path, overlay, answered):
     assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]
 
 
-def test_a_full_disk_is_an_output_error(mount_disk, overlay, answered):
+def test_a_full_disk_is_an_output_error(mount_disk, answered, open_run):
     folder = mount_disk(64)
     noise = np.random.default_rng(0)
 
     def fill():
-        with open_video(folder / "a.mp4", overlay) as video:
+        with open_video(open_run(video=folder / "a.mp4")) as video:
             for _ in range(200):
                 rgb = noise.integers(0, 255, answered[0].rgb.shape, dtype=np.uint8)
                 video.write(Frame(rgb, answered[0].sparse_depth), answered[1])
@@ -99,11 +124,11 @@ def test_a_full_disk_is_an_output_error(mount_disk, overlay, answered):
     assert not list(folder.iterdir())
 
 
-def test_what_cannot_be_encoded_is_an_output_error(tmp_path, overlay, answered, monkeypatch):
+def test_what_cannot_be_encoded_is_an_output_error(tmp_path, answered, monkeypatch, open_run):
     monkeypatch.setattr("runtime.run.outputs.video._CODEC", "none")
 
     def fail():
-        with open_video(tmp_path / "a.mp4", overlay) as video:
+        with open_video(open_run(video=tmp_path / "a.mp4")) as video:
             video.write(*answered)
 
     with pytest.raises(OutputError, match="no such encoder"):

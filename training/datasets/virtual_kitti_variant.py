@@ -1,86 +1,58 @@
-"""A variant of a Virtual KITTI 2 scene (Cabon et al. 2020), also as `ssdnet-render` writes it."""
+"""The images, depth maps and intrinsics of a variant of a Virtual KITTI 2 scene."""
 
 import os
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.io.images import DEPTH_SUFFIXES, list_files, read_rgb, read_sparse_depth
+from runtime.io.images import DEPTH_SUFFIXES, list_files, read_sparse_depth
 from runtime.read_input import read_text
-from runtime.sources.folders import require_pair
-from runtime.sources.frames import Frame
-from runtime.sources.source import ListedFrame, Source, pair_up
+from runtime.sources.source import ListedFrame, pair_up
 
 _UNITS_A_METRE = 100.0
 _SKY_M = np.float32(65535) / np.float32(_UNITS_A_METRE)
 
 
-class VirtualKittiSource(Source):
-    """``frames/rgb/Camera_<n>/rgb_*.jpg`` and ``frames/depth/Camera_<n>/depth_*.png`` [cm].
-
-    Depth is dense, 0 for the sky. Frames have no time stamps. Intrinsics come from intrinsic.txt
-    if it exists.
+class VirtualKittiVariant:
+    """``frames/rgb/Camera_<n>/rgb_*.jpg``, ``frames/depth/Camera_<n>/depth_*.png``, intrinsic.txt.
 
     Args:
         variant: folder like Scene01/clone.
         camera: 0 = left, 1 = right.
 
     Attributes:
-        calibration: of the first frame, None without intrinsic.txt.
         calibrations: frame number -> calibration.
 
     Raises:
-        InputError: if a folder is missing or intrinsic.txt is damaged.
+        InputError: if a folder or intrinsic.txt is missing, or intrinsic.txt is damaged.
     """
 
-    accepted = "a variant of a Virtual KITTI 2 scene (holds frames/rgb/)"
-    options = ("camera",)
-
     def __init__(self, variant: Path, *, camera: int = 0) -> None:
-        self._variant, self._camera = variant, camera
-        rgb, depth = (variant / "frames" / kind / f"Camera_{camera}" for kind in ("rgb", "depth"))
-        for folder in (rgb, depth):
+        self._folders = [
+            variant / "frames" / kind / f"Camera_{camera}" for kind in ("rgb", "depth")
+        ]
+        for folder in self._folders:
             if not os.path.isdir(folder):
                 raise InputError(
-                    f"{variant} is no variant of a Virtual KITTI 2 scene, {folder} is missing: "
-                    "give a folder like Scene01/clone, or another --camera"
+                    f"{variant} is no variant of a Virtual KITTI 2 scene, {folder} is missing"
                 )
-        self.folders = (rgb, depth)
-        self.calibrations: dict[int, Calibration] = {}
         intrinsics = variant / "intrinsic.txt"
-        if os.path.lexists(intrinsics):
-            self.calibrations = _read_calibrations(intrinsics, camera)
-            self.calibration = next(iter(self.calibrations.values()))
+        if not os.path.lexists(intrinsics):
+            raise InputError(f"{intrinsics}: missing")
+        self.calibrations = _read_calibrations(intrinsics, camera)
 
-    @staticmethod
-    def accepts(path: Path) -> bool:
-        """See `Source.accepts`."""
-        return os.path.isdir(path / "frames" / "rgb")
-
-    def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
-        """See `Source.list_frames`. A number without a partner is listed too."""
-        rgb, depth = self.folders
+    def list_frames(self) -> tuple[ListedFrame, ...]:
+        """List the numbers in order; one without a partner is listed, too."""
+        rgb, depth = self._folders
         images = _by_number(list_files(rgb), "rgb_")
         maps = _by_number(list_files(depth, DEPTH_SUFFIXES), "depth_")
         if not images.keys() & maps.keys():
             raise InputError(f"no number occurs both as rgb_* in {rgb} and as depth_* in {depth}")
-        return pair_up(sorted(images.keys() | maps.keys()), images, maps, limit=limit)
-
-    def read(self, frame: ListedFrame) -> Frame:
-        """See `Source.read`. Raises InputError also where one of the two files is missing."""
-        calibration = self.calibrations.get(int(frame.name), self.calibration)
-        require_pair(frame)
-        return Frame(read_rgb(frame.image), read_depth(frame.depth), calibration=calibration)
-
-    @property
-    def inputs(self) -> dict[str, Any]:
-        """See `Source.inputs`."""
-        return {"variant": str(self._variant), "camera": self._camera}
+        return pair_up(sorted(images.keys() | maps.keys()), images, maps, limit=None)
 
 
 def read_depth(path: Path) -> NDArray[np.float32]:
@@ -110,8 +82,8 @@ def _read_calibrations(path: Path, camera: int) -> dict[int, Calibration]:
             fx, fy, cx, cy = numbers = tuple(float(text) for text in row[2:])
         except (IndexError, ValueError) as error:
             raise InputError(
-                f"{path}: {' '.join(row)!r:.80} is not 'frame cameraID fx fy cx cy': restore the "
-                "file, or remove it and give --focal-length"
+                f"{path}: {' '.join(row)!r:.80} is not 'frame cameraID fx fy cx cy': "
+                "restore the file"
             ) from error
         if row_camera == camera:
             if numbers not in made:
@@ -120,7 +92,6 @@ def _read_calibrations(path: Path, camera: int) -> dict[int, Calibration]:
             calibrations[number] = made[numbers]
     if not calibrations:
         raise InputError(
-            f"{path} has no row 'frame cameraID fx fy cx cy' of camera {camera}: restore it, or "
-            "remove it and give --focal-length"
+            f"{path} has no row 'frame cameraID fx fy cx cy' of camera {camera}: restore the file"
         )
     return calibrations

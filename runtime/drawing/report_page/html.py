@@ -1,0 +1,43 @@
+"""HTML from the fragments of page.html."""
+
+import re
+from collections.abc import Iterable
+from functools import cache
+from html import escape
+from importlib import resources
+from string import Template
+
+
+class Html(str):
+    """Text that is HTML: `fill` does not escape it."""
+
+    def __add__(self, other: str) -> "Html":
+        return Html(str.__add__(self, other))
+
+
+def fill(fragment: str, **values: object) -> Html:
+    """Return a fragment of page.html with its $names replaced by values, escaped unless `Html`."""
+    texts = {
+        name: value if isinstance(value, Html) else escape(str(value))
+        for name, value in values.items()
+    }
+    return Html(_fragments()[fragment].substitute(texts))
+
+
+def join(parts: Iterable[Html]) -> Html:
+    """Return the parts one after the other."""
+    return Html("".join(parts))
+
+
+def read_resource(name: str) -> str:
+    """Return the text of a file of this package."""
+    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+@cache
+def _fragments() -> dict[str, Template]:
+    parts = re.split(r"(?m)^<!--(\w+)-->\n", read_resource("page.html"))[1:]
+    return {
+        name: Template(text.removesuffix("\n"))
+        for name, text in zip(parts[::2], parts[1::2], strict=True)
+    }
