@@ -11,25 +11,28 @@ class BoundaryDecoder(nn.Module):
 
     Side i: 3x3 convolution to ``channels``, BN, ReLU, 1x1 to one logit; B_i is its sigmoid.
     Fusion: the logits are upsampled to the finest skip, concatenated, 1x1 to the logit of P_b.
+
+    Args:
+        skip_channels: of the skips, finest first.
+        channels: of a side output's hidden layer.
+        padded: every skip has exactly half the size of the finer one; factors are integers.
     """
 
-    def __init__(self, skip_channels: tuple[int, ...], channels: int) -> None:
+    def __init__(self, skip_channels: tuple[int, ...], channels: int, *, padded: bool) -> None:
         super().__init__()
+        self.padded = padded
         self.sides = nn.ModuleList(
             nn.Sequential(ConvBNReLU(in_channels, channels), nn.Conv2d(channels, 1, 1))
             for in_channels in skip_channels
         )
         self.fuse = nn.Conv2d(len(skip_channels), 1, 1)
 
-    def forward(self, skips: list[Tensor], *, exact: bool) -> tuple[Tensor, list[Tensor]]:
-        """Return the fused logits (N, 1, h, w) and the side logits, finest first.
-
-        ``exact``: every skip has exactly half the size of the finer one; factors are integers.
-        """
+    def forward(self, skips: list[Tensor]) -> tuple[Tensor, list[Tensor]]:
+        """Return the fused logits (N, 1, h, w) and the side logits, finest first."""
         sides = [side(skip) for side, skip in zip(self.sides, skips, strict=True)]
         size = (skips[0].shape[2], skips[0].shape[3])
         upsampled = [
-            upsample(logit, factor=2**index) if exact else upsample(logit, size=size)
+            upsample(logit, factor=2**index) if self.padded else upsample(logit, size=size)
             for index, logit in enumerate(sides)
         ]
         return self.fuse(torch.cat(upsampled, dim=1)), sides

@@ -1,6 +1,6 @@
 """The base of every network: its configuration, its inputs and its output at full size."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from types import MappingProxyType, UnionType
 from typing import Any, Literal, NamedTuple, Self, get_args, get_origin, get_type_hints
@@ -98,12 +98,27 @@ class NetworkConfig:
         Raises:
             ValueError: for unknown keys, values of the wrong type or outside their range.
         """
-        known = {field.name for field in fields(cls)}
-        unknown = sorted(str(key) for key in set(values) - known)
-        if unknown:
-            raise ValueError(f"unknown model configuration keys: {', '.join(unknown)}")
+        check_fields(cls, values, str(values.get("name", "")))
         hints = get_type_hints(cls)
         return cls(**{key: _checked(value, hints[key], key) for key, value in values.items()})
+
+
+#: Fields of earlier releases, and what replaces them.
+_REPLACED = {
+    "encoder_block": "ssdnet-lite and ssdnet-nano have residual stages, the others VGG's",
+    "skip_fusion": "ssdnet-lite and ssdnet-nano add their skips, the others concatenate them",
+    "depth_surfaces": "ssdnet-lite and ssdnet-nano have surfaces where they have a depth head",
+    "valid_mask_input": "ssdnet-lite and ssdnet-nano read the mask, the others do not",
+}
+
+
+def check_fields(config: type[NetworkConfig], names: Iterable[object], network: str) -> None:
+    """Raise ValueError for names that are no fields, with what replaces them."""
+    unknown = sorted({str(name) for name in names} - {field.name for field in fields(config)})
+    if unknown:
+        hints = (f" (removed: {_REPLACED[key]})" if key in _REPLACED else "" for key in unknown)
+        listed = ", ".join(key + hint for key, hint in zip(unknown, hints, strict=True))
+        raise ValueError(f"no configuration field of the network {network!r:.80}: {listed}")
 
 
 class Network(nn.Module):

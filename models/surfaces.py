@@ -8,7 +8,8 @@ twin surface extrapolation (Imran et al. 2021), depth propagated before the netw
 propagation (Tang et al. 2024).
 """
 
-from typing import NamedTuple
+import math
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
@@ -24,7 +25,6 @@ COARSE_CELL, FINE_CELL = 4, 2
 WINDOWS = (3, 5, 7, 9)
 #: Least normalised depth of a surface.
 NEAREST = 1e-3
-_LOG_NEAREST = -6.907755  # log(NEAREST)
 #: Difference of inverse depths [1/m] up to which a LiDAR beside the camera hardly sees past the
 #: nearer one: 1.3 pixels of parallax for 1 m between both, at 721.5 pixels of focal length. Up to
 #: twice as much counts in part.
@@ -32,9 +32,12 @@ PARALLAX = 1.8e-3
 #: Relative difference of depths two pixels apart on one slanted surface. Up to twice as much counts
 #: in part.
 SLOPE = 0.03
-#: A return up to this many times as far as a surface, or as near, belongs to it.
+#: A return up to this many times as far as a surface, or as near, belongs to it. Not tuned.
 SAME_SURFACE = 1.25
-#: Least and greatest log of the ratio of the error's scale to the depth.
+#: Greatest log of the factor that corrects the chosen depth: 0.61 to 1.65 times. Not tuned.
+MAX_LOG_CORRECTION = 0.5
+#: Least and greatest log of the ratio of the error's scale to the depth: 0.25 % to 2.7 times the
+#: depth, so that neither the loss nor its gradient grows without bound. Not tuned.
 LOG_SCALE = (-6.0, 1.0)
 #: Returns that no other confirms, see `measure`: within this depth [m], with returns in so many
 #: cells around, all of them more than so many times as far.
@@ -43,12 +46,11 @@ ISOLATED_M, ISOLATED_CELLS, ISOLATED_RATIO = 10.0, 8, 3.0
 FEATURE_CHANNELS = 6
 #: Radius [pixels] of the square around a return in which it may replace the depth.
 RETURN_REACH = 2
-#: Largest share by which a return beside a pixel reduces the error's scale.
+#: Largest share by which a return beside a pixel reduces the error's scale, which stays positive.
+#: Not tuned.
 MAX_SCALE_REDUCTION = 0.9
 #: Share of the spread of the candidates that is added to the error's scale.
 SPREAD_SHARE = 0.25
-#: Channels of the head: five of `choose_surface`, then three of `return_confidence`.
-HEAD_CHANNELS = 8
 
 
 class Measured(NamedTuple):
@@ -89,6 +91,30 @@ class Surfaces(NamedTuple):
     mean: Tensor
     support: Tensor
     mean_support: Tensor
+
+
+class HeadChannels(NamedTuple):
+    """The channels of the head's last convolution, each (N, C, h, w), before their activations."""
+
+    #: Confidence in the mean, the farthest and the nearest surface, C = 3.
+    surfaces: Tensor
+    #: Relative correction of the chosen depth, C = 1.
+    correction: Tensor
+    #: Scale of the error where the candidates agree, C = 1.
+    scale: Tensor
+    #: Confidence in a return before the predicted depth, in one behind it, and the reduction of the
+    #: error's scale beside a return, C = 3.
+    returns: Tensor
+
+    @classmethod
+    def split(cls, channels: Tensor) -> Self:
+        """Split (N, HEAD_CHANNELS, h, w)."""
+        return cls(*channels.split(_HEAD_SPLIT, dim=1))
+
+
+#: Channels of each field of `HeadChannels`, and their sum.
+_HEAD_SPLIT = [3, 1, 1, 3]
+HEAD_CHANNELS = sum(_HEAD_SPLIT)
 
 
 def measure(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Measured:
@@ -147,7 +173,7 @@ def surface_features(surfaces: Surfaces, density: Tensor) -> Tensor:
     """Features for a convolution: (N, FEATURE_CHANNELS, h, w), each 0..1 and 0 without support."""
     depths = torch.cat([surfaces.nearest, surfaces.farthest, surfaces.mean], dim=1)
     known = torch.cat([surfaces.support, surfaces.support, surfaces.mean_support], dim=1)
-    steps = (1.0 - torch.log(depths) * (1.0 / _LOG_NEAREST)) * known
+    steps = (1.0 - torch.log(depths) * (1.0 / math.log(NEAREST))) * known
     return torch.cat([steps, surfaces.support, surfaces.mean_support, density], dim=1)
 
 
@@ -172,7 +198,7 @@ def refine_surfaces(upsampled: Surfaces, measured: Measured) -> Surfaces:
 
 
 def choose_surface(
-    head: Tensor, regressed: Tensor, surfaces: Surfaces, *, reach: float = 1.0
+    head: HeadChannels, regressed: Tensor, surfaces: Surfaces, *, reach: float = 1.0
 ) -> tuple[Tensor, Tensor]:
     """Choose among the candidates and the regressed depth: the depth, and its error's scale.
 
@@ -180,25 +206,23 @@ def choose_surface(
     sigmoids give any weights that a soft-max can. Without support the regressed depth remains. No
     depth is beyond ``reach``, that of the regression, unless the farthest surface is.
 
-    head (N, HEAD_CHANNELS, h, w): logits of the confidence in the mean, the farthest and the
-    nearest surface; a relative correction; the scale of the error where the candidates agree.
     Returns the normalised depth, (N, 1, h, w), NEAREST..1, and the scale of its error's Laplace
     distribution.
     """
-    confidence = torch.sigmoid(head[:, :3])
     depth, spread = regressed, torch.zeros_like(regressed)
     candidates = (
         (surfaces.mean, surfaces.mean_support),
         (surfaces.farthest, surfaces.support),
         (surfaces.nearest, surfaces.support),
     )
-    for channel, (candidate, support) in enumerate(candidates):
-        weight = confidence[:, channel : channel + 1] * support
-        depth, spread = replace(depth, spread, candidate - depth, weight)
-    depth = (depth * torch.exp(0.5 * torch.tanh(head[:, 3:4]))).clamp(min=NEAREST)
+    confidences = torch.sigmoid(head.surfaces).split(1, dim=1)
+    for confidence, (candidate, support) in zip(confidences, candidates, strict=True):
+        depth, spread = replace(depth, spread, candidate - depth, confidence * support)
+    correction = torch.exp(MAX_LOG_CORRECTION * torch.tanh(head.correction))
+    depth = (depth * correction).clamp(min=NEAREST)
     depth = torch.minimum(depth, (surfaces.farthest * surfaces.support).clamp(min=reach))
     least, greatest = LOG_SCALE
-    scale = torch.exp(least + (greatest - least) * torch.sigmoid(head[:, 4:5]))
+    scale = torch.exp(least + (greatest - least) * torch.sigmoid(head.scale))
     return depth, depth.detach() * scale + SPREAD_SHARE * spread.detach()
 
 
@@ -212,15 +236,6 @@ def replace(
     """
     taken = weight * step
     return depth + taken, (1.0 - weight) * (spread + 2.0 * taken.abs())
-
-
-def return_confidence(head: Tensor) -> Tensor:
-    """The head's last channels, about the returns beside a pixel: (N, 3, h, w), 0..1.
-
-    The confidence in a return before the predicted depth, that in one behind it, and the reduction
-    of the error's scale, see `take_returns`.
-    """
-    return torch.sigmoid(head[:, 5:8])
 
 
 def dilate_returns(measured: Measured) -> Returns:
@@ -243,9 +258,9 @@ def take_returns(
     return is the pixel's: in any case if it is at the pixel itself, and beside it if it is behind
     by more than a slope explains.
 
-    depth, scale (N, 1, H, W): normalised by ``max_depth_m``; confidence (N, 3, H, W): of
-    `return_confidence`. Returns the depth, and the scale, reduced beside a return, with the spread
-    of the two depths.
+    depth, scale (N, 1, H, W): normalised by ``max_depth_m``; confidence (N, 3, H, W): the sigmoids
+    of `HeadChannels.returns`. Returns the depth, and the scale, reduced beside a return, with the
+    spread of the two depths.
     """
     before, behind, reduction = confidence.split(1, dim=1)
     inverse = 1.0 / depth
