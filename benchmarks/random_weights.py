@@ -16,8 +16,8 @@ from export.deploy import DeployGraph
 from export.trace import trace
 from models import create_model
 from models.blocks import upsample
-from models.encoder_decoder import EncoderDecoderConfig
 from models.registry import NETWORKS
+from models.ssdnet_config import EncoderDecoderConfig
 from runtime.io.atomic_write import atomic_write
 
 #: Classes of Cityscapes, for which the others' networks were published.

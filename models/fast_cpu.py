@@ -25,7 +25,7 @@ def fast_on_cpu(fast: Operation[P]) -> Callable[[Operation[P]], Operation[P]]:
 
     def decorate(plain: Operation[P]) -> Operation[P]:
         @functools.wraps(plain)
-        def call(x: Tensor, *args: P.args, **kwargs: P.kwargs) -> Tensor:
+        def call(x: Tensor, /, *args: P.args, **kwargs: P.kwargs) -> Tensor:
             is_fast = x.device.type == "cpu" and not torch.compiler.is_exporting()
             return (fast if is_fast else plain)(x, *args, **kwargs)
 

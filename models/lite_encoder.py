@@ -1,9 +1,12 @@
 """Encoders of `SSDNetLite`: each in two parts, between which the network adds what returns show."""
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor, nn
 
 from models.blocks import ConvBNReLU, ResidualBlock
+from models.ssdnet_config import SSDNetLiteConfig
 
 
 class LiteEncoder(nn.Module):
@@ -29,14 +32,9 @@ class LiteEncoder(nn.Module):
 class ResidualEncoder(LiteEncoder):
     """A stem of two strided convolutions, then residual stages, strided between them."""
 
-    def __init__(
-        self,
-        stem_channels: tuple[int, ...],
-        encoder_channels: tuple[int, ...],
-        encoder_blocks: tuple[int, ...],
-    ) -> None:
+    def __init__(self, config: SSDNetLiteConfig) -> None:
         super().__init__()
-        fine, coarse = stem_channels
+        fine, coarse = config.stem_channels
         self.stem = nn.Sequential(
             ConvBNReLU(5, fine, stride=2),  # colours, depth, its mask
             ConvBNReLU(fine, coarse, stride=2),
@@ -44,7 +42,7 @@ class ResidualEncoder(LiteEncoder):
         stages = []
         in_channels = coarse
         for index, (channels, blocks) in enumerate(
-            zip(encoder_channels, encoder_blocks, strict=True)
+            zip(config.encoder_channels, config.encoder_blocks, strict=True)
         ):
             layers = [ResidualBlock(in_channels, channels, stride=1 if index == 0 else 2)]
             layers += [ResidualBlock(channels, channels) for _ in range(blocks - 1)]
@@ -52,7 +50,7 @@ class ResidualEncoder(LiteEncoder):
             in_channels = channels
         self.stages = nn.ModuleList(stages)
         self.early_channels = fine, coarse
-        self.late_channels = encoder_channels
+        self.late_channels = config.encoder_channels
 
     def early(self, rgb: Tensor, depth: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """See `LiteEncoder`."""
@@ -67,3 +65,7 @@ class ResidualEncoder(LiteEncoder):
             x = stage(x)
             features.append(x)
         return features
+
+
+#: `SSDNetLiteConfig.encoder` -> the class, which takes the configuration.
+ENCODERS: dict[str, Callable[[SSDNetLiteConfig], LiteEncoder]] = {"residual": ResidualEncoder}

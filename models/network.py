@@ -125,8 +125,9 @@ class Network(nn.Module):
     """Base of every network.
 
     A network implements `predict_coarse`, and names its heads and strides: as class attributes
-    where they are fixed. If it has classes, `semantic_head` is its last convolution, with a bias,
-    which gives their scores: training initialises it again where the classes differ.
+    where they are fixed, else in its ``__init__`` before it calls this one. If it has classes,
+    `semantic_head` is its last convolution, with a bias, which gives their scores: training
+    initialises it again where the classes differ.
 
     Args:
         config: the settings that the network is built from.
@@ -135,6 +136,16 @@ class Network(nn.Module):
         ValueError: if there are classes without a semantic head or the other way round.
     """
 
+    #: Names of the network's heads, rows of `runtime.heads`.
+    heads: tuple[str, ...]
+    #: Ratio of the image to the coarsest grid.
+    stride: int
+    #: Ratio of the image to the grid of the semantic logits.
+    semantic_stride: int = 1
+    #: Ratio of the image to the grid of the finest depth and its uncertainty.
+    depth_stride: int = 1
+    #: Ratio of the image to the grid of the boundary.
+    boundary_stride: int = 1
     rgb_mean: Tensor
     rgb_std: Tensor
 
@@ -146,31 +157,6 @@ class Network(nn.Module):
         check_stride(self.stride)
         self.register_buffer("rgb_mean", torch.tensor(config.rgb_mean).view(1, 3, 1, 1))
         self.register_buffer("rgb_std", torch.tensor(config.rgb_std).view(1, 3, 1, 1))
-
-    @property
-    def heads(self) -> tuple[str, ...]:
-        """Names of the network's heads, rows of `runtime.heads`."""
-        raise NotImplementedError
-
-    @property
-    def stride(self) -> int:
-        """Ratio of the image to the coarsest grid."""
-        raise NotImplementedError
-
-    @property
-    def semantic_stride(self) -> int:
-        """Ratio of the image to the grid of the semantic logits."""
-        return 1
-
-    @property
-    def depth_stride(self) -> int:
-        """Ratio of the image to the grid of the finest depth and its uncertainty."""
-        return 1
-
-    @property
-    def boundary_stride(self) -> int:
-        """Ratio of the image to the grid of the boundary."""
-        return 1
 
     def head_stride(self, head: str) -> int:
         """Ratio of the image to the grid of a head."""

@@ -18,8 +18,9 @@ from models.baselines.sparse_conv import SparseConvNet
 from models.baselines.sparse_to_dense import SparseToDense
 from models.classes import numbered_classes
 from models.network import Network, NetworkConfig, check_fields
-from models.ssdnet import SSDNETS, SSDNet
-from models.ssdnet_lite import SSDNET_LITE, SSDNET_NANO, SSDNetLite
+from models.ssdnet import SSDNet
+from models.ssdnet_config import SSDNET_LITE, SSDNET_NANO, SSDNETS
+from models.ssdnet_lite import SSDNetLite
 from runtime.contract import ClassInfo
 
 

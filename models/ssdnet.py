@@ -4,58 +4,15 @@ Paper: "Simultaneous Semantic Segmentation and Depth Completion with Constraint 
 Sensors 2020. One encoder, a boundary decoder and two task decoders of boundary-aware convolutions.
 """
 
-from dataclasses import dataclass, replace
-from typing import Any
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from models.blocks import ConvBNReLU, pad_to_multiple
 from models.boundary_decoder import BoundaryDecoder
-from models.encoder_decoder import EncoderDecoderConfig
 from models.network import Network, NetworkOutput, initialise
+from models.ssdnet_config import SSDNetConfig
 from models.task_decoder import TaskDecoder
-
-
-@dataclass(frozen=True)
-class SSDNetConfig(EncoderDecoderConfig):
-    """The configuration of an `SSDNet`: heads, inputs, channels.
-
-    The defaults are the paper's full network with the channel list that reproduces its printed
-    parameters and multiply-accumulates.
-
-    Raises:
-        ValueError: if a value is outside its range, or a combination cannot be built.
-    """
-
-    name: str = "ssdnet"
-    encoder_channels: tuple[int, ...] = (64, 128, 256, 512, 512)
-    encoder_blocks: tuple[int, ...] = (2, 2, 3, 3, 3)
-    decoder_channels: tuple[int, ...] = (512, 192, 96, 64, 16)
-    use_rgb: bool = True
-    use_sparse_depth: bool = True
-    #: Factor on the normalised sparse depth at the input. At 5 % of the pixels its mean is a
-    #: twentieth of that of the normalised colours, and the network learns to use it late.
-    sparse_depth_gain: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Check the values and their combinations."""
-        super().__post_init__()
-        if not (self.use_rgb or self.use_sparse_depth):
-            raise ValueError("a network needs rgb, sparse depth or both as input")
-        if not self.sparse_depth_gain > 0:
-            raise ValueError(f"sparse_depth_gain must be positive, got {self.sparse_depth_gain}")
-
-    @property
-    def num_skips(self) -> int:
-        """Number of encoder features that the decoders get."""
-        return len(self.encoder_channels)
-
-    @property
-    def output_stride(self) -> int:
-        """Ratio of the image to the finest grid."""
-        return int(2 ** len(self.stem_channels))
 
 
 class SSDNet(Network):
@@ -64,6 +21,9 @@ class SSDNet(Network):
     config: SSDNetConfig
 
     def __init__(self, config: SSDNetConfig) -> None:
+        self.semantic_stride = self.depth_stride = self.boundary_stride = config.output_stride
+        self.stride = config.output_stride * 2**config.num_skips
+        self.heads = config.heads
         super().__init__(config)
         in_channels = 3 * config.use_rgb + config.use_sparse_depth
         stem: list[nn.Module] = []
@@ -77,41 +37,14 @@ class SSDNet(Network):
             skips, config.boundary_channels, padded=bool(config.stem_channels)
         )
         if config.semantic_head:
-            self.semantic_decoder = TaskDecoder(config.decoder_channels, skips, skips[-1], "concat")
+            self.semantic_decoder = TaskDecoder(config, skips, skips[-1], "concat")
             self.semantic_head = nn.Conv2d(config.decoder_channels[-1], config.num_classes, 1)
         if config.depth_head:
-            self.depth_decoder = TaskDecoder(config.decoder_channels, skips, skips[-1], "concat")
+            self.depth_decoder = TaskDecoder(config, skips, skips[-1], "concat")
             self.depth_heads = nn.ModuleList(
                 nn.Conv2d(channels, 1, 1) for channels in reversed(config.decoder_channels)
             )
         self.apply(initialise)
-
-    @property
-    def heads(self) -> tuple[str, ...]:
-        """The network's heads; a boundary always."""
-        config = self.config
-        present = {"semantic": config.semantic_head, "depth": config.depth_head, "boundary": True}
-        return tuple(head for head, there in present.items() if there)
-
-    @property
-    def stride(self) -> int:
-        """Ratio of the image to the coarsest grid."""
-        return int(self.config.output_stride * 2**self.config.num_skips)
-
-    @property
-    def semantic_stride(self) -> int:
-        """Ratio of the image to the grid of the semantic logits."""
-        return self.config.output_stride
-
-    @property
-    def depth_stride(self) -> int:
-        """Ratio of the image to the grid of the finest depth."""
-        return self.config.output_stride
-
-    @property
-    def boundary_stride(self) -> int:
-        """Ratio of the image to the grid of the boundary."""
-        return self.config.output_stride
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on the heads' own grids, see `Network.predict_coarse`.
@@ -162,34 +95,3 @@ class PlainEncoder(nn.Module):
             skips.append(x)
             x = F.max_pool2d(x, 2, ceil_mode=True)
         return skips, x
-
-
-def _with_ablations(config: SSDNetConfig) -> tuple[SSDNetConfig, ...]:
-    """Return a network and the rows of the paper's ablation; SSDNet_ind differs only in losses."""
-    depth_alone: dict[str, Any] = {"semantic_head": False, "classes": ()}
-    variants: dict[str, dict[str, Any]] = {
-        "sem": {"depth_head": False},
-        "dep": depth_alone,
-        "dep-d": {**depth_alone, "use_rgb": False},
-        "dep-rgb": {**depth_alone, "use_sparse_depth": False},
-    }
-    return config, *(
-        replace(config, name=f"{config.name}-{suffix}", **changes)
-        for suffix, changes in variants.items()
-    )
-
-
-#: The paper's network and its ablations, and the same structure at a fortieth of the parameters,
-#: for experiments on a CPU: a strided stem instead of the first stage at full size, and narrower.
-SSDNETS = (
-    *_with_ablations(SSDNetConfig()),
-    *_with_ablations(
-        SSDNetConfig(
-            name="ssdnet-small",
-            stem_channels=(16,),
-            encoder_channels=(32, 48, 64, 96),
-            encoder_blocks=(1, 2, 2, 2),
-            decoder_channels=(64, 48, 32, 16),
-        )
-    ),
-)

@@ -4,76 +4,16 @@ A strided encoder, decoders that add their skips, and what LiDAR returns show ar
 (`models.surfaces`) beside the features and in the depth head.
 """
 
-from dataclasses import dataclass, replace
-from typing import Literal
-
 import torch
 from torch import Tensor, nn
 
 from models.blocks import GlobalContext, pad_to_multiple
 from models.boundary_decoder import BoundaryDecoder
-from models.encoder_decoder import MAX_CHANNELS, EncoderDecoderConfig
-from models.lite_encoder import LiteEncoder, ResidualEncoder
+from models.lite_encoder import ENCODERS
 from models.network import Network, NetworkOutput, initialise
-from models.surface_depth import Candidates, SurfaceDepthHead
-from models.surfaces import COARSE_CELL
+from models.ssdnet_config import SSDNetLiteConfig
+from models.surfaces import COARSE_CELL, Candidates, SurfaceDepthHead
 from models.task_decoder import TaskDecoder, refinement
-from runtime.contract import check_max_depth
-
-
-@dataclass(frozen=True)
-class SSDNetLiteConfig(EncoderDecoderConfig):
-    """The configuration of an `SSDNetLite`; the defaults are ssdnet-lite.
-
-    Raises:
-        ValueError: if a value is outside its range, or a combination cannot be built.
-    """
-
-    name: str = "ssdnet-lite"
-    max_depth_m: float = 200.0
-    #: "residual": a stem of two strided convolutions, then residual stages, both of the channels
-    #: and blocks given here; the last stage is the bottom, the others are skips.
-    encoder: Literal["residual"] = "residual"
-    stem_channels: tuple[int, ...] = (16, 32)
-    encoder_channels: tuple[int, ...] = (32, 64, 128, 256)
-    encoder_blocks: tuple[int, ...] = (1, 2, 2, 2)
-    decoder_channels: tuple[int, ...] = (64, 48, 32)
-    #: Channels of one more UpBlock of the semantic decoder, at stride 2; 0 = none. Poles and signs
-    #: are thinner than a cell of the coarser grid.
-    semantic_refine_channels: int = 16
-    #: Channels of one more UpBlock of the depth decoder, at stride 2, for the choice among
-    #: surfaces; 0 = none, the choice is made at stride 4.
-    depth_refine_channels: int = 16
-    #: Depth [m] that the regression reaches at most, without the surfaces that returns show; None =
-    #: `max_depth_m`.
-    regressed_depth_m: float | None = 100.0
-    #: Add the projected global mean of the bottom features to them.
-    global_context: bool = True
-
-    def __post_init__(self) -> None:
-        """Check the values and their combinations."""
-        super().__post_init__()
-        if self.regressed_depth_m is not None:
-            check_max_depth(self.regressed_depth_m, "regressed_depth_m")
-
-    def counts(self) -> dict[str, tuple[int, int, int]]:
-        """See `EncoderDecoderConfig`."""
-        return {
-            **super().counts(),
-            "stem layers": (len(self.stem_channels), 2, 2),
-            "semantic_refine_channels": (self.semantic_refine_channels, 0, MAX_CHANNELS),
-            "depth_refine_channels": (self.depth_refine_channels, 0, MAX_CHANNELS),
-        }
-
-    @property
-    def num_skips(self) -> int:
-        """Number of encoder features that the decoders get."""
-        return len(self.encoder_channels) - 1
-
-    @property
-    def target_depth_m(self) -> float:
-        """See `NetworkConfig`."""
-        return min(self.regressed_depth_m or self.max_depth_m, self.max_depth_m)
 
 
 class SSDNetLite(Network):
@@ -85,8 +25,13 @@ class SSDNetLite(Network):
     config: SSDNetLiteConfig
 
     def __init__(self, config: SSDNetLiteConfig) -> None:
+        self.heads = (*config.heads, *(("depth_uncertainty",) if config.depth_head else ()))
+        self.stride = COARSE_CELL * 2**config.num_skips
+        self.semantic_stride = 2 if config.semantic_refine_channels else COARSE_CELL
+        # The boundary is upsampled with the depth.
+        self.depth_stride = self.boundary_stride = 1 if config.depth_head else COARSE_CELL
         super().__init__(config)
-        self.encoder = build_encoder(config)
+        self.encoder = ENCODERS[config.encoder](config)
         at_2, at_4 = self.encoder.early_channels
         *skip_list, bottom = self.encoder.late_channels
         skips = tuple(skip_list)
@@ -94,60 +39,19 @@ class SSDNetLite(Network):
         self.boundary_decoder = BoundaryDecoder(skips, config.boundary_channels, padded=True)
         finest = config.decoder_channels[-1]
         if config.semantic_head:
-            self.semantic_decoder = TaskDecoder(config.decoder_channels, skips, bottom, "add")
+            self.semantic_decoder = TaskDecoder(config, skips, bottom, "add")
             refined = config.semantic_refine_channels
             self.semantic_refine = refinement(finest, at_2, refined)
             self.semantic_head = nn.Conv2d(refined or finest, config.num_classes, 1)
         if config.depth_head:
-            self.depth_decoder = TaskDecoder(config.decoder_channels, skips, bottom, "add")
+            self.depth_decoder = TaskDecoder(config, skips, bottom, "add")
             self.depth_heads = nn.ModuleList(
                 nn.Conv2d(channels, 1, 1) for channels in reversed(config.decoder_channels)
             )
-            self.surface_depth = SurfaceDepthHead(
-                finest,
-                at_2_channels=at_2,
-                at_4_channels=at_4,
-                refine_channels=config.depth_refine_channels,
-                use_semantics=config.semantic_head,
-                levels=config.num_skips,
-                max_depth_m=config.max_depth_m,
-                reach=config.target_share,
-            )
+            self.surface_depth = SurfaceDepthHead(config, at_2, at_4)
         self.apply(initialise)
         if config.depth_head:
             self.surface_depth.ignore_semantics()
-
-    @property
-    def heads(self) -> tuple[str, ...]:
-        """The network's heads; a boundary always."""
-        semantic, depth = self.config.semantic_head, self.config.depth_head
-        present = {
-            "semantic": semantic,
-            "depth": depth,
-            "boundary": True,
-            "depth_uncertainty": depth,
-        }
-        return tuple(head for head, there in present.items() if there)
-
-    @property
-    def stride(self) -> int:
-        """Ratio of the image to the coarsest grid."""
-        return int(COARSE_CELL * 2**self.config.num_skips)
-
-    @property
-    def semantic_stride(self) -> int:
-        """Ratio of the image to the grid of the semantic logits."""
-        return 2 if self.config.semantic_refine_channels else COARSE_CELL
-
-    @property
-    def depth_stride(self) -> int:
-        """Ratio of the image to the grid of the finest depth."""
-        return 1 if self.config.depth_head else COARSE_CELL
-
-    @property
-    def boundary_stride(self) -> int:
-        """Ratio of the image to the grid of the boundary, which is upsampled with the depth."""
-        return self.depth_stride
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on the heads' own grids of the padded image, see `Network.predict_coarse`."""
@@ -186,26 +90,3 @@ class SSDNetLite(Network):
         return tuple(
             self.config.target_share * torch.sigmoid(head(feature)) for head, feature in pairs
         )
-
-
-def build_encoder(config: SSDNetLiteConfig) -> LiteEncoder:
-    """Return the encoder that ``config.encoder`` names; a new one is a row."""
-    return {
-        "residual": lambda: ResidualEncoder(
-            config.stem_channels, config.encoder_channels, config.encoder_blocks
-        )
-    }[config.encoder]()
-
-
-SSDNET_LITE = SSDNetLiteConfig()
-
-SSDNET_NANO = replace(
-    SSDNET_LITE,
-    name="ssdnet-nano",
-    stem_channels=(16, 16),
-    encoder_channels=(16, 48, 96, 160),
-    encoder_blocks=(1, 1, 2, 2),
-    decoder_channels=(32, 16, 16),
-    semantic_refine_channels=0,
-    depth_refine_channels=0,
-)

@@ -12,11 +12,14 @@ import math
 from typing import NamedTuple, Self
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 
+from models.blocks import upsample
 from models.pooling import cell_maxima, maxima_around, maxima_beside, means_around
 from models.pull_push import pull_push
+from models.ssdnet_config import SSDNetLiteConfig
+from models.task_decoder import refinement
 
 #: Side of a cell in pixels: of the coarse grid, where surfaces are propagated, and of the fine one.
 COARSE_CELL, FINE_CELL = 4, 2
@@ -273,3 +276,80 @@ def take_returns(
     depth, spread = replace(depth, 0.0, step, weight)
     scale = scale * (1.0 - MAX_SCALE_REDUCTION * reduction * returns.near)
     return depth, scale + SPREAD_SHARE * spread.detach()
+
+
+class Candidates(NamedTuple):
+    """What the returns show, see `SurfaceDepthHead.propagate`."""
+
+    measured: Measured
+    surfaces: Surfaces
+    #: (N, FEATURE_CHANNELS, h, w), on the grid of COARSE_CELL.
+    features: Tensor
+
+
+class SurfaceDepthHead(nn.Module):
+    """Depth at the image's size, and the scale of its error, from candidates and features.
+
+    Args:
+        config: of the network.
+        at_2_channels: of the encoder's features at stride 2.
+        at_4_channels: of those at stride 4.
+    """
+
+    def __init__(self, config: SSDNetLiteConfig, at_2_channels: int, at_4_channels: int) -> None:
+        super().__init__()
+        self.config = config
+        channels, refined = config.decoder_channels[-1], config.depth_refine_channels
+        self.embed = nn.Conv2d(FEATURE_CHANNELS, at_4_channels, 1)
+        self.project = nn.Conv2d(FEATURE_CHANNELS, channels, 1)
+        # Classes imply surfaces without returns: a car has a roof and windows.
+        self.semantics = nn.Conv2d(channels, channels, 1) if config.semantic_head else None
+        self.refinement = refinement(channels, at_2_channels, refined)
+        self.cell = FINE_CELL if refined else COARSE_CELL
+        self.head = nn.Conv2d(refined or channels, HEAD_CHANNELS, 1)
+
+    def ignore_semantics(self) -> None:
+        """Zero the layer of the semantics: weights trained without it give the same depth."""
+        if self.semantics is not None:
+            nn.init.zeros_(self.semantics.weight)
+
+    def propagate(self, depth: Tensor, mask: Tensor) -> Candidates:
+        """Return the candidates around each cell; depth and mask as `measure`."""
+        measured = measure(depth, mask, max_depth_m=self.config.max_depth_m)
+        surfaces, density = propagate_surfaces(measured, levels=self.config.num_skips)
+        return Candidates(measured, surfaces, surface_features(surfaces, density))
+
+    def forward(
+        self,
+        candidates: Candidates,
+        features: Tensor,
+        semantics: Tensor | None,
+        at_2: Tensor,
+        regressed: Tensor,
+        boundary_logits: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the depth, its error's scale and the boundary's logits at the image's size.
+
+        features, semantics: of the decoders, on the grid of COARSE_CELL, as the regressed depth and
+        the boundary's logits, which are upsampled with the depth; at_2: of the encoder.
+        """
+        features = features + self.project(candidates.features)
+        if self.semantics is not None:
+            features = features + self.semantics(semantics)
+        head = HeadChannels.split(self.head(self.refinement(features, at_2)).float())
+        regressed, boundary_logits = regressed.float(), boundary_logits.float()
+        surfaces = candidates.surfaces
+        if self.cell == FINE_CELL:
+            # One upsampling for all maps of a grid: ONNX Runtime splits a Resize by channels.
+            maps = torch.cat([*surfaces, regressed, boundary_logits], dim=1)
+            *fine, regressed, boundary_logits = upsample(maps).split(1, dim=1)
+            surfaces = refine_surfaces(Surfaces(*fine), candidates.measured)
+        depth, scale = choose_surface(head, regressed, surfaces, reach=self.config.target_share)
+        maps = upsample(torch.cat([depth, scale, boundary_logits], dim=1), factor=self.cell)
+        depth, scale, boundary_logits = maps.split(1, dim=1)
+        # One value a cell is enough: the returns give the position of an edge.
+        confidence = torch.sigmoid(head.returns)
+        confidence = F.interpolate(confidence, scale_factor=float(self.cell), mode="nearest")
+        returns, limit = dilate_returns(candidates.measured), self.config.max_depth_m
+        depth, scale = take_returns(depth, scale, returns, confidence, max_depth_m=limit)
+        return depth, scale, boundary_logits

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from models.blocks import BaConv, ConvBNReLU, upsample
+from models.ssdnet_config import EncoderDecoderConfig
 
 #: How an UpBlock joins a skip.
 Fusion = Literal["concat", "add"]
@@ -58,19 +59,19 @@ def refinement(in_channels: int, skip_channels: int, channels: int) -> nn.Module
 
 
 class TaskDecoder(nn.Module):
-    """UpBlocks from the bottom to the finest skip; ``channels`` are theirs, coarse to fine."""
+    """UpBlocks from the bottom to the finest skip."""
 
     def __init__(
         self,
-        channels: tuple[int, ...],
+        config: EncoderDecoderConfig,
         skip_channels: tuple[int, ...],
         bottom_channels: int,
         fusion: Fusion,
     ) -> None:
         super().__init__()
-        sides = zip(
-            (bottom_channels, *channels[:-1]), reversed(skip_channels), channels, strict=True
-        )
+        channels = config.decoder_channels
+        below = (bottom_channels, *channels[:-1])
+        sides = zip(below, reversed(skip_channels), channels, strict=True)
         self.blocks = nn.ModuleList(UpBlock(*side, fusion) for side in sides)
 
     def forward(

@@ -8,8 +8,8 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from models import SSDNet, SSDNetConfig, create_model
 from models.blocks import upsample
-from models.encoder_decoder import EncoderDecoderConfig
 from models.registry import NETWORKS
+from models.ssdnet_config import EncoderDecoderConfig
 from runtime.contract import ClassInfo
 
 # Params and MACs at 125 x 414 of the family, which the paper prints to two digits.

@@ -13,8 +13,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from layouts import camvid, cityscapes, kitti_depth, kitti_stream, kitti_streets, virtual_kitti
 from layouts.pictures import write
 from models import CLASS_TABLES, SSDNetLiteConfig, load_checkpoint
-from models.encoder_decoder import EncoderDecoderConfig
 from models.registry import NETWORKS, Entry
+from models.ssdnet_config import EncoderDecoderConfig
 from training import recipes
 from training.loop import train
 from training.losses.total import TERMS
