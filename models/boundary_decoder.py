@@ -4,23 +4,23 @@ import torch
 from torch import Tensor, nn
 
 from models.blocks import ConvBNReLU, upsample
+from models.ssdnet_config import EncoderDecoderConfig
 
 
 class BoundaryDecoder(nn.Module):
     """A side output on every skip, and their fusion into one boundary map.
 
-    Side i: 3x3 convolution to ``channels``, BN, ReLU, 1x1 to one logit; B_i is its sigmoid.
+    Side i: 3x3 convolution to ``boundary_channels``, BN, ReLU, 1x1 to one logit; B_i = its sigmoid.
     Fusion: the logits are upsampled to the finest skip, concatenated, 1x1 to the logit of P_b.
 
     Args:
+        config: of the network.
         skip_channels: of the skips, finest first.
-        channels: of a side output's hidden layer.
-        padded: every skip has exactly half the size of the finer one; factors are integers.
     """
 
-    def __init__(self, skip_channels: tuple[int, ...], channels: int, *, padded: bool) -> None:
+    def __init__(self, config: EncoderDecoderConfig, skip_channels: tuple[int, ...]) -> None:
         super().__init__()
-        self.padded = padded
+        self.padded, channels = config.padded, config.boundary_channels
         self.sides = nn.ModuleList(
             nn.Sequential(ConvBNReLU(in_channels, channels), nn.Conv2d(channels, 1, 1))
             for in_channels in skip_channels

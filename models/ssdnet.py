@@ -33,9 +33,7 @@ class SSDNet(Network):
         self.stem = nn.Sequential(*stem)
         self.encoder = PlainEncoder(config, in_channels)
         skips = config.encoder_channels
-        self.boundary_decoder = BoundaryDecoder(
-            skips, config.boundary_channels, padded=bool(config.stem_channels)
-        )
+        self.boundary_decoder = BoundaryDecoder(config, skips)
         if config.semantic_head:
             self.semantic_decoder = TaskDecoder(config, skips, skips[-1], "concat")
             self.semantic_head = nn.Conv2d(config.decoder_channels[-1], config.num_classes, 1)
@@ -55,7 +53,7 @@ class SSDNet(Network):
         inputs = [self.normalise_rgb(rgb)] if config.use_rgb else []
         if config.use_sparse_depth:
             inputs.append(self.normalise_depth(sparse_depth)[0] * config.sparse_depth_gain)
-        if config.stem_channels:
+        if config.padded:
             inputs = [pad_to_multiple(x, self.stride) for x in inputs]
         skips, bottom = self.encoder(self.stem(torch.cat(inputs, dim=1)))
         boundary_logits, sides = self.boundary_decoder(skips)

@@ -55,6 +55,11 @@ class EncoderDecoderConfig(NetworkConfig):
         raise NotImplementedError
 
     @property
+    def padded(self) -> bool:
+        """Whether the image is padded, so that each grid has half the size of the finer one."""
+        return bool(self.stem_channels)
+
+    @property
     def heads(self) -> tuple[str, ...]:
         """Names of the heads that both networks have; a boundary always."""
         present = {"semantic": self.semantic_head, "depth": self.depth_head, "boundary": True}

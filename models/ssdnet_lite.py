@@ -36,7 +36,7 @@ class SSDNetLite(Network):
         *skip_list, bottom = self.encoder.late_channels
         skips = tuple(skip_list)
         self.context = GlobalContext(bottom) if config.global_context else nn.Identity()
-        self.boundary_decoder = BoundaryDecoder(skips, config.boundary_channels, padded=True)
+        self.boundary_decoder = BoundaryDecoder(config, skips)
         finest = config.decoder_channels[-1]
         if config.semantic_head:
             self.semantic_decoder = TaskDecoder(config, skips, bottom, "add")

@@ -18,12 +18,21 @@ class UpBlock(nn.Module):
     """Upsample, join the skip, boundary-aware convolution.
 
     "concat" is the paper's: concat(up(x), S_i), BaConv 3x3, BN, ReLU, conv 3x3, BN, ReLU.
-    "add" is the lite form: up(x) + 1x1(S_i), BaConv 3x3, BN, ReLU; S_i has twice the size of x.
+    "add" is the lite form: up(x) + 1x1(S_i), BaConv 3x3, BN, ReLU; S_i has twice the size of x,
+    as with "concat" where ``padded``.
     """
 
-    def __init__(self, in_channels: int, skip_channels: int, channels: int, fusion: Fusion) -> None:
+    def __init__(
+        self,
+        in_channels: int,
+        skip_channels: int,
+        channels: int,
+        fusion: Fusion,
+        *,
+        padded: bool = True,
+    ) -> None:
         super().__init__()
-        self.fusion = fusion
+        self.fusion, self.padded = fusion, padded
         if fusion == "concat":
             self.baconv = BaConv(in_channels + skip_channels, channels)
             self.conv: nn.Module = ConvBNReLU(channels, channels)
@@ -41,7 +50,8 @@ class UpBlock(nn.Module):
     def forward(self, x: Tensor, skip: Tensor, boundary: Tensor | None = None) -> Tensor:
         """Join x (N, C, h, w), skip (N, S, H, W) and boundary (N, 1, H, W) to (N, C', H, W)."""
         if self.fusion == "concat":
-            x = torch.cat([upsample(x, size=(skip.shape[2], skip.shape[3])), skip], dim=1)
+            size = None if self.padded else (skip.shape[2], skip.shape[3])
+            x = torch.cat([upsample(x, size=size), skip], dim=1)
         else:  # reduced before upsampling: a quarter of the work
             x = upsample(self.reduce(x)) + self.project(skip)
         out: Tensor = self.conv(F.relu(self.norm(self.baconv(x, boundary))))
@@ -72,7 +82,7 @@ class TaskDecoder(nn.Module):
         channels = config.decoder_channels
         below = (bottom_channels, *channels[:-1])
         sides = zip(below, reversed(skip_channels), channels, strict=True)
-        self.blocks = nn.ModuleList(UpBlock(*side, fusion) for side in sides)
+        self.blocks = nn.ModuleList(UpBlock(*side, fusion, padded=config.padded) for side in sides)
 
     def forward(
         self, bottom: Tensor, skips: list[Tensor], boundaries: Sequence[Tensor | None]
