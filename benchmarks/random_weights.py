@@ -14,9 +14,10 @@ from torch import Tensor
 
 from export.deploy import DeployGraph
 from export.trace import trace
-from models import SSDNet, create_model
+from models import create_model
 from models.blocks import upsample
 from models.registry import NETWORKS
+from models.ssdnet_config import EncoderDecoderConfig
 from runtime.io.atomic_write import atomic_write
 
 #: Classes of Cityscapes, for which the others' networks were published.
@@ -58,7 +59,7 @@ def random_graph(name: str) -> DeployGraph:
     """Build a network with random weights."""
     torch.manual_seed(0)
     entry = NETWORKS[name]
-    if issubclass(entry.network, SSDNet) or not entry.config.classes:
+    if isinstance(entry.config, EncoderDecoderConfig) or not entry.config.classes:
         return DeployGraph(create_model(name).eval())
     return LogitsGraph(create_model(name, num_classes=NUM_CLASSES).eval())
 

@@ -9,7 +9,8 @@ from models.classes import CAMVID_CLASSES, CLASS_TABLES
 from models.network import Network, NetworkConfig, NetworkOutput
 from models.registry import create_model, list_models
 from models.ssdnet import SSDNet
-from models.ssdnet_config import SSDNetConfig
+from models.ssdnet_config import SSDNetConfig, SSDNetLiteConfig
+from models.ssdnet_lite import SSDNetLite
 
 __all__ = [
     "CAMVID_CLASSES",
@@ -20,6 +21,8 @@ __all__ = [
     "NetworkOutput",
     "SSDNet",
     "SSDNetConfig",
+    "SSDNetLite",
+    "SSDNetLiteConfig",
     "create_model",
     "list_models",
     "load_checkpoint",

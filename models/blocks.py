@@ -1,13 +1,11 @@
 """Building blocks of the networks."""
 
-from typing import Any
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-#: Up to this number of channels maps are upsampled one by one, see `_UpsampleFew`.
-_FEW_CHANNELS = 8
+from models import fast_cpu
+from models.fast_cpu import fast_on_cpu
 
 
 class ConvBNReLU(nn.Sequential):
@@ -39,16 +37,14 @@ class BaConv(nn.Module):
 
     def forward(self, x: Tensor, boundary: Tensor | None) -> Tensor:
         """Convolve x * (1 - boundary)."""
-        if boundary is not None:
-            inside = 1.0 - boundary
-            channels_last = x.is_contiguous(memory_format=torch.channels_last)
-            if channels_last and not torch.compiler.is_exporting():
-                # Expand over the channels first: a product with a map of one channel is scalar
-                # code in bfloat16, which takes four times as long.
-                inside = inside.expand_as(x).contiguous(memory_format=torch.channels_last)
-            x = x * inside
-        out: Tensor = self.conv(x)
+        out: Tensor = self.conv(x if boundary is None else gate(x, boundary))
         return out
+
+
+@fast_on_cpu(fast_cpu.gate)
+def gate(x: Tensor, boundary: Tensor) -> Tensor:
+    """Return x * (1 - boundary)."""
+    return x * (1.0 - boundary)
 
 
 class ResidualBlock(nn.Module):
@@ -90,65 +86,17 @@ def upsample(x: Tensor, *, factor: int = 2, size: tuple[int, int] | None = None)
     """Bilinear upsampling with half-pixel centres, by an integer factor or to (height, width)."""
     if size is not None:
         return F.interpolate(x, size=size, mode="bilinear", align_corners=False)
-    if factor == 1:
-        return x
-    if x.shape[1] <= _FEW_CHANNELS and x.requires_grad:
-        upsampled: Tensor = _UpsampleFew.apply(x, factor)
-        return upsampled
+    return x if factor == 1 else _enlarge(x, factor)
+
+
+@fast_on_cpu(fast_cpu.enlarge)
+def _enlarge(x: Tensor, factor: int) -> Tensor:
     return F.interpolate(x, scale_factor=float(factor), mode="bilinear", align_corners=False)
-
-
-class _UpsampleFew(torch.autograd.Function):
-    """Bilinear upsampling of few channels, whose gradient is sums of shifted maps.
-
-    On a CPU PyTorch's own gradient takes three to nine times as long for so few channels; from
-    sixteen channels on it is faster. The forward pass treats each map as a picture of its own,
-    which PyTorch does faster too.
-    """
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, factor: int) -> Tensor:
-        ctx.factor = factor
-        maps = x.float().flatten(0, 1).unsqueeze(1)
-        upsampled = F.interpolate(
-            maps, scale_factor=float(factor), mode="bilinear", align_corners=False
-        )
-        return upsampled.reshape(*x.shape[:2], *upsampled.shape[2:]).to(x.dtype)
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None]:
-        gradient = gradients[0].float().contiguous()
-        for dim in (2, 3):
-            gradient = _sum_under_tents(gradient, dim, ctx.factor)
-        return gradient.to(gradients[0].dtype), None
-
-
-def _sum_under_tents(gradient: Tensor, dim: int, factor: int) -> Tensor:
-    """Adjoint of linear upsampling along one dimension."""
-    cells = gradient.unflatten(dim, (-1, factor))
-    count = cells.shape[dim]
-    total = torch.zeros_like(cells.select(dim + 1, 0))
-    for place in range(factor):
-        part = cells.select(dim + 1, place)
-        offset = (place + 0.5) / factor - 0.5  # from the middle of its cell
-        total.add_(part, alpha=1.0 - abs(offset))
-        # The rest belongs to the neighbour; at the edge, where there is none, to the cell itself.
-        here, there = (0, 1) if offset > 0 else (1, 0)
-        edge = count - 1 if offset > 0 else 0
-        total.narrow(dim, there, count - 1).add_(
-            part.narrow(dim, here, count - 1), alpha=abs(offset)
-        )
-        total.narrow(dim, edge, 1).add_(part.narrow(dim, edge, 1), alpha=abs(offset))
-    return total
 
 
 def pad_to_multiple(x: Tensor, multiple: int) -> Tensor:
     """Pad (N, C, H, W) with zeros at the bottom and right to a multiple of ``multiple``."""
-    height, width = x.shape[2], x.shape[3]
-    padding = (0, -width % multiple, 0, -height % multiple)
-    if not torch.compiler.is_exporting() and not any(padding):
-        return x  # padding by 0 would copy
-    return F.pad(x, padding)
+    return F.pad(x, (0, -x.shape[3] % multiple, 0, -x.shape[2] % multiple))
 
 
 def extend_to_multiple(x: Tensor, multiple: int) -> Tensor:
@@ -157,11 +105,7 @@ def extend_to_multiple(x: Tensor, multiple: int) -> Tensor:
     For maps that are pooled next: ONNX Runtime fuses zero padding into a pooling, and then refuses
     a model whose padding is as wide as the window.
     """
-    height, width = x.shape[2], x.shape[3]
-    padding = (0, -width % multiple, 0, -height % multiple)
-    if not torch.compiler.is_exporting() and not any(padding):
-        return x
-    return F.pad(x, padding, mode="replicate")
+    return F.pad(x, (0, -x.shape[3] % multiple, 0, -x.shape[2] % multiple), mode="replicate")
 
 
 def adaptive_mean(x: Tensor, cells: int) -> Tensor:

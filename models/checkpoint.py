@@ -15,7 +15,7 @@ from runtime.errors import CheckpointError, OutputError
 from runtime.io.atomic_write import atomic_file
 
 FORMAT = "ssdnet-checkpoint"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -64,16 +64,22 @@ def save_checkpoint(
     Raises:
         CheckpointError: if it cannot be written; an existing file is then untouched.
     """
-    path = Path(path)
-    document = {
-        "format": FORMAT,
-        "version": VERSION,
-        "network": type(model).__name__,
-        "config": model.config.to_dict(),
-        "weights": dict(model.state_dict()),
-        "training": dict(training or {}),
-        "trainer": dict(trainer or {}),
-    }
+    write_document(
+        Path(path),
+        {
+            "format": FORMAT,
+            "version": VERSION,
+            "network": type(model).__name__,
+            "config": model.config.to_dict(),
+            "weights": dict(model.state_dict()),
+            "training": dict(training or {}),
+            "trainer": dict(trainer or {}),
+        },
+    )
+
+
+def write_document(path: Path, document: Mapping[str, Any]) -> None:
+    """Write what `save_checkpoint` does; raises the same."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path, durable=True) as file:
@@ -102,6 +108,27 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             another version, or its weights do not fit its configuration.
     """
     path = Path(path)
+    document = read_document(path)
+    version = document.get("version")
+    if _is_equal(version, 1):
+        raise CheckpointError(
+            f"{path}: checkpoint version 1, of an earlier release. Convert it: "
+            f"ssdnet-train --convert {path} NEW.pt"
+        )
+    if not _is_equal(version, VERSION):
+        raise CheckpointError(
+            f"{path}: checkpoint version {version!r:.80}, but this installation reads version "
+            f"{VERSION}. Install a release that matches the file."
+        )
+    return restore(document, path)
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Read what a checkpoint file holds, of any version, without running any code from it.
+
+    Raises:
+        CheckpointError: if the file is missing, damaged or no checkpoint.
+    """
     if not path.is_file():
         raise CheckpointError(f"{path}: no such checkpoint file. Give the path of a .pt file.")
     try:
@@ -119,17 +146,19 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
             f"{path}: a PyTorch file, but not an ssdnet checkpoint (no 'format: {FORMAT}'). "
             "Give a file that ssdnet-train wrote."
         )
-    version = document.get("version")
-    if not _is_equal(version, VERSION):
-        raise CheckpointError(
-            f"{path}: checkpoint version {version!r:.80}, but this installation reads version "
-            f"{VERSION}. Install a release that matches the file."
-        )
     for key in ("config", "weights", "training", "trainer"):
         if not isinstance(document.get(key), dict):
             raise CheckpointError(f"{path}: the checkpoint lacks {key}. Train again.")
-    # The first files do not name their network: there was only one.
-    kind = str(document.get("network", "SSDNet"))
+    return document
+
+
+def restore(document: Mapping[str, Any], path: Path) -> Checkpoint:
+    """Build the network of a document of this version and load its weights.
+
+    Raises:
+        CheckpointError: if it cannot be built, or the weights do not fit it.
+    """
+    kind = str(document.get("network"))
     kinds = {entry.network.__name__: entry for entry in NETWORKS.values()}
     if kind not in kinds:
         raise CheckpointError(

@@ -1,6 +1,6 @@
 """The base of every network: its configuration, its inputs and its output at full size."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from types import MappingProxyType, UnionType
 from typing import Any, Literal, NamedTuple, Self, get_args, get_origin, get_type_hints
@@ -99,20 +99,36 @@ class NetworkConfig:
         Raises:
             ValueError: for unknown keys, values of the wrong type or outside their range.
         """
-        known = {field.name for field in fields(cls)}
-        unknown = sorted(str(key) for key in set(values) - known)
-        if unknown:
-            raise ValueError(f"unknown model configuration keys: {', '.join(unknown)}")
+        check_fields(cls, values, str(values.get("name", "")))
         hints = get_type_hints(cls)
         return cls(**{key: _checked(value, hints[key], key) for key, value in values.items()})
+
+
+#: Fields of earlier releases, and what replaces them.
+_REPLACED = {
+    "encoder_block": "ssdnet-lite and ssdnet-nano have residual stages, the others VGG's",
+    "skip_fusion": "ssdnet-lite and ssdnet-nano add their skips, the others concatenate them",
+    "depth_surfaces": "ssdnet-lite and ssdnet-nano have surfaces where they have a depth head",
+    "valid_mask_input": "ssdnet-lite and ssdnet-nano read the mask, the others do not",
+}
+
+
+def check_fields(config: type[NetworkConfig], names: Iterable[object], network: str) -> None:
+    """Raise ValueError for names that are no fields, with what replaces them."""
+    unknown = sorted({str(name) for name in names} - {field.name for field in fields(config)})
+    if unknown:
+        hints = (f" (removed: {_REPLACED[key]})" if key in _REPLACED else "" for key in unknown)
+        listed = ", ".join(key + hint for key, hint in zip(unknown, hints, strict=True))
+        raise ValueError(f"no configuration field of the network {network!r:.80}: {listed}")
 
 
 class Network(nn.Module):
     """Base of every network.
 
     A network implements `predict_coarse`, and names its heads and strides: as class attributes
-    where they are fixed. If it has classes, `semantic_head` is its last convolution, with a bias,
-    which gives their scores: training initialises it again where the classes differ.
+    where they are fixed, else in its ``__init__`` before it calls this one. If it has classes,
+    `semantic_head` is its last convolution, with a bias, which gives their scores: training
+    initialises it again where the classes differ.
 
     Args:
         config: the settings that the network is built from.
@@ -121,6 +137,16 @@ class Network(nn.Module):
         ValueError: if there are classes without a semantic head or the other way round.
     """
 
+    #: Names of the network's heads, rows of `runtime.heads`.
+    heads: tuple[str, ...]
+    #: Ratio of the image to the coarsest grid.
+    stride: int
+    #: Ratio of the image to the grid of the semantic logits.
+    semantic_stride: int = 1
+    #: Ratio of the image to the grid of the finest depth and its uncertainty.
+    depth_stride: int = 1
+    #: Ratio of the image to the grid of the boundary.
+    boundary_stride: int = 1
     rgb_mean: Tensor
     rgb_std: Tensor
 
@@ -132,31 +158,6 @@ class Network(nn.Module):
         check_stride(self.stride)
         self.register_buffer("rgb_mean", torch.tensor(config.rgb_mean).view(1, 3, 1, 1))
         self.register_buffer("rgb_std", torch.tensor(config.rgb_std).view(1, 3, 1, 1))
-
-    @property
-    def heads(self) -> tuple[str, ...]:
-        """Names of the network's heads, rows of `runtime.heads`."""
-        raise NotImplementedError
-
-    @property
-    def stride(self) -> int:
-        """Ratio of the image to the coarsest grid."""
-        raise NotImplementedError
-
-    @property
-    def semantic_stride(self) -> int:
-        """Ratio of the image to the grid of the semantic logits."""
-        return 1
-
-    @property
-    def depth_stride(self) -> int:
-        """Ratio of the image to the grid of the finest depth and its uncertainty."""
-        return 1
-
-    @property
-    def boundary_stride(self) -> int:
-        """Ratio of the image to the grid of the boundary."""
-        return 1
 
     def head_stride(self, head: str) -> int:
         """Ratio of the image to the grid of a head."""

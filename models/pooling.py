@@ -1,73 +1,44 @@
-"""Pooling of maps of one or two channels, as sums and maxima of shifted maps.
+"""Pooling in cells and in windows, (N, C, H, W) -> (N, C, h, w)."""
 
-On a CPU PyTorch's own poolings take 10 to 100 times as long for so few channels. An exported graph
-uses pooling operators, which are faster in ONNX Runtime.
-"""
-
-from collections.abc import Callable
 from functools import reduce
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from models import fast_cpu
+from models.fast_cpu import fast_on_cpu
 
+
+@fast_on_cpu(fast_cpu.cell_means)
 def cell_means(x: Tensor, side: int) -> Tensor:
-    """Mean over each square cell of the side, a power of two: (N, C, H, W) -> (N, C, h, w)."""
-    if torch.compiler.is_exporting():
-        return F.avg_pool2d(x, side)
-    return _join_cells(x, side, torch.add) / side**2
+    """Mean over each square cell of the side, a power of two."""
+    return F.avg_pool2d(x, side)
 
 
+@fast_on_cpu(fast_cpu.cell_maxima)
 def cell_maxima(x: Tensor, side: int) -> Tensor:
-    """Maximum over each square cell of the side, a power of two: (N, C, H, W) -> (N, C, h, w)."""
-    if torch.compiler.is_exporting():
-        return F.max_pool2d(x, side)
-    return _join_cells(x, side, torch.maximum)
+    """Maximum over each square cell of the side, a power of two."""
+    return F.max_pool2d(x, side)
 
 
-def _join_cells(x: Tensor, side: int, join: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
-    for _ in range(side.bit_length() - 1):
-        x = join(x[:, :, ::2], x[:, :, 1::2])  # rows first: contiguous in memory
-        x = join(x[..., ::2], x[..., 1::2])
-    return x
-
-
+@fast_on_cpu(fast_cpu.means_around)
 def means_around(x: Tensor, window: int) -> Tensor:
-    """Mean over the square window around each pixel, 0 beyond the map: (N, C, H, W) -> same."""
-    half = window // 2
-    if torch.compiler.is_exporting():
-        return F.avg_pool2d(x, window, 1, half)
-    x = F.pad(x, (half, half, half, half))
-    for dim in (2, 3):
-        length = x.shape[dim] - 2 * half
-        total = x.narrow(dim, 0, length) + x.narrow(dim, 1, length)
-        for offset in range(2, window):
-            total += x.narrow(dim, offset, length)
-        x = total
-    return x / window**2
+    """Mean over the square window around each pixel, 0 beyond the map."""
+    return F.avg_pool2d(x, window, 1, window // 2)
 
 
+@fast_on_cpu(fast_cpu.maxima_around)
 def maxima_around(x: Tensor, window: int) -> Tensor:
-    """Maximum over the square window around each pixel: (N, C, H, W) -> same.
+    """Maximum over the square window around each pixel.
 
-    First over columns, then over rows: 30 steps for a window of 225 pixels.
+    First over columns, then over rows, which is faster from 5 pixels on.
     """
     half = window // 2
-    if torch.compiler.is_exporting() and window == 3:
-        return F.max_pool2d(x, window, 1, half)  # faster than two steps
-    if torch.compiler.is_exporting():
-        columns = F.max_pool2d(x, (window, 1), 1, (half, 0))
-        return F.max_pool2d(columns, (1, window), 1, (0, half))
-    x = F.pad(x, (half, half, half, half), value=float("-inf"))
-    for dim in (2, 3):
-        span = 1  # x holds the maximum over so many pixels
-        while span < window:
-            step = min(span, window - span)
-            length = x.shape[dim] - step
-            x = torch.maximum(x.narrow(dim, 0, length), x.narrow(dim, step, length))
-            span += step
-    return x
+    if window == 3:
+        return F.max_pool2d(x, window, 1, half)
+    columns = F.max_pool2d(x, (window, 1), 1, (half, 0))
+    return F.max_pool2d(columns, (1, window), 1, (0, half))
 
 
 def maxima_beside(x: Tensor) -> Tensor:

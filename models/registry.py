@@ -1,7 +1,7 @@
 """All networks by name."""
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from models.baselines.bacnn import BaCNN
@@ -17,9 +17,10 @@ from models.baselines.pidnet_s import PIDNetS
 from models.baselines.sparse_conv import SparseConvNet
 from models.baselines.sparse_to_dense import SparseToDense
 from models.classes import numbered_classes
-from models.network import Network, NetworkConfig
+from models.network import Network, NetworkConfig, check_fields
 from models.ssdnet import SSDNet
-from models.ssdnet_config import FAMILY
+from models.ssdnet_config import SSDNET_LITE, SSDNET_NANO, SSDNETS
+from models.ssdnet_lite import SSDNetLite
 from runtime.contract import ClassInfo
 
 
@@ -33,7 +34,9 @@ class Entry(NamedTuple):
 
 #: Name -> network; a new network is a line here.
 NETWORKS: dict[str, Entry] = {
-    **{config.name: Entry(SSDNet, config) for config in FAMILY},
+    **{config.name: Entry(SSDNet, config) for config in SSDNETS},
+    "ssdnet-lite": Entry(SSDNetLite, SSDNET_LITE),
+    "ssdnet-nano": Entry(SSDNetLite, SSDNET_NANO),
     "bacnn": Entry(BaCNN, NetworkConfig("bacnn")),
     "ddrnet-23-slim": Entry(DDRNet23Slim, NetworkConfig("ddrnet-23-slim")),
     "deeplab-largefov": Entry(DeepLabLargeFOV, NetworkConfig("deeplab-largefov")),
@@ -90,7 +93,5 @@ def create_model(
         changes["classes"] = tuple(classes)
     if max_depth_m is not None:
         changes["max_depth_m"] = max_depth_m
-    unknown = sorted(set(changes) - {field.name for field in fields(config)})
-    if unknown:
-        raise ValueError(f"{', '.join(unknown)} means nothing to the network {name!r}")
+    check_fields(type(config), changes, name)
     return network(replace(config, **changes))

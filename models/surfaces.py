@@ -8,14 +8,18 @@ twin surface extrapolation (Imran et al. 2021), depth propagated before the netw
 propagation (Tang et al. 2024).
 """
 
-from typing import NamedTuple
+import math
+from typing import NamedTuple, Self
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 
+from models.blocks import upsample
 from models.pooling import cell_maxima, maxima_around, maxima_beside, means_around
 from models.pull_push import pull_push
+from models.ssdnet_config import SSDNetLiteConfig
+from models.task_decoder import refinement
 
 #: Side of a cell in pixels: of the coarse grid, where surfaces are propagated, and of the fine one.
 COARSE_CELL, FINE_CELL = 4, 2
@@ -24,7 +28,6 @@ COARSE_CELL, FINE_CELL = 4, 2
 WINDOWS = (3, 5, 7, 9)
 #: Least normalised depth of a surface.
 NEAREST = 1e-3
-_LOG_NEAREST = -6.907755  # log(NEAREST)
 #: Difference of inverse depths [1/m] up to which a LiDAR beside the camera hardly sees past the
 #: nearer one: 1.3 pixels of parallax for 1 m between both, at 721.5 pixels of focal length. Up to
 #: twice as much counts in part.
@@ -32,9 +35,12 @@ PARALLAX = 1.8e-3
 #: Relative difference of depths two pixels apart on one slanted surface. Up to twice as much counts
 #: in part.
 SLOPE = 0.03
-#: A return up to this many times as far as a surface, or as near, belongs to it.
+#: A return up to this many times as far as a surface, or as near, belongs to it. Not tuned.
 SAME_SURFACE = 1.25
-#: Least and greatest log of the ratio of the error's scale to the depth.
+#: Greatest log of the factor that corrects the chosen depth: 0.61 to 1.65 times. Not tuned.
+MAX_LOG_CORRECTION = 0.5
+#: Least and greatest log of the ratio of the error's scale to the depth: 0.25 % to 2.7 times the
+#: depth, so that neither the loss nor its gradient grows without bound. Not tuned.
 LOG_SCALE = (-6.0, 1.0)
 #: Returns that no other confirms, see `measure`: within this depth [m], with returns in so many
 #: cells around, all of them more than so many times as far.
@@ -43,12 +49,11 @@ ISOLATED_M, ISOLATED_CELLS, ISOLATED_RATIO = 10.0, 8, 3.0
 FEATURE_CHANNELS = 6
 #: Radius [pixels] of the square around a return in which it may replace the depth.
 RETURN_REACH = 2
-#: Largest share by which a return beside a pixel reduces the error's scale.
+#: Largest share by which a return beside a pixel reduces the error's scale, which stays positive.
+#: Not tuned.
 MAX_SCALE_REDUCTION = 0.9
 #: Share of the spread of the candidates that is added to the error's scale.
 SPREAD_SHARE = 0.25
-#: Channels of the head: five of `choose_surface`, then three of `return_confidence`.
-HEAD_CHANNELS = 8
 
 
 class Measured(NamedTuple):
@@ -89,6 +94,30 @@ class Surfaces(NamedTuple):
     mean: Tensor
     support: Tensor
     mean_support: Tensor
+
+
+class HeadChannels(NamedTuple):
+    """The channels of the head's last convolution, each (N, C, h, w), before their activations."""
+
+    #: Confidence in the mean, the farthest and the nearest surface, C = 3.
+    surfaces: Tensor
+    #: Relative correction of the chosen depth, C = 1.
+    correction: Tensor
+    #: Scale of the error where the candidates agree, C = 1.
+    scale: Tensor
+    #: Confidence in a return before the predicted depth, in one behind it, and the reduction of the
+    #: error's scale beside a return, C = 3.
+    returns: Tensor
+
+    @classmethod
+    def split(cls, channels: Tensor) -> Self:
+        """Split (N, HEAD_CHANNELS, h, w)."""
+        return cls(*channels.split(_HEAD_SPLIT, dim=1))
+
+
+#: Channels of each field of `HeadChannels`, and their sum.
+_HEAD_SPLIT = [3, 1, 1, 3]
+HEAD_CHANNELS = sum(_HEAD_SPLIT)
 
 
 def measure(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Measured:
@@ -147,7 +176,7 @@ def surface_features(surfaces: Surfaces, density: Tensor) -> Tensor:
     """Features for a convolution: (N, FEATURE_CHANNELS, h, w), each 0..1 and 0 without support."""
     depths = torch.cat([surfaces.nearest, surfaces.farthest, surfaces.mean], dim=1)
     known = torch.cat([surfaces.support, surfaces.support, surfaces.mean_support], dim=1)
-    steps = (1.0 - torch.log(depths) * (1.0 / _LOG_NEAREST)) * known
+    steps = (1.0 - torch.log(depths) * (1.0 / math.log(NEAREST))) * known
     return torch.cat([steps, surfaces.support, surfaces.mean_support, density], dim=1)
 
 
@@ -172,7 +201,7 @@ def refine_surfaces(upsampled: Surfaces, measured: Measured) -> Surfaces:
 
 
 def choose_surface(
-    head: Tensor, regressed: Tensor, surfaces: Surfaces, *, reach: float = 1.0
+    head: HeadChannels, regressed: Tensor, surfaces: Surfaces, *, reach: float = 1.0
 ) -> tuple[Tensor, Tensor]:
     """Choose among the candidates and the regressed depth: the depth, and its error's scale.
 
@@ -180,25 +209,23 @@ def choose_surface(
     sigmoids give any weights that a soft-max can. Without support the regressed depth remains. No
     depth is beyond ``reach``, that of the regression, unless the farthest surface is.
 
-    head (N, HEAD_CHANNELS, h, w): logits of the confidence in the mean, the farthest and the
-    nearest surface; a relative correction; the scale of the error where the candidates agree.
     Returns the normalised depth, (N, 1, h, w), NEAREST..1, and the scale of its error's Laplace
     distribution.
     """
-    confidence = torch.sigmoid(head[:, :3])
     depth, spread = regressed, torch.zeros_like(regressed)
     candidates = (
         (surfaces.mean, surfaces.mean_support),
         (surfaces.farthest, surfaces.support),
         (surfaces.nearest, surfaces.support),
     )
-    for channel, (candidate, support) in enumerate(candidates):
-        weight = confidence[:, channel : channel + 1] * support
-        depth, spread = replace(depth, spread, candidate - depth, weight)
-    depth = (depth * torch.exp(0.5 * torch.tanh(head[:, 3:4]))).clamp(min=NEAREST)
+    confidences = torch.sigmoid(head.surfaces).split(1, dim=1)
+    for confidence, (candidate, support) in zip(confidences, candidates, strict=True):
+        depth, spread = replace(depth, spread, candidate - depth, confidence * support)
+    correction = torch.exp(MAX_LOG_CORRECTION * torch.tanh(head.correction))
+    depth = (depth * correction).clamp(min=NEAREST)
     depth = torch.minimum(depth, (surfaces.farthest * surfaces.support).clamp(min=reach))
     least, greatest = LOG_SCALE
-    scale = torch.exp(least + (greatest - least) * torch.sigmoid(head[:, 4:5]))
+    scale = torch.exp(least + (greatest - least) * torch.sigmoid(head.scale))
     return depth, depth.detach() * scale + SPREAD_SHARE * spread.detach()
 
 
@@ -212,15 +239,6 @@ def replace(
     """
     taken = weight * step
     return depth + taken, (1.0 - weight) * (spread + 2.0 * taken.abs())
-
-
-def return_confidence(head: Tensor) -> Tensor:
-    """The head's last channels, about the returns beside a pixel: (N, 3, h, w), 0..1.
-
-    The confidence in a return before the predicted depth, that in one behind it, and the reduction
-    of the error's scale, see `take_returns`.
-    """
-    return torch.sigmoid(head[:, 5:8])
 
 
 def dilate_returns(measured: Measured) -> Returns:
@@ -243,9 +261,9 @@ def take_returns(
     return is the pixel's: in any case if it is at the pixel itself, and beside it if it is behind
     by more than a slope explains.
 
-    depth, scale (N, 1, H, W): normalised by ``max_depth_m``; confidence (N, 3, H, W): of
-    `return_confidence`. Returns the depth, and the scale, reduced beside a return, with the spread
-    of the two depths.
+    depth, scale (N, 1, H, W): normalised by ``max_depth_m``; confidence (N, 3, H, W): the sigmoids
+    of `HeadChannels.returns`. Returns the depth, and the scale, reduced beside a return, with the
+    spread of the two depths.
     """
     before, behind, reduction = confidence.split(1, dim=1)
     inverse = 1.0 / depth
@@ -258,3 +276,80 @@ def take_returns(
     depth, spread = replace(depth, 0.0, step, weight)
     scale = scale * (1.0 - MAX_SCALE_REDUCTION * reduction * returns.near)
     return depth, scale + SPREAD_SHARE * spread.detach()
+
+
+class Candidates(NamedTuple):
+    """What the returns show, see `SurfaceDepthHead.propagate`."""
+
+    measured: Measured
+    surfaces: Surfaces
+    #: (N, FEATURE_CHANNELS, h, w), on the grid of COARSE_CELL.
+    features: Tensor
+
+
+class SurfaceDepthHead(nn.Module):
+    """Depth at the image's size, and the scale of its error, from candidates and features.
+
+    Args:
+        config: of the network.
+        at_2_channels: of the encoder's features at stride 2.
+        at_4_channels: of those at stride 4.
+    """
+
+    def __init__(self, config: SSDNetLiteConfig, at_2_channels: int, at_4_channels: int) -> None:
+        super().__init__()
+        self.config = config
+        channels, refined = config.decoder_channels[-1], config.depth_refine_channels
+        self.embed = nn.Conv2d(FEATURE_CHANNELS, at_4_channels, 1)
+        self.project = nn.Conv2d(FEATURE_CHANNELS, channels, 1)
+        # Classes imply surfaces without returns: a car has a roof and windows.
+        self.semantics = nn.Conv2d(channels, channels, 1) if config.semantic_head else None
+        self.refinement = refinement(channels, at_2_channels, refined)
+        self.cell = FINE_CELL if refined else COARSE_CELL
+        self.head = nn.Conv2d(refined or channels, HEAD_CHANNELS, 1)
+
+    def ignore_semantics(self) -> None:
+        """Zero the layer of the semantics: weights trained without it give the same depth."""
+        if self.semantics is not None:
+            nn.init.zeros_(self.semantics.weight)
+
+    def propagate(self, depth: Tensor, mask: Tensor) -> Candidates:
+        """Return the candidates around each cell; depth and mask as `measure`."""
+        measured = measure(depth, mask, max_depth_m=self.config.max_depth_m)
+        surfaces, density = propagate_surfaces(measured, levels=self.config.num_skips)
+        return Candidates(measured, surfaces, surface_features(surfaces, density))
+
+    def forward(
+        self,
+        candidates: Candidates,
+        features: Tensor,
+        semantics: Tensor | None,
+        at_2: Tensor,
+        regressed: Tensor,
+        boundary_logits: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the depth, its error's scale and the boundary's logits at the image's size.
+
+        features, semantics: of the decoders, on the grid of COARSE_CELL, as the regressed depth and
+        the boundary's logits, which are upsampled with the depth; at_2: of the encoder.
+        """
+        features = features + self.project(candidates.features)
+        if self.semantics is not None:
+            features = features + self.semantics(semantics)
+        head = HeadChannels.split(self.head(self.refinement(features, at_2)).float())
+        regressed, boundary_logits = regressed.float(), boundary_logits.float()
+        surfaces = candidates.surfaces
+        if self.cell == FINE_CELL:
+            # One upsampling for all maps of a grid: ONNX Runtime splits a Resize by channels.
+            maps = torch.cat([*surfaces, regressed, boundary_logits], dim=1)
+            *fine, regressed, boundary_logits = upsample(maps).split(1, dim=1)
+            surfaces = refine_surfaces(Surfaces(*fine), candidates.measured)
+        depth, scale = choose_surface(head, regressed, surfaces, reach=self.config.target_share)
+        maps = upsample(torch.cat([depth, scale, boundary_logits], dim=1), factor=self.cell)
+        depth, scale, boundary_logits = maps.split(1, dim=1)
+        # One value a cell is enough: the returns give the position of an edge.
+        confidence = torch.sigmoid(head.returns)
+        confidence = F.interpolate(confidence, scale_factor=float(self.cell), mode="nearest")
+        returns, limit = dilate_returns(candidates.measured), self.config.max_depth_m
+        depth, scale = take_returns(depth, scale, returns, confidence, max_depth_m=limit)
+        return depth, scale, boundary_logits

@@ -11,13 +11,13 @@ from export.deploy import DeployGraph
 from export.exporter import export_checkpoint
 from export.probe_frames import probe_frames
 from export.trace import trace
-from models import SSDNet, SSDNetConfig, save_checkpoint
+from models import Network, NetworkConfig, save_checkpoint
 from models.registry import NETWORKS
 
 SIZE = (64, 96)
 
 
-def small_config(name: str) -> SSDNetConfig:
+def small_config(name: str) -> NetworkConfig:
     """The named variant with few channels and one block a stage."""
     config = NETWORKS[name].config
     if name == "ssdnet-lite":
@@ -39,10 +39,10 @@ def small_config(name: str) -> SSDNetConfig:
     )
 
 
-def build_small(name: str) -> SSDNet:
+def build_small(name: str) -> Network:
     """A network whose batch norms have seen pictures, so that its answers vary."""
     torch.manual_seed(0)
-    model = SSDNet(small_config(name)).train()
+    model = NETWORKS[name].network(small_config(name)).train()
     frames = probe_frames(SIZE, max_depth_m=model.config.max_depth_m, seeds=(5, 6, 7))
     with torch.no_grad():
         for _ in range(10):
@@ -54,7 +54,7 @@ def build_small(name: str) -> SSDNet:
 
 
 @pytest.fixture(scope="session")
-def lite() -> SSDNet:
+def lite() -> Network:
     return build_small("ssdnet-lite")
 
 

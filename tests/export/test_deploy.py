@@ -12,10 +12,9 @@ from torch import nn
 
 from export.deploy import DeployGraph
 from export.trace import trace
-from models import SSDNet
+from models import NetworkOutput, SSDNet
 from models.blocks import upsample
 from models.registry import NETWORKS
-from models.ssdnet import NetworkOutput
 from runtime.contract import NO_CLASS
 from runtime.session import open_session
 

@@ -166,7 +166,9 @@ def test_every_variant_exports_with_both_inputs(name, heads, dynamic, small_mode
         assert all(head.passed for head in measure_parity(model, report.path, frames).values())
 
 
-@pytest.mark.parametrize("part", ["stem.0.0", "encoder.stages.1.0.conv2.0", "depth_heads.0"])
+@pytest.mark.parametrize(
+    "part", ["encoder.stem.0.0", "encoder.stages.1.0.conv2.0", "depth_heads.0"]
+)
 def test_parity_notices_a_small_change_of_the_weights(lite, exported, part):
     perturbed = copy.deepcopy(lite)
     with torch.no_grad():
@@ -248,7 +250,7 @@ def test_existing_file_is_replaced_only_on_demand(lite_checkpoint, tmp_path):
     ("name", "value"),
     [
         ("semantic_head.bias", float("nan")),
-        ("stem.0.1.running_var", float("inf")),
+        ("encoder.stem.0.1.running_var", float("inf")),
         ("rgb_mean", -float("inf")),
     ],
 )

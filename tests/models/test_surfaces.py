@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from models import create_model
 from models.surfaces import (
     COARSE_CELL,
     FINE_CELL,
@@ -20,6 +19,7 @@ from models.surfaces import (
     SLOPE,
     SPREAD_SHARE,
     WINDOWS,
+    HeadChannels,
     Measured,
     Surfaces,
     choose_surface,
@@ -28,7 +28,6 @@ from models.surfaces import (
     propagate_surfaces,
     refine_surfaces,
     replace,
-    return_confidence,
     surface_features,
     take_returns,
 )
@@ -57,7 +56,7 @@ def propagated(maps: Measured) -> Surfaces:
     return propagate_surfaces(maps, levels=4)[0]
 
 
-def head_of(**logits: float) -> torch.Tensor:
+def head_of(**logits: float) -> HeadChannels:
     """Logits of the named channels; the others are 0."""
     channels = (
         "mean",
@@ -71,7 +70,7 @@ def head_of(**logits: float) -> torch.Tensor:
     )
     assert len(channels) == HEAD_CHANNELS
     values = [logits.get(name, -30.0 if name in channels[:3] else 0.0) for name in channels]
-    return torch.tensor(values).view(1, -1, 1, 1).expand(1, -1, *GRID)
+    return HeadChannels.split(torch.tensor(values).view(1, -1, 1, 1).expand(1, -1, *GRID))
 
 
 def scanned(lines: int, value: float = 0.2) -> torch.Tensor:
@@ -282,9 +281,9 @@ def test_the_spread_of_two_depths_is_their_mean_distance_from_their_mean(weight)
 
 def test_the_scale_does_not_train_the_choice():
     own = torch.full((1, 1, *GRID), 0.4, requires_grad=True)
-    head = head_of(mean=0.0, farthest=0.0, nearest=0.0).clone().requires_grad_()
+    head = torch.cat(head_of(mean=0.0, farthest=0.0, nearest=0.0), dim=1).requires_grad_()
     found = propagated(measured(r40c40=0.05, r41c41=0.8))
-    choose_surface(head, own, found)[1].sum().backward()
+    choose_surface(HeadChannels.split(head), own, found)[1].sum().backward()
     trained = head.grad.abs().sum(dim=(0, 2, 3)) > 0
     assert trained.tolist() == [False] * 4 + [True] + [False] * 3
     assert own.grad is None or not own.grad.any()
@@ -316,8 +315,11 @@ def test_the_nearest_return_is_that_of_a_plain_loop():
     assert 0.3 < found / (43 * 64) < 0.7
 
 
-def test_the_confidence_in_returns_is_the_sigmoid_of_its_own_channels():
-    confidence = return_confidence(head_of(before=30.0, behind=-30.0, mean=30.0, scale=30.0))
+def test_the_head_is_split_into_its_channels_in_their_order():
+    head = HeadChannels.split(torch.arange(8.0).view(1, 8, 1, 1))
+    assert [part.flatten().tolist() for part in head] == [[0, 1, 2], [3], [4], [5, 6, 7]]
+    named = head_of(before=30.0, behind=-30.0, mean=30.0, scale=30.0)
+    confidence = torch.sigmoid(named.returns)
     assert confidence.shape == (1, 3, *GRID)
     assert torch.allclose(confidence[0, :, 3, 5], torch.tensor([1.0, 0.0, 0.5]))
 
@@ -419,61 +421,3 @@ def test_parallax_is_counted_in_metres(range_m, weight):
     depth = torch.full_like(DEPTH, 0.4)
     found, _ = take_returns(depth, SCALE, around, nothing, max_depth_m=range_m)
     assert found[0, 0, 41, 41].item() == pytest.approx(0.4 + weight * 0.04)
-
-
-@pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])
-def test_a_network_with_it_predicts_at_full_size_and_keeps_the_coarser_depths(name):
-    network = create_model(name).eval()
-    rgb = torch.rand(1, 3, 70, 101) * 255
-    with torch.no_grad():
-        found = network(rgb, torch.full((1, 1, 70, 101), 12.0))
-        none = network(rgb, torch.zeros(1, 1, 70, 101))
-    sizes = [tuple(depth.shape[2:]) for depth in found.depths]
-    assert sizes == [(70, 101), (24, 32), (12, 16), (6, 8)]
-    assert found.depth_uncertainty.shape == found.boundary_logits.shape == (1, 1, 70, 101)
-    for answer in (found, none):
-        assert answer.depths[0].isfinite().all()
-        assert NEAREST <= answer.depths[0].min() <= answer.depths[0].max() <= 1.0
-        assert answer.depth_uncertainty.min() > 0
-
-
-def test_a_network_answers_as_if_an_isolated_return_were_not_there():
-    network = create_model("ssdnet-nano").eval()
-    rgb, depth = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
-    depth[..., ::5, ::2] = 40.0
-    spoiled = depth.clone()
-    spoiled[0, 0, 33, 41] = 6.0
-    with torch.no_grad():
-        expected, answer = network(rgb, depth), network(rgb, spoiled)
-    assert torch.equal(answer.depths[0], expected.depths[0])
-    assert torch.equal(answer.semantic_logits, expected.semantic_logits)
-    assert torch.equal(answer.depth_uncertainty, expected.depth_uncertainty)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"depth_surfaces": False}, "depth_refine_channels needs depth_surfaces"),
-        ({"stem_channels": (16, 32, 32)}, "a stem of stride 4"),
-        ({"valid_mask_input": False}, "valid_mask_input"),
-        ({"sparse_depth_gain": 2.0}, "sparse_depth_gain = 1"),
-        ({"use_sparse_depth": False}, "sparse depth and a depth head"),
-    ],
-)
-def test_it_needs_unscaled_sparse_depth_and_a_stem_of_a_quarter(changes, message):
-    with pytest.raises(ValueError, match=message):
-        create_model("ssdnet-lite", **changes)
-
-
-def test_the_choice_reads_the_features_of_the_semantic_decoder():
-    """The layer is zero at first, so that weights without it give the same depth."""
-    network = create_model("ssdnet-nano").eval()
-    rgb, sparse = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
-    sparse[..., ::4, ::4] = 12.0
-    before = network(rgb, sparse).depths[0]
-    before.sum().backward()
-    assert network.surface_semantics.weight.grad.abs().max() > 0
-    with torch.no_grad():
-        network.surface_semantics.weight.fill_(0.5)
-        changed = network(rgb, sparse).depths[0]
-    assert (changed - before).abs().max() > 1e-3

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from layouts import camvid
 from layouts.virtual_kitti import write_second_edition
-from models import SSDNet
+from models import SSDNetLite
 from models.registry import NETWORKS, Entry
 from training import progress
 from training.cli import app
@@ -46,7 +46,7 @@ def tiny_network(monkeypatch):
         decoder_channels=(8,),
         boundary_channels=4,
     )
-    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNet, config))
+    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNetLite, config))
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from layouts.kitti_stream import write_stream
 from layouts.kitti_streets import HEIGHT, WIDTH, write_streets
 from layouts.pictures import write
 from layouts.virtual_kitti import COLORS, write_second_edition
-from models import SSDNet, create_model, load_checkpoint, save_checkpoint
+from models import SSDNet, SSDNetLite, create_model, load_checkpoint, save_checkpoint
 from models.registry import NETWORKS, Entry
 from runtime.errors import CheckpointError, DatasetError, InputError
 from training import cli, loop
@@ -56,7 +56,7 @@ INDEPENDENT = LossConfig(semantic_boundary_weight=0.0, semantic_depth_weight=0.0
 
 @pytest.fixture(autouse=True)
 def tiny_model(monkeypatch):
-    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNet, TINY))
+    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNetLite, TINY))
 
 
 @pytest.fixture
@@ -480,7 +480,9 @@ def test_non_finite_loss_names_the_frames(data, tmp_path, monkeypatch):
 
 def test_accumulated_batches_make_the_step_of_their_mean_gradient(data, tmp_path, monkeypatch):
     """Two batches of 1 against one of 2, in a network whose normalisation ignores the batch."""
-    monkeypatch.setattr(SSDNet, "train", lambda self, _=True: torch.nn.Module.train(self, False))
+    monkeypatch.setattr(
+        SSDNetLite, "train", lambda self, _=True: torch.nn.Module.train(self, False)
+    )
     sgd = OptimizerRecipe(name="sgd", learning_rate=0.01, weight_decay=0.0, momentum=0.0)
     # The cross-entropy of frames that are labelled everywhere: a mean of means is the mean.
     run = replace(
@@ -545,7 +547,7 @@ def test_init_loads_what_fits_and_reports_the_rest(data, tmp_path, monkeypatch, 
     first = train(recipe(steps=1), data=[data], out=tmp_path / "a")
     assert "with random weights" not in capsys.readouterr().err
     wider = replace(TINY, semantic_refine_channels=TINY.semantic_refine_channels + 4)
-    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNet, wider))
+    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNetLite, wider))
     frozen = replace(recipe(steps=1), optimizer=replace(recipe().optimizer, learning_rate=0.0))
     second = train(frozen, data=[data], out=tmp_path / "b", init=first)
     text = capsys.readouterr().err

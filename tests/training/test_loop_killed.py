@@ -22,9 +22,9 @@ import os, sys
 from dataclasses import replace
 from pathlib import Path
 import torch, torch._dynamo
-from models import SSDNet
+from models import SSDNetLite
 from models.registry import NETWORKS, Entry
-NETWORKS["ssdnet-lite"] = Entry(SSDNet, replace(
+NETWORKS["ssdnet-lite"] = Entry(SSDNetLite, replace(
     NETWORKS["ssdnet-lite"].config, stem_channels=(8, 8), encoder_channels=(8, 8, 8, 8),
     encoder_blocks=(1, 1, 1, 1), decoder_channels=(8, 8, 8), boundary_channels=4,
 ))

@@ -6,8 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from models import CLASS_TABLES, create_model, load_checkpoint, save_checkpoint
-from models.ssdnet_config import SSDNetConfig
+from models import CLASS_TABLES, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
 from runtime.errors import InputError
 from training.network import adjust_logits, build_network, class_offsets, train_parts
 from training.recipe import ModelRecipe
@@ -76,15 +75,15 @@ def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys, c
 
 def test_only_some_parts_are_trained():
     network = create_model("ssdnet-lite")
-    train_parts(network, ("depth_", "surface_head"))
+    train_parts(network, ("depth_", "surface_"))
     trained = {name.split(".")[0] for name, p in network.named_parameters() if p.requires_grad}
-    assert trained == {"depth_decoder", "depth_heads", "depth_refine", "surface_head"}
+    assert trained == {"depth_decoder", "depth_heads", "surface_depth"}
     assert not network.encoder.training
     assert network.depth_decoder.training
     train_parts(network, ())
     assert all(p.requires_grad for p in network.parameters())
     assert all(module.training for module in network.modules())
-    with pytest.raises(InputError, match=r"begins with 'deep'; it has stem, .*depth_decoder"):
+    with pytest.raises(InputError, match=r"begins with 'deep'; it has encoder, .*depth_decoder"):
         train_parts(network, ("depth_", "deep"))
 
 
@@ -104,7 +103,7 @@ def test_canonical_focal_length_goes_from_the_recipe_into_the_checkpoint(tmp_pat
 def test_a_network_refuses_a_focal_length_that_no_camera_has(focal):
     config = {**create_model("ssdnet-lite").config.to_dict(), "canonical_focal_px": focal}
     with pytest.raises(ValueError, match="canonical_focal_px"):
-        SSDNetConfig.from_dict(config)
+        SSDNetLiteConfig.from_dict(config)
 
 
 def test_a_recipe_changes_fields_of_the_networks_configuration():
@@ -113,7 +112,7 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
     expected = replace(create_model("ssdnet-lite").config, encoder_blocks=(1, 1, 1, 1))
     assert network.config == replace(expected, boundary_channels=4, global_context=False)
     alone = build_network(
-        ModelRecipe("ssdnet-lite", config={"semantic_head": False, "semantic_refine_channels": 0}),
+        ModelRecipe("ssdnet-lite", config={"semantic_head": False}),
         None,
     )
     assert "semantic" not in alone.heads
@@ -123,11 +122,19 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
 @pytest.mark.parametrize(
     ("name", "config", "text"),
     [
-        ("ssdnet-lite", {"encoder_block": [1]}, "encoder_block has the wrong type"),
+        ("ssdnet-lite", {"global_context": [1]}, "global_context has the wrong type"),
         ("ssdnet-lite", {"boundary_channels": "8"}, "boundary_channels has the wrong type"),
-        ("ssdnet-lite", {"layers": 3}, "unknown model configuration keys: layers"),
+        (
+            "ssdnet-lite",
+            {"layers": 3},
+            "no configuration field of the network 'ssdnet-lite': layers",
+        ),
         ("ssdnet-lite", {"encoder_blocks": [1]}, "must have the same length"),
-        ("fast-scnn", {"boundary_channels": 8}, "unknown model configuration keys"),
+        (
+            "fast-scnn",
+            {"boundary_channels": 8},
+            "field of the network 'fast-scnn': boundary_channels",
+        ),
     ],
 )
 def test_an_invalid_configuration_is_refused(name, config, text):

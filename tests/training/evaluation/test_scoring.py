@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from models import NetworkOutput, SSDNet, create_model
+from models import NetworkOutput, SSDNetLite, create_model
 from models.registry import NETWORKS
 from runtime.errors import InputError
 from training.datasets.sample import Sample
@@ -206,7 +206,7 @@ def test_network_answers_at_the_frames_size_in_metres():
         stem_channels=(8, 8),
         max_depth_m=50.0,
     )
-    network = SSDNet(small)
+    network = SSDNetLite(small)
     answer = torch_predict(network)(sample().rgb, sample().depth, None)
     assert answer.semantic.shape == answer.depth.shape == answer.boundary.shape == (60, 120)
     assert answer.semantic.dtype == np.uint8

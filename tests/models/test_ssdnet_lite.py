@@ -1,0 +1,65 @@
+"""The real-time network: its surfaces, its grids and what its configuration can say."""
+
+import pytest
+import torch
+
+from models import create_model
+from models.surfaces import NEAREST
+
+
+@pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])
+def test_a_network_with_it_predicts_at_full_size_and_keeps_the_coarser_depths(name):
+    network = create_model(name).eval()
+    rgb = torch.rand(1, 3, 70, 101) * 255
+    with torch.no_grad():
+        found = network(rgb, torch.full((1, 1, 70, 101), 12.0))
+        none = network(rgb, torch.zeros(1, 1, 70, 101))
+    sizes = [tuple(depth.shape[2:]) for depth in found.depths]
+    assert sizes == [(70, 101), (24, 32), (12, 16), (6, 8)]
+    assert found.depth_uncertainty.shape == found.boundary_logits.shape == (1, 1, 70, 101)
+    for answer in (found, none):
+        assert answer.depths[0].isfinite().all()
+        assert NEAREST <= answer.depths[0].min() <= answer.depths[0].max() <= 1.0
+        assert answer.depth_uncertainty.min() > 0
+
+
+def test_a_network_answers_as_if_an_isolated_return_were_not_there():
+    network = create_model("ssdnet-nano").eval()
+    rgb, depth = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
+    depth[..., ::5, ::2] = 40.0
+    spoiled = depth.clone()
+    spoiled[0, 0, 33, 41] = 6.0
+    with torch.no_grad():
+        expected, answer = network(rgb, depth), network(rgb, spoiled)
+    assert torch.equal(answer.depths[0], expected.depths[0])
+    assert torch.equal(answer.semantic_logits, expected.semantic_logits)
+    assert torch.equal(answer.depth_uncertainty, expected.depth_uncertainty)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"stem_channels": (16, 32, 32)}, "stem layers: 2 to 2"),
+        ({"depth_surfaces": False}, r"surfaces where they have a depth head"),
+        ({"valid_mask_input": False}, "valid_mask_input .removed: ssdnet-lite and"),
+        ({"sparse_depth_gain": 2.0}, "field of the network 'ssdnet-lite': sparse_depth_gain"),
+        ({"use_sparse_depth": False}, "field of the network 'ssdnet-lite': use_sparse_depth"),
+    ],
+)
+def test_the_lite_network_has_unscaled_sparse_depth_and_a_stem_of_a_quarter(changes, message):
+    with pytest.raises(ValueError, match=message):
+        create_model("ssdnet-lite", **changes)
+
+
+def test_the_choice_reads_the_features_of_the_semantic_decoder():
+    """The layer is zero at first, so that weights without it give the same depth."""
+    network = create_model("ssdnet-nano").eval()
+    rgb, sparse = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
+    sparse[..., ::4, ::4] = 12.0
+    before = network(rgb, sparse).depths[0]
+    before.sum().backward()
+    assert network.surface_depth.semantics.weight.grad.abs().max() > 0
+    with torch.no_grad():
+        network.surface_depth.semantics.weight.fill_(0.5)
+        changed = network(rgb, sparse).depths[0]
+    assert (changed - before).abs().max() > 1e-3
