@@ -28,7 +28,7 @@ def dry_run(
     """
     with join_processes(device) as processes:
         task = open_task(recipe, processes, data, init)
-        with read_batches(recipe, task.sources, processes, step=0) as batches:
+        with read_batches(recipe, task, processes, step=0) as batches:
             samples = next(batches)
         if processes.is_first:
             with folder_errors(out):

@@ -59,7 +59,7 @@ _PositiveShare = Annotated[float, Field(gt=0, le=1)]
 _Factor = Annotated[float, Field(ge=0.01, le=100)]
 #: Pixels at the border of each of two views that are not compared: padding changes answers there.
 PAIR_BORDER_PX = 32
-#: Step [px] of the shift between two views: the grid of every semantic head fits it.
+#: Least step [px] of the shift between two views; a network with coarser logits has a larger one.
 PAIR_STEP_PX = 4
 PairShift = Annotated[int, Field(ge=0, le=128, multiple_of=PAIR_STEP_PX)]
 #: (low, high) of a value that is drawn at random.

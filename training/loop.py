@@ -170,7 +170,7 @@ def _train(
     with (
         _Board(out / TENSORBOARD if processes.is_first else None, step) as board,
         closing(Progress(steps, step, shown=processes.is_first)) as progress,
-        read_batches(recipe, task.sources, processes, step) as batches,
+        read_batches(recipe, task, processes, step) as batches,
     ):
         train_parts(network, recipe.optimizer.only)
         while step < last_step and not processes.any(stop()):

@@ -1,5 +1,6 @@
 """What a recipe trains on what: all that can be refused before a run writes anything."""
 
+import math
 import random
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from training.datasets.sample import SampleSource
 from training.distributed import Processes, synchronise_batch_norm
 from training.evaluation.scoring import require_lidar
 from training.lidar.split import LidarInput
+from training.limits import PAIR_STEP_PX
 from training.loading.open_dataset import count_pixels, open_dataset
 from training.losses import SSDNetLoss, class_weights
 from training.network import build_network, class_offsets, train_parts
@@ -41,6 +43,11 @@ class Task:
     criterion: SSDNetLoss
     class_weights: Tensor | None
     class_offsets: Tensor | None
+
+    @property
+    def pair_step(self) -> int:
+        """Step [px] of the shift between two views: cells of the semantic head then coincide."""
+        return math.lcm(PAIR_STEP_PX, self.network.semantic_stride)
 
 
 def open_task(

@@ -89,7 +89,7 @@ class AugmentConfig:
     lidar_dropout: Share = 0.0
     dropout_share: ShareRange = (0.05, 0.3)
     #: Largest shift [px] of a second view of each frame, for the losses of consistency: rows and
-    #: columns by which it begins later are multiples of `PAIR_STEP_PX`. 0 = one view.
+    #: columns by which it begins later fit the grid of the semantic head. 0 = one view.
     pair_shift: PairShift = 0
     #: Probabilities that the second view has no LiDAR, and that it has false returns.
     pair_lidar_missing: Share = 0.0
@@ -148,15 +148,15 @@ def with_margin(config: AugmentConfig) -> AugmentConfig:
 
 
 def take_views(
-    sample: Sample, config: AugmentConfig, rng: Generator
+    sample: Sample, config: AugmentConfig, rng: Generator, *, step: int = PAIR_STEP_PX
 ) -> tuple[Sample, Sample, tuple[int, int]]:
     """Return two views of ``config.crop`` and the offset (rows, columns) [px] of the second.
 
-    The sample is made by `with_margin`; the first view is its upper left corner. The LiDAR input of
-    the second is missing or has false returns by the probabilities of ``config``.
+    The offset is a multiple of ``step``. The sample is made by `with_margin`; the first view is its
+    upper left corner. The LiDAR input of the second is missing or has false returns by the
+    probabilities of ``config``.
     """
-    steps = config.pair_shift // PAIR_STEP_PX
-    top, left = (PAIR_STEP_PX * int(step) for step in rng.integers(0, steps + 1, 2))
+    top, left = (step * int(count) for count in rng.integers(0, config.pair_shift // step + 1, 2))
     draw = rng.random()
     second = sample
     if sample.sparse_depth is not None:

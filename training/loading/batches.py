@@ -1,6 +1,6 @@
 """The batches of a training, decoded and augmented by worker processes."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -9,16 +9,16 @@ from torch.utils.data import DataLoader
 from torch.utils.data.dataloader import _MultiProcessingDataLoaderIter
 
 from runtime.errors import DatasetError
-from training.datasets.sample import SampleSource
 from training.distributed import Processes
 from training.loading.open_dataset import open_mixture
 from training.recipe import Recipe
 from training.stop_signal import leave_signals_to_parent
+from training.task import Task
 
 
 @contextmanager
 def read_batches(
-    recipe: Recipe, sources: Sequence[SampleSource], processes: Processes, step: int
+    recipe: Recipe, task: Task, processes: Processes, step: int
 ) -> Iterator[Iterator[dict[str, Any]]]:
     """Yield this process's batches from a step to the end, and end the workers with the block.
 
@@ -28,7 +28,13 @@ def read_batches(
     steps, batch = recipe.schedule.steps, recipe.data.batch_size
     per_step = recipe.loop.accumulate * batch * processes.count
     loader = DataLoader(
-        open_mixture(recipe.data, sources, length=steps * per_step, model=recipe.model),
+        open_mixture(
+            recipe.data,
+            task.sources,
+            length=steps * per_step,
+            model=recipe.model,
+            pair_step=task.pair_step,
+        ),
         batch_size=batch,
         sampler=processes.shares(step * per_step, steps * per_step, batch),
         num_workers=recipe.data.workers,

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from training.datasets.sample import IGNORE, Sample, SampleSource
+from training.limits import PAIR_STEP_PX
 from training.loading.augment import AugmentConfig, augment, far_sky, take_views, with_margin
 from training.loading.domain_mixing import paste_things, swap_style
 
@@ -53,6 +54,7 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
         seed: int,
         depth: DepthTarget | None = None,
         paste: Sequence[int] = (),
+        pair_step: int = PAIR_STEP_PX,
     ) -> None:
         if not parts or any(part.weight <= 0 for part in parts):
             raise ValueError("a mixture needs at least one data set, each with a positive weight")
@@ -60,6 +62,7 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
         self._seed = seed
         self._depth = depth or DepthTarget()
         self._paste = paste
+        self._pair_step = pair_step
         self._things = [part for part in self._parts if part.things]
         weights = np.array([part.weight for part in parts], dtype=np.float64)
         rng = np.random.default_rng([seed, 0])
@@ -85,7 +88,7 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
             sample = far_sky(sample, target.sky, target.sky_depth_m)
         if not part.augment.pair_shift:
             return as_tensors(sample)
-        *views, offset = take_views(sample, part.augment, rng)
+        *views, offset = take_views(sample, part.augment, rng, step=self._pair_step)
         first, second = (as_tensors(view) for view in views)
         pair: dict[str, Tensor | str] = {
             key: torch.stack([value, other])

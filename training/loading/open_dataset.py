@@ -11,6 +11,7 @@ from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
 from training.datasets.source_recipe import SourceRecipe
+from training.limits import PAIR_STEP_PX
 from training.loading.cache import CachedSource
 from training.loading.checked import CheckedSource
 from training.loading.mixture import DepthTarget, Mixture, MixturePart
@@ -45,10 +46,12 @@ def open_mixture(
     *,
     length: int,
     model: ModelRecipe | None = None,
+    pair_step: int = PAIR_STEP_PX,
 ) -> Mixture:
     """Mix data sets by the recipe's weights, with its augmentation and cache.
 
-    ``model`` has the unit of the depth; None = metres, and no depth of the sky.
+    ``model`` has the unit of the depth; None = metres, and no depth of the sky. The offsets of
+    second views are multiples of ``pair_step`` [px].
     """
     share = recipe.cache_gib / (max(1, recipe.workers) * len(sources))
     parts = [
@@ -67,7 +70,9 @@ def open_mixture(
         paste = tuple(each for each in named if each is not None)
         sky = model.class_id("sky") if recipe.sky_depth_m else None
         depth = DepthTarget(model.canonical_focal_px, sky, recipe.sky_depth_m)
-    return Mixture(parts, length=length, seed=recipe.seed, depth=depth, paste=paste)
+    return Mixture(
+        parts, length=length, seed=recipe.seed, depth=depth, paste=paste, pair_step=pair_step
+    )
 
 
 def count_pixels(

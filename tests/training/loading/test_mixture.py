@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.sample import Sample
 from training.loading.augment import AugmentConfig
 from training.loading.mixture import DepthTarget, Mixture, MixturePart, as_tensors
 from training.loading.open_dataset import open_mixture
+from training.losses.consistency import Pair, semantic_consistency_loss
 from training.recipe import DataRecipe, ModelRecipe
 
 
@@ -142,11 +144,12 @@ class Streets:
         return Sample(rgb, depth, labels, np.array([[900.0, 0, 160], [0, 900, 10], [0, 0, 1]]), "")
 
 
-def pairs(**options):
+def pairs(pair_step=4, **options):
     config = AugmentConfig(
         crop=(128, 160), pair_shift=32, blur=0, noise=0, lidar_missing=0, **options
     )
-    return Mixture([MixturePart(Streets(), 1.0, config)], length=24, seed=3)
+    parts = [MixturePart(Streets(), 1.0, config)]
+    return Mixture(parts, length=24, seed=3, pair_step=pair_step)
 
 
 def test_two_views_show_the_same_frame_from_the_offset_on():
@@ -161,6 +164,16 @@ def test_two_views_show_the_same_frame_from_the_offset_on():
             assert first.shape[-2:] == (128, 160)
             shared = second[..., : 128 - rows, : 160 - columns]
             assert torch.equal(first[..., rows:, columns:], shared), key
+
+
+@pytest.mark.parametrize("stride", [4, 8, 16])
+def test_a_perfect_network_agrees_with_itself_whatever_the_grid_of_its_classes(stride):
+    """The means of the cells of its grid are the answer: equal where the cells are the same."""
+    for index in range(12):
+        sample = pairs(pair_step=stride)[index]
+        cells = [F.avg_pool2d(view[None].float(), stride) for view in sample["rgb"]]
+        pair = Pair(sample["offset"][None], *(view[None] for view in sample["sparse_depth"]))
+        assert semantic_consistency_loss(*cells, pair, side=stride).item() == pytest.approx(0)
 
 
 @pytest.mark.parametrize(("missing", "false"), [(1.0, 0.0), (0.0, 1.0), (0.0, 0.0)])

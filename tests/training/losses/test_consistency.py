@@ -41,6 +41,13 @@ def pair_of(first, second):
     return Pair(torch.tensor([OFFSET]), first[None], second[None])
 
 
+def test_cells_that_no_shift_of_both_views_shares_are_not_compared():
+    first, second = (view[None] for view in views(scene_of(5, side=8), side=8))
+    pair = pair_of(torch.zeros(1, *SIZE), torch.zeros(1, *SIZE))
+    with pytest.raises(ValueError, match=r"\[4, 12\] px apart .* 8 px"):
+        semantic_consistency_loss(first, second, Pair(torch.tensor([[4, 12]]), *pair[1:]), side=8)
+
+
 @pytest.mark.parametrize("side", [1, 2, 4])
 def test_the_views_of_one_scene_overlap_in_equal_maps(side):
     a, b = overlap(*views(scene_of(3, side), side), OFFSET, side=side)
