@@ -144,11 +144,14 @@ class Scores:
         self.uncertainty.merge(other.uncertainty)
         self.road.merge(other.road)
 
-    def figures(self, class_names: Sequence[str] = ()) -> dict[str, float]:
+    def figures(
+        self, class_names: Sequence[str] = (), *, boundary_threshold: float | None = None
+    ) -> dict[str, float]:
         """Return the scores as named numbers: shares 0..1, metres, 1/km, pixels.
 
         Args:
             class_names: of the ids; without them there is no IoU of single classes.
+            boundary_threshold: one of `BOUNDARY_THRESHOLDS`; None = that of the best F-score.
         """
         figures: dict[str, float] = {}
         if self.semantic.confusion.any():
@@ -187,7 +190,7 @@ class Scores:
         disparity = self.disparity.compute()
         if disparity.pixels:
             figures |= _error_figures(disparity, "px")
-        boundary = self.boundary.compute()
+        boundary = self.boundary.compute(boundary_threshold)
         if not math.isnan(boundary.recall):
             figures |= {
                 "boundary_f": boundary.f_score,
