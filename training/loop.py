@@ -1,6 +1,5 @@
 """The training loop: one flat function from a recipe to checkpoints."""
 
-import copy
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -25,10 +24,11 @@ from training.lidar.split import LidarInput
 from training.loading.batches import read_batches
 from training.losses import SSDNetLoss
 from training.losses.consistency import Pair
-from training.network import adjust_logits, mix_weights, train_parts
+from training.network import train_parts
 from training.optimizer import build_optimizer, exponential_average, learning_rate
 from training.progress import Progress
 from training.recipe import LoopRecipe, Recipe
+from training.release import release_weights
 from training.run_folder import (
     BEST,
     FINAL,
@@ -124,7 +124,6 @@ def _train(
         "criterion": criterion,
         "scaler": scaler,
     }
-    begun = None if recipe.loop.trained_share == 1 else copy.deepcopy(network.state_dict())
     step = _resume(out / LAST, resolved, network, parts)
     if len(set(processes.gather(step))) > 1:
         raise InputError(
@@ -148,18 +147,6 @@ def _train(
             states = {name: part.state_dict() for name, part in parts.items()}
             info = {**training_info, "step": step}
             save_checkpoint(out / LAST, network, training=info, trainer={"step": step, **states})
-
-    def released() -> Network:
-        """The averaged weights as model.pt and best.pt hold them, and as they are validated."""
-        share = recipe.loop.logit_adjustment
-        copied = copy.deepcopy(averaged)
-        trained = adjust_logits(
-            averaged.state_dict(), task.class_weights, share, task.class_offsets
-        )
-        if begun is not None:
-            trained = mix_weights(begun, trained, recipe.loop.trained_share)
-        copied.load_state_dict(trained)
-        return copied
 
     def save_released(path: Path, candidate: Network) -> None:
         save_checkpoint(path, candidate, training={**training_info, "step": step})
@@ -219,7 +206,7 @@ def _train(
                 )
             # Before the checkpoint: a run killed in between validates again after it resumes.
             if task.validation and (step % recipe.validate_every == 0 or step == steps):
-                candidate = released()
+                candidate = release_weights(averaged, task.release)
                 figures = _validate(candidate, task.validation, recipe, processes, board, step)
                 if scores is not None and scores.add(step, figures, recipe.validation.best):
                     save_released(out / BEST, candidate)
@@ -228,7 +215,7 @@ def _train(
                 save_last()
     save_last()
     if step == steps and processes.is_first:
-        save_released(out / FINAL, released())
+        save_released(out / FINAL, release_weights(averaged, task.release))
     processes.wait()  # until the file is written
     return out / (FINAL if step == steps else LAST)  # stopped early: nothing to release yet
 

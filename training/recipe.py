@@ -17,6 +17,7 @@ from runtime.read_input import read_toml
 from training.datasets.class_mapping import ClassTable, list_classes
 from training.datasets.registry import DATASETS
 from training.datasets.source_recipe import SourceRecipe
+from training.former_keys import FORMER_KEYS
 from training.lidar.split import LidarInput
 from training.limits import (
     MAX_BATCH_PIXELS,
@@ -196,23 +197,30 @@ class LoopRecipe:
     compile: bool = False
     #: Decay of the averaged weights in model.pt; 0 = no averaging.
     ema_decay: Share = 0.999
-    #: Share of the trained weights in model.pt; the rest are those of --init, so that a little
-    #: training on new data keeps what the old weights knew (Wortsman et al. 2022, WiSE-FT).
-    trained_share: Annotated[float, Field(gt=0, le=1)] = 1.0
     #: Largest norm of the gradient; 0 = no clipping.
     clip_norm: NotNegative = 0.0
-    #: Share of the log class weights that is subtracted from model.pt's semantic bias (Menon et al.
-    #: 2021): training with class weights predicts rare classes too often. 0 = none, 1 = all.
-    logit_adjustment: Share = 0.0
-    #: (class, what is added to its logit) in model.pt, where training frames say that a class is
-    #: found too often or too seldom; benchmarks/logit_offsets.py finds them.
-    logit_offsets: Annotated[tuple[tuple[str, Logit], ...], Field(max_length=255)] = ()
     #: Batches per process whose gradients are averaged for one step; batch normalisation is over
     #: each batch.
     accumulate: BatchSize = 1
     #: Steps between two checkpoints and two entries of the curves; None = see `Recipe`.
     checkpoint_every: Steps | None = None
     log_every: Steps | None = None
+
+
+@dataclass(frozen=True, config=STRICT)
+class ReleaseRecipe:
+    """How the weights in model.pt and best.pt differ from the averaged ones."""
+
+    #: Share of the trained weights; the rest are those of --init, so that a little training on new
+    #: data keeps what the old weights knew (Wortsman et al. 2022, WiSE-FT). Layers that --init did
+    #: not give are the trained ones.
+    trained_share: Annotated[float, Field(gt=0, le=1)] = 1.0
+    #: Share of the log class weights that is subtracted from the semantic bias (Menon et al. 2021):
+    #: training with class weights predicts rare classes too often. 0 = none, 1 = all.
+    logit_adjustment: Share = 0.0
+    #: (class, what is added to its logit), where training frames say that a class is found too
+    #: often or too seldom; benchmarks/logit_offsets.py finds them.
+    logit_offsets: Annotated[tuple[tuple[str, Logit], ...], Field(max_length=255)] = ()
 
 
 def _require_lidar(text: str) -> str:
@@ -267,6 +275,7 @@ class Recipe:
     loss: LossConfig = field(default_factory=LossConfig)
     optimizer: OptimizerRecipe = field(default_factory=OptimizerRecipe)
     loop: LoopRecipe = field(default_factory=LoopRecipe)
+    release: ReleaseRecipe = field(default_factory=ReleaseRecipe)
     validation: ValidationRecipe = field(default_factory=ValidationRecipe)
     #: Data and terms that a model card and an exported file must state.
     terms: Annotated[str, Field(max_length=10_000)] = ""
@@ -386,6 +395,8 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
     value, context = error["input"], error.get("ctx", {})
     shown = repr(value) if len(repr(value)) <= 200 else f"{value!r:.200}..."
     match error["type"]:
+        case "unexpected_keyword_argument" if (former := _without_indices(place)) in FORMER_KEYS:
+            return f"{key} is no key any more: {FORMER_KEYS[former]}."
         case "unexpected_keyword_argument":
             known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
             return f"unknown key {key}; known here: {known}. Correct its name."
@@ -406,6 +417,10 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
             return f"{key} = {shown}: {context['error']}."
         case _:
             return f"{key} = {shown}: {error['msg'].lower()}."
+
+
+def _without_indices(place: Sequence[str | int]) -> str:
+    return _join([part for part in place if isinstance(part, str)])
 
 
 def _table_at(kind: Any, place: Sequence[str | int]) -> Any:

@@ -20,8 +20,9 @@ from training.lidar.split import LidarInput
 from training.limits import PAIR_STEP_PX
 from training.loading.open_dataset import count_pixels, open_dataset
 from training.losses import SSDNetLoss, class_weights
-from training.network import build_network, class_offsets, train_parts
+from training.network import build_with_weights, train_parts
 from training.recipe import Recipe
+from training.release import Release, class_offsets
 
 
 @dataclass(frozen=True)
@@ -33,16 +34,14 @@ class Task:
         validation: the validation sets by title.
         network: on the device of the process; only the parts that are trained have gradients.
         criterion: the loss, there too.
-        class_weights: of the semantic loss, where it has any.
-        class_offsets: what the recipe adds to the logits of the released weights.
+        release: how the released weights differ from the averaged ones.
     """
 
     sources: Sequence[SampleSource]
     validation: Mapping[str, SampleSource]
     network: Network
     criterion: SSDNetLoss
-    class_weights: Tensor | None
-    class_offsets: Tensor | None
+    release: Release
 
     @property
     def pair_step(self) -> int:
@@ -66,12 +65,12 @@ def open_task(
         item.title: open_dataset(item, data, classes=classes) for item in recipe.validation.source
     }
     require_lidar(validation, LidarInput.parse(recipe.validation.lidar))
-    if recipe.loop.trained_share < 1 and init is None:
+    if recipe.release.trained_share < 1 and init is None:
         raise InputError(
-            "loop.trained_share mixes the trained weights with those of --init: give --init, or "
+            "release.trained_share mixes the trained weights with those of --init: give --init, or "
             "set it to 1"
         )
-    network = build_network(recipe.model, init)
+    network, taken = build_with_weights(recipe.model, init)
     train_parts(network, recipe.optimizer.only)
     heads = network.heads
     if not recipe.loss.terms_for(heads):
@@ -82,7 +81,7 @@ def open_task(
     weights = None
     if "semantic" in heads and recipe.loss.weighs_classes:
         weights = _weigh_classes(recipe, sources, network.config.num_classes)
-    offsets = class_offsets(network, recipe.loop.logit_offsets)
+    class_offsets(network, recipe.release.logit_offsets)  # that they can be added
     network = network.to(processes.device)
     if recipe.loop.channels_last:
         network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -94,7 +93,9 @@ def open_task(
         target_depth_m=network.config.target_depth_m,
         road=recipe.model.class_id("road"),
     ).to(processes.device)
-    return Task(sources, validation, network, criterion, weights, offsets)
+    initial = {name: value.clone() for name, value in network.state_dict().items() if name in taken}
+    release = Release(recipe.release, weights, initial)
+    return Task(sources, validation, network, criterion, release)
 
 
 def _weigh_classes(recipe: Recipe, sources: Sequence[SampleSource], num_classes: int) -> Tensor:

@@ -91,8 +91,9 @@ scale = [1.0, 1.2]
 steps = 10
 [loop]
 ema_decay = 0.5
-logit_adjustment = 0.5
 log_every = 1
+[release]
+logit_adjustment = 0.5
 [validation]
 every = 5
 source = [{{ kind = "rendered", path = "rendered" }}]

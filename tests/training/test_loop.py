@@ -35,6 +35,7 @@ from training.recipe import (
     ModelRecipe,
     OptimizerRecipe,
     Recipe,
+    ReleaseRecipe,
     ScheduleRecipe,
     ValidationRecipe,
 )
@@ -336,7 +337,7 @@ def test_a_resumed_run_keeps_its_curves(data, tmp_path, monkeypatch):
 
 
 def test_best_weights_and_scores_survive_an_interruption(data, tmp_path):
-    run = recipe(steps=6, logit_adjustment=0.5)
+    run = replace(recipe(steps=6), release=ReleaseRecipe(logit_adjustment=0.5))
     run = replace(run, validation=replace(run.validation, every=2, best="camvid/boundary_f"))
     train(run, data=[data], out=tmp_path / "whole")
     train(run, data=[data], out=tmp_path / "parts", stop_after=5)
@@ -528,7 +529,7 @@ def test_init_starts_from_other_weights_of_the_same_kind(data, tmp_path, monkeyp
 def test_released_weights_lie_between_those_of_init_and_the_trained_ones(data, tmp_path):
     first = train(recipe(steps=1), data=[data], out=tmp_path / "a")
     whole = recipe(steps=2)
-    mixed = replace(whole, loop=replace(whole.loop, trained_share=0.25))
+    mixed = replace(whole, release=ReleaseRecipe(trained_share=0.25))
     trained = weights(train(whole, data=[data], out=tmp_path / "b", init=first))
     # Also after a resume, whose network begins at other weights.
     train(mixed, data=[data], out=tmp_path / "c", init=first, stop_after=1)
@@ -539,6 +540,24 @@ def test_released_weights_lie_between_those_of_init_and_the_trained_ones(data, t
             torch.testing.assert_close(value, expected)
     with pytest.raises(InputError, match="give --init"):
         train(mixed, data=[data], out=tmp_path / "d")
+
+
+def test_what_init_did_not_give_is_released_as_it_was_trained(data, tmp_path):
+    """Other classes: their layer is the trained one, and the offsets are added in full."""
+    first = tmp_path / "other.pt"
+    save_checkpoint(first, create_model("ssdnet-lite", classes=TINY.classes[::-1]))
+    whole = recipe(steps=2)
+    release = ReleaseRecipe(trained_share=0.25, logit_offsets=(("road", 2.0),))
+    trained = weights(train(whole, data=[data], out=tmp_path / "b", init=first))
+    mixed = replace(whole, release=release)
+    released = weights(train(mixed, data=[data], out=tmp_path / "c", init=first))
+    assert torch.equal(released["semantic_head.weight"], trained["semantic_head.weight"])
+    offsets = released["semantic_head.bias"] - trained["semantic_head.bias"]
+    torch.testing.assert_close(
+        offsets, torch.tensor([2.0 * (item.name == "road") for item in TINY.classes])
+    )
+    expected = 0.75 * weights(first)["stem.0.weight"] + 0.25 * trained["stem.0.weight"]
+    torch.testing.assert_close(released["stem.0.weight"], expected)
 
 
 def test_init_loads_what_fits_and_reports_the_rest(data, tmp_path, monkeypatch, capsys):
@@ -617,8 +636,8 @@ def test_command_reports_bad_recipes_and_data(data, tmp_path):
 
 def test_final_checkpoint_is_adjusted_and_the_resumable_one_is_not(data, tmp_path):
     plain = replace(recipe(steps=2), loss=replace(INDEPENDENT, class_weighting="median"))
-    adjusted = replace(plain, loop=replace(plain.loop, logit_adjustment=1.0))
-    moved = replace(plain, loop=replace(plain.loop, logit_offsets=(("sky", 3.0),)))
+    adjusted = replace(plain, release=ReleaseRecipe(logit_adjustment=1.0))
+    moved = replace(plain, release=ReleaseRecipe(logit_offsets=(("sky", 3.0),)))
     a = train(plain, data=[data], out=tmp_path / "a")
     b = train(adjusted, data=[data], out=tmp_path / "b")
     c = train(moved, data=[data], out=tmp_path / "c")
@@ -635,7 +654,7 @@ def test_the_weights_that_are_saved_are_those_that_were_validated(data, tmp_path
     run = recipe(steps=2)
     run = replace(
         run,
-        loop=replace(run.loop, logit_offsets=(("sky", 90.0),)),
+        release=ReleaseRecipe(logit_offsets=(("sky", 90.0),)),
         validation=replace(run.validation, every=1),
     )
     train(run, data=[data], out=tmp_path / "run")

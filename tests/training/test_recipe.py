@@ -11,6 +11,7 @@ from training.datasets.camvid import CamVidRecipe
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.rendered_scenes import RenderedOnTheFlyRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
+from training.former_keys import FORMER_KEYS
 from training.recipe import AnySource, ValidationRecipe, build, read_recipe
 
 MINIMAL = """
@@ -412,7 +413,7 @@ def test_losses_of_consistency_need_two_views(base):
         "schedule.final_ratio = 9.0",
         "loop.clip_norm = -1.0",
         "loop.ema_decay = 3.0",
-        "loop.logit_adjustment = -3.0",
+        "release.logit_adjustment = -3.0",
         "data.augment.flip = 7.0",
         "data.augment.scale = [0.0, 1.0]",
         "data.augment.scale = [2.0, 1.0]",
@@ -430,13 +431,20 @@ def test_values_out_of_range_are_refused_by_name(base, change):
         read_recipe(base / "base.toml", [change])
 
 
+@pytest.mark.parametrize("key", FORMER_KEYS)
+def test_a_key_of_an_earlier_release_is_answered_with_what_replaces_it(base, key):
+    with pytest.raises(InputError) as error:
+        read_recipe(base / "base.toml", [f"{key} = 0"])
+    assert f"{key} is no key any more: {FORMER_KEYS[key]}." in str(error.value)
+
+
 @pytest.mark.parametrize(
     ("offsets", "place"),
     [("[['road', 1e9]]", r"\[0\]\[1\] = 1000000000"), ("[['road']]", r"\[0\]")],
 )
 def test_offsets_out_of_range_or_without_a_number_are_refused_by_name(base, offsets, place):
-    with pytest.raises(InputError, match=rf"loop\.logit_offsets{place}"):
-        read_recipe(base / "base.toml", [f"loop.logit_offsets = {offsets}"])
+    with pytest.raises(InputError, match=rf"release\.logit_offsets{place}"):
+        read_recipe(base / "base.toml", [f"release.logit_offsets = {offsets}"])
 
 
 def test_sky_needs_a_class_of_that_name(tmp_path):

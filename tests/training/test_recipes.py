@@ -107,7 +107,7 @@ def read_shrunk(path):
     """A recipe for one step on small frames; all that it says about network and loss stays."""
     changes = (
         *("data.batch_size = 16", "data.seed = 5", "data.workers = 0", "schedule.steps = 1"),
-        *("validation.every = 1", "loop.log_every = 1", "loop.trained_share = 1.0"),
+        *("validation.every = 1", "loop.log_every = 1", "release.trained_share = 1.0"),
     )
     recipe = read_recipe(path, changes)
     height, width = shrink(recipe.data.augment.crop)
