@@ -556,8 +556,10 @@ def test_what_init_did_not_give_is_released_as_it_was_trained(data, tmp_path):
     torch.testing.assert_close(
         offsets, torch.tensor([2.0 * (item.name == "road") for item in TINY.classes])
     )
-    expected = 0.75 * weights(first)["stem.0.weight"] + 0.25 * trained["stem.0.weight"]
-    torch.testing.assert_close(released["stem.0.weight"], expected)
+    expected = (
+        0.75 * weights(first)["depth_heads.0.weight"] + 0.25 * trained["depth_heads.0.weight"]
+    )
+    torch.testing.assert_close(released["depth_heads.0.weight"], expected)
 
 
 def test_init_loads_what_fits_and_reports_the_rest(data, tmp_path, monkeypatch, capsys):
