@@ -137,8 +137,6 @@ class DataRecipe:
     #: Depth target of unmeasured pixels of the class "sky", canonical where the network's depth is
     #: [m]; 0 = none.
     sky_depth_m: NotNegative = 0.0
-    #: Classes that ``augment.paste`` takes from the sets with ``things``.
-    paste_classes: Annotated[tuple[str, ...], Field(max_length=MAX_CLASSES)] = ()
     #: Number of samples from which the class frequencies of the loss are counted.
     frequency_samples: Count = 400
 
@@ -153,10 +151,6 @@ class DataRecipe:
                 f"batch_size = {self.batch_size}: with crops of {crop[0]}x{crop[1]} a batch has "
                 f"more than {MAX_BATCH_PIXELS} pixels"
             )
-        if self.augment.paste and not (
-            self.paste_classes and any(item.things for item in self.source)
-        ):
-            raise ValueError("augment.paste needs paste_classes, and a source with things = true")
         for index, item in enumerate(self.source):
             if item.scale is not None:
                 require_window(f"source[{index}].scale", crop, item.scale)
@@ -284,9 +278,6 @@ class Recipe:
         """Check the classes that the loss needs and the number of samples."""
         if self.data.sky_depth_m and self.model.class_id("sky") is None:
             raise ValueError("data.sky_depth_m needs a class called 'sky' in model.classes")
-        unknown = [name for name in self.data.paste_classes if self.model.class_id(name) is None]
-        if unknown:
-            raise ValueError(f"data.paste_classes: model.classes has no {unknown[0]!r:.80}")
         if self.loss.road_weight and self.model.class_id("road") is None:
             raise ValueError("loss.road_weight needs a class called 'road' in model.classes")
         pair_terms = [name for name in PAIR_TERMS if getattr(self.loss, f"{name}_weight")]

@@ -387,11 +387,6 @@ def test_the_score_of_the_best_weights_is_of_a_validation_set(base):
             read_recipe(base / "base.toml", [sets, f"validation.best = '{name}'"])
 
 
-def test_pasted_classes_must_be_the_networks(base):
-    with pytest.raises(InputError, match=r"data\.paste_classes: model\.classes has no 'tram'"):
-        read_recipe(base / "base.toml", ["data.paste_classes = ['pole', 'tram']"])
-
-
 def test_losses_of_consistency_need_two_views(base):
     weight = "loss.depth_consistency_weight = 1.0"
     with pytest.raises(InputError, match=r"depth_consistency_weight .*pair_shift"):
@@ -433,9 +428,14 @@ def test_values_out_of_range_are_refused_by_name(base, change):
 
 @pytest.mark.parametrize("key", FORMER_KEYS)
 def test_a_key_of_an_earlier_release_is_answered_with_what_replaces_it(base, key):
+    change = f"{key} = 0"
+    if key.startswith("data.source."):
+        change = f'data.source = [{{kind = "camvid", path = "c", {key[12:]} = 0}}]'
+        key = key.replace("source", "source[0]")
     with pytest.raises(InputError) as error:
-        read_recipe(base / "base.toml", [f"{key} = 0"])
-    assert f"{key} is no key any more: {FORMER_KEYS[key]}." in str(error.value)
+        read_recipe(base / "base.toml", [change])
+    former = FORMER_KEYS[key.replace("[0]", "")]
+    assert f"{key} is no key any more: {former}." in str(error.value)
 
 
 @pytest.mark.parametrize(

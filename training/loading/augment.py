@@ -15,7 +15,6 @@ from runtime.resize import move_returns, move_scan_lines, resize_image, resize_n
 from training.datasets.sample import IGNORE, Sample, nothing_known
 from training.lidar.faults import add_false_returns, drop_sectors, misalign
 from training.lidar.simulate import SENSOR_LINES
-from training.lidar.solid_state import solid_state_scan
 from training.lidar.split import LidarInput, split_lidar
 from training.limits import (
     PAIR_BORDER_PX,
@@ -76,9 +75,6 @@ class AugmentConfig:
     lines: Annotated[
         tuple[Literal[1, 2, 4, 8, 16, 32, 64, 128], ...], Field(min_length=1, max_length=100)
     ] = (64, 32, 16)
-    #: Probability that the input is a solid-state LiDAR's, see `training.lidar.solid_state`;
-    #: ignored without dense depth.
-    lidar_solid_state: Share = 0.0
     #: Probability of an error of the LiDAR's extrinsics, and its largest rotation about each axis
     #: [degrees] and shift along it [m]; ignored without intrinsics.
     lidar_misaligned: Share = 0.0
@@ -94,10 +90,6 @@ class AugmentConfig:
     #: Probabilities that the second view has no LiDAR, and that it has false returns.
     pair_lidar_missing: Share = 0.0
     pair_lidar_false: Share = 0.0
-    #: Probabilities that a sample takes over the style of another frame of the mixture, and that
-    #: things are pasted into it, see `training.loading.domain_mixing`.
-    style: Share = 0.0
-    paste: Share = 0.0
 
     def __post_init__(self) -> None:
         """Check the window that is magnified to the crop, and what both views share."""
@@ -328,26 +320,13 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
     """Choose the LiDAR input and the depth target, see `training.lidar.split`."""
     lidar = _choose_lidar(sample, config, rng)
     first_line = int(rng.integers(SENSOR_LINES))
-    fed, target = _draw_solid_state(sample, lidar, config, rng), sample.depth
-    if fed is None:
-        if lidar.lines > SENSOR_LINES:  # more than any recorded scan has: simulated
-            sample = replace(sample, sparse_depth=None, scan_line=None)
-        split = split_lidar(sample, lidar, rng, same_target=False, first_line=first_line)
-        if split is None:
-            raise ValueError(f"{sample.name} cannot be split for the LiDAR {lidar}")
-        fed, target = split.fed, split.target
-    return replace(sample, sparse_depth=_disturb(fed, sample, config, rng), depth=target)
-
-
-def _draw_solid_state(
-    sample: Sample, lidar: LidarInput, config: AugmentConfig, rng: Generator
-) -> NDArray[np.float32] | None:
-    """Return the input of a solid-state LiDAR by its probability, else None."""
-    if not config.lidar_solid_state or lidar.kind == "none" or sample.intrinsics is None:
-        return None
-    if not _is_dense(sample) or rng.random() >= config.lidar_solid_state:
-        return None
-    return solid_state_scan(sample.depth, sample.intrinsics, rng)
+    if lidar.lines > SENSOR_LINES:  # more than any recorded scan has: simulated
+        sample = replace(sample, sparse_depth=None, scan_line=None)
+    split = split_lidar(sample, lidar, rng, same_target=False, first_line=first_line)
+    if split is None:
+        raise ValueError(f"{sample.name} cannot be split for the LiDAR {lidar}")
+    fed = _disturb(split.fed, sample, config, rng)
+    return replace(sample, sparse_depth=fed, depth=split.target)
 
 
 def _disturb(

@@ -1,18 +1,16 @@
 """An endless, reproducible mixture of data sets with a weight each."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.random import Generator
 from torch import Tensor
 from torch.utils.data import Dataset
 
 from training.datasets.sample import IGNORE, Sample, SampleSource
 from training.limits import PAIR_STEP_PX
 from training.loading.augment import AugmentConfig, augment, far_sky, take_views, with_margin
-from training.loading.domain_mixing import paste_things, swap_style
 
 
 @dataclass(frozen=True)
@@ -22,8 +20,6 @@ class MixturePart:
     source: SampleSource
     weight: float
     augment: AugmentConfig
-    #: Whether its things may be pasted into other samples.
-    things: bool = False
 
 
 @dataclass(frozen=True)
@@ -53,7 +49,6 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
         length: int,
         seed: int,
         depth: DepthTarget | None = None,
-        paste: Sequence[int] = (),
         pair_step: int = PAIR_STEP_PX,
     ) -> None:
         if not parts or any(part.weight <= 0 for part in parts):
@@ -61,9 +56,7 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
         self._parts = list(parts)
         self._seed = seed
         self._depth = depth or DepthTarget()
-        self._paste = paste
         self._pair_step = pair_step
-        self._things = [part for part in self._parts if part.things]
         weights = np.array([part.weight for part in parts], dtype=np.float64)
         rng = np.random.default_rng([seed, 0])
         self._part = rng.choice(len(parts), size=length, p=weights / weights.sum())
@@ -82,8 +75,12 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
         part = self._parts[self._part[index]]
         rng = np.random.default_rng([self._seed, 1, index])
         target = self._depth
-        sample = self._augment(part, int(self._frame[index]), rng)
-        sample = self._mix(sample, part.augment, np.random.default_rng([self._seed, 2, index]))
+        sample = augment(
+            part.source[int(self._frame[index])],
+            with_margin(part.augment),
+            rng,
+            canonical_focal_px=target.canonical_focal_px,
+        )
         if target.sky is not None:
             sample = far_sky(sample, target.sky, target.sky_depth_m)
         if not part.augment.pair_shift:
@@ -96,27 +93,6 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
             if isinstance(value, Tensor) and isinstance(other := second[key], Tensor)
         }
         return {**pair, "offset": torch.tensor(offset), "name": sample.name}
-
-    def _augment(self, part: MixturePart, frame: int, rng: Generator) -> Sample:
-        return augment(
-            part.source[frame],
-            with_margin(part.augment),
-            rng,
-            canonical_focal_px=self._depth.canonical_focal_px,
-        )
-
-    def _mix(self, sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
-        """Take over the style of another frame, and things, by their probabilities."""
-        if config.style and rng.random() < config.style:
-            other = int(rng.integers(len(self)))
-            source = self._parts[self._part[other]].source
-            rgb = swap_style(sample.rgb, source[int(self._frame[other])].rgb, rng)
-            sample = replace(sample, rgb=rgb)
-        if config.paste and rng.random() < config.paste:
-            part = self._things[int(rng.integers(len(self._things)))]
-            other_sample = self._augment(part, int(rng.integers(len(part.source))), rng)
-            sample = paste_things(sample, other_sample, self._paste)
-        return sample
 
 
 def as_tensors(sample: Sample) -> dict[str, Tensor | str]:

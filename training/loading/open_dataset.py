@@ -59,20 +59,14 @@ def open_mixture(
             CachedSource(source, limit_bytes=int(share * 2**30)) if share else source,
             item.weight,
             replace(recipe.augment, scale=item.scale) if item.scale else recipe.augment,
-            things=item.things,
         )
         for item, source in zip(recipe.source, sources, strict=True)
     ]
     depth: DepthTarget | None = None
-    paste: tuple[int, ...] = ()
     if model is not None:
-        named = [model.class_id(name) for name in recipe.paste_classes]
-        paste = tuple(each for each in named if each is not None)
         sky = model.class_id("sky") if recipe.sky_depth_m else None
         depth = DepthTarget(model.canonical_focal_px, sky, recipe.sky_depth_m)
-    return Mixture(
-        parts, length=length, seed=recipe.seed, depth=depth, paste=paste, pair_step=pair_step
-    )
+    return Mixture(parts, length=length, seed=recipe.seed, depth=depth, pair_step=pair_step)
 
 
 def count_pixels(

@@ -423,25 +423,6 @@ def rendered(height=48, width=64):
 ALWAYS = AugmentConfig(lidar_missing=0, lidar_random=0, lines=(64,))
 
 
-def test_a_solid_state_lidar_is_drawn_from_dense_truth_alone():
-    config = replace(ALWAYS, lidar_solid_state=1.0)
-    for sample in (rendered(), plane()):
-        out = draw_lidar(sample, config, np.random.default_rng(0))
-        seen = out.sparse_depth > 0
-        assert seen.sum() > 100
-        np.testing.assert_allclose(out.sparse_depth[seen], sample.depth[seen], atol=0.15)
-        np.testing.assert_array_equal(out.depth, sample.depth)
-    for sample in (recorded(), recorded_beside_its_target(), replace(plane(), intrinsics=None)):
-        thin = replace(sample, depth=np.where(sample.depth % 4 < 1, sample.depth, 0))
-        with_it, without = (
-            draw_lidar(thin, item, np.random.default_rng(0)).sparse_depth
-            for item in (config, ALWAYS)
-        )
-        np.testing.assert_array_equal(with_it, without)
-    missing = draw_lidar(plane(), replace(config, lidar_missing=1.0), np.random.default_rng(0))
-    assert not missing.sparse_depth.any()
-
-
 def test_128_lines_are_drawn_from_dense_truth_and_are_64_of_a_recorded_scan():
     config = replace(ALWAYS, lines=(128,))
     camera = np.array([[500.0, 0, 159.5], [0, 500.0, 40.0], [0, 0, 1]])
