@@ -86,7 +86,7 @@ def predict(
             rgb = torch.from_numpy(sample.rgb).permute(2, 0, 1)[None].float()
             logits = network(rgb, torch.from_numpy(fed)[None, None] * factor).semantic_logits
         assert logits is not None
-        labels = sample.semantic if sample.road_mask is None else sample.road_mask
+        labels = sample.targets.get("road_mask", sample.semantic)
         yield logits[0].half().numpy(), labels
 
 

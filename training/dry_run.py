@@ -29,14 +29,13 @@ def dry_run(
     with join_processes(device) as processes:
         task = open_task(recipe, processes, data, init)
         with read_batches(recipe, task, processes, step=0) as batches:
-            samples = next(batches)
+            batch = next(batches)
         if processes.is_first:
             with folder_errors(out):
                 out.mkdir(parents=True, exist_ok=True)
-            drawn = {key: values[:_DRAWN] for key, values in samples.items()}
             overlay = Overlay(
                 list_classes(recipe.model.class_table), task.network.config.max_depth_m
             )
-            atomic_write(out / BATCH, encode_png(draw_batch(drawn, overlay)))
+            atomic_write(out / BATCH, encode_png(draw_batch(batch, overlay, count=_DRAWN)))
         processes.wait()
     return out / BATCH

@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from models import Network, NetworkOutput, load_checkpoint, save_checkpoint
 from runtime.errors import CheckpointError, InputError
+from training.batch import Batch
 from training.datasets.sample import SampleSource
 from training.distributed import Processes, join_processes, share_gradients
 from training.evaluation.pictures import draw_pictures
@@ -23,7 +24,6 @@ from training.evaluation.scoring import score_sources, torch_predict
 from training.lidar.split import LidarInput
 from training.loading.batches import read_batches
 from training.losses import SSDNetLoss
-from training.losses.consistency import Pair
 from training.network import train_parts
 from training.optimizer import build_optimizer, exponential_average, learning_rate
 from training.progress import Progress
@@ -168,9 +168,9 @@ def _train(
             sums: dict[str, Tensor] = {}
             names: list[str] = []
             for _ in range(recipe.loop.accumulate):
-                samples = next(batches)
-                names += samples["name"]
-                terms = _compute_loss(forward, criterion, samples, recipe.loop, processes.device)
+                batch = next(batches).to(processes.device)
+                names += batch.names
+                terms = _compute_loss(forward, criterion, batch, recipe.loop)
                 require_finite(terms, terms["total"], step, names, out, processes)
                 share = terms["total"] / recipe.loop.accumulate
                 scaler.scale(share).backward()  # type: ignore[no-untyped-call]
@@ -281,42 +281,20 @@ def _validate(
 
 
 def _compute_loss(
-    forward: Forward,
-    criterion: SSDNetLoss,
-    samples: Mapping[str, Any],
-    loop: LoopRecipe,
-    device: torch.device,
+    forward: Forward, criterion: SSDNetLoss, batch: Batch, loop: LoopRecipe
 ) -> dict[str, Tensor]:
-    batch = {
-        key: values.to(device, non_blocking=True)
-        for key, values in samples.items()
-        if isinstance(values, Tensor)
-    }
-    pair = None
-    if "offset" in batch:
-        offset = batch.pop("offset")
-        pair = Pair(offset, *batch["sparse_depth"].unbind(1))
-        # All first views, then all second ones.
-        batch = {key: values.transpose(0, 1).flatten(0, 1) for key, values in batch.items()}
-    rgb, sparse_depth = batch["rgb"].float(), batch["sparse_depth"]
+    rgb = batch.rgb.float()
     if loop.channels_last:
         rgb = rgb.to(memory_format=torch.channels_last)
     with torch.autocast(
-        device.type,
+        rgb.device.type,
         dtype=_AUTOCAST.get(loop.autocast),
         enabled=loop.autocast in _AUTOCAST,
     ):
         output = forward(
-            rgb, sparse_depth, upsample_semantic=criterion.config.semantic_grid == "image"
+            rgb, batch.sparse_depth, upsample_semantic=criterion.config.semantic_grid == "image"
         )
-    terms: dict[str, Tensor] = criterion(
-        output,
-        batch["semantic"],
-        batch["depth"],
-        semantic_weight=batch["semantic_weight"],
-        road_mask=batch["road_mask"],
-        pair=pair,
-    )
+    terms: dict[str, Tensor] = criterion(output, batch)
     return terms
 
 

@@ -44,6 +44,11 @@ class Task:
     release: Release
 
     @property
+    def targets(self) -> tuple[str, ...]:
+        """The targets that the loss compares answers with."""
+        return self.criterion.config.targets_for(self.network.heads)
+
+    @property
     def pair_step(self) -> int:
         """Step [px] of the shift between two views: cells of the semantic head then coincide."""
         return math.lcm(PAIR_STEP_PX, self.network.semantic_stride)

@@ -143,7 +143,7 @@ def test_a_reader_without_labels_is_named_with_its_frame(run, monkeypatch, spoil
 
     def spoilt(self, index):
         sample = read(self, index)
-        return replace(sample, semantic=spoil(sample.semantic))
+        return sample.with_targets(semantic=spoil(sample.semantic))
 
     monkeypatch.setattr(CamVid, "__getitem__", spoilt)
     for weighting in ("none", "median"):

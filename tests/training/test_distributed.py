@@ -15,13 +15,14 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from torch import nn
 
 from models import load_checkpoint
+from training.batch import Pair
 from training.distributed import (
     Processes,
     join_processes,
     share_gradients,
     synchronise_batch_norm,
 )
-from training.losses.consistency import Pair, depth_consistency_loss, semantic_consistency_loss
+from training.losses.consistency import depth_consistency_loss, semantic_consistency_loss
 
 # Every term of the loss, on a set whose frames differ in how much of them is known. PyTorch is
 # imported once; the processes of each run are forked, with the environment that torchrun sets.

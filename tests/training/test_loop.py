@@ -14,6 +14,7 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from typer.testing import CliRunner
 
+from layouts.batch import batch_of
 from layouts.kitti_stream import write_stream
 from layouts.kitti_streets import HEIGHT, WIDTH, write_streets
 from layouts.pictures import write
@@ -131,9 +132,9 @@ def test_two_views_are_trained_to_agree_and_resume_to_the_same_weights(data, tmp
     given = []
     forward = SSDNetLoss.forward
 
-    def look(self, output, semantic, depth, **others):
-        given.append((semantic, others["pair"]))
-        return forward(self, output, semantic, depth, **others)
+    def look(self, output, batch):
+        given.append((batch.targets["semantic"], batch.pair))
+        return forward(self, output, batch)
 
     monkeypatch.setattr(SSDNetLoss, "forward", look)
     whole = weights(train(run, data=[data], out=tmp_path / "whole"))
@@ -692,13 +693,6 @@ def test_the_recipe_sets_where_semantics_are_scored(grid, size):
         scored.append(network(*images, **options))
         return scored[-1]
 
-    samples = {
-        "rgb": torch.zeros(1, 3, 64, 96, dtype=torch.uint8),
-        "sparse_depth": torch.zeros(1, 1, 64, 96),
-        "depth": torch.ones(1, 1, 64, 96),
-        "semantic": torch.zeros(1, 64, 96, dtype=torch.int64),
-        "semantic_weight": torch.ones(1),
-        "road_mask": torch.full((1, 64, 96), 255, dtype=torch.uint8),
-    }
-    loop._compute_loss(forward, criterion, samples, LoopRecipe(), torch.device("cpu"))
+    batch = batch_of(torch.zeros(1, 64, 96), torch.ones(1, 1, 64, 96))
+    loop._compute_loss(forward, criterion, batch, LoopRecipe())
     assert tuple(scored[0].semantic_logits.shape[2:]) == size

@@ -1,9 +1,10 @@
 """A recorded KITTI stream: left colour camera, LiDAR returns with their scan lines."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
@@ -17,7 +18,7 @@ from training.datasets.files import (
     read_rgb,
     require_folder,
 )
-from training.datasets.sample import IGNORE, Sample
+from training.datasets.sample import Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT, Index, Share
@@ -95,16 +96,15 @@ class KittiStream:
         points = read_points(self._root / "velodyne_fov" / f"{path.stem}.bin")
         camera = self._calibration
         depth, scan_line = project_lines(points, camera.intrinsics, camera.extrinsics, size)
-        semantic = np.full(size, IGNORE, dtype=np.uint8)
+        targets: dict[str, NDArray[Any]] = {"depth": depth}
         label_path = self._root / "pseudo_semantic" / f"{path.stem}.png"
         if label_path.is_file():
-            semantic = self._lookup[read_gray(label_path, np.uint8, size)]
+            targets["semantic"] = self._lookup[read_gray(label_path, np.uint8, size)]
         return Sample(
             rgb=rgb,
-            depth=depth,
-            semantic=semantic,
+            targets=targets,
             intrinsics=self._calibration.intrinsics,
             name=f"kitti_stream/{path.stem}",
             scan_line=scan_line,
-            semantic_weight=self._semantic_weight,
+            weights={"semantic": self._semantic_weight},
         )

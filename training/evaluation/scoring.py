@@ -120,8 +120,8 @@ class Scores:
         labelled = bool((sample.semantic != IGNORE).any())
         if answer.semantic is not None and labelled:
             self.semantic.update(answer.semantic, sample.semantic)
-        if answer.semantic is not None and sample.road_mask is not None:
-            self.road.update(answer.semantic, sample.road_mask)
+        if answer.semantic is not None and "road_mask" in sample.targets:
+            self.road.update(answer.semantic, sample.targets["road_mask"])
         if answer.depth is not None and frame.target.any():
             self.depth.update(answer.depth, frame.target)
             if sample.focal_baseline_px_m is not None:

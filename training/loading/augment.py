@@ -12,7 +12,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.resize import move_returns, move_scan_lines, resize_image, resize_nearest
-from training.datasets.sample import IGNORE, Sample, nothing_known
+from training.datasets.sample import Sample, nothing_known, target_kind
 from training.lidar.faults import add_false_returns, drop_sectors, misalign
 from training.lidar.simulate import SENSOR_LINES
 from training.lidar.split import LidarInput, split_lidar
@@ -200,13 +200,10 @@ def canonical_depth(sample: Sample, focal_px: float) -> Sample:
 
 
 def _change_depth(sample: Sample, change: Callable[[Depth], Depth]) -> Sample:
-    """Change the depth and, where there is one, the sparse depth."""
-    sparse_depth = sample.sparse_depth
-    return replace(
-        sample,
-        depth=change(sample.depth),
-        sparse_depth=None if sparse_depth is None else change(sparse_depth),
-    )
+    """Change the depth and the sparse depth, where there are any."""
+    if sample.sparse_depth is not None:
+        sample = replace(sample, sparse_depth=change(sample.sparse_depth))
+    return sample.with_targets(depth=change(sample.depth)) if "depth" in sample.targets else sample
 
 
 def _change_maps(
@@ -223,10 +220,11 @@ def _change_maps(
         sample,
         rgb=change(sample.rgb, _FILL_RGB),
         sparse_depth=change_known(sample.sparse_depth, 0),
-        depth=change(sample.depth, 0),
-        semantic=change(sample.semantic, IGNORE),
         scan_line=change_known(sample.scan_line, -1),
-        road_mask=change_known(sample.road_mask, IGNORE),
+        targets={
+            name: change(labels, target_kind(name).unlabelled)
+            for name, labels in sample.targets.items()
+        },
         intrinsics=intrinsics,
     )
 
@@ -244,11 +242,11 @@ def far_sky(sample: Sample, sky: int, depth_m: float) -> Sample:
     unmeasured = sample.depth == 0
     if sample.sparse_depth is not None:
         unmeasured &= sample.sparse_depth == 0
-    margin = SKY_MARGIN_PX if sample.semantic_weight == 1 else PSEUDO_SKY_MARGIN_PX
+    margin = SKY_MARGIN_PX if sample.weights.get("semantic", 1) == 1 else PSEUDO_SKY_MARGIN_PX
     window = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
     inner = cv2.erode((sample.semantic == sky).astype(np.uint8), window) > 0
     is_sky = unmeasured & inner
-    return replace(sample, depth=np.where(is_sky, np.float32(depth_m), sample.depth))
+    return sample.with_targets(depth=np.where(is_sky, np.float32(depth_m), sample.depth))
 
 
 def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
@@ -264,9 +262,9 @@ def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
 def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = None) -> Sample:
     """Resize to (height, width) by the engine's rule, see `runtime.resize`.
 
-    Labels and dense depth are resized by nearest neighbour; recorded depth is moved return by
-    return, so that no return is doubled and the nearer of two on one pixel is kept. ``is_dense``
-    says which of them the depth is; None = by its share of known pixels.
+    Labels are resized by the rule of their head, dense depth by nearest neighbour; recorded depth
+    is moved return by return, so that no return is doubled and the nearer of two on one pixel is
+    kept. ``is_dense`` says which of them the depth is; None = by its share of known pixels.
     """
     if size == sample.size:
         return sample
@@ -295,16 +293,27 @@ def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = Non
         depth, scan_line = move_scan_lines(sample.depth, scan_line, size)
     else:
         depth = resize_nearest(sample.depth, size)
+    targets = _resize_targets(sample, size)
+    if "depth" in sample.targets:
+        targets["depth"] = depth
     return replace(
         sample,
         rgb=resize_image(sample.rgb, size),
         sparse_depth=sparse_depth,
-        depth=depth,
-        semantic=resize_nearest(sample.semantic, size),
+        targets=targets,
         scan_line=scan_line,
-        road_mask=None if sample.road_mask is None else resize_nearest(sample.road_mask, size),
         intrinsics=intrinsics,
     )
+
+
+def _resize_targets(sample: Sample, size: tuple[int, int]) -> dict[str, NDArray[Any]]:
+    """Resize every target but the depth by its rule."""
+    rules = {"nearest": resize_nearest, "bilinear": resize_image}
+    return {
+        name: rules[target_kind(name).resize](labels, size)
+        for name, labels in sample.targets.items()
+        if name != "depth"
+    }
 
 
 def flip(sample: Sample) -> Sample:
@@ -326,7 +335,7 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
     if split is None:
         raise ValueError(f"{sample.name} cannot be split for the LiDAR {lidar}")
     fed = _disturb(split.fed, sample, config, rng)
-    return replace(sample, sparse_depth=fed, depth=split.target)
+    return replace(sample, sparse_depth=fed).with_targets(depth=split.target)
 
 
 def _disturb(

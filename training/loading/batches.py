@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from functools import partial
 
 import cv2
 from torch.utils.data import DataLoader
 from torch.utils.data.dataloader import _MultiProcessingDataLoaderIter
 
 from runtime.errors import DatasetError
+from training.batch import Batch
 from training.distributed import Processes
 from training.loading.open_dataset import open_mixture
 from training.recipe import Recipe
@@ -19,7 +20,7 @@ from training.task import Task
 @contextmanager
 def read_batches(
     recipe: Recipe, task: Task, processes: Processes, step: int
-) -> Iterator[Iterator[dict[str, Any]]]:
+) -> Iterator[Iterator[Batch]]:
     """Yield this process's batches from a step to the end, and end the workers with the block.
 
     Workers ignore SIGTERM: while a traceback keeps the iterator, Python would wait for them at
@@ -41,6 +42,7 @@ def read_batches(
         prefetch_factor=3 if recipe.data.workers else None,
         pin_memory=processes.device.type == "cuda",
         worker_init_fn=_start_worker,
+        collate_fn=partial(Batch.collate, targets=task.targets),
     )
     batches = iter(loader)
     try:
@@ -57,7 +59,7 @@ def _start_worker(_: int) -> None:
     cv2.setNumThreads(0)
 
 
-def _without_tracebacks(batches: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+def _without_tracebacks(batches: Iterator[Batch]) -> Iterator[Batch]:
     """Yield the batches; a worker's error about a damaged file comes without its traceback."""
     try:
         yield from batches

@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import Tensor
 from torch.utils.data import Dataset
 
-from training.datasets.sample import IGNORE, Sample, SampleSource
+from training.batch import Drawn
+from training.datasets.sample import SampleSource
 from training.limits import PAIR_STEP_PX
 from training.loading.augment import AugmentConfig, augment, far_sky, take_views, with_margin
 
@@ -32,14 +31,13 @@ class DepthTarget:
     sky_depth_m: float = 100.0
 
 
-class Mixture(Dataset[dict[str, Tensor | str]]):
+class Mixture(Dataset[Drawn]):
     """``length`` augmented samples; the i-th is a pure function of the parts, seed, length and i.
 
     A run resumed at sample i therefore gets the same samples, whatever the number of worker
     processes. Each set is drawn in shuffled passes, each frame once a pass.
 
-    With ``pair_shift`` a sample has two views: every tensor has a first dimension of 2, and
-    "offset" int64 (2,) tells by how many rows and columns the second begins later.
+    With ``pair_shift`` a sample has two views.
     """
 
     def __init__(
@@ -71,7 +69,7 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
     def __len__(self) -> int:
         return len(self._part)
 
-    def __getitem__(self, index: int) -> dict[str, Tensor | str]:
+    def __getitem__(self, index: int) -> Drawn:
         part = self._parts[self._part[index]]
         rng = np.random.default_rng([self._seed, 1, index])
         target = self._depth
@@ -84,35 +82,6 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
         if target.sky is not None:
             sample = far_sky(sample, target.sky, target.sky_depth_m)
         if not part.augment.pair_shift:
-            return as_tensors(sample)
+            return Drawn((sample,))
         *views, offset = take_views(sample, part.augment, rng, step=self._pair_step)
-        first, second = (as_tensors(view) for view in views)
-        pair: dict[str, Tensor | str] = {
-            key: torch.stack([value, other])
-            for key, value in first.items()
-            if isinstance(value, Tensor) and isinstance(other := second[key], Tensor)
-        }
-        return {**pair, "offset": torch.tensor(offset), "name": sample.name}
-
-
-def as_tensors(sample: Sample) -> dict[str, Tensor | str]:
-    """Convert a sample to tensors.
-
-    rgb uint8 (3, H, W); sparse_depth and depth float32 (1, H, W), metres; semantic int64 (H, W);
-    semantic_weight float32 (); road_mask uint8 (H, W), 255 = unknown; name. ValueError for a
-    sample without sparse depth.
-    """
-    if sample.sparse_depth is None:
-        raise ValueError(f"{sample.name} has no sparse_depth; draw one with augment.draw_lidar")
-    road_mask = sample.road_mask
-    if road_mask is None:
-        road_mask = np.full(sample.size, IGNORE, dtype=np.uint8)
-    return {
-        "rgb": torch.from_numpy(np.ascontiguousarray(sample.rgb.transpose(2, 0, 1))),
-        "sparse_depth": torch.from_numpy(sample.sparse_depth[None]),
-        "depth": torch.from_numpy(sample.depth[None]),
-        "semantic": torch.from_numpy(sample.semantic.astype(np.int64)),
-        "semantic_weight": torch.tensor(sample.semantic_weight, dtype=torch.float32),
-        "road_mask": torch.from_numpy(road_mask),
-        "name": sample.name,
-    }
+        return Drawn(tuple(views), offset)

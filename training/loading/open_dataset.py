@@ -85,5 +85,6 @@ def count_pixels(
         for index in frames:
             sample = source[int(index)]
             seen = np.bincount(sample.semantic.ravel(), minlength=256)[:num_classes]
-            counts += seen * sample.semantic_weight * (wanted / len(frames)) / sample.semantic.size
+            weight = sample.weights.get("semantic", 1.0) * wanted / len(frames)
+            counts += seen * weight / sample.semantic.size
     return np.round(counts * 1_000_000).astype(np.int64)

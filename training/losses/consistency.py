@@ -1,11 +1,10 @@
 """Consistency of two shifted views of one frame: their answers must agree where they overlap."""
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
 from models.pooling import maxima_around
+from training.batch import Pair
 from training.distributed import sum_over_processes
 from training.limits import PAIR_BORDER_PX
 from training.losses.depth import log_ratio
@@ -13,16 +12,6 @@ from training.losses.depth import log_ratio
 #: Weights of the depth's ratio farther than NEAR_PX from a return, and nearer.
 FAR_WEIGHT, NEAR_WEIGHT = 1.2, 0.2
 NEAR_PX = 6
-
-
-class Pair(NamedTuple):
-    """How the second view of each frame differs from the first."""
-
-    #: int64 (N, 2): rows and columns by which the second view begins later.
-    offset: Tensor
-    #: float32 (N, 1, H, W), metres: the LiDAR input of each view, 0 = no return.
-    first_lidar: Tensor
-    second_lidar: Tensor
 
 
 def overlap(

@@ -72,7 +72,7 @@ def test_everything_is_paired_by_stem(mine):
     assert np.unique(first.semantic).tolist() == [0, 1, 255]
     assert (first.semantic[:4] == 255).all()
     assert first.intrinsics.tolist() == [[50, 0, 32], [0, 51, 16], [0, 0, 1]]
-    assert first.semantic_weight == 0.5
+    assert first.weights == {"semantic": 0.5}
 
 
 def test_pictures_alone_are_enough(mine):

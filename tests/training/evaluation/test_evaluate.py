@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from models import CLASS_TABLES
-from training.datasets.sample import Sample, nothing_known
+from training.datasets.sample import Sample
 from training.evaluation.evaluate import _score_all, short_names
 from training.evaluation.scored_model import ScoredModel
 from training.evaluation.scoring import Answer
@@ -24,9 +24,7 @@ def test_the_boundary_of_all_places_is_scored_at_one_threshold():
     labels = np.zeros((32, 32), np.uint8)
     labels[:, 16:] = 1
     frames = {
-        place: Sample(
-            np.full((32, 32, 3), index, np.uint8), nothing_known((32, 32)), labels, None, place
-        )
+        place: Sample(np.full((32, 32, 3), index, np.uint8), {"semantic": labels}, None, place)
         for index, place in enumerate(("north", "south"))
     }
     source = [replace(frame, place=place) for place, frame in frames.items()]

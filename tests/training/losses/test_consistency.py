@@ -5,13 +5,14 @@ import math
 import pytest
 import torch
 
+from layouts.batch import batch_of
 from models import NetworkOutput
+from training.batch import Pair
 from training.limits import PAIR_BORDER_PX
 from training.losses import LossConfig, SSDNetLoss
 from training.losses.consistency import (
     FAR_WEIGHT,
     NEAR_WEIGHT,
-    Pair,
     depth_consistency_loss,
     overlap,
     semantic_consistency_loss,
@@ -118,9 +119,9 @@ def test_the_whole_loss_has_both_terms_of_pairs_alone():
     labels = torch.zeros(2, *SIZE, dtype=torch.int64)
     depth = torch.zeros(2, 1, *SIZE)
     criterion = SSDNetLoss(config, max_depth_m=100.0)
-    alone = criterion(output, labels, depth)
+    alone = criterion(output, batch_of(labels, depth))
     pair = pair_of(depth[0], depth[1])
-    terms = criterion(output, labels, depth, pair=pair)
+    terms = criterion(output, batch_of(labels, depth, pair=pair))
     added = 2.0 * terms["depth_consistency"] + 0.5 * terms["semantic_consistency"]
     assert set(terms) - set(alone) == {"depth_consistency", "semantic_consistency"}
     assert terms["total"].item() == pytest.approx((alone["total"] + added).item(), rel=1e-5)
