@@ -43,7 +43,7 @@ from training.run_folder import (
 from training.score_table import SHOWN, ScoreTable
 from training.task import open_task
 
-#: `Network.forward`, perhaps distributed or compiled.
+#: `Network.forward`, perhaps distributed.
 Forward = Callable[..., NetworkOutput]
 
 #: The recipe's names of types other than float32.
@@ -132,8 +132,7 @@ def _train(
         )
     if step == recipe.schedule.steps and (out / FINAL).is_file():
         return out / FINAL
-    shared = share_gradients(network, processes)
-    forward: Forward = torch.compile(shared) if recipe.loop.compile else shared
+    forward: Forward = share_gradients(network, processes)
 
     training_info = {
         "data": [item.title for item in recipe.data.source],
@@ -283,9 +282,7 @@ def _validate(
 def _compute_loss(
     forward: Forward, criterion: SSDNetLoss, batch: Batch, loop: LoopRecipe
 ) -> dict[str, Tensor]:
-    rgb = batch.rgb.float()
-    if loop.channels_last:
-        rgb = rgb.to(memory_format=torch.channels_last)
+    rgb = batch.rgb.float().to(memory_format=torch.channels_last)
     with torch.autocast(
         rgb.device.type,
         dtype=_AUTOCAST.get(loop.autocast),

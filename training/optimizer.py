@@ -40,7 +40,7 @@ def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
         return peak
     progress = (step - schedule.warmup_steps) / max(1, schedule.steps - schedule.warmup_steps)
     share = 0.5 * (1 + math.cos(math.pi * min(1.0, progress)))
-    return peak * (schedule.final_ratio + (1 - schedule.final_ratio) * share)
+    return peak * share
 
 
 def exponential_average(

@@ -24,7 +24,6 @@ from training.limits import (
     MAX_SAMPLES,
     STRICT,
     BatchSize,
-    Count,
     DepthRange,
     FocalLength,
     Logit,
@@ -137,8 +136,6 @@ class DataRecipe:
     #: Depth target of unmeasured pixels of the class "sky", canonical where the network's depth is
     #: [m]; 0 = none.
     sky_depth_m: NotNegative = 0.0
-    #: Number of samples from which the class frequencies of the loss are counted.
-    frequency_samples: Count = 400
 
     def __post_init__(self) -> None:
         """Check that a batch and its crops fit into memory."""
@@ -171,12 +168,11 @@ class OptimizerRecipe:
 
 @dataclass(frozen=True, config=STRICT)
 class ScheduleRecipe:
-    """Linear warm-up, then cosine to ``final_ratio`` of the rate, or constant."""
+    """Linear warm-up, then cosine to 0, or constant."""
 
     steps: Steps
     warmup_steps: Annotated[int, Field(ge=0, le=10**8)] = 0
     shape: Literal["cosine", "constant"] = "cosine"
-    final_ratio: Share = 0.0
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -186,9 +182,6 @@ class LoopRecipe:
     #: Type of the network's arithmetic. fp16 scales the loss; a step whose gradients overflow is
     #: skipped and the scale is halved.
     autocast: Literal["none", "bf16", "fp16"] = "none"
-    channels_last: bool = True
-    #: Use torch.compile.
-    compile: bool = False
     #: Decay of the averaged weights in model.pt; 0 = no averaging.
     ema_decay: Share = 0.999
     #: Largest norm of the gradient; 0 = no clipping.

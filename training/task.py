@@ -87,9 +87,7 @@ def open_task(
     if "semantic" in heads and recipe.loss.weighs_classes:
         weights = _weigh_classes(recipe, sources, network.config.num_classes)
     class_offsets(network, recipe.release.logit_offsets)  # that they can be added
-    network = network.to(processes.device)
-    if recipe.loop.channels_last:
-        network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network = network.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     synchronise_batch_norm(network, processes)
     criterion = SSDNetLoss(
         recipe.loss,

@@ -82,7 +82,6 @@ name = "{name}"
 [data]
 batch_size = 4
 workers = 0
-frequency_samples = 4
 source = [{{ kind = "rendered", path = "rendered" }}]
 [data.augment]
 crop = [32, 64]

@@ -27,7 +27,6 @@ name = "ssdnet-lite"
 [data]
 batch_size = 2
 workers = 0
-frequency_samples = 2
 augment = {crop = [32, 32], scale = [1.0, 1.0], lidar_missing = 0.0, lidar_random = 1.0}
 source = [{kind = "camvid", path = "camvid"}]
 [schedule]

@@ -33,7 +33,6 @@ name = "ssdnet-small"
 [data]
 batch_size = 2
 workers = 1
-frequency_samples = 2
 augment.crop = [32, 32]
 cache_gib = 0.1
 [[data.source]]

@@ -51,7 +51,6 @@ name = "ssdnet-lite"
 [data]
 batch_size = 2
 workers = 1
-frequency_samples = 4
 augment.crop = [32, 32]
 [[data.source]]
 kind = "camvid"

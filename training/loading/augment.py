@@ -23,7 +23,6 @@ from training.limits import (
     CropSide,
     Degrees,
     FactorRange,
-    NotNegative,
     PairShift,
     Share,
     ShareRange,
@@ -39,6 +38,12 @@ _DENSE_SHARE = 0.3
 #: Sky this close to another label has no depth target: with labels by hand or rendered, and with
 #: labels of a network.
 SKY_MARGIN_PX, PSEUDO_SKY_MARGIN_PX = 2, 10
+#: Range of the share of recorded returns that are fed where a random share is drawn.
+_RECORDED_SHARE = (0.3, 0.8)
+#: Largest rotation [degrees] about each axis and shift [m] along it of a misaligned LiDAR.
+MISALIGNMENT_DEG, MISALIGNMENT_M = 0.5, 0.05
+#: Range of the share of the image's width of a missing sector.
+SECTOR_SHARE = (0.05, 0.3)
 #: RGB beyond the image: the networks' mean colour.
 _FILL_RGB = (124, 116, 104)
 
@@ -51,9 +56,6 @@ class AugmentConfig:
     crop: tuple[CropSide, CropSide] = (320, 480)
     #: Range of the random magnification of the image.
     scale: FactorRange = (0.7, 1.8)
-    #: Divide depth by the magnification, as for the same camera closer to the scene: depth then
-    #: still fits the size of things in the image (Yin et al. 2023, Metric3D).
-    scale_depth: bool = False
     flip: Share = 0.5
     #: Largest relative change of brightness, contrast and saturation; largest hue shift [degrees].
     brightness: Strength = 0.3
@@ -67,23 +69,17 @@ class AugmentConfig:
     lidar_missing: Share = 0.1
     #: Probability that the input is a random share of the measurements instead of scan lines.
     lidar_random: Share = 0.3
-    #: Range of that share: of the pixels for dense depth, of the returns for recorded depth.
+    #: Range of that share of the pixels for dense depth; `_RECORDED_SHARE` of recorded returns.
     random_share: ShareRange = (0.01, 0.08)
-    recorded_share: ShareRange = (0.3, 0.8)
     #: Scan-line counts to choose from; a recorded scan keeps every 64/n-th line. 128 are simulated
     #: from dense depth; without dense depth they are treated as 64.
     lines: Annotated[
         tuple[Literal[1, 2, 4, 8, 16, 32, 64, 128], ...], Field(min_length=1, max_length=100)
     ] = (64, 32, 16)
-    #: Probability of an error of the LiDAR's extrinsics, and its largest rotation about each axis
-    #: [degrees] and shift along it [m]; ignored without intrinsics.
+    #: Probability of an error of the LiDAR's extrinsics; ignored without intrinsics.
     lidar_misaligned: Share = 0.0
-    misalignment_deg: Degrees = 0.5
-    misalignment_m: NotNegative = 0.05
-    #: Probability that one to three sectors of the LiDAR are missing, and the range of the share of
-    #: the image's width of each.
+    #: Probability that one to three sectors of the LiDAR are missing.
     lidar_dropout: Share = 0.0
-    dropout_share: ShareRange = (0.05, 0.3)
     #: Largest shift [px] of a second view of each frame, for the losses of consistency: rows and
     #: columns by which it begins later fit the grid of the semantic head. 0 = one view.
     pair_shift: PairShift = 0
@@ -114,16 +110,14 @@ def augment(
         sample: a frame of a data set.
         config: ranges and probabilities.
         rng: source of all random numbers.
-        canonical_focal_px: makes the depth canonical, see `canonical_depth`, whatever
-            ``config.scale_depth`` is; None = metres.
+        canonical_focal_px: makes the depth canonical, see `canonical_depth`; None = metres.
 
     Returns:
         A sample of size ``config.crop`` with a sparse depth.
     """
-    if canonical_focal_px is not None:
-        # An unknown camera is treated as the canonical one, closer to the scene.
-        config = replace(config, scale_depth=sample.intrinsics is None)
-    sample = scale_and_crop(sample, config, rng)
+    # In canonical depth an unknown camera is treated as the canonical one, closer to the scene.
+    is_closer = canonical_focal_px is not None and sample.intrinsics is None
+    sample = scale_and_crop(sample, config, rng, is_closer=is_closer)
     if rng.random() < config.flip:
         sample = flip(sample)
     sample = draw_lidar(sample, config, rng)
@@ -159,12 +153,13 @@ def take_views(
     return cut(sample, 0, 0, config.crop), cut(second, top, left, config.crop), (top, left)
 
 
-def scale_and_crop(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
+def scale_and_crop(
+    sample: Sample, config: AugmentConfig, rng: Generator, *, is_closer: bool = False
+) -> Sample:
     """Magnify by a random factor and cut a random window of ``config.crop``.
 
     Beyond the image there is mean colour, no depth and no label. Depth keeps its metres and the
-    intrinsics are scaled; with ``config.scale_depth`` the depth is scaled instead of the focal
-    length.
+    intrinsics are scaled; if the camera ``is_closer``, the depth is divided by the factor instead.
     """
     scale = float(np.exp(rng.uniform(*np.log(config.scale))))
     height, width = config.crop
@@ -173,7 +168,7 @@ def scale_and_crop(sample: Sample, config: AugmentConfig, rng: Generator) -> Sam
     left = _random_offset(sample.size[1], window[1], rng)
     is_dense = _is_dense(sample)  # of the whole frame: a window may be mostly sky
     sample = resize(cut(sample, top, left, window), config.crop, is_dense=is_dense)
-    return approach(sample, scale) if config.scale_depth else sample
+    return approach(sample, scale) if is_closer else sample
 
 
 def approach(sample: Sample, factor: float) -> Sample:
@@ -342,13 +337,12 @@ def _disturb(
     fed: NDArray[np.float32], sample: Sample, config: AugmentConfig, rng: Generator
 ) -> NDArray[np.float32]:
     """Misalign the LiDAR or drop sectors of it by their probabilities."""
-    intrinsics, rotation_deg = sample.intrinsics, config.misalignment_deg
+    intrinsics = sample.intrinsics
     is_misaligned = config.lidar_misaligned and rng.random() < config.lidar_misaligned
     if is_misaligned and intrinsics is not None and fed.any():
-        shift_m = config.misalignment_m
-        fed = misalign(fed, intrinsics, rng, rotation_deg=rotation_deg, shift_m=shift_m)
+        fed = misalign(fed, intrinsics, rng, rotation_deg=MISALIGNMENT_DEG, shift_m=MISALIGNMENT_M)
     if config.lidar_dropout and rng.random() < config.lidar_dropout:
-        fed = drop_sectors(fed, config.dropout_share, rng)
+        fed = drop_sectors(fed, SECTOR_SHARE, rng)
     return fed
 
 
@@ -370,7 +364,7 @@ def _choose_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Lida
     if missing:
         return LidarInput("none")
     if random or not (is_recorded or sample.intrinsics is not None):
-        share = rng.uniform(*(config.recorded_share if is_recorded else config.random_share))
+        share = rng.uniform(*(_RECORDED_SHARE if is_recorded else config.random_share))
         return LidarInput("random", share=float(share))
     if is_recorded and sample.scan_line is None and lines <= SENSOR_LINES:
         return LidarInput("own")

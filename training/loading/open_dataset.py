@@ -17,6 +17,9 @@ from training.loading.checked import CheckedSource
 from training.loading.mixture import DepthTarget, Mixture, MixturePart
 from training.recipe import DataRecipe, ModelRecipe
 
+#: Number of frames from which the class frequencies of the loss are counted.
+FREQUENCY_SAMPLES = 400
+
 
 def open_dataset(
     recipe: SourceRecipe, roots: Sequence[Path], *, classes: ClassTable
@@ -74,13 +77,13 @@ def count_pixels(
 ) -> NDArray[np.int64]:
     """Count the pixels of every class in the mixture: int64 (num_classes,).
 
-    From about ``recipe.frequency_samples`` frames without augmentation, at equal distances in each
+    From about `FREQUENCY_SAMPLES` frames without augmentation, at equal distances in each
     set and by the recipe's weights; labels made by a network count by their weight.
     """
     counts = np.zeros(num_classes, dtype=np.float64)
     total = sum(item.weight for item in recipe.source)
     for item, source in zip(recipe.source, sources, strict=True):
-        wanted = max(1, round(recipe.frequency_samples * item.weight / total))
+        wanted = max(1, round(FREQUENCY_SAMPLES * item.weight / total))
         frames = np.unique(np.linspace(0, len(source) - 1, min(wanted, len(source))).astype(int))
         for index in frames:
             sample = source[int(index)]

@@ -16,7 +16,6 @@ from models.pooling import cell_means
 from training.batch import Batch, Pair
 from training.limits import STRICT, NotNegative
 from training.losses.boundary import (
-    BetaMode,
     balanced_cross_entropy,
     boundary_at_scale,
     boundary_target,
@@ -26,6 +25,7 @@ from training.losses.consistency import (
     semantic_consistency_loss,
 )
 from training.losses.depth import (
+    DepthCriterion,
     metric_depth_loss,
     multi_scale_depth_loss,
     normalise_depth,
@@ -70,7 +70,6 @@ TERMS: Mapping[str, Term] = {
     "lovasz": Term(frozenset({"semantic"}), "semantic"),
     "road": Term(frozenset({"semantic"}), "road_mask"),
     "boundary": Term(frozenset({"boundary"}), "semantic"),
-    "side_boundary": Term(frozenset({"boundary"}), "semantic"),
     "semantic_boundary": Term(frozenset({"semantic", "boundary"}), "semantic"),
     "semantic_depth": Term(frozenset({"semantic", "depth"}), "semantic"),
     "depth_consistency": Term(frozenset({"depth"})),
@@ -91,7 +90,7 @@ class LossConfig:
         ValueError: for a negative number, or if all weights are 0.
     """
 
-    #: One weight a term of Eq. 12: Eq. 4, 5, 6, 8, 11; and Eq. 6 on the boundary decoder's sides.
+    #: One weight a term of Eq. 12: Eq. 4, 5, 6, 8, 11.
     #: 1 is Eq. 12 as printed; with the soft form of Eq. 8 and 11 training then often collapses to
     #: one class, and 0.03 is used instead (docs/results.md).
     depth_weight: float = 1.0
@@ -99,7 +98,6 @@ class LossConfig:
     boundary_weight: float = 1.0
     semantic_boundary_weight: float = 1.0
     semantic_depth_weight: float = 1.0
-    side_boundary_weight: float = 0.0
     #: Soft IoU of the classes beside Eq. 5; not the paper's.
     semantic_iou_weight: float = 0.0
     #: Lovász-Softmax of each picture (Berman et al. 2018); ENet with it is the paper's ENet_LSloss.
@@ -126,14 +124,9 @@ class LossConfig:
 
     #: How Eq. 5's beta comes from the class frequencies; "paper" is literal.
     class_weighting: ClassWeighting = "median"
-    #: Over what Eq. 6's beta is counted.
-    boundary_beta: BetaMode = "batch"
 
     #: "paper": Eq. 4 on normalised depth. "metric": L1 + metric_l2 * L2 in metres, and ratios.
     depth_form: Literal["paper", "metric"] = "paper"
-    depth_l1: float = 0.4
-    depth_l2: float = 0.4
-    depth_ssim: float = 0.2
     metric_l2: float = 0.02
     #: Weight of the mean |log(prediction / target)| beside them [m].
     metric_log: float = 0.0
@@ -285,30 +278,18 @@ class SSDNetLoss(nn.Module):
     def _boundary_terms(
         self, output: NetworkOutput, semantic: Tensor, semantic_weight: Tensor | None
     ) -> dict[str, Tensor]:
-        config = self.config
-        sides = output.side_boundary_logits if config.side_boundary_weight else ()
-        fused = output.boundary_logits if config.boundary_weight else None
-        if fused is None and not sides:
+        logits = output.boundary_logits
+        if logits is None or not self.config.boundary_weight:
             return {}
-        target, valid = boundary_target(semantic)
-
-        def loss(logits: Tensor) -> Tensor:
-            return balanced_cross_entropy(
-                logits.float(),
-                *boundary_at_scale(target, valid, (logits.shape[-2], logits.shape[-1])),
-                beta_mode=config.boundary_beta,
-                sample_weight=semantic_weight,
-            )
-
-        terms = {} if fused is None else {"boundary": loss(fused)}
-        if sides:
-            terms["side_boundary"] = torch.stack([loss(side) for side in sides]).mean()
-        return terms
+        target = boundary_at_scale(*boundary_target(semantic), (logits.shape[-2], logits.shape[-1]))
+        loss = balanced_cross_entropy(logits.float(), *target, sample_weight=semantic_weight)
+        return {"boundary": loss}
 
     def _depth_terms(self, output: NetworkOutput, depth: Tensor) -> dict[str, Tensor]:
         config = self.config
         if output.depths is None or not (config.depth_weight or config.depth_uncertainty_weight):
             return {}
+        criterion: DepthCriterion
         if config.depth_form == "metric":
             criterion = partial(
                 metric_depth_loss,
@@ -318,9 +299,7 @@ class SSDNetLoss(nn.Module):
                 farthest=self.target_depth_m / self.max_depth_m,
             )
         else:
-            criterion = partial(
-                paper_depth_loss, l1=config.depth_l1, l2=config.depth_l2, ssim=config.depth_ssim
-            )
+            criterion = paper_depth_loss
         scales = output.depths if config.depth_scales == "mean" else output.depths[:1]
         target, valid = normalise_depth(depth, self.max_depth_m, self.target_depth_m)
         terms = {}

@@ -8,6 +8,7 @@ import pytest
 
 from runtime.resize import move_returns, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample
+from training.loading import augment as augmenting
 from training.loading.augment import (
     PSEUDO_SKY_MARGIN_PX,
     SKY_MARGIN_PX,
@@ -137,13 +138,14 @@ def test_nearest_return_of_each_map_stays_when_shrunk():
     assert small.depth.tolist() == [[5, 3, 0, 0]]
 
 
-def test_input_recorded_beside_its_target_is_kept_or_thinned():
+def test_input_recorded_beside_its_target_is_kept_or_thinned(monkeypatch):
     sample = recorded_beside_its_target()
     whole = draw_lidar(
         sample, AugmentConfig(lidar_missing=0, lidar_random=0), np.random.default_rng(0)
     )
     np.testing.assert_array_equal(whole.sparse_depth, sample.sparse_depth)
-    thin = AugmentConfig(lidar_missing=0, lidar_random=1, recorded_share=(0.6, 0.6))
+    monkeypatch.setattr(augmenting, "_RECORDED_SHARE", (0.6, 0.6))
+    thin = AugmentConfig(lidar_missing=0, lidar_random=1)
     thinned = draw_lidar(sample, thin, np.random.default_rng(0))
     kept = thinned.sparse_depth > 0
     share = np.count_nonzero(kept) / np.count_nonzero(sample.sparse_depth)
@@ -258,12 +260,12 @@ def test_dense_truth_under_a_wide_sky_is_resized_as_dense(crop, scale):
             np.testing.assert_array_equal(out.depth, resize_nearest(sample.depth, crop))
 
 
-def test_depth_follows_the_magnification_if_configured():
+def test_depth_follows_the_magnification_of_a_camera_that_is_closer():
     """What is magnified by two looks as from half as far with the same camera."""
     sample = recorded_beside_its_target()
     config = AugmentConfig(crop=(32, 32), scale=(2.0, 2.0))
     kept = scale_and_crop(sample, config, np.random.default_rng(1))
-    scaled = scale_and_crop(sample, replace(config, scale_depth=True), np.random.default_rng(1))
+    scaled = scale_and_crop(sample, config, np.random.default_rng(1), is_closer=True)
     np.testing.assert_allclose(scaled.depth, kept.depth / 2)
     np.testing.assert_allclose(scaled.sparse_depth, kept.sparse_depth / 2)
     np.testing.assert_array_equal(scaled.rgb, kept.rgb)
@@ -354,16 +356,14 @@ def test_the_focal_length_is_fx_as_in_the_engine():
     assert canonical_depth(unknown, 30.0) is unknown
 
 
-@pytest.mark.parametrize("scale_depth", [False, True])
 @pytest.mark.parametrize(("known", "factor"), [(True, 200 / (50 * 2)), (False, 1 / 2)])
-def test_augmented_samples_are_in_canonical_depth(known, factor, scale_depth):
+def test_augmented_samples_are_in_canonical_depth(known, factor):
     """Magnified by 2, of 50 px or as if of 200 px: all depth is as the canonical camera's."""
     sample = recorded_beside_its_target()
     if not known:
         sample = replace(sample, intrinsics=None)
     config = AugmentConfig(crop=(32, 32), scale=(2.0, 2.0), lidar_missing=0, lidar_random=0)
     metres = augment(sample, config, np.random.default_rng(3))
-    config = replace(config, scale_depth=scale_depth)
     canonical = augment(sample, config, np.random.default_rng(3), canonical_focal_px=200.0)
     assert metres.depth.any()
     assert metres.sparse_depth.any()
@@ -447,8 +447,10 @@ def test_128_lines_are_drawn_from_dense_truth_and_are_64_of_a_recorded_scan():
         np.testing.assert_array_equal(of_128, of_64)
 
 
-def test_a_misaligned_lidar_moves_the_input_and_not_the_target():
-    config = replace(ALWAYS, lidar_misaligned=1.0, misalignment_deg=4.0, misalignment_m=0.0)
+def test_a_misaligned_lidar_moves_the_input_and_not_the_target(monkeypatch):
+    monkeypatch.setattr(augmenting, "MISALIGNMENT_DEG", 4.0)
+    monkeypatch.setattr(augmenting, "MISALIGNMENT_M", 0.0)
+    config = replace(ALWAYS, lidar_misaligned=1.0)
     sample = rendered()
     straight = draw_lidar(sample, ALWAYS, np.random.default_rng(0))
     moved = draw_lidar(sample, config, np.random.default_rng(0))
@@ -459,8 +461,9 @@ def test_a_misaligned_lidar_moves_the_input_and_not_the_target():
     np.testing.assert_array_equal(unknown.sparse_depth, straight.sparse_depth)
 
 
-def test_sectors_drop_out_of_the_input_and_not_of_the_target():
-    config = replace(ALWAYS, lidar_dropout=1.0, dropout_share=(0.2, 0.2))
+def test_sectors_drop_out_of_the_input_and_not_of_the_target(monkeypatch):
+    monkeypatch.setattr(augmenting, "SECTOR_SHARE", (0.2, 0.2))
+    config = replace(ALWAYS, lidar_dropout=1.0)
     sample = rendered()
     out = draw_lidar(sample, config, np.random.default_rng(0))
     whole = draw_lidar(sample, ALWAYS, np.random.default_rng(0)).sparse_depth

@@ -59,7 +59,6 @@ def leaves(count=2, size=(16, 24), classes=5, seed=0, dtype=torch.float32):
         "depth": leaf(count, 1, height, width),
         "coarse_depth": leaf(count, 1, height // 8, width // 8),
         "boundary": leaf(count, 1, height, width),
-        "side": leaf(count, 1, height // 4, width // 4),
     }
 
 
@@ -68,7 +67,6 @@ def answer(parts):
         semantic_logits=parts["semantic"],
         depths=(torch.sigmoid(parts["depth"]), torch.sigmoid(parts["coarse_depth"])),
         boundary_logits=parts["boundary"],
-        side_boundary_logits=(parts["side"],),
     )
 
 
@@ -93,7 +91,6 @@ def test_total_is_the_weighted_sum_of_the_families():
         boundary_weight=3.0,
         semantic_boundary_weight=0.7,
         semantic_depth_weight=0.3,
-        side_boundary_weight=1.1,
         joint_depth_scale=20.0,
     )
     terms = Loss(config, weights, max_depth_m=100.0)(
@@ -103,10 +100,6 @@ def test_total_is_the_weighted_sum_of_the_families():
     shares = class_shares(semantic, 5, (16, 24))
     maps = soft_disagreement(log_p.exp())
     target, valid = boundary_target(semantic)
-    coarse = (
-        target.float().reshape(2, 1, 4, 4, 6, 4).amax(dim=(3, 5)) > 0,
-        torch.ones(2, 1, 4, 6, dtype=torch.bool),
-    )
     normalised = normalise_depth(depth, 100.0)
     of_depth = [
         paper_depth_loss(
@@ -125,9 +118,6 @@ def test_total_is_the_weighted_sum_of_the_families():
         ),
         "boundary": balanced_cross_entropy(
             parts["boundary"], target, valid, sample_weight=sample_weight
-        ),
-        "side_boundary": balanced_cross_entropy(
-            parts["side"], *coarse, sample_weight=sample_weight
         ),
         "semantic_boundary": semantic_boundary_loss(maps, torch.sigmoid(parts["boundary"])),
         "semantic_depth": semantic_depth_loss(
@@ -167,30 +157,11 @@ def test_depth_ends_where_the_regression_does():
 
 def test_literal_forms_of_the_paper():
     parts = leaves()
-    config = LossConfig(class_weighting="paper", disagreement="hard", boundary_beta="image")
+    config = LossConfig(class_weighting="paper", disagreement="hard")
     terms = Loss(config, max_depth_m=100.0)(answer(parts), *targets())
     maps = hard_disagreement(parts["semantic"].argmax(dim=1))
     expected = semantic_boundary_loss(maps, torch.sigmoid(parts["boundary"]))
     assert terms["semantic_boundary"].item() == pytest.approx(expected.item(), rel=1e-5)
-
-
-def test_beta_is_counted_over_the_configured_scope():
-    parts = leaves()
-    semantic, depth = targets()
-    semantic[1, :, 3:] = 0  # few boundaries here, many in the other image
-    boundary = [
-        Loss(LossConfig(boundary_beta=mode), max_depth_m=100.0)(answer(parts), semantic, depth)[
-            "boundary"
-        ].item()
-        for mode in ("batch", "image")
-    ]
-    target, valid = boundary_target(semantic)
-    expected = [
-        balanced_cross_entropy(parts["boundary"], target, valid, beta_mode=mode).item()
-        for mode in ("batch", "image")
-    ]
-    assert boundary == pytest.approx(expected, rel=1e-6)
-    assert expected[0] != pytest.approx(expected[1], rel=1e-2)
 
 
 @pytest.mark.parametrize(("form", "reaches"), [("soft", True), ("hard", False)])
@@ -214,7 +185,6 @@ def test_samples_without_targets_get_no_gradient(depth_form):
         depth_form=depth_form,
         semantic_boundary_weight=0.0,
         semantic_depth_weight=0.0,
-        side_boundary_weight=1.0,
     )
     Loss(config, max_depth_m=100.0)(answer(parts), semantic, depth)["total"].backward()
     for name, part in parts.items():
@@ -226,9 +196,7 @@ def test_samples_without_targets_get_no_gradient(depth_form):
 
 def test_no_targets_at_all_is_zero_and_finite():
     parts = leaves()
-    config = LossConfig(
-        semantic_boundary_weight=0.0, semantic_depth_weight=0.0, side_boundary_weight=1.0
-    )
+    config = LossConfig(semantic_boundary_weight=0.0, semantic_depth_weight=0.0)
     semantic, depth = torch.full((2, 16, 24), 255), torch.zeros(2, 1, 16, 24)
     terms = Loss(config, max_depth_m=100.0)(answer(parts), semantic, depth)
     terms["total"].backward()
@@ -277,7 +245,7 @@ def test_metric_form_is_in_metres_of_the_networks_range():
 def test_bf16_answers_are_scored_in_float32_under_autocast():
     parts = leaves(dtype=torch.bfloat16)
     semantic, depth = targets()
-    criterion = Loss(LossConfig(side_boundary_weight=1.0), max_depth_m=100.0)
+    criterion = Loss(LossConfig(), max_depth_m=100.0)
     with torch.autocast("cpu", dtype=torch.bfloat16):
         output = answer(parts)
         terms = criterion(output, semantic, depth)
@@ -286,7 +254,6 @@ def test_bf16_answers_are_scored_in_float32_under_autocast():
             output.semantic_logits.float(),
             tuple(depth.float() for depth in output.depths),
             output.boundary_logits.float(),
-            tuple(side.float() for side in output.side_boundary_logits),
         ),
         semantic,
         depth,
@@ -416,7 +383,7 @@ def test_semantic_logits_may_stay_on_their_own_grid():
     for name in set(on_grid) - {"semantic_boundary", "semantic_depth", "total"}:
         assert on_grid[name].item() == pytest.approx(at_size[name].item(), rel=1e-5), name
     on_grid["total"].backward()
-    assert all(parts[name].grad.any() for name in parts if name not in ("semantic", "side"))
+    assert all(parts[name].grad.any() for name in parts if name != "semantic")
     assert coarse.grad.any()
 
     # Repeated cells differ where cells meet, along two pixels each: the same sum over the pixels.
