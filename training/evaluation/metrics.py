@@ -377,6 +377,12 @@ class BoundaryScores:
         Precision is NaN where nothing was predicted, recall where nothing was to be found; the
         F-score is then 0, or NaN if both are missing.
         """
+        if threshold is not None:
+            return self._metrics()[self.thresholds.index(threshold)]
+        return max(self._metrics(), key=lambda item: item.f_score)
+
+    def _metrics(self) -> list[BoundaryMetrics]:
+        """Return the metrics at each threshold."""
         metrics = []
         for threshold, (predicted, right, true, found) in zip(
             self.thresholds, self._counts.tolist(), strict=True
@@ -387,9 +393,7 @@ class BoundaryScores:
             if not (predicted or true):
                 f_score = float("nan")
             metrics.append(BoundaryMetrics(threshold, precision, recall, f_score))
-        if threshold is not None:
-            return metrics[self.thresholds.index(threshold)]
-        return max(metrics, key=lambda item: item.f_score)
+        return metrics
 
     def _dilate(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         reach = np.arange(-self.tolerance_px, self.tolerance_px + 1)
