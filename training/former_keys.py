@@ -4,6 +4,10 @@ from collections.abc import Mapping
 
 #: Key, without the indices of lists -> what to do now.
 FORMER_KEYS: Mapping[str, str] = {
+    "model.max_depth_m": "it is model.config.max_depth_m now",
+    "model.canonical_focal_px": "it is model.config.canonical_focal_px now",
+    "model.boundary_gating": "it is model.config.boundary_gating now",
+    "model.sparse_depth_gain": "it is model.config.sparse_depth_gain now",
     "loss.boundary_beta": "beta is counted over the batch",
     "loss.side_boundary_weight": "nothing replaces it; the fused boundary is supervised",
     "loss.depth_l1": "the weights are the paper's; see loss.depth_form for another loss",

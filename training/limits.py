@@ -9,11 +9,7 @@ from typing import Annotated
 from pydantic import AfterValidator, ConfigDict, Field
 
 from runtime.contract import (
-    MAX_DEPTH_RANGE_M,
-    MAX_FOCAL_PX,
     MAX_SIDE,
-    MIN_DEPTH_RANGE_M,
-    MIN_FOCAL_PX,
     MIN_SIDE,
 )
 
@@ -30,11 +26,8 @@ MAX_SAMPLES = 10**8
 Index = Annotated[int, Field(ge=0, le=10**9)]
 Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
 Steps = Annotated[int, Field(ge=1, le=10**8)]
-Count = Annotated[int, Field(ge=1, le=10**6)]
 Workers = Annotated[int, Field(ge=0, le=1024)]
 BatchSize = Annotated[int, Field(ge=1, le=65536)]
-FocalLength = Annotated[float, Field(ge=MIN_FOCAL_PX, le=MAX_FOCAL_PX)]
-DepthRange = Annotated[float, Field(ge=MIN_DEPTH_RANGE_M, le=MAX_DEPTH_RANGE_M)]
 #: Pixels of a frame's height or width, as networks take it.
 Side = Annotated[int, Field(ge=MIN_SIDE, le=MAX_SIDE)]
 CropSide = Annotated[int, Field(ge=1, le=MAX_SIDE)]

@@ -30,23 +30,16 @@ def build_with_weights(recipe: ModelRecipe, init: Path | None) -> tuple[Network,
         InputError: if the network cannot be built.
         CheckpointError: if ``init`` cannot be read or nothing of it fits.
     """
-    # Only what the recipe changes: not every network has these fields.
     changes: dict[str, Any] = {}
     source = None if init is None else load_checkpoint(init).model
     if source is not None:
         changes |= {"rgb_mean": source.config.rgb_mean, "rgb_std": source.config.rgb_std}
-    if not recipe.boundary_gating:
-        changes["boundary_gating"] = False
-    if recipe.sparse_depth_gain != 1:
-        changes["sparse_depth_gain"] = recipe.sparse_depth_gain
-    if recipe.canonical_focal_px is not None:
-        changes["canonical_focal_px"] = recipe.canonical_focal_px
     try:
         if recipe.name in NETWORKS:
             config = _configuration(NETWORKS[recipe.name].config, recipe.config)
             changes |= {key: getattr(config, key) for key in recipe.config}
             changes["classes"] = list_classes(recipe.class_table) if config.classes else ()
-        network = create_model(recipe.name, max_depth_m=recipe.max_depth_m, **changes)
+        network = create_model(recipe.name, **changes)
     except ValueError as error:
         raise InputError(f"the recipe's model cannot be built: {error}.") from error
     if init is None or source is None:

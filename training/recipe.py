@@ -24,11 +24,8 @@ from training.limits import (
     MAX_SAMPLES,
     STRICT,
     BatchSize,
-    DepthRange,
-    FocalLength,
     Logit,
     NotNegative,
-    Positive,
     Seed,
     Share,
     Side,
@@ -74,12 +71,6 @@ class ModelRecipe:
     """Which network, by its name in `models.list_models()`."""
 
     name: str
-    #: How far depth reaches [m]; None = as the named network has it.
-    max_depth_m: DepthRange | None = None
-    #: Focal length of the canonical camera [px], see `models.NetworkConfig`: the network is trained
-    #: on depth * this / f, f the focal length fx of each crop, after magnification. A set without
-    #: intrinsics is treated as of the canonical camera before magnification. None = plain metres.
-    canonical_focal_px: FocalLength | None = None
     #: The table of the class ids: a name in `models.CLASS_TABLES`, or a custom table.
     classes: Annotated[
         Annotated[Literal["camvid", "cityscapes", "virtual_kitti"], Tag(_NAMED)]
@@ -88,14 +79,11 @@ class ModelRecipe:
         ],
         Discriminator(lambda value: _OWN if isinstance(value, list | tuple) else _NAMED),
     ] = "camvid"
-    #: False = the decoders are not gated by the boundary.
-    boundary_gating: bool = True
-    #: Factor on the sparse depth at the network's input.
-    sparse_depth_gain: Positive = 1.0
     #: Height [px] of the training images after magnification, stored in the exported file: images
     #: of a much higher camera are resized to it. None = unknown: every frame runs at its own size.
     trained_height: Side | None = None
-    #: Other fields of the network's configuration, for example `encoder_blocks = [1, 1, 1, 1]`.
+    #: What differs from the named network's configuration, for example `max_depth_m` and
+    #: `canonical_focal_px`, see `models.NetworkConfig`.
     config: Annotated[dict[str, Any], Field(max_length=100)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -18,6 +18,7 @@ from training.distributed import Processes, synchronise_batch_norm
 from training.evaluation.scoring import require_lidar
 from training.lidar.split import LidarInput
 from training.limits import PAIR_STEP_PX
+from training.loading.mixture import DepthTarget
 from training.loading.open_dataset import count_pixels, open_dataset
 from training.losses import SSDNetLoss, class_weights
 from training.network import build_with_weights, train_parts
@@ -34,6 +35,7 @@ class Task:
         validation: the validation sets by title.
         network: on the device of the process; only the parts that are trained have gradients.
         criterion: the loss, there too.
+        depth_target: unit of the depth target, and the depth of the sky.
         release: how the released weights differ from the averaged ones.
     """
 
@@ -41,6 +43,7 @@ class Task:
     validation: Mapping[str, SampleSource]
     network: Network
     criterion: SSDNetLoss
+    depth_target: DepthTarget
     release: Release
 
     @property
@@ -98,7 +101,9 @@ def open_task(
     ).to(processes.device)
     initial = {name: value.clone() for name, value in network.state_dict().items() if name in taken}
     release = Release(recipe.release, weights, initial)
-    return Task(sources, validation, network, criterion, release)
+    sky = recipe.model.class_id("sky") if recipe.data.sky_depth_m else None
+    depth = DepthTarget(network.config.canonical_focal_px, sky, recipe.data.sky_depth_m)
+    return Task(sources, validation, network, criterion, depth, release)
 
 
 def _weigh_classes(recipe: Recipe, sources: Sequence[SampleSource], num_classes: int) -> Tensor:

@@ -170,7 +170,7 @@ def test_settings_that_a_network_lacks_are_named():
     with pytest.raises(ValueError, match="boundary_gating means nothing to the network 'tiny-sem"):
         create_model("tiny-semantic", boundary_gating=False)
     with pytest.raises(InputError, match="sparse_depth_gain means nothing"):
-        build_network(ModelRecipe("tiny-semantic", sparse_depth_gain=2.0), None)
+        build_network(ModelRecipe("tiny-semantic", config={"sparse_depth_gain": 2.0}), None)
     with pytest.raises(ValueError, match="exactly when there is a semantic head"):
         create_model("tiny-depth", num_classes=4)
     assert create_model("tiny-depth", max_depth_m=60).config.max_depth_m == 60

@@ -36,7 +36,7 @@ def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys, c
     save_checkpoint(other, create_model("ssdnet-lite"))
     build_network(ModelRecipe("ssdnet-lite"), other)
     assert capsys.readouterr().err == ""
-    build_network(ModelRecipe("ssdnet-lite", **changed), other)
+    build_network(ModelRecipe("ssdnet-lite", config=changed), other)
     assert text in capsys.readouterr().err
 
 
@@ -70,7 +70,7 @@ def test_only_some_parts_are_trained():
 
 
 def test_canonical_focal_length_goes_from_the_recipe_into_the_checkpoint(tmp_path):
-    recipe = ModelRecipe("ssdnet-lite", canonical_focal_px=721.5)
+    recipe = ModelRecipe("ssdnet-lite", config={"canonical_focal_px": 721.5})
     network = build_network(recipe, None)
     assert network.config.canonical_focal_px == 721.5
     save_checkpoint(tmp_path / "a.pt", network)
@@ -108,6 +108,12 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
         ("ssdnet-lite", {"boundary_channels": "8"}, "boundary_channels has the wrong type"),
         ("ssdnet-lite", {"layers": 3}, "unknown model configuration keys: layers"),
         ("ssdnet-lite", {"encoder_blocks": [1]}, "must have the same length"),
+        ("ssdnet-lite", {"max_depth_m": -1.0}, "max_depth_m"),
+        ("ssdnet-lite", {"max_depth_m": 1e39}, "max_depth_m"),
+        *(
+            ("ssdnet-lite", {"canonical_focal_px": focal}, "canonical_focal_px")
+            for focal in (0, 0.5, -700.0, float("inf"), float("nan"), "721", 2e6)
+        ),
         ("fast-scnn", {"boundary_channels": 8}, "unknown model configuration keys"),
     ],
 )

@@ -158,8 +158,8 @@ def test_shipped_recipe_trains(path, data, tmp_path):
     assert config.name == recipe.model.name
     assert config.classes == (CLASS_TABLES[recipe.model.classes] if config.semantic_head else ())
     named = NETWORKS[recipe.model.name].config
-    assert config.max_depth_m == (recipe.model.max_depth_m or named.max_depth_m)
-    assert config.boundary_gating == recipe.model.boundary_gating
+    assert config.max_depth_m == recipe.model.config.get("max_depth_m", named.max_depth_m)
+    assert config.boundary_gating == recipe.model.config.get("boundary_gating", True)
     assert checkpoint.training["recipe"]["loss"] == asdict(recipe.loss)
     assert checkpoint.training["terms"] == recipe.terms
     assert recipe.terms

@@ -33,7 +33,7 @@ def read_batches(
             recipe.data,
             task.sources,
             length=steps * per_step,
-            model=recipe.model,
+            depth=task.depth_target,
             pair_step=task.pair_step,
         ),
         batch_size=batch,

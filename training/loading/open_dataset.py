@@ -15,7 +15,7 @@ from training.limits import PAIR_STEP_PX
 from training.loading.cache import CachedSource
 from training.loading.checked import CheckedSource
 from training.loading.mixture import DepthTarget, Mixture, MixturePart
-from training.recipe import DataRecipe, ModelRecipe
+from training.recipe import DataRecipe
 
 #: Number of frames from which the class frequencies of the loss are counted.
 FREQUENCY_SAMPLES = 400
@@ -48,12 +48,12 @@ def open_mixture(
     sources: Sequence[SampleSource],
     *,
     length: int,
-    model: ModelRecipe | None = None,
+    depth: DepthTarget | None = None,
     pair_step: int = PAIR_STEP_PX,
 ) -> Mixture:
     """Mix data sets by the recipe's weights, with its augmentation and cache.
 
-    ``model`` has the unit of the depth; None = metres, and no depth of the sky. The offsets of
+    ``depth`` is the unit of the depth; None = metres, and no depth of the sky. The offsets of
     second views are multiples of ``pair_step`` [px].
     """
     share = recipe.cache_gib / (max(1, recipe.workers) * len(sources))
@@ -65,10 +65,6 @@ def open_mixture(
         )
         for item, source in zip(recipe.source, sources, strict=True)
     ]
-    depth: DepthTarget | None = None
-    if model is not None:
-        sky = model.class_id("sky") if recipe.sky_depth_m else None
-        depth = DepthTarget(model.canonical_focal_px, sky, recipe.sky_depth_m)
     return Mixture(parts, length=length, seed=recipe.seed, depth=depth, pair_step=pair_step)
 
 

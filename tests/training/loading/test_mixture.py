@@ -14,7 +14,7 @@ from training.loading.augment import AugmentConfig
 from training.loading.mixture import DepthTarget, Mixture, MixturePart
 from training.loading.open_dataset import open_mixture
 from training.losses.consistency import semantic_consistency_loss
-from training.recipe import DataRecipe, ModelRecipe
+from training.recipe import DataRecipe
 
 
 class Numbered:
@@ -100,22 +100,23 @@ class Street:
         return Sample(np.zeros((40, 40, 3), np.uint8), targets, intrinsics, "street")
 
 
-def drawn(data, model):
+def drawn(data, canonical_focal_px=None):
     config = AugmentConfig(crop=(40, 40), scale=(1.0, 1.0), lidar_missing=0)
     recipe = DataRecipe((CamVidRecipe(path="street"),), augment=config, **data)
-    (view,) = open_mixture(recipe, [Street()], length=1, model=model)[0].views
+    depth = DepthTarget(canonical_focal_px, 0 if data else None, **data)
+    (view,) = open_mixture(recipe, [Street()], length=1, depth=depth)[0].views
     return {name: set(getattr(view, name).flat) for name in ("depth", "sparse_depth")}
 
 
 def test_the_recipe_sets_the_unit_of_the_depth():
-    plain = drawn({}, ModelRecipe("ssdnet-lite"))
+    plain = drawn({})
     assert plain["depth"] == {0, 20}
     # Far in the target only: no LiDAR measures the sky. Close to another label it stays unknown.
-    far = drawn({"sky_depth_m": 90.0}, ModelRecipe("ssdnet-lite"))
+    far = drawn({"sky_depth_m": 90.0})
     assert far["depth"] == {0, 20, 90}
     assert far["sparse_depth"] == plain["sparse_depth"]
     # The depth of the sky is canonical already.
-    both = drawn({"sky_depth_m": 100.0}, ModelRecipe("ssdnet-lite", canonical_focal_px=75.0))
+    both = drawn({"sky_depth_m": 100.0}, canonical_focal_px=75.0)
     assert both["depth"] == {0, 30, 100}
     assert 28 < max(both["sparse_depth"]) < 32
 
