@@ -26,6 +26,7 @@ MAX_SAMPLES = 10**8
 Index = Annotated[int, Field(ge=0, le=10**9)]
 Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
 Steps = Annotated[int, Field(ge=1, le=10**8)]
+Count = Annotated[int, Field(ge=1, le=10**6)]
 Workers = Annotated[int, Field(ge=0, le=1024)]
 BatchSize = Annotated[int, Field(ge=1, le=65536)]
 #: Pixels of a frame's height or width, as networks take it.
