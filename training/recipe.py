@@ -289,6 +289,10 @@ class Recipe:
         """Steps between two validations: by default a fifth, at most 1000."""
         return self.validation.every or self._share_of_steps(5, 1000)
 
+    def validates_at(self, step: int) -> bool:
+        """Whether there is a validation after a step."""
+        return step % self.validate_every == 0 or step == self.schedule.steps
+
     def _share_of_steps(self, parts: int, most: int) -> int:
         return max(1, min(most, self.schedule.steps // parts))
 

@@ -38,7 +38,7 @@ NETWORKS["ssdnet-small"] = Entry(SSDNet, replace(
     encoder_blocks=(1, 1, 1, 1), decoder_channels=(8, 8, 8, 8), boundary_channels=4,
 ))
 torch.set_num_threads(1)
-from training import loop
+from training import loop, state
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
@@ -53,7 +53,7 @@ recipe = Recipe(
     loop=LoopRecipe(checkpoint_every=3, log_every=1, clip_norm=1.0),
     validation=ValidationRecipe(every=2, source=(source,), pictures=1),
 )
-share = loop.share_gradients
+share = state.share_gradients
 def train(data, out, *, batch=2, parts=1, stop_after=None):
     def keep(network, processes):
         nonlocal kept
@@ -61,7 +61,7 @@ def train(data, out, *, batch=2, parts=1, stop_after=None):
         torch.save(network.state_dict(), out / f"rank{processes.rank}.start")
         return share(network, processes)
     kept = None
-    loop.share_gradients = keep
+    state.share_gradients = keep
     run = replace(
         recipe,
         data=replace(recipe.data, batch_size=batch),

@@ -22,7 +22,7 @@ from layouts.virtual_kitti import COLORS, write_second_edition
 from models import SSDNet, create_model, load_checkpoint, save_checkpoint
 from models.registry import NETWORKS, Entry
 from runtime.errors import CheckpointError, DatasetError, InputError
-from training import cli, loop
+from training import cli, state, validation
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
@@ -204,7 +204,7 @@ def test_a_step_whose_gradients_overflow_is_skipped(data, tmp_path, monkeypatch)
     """fp16 of a loss scaled far too high: the weights stay until the scale has come down."""
     scaler = torch.amp.GradScaler
     monkeypatch.setattr(
-        loop.torch.amp, "GradScaler", lambda *a, **k: scaler(*a, init_scale=2.0**40, **k)
+        torch.amp, "GradScaler", lambda *a, **k: scaler(*a, init_scale=2.0**40, **k)
     )
     run = recipe(steps=1, autocast="fp16")
     train(run, data=[data], out=tmp_path / "run")
@@ -286,7 +286,9 @@ def test_the_sky_and_masks_of_the_road_are_targets(data, tmp_path):
     )
     road = terms(streets, tmp_path / "road")
     assert road["road"] > 0
-    canonical = replace(run.model, canonical_focal_px=40.0)  # the streets' camera has 80 px
+    canonical = replace(
+        run.model, config={"canonical_focal_px": 40.0}
+    )  # the streets' camera has 80 px
     nearer = terms(replace(streets, model=canonical), tmp_path / "nearer")
     assert nearer["road"] == pytest.approx(road["road"], rel=0.5)
     assert nearer["depth"] != road["depth"]
@@ -339,7 +341,9 @@ def test_best_weights_and_scores_survive_an_interruption(data, tmp_path):
 
 def test_best_weights_are_those_of_the_best_validation(data, tmp_path, monkeypatch):
     figures = iter([0.2, 0.5, 0.4])
-    monkeypatch.setattr(loop, "score_sources", lambda *_, **__: {"camvid": {"miou": next(figures)}})
+    monkeypatch.setattr(
+        validation, "score_sources", lambda *_, **__: {"camvid": {"miou": next(figures)}}
+    )
     run = recipe(steps=6)
     run = replace(run, validation=replace(run.validation, every=2))
     train(run, data=[data], out=tmp_path / "run")
@@ -396,14 +400,14 @@ def test_a_damaged_frame_is_named_without_a_traceback(data, tmp_path):
 
 def test_gradients_that_are_not_finite_stop_the_run(data, tmp_path, monkeypatch):
     """The loss is a number still, its derivative is not."""
-    original = loop._compute_loss
+    original = state._compute_loss
 
     def spoil(*arguments):
         terms = original(*arguments)
         zero = (terms["total"] * 0).abs()
         return {**terms, "total": terms["total"] + zero.sqrt()}  # d sqrt(0) is infinite
 
-    monkeypatch.setattr(loop, "_compute_loss", spoil)
+    monkeypatch.setattr(state, "_compute_loss", spoil)
     with pytest.raises(NonFiniteLossError, match="its gradient is not finite"):
         train(recipe(accumulate=2), data=[data], out=tmp_path / "run")
     saved = json.loads((tmp_path / "run" / "non_finite.json").read_text())
@@ -413,14 +417,14 @@ def test_gradients_that_are_not_finite_stop_the_run(data, tmp_path, monkeypatch)
 
 def test_logged_terms_are_the_mean_over_accumulated_batches(data, tmp_path, monkeypatch):
     seen = []
-    original = loop._compute_loss
+    original = state._compute_loss
 
     def keep(*arguments):
         terms = original(*arguments)
         seen.append(terms["total"].item())
         return terms
 
-    monkeypatch.setattr(loop, "_compute_loss", keep)
+    monkeypatch.setattr(state, "_compute_loss", keep)
     train(recipe(steps=2, accumulate=3), data=[data], out=tmp_path / "run")
     events = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
     events.Reload()
@@ -443,13 +447,13 @@ def test_another_recipe_in_the_same_folder_is_refused(data, tmp_path):
 
 
 def test_non_finite_loss_names_the_frames(data, tmp_path, monkeypatch):
-    original = loop._compute_loss
+    original = state._compute_loss
 
     def spoil(*args):
         terms = original(*args)
         return {**terms, "total": terms["total"] * float("nan")}
 
-    monkeypatch.setattr(loop, "_compute_loss", spoil)
+    monkeypatch.setattr(state, "_compute_loss", spoil)
     with pytest.raises(NonFiniteLossError, match=r"step 0: the loss \(nan\).*non_finite\.json"):
         train(recipe(), data=[data], out=tmp_path / "run")
     document = json.loads((tmp_path / "run" / "non_finite.json").read_text())
@@ -674,5 +678,5 @@ def test_the_recipe_sets_where_semantics_are_scored(grid, size):
         return scored[-1]
 
     batch = batch_of(torch.zeros(1, 64, 96), torch.ones(1, 1, 64, 96))
-    loop._compute_loss(forward, criterion, batch, LoopRecipe())
+    state._compute_loss(forward, criterion, batch, LoopRecipe())
     assert tuple(scored[0].semantic_logits.shape[2:]) == size

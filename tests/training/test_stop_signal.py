@@ -35,12 +35,12 @@ class Imports:
 if wait == "importing":
     sys.meta_path.insert(0, Imports())
 else:
-    from training import loop
-    compute = loop._compute_loss
+    from training import state
+    compute = state._compute_loss
     def compute_loss(*arguments):
         say("step")
         return compute(*arguments)
-    loop._compute_loss = compute_loss
+    state._compute_loss = compute_loss
 from training.__main__ import main
 main()
 """
