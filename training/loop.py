@@ -79,6 +79,7 @@ def _train(
     stop: Callable[[], bool],
 ) -> Path:
     task = open_task(recipe, processes, data, init)
+    recipe = task.recipe
     start = None if init is None else name_weights(init)
     resolved: dict[str, Any] = {
         "recipe": asdict(recipe),

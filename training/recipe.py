@@ -127,7 +127,7 @@ class DataRecipe:
 
     def __post_init__(self) -> None:
         """Check that a batch and its crops fit into memory."""
-        crop = self.augment.crop
+        crop = self.augment.size
         if min(crop) < MIN_SIDE:
             raise ValueError(f"augment.crop = {list(crop)}; both must be at least {MIN_SIDE}")
         views = 2 if self.augment.pair_shift else 1

@@ -18,6 +18,7 @@ from training.distributed import Processes, synchronise_batch_norm
 from training.evaluation.scoring import require_lidar
 from training.lidar.split import LidarInput
 from training.limits import PAIR_STEP_PX
+from training.loading.crop import with_crop
 from training.loading.mixture import DepthTarget
 from training.loading.open_dataset import count_pixels, open_dataset
 from training.losses import SSDNetLoss, class_weights
@@ -31,6 +32,7 @@ class Task:
     """An opened recipe.
 
     Attributes:
+        recipe: the recipe with what it left to the data.
         sources: the sets of the mixture.
         validation: the validation sets by title.
         network: on the device of the process; only the parts that are trained have gradients.
@@ -39,6 +41,7 @@ class Task:
         release: how the released weights differ from the averaged ones.
     """
 
+    recipe: Recipe
     sources: Sequence[SampleSource]
     validation: Mapping[str, SampleSource]
     network: Network
@@ -69,6 +72,7 @@ def open_task(
 
     classes = recipe.model.class_table
     sources = [open_dataset(item, data, classes=classes) for item in recipe.data.source]
+    recipe = with_crop(recipe, sources)
     validation = {
         item.title: open_dataset(item, data, classes=classes) for item in recipe.validation.source
     }
@@ -103,7 +107,7 @@ def open_task(
     release = Release(recipe.release, weights, initial)
     sky = recipe.model.class_id("sky") if recipe.data.sky_depth_m else None
     depth = DepthTarget(network.config.canonical_focal_px, sky, recipe.data.sky_depth_m)
-    return Task(sources, validation, network, criterion, depth, release)
+    return Task(recipe, sources, validation, network, criterion, depth, release)
 
 
 def _weigh_classes(recipe: Recipe, sources: Sequence[SampleSource], num_classes: int) -> Tensor:

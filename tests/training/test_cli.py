@@ -175,6 +175,10 @@ def test_a_dry_run_draws_the_first_batch_and_writes_nothing_else(run, tmp_path):
     (path,) = (tmp_path / "run").iterdir()
     assert path.name == "batch.png"
     assert str(path) in result.stdout.splitlines()
+    assert "crops of 32 x 32 px" in result.stdout
+    assert re.search(r"scenes: \d+ frames, \d+% of a crop is padding", result.stdout)
+    assert re.search(r"classes \(\d+% of the pixels\): sky \d+\.\d%, building", result.stdout)
+    assert re.search(r"depth \([\d.]+% of .*: 1 % [\d.]+ m, 50 % [\d.]+ m, 99 %", result.stdout)
     picture = cv2.imread(str(path))
     assert picture.shape[1] == 4 * 32  # image, classes, depth, LiDAR input
     assert picture.shape[0] > 2 * 32  # two samples and the legend

@@ -44,6 +44,8 @@ _RECORDED_SHARE = (0.3, 0.8)
 MISALIGNMENT_DEG, MISALIGNMENT_M = 0.5, 0.05
 #: Range of the share of the image's width of a missing sector.
 SECTOR_SHARE = (0.05, 0.3)
+#: The crop of data that is high enough.
+LARGEST_CROP = (320, 480)
 #: RGB beyond the image: the networks' mean colour.
 _FILL_RGB = (124, 116, 104)
 
@@ -52,8 +54,9 @@ _FILL_RGB = (124, 116, 104)
 class AugmentConfig:
     """Ranges and probabilities of the random changes."""
 
-    #: (height, width) of the result.
-    crop: tuple[CropSide, CropSide] = (320, 480)
+    #: (height, width) of the result; None = chosen by the height of the data, see
+    #: `training.loading.crop`.
+    crop: tuple[CropSide, CropSide] | None = None
     #: Range of the random magnification of the image.
     scale: FactorRange = (0.7, 1.8)
     flip: Share = 0.5
@@ -89,12 +92,17 @@ class AugmentConfig:
 
     def __post_init__(self) -> None:
         """Check the window that is magnified to the crop, and what both views share."""
-        require_window("scale", self.crop, self.scale)
-        if self.pair_shift and min(self.crop) <= self.pair_shift + 2 * PAIR_BORDER_PX:
+        require_window("scale", self.size, self.scale)
+        if self.pair_shift and min(self.size) <= self.pair_shift + 2 * PAIR_BORDER_PX:
             raise ValueError(
-                f"pair_shift = {self.pair_shift}: views of {self.crop[0]}x{self.crop[1]} would "
+                f"pair_shift = {self.pair_shift}: views of {self.size[0]}x{self.size[1]} would "
                 f"share nothing within their borders of {PAIR_BORDER_PX} px"
             )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of the result."""
+        return self.crop or LARGEST_CROP
 
 
 def augment(
@@ -113,7 +121,7 @@ def augment(
         canonical_focal_px: makes the depth canonical, see `canonical_depth`; None = metres.
 
     Returns:
-        A sample of size ``config.crop`` with a sparse depth.
+        A sample of size ``config.size`` with a sparse depth.
     """
     # In canonical depth an unknown camera is treated as the canonical one, closer to the scene.
     is_closer = canonical_focal_px is not None and sample.intrinsics is None
@@ -128,7 +136,7 @@ def augment(
 
 def with_margin(config: AugmentConfig) -> AugmentConfig:
     """Return a configuration whose crop has room for both views, see `take_views`."""
-    height, width = config.crop
+    height, width = config.size
     crop = (height + config.pair_shift, width + config.pair_shift)
     return replace(config, crop=crop) if config.pair_shift else config
 
@@ -136,7 +144,7 @@ def with_margin(config: AugmentConfig) -> AugmentConfig:
 def take_views(
     sample: Sample, config: AugmentConfig, rng: Generator, *, step: int = PAIR_STEP_PX
 ) -> tuple[Sample, Sample, tuple[int, int]]:
-    """Return two views of ``config.crop`` and the offset (rows, columns) [px] of the second.
+    """Return two views of ``config.size`` and the offset (rows, columns) [px] of the second.
 
     The offset is a multiple of ``step``. The sample is made by `with_margin`; the first view is its
     upper left corner. The LiDAR input of the second is missing or has false returns by the
@@ -150,24 +158,24 @@ def take_views(
             second = replace(sample, sparse_depth=nothing_known(sample.size))
         elif draw < config.pair_lidar_missing + config.pair_lidar_false:
             second = replace(sample, sparse_depth=add_false_returns(sample.sparse_depth, rng))
-    return cut(sample, 0, 0, config.crop), cut(second, top, left, config.crop), (top, left)
+    return cut(sample, 0, 0, config.size), cut(second, top, left, config.size), (top, left)
 
 
 def scale_and_crop(
     sample: Sample, config: AugmentConfig, rng: Generator, *, is_closer: bool = False
 ) -> Sample:
-    """Magnify by a random factor and cut a random window of ``config.crop``.
+    """Magnify by a random factor and cut a random window of ``config.size``.
 
     Beyond the image there is mean colour, no depth and no label. Depth keeps its metres and the
     intrinsics are scaled; if the camera ``is_closer``, the depth is divided by the factor instead.
     """
     scale = float(np.exp(rng.uniform(*np.log(config.scale))))
-    height, width = config.crop
+    height, width = config.size
     window = (round(height / scale), round(width / scale))  # in pixels of the sample
     top = _random_offset(sample.size[0], window[0], rng)
     left = _random_offset(sample.size[1], window[1], rng)
     is_dense = _is_dense(sample)  # of the whole frame: a window may be mostly sky
-    sample = resize(cut(sample, top, left, window), config.crop, is_dense=is_dense)
+    sample = resize(cut(sample, top, left, window), config.size, is_dense=is_dense)
     return approach(sample, scale) if is_closer else sample
 
 
