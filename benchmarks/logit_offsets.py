@@ -5,7 +5,7 @@
 Maximises, class by class in steps of 0.5 and then of 0.25, the sum of the mIoU on CamVid's training
 frames and half of the road's IoU on the training streets of KITTI (64 lines), over every n-th frame
 of both. The validation frames are only scored before and after. The last line is what a recipe
-takes as `loop.logit_offsets`.
+takes as `release.logit_offsets`.
 """
 
 import argparse
@@ -86,7 +86,7 @@ def predict(
             rgb = torch.from_numpy(sample.rgb).permute(2, 0, 1)[None].float()
             logits = network(rgb, torch.from_numpy(fed)[None, None] * factor).semantic_logits
         assert logits is not None
-        labels = sample.semantic if sample.road_mask is None else sample.road_mask
+        labels = sample.targets.get("road_mask", sample.semantic)
         yield logits[0].half().numpy(), labels
 
 

@@ -10,7 +10,7 @@ import torch
 from models.checkpoint_checks import check_archive, check_weights
 from models.network import Network
 from models.registry import NETWORKS
-from runtime.contract import check_side
+from models.training_facts import TrainingFacts
 from runtime.errors import CheckpointError, OutputError
 from runtime.io.atomic_write import atomic_file
 
@@ -36,9 +36,8 @@ class Checkpoint:
         Raises:
             CheckpointError: if it is no height of an image.
         """
-        value = self.training.get("trained_height")
         try:
-            return None if value is None else check_side(value, "trained_height")
+            return TrainingFacts.from_dict(self.training).trained_height
         except ValueError as error:
             raise CheckpointError(f"the checkpoint's {error}. Train again.") from error
 

@@ -70,6 +70,7 @@ class Head:
         saved_as: name for `ssdnet-run --save` and of the subfolder; "" = is not written.
         encoding: of its files; None = is not written.
         panel: how it is drawn; None = is not drawn.
+        unlabelled: value of a pixel without a label in the targets of a training.
     """
 
     name: str
@@ -86,6 +87,7 @@ class Head:
     saved_as: str = ""
     encoding: Encoding | None = None
     panel: Panel | None = None
+    unlabelled: float = math.nan
 
     def bounds(self, max_depth_m: float) -> tuple[float, float]:
         """Return the smallest and the largest plausible value, -inf and inf where any is."""
@@ -123,6 +125,7 @@ HEADS: dict[str, Head] = {
             saved_as="semantic",
             encoding=Encoding.IDS_PNG,
             panel=Panel.CLASSES,
+            unlabelled=255,
         ),
         Head(
             "depth",
@@ -138,6 +141,7 @@ HEADS: dict[str, Head] = {
             saved_as="depth",
             encoding=Encoding.METRES_PNG,
             panel=Panel.DEPTH,
+            unlabelled=0,
         ),
         # With classes it is halved where those around a pixel are one: above 0.5 both heads see it.
         Head(

@@ -9,10 +9,12 @@ import cv2
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from torch import nn
 
 from export.exporter import export_checkpoint
-from models import Network, NetworkConfig, NetworkOutput, save_checkpoint
+from models import Network, NetworkConfig, NetworkOutput, load_checkpoint, save_checkpoint
 from models.blocks import pad_to_multiple
 from models.registry import NETWORKS, Entry
 from runtime import Predictor
@@ -20,6 +22,22 @@ from runtime.heads import HEADS, Difference, Encoding, Head, Panel, Unit
 from runtime.io.encode import ENCODERS
 from runtime.io.recording import read_recording
 from runtime.tools.verify import verify
+from training import task
+from training.datasets.camvid import CamVidRecipe
+from training.datasets.sample import Sample
+from training.loading.augment import AugmentConfig
+from training.loop import train
+from training.losses import LossConfig
+from training.losses.heads import HEAD_LOSSES
+from training.losses.semantic import labelled_mean
+from training.recipe import (
+    DataRecipe,
+    LoopRecipe,
+    ModelRecipe,
+    OptimizerRecipe,
+    Recipe,
+    ScheduleRecipe,
+)
 
 ROW = Head(
     "drivable",
@@ -162,3 +180,57 @@ def test_ssdnet_run_saves_and_records_it(folder, tmp_path):
     assert json.loads((tmp_path / "r" / "recording.json").read_text())["limits"].keys() == {
         "drivable"
     }
+
+
+class Streets:
+    """Frames whose lower half is bright and free; a third of their columns is not labelled."""
+
+    def __len__(self):
+        return 4
+
+    def __getitem__(self, index):
+        rgb = np.random.default_rng(index).integers(0, 60, (*SIZE, 3), dtype=np.uint8)
+        rgb[SIZE[0] // 2 :] += 180
+        free = (rgb[..., 0] > 100).astype(np.float32)
+        free[:, : SIZE[1] // 3] = np.nan
+        return Sample(rgb, {"drivable": free}, None, str(index), weights={"drivable": 0.5})
+
+
+def drivable_loss(logits, labels, weights):
+    known = ~labels.isnan()
+    errors = F.binary_cross_entropy_with_logits(logits[:, 0], labels.nan_to_num(), reduction="none")
+    return labelled_mean((errors * known).sum(dim=(1, 2)), known.sum(), weights)
+
+
+def test_a_row_and_a_loss_train_it(tmp_path, monkeypatch):
+    config = NetworkConfig("tiny-drivable", classes=())
+    monkeypatch.setitem(HEADS, "drivable", ROW)
+    monkeypatch.setitem(NETWORKS, config.name, Entry(Drivable, config))
+    monkeypatch.setitem(HEAD_LOSSES, "drivable", drivable_loss)
+    monkeypatch.setattr(task, "open_dataset", lambda *_, **__: Streets())
+    recipe = Recipe(
+        model=ModelRecipe(config.name),
+        data=DataRecipe(
+            (CamVidRecipe(path="streets"),),
+            augment=AugmentConfig(crop=(32, 48), scale=(0.5, 1.0)),
+            batch_size=4,
+            workers=0,
+        ),
+        loss=LossConfig(head_weights={"drivable": 2.0}),
+        schedule=ScheduleRecipe(steps=5),
+        optimizer=OptimizerRecipe(learning_rate=0.03),
+        loop=LoopRecipe(ema_decay=0.0, log_every=1),
+    )
+    trained = load_checkpoint(train(recipe, data=[], out=tmp_path / "run")).model
+    events = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
+    events.Reload()
+    shown = {
+        name: [item.value for item in events.Scalars(name)] for name in events.Tags()["scalars"]
+    }
+    assert {name for name in shown if name.startswith("loss/")} == {"loss/drivable", "loss/total"}
+    assert shown["loss/total"] == pytest.approx([2 * value for value in shown["loss/drivable"]])
+    assert shown["loss/drivable"][-1] < 0.8 * shown["loss/drivable"][0]
+    rgb = torch.from_numpy(Streets()[0].rgb).permute(2, 0, 1)[None].float()
+    with torch.no_grad():
+        answer = trained(rgb, torch.zeros(1, 1, *SIZE)).others["drivable"][0, 0]
+    assert answer[SIZE[0] // 2 :].mean() > answer[: SIZE[0] // 2].mean()

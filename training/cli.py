@@ -69,8 +69,8 @@ def train(
         bool,
         typer.Option(
             "--dry-run",
-            help="Check that the training can start, and draw its first batch in batch.png below "
-            "--out instead of training.",
+            help="Check that the training can start, describe its data, and draw its first batch "
+            "in batch.png below --out, instead of training.",
         ),
     ] = False,
     _list: Annotated[
@@ -103,7 +103,11 @@ def train(
             wanted = read_recipe(find_recipe(recipe), change or ())
             weights = None if init is None else find_weights(init)
             if dry_run:
-                path = draw_first_batch(wanted, data=data, out=out, init=weights, device=device)
+                path, lines = draw_first_batch(
+                    wanted, data=data, out=out, init=weights, device=device
+                )
+                for line in lines:
+                    typer.echo(line)
             else:
                 path = run(
                     wanted,

@@ -1,42 +1,92 @@
 """A training without its steps: whether it can start, and what it would be given."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from runtime.drawing.overlay import Overlay
 from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import encode_png
 from training.datasets.class_mapping import list_classes
+from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import join_processes
 from training.evaluation.pictures import draw_batch
+from training.loading.augment import AugmentConfig
 from training.loading.batches import read_batches
+from training.loading.crop import padding_share
 from training.recipe import Recipe
 from training.run_folder import BATCH, folder_errors
 from training.task import open_task
 
-#: Samples of the batch that are drawn.
-_DRAWN = 8
+#: Samples of the batch that are drawn, and frames of each set that are described.
+_DRAWN, _DESCRIBED = 8, 50
+#: Percentiles of the depth that are described.
+_PERCENTILES = (1, 50, 99)
+
+
+class DryRun(NamedTuple):
+    """The picture of the first batch, and what there is to learn from, as lines of text."""
+
+    picture: Path
+    lines: Sequence[str]
 
 
 def dry_run(
     recipe: Recipe, *, data: Sequence[Path], out: Path, init: Path | None = None, device: str
-) -> Path:
+) -> DryRun:
     """Open all that a training needs and draw its first batch; arguments and errors as of `train`.
 
     Returns:
-        batch.png, the only file that is written: ``out`` does not become a run's folder.
+        batch.png, the only file that is written (``out`` does not become a run's folder), and the
+        description of the data.
     """
     with join_processes(device) as processes:
         task = open_task(recipe, processes, data, init)
-        with read_batches(recipe, task.sources, processes, step=0) as batches:
-            samples = next(batches)
+        recipe = task.recipe
+        with read_batches(recipe, task, processes, step=0) as batches:
+            batch = next(batches)
         if processes.is_first:
             with folder_errors(out):
                 out.mkdir(parents=True, exist_ok=True)
-            drawn = {key: values[:_DRAWN] for key, values in samples.items()}
             overlay = Overlay(
                 list_classes(recipe.model.class_table), task.network.config.max_depth_m
             )
-            atomic_write(out / BATCH, encode_png(draw_batch(drawn, overlay)))
+            atomic_write(out / BATCH, encode_png(draw_batch(batch, overlay, count=_DRAWN)))
         processes.wait()
-    return out / BATCH
+    return DryRun(out / BATCH, list(_describe(recipe, task.sources)))
+
+
+def _describe(recipe: Recipe, sources: Sequence[SampleSource]) -> Iterator[str]:
+    """Describe the sets of the mixture by some frames of each."""
+    height, width = recipe.data.augment.size
+    yield f"crops of {height} x {width} px"
+    classes = [info.name for info in list_classes(recipe.model.class_table)]
+    for item, source in zip(recipe.data.source, sources, strict=True):
+        scale = item.scale or recipe.data.augment.scale
+        yield from _describe_set(item.title, source, classes, AugmentConfig((height, width), scale))
+
+
+def _describe_set(
+    title: str, source: SampleSource, classes: Sequence[str], augment: AugmentConfig
+) -> Iterator[str]:
+    counts = np.zeros(256, dtype=np.int64)
+    depths, pixels, padding = [], 0, []
+    indices = np.unique(np.linspace(0, len(source) - 1, _DESCRIBED).astype(int))
+    for index in indices:
+        sample = source[int(index)]
+        counts += np.bincount(sample.semantic.ravel(), minlength=256)
+        depths.append(sample.depth[sample.depth > 0])
+        pixels += sample.semantic.size
+        padding.append(padding_share(sample.size, augment))
+    yield f"{title}: {len(source)} frames, {np.mean(padding):.0%} of a crop is padding"
+    labelled = counts.sum() - counts[IGNORE]
+    if labelled:
+        shares = (f"{name} {counts[index] / labelled:.1%}" for index, name in enumerate(classes))
+        yield f"  classes ({labelled / pixels:.0%} of the pixels): {', '.join(shares)}"
+    depth = np.concatenate(depths)
+    if depth.size:
+        metres = zip(_PERCENTILES, np.percentile(depth, _PERCENTILES), strict=True)
+        text = ", ".join(f"{share} % {value:.1f} m" for share, value in metres)
+        yield f"  depth ({depth.size / pixels:.1%} of the pixels), percentiles: {text}"

@@ -6,11 +6,13 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from models import Network, load_checkpoint
+from models import Network
 from runtime.errors import CheckpointError, InputError
 
 #: Layers with weights a class.
 _CLASS_LAYERS = ("semantic_head.",)
+#: Buffers that hold settings of the configuration.
+_SETTINGS = ("rgb_mean", "rgb_std")
 #: Settings that change what weights of the same shape compute.
 _MEANINGS = {
     "max_depth_m": "the depth range [m]",
@@ -18,6 +20,8 @@ _MEANINGS = {
     "canonical_focal_px": "the focal length of the canonical camera [px]",
     "sparse_depth_gain": "the factor on the sparse depth",
     "boundary_gating": "the gating by boundaries",
+    "rgb_mean": "the mean of RGB",
+    "rgb_std": "the standard deviation of RGB",
 }
 
 
@@ -45,19 +49,21 @@ def find_weights(text: str) -> Path:
     return _folder() / f"{text}.pt"
 
 
-def start_from(network: Network, init: Path) -> None:
-    """Load the weights of a checkpoint as far as they fit.
+def start_from(network: Network, source: Network, init: Path) -> frozenset[str]:
+    """Load the weights of another network, of the checkpoint ``init``, as far as they fit.
 
     Layers that the checkpoint lacks or has in another shape keep their initial weights, and so do
     the class layers where the classes differ. These layers, and settings that change what the
     weights compute, are reported on stderr.
 
+    Returns:
+        The names of the tensors that were loaded.
+
     Raises:
         CheckpointError: if nothing fits.
     """
-    source = load_checkpoint(init).model
     known = source.state_dict() if type(source) is type(network) else {}
-    wanted = network.state_dict()
+    wanted = {k: v for k, v in network.state_dict().items() if k not in _SETTINGS}
     names, known_names = (
         [info.name for info in model.config.classes or ()] for model in (network, source)
     )
@@ -74,7 +80,7 @@ def start_from(network: Network, init: Path) -> None:
             f"{init}: none of its layers fits the recipe's '{network.config.name}'. "
             "Give a checkpoint of the same family."
         )
-    network.load_state_dict({**wanted, **taken})
+    network.load_state_dict({**network.state_dict(), **taken})
     if fresh:
         tqdm.write(f"{init}: {len(taken)} of {len(wanted)} tensors loaded", file=sys.stderr)
         tqdm.write(f"with random weights: {', '.join(fresh)}", file=sys.stderr)
@@ -85,6 +91,7 @@ def start_from(network: Network, init: Path) -> None:
                 f"{init}: {meaning} was {before} and is {now} here; the weights have to adapt",
                 file=sys.stderr,
             )
+    return frozenset(taken)
 
 
 def _folder() -> Path:

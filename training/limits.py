@@ -9,11 +9,7 @@ from typing import Annotated
 from pydantic import AfterValidator, ConfigDict, Field
 
 from runtime.contract import (
-    MAX_DEPTH_RANGE_M,
-    MAX_FOCAL_PX,
     MAX_SIDE,
-    MIN_DEPTH_RANGE_M,
-    MIN_FOCAL_PX,
     MIN_SIDE,
 )
 
@@ -33,8 +29,6 @@ Steps = Annotated[int, Field(ge=1, le=10**8)]
 Count = Annotated[int, Field(ge=1, le=10**6)]
 Workers = Annotated[int, Field(ge=0, le=1024)]
 BatchSize = Annotated[int, Field(ge=1, le=65536)]
-FocalLength = Annotated[float, Field(ge=MIN_FOCAL_PX, le=MAX_FOCAL_PX)]
-DepthRange = Annotated[float, Field(ge=MIN_DEPTH_RANGE_M, le=MAX_DEPTH_RANGE_M)]
 #: Pixels of a frame's height or width, as networks take it.
 Side = Annotated[int, Field(ge=MIN_SIDE, le=MAX_SIDE)]
 CropSide = Annotated[int, Field(ge=1, le=MAX_SIDE)]
@@ -59,7 +53,7 @@ _PositiveShare = Annotated[float, Field(gt=0, le=1)]
 _Factor = Annotated[float, Field(ge=0.01, le=100)]
 #: Pixels at the border of each of two views that are not compared: padding changes answers there.
 PAIR_BORDER_PX = 32
-#: Step [px] of the shift between two views: the grid of every semantic head fits it.
+#: Least step [px] of the shift between two views; a network with coarser logits has a larger one.
 PAIR_STEP_PX = 4
 PairShift = Annotated[int, Field(ge=0, le=128, multiple_of=PAIR_STEP_PX)]
 #: (low, high) of a value that is drawn at random.

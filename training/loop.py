@@ -1,34 +1,18 @@
-"""The training loop: one flat function from a recipe to checkpoints."""
+"""The training loop: from a recipe to checkpoints."""
 
-import copy
-import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import torch
-from torch import Tensor
-from torch.optim.swa_utils import AveragedModel
-from torch.utils.tensorboard import SummaryWriter
-from tqdm import tqdm
-
-from models import Network, NetworkOutput, load_checkpoint, save_checkpoint
-from runtime.errors import CheckpointError, InputError
-from training.datasets.sample import SampleSource
-from training.distributed import Processes, join_processes, share_gradients
-from training.evaluation.pictures import draw_pictures
-from training.evaluation.scoring import score_sources, torch_predict
-from training.lidar.split import LidarInput
+from models import Network, save_checkpoint
+from models.training_facts import TrainingFacts
+from training.distributed import Processes, join_processes
 from training.loading.batches import read_batches
-from training.losses import SSDNetLoss
-from training.losses.consistency import Pair
-from training.network import adjust_logits, mix_weights, train_parts
-from training.optimizer import build_optimizer, exponential_average, learning_rate
 from training.progress import Progress
-from training.recipe import LoopRecipe, Recipe
+from training.recipe import Recipe
+from training.release import release_weights
 from training.run_folder import (
     BEST,
     FINAL,
@@ -37,17 +21,11 @@ from training.run_folder import (
     TENSORBOARD,
     name_weights,
     prepare_folder,
-    require_finite,
-    require_same,
 )
-from training.score_table import SHOWN, ScoreTable
+from training.score_table import ScoreTable
+from training.state import TrainingState
 from training.task import open_task
-
-#: `Network.forward`, perhaps distributed or compiled.
-Forward = Callable[..., NetworkOutput]
-
-#: The recipe's names of types other than float32.
-_AUTOCAST = {"bf16": torch.bfloat16, "fp16": torch.float16}
+from training.validation import Board, validate
 
 
 def train(
@@ -101,256 +79,59 @@ def _train(
     stop: Callable[[], bool],
 ) -> Path:
     task = open_task(recipe, processes, data, init)
-    network, criterion = task.network, task.criterion
-    resolved = {
+    recipe = task.recipe
+    start = None if init is None else name_weights(init)
+    resolved: dict[str, Any] = {
         "recipe": asdict(recipe),
-        "init": None if init is None else name_weights(init),
+        "init": start,
         "processes": processes.count,
     }
     if processes.is_first:
         prepare_folder(out, resolved)  # only now: a training that cannot start leaves no folder
     processes.wait()
-    optimizer = build_optimizer(recipe.optimizer, network, criterion)
-    scaler = torch.amp.GradScaler(processes.device.type, enabled=recipe.loop.autocast == "fp16")
-    # Buffers are averaged too: batch statistics must fit the averaged weights.
-    average = AveragedModel(
-        network, multi_avg_fn=exponential_average(recipe.loop.ema_decay), use_buffers=True
-    )
-    averaged: Network = average.module  # type: ignore[assignment]
-    # The state of a resumed run, beside the network and the step.
-    parts: dict[str, Any] = {
-        "optimizer": optimizer,
-        "average": average,
-        "criterion": criterion,
-        "scaler": scaler,
-    }
-    begun = None if recipe.loop.trained_share == 1 else copy.deepcopy(network.state_dict())
-    step = _resume(out / LAST, resolved, network, parts)
-    if len(set(processes.gather(step))) > 1:
-        raise InputError(
-            f"{out}: the processes find different checkpoints in it. Give an --out on a file "
-            "system that all machines share."
-        )
-    if step == recipe.schedule.steps and (out / FINAL).is_file():
+    state = TrainingState(recipe, task, processes, out)
+    state.resume(out / LAST, resolved)
+    steps = recipe.schedule.steps
+    if state.step == steps and (out / FINAL).is_file():
         return out / FINAL
-    shared = share_gradients(network, processes)
-    forward: Forward = torch.compile(shared) if recipe.loop.compile else shared
 
-    training_info = {
-        "data": [item.title for item in recipe.data.source],
-        "terms": recipe.terms,
-        "trained_height": recipe.model.trained_height,
-        **resolved,
-    }
-
-    def save_last() -> None:
-        if processes.is_first:
-            states = {name: part.state_dict() for name, part in parts.items()}
-            info = {**training_info, "step": step}
-            save_checkpoint(out / LAST, network, training=info, trainer={"step": step, **states})
+    def facts() -> dict[str, Any]:
+        return TrainingFacts(
+            data=tuple(item.title for item in recipe.data.source),
+            terms=recipe.terms,
+            trained_height=recipe.model.trained_height,
+            step=state.step,
+            **resolved,
+        ).to_dict()
 
     def released() -> Network:
-        """The averaged weights as model.pt and best.pt hold them, and as they are validated."""
-        share = recipe.loop.logit_adjustment
-        copied = copy.deepcopy(averaged)
-        trained = adjust_logits(
-            averaged.state_dict(), task.class_weights, share, task.class_offsets
-        )
-        if begun is not None:
-            trained = mix_weights(begun, trained, recipe.loop.trained_share)
-        copied.load_state_dict(trained)
-        return copied
+        return release_weights(state.averaged, task.release)
 
-    def save_released(path: Path, candidate: Network) -> None:
-        save_checkpoint(path, candidate, training={**training_info, "step": step})
-
-    scores = ScoreTable(out / SCORES, step) if processes.is_first else None
-    steps = recipe.schedule.steps
+    scores = ScoreTable(out / SCORES, state.step) if processes.is_first else None
     last_step = steps if stop_after is None else min(steps, stop_after)
     with (
-        _Board(out / TENSORBOARD if processes.is_first else None, step) as board,
-        closing(Progress(steps, step, shown=processes.is_first)) as progress,
-        read_batches(recipe, task.sources, processes, step) as batches,
+        Board(out / TENSORBOARD if processes.is_first else None, state.step) as board,
+        closing(Progress(steps, state.step, shown=processes.is_first)) as progress,
+        read_batches(recipe, task, processes, state.step) as batches,
     ):
-        train_parts(network, recipe.optimizer.only)
-        while step < last_step and not processes.any(stop()):
-            rate = learning_rate(recipe.schedule, recipe.optimizer.learning_rate, step)
-            for group in optimizer.param_groups:
-                group["lr"] = rate
-            optimizer.zero_grad(set_to_none=True)
-            sums: dict[str, Tensor] = {}
-            names: list[str] = []
-            for _ in range(recipe.loop.accumulate):
-                samples = next(batches)
-                names += samples["name"]
-                terms = _compute_loss(forward, criterion, samples, recipe.loop, processes.device)
-                require_finite(terms, terms["total"], step, names, out, processes)
-                share = terms["total"] / recipe.loop.accumulate
-                scaler.scale(share).backward()  # type: ignore[no-untyped-call]
-                for name, term in terms.items():
-                    sums[name] = sums.get(name, 0.0) + term.detach() / recipe.loop.accumulate
-            scaler.unscale_(optimizer)
-            norm = torch.nn.utils.get_total_norm(
-                [p.grad for p in network.parameters() if p.grad is not None]
-            )
-            if not scaler.is_enabled():  # the scaler skips a step that overflows
-                require_finite(sums, norm, step, names, out, processes)
-            if recipe.loop.clip_norm:
-                torch.nn.utils.clip_grads_with_norm_(
-                    network.parameters(), recipe.loop.clip_norm, norm
-                )
-            scaler.step(optimizer)
-            scaler.update()
-            average.update_parameters(network)
-            step += 1
-            progress.update(step, sums["total"], rate)
-
-            if step % recipe.log_every == 0:
-                board.add_scalars(
-                    {
-                        **{f"loss/{name}": term.item() for name, term in sums.items()},
-                        **{
-                            f"log_variance/{name}": value.item()
-                            for name, value in criterion.log_variances.items()
-                        },
-                        "learning_rate": rate,
-                    },
-                    step,
-                )
+        while state.step < last_step and not processes.any(stop()):
+            done = state.advance(batches)
+            progress.update(state.step, done.terms["total"], done.rate)
+            if state.step % recipe.log_every == 0:
+                board.add_step(done, dict(state.criterion.log_variances.items()), state.step)
             # Before the checkpoint: a run killed in between validates again after it resumes.
-            if task.validation and (step % recipe.validate_every == 0 or step == steps):
-                candidate = released()
-                figures = _validate(candidate, task.validation, recipe, processes, board, step)
-                if scores is not None and scores.add(step, figures, recipe.validation.best):
-                    save_released(out / BEST, candidate)
-                train_parts(network, recipe.optimizer.only)
-            if step % recipe.checkpoint_every == 0:
-                save_last()
-    save_last()
-    if step == steps and processes.is_first:
-        save_released(out / FINAL, released())
+            if task.validation and recipe.validates_at(state.step):
+                network = released()
+                figures = validate(
+                    network, task.validation, recipe.validation, processes, board, state.step
+                )
+                if scores is not None and scores.add(state.step, figures, recipe.validation.best):
+                    save_checkpoint(out / BEST, network, training=facts())
+            if state.step % recipe.checkpoint_every == 0:
+                state.save(out / LAST, facts())
+    state.save(out / LAST, facts())
+    if state.step == steps and processes.is_first:
+        save_checkpoint(out / FINAL, released(), training=facts())
     processes.wait()  # until the file is written
-    return out / (FINAL if step == steps else LAST)  # stopped early: nothing to release yet
-
-
-class _Board:
-    """TensorBoard, or nothing in processes that do not write."""
-
-    def __init__(self, folder: Path | None, step: int) -> None:
-        # Entries of later steps, of an interrupted run, are removed.
-        purge = step + 1 if step else None
-        self._writer = None if folder is None else SummaryWriter(str(folder), purge_step=purge)
-
-    def __enter__(self) -> "_Board":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._writer is not None:
-            self._writer.close()
-
-    def add_scalars(self, values: Mapping[str, float], step: int) -> None:
-        for name, value in values.items():
-            if self._writer is not None:
-                self._writer.add_scalar(name, value, step)
-
-    def add_picture(self, name: str, rgb: np.ndarray, step: int) -> None:
-        if self._writer is not None:
-            self._writer.add_image(name, rgb, step, dataformats="HWC")
-
-
-def _validate(
-    network: Network,
-    sources: Mapping[str, SampleSource],
-    recipe: Recipe,
-    processes: Processes,
-    board: _Board,
-    step: int,
-) -> dict[str, dict[str, float]]:
-    """Score the network, each process on its share of the frames; show scores and pictures."""
-    lidar = LidarInput.parse(recipe.validation.lidar)
-    scores = score_sources(network, sources, processes, lidar=lidar)
-    shown = {
-        f"{name}/{key}": figures[key]
-        for name, figures in scores.items()
-        for key in SHOWN
-        if key in figures
-    }
-    board.add_scalars({f"validation/{name}": score for name, score in shown.items()}, step)
-    if not processes.is_first:
-        return scores
-    text = ", ".join(f"{name} {score:.4f}" for name, score in shown.items())
-    tqdm.write(f"step {step}: {text}", file=sys.stderr)
-    for name, source in sources.items():
-        pictures = draw_pictures(
-            torch_predict(network),
-            source,
-            network,
-            lidar=lidar,
-            count=recipe.validation.pictures,
-        )
-        for frame, picture in pictures:
-            board.add_picture(f"{name}/{frame}", picture, step)
-    return scores
-
-
-def _compute_loss(
-    forward: Forward,
-    criterion: SSDNetLoss,
-    samples: Mapping[str, Any],
-    loop: LoopRecipe,
-    device: torch.device,
-) -> dict[str, Tensor]:
-    batch = {
-        key: values.to(device, non_blocking=True)
-        for key, values in samples.items()
-        if isinstance(values, Tensor)
-    }
-    pair = None
-    if "offset" in batch:
-        offset = batch.pop("offset")
-        pair = Pair(offset, *batch["sparse_depth"].unbind(1))
-        # All first views, then all second ones.
-        batch = {key: values.transpose(0, 1).flatten(0, 1) for key, values in batch.items()}
-    rgb, sparse_depth = batch["rgb"].float(), batch["sparse_depth"]
-    if loop.channels_last:
-        rgb = rgb.to(memory_format=torch.channels_last)
-    with torch.autocast(
-        device.type,
-        dtype=_AUTOCAST.get(loop.autocast),
-        enabled=loop.autocast in _AUTOCAST,
-    ):
-        output = forward(
-            rgb, sparse_depth, upsample_semantic=criterion.config.semantic_grid == "image"
-        )
-    terms: dict[str, Tensor] = criterion(
-        output,
-        batch["semantic"],
-        batch["depth"],
-        semantic_weight=batch["semantic_weight"],
-        road_mask=batch["road_mask"],
-        pair=pair,
-    )
-    return terms
-
-
-def _resume(
-    path: Path,
-    resolved: Mapping[str, Any],
-    network: Network,
-    parts: Mapping[str, Any],
-) -> int:
-    """Load the state of the run if there is one; return the step to resume from."""
-    if not path.is_file():
-        return 0
-    checkpoint = load_checkpoint(path)
-    require_same(checkpoint.training, resolved, path)
-    network.load_state_dict(checkpoint.model.state_dict())
-    try:
-        for name, part in parts.items():
-            part.load_state_dict(checkpoint.trainer[name])
-        return int(checkpoint.trainer["step"])
-    except Exception as error:  # a damaged state can fail in any way
-        raise CheckpointError(
-            f"{path}: its state of the loop is damaged ({error!r:.200}), so it cannot be resumed. "
-            "Start a new --out with --init and this file."
-        ) from error
+    # Stopped early there is nothing to release yet.
+    return out / (FINAL if state.step == steps else LAST)

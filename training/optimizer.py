@@ -19,17 +19,25 @@ def build_optimizer(
     recipe: OptimizerRecipe, network: Network, criterion: SSDNetLoss
 ) -> torch.optim.Optimizer:
     """Return AdamW or SGD over the parameters of the network and of the loss."""
-    # No decay of biases, normalisation and the parameters of the loss.
-    kernels = [p for p in network.parameters() if p.ndim > 1]
-    others = [p for p in network.parameters() if p.ndim <= 1]
-    others += criterion.parameters()
-    groups: list[dict[str, Any]] = [
-        {"params": kernels, "weight_decay": recipe.weight_decay},
-        {"params": others, "weight_decay": 0.0},
-    ]
+    groups = parameter_groups(recipe, network, criterion)
     if recipe.name == "sgd":
         return torch.optim.SGD(groups, lr=recipe.learning_rate, momentum=recipe.momentum)
     return torch.optim.AdamW(groups, lr=recipe.learning_rate)
+
+
+def parameter_groups(
+    recipe: OptimizerRecipe, network: Network, criterion: SSDNetLoss
+) -> list[dict[str, Any]]:
+    """Return the parameters by how they are trained.
+
+    Biases, normalisation and the parameters of the loss do not decay.
+    """
+    kernels = [p for p in network.parameters() if p.ndim > 1]
+    others = [p for p in network.parameters() if p.ndim <= 1]
+    return [
+        {"params": kernels, "weight_decay": recipe.weight_decay},
+        {"params": [*others, *criterion.parameters()], "weight_decay": 0.0},
+    ]
 
 
 def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
@@ -40,7 +48,7 @@ def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
         return peak
     progress = (step - schedule.warmup_steps) / max(1, schedule.steps - schedule.warmup_steps)
     share = 0.5 * (1 + math.cos(math.pi * min(1.0, progress)))
-    return peak * (schedule.final_ratio + (1 - schedule.final_ratio) * share)
+    return peak * share
 
 
 def exponential_average(

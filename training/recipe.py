@@ -17,18 +17,15 @@ from runtime.read_input import read_toml
 from training.datasets.class_mapping import ClassTable, list_classes
 from training.datasets.registry import DATASETS
 from training.datasets.source_recipe import SourceRecipe
+from training.former_keys import FORMER_KEYS
 from training.lidar.split import LidarInput
 from training.limits import (
     MAX_BATCH_PIXELS,
     MAX_SAMPLES,
     STRICT,
     BatchSize,
-    Count,
-    DepthRange,
-    FocalLength,
     Logit,
     NotNegative,
-    Positive,
     Seed,
     Share,
     Side,
@@ -74,12 +71,6 @@ class ModelRecipe:
     """Which network, by its name in `models.list_models()`."""
 
     name: str
-    #: How far depth reaches [m]; None = as the named network has it.
-    max_depth_m: DepthRange | None = None
-    #: Focal length of the canonical camera [px], see `models.NetworkConfig`: the network is trained
-    #: on depth * this / f, f the focal length fx of each crop, after magnification. A set without
-    #: intrinsics is treated as of the canonical camera before magnification. None = plain metres.
-    canonical_focal_px: FocalLength | None = None
     #: The table of the class ids: a name in `models.CLASS_TABLES`, or a custom table.
     classes: Annotated[
         Annotated[Literal["camvid", "cityscapes", "virtual_kitti"], Tag(_NAMED)]
@@ -88,14 +79,11 @@ class ModelRecipe:
         ],
         Discriminator(lambda value: _OWN if isinstance(value, list | tuple) else _NAMED),
     ] = "camvid"
-    #: False = the decoders are not gated by the boundary.
-    boundary_gating: bool = True
-    #: Factor on the sparse depth at the network's input.
-    sparse_depth_gain: Positive = 1.0
     #: Height [px] of the training images after magnification, stored in the exported file: images
     #: of a much higher camera are resized to it. None = unknown: every frame runs at its own size.
     trained_height: Side | None = None
-    #: Other fields of the network's configuration, for example `encoder_blocks = [1, 1, 1, 1]`.
+    #: What differs from the named network's configuration, for example `max_depth_m` and
+    #: `canonical_focal_px`, see `models.NetworkConfig`.
     config: Annotated[dict[str, Any], Field(max_length=100)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -136,14 +124,10 @@ class DataRecipe:
     #: Depth target of unmeasured pixels of the class "sky", canonical where the network's depth is
     #: [m]; 0 = none.
     sky_depth_m: NotNegative = 0.0
-    #: Classes that ``augment.paste`` takes from the sets with ``things``.
-    paste_classes: Annotated[tuple[str, ...], Field(max_length=MAX_CLASSES)] = ()
-    #: Number of samples from which the class frequencies of the loss are counted.
-    frequency_samples: Count = 400
 
     def __post_init__(self) -> None:
         """Check that a batch and its crops fit into memory."""
-        crop = self.augment.crop
+        crop = self.augment.size
         if min(crop) < MIN_SIDE:
             raise ValueError(f"augment.crop = {list(crop)}; both must be at least {MIN_SIDE}")
         views = 2 if self.augment.pair_shift else 1
@@ -152,10 +136,6 @@ class DataRecipe:
                 f"batch_size = {self.batch_size}: with crops of {crop[0]}x{crop[1]} a batch has "
                 f"more than {MAX_BATCH_PIXELS} pixels"
             )
-        if self.augment.paste and not (
-            self.paste_classes and any(item.things for item in self.source)
-        ):
-            raise ValueError("augment.paste needs paste_classes, and a source with things = true")
         for index, item in enumerate(self.source):
             if item.scale is not None:
                 require_window(f"source[{index}].scale", crop, item.scale)
@@ -176,12 +156,11 @@ class OptimizerRecipe:
 
 @dataclass(frozen=True, config=STRICT)
 class ScheduleRecipe:
-    """Linear warm-up, then cosine to ``final_ratio`` of the rate, or constant."""
+    """Linear warm-up, then cosine to 0, or constant."""
 
     steps: Steps
     warmup_steps: Annotated[int, Field(ge=0, le=10**8)] = 0
     shape: Literal["cosine", "constant"] = "cosine"
-    final_ratio: Share = 0.0
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -191,28 +170,32 @@ class LoopRecipe:
     #: Type of the network's arithmetic. fp16 scales the loss; a step whose gradients overflow is
     #: skipped and the scale is halved.
     autocast: Literal["none", "bf16", "fp16"] = "none"
-    channels_last: bool = True
-    #: Use torch.compile.
-    compile: bool = False
     #: Decay of the averaged weights in model.pt; 0 = no averaging.
     ema_decay: Share = 0.999
-    #: Share of the trained weights in model.pt; the rest are those of --init, so that a little
-    #: training on new data keeps what the old weights knew (Wortsman et al. 2022, WiSE-FT).
-    trained_share: Annotated[float, Field(gt=0, le=1)] = 1.0
     #: Largest norm of the gradient; 0 = no clipping.
     clip_norm: NotNegative = 0.0
-    #: Share of the log class weights that is subtracted from model.pt's semantic bias (Menon et al.
-    #: 2021): training with class weights predicts rare classes too often. 0 = none, 1 = all.
-    logit_adjustment: Share = 0.0
-    #: (class, what is added to its logit) in model.pt, where training frames say that a class is
-    #: found too often or too seldom; benchmarks/logit_offsets.py finds them.
-    logit_offsets: Annotated[tuple[tuple[str, Logit], ...], Field(max_length=255)] = ()
     #: Batches per process whose gradients are averaged for one step; batch normalisation is over
     #: each batch.
     accumulate: BatchSize = 1
     #: Steps between two checkpoints and two entries of the curves; None = see `Recipe`.
     checkpoint_every: Steps | None = None
     log_every: Steps | None = None
+
+
+@dataclass(frozen=True, config=STRICT)
+class ReleaseRecipe:
+    """How the weights in model.pt and best.pt differ from the averaged ones."""
+
+    #: Share of the trained weights; the rest are those of --init, so that a little training on new
+    #: data keeps what the old weights knew (Wortsman et al. 2022, WiSE-FT). Layers that --init did
+    #: not give are the trained ones.
+    trained_share: Annotated[float, Field(gt=0, le=1)] = 1.0
+    #: Share of the log class weights that is subtracted from the semantic bias (Menon et al. 2021):
+    #: training with class weights predicts rare classes too often. 0 = none, 1 = all.
+    logit_adjustment: Share = 0.0
+    #: (class, what is added to its logit), where training frames say that a class is found too
+    #: often or too seldom; benchmarks/logit_offsets.py finds them.
+    logit_offsets: Annotated[tuple[tuple[str, Logit], ...], Field(max_length=255)] = ()
 
 
 def _require_lidar(text: str) -> str:
@@ -267,6 +250,7 @@ class Recipe:
     loss: LossConfig = field(default_factory=LossConfig)
     optimizer: OptimizerRecipe = field(default_factory=OptimizerRecipe)
     loop: LoopRecipe = field(default_factory=LoopRecipe)
+    release: ReleaseRecipe = field(default_factory=ReleaseRecipe)
     validation: ValidationRecipe = field(default_factory=ValidationRecipe)
     #: Data and terms that a model card and an exported file must state.
     terms: Annotated[str, Field(max_length=10_000)] = ""
@@ -275,9 +259,6 @@ class Recipe:
         """Check the classes that the loss needs and the number of samples."""
         if self.data.sky_depth_m and self.model.class_id("sky") is None:
             raise ValueError("data.sky_depth_m needs a class called 'sky' in model.classes")
-        unknown = [name for name in self.data.paste_classes if self.model.class_id(name) is None]
-        if unknown:
-            raise ValueError(f"data.paste_classes: model.classes has no {unknown[0]!r:.80}")
         if self.loss.road_weight and self.model.class_id("road") is None:
             raise ValueError("loss.road_weight needs a class called 'road' in model.classes")
         pair_terms = [name for name in PAIR_TERMS if getattr(self.loss, f"{name}_weight")]
@@ -307,6 +288,10 @@ class Recipe:
     def validate_every(self) -> int:
         """Steps between two validations: by default a fifth, at most 1000."""
         return self.validation.every or self._share_of_steps(5, 1000)
+
+    def validates_at(self, step: int) -> bool:
+        """Whether there is a validation after a step."""
+        return step % self.validate_every == 0 or step == self.schedule.steps
 
     def _share_of_steps(self, parts: int, most: int) -> int:
         return max(1, min(most, self.schedule.steps // parts))
@@ -386,6 +371,8 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
     value, context = error["input"], error.get("ctx", {})
     shown = repr(value) if len(repr(value)) <= 200 else f"{value!r:.200}..."
     match error["type"]:
+        case "unexpected_keyword_argument" if (former := _without_indices(place)) in FORMER_KEYS:
+            return f"{key} is no key any more: {FORMER_KEYS[former]}."
         case "unexpected_keyword_argument":
             known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
             return f"unknown key {key}; known here: {known}. Correct its name."
@@ -408,6 +395,10 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
             return f"{key} = {shown}: {context['error']}."
         case _:
             return f"{key} = {shown}: {error['msg'].lower()}."
+
+
+def _without_indices(place: Sequence[str | int]) -> str:
+    return _join([part for part in place if isinstance(part, str)])
 
 
 def _table_at(kind: Any, place: Sequence[str | int]) -> Any:

@@ -25,14 +25,16 @@ NON_FINITE = "non_finite.json"
 TENSORBOARD = "tensorboard"
 BATCH = "batch.png"
 
-#: Keys that may change when a run is resumed: they do not change its weights.
+#: Keys that may change when a run is resumed: they change neither its weights nor by which scores
+#: best.pt is chosen.
 _WITHOUT_EFFECT = (
     "recipe.data.workers",
     "recipe.data.cache_gib",
     "recipe.loop.checkpoint_every",
     "recipe.loop.log_every",
     "recipe.terms",
-    "recipe.validation",
+    "recipe.validation.every",
+    "recipe.validation.pictures",
 )
 
 
@@ -64,7 +66,7 @@ def folder_errors(out: Path) -> Iterator[None]:
 def require_same(before: Mapping[str, Any], now: Mapping[str, Any], path: Path) -> None:
     """Raise InputError that names the first key in which two trainings differ.
 
-    Keys that do not change the weights are ignored; a missing key of an older recipe has its
+    Keys of `_WITHOUT_EFFECT` are ignored; a missing key of an older recipe has its
     default.
     """
     try:

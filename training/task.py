@@ -1,5 +1,6 @@
 """What a recipe trains on what: all that can be refused before a run writes anything."""
 
+import math
 import random
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,10 +17,14 @@ from training.datasets.sample import SampleSource
 from training.distributed import Processes, synchronise_batch_norm
 from training.evaluation.scoring import require_lidar
 from training.lidar.split import LidarInput
+from training.limits import PAIR_STEP_PX
+from training.loading.crop import with_crop
+from training.loading.mixture import DepthTarget
 from training.loading.open_dataset import count_pixels, open_dataset
 from training.losses import SSDNetLoss, class_weights
-from training.network import build_network, class_offsets, train_parts
+from training.network import build_with_weights, train_parts
 from training.recipe import Recipe
+from training.release import Release, class_offsets
 
 
 @dataclass(frozen=True)
@@ -27,20 +32,32 @@ class Task:
     """An opened recipe.
 
     Attributes:
+        recipe: the recipe with what it left to the data.
         sources: the sets of the mixture.
         validation: the validation sets by title.
         network: on the device of the process; only the parts that are trained have gradients.
         criterion: the loss, there too.
-        class_weights: of the semantic loss, where it has any.
-        class_offsets: what the recipe adds to the logits of the released weights.
+        depth_target: unit of the depth target, and the depth of the sky.
+        release: how the released weights differ from the averaged ones.
     """
 
+    recipe: Recipe
     sources: Sequence[SampleSource]
     validation: Mapping[str, SampleSource]
     network: Network
     criterion: SSDNetLoss
-    class_weights: Tensor | None
-    class_offsets: Tensor | None
+    depth_target: DepthTarget
+    release: Release
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """The targets that the loss compares answers with."""
+        return self.criterion.config.targets_for(self.network.heads)
+
+    @property
+    def pair_step(self) -> int:
+        """Step [px] of the shift between two views: cells of the semantic head then coincide."""
+        return math.lcm(PAIR_STEP_PX, self.network.semantic_stride)
 
 
 def open_task(
@@ -55,16 +72,17 @@ def open_task(
 
     classes = recipe.model.class_table
     sources = [open_dataset(item, data, classes=classes) for item in recipe.data.source]
+    recipe = with_crop(recipe, sources)
     validation = {
         item.title: open_dataset(item, data, classes=classes) for item in recipe.validation.source
     }
     require_lidar(validation, LidarInput.parse(recipe.validation.lidar))
-    if recipe.loop.trained_share < 1 and init is None:
+    if recipe.release.trained_share < 1 and init is None:
         raise InputError(
-            "loop.trained_share mixes the trained weights with those of --init: give --init, or "
+            "release.trained_share mixes the trained weights with those of --init: give --init, or "
             "set it to 1"
         )
-    network = build_network(recipe.model, init)
+    network, taken = build_with_weights(recipe.model, init)
     train_parts(network, recipe.optimizer.only)
     heads = network.heads
     if not recipe.loss.terms_for(heads):
@@ -75,10 +93,8 @@ def open_task(
     weights = None
     if "semantic" in heads and recipe.loss.weighs_classes:
         weights = _weigh_classes(recipe, sources, network.config.num_classes)
-    offsets = class_offsets(network, recipe.loop.logit_offsets)
-    network = network.to(processes.device)
-    if recipe.loop.channels_last:
-        network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    class_offsets(network, recipe.release.logit_offsets)  # that they can be added
+    network = network.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     synchronise_batch_norm(network, processes)
     criterion = SSDNetLoss(
         recipe.loss,
@@ -87,7 +103,11 @@ def open_task(
         target_depth_m=network.config.target_depth_m,
         road=recipe.model.class_id("road"),
     ).to(processes.device)
-    return Task(sources, validation, network, criterion, weights, offsets)
+    initial = {name: value.clone() for name, value in network.state_dict().items() if name in taken}
+    release = Release(recipe.release, weights, initial)
+    sky = recipe.model.class_id("sky") if recipe.data.sky_depth_m else None
+    depth = DepthTarget(network.config.canonical_focal_px, sky, recipe.data.sky_depth_m)
+    return Task(recipe, sources, validation, network, criterion, depth, release)
 
 
 def _weigh_classes(recipe: Recipe, sources: Sequence[SampleSource], num_classes: int) -> Tensor:

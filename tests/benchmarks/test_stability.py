@@ -326,7 +326,7 @@ def samples():
     depth = np.full((HEIGHT, WIDTH), 20, np.float32)
     unknown = np.full((HEIGHT, WIDTH), 3, np.uint8)
     rgb = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)
-    return [Sample(rgb, depth, unknown, None, "a", sparse_depth=depth)] * 2
+    return [Sample(rgb, {"depth": depth, "semantic": unknown}, None, "a", sparse_depth=depth)] * 2
 
 
 @pytest.mark.parametrize(("classes", "missing"), [("camvid", set()), ("cityscapes", {"camvid"})])

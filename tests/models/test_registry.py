@@ -82,7 +82,6 @@ name = "{name}"
 [data]
 batch_size = 4
 workers = 0
-frequency_samples = 4
 source = [{{ kind = "rendered", path = "rendered" }}]
 [data.augment]
 crop = [32, 64]
@@ -91,8 +90,9 @@ scale = [1.0, 1.2]
 steps = 10
 [loop]
 ema_decay = 0.5
-logit_adjustment = 0.5
 log_every = 1
+[release]
+logit_adjustment = 0.5
 [validation]
 every = 5
 source = [{{ kind = "rendered", path = "rendered" }}]
@@ -169,8 +169,8 @@ def test_weights_of_another_network_are_not_taken_over(tmp_path, monkeypatch):
 def test_settings_that_a_network_lacks_are_named():
     with pytest.raises(ValueError, match="network 'tiny-semantic': boundary_gating"):
         create_model("tiny-semantic", boundary_gating=False)
-    with pytest.raises(InputError, match="'tiny-semantic': sparse_depth_gain"):
-        build_network(ModelRecipe("tiny-semantic", sparse_depth_gain=2.0), None)
+    with pytest.raises(InputError, match="configuration keys: sparse_depth_gain"):
+        build_network(ModelRecipe("tiny-semantic", config={"sparse_depth_gain": 2.0}), None)
     with pytest.raises(ValueError, match="exactly when there is a semantic head"):
         create_model("tiny-depth", num_classes=4)
     assert create_model("tiny-depth", max_depth_m=60).config.max_depth_m == 60

@@ -27,7 +27,6 @@ name = "ssdnet-lite"
 [data]
 batch_size = 2
 workers = 0
-frequency_samples = 2
 augment = {crop = [32, 32], scale = [1.0, 1.0], lidar_missing = 0.0, lidar_random = 1.0}
 source = [{kind = "camvid", path = "camvid"}]
 [schedule]
@@ -143,7 +142,7 @@ def test_a_reader_without_labels_is_named_with_its_frame(run, monkeypatch, spoil
 
     def spoilt(self, index):
         sample = read(self, index)
-        return replace(sample, semantic=spoil(sample.semantic))
+        return sample.with_targets(semantic=spoil(sample.semantic))
 
     monkeypatch.setattr(CamVid, "__getitem__", spoilt)
     for weighting in ("none", "median"):
@@ -176,6 +175,10 @@ def test_a_dry_run_draws_the_first_batch_and_writes_nothing_else(run, tmp_path):
     (path,) = (tmp_path / "run").iterdir()
     assert path.name == "batch.png"
     assert str(path) in result.stdout.splitlines()
+    assert "crops of 32 x 32 px" in result.stdout
+    assert re.search(r"scenes: \d+ frames, \d+% of a crop is padding", result.stdout)
+    assert re.search(r"classes \(\d+% of the pixels\): sky \d+\.\d%, building", result.stdout)
+    assert re.search(r"depth \([\d.]+% of .*: 1 % [\d.]+ m, 50 % [\d.]+ m, 99 %", result.stdout)
     picture = cv2.imread(str(path))
     assert picture.shape[1] == 4 * 32  # image, classes, depth, LiDAR input
     assert picture.shape[0] > 2 * 32  # two samples and the legend

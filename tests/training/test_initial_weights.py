@@ -27,7 +27,6 @@ name = "ssdnet-lite"
 [data]
 batch_size = 4
 workers = 0
-frequency_samples = 4
 source = [{ kind = "camvid", path = "camvid" }]
 [data.augment]
 crop = [192, 320]

@@ -14,6 +14,7 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from typer.testing import CliRunner
 
+from layouts.batch import batch_of
 from layouts.kitti_stream import write_stream
 from layouts.kitti_streets import HEIGHT, WIDTH, write_streets
 from layouts.pictures import write
@@ -21,7 +22,7 @@ from layouts.virtual_kitti import COLORS, write_second_edition
 from models import SSDNet, SSDNetLite, create_model, load_checkpoint, save_checkpoint
 from models.registry import NETWORKS, Entry
 from runtime.errors import CheckpointError, DatasetError, InputError
-from training import cli, loop
+from training import cli, state, validation
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
@@ -35,6 +36,7 @@ from training.recipe import (
     ModelRecipe,
     OptimizerRecipe,
     Recipe,
+    ReleaseRecipe,
     ScheduleRecipe,
     ValidationRecipe,
 )
@@ -88,7 +90,6 @@ def recipe(steps=6, **loop_options):
             augment=AugmentConfig(crop=(32, 48), scale=(0.9, 1.2)),
             batch_size=4,
             workers=0,
-            frequency_samples=4,
         ),
         schedule=ScheduleRecipe(steps=steps, warmup_steps=2),
         loop=LoopRecipe(ema_decay=0.5, checkpoint_every=2, log_every=1, **loop_options),
@@ -122,7 +123,6 @@ def test_two_views_are_trained_to_agree_and_resume_to_the_same_weights(data, tmp
             augment=AugmentConfig(crop=(96, 96), scale=(1.6, 2.0), blur=0, noise=0, pair_shift=16),
             batch_size=2,
             workers=0,
-            frequency_samples=4,
         ),
         loss=LossConfig(depth_consistency_weight=2.0, semantic_consistency_weight=0.5),
         validation=ValidationRecipe(),
@@ -130,9 +130,9 @@ def test_two_views_are_trained_to_agree_and_resume_to_the_same_weights(data, tmp
     given = []
     forward = SSDNetLoss.forward
 
-    def look(self, output, semantic, depth, **others):
-        given.append((semantic, others["pair"]))
-        return forward(self, output, semantic, depth, **others)
+    def look(self, output, batch):
+        given.append((batch.targets["semantic"], batch.pair))
+        return forward(self, output, batch)
 
     monkeypatch.setattr(SSDNetLoss, "forward", look)
     whole = weights(train(run, data=[data], out=tmp_path / "whole"))
@@ -204,31 +204,13 @@ def test_a_step_whose_gradients_overflow_is_skipped(data, tmp_path, monkeypatch)
     """fp16 of a loss scaled far too high: the weights stay until the scale has come down."""
     scaler = torch.amp.GradScaler
     monkeypatch.setattr(
-        loop.torch.amp, "GradScaler", lambda *a, **k: scaler(*a, init_scale=2.0**40, **k)
+        torch.amp, "GradScaler", lambda *a, **k: scaler(*a, init_scale=2.0**40, **k)
     )
     run = recipe(steps=1, autocast="fp16")
     train(run, data=[data], out=tmp_path / "run")
     checkpoint = load_checkpoint(tmp_path / "run" / "last.pt")
     assert checkpoint.trainer["scaler"]["scale"] == 2.0**39
     assert not checkpoint.trainer["optimizer"]["state"]
-
-
-@pytest.mark.slow
-def test_compiled_network_trains_what_the_plain_one_does(data, tmp_path, monkeypatch):
-    """Through torch.compile's tracing; its code generator takes minutes on a CPU."""
-    compile_network, calls = torch.compile, []
-
-    def trace(network):
-        calls.append(network)
-        return compile_network(network, backend="eager")
-
-    monkeypatch.setattr(loop.torch, "compile", trace)
-    compiled = weights(train(recipe(steps=2, compile=True), data=[data], out=tmp_path / "compiled"))
-    plain = weights(train(recipe(steps=2), data=[data], out=tmp_path / "plain"))
-    assert len(calls) == 1
-    assert compiled.keys() == plain.keys()
-    for name, value in plain.items():
-        torch.testing.assert_close(compiled[name], value, rtol=1e-3, atol=1e-4, msg=name)
 
 
 def test_tensorboard_shows_terms_rates_scores_and_pictures(data, tmp_path):
@@ -304,7 +286,9 @@ def test_the_sky_and_masks_of_the_road_are_targets(data, tmp_path):
     )
     road = terms(streets, tmp_path / "road")
     assert road["road"] > 0
-    canonical = replace(run.model, canonical_focal_px=40.0)  # the streets' camera has 80 px
+    canonical = replace(
+        run.model, config={"canonical_focal_px": 40.0}
+    )  # the streets' camera has 80 px
     nearer = terms(replace(streets, model=canonical), tmp_path / "nearer")
     assert nearer["road"] == pytest.approx(road["road"], rel=0.5)
     assert nearer["depth"] != road["depth"]
@@ -336,7 +320,7 @@ def test_a_resumed_run_keeps_its_curves(data, tmp_path, monkeypatch):
 
 
 def test_best_weights_and_scores_survive_an_interruption(data, tmp_path):
-    run = recipe(steps=6, logit_adjustment=0.5)
+    run = replace(recipe(steps=6), release=ReleaseRecipe(logit_adjustment=0.5))
     run = replace(run, validation=replace(run.validation, every=2, best="camvid/boundary_f"))
     train(run, data=[data], out=tmp_path / "whole")
     train(run, data=[data], out=tmp_path / "parts", stop_after=5)
@@ -357,7 +341,9 @@ def test_best_weights_and_scores_survive_an_interruption(data, tmp_path):
 
 def test_best_weights_are_those_of_the_best_validation(data, tmp_path, monkeypatch):
     figures = iter([0.2, 0.5, 0.4])
-    monkeypatch.setattr(loop, "score_sources", lambda *_, **__: {"camvid": {"miou": next(figures)}})
+    monkeypatch.setattr(
+        validation, "score_sources", lambda *_, **__: {"camvid": {"miou": next(figures)}}
+    )
     run = recipe(steps=6)
     run = replace(run, validation=replace(run.validation, every=2))
     train(run, data=[data], out=tmp_path / "run")
@@ -414,14 +400,14 @@ def test_a_damaged_frame_is_named_without_a_traceback(data, tmp_path):
 
 def test_gradients_that_are_not_finite_stop_the_run(data, tmp_path, monkeypatch):
     """The loss is a number still, its derivative is not."""
-    original = loop._compute_loss
+    original = state._compute_loss
 
     def spoil(*arguments):
         terms = original(*arguments)
         zero = (terms["total"] * 0).abs()
         return {**terms, "total": terms["total"] + zero.sqrt()}  # d sqrt(0) is infinite
 
-    monkeypatch.setattr(loop, "_compute_loss", spoil)
+    monkeypatch.setattr(state, "_compute_loss", spoil)
     with pytest.raises(NonFiniteLossError, match="its gradient is not finite"):
         train(recipe(accumulate=2), data=[data], out=tmp_path / "run")
     saved = json.loads((tmp_path / "run" / "non_finite.json").read_text())
@@ -431,14 +417,14 @@ def test_gradients_that_are_not_finite_stop_the_run(data, tmp_path, monkeypatch)
 
 def test_logged_terms_are_the_mean_over_accumulated_batches(data, tmp_path, monkeypatch):
     seen = []
-    original = loop._compute_loss
+    original = state._compute_loss
 
     def keep(*arguments):
         terms = original(*arguments)
         seen.append(terms["total"].item())
         return terms
 
-    monkeypatch.setattr(loop, "_compute_loss", keep)
+    monkeypatch.setattr(state, "_compute_loss", keep)
     train(recipe(steps=2, accumulate=3), data=[data], out=tmp_path / "run")
     events = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
     events.Reload()
@@ -461,13 +447,13 @@ def test_another_recipe_in_the_same_folder_is_refused(data, tmp_path):
 
 
 def test_non_finite_loss_names_the_frames(data, tmp_path, monkeypatch):
-    original = loop._compute_loss
+    original = state._compute_loss
 
     def spoil(*args):
         terms = original(*args)
         return {**terms, "total": terms["total"] * float("nan")}
 
-    monkeypatch.setattr(loop, "_compute_loss", spoil)
+    monkeypatch.setattr(state, "_compute_loss", spoil)
     with pytest.raises(NonFiniteLossError, match=r"step 0: the loss \(nan\).*non_finite\.json"):
         train(recipe(), data=[data], out=tmp_path / "run")
     document = json.loads((tmp_path / "run" / "non_finite.json").read_text())
@@ -530,7 +516,7 @@ def test_init_starts_from_other_weights_of_the_same_kind(data, tmp_path, monkeyp
 def test_released_weights_lie_between_those_of_init_and_the_trained_ones(data, tmp_path):
     first = train(recipe(steps=1), data=[data], out=tmp_path / "a")
     whole = recipe(steps=2)
-    mixed = replace(whole, loop=replace(whole.loop, trained_share=0.25))
+    mixed = replace(whole, release=ReleaseRecipe(trained_share=0.25))
     trained = weights(train(whole, data=[data], out=tmp_path / "b", init=first))
     # Also after a resume, whose network begins at other weights.
     train(mixed, data=[data], out=tmp_path / "c", init=first, stop_after=1)
@@ -541,6 +527,26 @@ def test_released_weights_lie_between_those_of_init_and_the_trained_ones(data, t
             torch.testing.assert_close(value, expected)
     with pytest.raises(InputError, match="give --init"):
         train(mixed, data=[data], out=tmp_path / "d")
+
+
+def test_what_init_did_not_give_is_released_as_it_was_trained(data, tmp_path):
+    """Other classes: their layer is the trained one, and the offsets are added in full."""
+    first = tmp_path / "other.pt"
+    save_checkpoint(first, create_model("ssdnet-lite", classes=TINY.classes[::-1]))
+    whole = recipe(steps=2)
+    release = ReleaseRecipe(trained_share=0.25, logit_offsets=(("road", 2.0),))
+    trained = weights(train(whole, data=[data], out=tmp_path / "b", init=first))
+    mixed = replace(whole, release=release)
+    released = weights(train(mixed, data=[data], out=tmp_path / "c", init=first))
+    assert torch.equal(released["semantic_head.weight"], trained["semantic_head.weight"])
+    offsets = released["semantic_head.bias"] - trained["semantic_head.bias"]
+    torch.testing.assert_close(
+        offsets, torch.tensor([2.0 * (item.name == "road") for item in TINY.classes])
+    )
+    expected = (
+        0.75 * weights(first)["depth_heads.0.weight"] + 0.25 * trained["depth_heads.0.weight"]
+    )
+    torch.testing.assert_close(released["depth_heads.0.weight"], expected)
 
 
 def test_init_loads_what_fits_and_reports_the_rest(data, tmp_path, monkeypatch, capsys):
@@ -619,8 +625,8 @@ def test_command_reports_bad_recipes_and_data(data, tmp_path):
 
 def test_final_checkpoint_is_adjusted_and_the_resumable_one_is_not(data, tmp_path):
     plain = replace(recipe(steps=2), loss=replace(INDEPENDENT, class_weighting="median"))
-    adjusted = replace(plain, loop=replace(plain.loop, logit_adjustment=1.0))
-    moved = replace(plain, loop=replace(plain.loop, logit_offsets=(("sky", 3.0),)))
+    adjusted = replace(plain, release=ReleaseRecipe(logit_adjustment=1.0))
+    moved = replace(plain, release=ReleaseRecipe(logit_offsets=(("sky", 3.0),)))
     a = train(plain, data=[data], out=tmp_path / "a")
     b = train(adjusted, data=[data], out=tmp_path / "b")
     c = train(moved, data=[data], out=tmp_path / "c")
@@ -637,7 +643,7 @@ def test_the_weights_that_are_saved_are_those_that_were_validated(data, tmp_path
     run = recipe(steps=2)
     run = replace(
         run,
-        loop=replace(run.loop, logit_offsets=(("sky", 90.0),)),
+        release=ReleaseRecipe(logit_offsets=(("sky", 90.0),)),
         validation=replace(run.validation, every=1),
     )
     train(run, data=[data], out=tmp_path / "run")
@@ -673,13 +679,6 @@ def test_the_recipe_sets_where_semantics_are_scored(grid, size):
         scored.append(network(*images, **options))
         return scored[-1]
 
-    samples = {
-        "rgb": torch.zeros(1, 3, 64, 96, dtype=torch.uint8),
-        "sparse_depth": torch.zeros(1, 1, 64, 96),
-        "depth": torch.ones(1, 1, 64, 96),
-        "semantic": torch.zeros(1, 64, 96, dtype=torch.int64),
-        "semantic_weight": torch.ones(1),
-        "road_mask": torch.full((1, 64, 96), 255, dtype=torch.uint8),
-    }
-    loop._compute_loss(forward, criterion, samples, LoopRecipe(), torch.device("cpu"))
+    batch = batch_of(torch.zeros(1, 64, 96), torch.ones(1, 1, 64, 96))
+    state._compute_loss(forward, criterion, batch, LoopRecipe())
     assert tuple(scored[0].semantic_logits.shape[2:]) == size

@@ -43,7 +43,7 @@ recipe = Recipe(
     model=ModelRecipe("ssdnet-lite"),
     data=DataRecipe(
         (CamVidRecipe(path="camvid"),), AugmentConfig(crop=(32, 32)), batch_size=2,
-        workers=1, frequency_samples=4,
+        workers=1,
     ),
     schedule=ScheduleRecipe(steps=12),
     loop=LoopRecipe(checkpoint_every=3, log_every=1),

@@ -1,6 +1,5 @@
 """What weights a training starts from, and what it does to them before they ship."""
 
-import math
 from dataclasses import replace
 
 import pytest
@@ -8,41 +7,8 @@ import torch
 
 from models import CLASS_TABLES, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
 from runtime.errors import InputError
-from training.network import adjust_logits, build_network, class_offsets, train_parts
+from training.network import build_network, train_parts
 from training.recipe import ModelRecipe
-
-
-def test_logit_adjustment_undoes_the_class_weights():
-    """Odds of w * p turn into p, so that an even chance of a doubled class is no longer a win."""
-    state = {"semantic_head.bias": torch.tensor([0.0, math.log(2.0)]), "other": torch.ones(2)}
-    weights = torch.tensor([1.0, 2.0])
-    whole = adjust_logits(state, weights, 1.0)
-    torch.testing.assert_close(whole["semantic_head.bias"], torch.zeros(2))
-    half = adjust_logits(state, weights, 0.5)
-    torch.testing.assert_close(half["semantic_head.bias"][1], torch.tensor(0.5 * math.log(2.0)))
-    assert torch.equal(
-        adjust_logits(state, None, 1.0)["semantic_head.bias"], state["semantic_head.bias"]
-    )
-    assert torch.equal(whole["other"], state["other"])
-
-
-def test_offsets_are_added_to_the_logits_of_their_classes():
-    network = create_model("ssdnet-lite")
-    names = [info.name for info in network.config.classes]
-    state = network.state_dict()
-    offsets = class_offsets(network, [("road", -0.5), ("pole", 1.0)])
-    moved = adjust_logits(state, None, 0.0, offsets)["semantic_head.bias"]
-    steps = dict(zip(names, (moved - state["semantic_head.bias"]).tolist(), strict=True))
-    assert {name: step for name, step in steps.items() if step} == pytest.approx(
-        {"road": -0.5, "pole": 1.0}
-    )
-    assert class_offsets(network, ()) is None
-
-
-@pytest.mark.parametrize("offsets", [[("roads", 1.0)], [("road", 1.0), ("road", 2.0)]])
-def test_offsets_of_what_is_no_class_or_named_twice_are_refused(offsets):
-    with pytest.raises(InputError, match=r"loop\.logit_offsets: 'roads?' .* it has sky, building"):
-        class_offsets(create_model("ssdnet-lite"), offsets)
 
 
 def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
@@ -69,7 +35,22 @@ def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys, c
     save_checkpoint(other, create_model("ssdnet-lite"))
     build_network(ModelRecipe("ssdnet-lite"), other)
     assert capsys.readouterr().err == ""
-    build_network(ModelRecipe("ssdnet-lite", **changed), other)
+    build_network(ModelRecipe("ssdnet-lite", config=changed), other)
+    assert text in capsys.readouterr().err
+
+
+def test_images_are_normalised_as_init_does_unless_the_recipe_says_otherwise(tmp_path, capsys):
+    other = tmp_path / "other.pt"
+    save_checkpoint(other, create_model("ssdnet-lite", rgb_mean=(1.0, 2.0, 3.0)))
+    built = build_network(ModelRecipe("ssdnet-lite"), other)
+    assert built.config.rgb_mean == (1.0, 2.0, 3.0)
+    assert built.rgb_mean.flatten().tolist() == [1.0, 2.0, 3.0]
+    assert capsys.readouterr().err == ""
+    stated = ModelRecipe("ssdnet-lite", config={"rgb_mean": [4.0, 5.0, 6.0]})
+    built = build_network(stated, other)
+    assert built.config.rgb_mean == (4.0, 5.0, 6.0)
+    assert built.rgb_mean.flatten().tolist() == [4.0, 5.0, 6.0]
+    text = "the mean of RGB was (1.0, 2.0, 3.0) and is (4.0, 5.0, 6.0) here"
     assert text in capsys.readouterr().err
 
 
@@ -88,7 +69,7 @@ def test_only_some_parts_are_trained():
 
 
 def test_canonical_focal_length_goes_from_the_recipe_into_the_checkpoint(tmp_path):
-    recipe = ModelRecipe("ssdnet-lite", canonical_focal_px=721.5)
+    recipe = ModelRecipe("ssdnet-lite", config={"canonical_focal_px": 721.5})
     network = build_network(recipe, None)
     assert network.config.canonical_focal_px == 721.5
     save_checkpoint(tmp_path / "a.pt", network)
@@ -135,6 +116,13 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
             {"boundary_channels": 8},
             "field of the network 'fast-scnn': boundary_channels",
         ),
+        ("ssdnet-lite", {"max_depth_m": -1.0}, "max_depth_m"),
+        ("ssdnet-lite", {"max_depth_m": 1e39}, "max_depth_m"),
+        *(
+            ("ssdnet-lite", {"canonical_focal_px": focal}, "canonical_focal_px")
+            for focal in (0, 0.5, -700.0, float("inf"), float("nan"), "721", 2e6)
+        ),
+        ("fast-scnn", {"boundary_channels": 8}, "unknown model configuration keys"),
     ],
 )
 def test_an_invalid_configuration_is_refused(name, config, text):

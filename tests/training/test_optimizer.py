@@ -35,14 +35,14 @@ def test_weight_decay_pulls_at_kernels_alone(name):
 
 
 def test_learning_rate_by_hand():
-    schedule = ScheduleRecipe(steps=110, warmup_steps=10, final_ratio=0.1)
+    schedule = ScheduleRecipe(steps=110, warmup_steps=10)
     assert learning_rate(schedule, 1.0, 0) == pytest.approx(0.1)
     assert learning_rate(schedule, 1.0, 9) == pytest.approx(1.0)
-    assert learning_rate(schedule, 1.0, 60) == pytest.approx(0.1 + 0.9 * 0.5)
-    assert learning_rate(schedule, 1.0, 110) == pytest.approx(0.1)
+    assert learning_rate(schedule, 1.0, 60) == pytest.approx(0.5)
+    assert learning_rate(schedule, 1.0, 110) == pytest.approx(0)
     constant = ScheduleRecipe(steps=110, shape="constant")
     assert {learning_rate(constant, 0.3, step) for step in range(110)} == {0.3}
-    assert math.isclose(learning_rate(schedule, 2.0, 35), 2 * (0.1 + 0.9 * 0.853553), rel_tol=1e-5)
+    assert math.isclose(learning_rate(schedule, 2.0, 35), 2 * 0.853553, rel_tol=1e-5)
 
 
 def test_average_discards_its_initial_weights():

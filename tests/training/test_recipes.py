@@ -109,7 +109,7 @@ def read_shrunk(path):
     """A recipe for one step on small frames; all that it says about network and loss stays."""
     changes = (
         *("data.batch_size = 16", "data.seed = 5", "data.workers = 0", "schedule.steps = 1"),
-        *("validation.every = 1", "loop.log_every = 1", "loop.trained_share = 1.0"),
+        *("validation.every = 1", "loop.log_every = 1", "release.trained_share = 1.0"),
     )
     recipe = read_recipe(path, changes)
     height, width = shrink(recipe.data.augment.crop)
@@ -160,8 +160,8 @@ def test_shipped_recipe_trains(path, data, tmp_path):
     assert config.name == recipe.model.name
     assert config.classes == (CLASS_TABLES[recipe.model.classes] if config.semantic_head else ())
     named = NETWORKS[recipe.model.name].config
-    assert config.max_depth_m == (recipe.model.max_depth_m or named.max_depth_m)
-    assert config.boundary_gating == recipe.model.boundary_gating
+    assert config.max_depth_m == recipe.model.config.get("max_depth_m", named.max_depth_m)
+    assert config.boundary_gating == recipe.model.config.get("boundary_gating", True)
     assert checkpoint.training["recipe"]["loss"] == asdict(recipe.loss)
     assert checkpoint.training["terms"] == recipe.terms
     assert recipe.terms

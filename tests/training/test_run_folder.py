@@ -32,7 +32,7 @@ def test_what_does_not_change_the_weights_may_change(tmp_path):
         FIRST,
         data=replace(FIRST.data, workers=5, cache_gib=2.0),
         loop=replace(FIRST.loop, log_every=3, checkpoint_every=7),
-        validation=ValidationRecipe(every=5, source=(SET,)),
+        validation=ValidationRecipe(every=5, pictures=1),
         terms="none",
     )
     prepare_folder(tmp_path, resolved(other))
@@ -66,6 +66,14 @@ def test_a_key_that_a_release_added_counts_with_its_default(tmp_path):
         (
             {"data": replace(FIRST.data, source=(SET, SET))},
             r"data\.source\[1\]\.kind was None, now it is 'camvid'",
+        ),
+        (
+            {"validation": ValidationRecipe(source=(SET,))},
+            r"validation\.source\[0\]\.kind was None, now it is 'camvid'",
+        ),
+        (
+            {"validation": ValidationRecipe(lidar="none")},
+            r"validation\.lidar was 'own', now it is 'none'",
         ),
     ],
     ids=str,

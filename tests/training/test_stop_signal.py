@@ -35,12 +35,12 @@ class Imports:
 if wait == "importing":
     sys.meta_path.insert(0, Imports())
 else:
-    from training import loop
-    compute = loop._compute_loss
+    from training import state
+    compute = state._compute_loss
     def compute_loss(*arguments):
         say("step")
         return compute(*arguments)
-    loop._compute_loss = compute_loss
+    state._compute_loss = compute_loss
 from training.__main__ import main
 main()
 """
@@ -51,7 +51,6 @@ name = "ssdnet-lite"
 [data]
 batch_size = 2
 workers = 1
-frequency_samples = 4
 augment.crop = [32, 32]
 [[data.source]]
 kind = "camvid"

@@ -11,7 +11,7 @@ from models import CLASS_TABLES
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.files import read_gray, read_rgb, require_folder
-from training.datasets.sample import Sample, nothing_known
+from training.datasets.sample import Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
@@ -94,8 +94,7 @@ class CamVid:
         size = (rgb.shape[0], rgb.shape[1])
         return Sample(
             rgb=rgb,
-            depth=nothing_known(size),
-            semantic=self._labels.read(label_path, size),
+            targets={"semantic": self._labels.read(label_path, size)},
             intrinsics=None,
             name=f"camvid/{image_path.stem}",
         )

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from training.datasets.files import (
     read_rgb,
     require_folder,
 )
-from training.datasets.sample import Sample, nothing_known
+from training.datasets.sample import Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
@@ -114,20 +114,19 @@ class Cityscapes:
         city, stem = self._frames[index]
         rgb = read_rgb(self._path("leftImg8bit", city, stem + _IMAGE))
         size = (rgb.shape[0], rgb.shape[1])
-        depth, intrinsics, focal_baseline = nothing_known(size), None, None
+        path = self._path("gtFine", city, stem + "_gtFine_labelIds.png")
+        targets: dict[str, NDArray[Any]] = {"semantic": self._read_labels(path, size)}
+        intrinsics = focal_baseline = None
         if self._with_depth:
             intrinsics, focal_baseline = _read_camera(
                 self._path("camera", city, stem + "_camera.json")
             )
             path = self._path("disparity", city, stem + "_disparity.png")
             stored = read_gray(path, np.uint16, size)
-            depth = disparity_to_depth(stored, focal_baseline)
+            targets["depth"] = disparity_to_depth(stored, focal_baseline)
         return Sample(
             rgb=rgb,
-            depth=depth,
-            semantic=self._read_labels(
-                self._path("gtFine", city, stem + "_gtFine_labelIds.png"), size
-            ),
+            targets=targets,
             intrinsics=intrinsics,
             name=f"cityscapes/{self._split}/{stem}",
             focal_baseline_px_m=focal_baseline,

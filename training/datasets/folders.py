@@ -1,7 +1,7 @@
 """A user's images, depth and labels: a folder each, files paired by their stem."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,20 +105,22 @@ class Folders:
         if recipe.sparse_depth is not None:
             path = self._root / recipe.sparse_depth / f"{listed.name}.png"
             sparse_depth = read_depth(path, size, depth_scale=recipe.depth_scale)
+        targets: dict[str, NDArray[Any]] = {}
+        if recipe.depth is not None:
+            targets["depth"] = frame.sparse_depth
+        if recipe.labels is not None:
+            path = self._root / recipe.labels / f"{listed.name}.png"
+            targets["semantic"] = self._read_labels(path, size)
         return Sample(
             rgb=frame.rgb,
-            depth=frame.sparse_depth,
-            semantic=self._read_labels(listed.name, size),
+            targets=targets,
             intrinsics=intrinsics,
             name=f"{self._root.name}/{listed.name}",
             sparse_depth=sparse_depth,
-            semantic_weight=recipe.semantic_weight,
+            weights={"semantic": recipe.semantic_weight},
         )
 
-    def _read_labels(self, stem: str, size: tuple[int, int]) -> NDArray[np.uint8]:
-        if self._recipe.labels is None:
-            return np.full(size, IGNORE, dtype=np.uint8)
-        path = self._root / self._recipe.labels / f"{stem}.png"
+    def _read_labels(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
         label = read_gray(path, np.uint8, size)
         known = label != self._recipe.ignore
         highest = int(label.max(initial=0, where=known))

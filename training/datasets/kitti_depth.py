@@ -21,7 +21,7 @@ from training.datasets.files import (
     read_rgb,
     require_folder,
 )
-from training.datasets.sample import IGNORE, Sample
+from training.datasets.sample import Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
@@ -88,8 +88,7 @@ class KittiDepth:
         size = (rgb.shape[0], rgb.shape[1])
         return Sample(
             rgb=rgb,
-            depth=read_depth(frame.groundtruth, size, depth_scale=KITTI_DEPTH_SCALE),
-            semantic=np.full(size, IGNORE, dtype=np.uint8),
+            targets={"depth": read_depth(frame.groundtruth, size, depth_scale=KITTI_DEPTH_SCALE)},
             intrinsics=_read_intrinsics(frame),
             name=frame.name,
             sparse_depth=read_depth(frame.velodyne, size, depth_scale=KITTI_DEPTH_SCALE),

@@ -22,7 +22,7 @@ from training.datasets.files import (
     require_folder,
     require_size,
 )
-from training.datasets.sample import IGNORE, Sample
+from training.datasets.sample import Sample
 from training.datasets.source_recipe import Names, SourceRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT
@@ -119,8 +119,7 @@ class KittiRaw:
         )
         sample = Sample(
             rgb=rgb,
-            depth=depth,
-            semantic=np.full(size, IGNORE, dtype=np.uint8),
+            targets={"depth": depth},
             intrinsics=calibration.intrinsics,
             name=name,
             scan_line=scan_line,
@@ -129,4 +128,4 @@ class KittiRaw:
             return sample
         seen = OcclusionFilter().apply(depth, depth)
         lines = np.where(seen > 0, scan_line, np.int16(-1)).astype(np.int16)
-        return replace(sample, depth=seen, scan_line=lines)
+        return replace(sample, targets={"depth": seen}, scan_line=lines)

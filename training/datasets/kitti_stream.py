@@ -1,9 +1,10 @@
 """Recorded KITTI frames: left colour camera, LiDAR returns with their scan lines."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic.dataclasses import dataclass
 
 from runtime.errors import DatasetError
@@ -17,7 +18,7 @@ from training.datasets.files import (
     read_rgb,
     require_folder,
 )
-from training.datasets.sample import IGNORE, Sample, nothing_known
+from training.datasets.sample import Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT, Index, Share
@@ -99,24 +100,22 @@ class KittiStream:
         rgb = read_rgb(path)
         size = (rgb.shape[0], rgb.shape[1])
         camera = self._calibration or _read_calibration(self._root / "calib" / f"{path.stem}.txt")
-        depth, scan_line = nothing_known(size), None
-        scan = self._root / "velodyne_fov" / f"{path.stem}.bin"
+        targets: dict[str, NDArray[Any]] = {}
+        scan, scan_line = self._root / "velodyne_fov" / f"{path.stem}.bin", None
         if self._calibration is not None or scan.is_file():
-            depth, scan_line = project_lines(
+            targets["depth"], scan_line = project_lines(
                 read_points(scan), camera.intrinsics, camera.extrinsics, size
             )
-        semantic = np.full(size, IGNORE, dtype=np.uint8)
         label_path = self._root / "pseudo_semantic" / f"{path.stem}.png"
         if label_path.is_file():
-            semantic = self._lookup[read_gray(label_path, np.uint8, size)]
+            targets["semantic"] = self._lookup[read_gray(label_path, np.uint8, size)]
         return Sample(
             rgb=rgb,
-            depth=depth,
-            semantic=semantic,
+            targets=targets,
             intrinsics=camera.intrinsics,
             name=f"{self._name}/{path.stem}",
             scan_line=scan_line,
-            semantic_weight=self._semantic_weight,
+            weights={"semantic": self._semantic_weight},
         )
 
 

@@ -122,26 +122,28 @@ class KittiStreets:
         sparse_depth, scan_line = project_lines(points, camera.intrinsics, camera.extrinsics, size)
         return Sample(
             rgb=rgb,
-            depth=_to_depth(disparity, self._focal_baseline),
-            semantic=self._read_labels(path.stem, size),
+            targets={
+                "depth": _to_depth(disparity, self._focal_baseline),
+                **self._read_labels(path.stem, size),
+                **self._read_mask(path.stem, size),
+            },
             intrinsics=camera.intrinsics,
             name=f"kitti_streets/{path.stem}",
             sparse_depth=sparse_depth,
             scan_line=scan_line,
             focal_baseline_px_m=self._focal_baseline,
-            road_mask=self._read_mask(path.stem, size),
             place=_place(int(path.stem)),
         )
 
-    def _read_labels(self, number: str, size: tuple[int, int]) -> NDArray[np.uint8]:
+    def _read_labels(self, number: str, size: tuple[int, int]) -> dict[str, NDArray[np.uint8]]:
         path = self._root / "semantic" / f"{number}.png"
         if self._labels is None or not path.exists():
-            return np.full(size, IGNORE, dtype=np.uint8)
-        return self._labels.read(path, size)
+            return {}
+        return {"semantic": self._labels.read(path, size)}
 
-    def _read_mask(self, number: str, size: tuple[int, int]) -> NDArray[np.uint8] | None:
+    def _read_mask(self, number: str, size: tuple[int, int]) -> dict[str, NDArray[np.uint8]]:
         if self._masks is None:
-            return None
+            return {}
         path = self._masks / f"{number}.png"
         mask = read_gray(path, np.uint8, size)
         other = np.setdiff1d(mask, (0, 1, IGNORE))
@@ -150,7 +152,7 @@ class KittiStreets:
                 f"{path}: holds the value {other[0]}; expected 0 = not road, 1 = road, 255 = "
                 "unknown."
             )
-        return mask
+        return {"road_mask": mask}
 
 
 def _place(number: int) -> str | None:

@@ -120,8 +120,7 @@ class RenderedScenes:
         frame = scene.render(number)
         return Sample(
             rgb=frame.rgb,
-            depth=frame.depth,
-            semantic=self._lookup[frame.label],
+            targets={"depth": frame.depth, "semantic": self._lookup[frame.label]},
             intrinsics=np.asarray(frame.intrinsics, dtype=np.float64),
             name=f"{scene.job.name}/{scene.variant}/{number:05d}",
         )

@@ -1,45 +1,97 @@
 """An item of a data set: one frame with all that is known about it."""
 
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.heads import HEADS
+
 IGNORE = 255
+
+
+class TargetKind(NamedTuple):
+    """How a map of labels is stored."""
+
+    #: Of its values.
+    dtype: np.dtype[Any]
+    #: The value of a pixel without a label.
+    unlabelled: float
+    #: Rule where it is resized, see `runtime.heads`.
+    resize: Literal["nearest", "bilinear"]
+
+
+#: Targets that are no head's, by name. road_mask: 0 = not road, 1 = road, drawn by hand.
+AUXILIARY: Mapping[str, TargetKind] = {
+    "road_mask": TargetKind(np.dtype(np.uint8), IGNORE, "nearest")
+}
+
+
+def target_kind(name: str) -> TargetKind:
+    """Return how a target is stored: a head's by its row in `runtime.heads`, or an auxiliary one.
+
+    Raises:
+        ValueError: for another name.
+    """
+    if name in AUXILIARY:
+        return AUXILIARY[name]
+    if name not in HEADS:
+        raise ValueError(f"no head and no target is called {name!r}")
+    head = HEADS[name]
+    return TargetKind(np.dtype(head.dtype), head.unlabelled, head.resize)
 
 
 @dataclass(frozen=True)
 class Sample:
-    """One frame; H and W are the image's. A target that a set lacks is unknown everywhere."""
+    """One frame; H and W are the image's."""
 
     #: uint8 (H, W, 3), RGB.
     rgb: NDArray[np.uint8]
-    #: float32 (H, W), metres, the depth target; 0 = unknown (sky too).
-    depth: NDArray[np.float32]
-    #: uint8 (H, W), class ids, the semantic target; 255 = unknown.
-    semantic: NDArray[np.uint8]
+    #: What the set knows: head or auxiliary target -> labels (H, W), see `target_kind`. "semantic"
+    #: holds class ids, "depth" metres. A target that a set lacks is not there.
+    targets: Mapping[str, NDArray[Any]]
     #: float64 (3, 3), pixels; None if unknown.
     intrinsics: NDArray[np.float64] | None
     #: Set and frame, for messages.
     name: str
     #: float32 (H, W), metres along the optical axis, the network's input; 0 = no measurement. From
-    #: a data set it is an input recorded in addition to ``depth``, which can be thinned; None: the
-    #: input is sampled from ``depth``.
+    #: a data set it is an input recorded in addition to the depth, which can be thinned; None: the
+    #: input is sampled from the depth.
     sparse_depth: NDArray[np.float32] | None = None
     #: int16 (H, W), the LiDAR scan line that measured each pixel, -1 = none: of ``sparse_depth``,
-    #: or, where that is None, of ``depth``. None where no lines are known.
+    #: or, where that is None, of the depth. None where no lines are known.
     scan_line: NDArray[np.int16] | None = None
-    #: Weight of the semantic target in the loss, below 1 for labels made by a network.
-    semantic_weight: float = 1.0
+    #: Target -> its weight in the loss, below 1 for labels made by a network; 1 where none is here.
+    weights: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     #: Focal length times stereo baseline [px m] if depth was measured as disparity: d = this /
     #: depth, in pixels of the data set's images at their original size.
     focal_baseline_px_m: float | None = None
-    #: uint8 (H, W), a hand-drawn mask of the road: 0 = not road, 1 = road, 255 = unknown. None
-    #: if the data set has none.
-    road_mask: NDArray[np.uint8] | None = None
     #: Which of the set's places the frame shows; None where the set does not know.
     place: str | None = None
+
+    def target(self, name: str) -> NDArray[Any]:
+        """Return the labels of a target, (H, W), unlabelled everywhere if the set lacks them."""
+        if name in self.targets:
+            return self.targets[name]
+        kind = target_kind(name)
+        return np.full(self.size, kind.unlabelled, dtype=kind.dtype)
+
+    def with_targets(self, **targets: NDArray[Any]) -> "Sample":
+        """Return the frame with other labels of some targets."""
+        return replace(self, targets={**self.targets, **targets})
+
+    @property
+    def depth(self) -> NDArray[np.float32]:
+        """float32 (H, W), metres, from which LiDAR inputs are drawn; 0 = unknown (sky too)."""
+        return self.target("depth")
+
+    @property
+    def semantic(self) -> NDArray[np.uint8]:
+        """uint8 (H, W), class ids; 255 = unknown."""
+        return self.target("semantic")
 
     @property
     def size(self) -> tuple[int, int]:

@@ -33,8 +33,6 @@ class SourceRecipe:
     size: tuple[Side, Side] | None = None
     #: Range of the random magnification; the common one by default.
     scale: FactorRange | None = None
-    #: Its things may be pasted into other samples, see ``data.augment.paste``: needs dense depth.
-    things: bool = False
     #: Name in scores, curves and files; the path by default.
     name: SetName | None = None
 

@@ -190,10 +190,12 @@ class VirtualKitti:
         name = f"{variant.parent.name}/{variant.name}/{listed.name}"
         return Sample(
             rgb=rgb,
-            depth=depth,
+            targets={
+                "depth": depth,
+                "semantic": read_classes(label, self._colors[variant], size),
+            },
             sparse_depth=sparse_depth,
             scan_line=scan_line,
-            semantic=read_classes(label, self._colors[variant], size),
             intrinsics=intrinsics,
             name=f"{name}/{camera}" if camera else name,
         )
@@ -262,8 +264,10 @@ class VirtualKitti1:
         colors = self._colors[scene, variant]
         return Sample(
             rgb=rgb,
-            depth=depth,
-            semantic=read_classes(self._root / _CLASSES_1 / file, colors, size),
+            targets={
+                "depth": depth,
+                "semantic": read_classes(self._root / _CLASSES_1 / file, colors, size),
+            },
             intrinsics=_INTRINSICS_1,
             name=f"{scene}/{variant}/{number}",
         )

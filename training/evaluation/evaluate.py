@@ -199,14 +199,19 @@ def _score_all(
     for (lidar, fault), places in scores.items():
         key = (str(lidar), fault) if was_fed[lidar, fault] else ("none", "none")
         if places and key not in rows:
-            by_place: dict[str, dict[str, float]] = {}
             total = Scores(len(model.classes))
-            for place, part in places.items():
+            for part in places.values():
                 total.merge(part)
-                if place is not None and None not in places and len(places) > 1:
-                    by_place[place] = part.figures(class_names)
+            figures = total.figures(class_names)
+            # Of the whole set, as a user has one: not the best of each place.
+            threshold = figures.get("boundary_threshold")
+            by_place = {
+                place: part.figures(class_names, boundary_threshold=threshold)
+                for place, part in places.items()
+                if place is not None and None not in places and len(places) > 1
+            }
             rows[key] = Row(
-                *(name, model.engine, title, *key, total.frames, total.figures(class_names)),
+                *(name, model.engine, title, *key, total.frames, figures),
                 places=by_place,
                 figures_over_places=figures_over_places(by_place.values()),
                 heads=sorted(total.heads),

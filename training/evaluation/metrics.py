@@ -375,12 +375,18 @@ class BoundaryScores:
         require_equal("tolerance_px", self.tolerance_px, other.tolerance_px)
         self._counts += other._counts
 
-    def compute(self) -> BoundaryMetrics:
-        """Return the metrics of all frames so far at the best threshold.
+    def compute(self, threshold: float | None = None) -> BoundaryMetrics:
+        """Return the metrics of all frames so far at a threshold; None = the best.
 
         Precision is NaN where nothing was predicted, recall where nothing was to be found; the
         F-score is then 0, or NaN if both are missing.
         """
+        if threshold is not None:
+            return self._metrics()[self.thresholds.index(threshold)]
+        return max(self._metrics(), key=lambda item: item.f_score)
+
+    def _metrics(self) -> list[BoundaryMetrics]:
+        """Return the metrics at each threshold."""
         metrics = []
         for threshold, (predicted, right, true, found) in zip(
             self.thresholds, self._counts.tolist(), strict=True
@@ -391,7 +397,7 @@ class BoundaryScores:
             if not (predicted or true):
                 f_score = float("nan")
             metrics.append(BoundaryMetrics(threshold, precision, recall, f_score))
-        return max(metrics, key=lambda item: item.f_score)
+        return metrics
 
     def _dilate(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         reach = np.arange(-self.tolerance_px, self.tolerance_px + 1)

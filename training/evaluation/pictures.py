@@ -1,17 +1,19 @@
 """Pictures of what a network is trained on, and of its answers beside the ground truth."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from models import Network
 from runtime.drawing.color_scale import NO_VALUE_COLOR
 from runtime.drawing.overlay import Overlay
 from runtime.drawing.picture_text import write_text
-from training.datasets.sample import IGNORE, SampleSource
+from training.batch import Batch
+from training.datasets.sample import IGNORE, SampleSource, target_kind
 from training.evaluation.scoring import Answer, Predict, split_frames
 from training.lidar.split import LidarInput
 
@@ -60,24 +62,33 @@ def draw_pictures(
         yield sample.name, np.ascontiguousarray(_side_by_side(drawn)[..., ::-1])
 
 
-def draw_batch(samples: Mapping[str, Any], overlay: Overlay) -> NDArray[np.uint8]:
+def draw_batch(batch: Batch, overlay: Overlay, *, count: int) -> NDArray[np.uint8]:
     """Draw a batch of a `Mixture`, a sample with its name a row.
 
     Args:
-        samples: a batch, with one view of each frame or two.
+        batch: frames with one view each or two.
         overlay: of the classes and the range of the depth.
+        count: largest number of frames.
 
     Returns:
         uint8 (H, W, 3), BGR: image, labels and depth target as `Overlay` draws them, where the
         batch has any, and the LiDAR input as dots over the faded image.
     """
-    width = samples["rgb"].shape[-1]
-    rgb = samples["rgb"].movedim(-3, -1).reshape(-1, width, 3).numpy()  # one above the other
-    depth, fed, semantic = (
-        samples[key].reshape(-1, width).numpy() for key in ("depth", "sparse_depth", "semantic")
-    )
-    labels = semantic.astype(np.uint8) if (semantic != IGNORE).any() else None
-    targets = Answer(labels, depth if depth.any() else None, None)
+    names, width = batch.names[:count], batch.rgb.shape[-1]
+    # Views of one frame one above the other.
+    shown = [i for row in range(len(names)) for i in range(row, len(batch.rgb), len(batch.names))]
+
+    def column(values: Tensor) -> NDArray[Any]:
+        return values[shown].reshape(-1, width).numpy()
+
+    rgb = batch.rgb[shown].movedim(-3, -1).reshape(-1, width, 3).numpy()
+    fed = column(batch.sparse_depth)
+    known = {
+        name: column(labels)
+        for name, labels in batch.targets.items()
+        if name in ("semantic", "depth") and (labels != target_kind(name).unlabelled).any()
+    }
+    targets = Answer(known.get("semantic"), known.get("depth"), None)
     # Of dots that overlap the nearest is in front.
     nearness = np.divide(1, fed, out=np.zeros_like(fed), where=fed > 0)
     nearness = cv2.dilate(nearness, np.ones((_DOT_PX, _DOT_PX), np.uint8))
@@ -87,8 +98,8 @@ def draw_batch(samples: Mapping[str, Any], overlay: Overlay) -> NDArray[np.uint8
     np.copyto(input_panel, colors, where=(colors != NO_VALUE_COLOR).any(axis=-1, keepdims=True))
     write_text(input_panel, "LiDAR input", (6, 16))
     picture = _side_by_side([overlay.draw(rgb, targets), input_panel])
-    for index, name in enumerate(samples["name"], start=1):
-        write_text(picture, name, (6, input_panel.shape[0] * index // len(samples["name"]) - 6))
+    for index, name in enumerate(names, start=1):
+        write_text(picture, name, (6, input_panel.shape[0] * index // len(names) - 6))
     return picture
 
 

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from models import CLASS_TABLES, load_checkpoint
+from models.training_facts import TrainingFacts
 from runtime.contract import ClassInfo
 from runtime.errors import InputError, SSDNetError
 from runtime.network_size import NetworkSize, check_network_size, network_size
@@ -50,10 +51,7 @@ def trained_classes(classes: tuple[ClassInfo, ...], training: Mapping[str, Any])
         training: as the file records it.
     """
     if not classes:
-        trained = training.get("recipe", {}).get("model", {}).get("classes", "camvid")
-        if isinstance(trained, str):
-            return trained
-        return tuple(ClassInfo(info["name"], tuple(info["color"])) for info in trained)
+        return TrainingFacts.from_dict(training).classes
     names = [info.name for info in classes]  # a file keeps the colours of its day
     for name, table in CLASS_TABLES.items():
         if [info.name for info in table] == names:

@@ -120,8 +120,8 @@ class Scores:
         labelled = bool((sample.semantic != IGNORE).any())
         if answer.semantic is not None and labelled:
             self.semantic.update(answer.semantic, sample.semantic)
-        if answer.semantic is not None and sample.road_mask is not None:
-            self.road.update(answer.semantic, sample.road_mask)
+        if answer.semantic is not None and "road_mask" in sample.targets:
+            self.road.update(answer.semantic, sample.targets["road_mask"])
         if answer.depth is not None and frame.target.any():
             self.depth.update(answer.depth, frame.target)
             if sample.focal_baseline_px_m is not None:
@@ -150,11 +150,14 @@ class Scores:
         counts = zip(class_names, pixels.tolist(), frames.tolist(), strict=True)
         return {name: (n, shown) for name, n, shown in counts if n}
 
-    def figures(self, class_names: Sequence[str] = ()) -> dict[str, float]:
+    def figures(
+        self, class_names: Sequence[str] = (), *, boundary_threshold: float | None = None
+    ) -> dict[str, float]:
         """Return the scores as named numbers: shares 0..1, metres, 1/km, pixels.
 
         Args:
             class_names: of the ids; without them there is no IoU of single classes.
+            boundary_threshold: one of `BOUNDARY_THRESHOLDS`; None = that of the best F-score.
         """
         figures: dict[str, float] = {}
         if self.semantic.confusion.any():
@@ -193,7 +196,7 @@ class Scores:
         disparity = self.disparity.compute()
         if disparity.pixels:
             figures |= _error_figures(disparity, "px")
-        boundary = self.boundary.compute()
+        boundary = self.boundary.compute(boundary_threshold)
         if not math.isnan(boundary.recall):
             figures |= {
                 "boundary_f": boundary.f_score,

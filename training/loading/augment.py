@@ -13,10 +13,9 @@ from pydantic.dataclasses import dataclass
 
 from runtime.contract import MAX_RETURN_M
 from runtime.resize import move_returns, move_scan_lines, resize_image, resize_nearest
-from training.datasets.sample import IGNORE, Sample, nothing_known
+from training.datasets.sample import Sample, nothing_known, target_kind
 from training.lidar.faults import add_false_returns, drop_sectors, misalign
 from training.lidar.simulate import SENSOR_LINES
-from training.lidar.solid_state import solid_state_scan
 from training.lidar.split import LidarInput, masked, split_lidar
 from training.limits import (
     PAIR_BORDER_PX,
@@ -25,7 +24,6 @@ from training.limits import (
     CropSide,
     Degrees,
     FactorRange,
-    NotNegative,
     PairShift,
     Share,
     ShareRange,
@@ -41,6 +39,14 @@ _DENSE_SHARE = 0.3
 #: Sky this close to another label has no depth target: with labels by hand or rendered, and with
 #: labels of a network.
 SKY_MARGIN_PX, PSEUDO_SKY_MARGIN_PX = 2, 10
+#: Range of the share of recorded returns that are fed where a random share is drawn.
+_RECORDED_SHARE = (0.3, 0.8)
+#: Largest rotation [degrees] about each axis and shift [m] along it of a misaligned LiDAR.
+MISALIGNMENT_DEG, MISALIGNMENT_M = 0.5, 0.05
+#: Range of the share of the image's width of a missing sector.
+SECTOR_SHARE = (0.05, 0.3)
+#: The crop of data that is high enough.
+LARGEST_CROP = (320, 480)
 #: RGB beyond the image: the networks' mean colour.
 _FILL_RGB = (124, 116, 104)
 
@@ -49,13 +55,11 @@ _FILL_RGB = (124, 116, 104)
 class AugmentConfig:
     """Ranges and probabilities of the random changes."""
 
-    #: (height, width) of the result.
-    crop: tuple[CropSide, CropSide] = (320, 480)
+    #: (height, width) of the result; None = chosen by the height of the data, see
+    #: `training.loading.crop`.
+    crop: tuple[CropSide, CropSide] | None = None
     #: Range of the random magnification of the image.
     scale: FactorRange = (0.7, 1.8)
-    #: Divide depth by the magnification, as for the same camera closer to the scene: depth then
-    #: still fits the size of things in the image (Yin et al. 2023, Metric3D).
-    scale_depth: bool = False
     flip: Share = 0.5
     #: Largest relative change of brightness, contrast and saturation; largest hue shift [degrees].
     brightness: Strength = 0.3
@@ -69,45 +73,37 @@ class AugmentConfig:
     lidar_missing: Share = 0.1
     #: Probability that the input is a random share of the measurements instead of scan lines.
     lidar_random: Share = 0.3
-    #: Range of that share: of the pixels for dense depth, of the returns for recorded depth.
+    #: Range of that share of the pixels for dense depth; `_RECORDED_SHARE` of recorded returns.
     random_share: ShareRange = (0.01, 0.08)
-    recorded_share: ShareRange = (0.3, 0.8)
     #: Scan-line counts to choose from; a recorded scan keeps every 64/n-th line. 128 are simulated
     #: from dense depth; without dense depth they are treated as 64.
     lines: Annotated[
         tuple[Literal[1, 2, 4, 8, 16, 32, 64, 128], ...], Field(min_length=1, max_length=100)
     ] = (64, 32, 16)
-    #: Probability that the input is a solid-state LiDAR's, see `training.lidar.solid_state`;
-    #: ignored without dense depth.
-    lidar_solid_state: Share = 0.0
-    #: Probability of an error of the LiDAR's extrinsics, and its largest rotation about each axis
-    #: [degrees] and shift along it [m]; ignored without intrinsics.
+    #: Probability of an error of the LiDAR's extrinsics; ignored without intrinsics.
     lidar_misaligned: Share = 0.0
-    misalignment_deg: Degrees = 0.5
-    misalignment_m: NotNegative = 0.05
-    #: Probability that one to three sectors of the LiDAR are missing, and the range of the share of
-    #: the image's width of each.
+    #: Probability that one to three sectors of the LiDAR are missing.
     lidar_dropout: Share = 0.0
-    dropout_share: ShareRange = (0.05, 0.3)
     #: Largest shift [px] of a second view of each frame, for the losses of consistency: rows and
-    #: columns by which it begins later are multiples of `PAIR_STEP_PX`. 0 = one view.
+    #: columns by which it begins later fit the grid of the semantic head. 0 = one view.
     pair_shift: PairShift = 0
     #: Probabilities that the second view has no LiDAR, and that it has false returns.
     pair_lidar_missing: Share = 0.0
     pair_lidar_false: Share = 0.0
-    #: Probabilities that a sample takes over the style of another frame of the mixture, and that
-    #: things are pasted into it, see `training.loading.domain_mixing`.
-    style: Share = 0.0
-    paste: Share = 0.0
 
     def __post_init__(self) -> None:
         """Check the window that is magnified to the crop, and what both views share."""
-        require_window("scale", self.crop, self.scale)
-        if self.pair_shift and min(self.crop) <= self.pair_shift + 2 * PAIR_BORDER_PX:
+        require_window("scale", self.size, self.scale)
+        if self.pair_shift and min(self.size) <= self.pair_shift + 2 * PAIR_BORDER_PX:
             raise ValueError(
-                f"pair_shift = {self.pair_shift}: views of {self.crop[0]}x{self.crop[1]} would "
+                f"pair_shift = {self.pair_shift}: views of {self.size[0]}x{self.size[1]} would "
                 f"share nothing within their borders of {PAIR_BORDER_PX} px"
             )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of the result."""
+        return self.crop or LARGEST_CROP
 
 
 def augment(
@@ -123,16 +119,14 @@ def augment(
         sample: a frame of a data set.
         config: ranges and probabilities.
         rng: source of all random numbers.
-        canonical_focal_px: makes the depth canonical, see `canonical_depth`, whatever
-            ``config.scale_depth`` is; None = metres.
+        canonical_focal_px: makes the depth canonical, see `canonical_depth`; None = metres.
 
     Returns:
-        A sample of size ``config.crop`` with a sparse depth.
+        A sample of size ``config.size`` with a sparse depth.
     """
-    if canonical_focal_px is not None:
-        # An unknown camera is treated as the canonical one, closer to the scene.
-        config = replace(config, scale_depth=sample.intrinsics is None)
-    sample = scale_and_crop(sample, config, rng)
+    # In canonical depth an unknown camera is treated as the canonical one, closer to the scene.
+    is_closer = canonical_focal_px is not None and sample.intrinsics is None
+    sample = scale_and_crop(sample, config, rng, is_closer=is_closer)
     if rng.random() < config.flip:
         sample = flip(sample)
     sample = draw_lidar(sample, config, rng)
@@ -143,21 +137,21 @@ def augment(
 
 def with_margin(config: AugmentConfig) -> AugmentConfig:
     """Return a configuration whose crop has room for both views, see `take_views`."""
-    height, width = config.crop
+    height, width = config.size
     crop = (height + config.pair_shift, width + config.pair_shift)
     return replace(config, crop=crop) if config.pair_shift else config
 
 
 def take_views(
-    sample: Sample, config: AugmentConfig, rng: Generator
+    sample: Sample, config: AugmentConfig, rng: Generator, *, step: int = PAIR_STEP_PX
 ) -> tuple[Sample, Sample, tuple[int, int]]:
-    """Return two views of ``config.crop`` and the offset (rows, columns) [px] of the second.
+    """Return two views of ``config.size`` and the offset (rows, columns) [px] of the second.
 
-    The sample is made by `with_margin`; the first view is its upper left corner. The LiDAR input of
-    the second is missing or has false returns by the probabilities of ``config``.
+    The offset is a multiple of ``step``. The sample is made by `with_margin`; the first view is its
+    upper left corner. The LiDAR input of the second is missing or has false returns by the
+    probabilities of ``config``.
     """
-    steps = config.pair_shift // PAIR_STEP_PX
-    top, left = (PAIR_STEP_PX * int(step) for step in rng.integers(0, steps + 1, 2))
+    top, left = (step * int(count) for count in rng.integers(0, config.pair_shift // step + 1, 2))
     draw = rng.random()
     second = sample
     if sample.sparse_depth is not None:
@@ -165,24 +159,25 @@ def take_views(
             second = replace(sample, sparse_depth=nothing_known(sample.size))
         elif draw < config.pair_lidar_missing + config.pair_lidar_false:
             second = replace(sample, sparse_depth=add_false_returns(sample.sparse_depth, rng))
-    return cut(sample, 0, 0, config.crop), cut(second, top, left, config.crop), (top, left)
+    return cut(sample, 0, 0, config.size), cut(second, top, left, config.size), (top, left)
 
 
-def scale_and_crop(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
-    """Magnify by a random factor and cut a random window of ``config.crop``.
+def scale_and_crop(
+    sample: Sample, config: AugmentConfig, rng: Generator, *, is_closer: bool = False
+) -> Sample:
+    """Magnify by a random factor and cut a random window of ``config.size``.
 
     Beyond the image there is mean colour, no depth and no label. Depth keeps its metres and the
-    intrinsics are scaled; with ``config.scale_depth`` the depth is scaled instead of the focal
-    length.
+    intrinsics are scaled; if the camera ``is_closer``, the depth is divided by the factor instead.
     """
     scale = float(np.exp(rng.uniform(*np.log(config.scale))))
-    height, width = config.crop
+    height, width = config.size
     window = (round(height / scale), round(width / scale))  # in pixels of the sample
     top = _random_offset(sample.size[0], window[0], rng)
     left = _random_offset(sample.size[1], window[1], rng)
     is_dense = _is_dense(sample)  # of the whole frame: a window may be mostly sky
-    sample = resize(cut(sample, top, left, window), config.crop, is_dense=is_dense)
-    return approach(sample, scale) if config.scale_depth else sample
+    sample = resize(cut(sample, top, left, window), config.size, is_dense=is_dense)
+    return approach(sample, scale) if is_closer else sample
 
 
 def approach(sample: Sample, factor: float) -> Sample:
@@ -211,13 +206,10 @@ def canonical_depth(sample: Sample, focal_px: float) -> Sample:
 
 
 def _change_depth(sample: Sample, change: Callable[[Depth], Depth]) -> Sample:
-    """Change the depth and, where there is one, the sparse depth."""
-    sparse_depth = sample.sparse_depth
-    return replace(
-        sample,
-        depth=change(sample.depth),
-        sparse_depth=None if sparse_depth is None else change(sparse_depth),
-    )
+    """Change the depth and the sparse depth, where there are any."""
+    if sample.sparse_depth is not None:
+        sample = replace(sample, sparse_depth=change(sample.sparse_depth))
+    return sample.with_targets(depth=change(sample.depth)) if "depth" in sample.targets else sample
 
 
 def _change_maps(
@@ -234,10 +226,11 @@ def _change_maps(
         sample,
         rgb=change(sample.rgb, _FILL_RGB),
         sparse_depth=change_known(sample.sparse_depth, 0),
-        depth=change(sample.depth, 0),
-        semantic=change(sample.semantic, IGNORE),
         scan_line=change_known(sample.scan_line, -1),
-        road_mask=change_known(sample.road_mask, IGNORE),
+        targets={
+            name: change(labels, target_kind(name).unlabelled)
+            for name, labels in sample.targets.items()
+        },
         intrinsics=intrinsics,
     )
 
@@ -255,11 +248,11 @@ def far_sky(sample: Sample, sky: int, depth_m: float) -> Sample:
     unmeasured = sample.depth == 0
     if sample.sparse_depth is not None:
         unmeasured &= sample.sparse_depth == 0
-    margin = SKY_MARGIN_PX if sample.semantic_weight == 1 else PSEUDO_SKY_MARGIN_PX
+    margin = SKY_MARGIN_PX if sample.weights.get("semantic", 1) == 1 else PSEUDO_SKY_MARGIN_PX
     window = np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)
     inner = cv2.erode((sample.semantic == sky).astype(np.uint8), window) > 0
     is_sky = unmeasured & inner
-    return replace(sample, depth=np.where(is_sky, np.float32(depth_m), sample.depth))
+    return sample.with_targets(depth=np.where(is_sky, np.float32(depth_m), sample.depth))
 
 
 def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
@@ -275,9 +268,9 @@ def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
 def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = None) -> Sample:
     """Resize to (height, width) by the engine's rule, see `runtime.resize`.
 
-    Labels and dense depth are resized by nearest neighbour; recorded depth is moved return by
-    return, so that no return is doubled and the nearer of two on one pixel is kept. ``is_dense``
-    says which of them the depth is; None = by its share of known pixels.
+    Labels are resized by the rule of their head, dense depth by nearest neighbour; recorded depth
+    is moved return by return, so that no return is doubled and the nearer of two on one pixel is
+    kept. ``is_dense`` says which of them the depth is; None = by its share of known pixels.
     """
     if size == sample.size:
         return sample
@@ -306,16 +299,27 @@ def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = Non
         depth, scan_line = move_scan_lines(sample.depth, scan_line, size)
     else:
         depth = resize_nearest(sample.depth, size)
+    targets = _resize_targets(sample, size)
+    if "depth" in sample.targets:
+        targets["depth"] = depth
     return replace(
         sample,
         rgb=resize_image(sample.rgb, size),
         sparse_depth=sparse_depth,
-        depth=depth,
-        semantic=resize_nearest(sample.semantic, size),
+        targets=targets,
         scan_line=scan_line,
-        road_mask=None if sample.road_mask is None else resize_nearest(sample.road_mask, size),
         intrinsics=intrinsics,
     )
+
+
+def _resize_targets(sample: Sample, size: tuple[int, int]) -> dict[str, NDArray[Any]]:
+    """Resize every target but the depth by its rule."""
+    rules = {"nearest": resize_nearest, "bilinear": resize_image}
+    return {
+        name: rules[target_kind(name).resize](labels, size)
+        for name, labels in sample.targets.items()
+        if name != "depth"
+    }
 
 
 def flip(sample: Sample) -> Sample:
@@ -331,39 +335,25 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
     """Choose the LiDAR input and the depth target, see `training.lidar.split`."""
     lidar = _choose_lidar(sample, config, rng)
     first_line = int(rng.integers(SENSOR_LINES))
-    fed, target = _draw_solid_state(sample, lidar, config, rng), sample.depth
-    if fed is None:
-        if lidar.lines > SENSOR_LINES:  # more than any recorded scan has: simulated
-            sample = replace(sample, sparse_depth=None, scan_line=None)
-        split = split_lidar(sample, lidar, rng, same_target=False, first_line=first_line)
-        if split is None:
-            raise ValueError(f"{sample.name} cannot be split for the LiDAR {lidar}")
-        fed, target = split.fed, split.target
-    return replace(sample, sparse_depth=_disturb(fed, sample, config, rng), depth=target)
-
-
-def _draw_solid_state(
-    sample: Sample, lidar: LidarInput, config: AugmentConfig, rng: Generator
-) -> NDArray[np.float32] | None:
-    """Return the input of a solid-state LiDAR by its probability, else None."""
-    if not config.lidar_solid_state or lidar.kind == "none" or sample.intrinsics is None:
-        return None
-    if not _is_dense(sample) or rng.random() >= config.lidar_solid_state:
-        return None
-    return solid_state_scan(sample.depth, sample.intrinsics, rng)
+    if lidar.lines > SENSOR_LINES:  # more than any recorded scan has: simulated
+        sample = replace(sample, sparse_depth=None, scan_line=None)
+    split = split_lidar(sample, lidar, rng, same_target=False, first_line=first_line)
+    if split is None:
+        raise ValueError(f"{sample.name} cannot be split for the LiDAR {lidar}")
+    fed = _disturb(split.fed, sample, config, rng)
+    return replace(sample, sparse_depth=fed).with_targets(depth=split.target)
 
 
 def _disturb(
     fed: NDArray[np.float32], sample: Sample, config: AugmentConfig, rng: Generator
 ) -> NDArray[np.float32]:
     """Misalign the LiDAR or drop sectors of it by their probabilities."""
-    intrinsics, rotation_deg = sample.intrinsics, config.misalignment_deg
+    intrinsics = sample.intrinsics
     is_misaligned = config.lidar_misaligned and rng.random() < config.lidar_misaligned
     if is_misaligned and intrinsics is not None and fed.any():
-        shift_m = config.misalignment_m
-        fed = misalign(fed, intrinsics, rng, rotation_deg=rotation_deg, shift_m=shift_m)
+        fed = misalign(fed, intrinsics, rng, rotation_deg=MISALIGNMENT_DEG, shift_m=MISALIGNMENT_M)
     if config.lidar_dropout and rng.random() < config.lidar_dropout:
-        fed = drop_sectors(fed, config.dropout_share, rng)
+        fed = drop_sectors(fed, SECTOR_SHARE, rng)
     return fed
 
 
@@ -385,7 +375,7 @@ def _choose_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Lida
     if missing:
         return LidarInput("none")
     if random or not (is_recorded or sample.intrinsics is not None):
-        share = rng.uniform(*(config.recorded_share if is_recorded else config.random_share))
+        share = rng.uniform(*(_RECORDED_SHARE if is_recorded else config.random_share))
         return LidarInput("random", share=float(share))
     if is_recorded and sample.scan_line is None and lines <= SENSOR_LINES:
         return LidarInput("own")

@@ -1,25 +1,26 @@
 """The batches of a training, decoded and augmented by worker processes."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from functools import partial
 
 import cv2
 from torch.utils.data import DataLoader
 from torch.utils.data.dataloader import _MultiProcessingDataLoaderIter
 
 from runtime.errors import DatasetError
-from training.datasets.sample import SampleSource
+from training.batch import Batch
 from training.distributed import Processes
 from training.loading.open_dataset import open_mixture
 from training.recipe import Recipe
 from training.stop_signal import leave_signals_to_parent
+from training.task import Task
 
 
 @contextmanager
 def read_batches(
-    recipe: Recipe, sources: Sequence[SampleSource], processes: Processes, step: int
-) -> Iterator[Iterator[dict[str, Any]]]:
+    recipe: Recipe, task: Task, processes: Processes, step: int
+) -> Iterator[Iterator[Batch]]:
     """Yield this process's batches from a step to the end, and end the workers with the block.
 
     Workers ignore SIGTERM: while a traceback keeps the iterator, Python would wait for them at
@@ -28,13 +29,20 @@ def read_batches(
     steps, batch = recipe.schedule.steps, recipe.data.batch_size
     per_step = recipe.loop.accumulate * batch * processes.count
     loader = DataLoader(
-        open_mixture(recipe.data, sources, length=steps * per_step, model=recipe.model),
+        open_mixture(
+            recipe.data,
+            task.sources,
+            length=steps * per_step,
+            depth=task.depth_target,
+            pair_step=task.pair_step,
+        ),
         batch_size=batch,
         sampler=processes.shares(step * per_step, steps * per_step, batch),
         num_workers=recipe.data.workers,
         prefetch_factor=3 if recipe.data.workers else None,
         pin_memory=processes.device.type == "cuda",
         worker_init_fn=_start_worker,
+        collate_fn=partial(Batch.collate, targets=task.targets),
     )
     batches = iter(loader)
     try:
@@ -51,7 +59,7 @@ def _start_worker(_: int) -> None:
     cv2.setNumThreads(0)
 
 
-def _without_tracebacks(batches: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+def _without_tracebacks(batches: Iterator[Batch]) -> Iterator[Batch]:
     """Yield the batches; a worker's error about a damaged file comes without its traceback."""
     try:
         yield from batches

@@ -30,16 +30,5 @@ class CachedSource:
 
 
 def _bytes_of(sample: Sample) -> int:
-    arrays = {
-        id(array): array.nbytes
-        for array in (
-            sample.rgb,
-            sample.sparse_depth,
-            sample.depth,
-            sample.semantic,
-            sample.scan_line,
-            sample.road_mask,
-        )
-        if array is not None
-    }
-    return sum(arrays.values())
+    arrays = (sample.rgb, sample.sparse_depth, sample.scan_line, *sample.targets.values())
+    return sum({id(array): array.nbytes for array in arrays if array is not None}.values())

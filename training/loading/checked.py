@@ -3,20 +3,16 @@
 import numpy as np
 
 from runtime.errors import DatasetError
-from training.datasets.sample import Sample, SampleSource
+from training.datasets.sample import Sample, SampleSource, target_kind
 from training.loading.augment import resize
-
-#: Target of a sample -> type, and what it holds.
-_TARGETS = {
-    "depth": (np.float32, "metres, 0 = unknown"),
-    "semantic": (np.uint8, "class ids, 255 = unknown"),
-}
 
 
 class CheckedSource:
-    """A data set whose frames have their targets, resized to ``size`` by `augment.resize` if given.
+    """A data set whose targets have their type and size.
 
-    DatasetError names the reader and the frame without one.
+    The frames are resized to ``size`` by `augment.resize` if given.
+
+    DatasetError names the reader and the frame of another.
     """
 
     def __init__(self, source: SampleSource, size: tuple[int, int] | None) -> None:
@@ -28,16 +24,20 @@ class CheckedSource:
 
     def __getitem__(self, index: int) -> Sample:
         sample = self._source[index]
-        for target, (dtype, meaning) in _TARGETS.items():
-            values = getattr(sample, target)
+        for target, values in sample.targets.items():
+            try:
+                dtype, unlabelled, _ = target_kind(target)
+            except ValueError as error:
+                raise self._error(sample, f"a target {target!r}; {error}") from error
             found = type(values).__name__
             if isinstance(values, np.ndarray):
                 found = f"{values.dtype} {values.shape}"
-            expected = f"{np.dtype(dtype)} {sample.size}"
+            expected = f"{dtype} {sample.size}"
             if found != expected:
-                raise DatasetError(
-                    f"{sample.name}: the reader {type(self._source).__name__} returned {target} = "
-                    f"{found}; expected {expected}, {meaning}. A set without it returns it unknown "
-                    "everywhere."
-                )
+                text = f"{target} = {found}; expected {expected}, {unlabelled:g} = unknown"
+                raise self._error(sample, f"{text}. A set without it leaves it out")
         return sample if self._size is None else resize(sample, self._size)
+
+    def _error(self, sample: Sample, text: str) -> DatasetError:
+        reader = type(self._source).__name__
+        return DatasetError(f"{sample.name}: the reader {reader} returned {text}.")

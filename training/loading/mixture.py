@@ -1,17 +1,15 @@
 """An endless, reproducible mixture of data sets with a weight each."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import torch
-from numpy.random import Generator
-from torch import Tensor
 from torch.utils.data import Dataset
 
-from training.datasets.sample import IGNORE, Sample, SampleSource
+from training.batch import Drawn
+from training.datasets.sample import SampleSource
+from training.limits import PAIR_STEP_PX
 from training.loading.augment import AugmentConfig, augment, far_sky, take_views, with_margin
-from training.loading.domain_mixing import paste_things, swap_style
 
 
 @dataclass(frozen=True)
@@ -21,8 +19,6 @@ class MixturePart:
     source: SampleSource
     weight: float
     augment: AugmentConfig
-    #: Whether its things may be pasted into other samples.
-    things: bool = False
 
 
 @dataclass(frozen=True)
@@ -35,14 +31,13 @@ class DepthTarget:
     sky_depth_m: float = 100.0
 
 
-class Mixture(Dataset[dict[str, Tensor | str]]):
+class Mixture(Dataset[Drawn]):
     """``length`` augmented samples; the i-th is a pure function of the parts, seed, length and i.
 
     A run resumed at sample i therefore gets the same samples, whatever the number of worker
     processes. Each set is drawn in shuffled passes, each frame once a pass.
 
-    With ``pair_shift`` a sample has two views: every tensor has a first dimension of 2, and
-    "offset" int64 (2,) tells by how many rows and columns the second begins later.
+    With ``pair_shift`` a sample has two views.
     """
 
     def __init__(
@@ -52,15 +47,14 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
         length: int,
         seed: int,
         depth: DepthTarget | None = None,
-        paste: Sequence[int] = (),
+        pair_step: int = PAIR_STEP_PX,
     ) -> None:
         if not parts or any(part.weight <= 0 for part in parts):
             raise ValueError("a mixture needs at least one data set, each with a positive weight")
         self._parts = list(parts)
         self._seed = seed
         self._depth = depth or DepthTarget()
-        self._paste = paste
-        self._things = [part for part in self._parts if part.things]
+        self._pair_step = pair_step
         weights = np.array([part.weight for part in parts], dtype=np.float64)
         rng = np.random.default_rng([seed, 0])
         self._part = rng.choice(len(parts), size=length, p=weights / weights.sum())
@@ -75,65 +69,19 @@ class Mixture(Dataset[dict[str, Tensor | str]]):
     def __len__(self) -> int:
         return len(self._part)
 
-    def __getitem__(self, index: int) -> dict[str, Tensor | str]:
+    def __getitem__(self, index: int) -> Drawn:
         part = self._parts[self._part[index]]
         rng = np.random.default_rng([self._seed, 1, index])
         target = self._depth
-        sample = self._augment(part, int(self._frame[index]), rng)
-        sample = self._mix(sample, part.augment, np.random.default_rng([self._seed, 2, index]))
+        sample = augment(
+            part.source[int(self._frame[index])],
+            with_margin(part.augment),
+            rng,
+            canonical_focal_px=target.canonical_focal_px,
+        )
         if target.sky is not None:
             sample = far_sky(sample, target.sky, target.sky_depth_m)
         if not part.augment.pair_shift:
-            return as_tensors(sample)
-        *views, offset = take_views(sample, part.augment, rng)
-        first, second = (as_tensors(view) for view in views)
-        pair: dict[str, Tensor | str] = {
-            key: torch.stack([value, other])
-            for key, value in first.items()
-            if isinstance(value, Tensor) and isinstance(other := second[key], Tensor)
-        }
-        return {**pair, "offset": torch.tensor(offset), "name": sample.name}
-
-    def _augment(self, part: MixturePart, frame: int, rng: Generator) -> Sample:
-        return augment(
-            part.source[frame],
-            with_margin(part.augment),
-            rng,
-            canonical_focal_px=self._depth.canonical_focal_px,
-        )
-
-    def _mix(self, sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
-        """Take over the style of another frame, and things, by their probabilities."""
-        if config.style and rng.random() < config.style:
-            other = int(rng.integers(len(self)))
-            source = self._parts[self._part[other]].source
-            rgb = swap_style(sample.rgb, source[int(self._frame[other])].rgb, rng)
-            sample = replace(sample, rgb=rgb)
-        if config.paste and rng.random() < config.paste:
-            part = self._things[int(rng.integers(len(self._things)))]
-            other_sample = self._augment(part, int(rng.integers(len(part.source))), rng)
-            sample = paste_things(sample, other_sample, self._paste)
-        return sample
-
-
-def as_tensors(sample: Sample) -> dict[str, Tensor | str]:
-    """Convert a sample to tensors.
-
-    rgb uint8 (3, H, W); sparse_depth and depth float32 (1, H, W), metres; semantic int64 (H, W);
-    semantic_weight float32 (); road_mask uint8 (H, W), 255 = unknown; name. ValueError for a
-    sample without sparse depth.
-    """
-    if sample.sparse_depth is None:
-        raise ValueError(f"{sample.name} has no sparse_depth; draw one with augment.draw_lidar")
-    road_mask = sample.road_mask
-    if road_mask is None:
-        road_mask = np.full(sample.size, IGNORE, dtype=np.uint8)
-    return {
-        "rgb": torch.from_numpy(np.ascontiguousarray(sample.rgb.transpose(2, 0, 1))),
-        "sparse_depth": torch.from_numpy(sample.sparse_depth[None]),
-        "depth": torch.from_numpy(sample.depth[None]),
-        "semantic": torch.from_numpy(sample.semantic.astype(np.int64)),
-        "semantic_weight": torch.tensor(sample.semantic_weight, dtype=torch.float32),
-        "road_mask": torch.from_numpy(road_mask),
-        "name": sample.name,
-    }
+            return Drawn((sample,))
+        *views, offset = take_views(sample, part.augment, rng, step=self._pair_step)
+        return Drawn(tuple(views), offset)

@@ -11,10 +11,14 @@ from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable
 from training.datasets.sample import SampleSource
 from training.datasets.source_recipe import SourceRecipe
+from training.limits import PAIR_STEP_PX
 from training.loading.cache import CachedSource
 from training.loading.checked import CheckedSource
 from training.loading.mixture import DepthTarget, Mixture, MixturePart
-from training.recipe import DataRecipe, ModelRecipe
+from training.recipe import DataRecipe
+
+#: Number of frames from which the class frequencies of the loss are counted.
+FREQUENCY_SAMPLES = 400
 
 
 def open_dataset(
@@ -44,11 +48,13 @@ def open_mixture(
     sources: Sequence[SampleSource],
     *,
     length: int,
-    model: ModelRecipe | None = None,
+    depth: DepthTarget | None = None,
+    pair_step: int = PAIR_STEP_PX,
 ) -> Mixture:
     """Mix data sets by the recipe's weights, with its augmentation and cache.
 
-    ``model`` has the unit of the depth; None = metres, and no depth of the sky.
+    ``depth`` is the unit of the depth; None = metres, and no depth of the sky. The offsets of
+    second views are multiples of ``pair_step`` [px].
     """
     share = recipe.cache_gib / (max(1, recipe.workers) * len(sources))
     parts = [
@@ -56,18 +62,10 @@ def open_mixture(
             CachedSource(source, limit_bytes=int(share * 2**30)) if share else source,
             item.weight,
             replace(recipe.augment, scale=item.scale) if item.scale else recipe.augment,
-            things=item.things,
         )
         for item, source in zip(recipe.source, sources, strict=True)
     ]
-    depth: DepthTarget | None = None
-    paste: tuple[int, ...] = ()
-    if model is not None:
-        named = [model.class_id(name) for name in recipe.paste_classes]
-        paste = tuple(each for each in named if each is not None)
-        sky = model.class_id("sky") if recipe.sky_depth_m else None
-        depth = DepthTarget(model.canonical_focal_px, sky, recipe.sky_depth_m)
-    return Mixture(parts, length=length, seed=recipe.seed, depth=depth, paste=paste)
+    return Mixture(parts, length=length, seed=recipe.seed, depth=depth, pair_step=pair_step)
 
 
 def count_pixels(
@@ -75,16 +73,17 @@ def count_pixels(
 ) -> NDArray[np.int64]:
     """Count the pixels of every class in the mixture: int64 (num_classes,).
 
-    From about ``recipe.frequency_samples`` frames without augmentation, at equal distances in each
+    From about `FREQUENCY_SAMPLES` frames without augmentation, at equal distances in each
     set and by the recipe's weights; labels made by a network count by their weight.
     """
     counts = np.zeros(num_classes, dtype=np.float64)
     total = sum(item.weight for item in recipe.source)
     for item, source in zip(recipe.source, sources, strict=True):
-        wanted = max(1, round(recipe.frequency_samples * item.weight / total))
+        wanted = max(1, round(FREQUENCY_SAMPLES * item.weight / total))
         frames = np.unique(np.linspace(0, len(source) - 1, min(wanted, len(source))).astype(int))
         for index in frames:
             sample = source[int(index)]
             seen = np.bincount(sample.semantic.ravel(), minlength=256)[:num_classes]
-            counts += seen * sample.semantic_weight * (wanted / len(frames)) / sample.semantic.size
+            weight = sample.weights.get("semantic", 1.0) * wanted / len(frames)
+            counts += seen * weight / sample.semantic.size
     return np.round(counts * 1_000_000).astype(np.int64)

@@ -1,7 +1,5 @@
 """Boundary ground truth, Eq. 7 on the labels, and class-balanced cross-entropy, Eq. 6."""
 
-from typing import Literal
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -9,8 +7,6 @@ from torch import Tensor
 from training.distributed import sum_over_processes
 from training.losses.masked import split_into_blocks
 from training.losses.semantic import IGNORE, labelled_mean
-
-BetaMode = Literal["batch", "image"]
 
 
 def boundary_target(semantic: Tensor) -> tuple[Tensor, Tensor]:
@@ -52,23 +48,18 @@ def balanced_cross_entropy(
     target: Tensor,
     valid: Tensor,
     *,
-    beta_mode: BetaMode = "batch",
     sample_weight: Tensor | None = None,
 ) -> Tensor:
     """Eq. 6 as a mean over the known pixels: -(beta g log p + (1 - beta)(1 - g) log(1 - p)), ().
 
     `logits` float (N, 1, H, W), p is their sigmoid; `target` g and `valid` bool of that shape;
     `sample_weight` float (N,), see `labelled_mean`. Our reading: beta is the share of non-boundary
-    pixels among the known ones, of the whole batch or of each image, so that the few boundary
-    pixels weigh as much as all the others. An image all boundary or all not has loss 0 by its own
-    beta.
+    pixels among the known ones of the whole batch, of all processes, so that the few boundary
+    pixels weigh as much as all the others.
     """
     known = valid.to(logits.dtype)
     boundary = (target & valid).to(logits.dtype)
-    over = (1, 2, 3) if beta_mode == "image" else (0, 1, 2, 3)
-    counts = torch.stack([boundary.sum(dim=over, keepdim=True), known.sum(dim=over, keepdim=True)])
-    if beta_mode == "batch":
-        counts = sum_over_processes(counts)
+    counts = sum_over_processes(torch.stack([boundary.sum(), known.sum()]))
     share = counts[0] / counts[1].clamp(min=1)
     weight = torch.where(boundary > 0, 1 - share, share * known)
     values = F.binary_cross_entropy_with_logits(logits, boundary, weight, reduction="none")

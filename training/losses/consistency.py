@@ -1,27 +1,17 @@
 """Consistency of two shifted views of one frame: their answers must agree where they overlap."""
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor
 
 from models.pooling import maxima_around
+from training.batch import Pair
+from training.distributed import sum_over_processes
 from training.limits import PAIR_BORDER_PX
 from training.losses.depth import log_ratio
 
 #: Weights of the depth's ratio farther than NEAR_PX from a return, and nearer.
 FAR_WEIGHT, NEAR_WEIGHT = 1.2, 0.2
 NEAR_PX = 6
-
-
-class Pair(NamedTuple):
-    """How the second view of each frame differs from the first."""
-
-    #: int64 (N, 2): rows and columns by which the second view begins later.
-    offset: Tensor
-    #: float32 (N, 1, H, W), metres: the LiDAR input of each view, 0 = no return.
-    first_lidar: Tensor
-    second_lidar: Tensor
 
 
 def overlap(
@@ -32,6 +22,8 @@ def overlap(
     first, second: (C, h, w), maps of cells of ``side`` pixels. offset: rows and columns [px] by
     which the second view begins later, multiples of ``side``.
     """
+    if any(part % side for part in offset):
+        raise ValueError(f"views {offset} px apart have no cells of {side} px in common")
     border = -(-PAIR_BORDER_PX // side)
     rows, columns = (part // side for part in offset)
     height, width = first.shape[-2] - rows - 2 * border, first.shape[-1] - columns - 2 * border
@@ -65,7 +57,7 @@ def depth_consistency_loss(first: Tensor, second: Tensor, pair: Pair) -> Tensor:
         close = overlap(near[index], near[index], offset)[0] * (NEAR_WEIGHT - FAR_WEIGHT)
         weight = FAR_WEIGHT + close * float(torch.equal(lidar, other))
         losses.append((ratio * weight).mean())
-    return torch.stack(losses).mean() if losses else first.sum() * 0.0
+    return _mean_over_frames(losses, first)
 
 
 def semantic_consistency_loss(first: Tensor, second: Tensor, pair: Pair, *, side: int) -> Tensor:
@@ -81,4 +73,11 @@ def semantic_consistency_loss(first: Tensor, second: Tensor, pair: Pair, *, side
         ]
         difference = logs[0] - logs[1]
         losses.append(((logs[0].exp() - logs[1].exp()) * difference).sum(dim=0).mean())
-    return torch.stack(losses).mean()
+    return _mean_over_frames(losses, first)
+
+
+def _mean_over_frames(losses: list[Tensor], views: Tensor) -> Tensor:
+    """Mean over the frames of all processes that count, (); 0, with a gradient of 0, of none."""
+    total = torch.stack(losses).sum() if losses else views.sum() * 0.0
+    count = sum_over_processes(total.new_tensor(len(losses)))
+    return sum_over_processes(total) / count.clamp(min=1)

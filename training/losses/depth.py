@@ -42,12 +42,18 @@ def depth_at_scale(target: Tensor, valid: Tensor, grid: tuple[int, int]) -> tupl
 
 
 def paper_depth_loss(
-    prediction: Tensor, target: Tensor, valid: Tensor, *, l1: float, l2: float, ssim: float
+    prediction: Tensor,
+    target: Tensor,
+    valid: Tensor,
+    *,
+    l1: float = 0.4,
+    l2: float = 0.4,
+    ssim: float = 0.2,
 ) -> Tensor:
     """Eq. 4 at one scale: l1 * mean |e| + l2 * mean e^2 + ssim * (1 - mean SSIM), ().
 
     Normalised depth, means over valid pixels, see `masked_mean` for the mean over samples. The
-    paper's weights are 0.4, 0.4, 0.2.
+    weights are the paper's.
     """
     error = prediction - target
     loss = l1 * masked_mean(error.abs(), valid) + l2 * masked_mean(error.square(), valid)

@@ -1,6 +1,7 @@
 """The whole loss, Eq. 12."""
 
 from collections.abc import Collection, Mapping
+from dataclasses import field
 from functools import partial
 from typing import Literal, NamedTuple
 
@@ -12,24 +13,25 @@ from torch import Tensor, nn
 from models import NetworkOutput
 from models.blocks import extend_to_multiple
 from models.pooling import cell_means
-from training.limits import STRICT
+from training.batch import Batch, Pair
+from training.limits import STRICT, NotNegative
 from training.losses.boundary import (
-    BetaMode,
     balanced_cross_entropy,
     boundary_at_scale,
     boundary_target,
 )
 from training.losses.consistency import (
-    Pair,
     depth_consistency_loss,
     semantic_consistency_loss,
 )
 from training.losses.depth import (
+    DepthCriterion,
     metric_depth_loss,
     multi_scale_depth_loss,
     normalise_depth,
     paper_depth_loss,
 )
+from training.losses.heads import HEAD_LOSSES
 from training.losses.joint import (
     NeighbourMaps,
     hard_disagreement,
@@ -51,20 +53,27 @@ from training.losses.semantic import (
 )
 from training.losses.uncertainty import laplace_loss
 
-#: The terms, each with a weight "<name>_weight" in `LossConfig`, and the heads that each needs.
-TERMS: Mapping[str, frozenset[str]] = {
-    "depth": frozenset({"depth"}),
-    "depth_uncertainty": frozenset({"depth", "depth_uncertainty"}),
-    "semantic": frozenset({"semantic"}),
-    "semantic_iou": frozenset({"semantic"}),
-    "lovasz": frozenset({"semantic"}),
-    "road": frozenset({"semantic"}),
-    "boundary": frozenset({"boundary"}),
-    "side_boundary": frozenset({"boundary"}),
-    "semantic_boundary": frozenset({"semantic", "boundary"}),
-    "semantic_depth": frozenset({"semantic", "depth"}),
-    "depth_consistency": frozenset({"depth"}),
-    "semantic_consistency": frozenset({"semantic"}),
+
+class Term(NamedTuple):
+    """What a term needs: heads of the network, and the target they are compared with, if any."""
+
+    heads: frozenset[str]
+    target: str = ""
+
+
+#: The terms, each with a weight "<name>_weight" in `LossConfig`.
+TERMS: Mapping[str, Term] = {
+    "depth": Term(frozenset({"depth"}), "depth"),
+    "depth_uncertainty": Term(frozenset({"depth", "depth_uncertainty"}), "depth"),
+    "semantic": Term(frozenset({"semantic"}), "semantic"),
+    "semantic_iou": Term(frozenset({"semantic"}), "semantic"),
+    "lovasz": Term(frozenset({"semantic"}), "semantic"),
+    "road": Term(frozenset({"semantic"}), "road_mask"),
+    "boundary": Term(frozenset({"boundary"}), "semantic"),
+    "semantic_boundary": Term(frozenset({"semantic", "boundary"}), "semantic"),
+    "semantic_depth": Term(frozenset({"semantic", "depth"}), "semantic"),
+    "depth_consistency": Term(frozenset({"depth"})),
+    "semantic_consistency": Term(frozenset({"semantic"})),
 }
 #: Terms that compare two views of each frame.
 PAIR_TERMS = frozenset({"depth_consistency", "semantic_consistency"})
@@ -81,7 +90,7 @@ class LossConfig:
         ValueError: for a negative number, or if all weights are 0.
     """
 
-    #: One weight a term of Eq. 12: Eq. 4, 5, 6, 8, 11; and Eq. 6 on the boundary decoder's sides.
+    #: One weight a term of Eq. 12: Eq. 4, 5, 6, 8, 11.
     #: 1 is Eq. 12 as printed; with the soft form of Eq. 8 and 11 training then often collapses to
     #: one class, and 0.03 is used instead (docs/results.md).
     depth_weight: float = 1.0
@@ -89,7 +98,6 @@ class LossConfig:
     boundary_weight: float = 1.0
     semantic_boundary_weight: float = 1.0
     semantic_depth_weight: float = 1.0
-    side_boundary_weight: float = 0.0
     #: Soft IoU of the classes beside Eq. 5; not the paper's.
     semantic_iou_weight: float = 0.0
     #: Lovász-Softmax of each picture (Berman et al. 2018); ENet with it is the paper's ENet_LSloss.
@@ -102,6 +110,9 @@ class LossConfig:
     depth_consistency_weight: float = 0.0
     semantic_consistency_weight: float = 0.0
 
+    #: Weight of the loss of each head in `training.losses.heads`; 1 where none is here.
+    head_weights: Mapping[str, NotNegative] = field(default_factory=dict)
+
     #: "fixed": the weights above, as in the paper. "uncertainty": each is multiplied by a learned
     #: factor (Kendall et al. 2018, the paper's reference 35).
     weighting: Literal["fixed", "uncertainty"] = "fixed"
@@ -113,14 +124,9 @@ class LossConfig:
 
     #: How Eq. 5's beta comes from the class frequencies; "paper" is literal.
     class_weighting: ClassWeighting = "median"
-    #: Over what Eq. 6's beta is counted.
-    boundary_beta: BetaMode = "batch"
 
     #: "paper": Eq. 4 on normalised depth. "metric": L1 + metric_l2 * L2 in metres, and ratios.
     depth_form: Literal["paper", "metric"] = "paper"
-    depth_l1: float = 0.4
-    depth_l2: float = 0.4
-    depth_ssim: float = 0.2
     metric_l2: float = 0.02
     #: Weight of the mean |log(prediction / target)| beside them [m].
     metric_log: float = 0.0
@@ -143,11 +149,21 @@ class LossConfig:
         Terms of missing heads are skipped whatever their weight: one recipe trains the whole
         family.
         """
-        return [
-            name
-            for name, needed in TERMS.items()
-            if getattr(self, f"{name}_weight") and needed <= set(heads)
-        ]
+        of_paper = [name for name, term in TERMS.items() if term.heads <= set(heads)]
+        others = [name for name in heads if name in HEAD_LOSSES]
+        return [name for name in (*of_paper, *others) if self.weight(name)]
+
+    def targets_for(self, heads: Collection[str]) -> tuple[str, ...]:
+        """Return the names of the targets that the terms of these heads need."""
+        needed = [TERMS[name].target if name in TERMS else name for name in self.terms_for(heads)]
+        return tuple(sorted({name for name in needed if name}))
+
+    def weight(self, name: str) -> float:
+        """Return the weight of a term or of another head's loss."""
+        if name not in TERMS:
+            return self.head_weights.get(name, 1.0)
+        weight: float = getattr(self, f"{name}_weight")
+        return weight
 
     def __post_init__(self) -> None:
         """Check that the numbers are not negative and that a weight is positive."""
@@ -157,7 +173,8 @@ class LossConfig:
         for key, value in numbers.items():
             if not 0 <= value < float("inf"):
                 raise ValueError(f"{key} = {value}; it must be 0 or a positive number")
-        if not any(value for key, value in numbers.items() if key.endswith("_weight")):
+        weights = [value for key, value in numbers.items() if key.endswith("_weight")]
+        if not any([*weights, *self.head_weights.values()]):
             raise ValueError("semantic_weight and all other weights are 0; nothing would learn")
 
 
@@ -192,22 +209,14 @@ class SSDNetLoss(nn.Module):
         self.target_depth_m = target_depth_m or max_depth_m
         self.register_buffer("class_weights", class_weights, persistent=False)
         # A likelihood may be negative, and its best weight would then be infinite.
-        learned = [name for name in TERMS if self._weight(name) and name != "depth_uncertainty"]
+        learned = [name for name in TERMS if config.weight(name) and name != "depth_uncertainty"]
         if config.weighting == "fixed":
             learned = []
         self.log_variances = nn.ParameterDict(
             {name: nn.Parameter(torch.zeros(())) for name in learned}
         )
 
-    def forward(
-        self,
-        output: NetworkOutput,
-        semantic: Tensor,
-        depth: Tensor,
-        semantic_weight: Tensor | None = None,
-        road_mask: Tensor | None = None,
-        pair: Pair | None = None,
-    ) -> dict[str, Tensor]:
+    def forward(self, output: NetworkOutput, batch: Batch) -> dict[str, Tensor]:
         """Return every term by name, not yet weighted, and their weighted sum as "total"; all ().
 
         With the weighting "uncertainty" a term L counts as weight * L / sigma^2 + log sigma, the
@@ -217,49 +226,47 @@ class SSDNetLoss(nn.Module):
 
         Args:
             output: of `Network.forward`.
-            semantic: int64 (N, H, W), 255 = unknown.
-            depth: float32 (N, 1, H, W), metres; 0, not finite or beyond ``target_depth_m`` =
-                unknown.
-            semantic_weight: float (N,), weight of each sample's labels in Eq. 5 and 6, below 1 for
-                labels made by a network; None = all 1.
-            road_mask: uint8 (N, H, W), see `road_loss`; None = unknown.
-            pair: how the second views differ; None = no frame has two. The batch then holds the
-                first view of each frame, then the second of each.
+            batch: the frames. Depth that is not finite or beyond ``target_depth_m`` is unknown; the
+                weights of "semantic" are those in Eq. 5 and 6.
 
         Returns:
-            Terms by their names in `TERMS`, without those of weight 0 and of missing heads.
+            Terms by their names in `TERMS` or `HEAD_LOSSES`, without those of weight 0, of missing
+            heads and of targets that the batch does not have.
 
         Raises:
-            ValueError: if a target has another size.
+            ValueError: if the answer has another size than the batch.
         """
         answer = _any_answer(output)
-        height, width = semantic.shape[-2:]
+        height, width = batch.rgb.shape[-2:]
         side = cell_side((height, width), (answer.shape[-2], answer.shape[-1]))
         expected = (-(-height // side), -(-width // side))
-        if answer.shape[-2:] != expected or depth.shape[-2:] != (height, width):
+        if answer.shape[-2:] != expected:
             raise ValueError(
-                f"the network's answer is {tuple(answer.shape[-2:])}, semantic "
-                f"{(height, width)} and depth {tuple(depth.shape[-2:])}; expected one size "
-                "(height, width), of the answer up to a power of two"
+                f"the network's answer is {tuple(answer.shape[-2:])} and the batch "
+                f"{(height, width)}; expected one size (height, width), up to a power of two"
             )
-        terms = self._boundary_terms(output, semantic, semantic_weight)
-        terms |= self._depth_terms(output, depth)
-        terms |= self._semantic_terms(output, semantic, semantic_weight)
-        terms |= self._road_terms(output, road_mask)
-        if pair is not None:
-            terms |= self._pair_terms(output, pair, (height, width))
+        terms: dict[str, Tensor] = {}
+        if "semantic" in batch.targets:
+            semantic, weights = batch.targets["semantic"].long(), batch.weights["semantic"]
+            terms |= self._boundary_terms(output, semantic, weights)
+            terms |= self._semantic_terms(output, semantic, weights)
+        if "depth" in batch.targets:
+            terms |= self._depth_terms(output, batch.targets["depth"].unsqueeze(1))
+        terms |= self._road_terms(output, batch.targets.get("road_mask"))
+        if batch.pair is not None:
+            terms |= self._pair_terms(output, batch.pair, (height, width))
+        for head in output.others.keys() & HEAD_LOSSES.keys() & batch.targets.keys():
+            if self.config.weight(head):
+                answers = output.others[head].float()
+                terms[head] = HEAD_LOSSES[head](answers, batch.targets[head], batch.weights[head])
         weighted = [self._weigh(name, term) for name, term in terms.items()]
         # Without any term the total is still a 0 that can be differentiated.
         anchor = torch.nan_to_num(answer[0, 0, 0, 0].float(), posinf=0, neginf=0)
         terms["total"] = sum(weighted, start=0.0 * anchor)
         return terms
 
-    def _weight(self, name: str) -> float:
-        weight: float = getattr(self.config, f"{name}_weight")
-        return weight
-
     def _weigh(self, name: str, term: Tensor) -> Tensor:
-        weighted = self._weight(name) * term
+        weighted = self.config.weight(name) * term
         if name not in self.log_variances:
             return weighted
         log_variance = self.log_variances[name]
@@ -271,30 +278,18 @@ class SSDNetLoss(nn.Module):
     def _boundary_terms(
         self, output: NetworkOutput, semantic: Tensor, semantic_weight: Tensor | None
     ) -> dict[str, Tensor]:
-        config = self.config
-        sides = output.side_boundary_logits if config.side_boundary_weight else ()
-        fused = output.boundary_logits if config.boundary_weight else None
-        if fused is None and not sides:
+        logits = output.boundary_logits
+        if logits is None or not self.config.boundary_weight:
             return {}
-        target, valid = boundary_target(semantic)
-
-        def loss(logits: Tensor) -> Tensor:
-            return balanced_cross_entropy(
-                logits.float(),
-                *boundary_at_scale(target, valid, (logits.shape[-2], logits.shape[-1])),
-                beta_mode=config.boundary_beta,
-                sample_weight=semantic_weight,
-            )
-
-        terms = {} if fused is None else {"boundary": loss(fused)}
-        if sides:
-            terms["side_boundary"] = torch.stack([loss(side) for side in sides]).mean()
-        return terms
+        target = boundary_at_scale(*boundary_target(semantic), (logits.shape[-2], logits.shape[-1]))
+        loss = balanced_cross_entropy(logits.float(), *target, sample_weight=semantic_weight)
+        return {"boundary": loss}
 
     def _depth_terms(self, output: NetworkOutput, depth: Tensor) -> dict[str, Tensor]:
         config = self.config
         if output.depths is None or not (config.depth_weight or config.depth_uncertainty_weight):
             return {}
+        criterion: DepthCriterion
         if config.depth_form == "metric":
             criterion = partial(
                 metric_depth_loss,
@@ -304,9 +299,7 @@ class SSDNetLoss(nn.Module):
                 farthest=self.target_depth_m / self.max_depth_m,
             )
         else:
-            criterion = partial(
-                paper_depth_loss, l1=config.depth_l1, l2=config.depth_l2, ssim=config.depth_ssim
-            )
+            criterion = paper_depth_loss
         scales = output.depths if config.depth_scales == "mean" else output.depths[:1]
         target, valid = normalise_depth(depth, self.max_depth_m, self.target_depth_m)
         terms = {}
@@ -407,7 +400,7 @@ def _on_grid(x: Tensor, grid: tuple[int, int]) -> Tensor:
 def _any_answer(output: NetworkOutput) -> Tensor:
     """Return the output of any head, (N, any, h, w)."""
     depth = None if output.depths is None else output.depths[0]
-    for answer in (output.boundary_logits, output.semantic_logits, depth):
+    for answer in (output.boundary_logits, output.semantic_logits, depth, *output.others.values()):
         if answer is not None:
             return answer
     raise ValueError("the network has no head")

@@ -1,6 +1,7 @@
 """Data of one's own: pictures, depth and labels by stem, with a class table in the recipe."""
 
 import os
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from models import load_checkpoint
 from runtime.contract import ClassInfo
 from runtime.errors import DatasetError, InputError
 from training.datasets.folders import FoldersRecipe
+from training.datasets.source_recipe import SourceRecipe
 from training.loop import train
 from training.recipe import read_recipe
 
@@ -73,7 +75,7 @@ def test_everything_is_paired_by_stem(mine):
     assert np.unique(first.semantic).tolist() == [0, 1, 255]
     assert (first.semantic[:4] == 255).all()
     assert first.intrinsics.tolist() == [[50, 0, 32], [0, 51, 16], [0, 0, 1]]
-    assert first.semantic_weight == 0.5
+    assert first.weights == {"semantic": 0.5}
 
 
 def test_pictures_alone_are_enough(mine):
@@ -181,5 +183,8 @@ def test_the_recipe_of_the_docs_reads(tmp_path):
     (tmp_path / "r.toml").write_text(text.split("```toml\n")[1].split("```")[0])
     recipe = read_recipe(tmp_path / "r.toml")
     assert recipe.data.source[0].sparse_depth == "lidar"
-    assert recipe.model.canonical_focal_px == recipe.data.source[0].intrinsics[0]
+    assert recipe.model.config["canonical_focal_px"] == recipe.data.source[0].intrinsics[0]
     assert [info.name for info in recipe.model.class_table] == ["lane", "other"]
+    assert recipe.validation.source[0].kind == "folders"
+    own, common = ({item.name for item in fields(each)} for each in (FoldersRecipe, SourceRecipe))
+    assert not [name for name in own - common if f"\n{name} = " not in text]

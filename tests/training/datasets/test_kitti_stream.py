@@ -36,7 +36,7 @@ def test_stream_keeps_lines_apart_and_the_nearest_return(stream):
     assert sample.scan_line[[1, 1, 6], [4, 12, 4]].tolist() == [0, 1, 1]
     assert np.count_nonzero(sample.scan_line >= 0) == 3
     assert sample.intrinsics.tolist() == [[10, 0, 8], [0, 10, 4], [0, 0, 1]]
-    assert sample.semantic_weight == 0.2
+    assert sample.weights == {"semantic": 0.2}
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def test_the_scan_is_the_input_and_the_disparity_the_target(streets):
 
 
 def test_the_road_is_a_mask_where_the_folder_is_there(streets):
-    assert KittiStreets(streets)[0].road_mask is None
+    assert "road_mask" not in KittiStreets(streets)[0].targets
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
     mask[4:] = 1
     mask[:2] = 255
@@ -51,7 +51,7 @@ def test_the_road_is_a_mask_where_the_folder_is_there(streets):
         KittiStreets(streets)
     for number in (3, 7):
         write(streets / "road_mask" / f"{number:06d}.png", mask)
-    np.testing.assert_array_equal(KittiStreets(streets)[0].road_mask, mask)
+    np.testing.assert_array_equal(KittiStreets(streets)[0].targets["road_mask"], mask)
     write(streets / "road_mask" / "000002.png", mask + 6)
     with pytest.raises(DatasetError, match=r"000002\.png: holds the value 5; expected 0"):
         KittiStreets(streets)[0]
@@ -191,6 +191,6 @@ def test_recorded_labels_fit_the_road_masks():
     source = KittiStreets(DATA)
     assert (source[0].semantic == 255).all()  # 000002 has no labels
     sample = source[-1]
-    road = sample.road_mask == 1
+    road = sample.targets["road_mask"] == 1
     assert (sample.semantic[road] == 3).mean() > 0.95
     assert set(np.unique(sample.semantic)) <= {*range(11), 255}

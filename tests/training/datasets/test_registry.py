@@ -57,8 +57,7 @@ class Distances:
         depth = np.full((40, 64), float(self._files[index].read_text()) * self._unit_m, np.float32)
         return Sample(
             rgb=np.full((40, 64, 3), 128, np.uint8),
-            depth=depth,
-            semantic=np.full((40, 64), 255, np.uint8),
+            targets={"depth": depth},
             intrinsics=None,
             name=self._files[index].stem,
         )

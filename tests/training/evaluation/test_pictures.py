@@ -1,8 +1,11 @@
 """The picture of a batch shows what the network is trained on."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
+from layouts.batch import batch_of
 from models import CLASS_TABLES
 from runtime.drawing.overlay import Overlay
 from training.evaluation.pictures import draw_batch
@@ -23,7 +26,7 @@ def make_batch():
     rgb = torch.full((2, 3, HEIGHT, WIDTH), 90, dtype=torch.uint8)
     rgb[:, 0] = 120
     names = ["a", "b"]
-    return {"rgb": rgb, "semantic": semantic, "depth": depth, "sparse_depth": fed, "name": names}
+    return replace(batch_of(semantic, depth), rgb=rgb, sparse_depth=fed, names=names)
 
 
 def color_at(metres):
@@ -34,7 +37,7 @@ def color_at(metres):
 
 
 def test_labels_target_and_returns_stand_beside_the_image():
-    picture = draw_batch(make_batch(), OVERLAY)
+    picture = draw_batch(make_batch(), OVERLAY, count=2)
     assert picture.shape[1] == 4 * WIDTH
     image, classes, target, fed = (
         picture[: 2 * HEIGHT, WIDTH * index : WIDTH * (index + 1)] for index in range(4)
@@ -58,15 +61,19 @@ def test_labels_target_and_returns_stand_beside_the_image():
 
 
 def test_both_views_of_a_frame_are_drawn():
+    """The first views of all frames come before their second ones; here those of one frame."""
     batch = make_batch()
-    pair = {key: batch[key][None] for key in ("rgb", "semantic", "depth", "sparse_depth")}
-    plain = draw_batch({**batch, "name": ["a"]}, OVERLAY)
-    assert (draw_batch({**pair, "name": ["a"]}, OVERLAY) == plain).all()
+    whole = draw_batch(batch, OVERLAY, count=2)
+    views = draw_batch(replace(batch, names=["a"]), OVERLAY, count=1)
+    assert views.shape == whole.shape
+    text = slice(HEIGHT - 20, 2 * HEIGHT)  # where the names are
+    assert (views[: text.start] == whole[: text.start]).all()
+    assert (views[HEIGHT : text.stop - 20] == whole[HEIGHT : text.stop - 20]).all()
 
 
 def test_what_a_batch_lacks_has_no_panel():
     batch = make_batch()
-    batch = {**batch, "semantic": torch.full_like(batch["semantic"], 255)}
-    assert draw_batch(batch, OVERLAY).shape[1] == 3 * WIDTH
-    batch["depth"] = torch.zeros_like(batch["depth"])
-    assert draw_batch(batch, OVERLAY).shape[1] == 2 * WIDTH
+    batch.targets["semantic"].fill_(255)
+    assert draw_batch(batch, OVERLAY, count=2).shape[1] == 3 * WIDTH
+    batch.targets["depth"].zero_()
+    assert draw_batch(batch, OVERLAY, count=2).shape[1] == 2 * WIDTH

@@ -9,7 +9,8 @@ import torch
 from models import NetworkOutput, SSDNetLite, create_model
 from models.registry import NETWORKS
 from runtime.errors import InputError
-from training.datasets.sample import Sample
+from runtime.heads import HEADS
+from training.datasets.sample import AUXILIARY, Sample
 from training.evaluation.pictures import draw_pictures
 from training.evaluation.scoring import Answer, score, split_frames, torch_predict
 from training.lidar.split import LidarInput
@@ -25,7 +26,9 @@ def sample(**changes):
     semantic[:, 60:] = 8
     semantic[:10] = 0
     rgb = np.zeros((60, 120, 3), np.uint8)
-    return replace(Sample(rgb, depth, semantic, K, "wall"), **changes)
+    targets = {"depth": depth, "semantic": semantic}
+    targets |= {name: changes.pop(name) for name in [*changes] if name in (*HEADS, *AUXILIARY)}
+    return replace(Sample(rgb, targets, K, "wall"), **changes)
 
 
 def recorded():
@@ -99,7 +102,7 @@ def test_truth_scores_full_marks():
 def test_depth_beyond_100_m_counts_in_no_figure():
     near, depth = sample(focal_baseline_px_m=400.0), sample().depth
     depth[20] = 300
-    far = replace(near, depth=depth)
+    far = near.with_targets(depth=depth)
     answer = np.where(depth > 100, np.float32(99), depth + 1).astype(np.float32)
     expected = figures(lambda rgb, fed: Answer(None, near.depth + 1, None), near)
     result = figures(lambda rgb, fed: Answer(None, answer, None), far)

@@ -24,8 +24,7 @@ def dense():
     depth[:5] = 0
     return Sample(
         rgb=np.zeros((*SIZE, 3), np.uint8),
-        depth=depth,
-        semantic=np.zeros(SIZE, np.uint8),
+        targets={"depth": depth, "semantic": np.zeros(SIZE, np.uint8)},
         intrinsics=K,
         name="dense",
     )
@@ -36,7 +35,7 @@ def scanned(dense):
     """A recorded scan: row r is line r, nothing hidden."""
     lines = np.repeat(np.arange(SIZE[0], dtype=np.int16)[:, None], SIZE[1], axis=1)
     depth = np.full(SIZE, 20.0, np.float32)
-    return replace(dense, depth=depth, scan_line=lines)
+    return replace(dense, scan_line=lines).with_targets(depth=depth)
 
 
 @pytest.mark.parametrize("text", ["own", "none", "64", "32", "16", "4", "1", "random:0.05"])
@@ -98,7 +97,7 @@ def test_a_recorded_input_is_fed_as_it_is_or_thinned(dense, rng):
 
 
 def test_without_depth_nothing_is_fed_or_scored(dense, rng):
-    blind = replace(dense, depth=np.zeros(SIZE, np.float32))
+    blind = dense.with_targets(depth=np.zeros(SIZE, np.float32))
     frame = split_lidar(blind, LidarInput.parse("64"), rng)
     assert not frame.fed.any()
     assert not frame.target.any()
@@ -152,7 +151,7 @@ def test_training_sees_every_line_of_a_scan(scanned, rng):
 def test_returns_hidden_behind_nearer_ones_are_no_target(scanned, rng):
     depth = scanned.depth.copy()
     depth[20, 80] = 5.0
-    frame = split_lidar(replace(scanned, depth=depth), LidarInput.parse("own"), rng)
+    frame = split_lidar(scanned.with_targets(depth=depth), LidarInput.parse("own"), rng)
     assert not frame.target[19, 76:85].any()
     assert not frame.target[27, 76:85].any()
     assert frame.target[29, 80] == frame.target[19, 85] == 20

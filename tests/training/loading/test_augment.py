@@ -8,6 +8,7 @@ import pytest
 
 from runtime.resize import move_returns, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample
+from training.loading import augment as augmenting
 from training.loading.augment import (
     PSEUDO_SKY_MARGIN_PX,
     SKY_MARGIN_PX,
@@ -32,7 +33,7 @@ def plane(height=48, width=64):
     depth = (5 + 0.25 * u + 0.1 * v).astype(np.float32)
     semantic = (u // 8 % 8).astype(np.uint8)
     rgb = np.stack([semantic * 30, v * 4, depth * 8], axis=-1).astype(np.uint8)
-    return Sample(rgb, depth, semantic, K.copy(), "plane")
+    return Sample(rgb, {"depth": depth, "semantic": semantic}, K.copy(), "plane")
 
 
 def recorded(height=48, width=64):
@@ -42,7 +43,7 @@ def recorded(height=48, width=64):
     measured = rows % 3 == 0
     depth = np.where(measured, sample.depth, 0).astype(np.float32)
     line = np.where(measured, rows // 3, -1).astype(np.int16)
-    return replace(sample, depth=depth, scan_line=line)
+    return replace(sample, scan_line=line).with_targets(depth=depth)
 
 
 def recorded_beside_its_target(height=48, width=64):
@@ -51,7 +52,7 @@ def recorded_beside_its_target(height=48, width=64):
     v, u = np.mgrid[:height, :width]
     depth = np.where((u + v) % 4 == 0, sample.depth, 0).astype(np.float32)
     seen = np.where((u % 4 == 1) & (v % 3 == 0), sample.depth + 0.5, 0).astype(np.float32)
-    return replace(sample, depth=depth, sparse_depth=seen)
+    return replace(sample, sparse_depth=seen).with_targets(depth=depth)
 
 
 def test_flip_twice_is_the_same_and_once_moves_everything():
@@ -132,18 +133,19 @@ def test_nearest_return_of_each_map_stays_when_shrunk():
     seen, truth = np.zeros((2, 2, 8), np.float32)
     seen[:, :4] = [[0, 9, 0, 0], [7, 8, 0, 0]]
     truth[:, :4] = [[5, 0, 3, 0], [0, 6, 0, 4]]
-    small = resize(replace(sample, sparse_depth=seen, depth=truth), (1, 4))
+    small = resize(replace(sample, sparse_depth=seen).with_targets(depth=truth), (1, 4))
     assert small.sparse_depth.tolist() == [[7, 0, 0, 0]]
     assert small.depth.tolist() == [[5, 3, 0, 0]]
 
 
-def test_input_recorded_beside_its_target_is_kept_or_thinned():
+def test_input_recorded_beside_its_target_is_kept_or_thinned(monkeypatch):
     sample = recorded_beside_its_target()
     whole = draw_lidar(
         sample, AugmentConfig(lidar_missing=0, lidar_random=0), np.random.default_rng(0)
     )
     np.testing.assert_array_equal(whole.sparse_depth, sample.sparse_depth)
-    thin = AugmentConfig(lidar_missing=0, lidar_random=1, recorded_share=(0.6, 0.6))
+    monkeypatch.setattr(augmenting, "_RECORDED_SHARE", (0.6, 0.6))
+    thin = AugmentConfig(lidar_missing=0, lidar_random=1)
     thinned = draw_lidar(sample, thin, np.random.default_rng(0))
     kept = thinned.sparse_depth > 0
     share = np.count_nonzero(kept) / np.count_nonzero(sample.sparse_depth)
@@ -234,7 +236,7 @@ def test_a_crop_of_a_shrunk_picture_skips_no_pixel():
 
 
 def test_dense_truth_beside_a_recorded_input_stays_dense_when_enlarged():
-    sample = replace(recorded_beside_its_target(), depth=plane().depth)
+    sample = recorded_beside_its_target().with_targets(depth=plane().depth)
     enlarged = resize(sample, (96, 128))
     assert (enlarged.depth > 0).all()
     np.testing.assert_array_equal(enlarged.depth, resize_nearest(sample.depth, (96, 128)))
@@ -244,7 +246,7 @@ def test_dense_truth_beside_a_recorded_input_stays_dense_when_enlarged():
 @pytest.mark.parametrize(("crop", "scale"), [((24, 32), 0.5), ((96, 128), 2.0), ((24, 64), 2.0)])
 def test_dense_truth_under_a_wide_sky_is_resized_as_dense(crop, scale):
     """Returns that are moved one by one keep the nearer of two, and leave holes when enlarged."""
-    sample = replace(recorded_beside_its_target(), depth=plane().depth.copy())
+    sample = recorded_beside_its_target().with_targets(depth=plane().depth.copy())
     sample.depth[: round(0.6 * sample.size[0])] = 0  # sky
     config = AugmentConfig(crop=crop, scale=(scale, scale))
     for seed in range(8):  # the last crop may be mostly sky
@@ -258,12 +260,12 @@ def test_dense_truth_under_a_wide_sky_is_resized_as_dense(crop, scale):
             np.testing.assert_array_equal(out.depth, resize_nearest(sample.depth, crop))
 
 
-def test_depth_follows_the_magnification_if_configured():
+def test_depth_follows_the_magnification_of_a_camera_that_is_closer():
     """What is magnified by two looks as from half as far with the same camera."""
     sample = recorded_beside_its_target()
     config = AugmentConfig(crop=(32, 32), scale=(2.0, 2.0))
     kept = scale_and_crop(sample, config, np.random.default_rng(1))
-    scaled = scale_and_crop(sample, replace(config, scale_depth=True), np.random.default_rng(1))
+    scaled = scale_and_crop(sample, config, np.random.default_rng(1), is_closer=True)
     np.testing.assert_allclose(scaled.depth, kept.depth / 2)
     np.testing.assert_allclose(scaled.sparse_depth, kept.sparse_depth / 2)
     np.testing.assert_array_equal(scaled.rgb, kept.rgb)
@@ -292,13 +294,13 @@ def test_result_has_the_crop_size_and_is_reproducible():
 def test_a_road_mask_is_changed_like_the_labels():
     """Mirrored, cut beyond the picture, resized: its pixels stay those of the class under them."""
     sample = plane()
-    sample = replace(sample, road_mask=(sample.semantic == 3).astype(np.uint8))
+    sample = sample.with_targets(road_mask=(sample.semantic == 3).astype(np.uint8))
     config = AugmentConfig(crop=(60, 80), scale=(0.7, 1.5))
     for seed in range(4):
         out = augment(sample, config, np.random.default_rng(seed))
         expected = np.where(out.semantic == IGNORE, IGNORE, out.semantic == 3)
         assert (out.semantic == IGNORE).any()
-        np.testing.assert_array_equal(out.road_mask, expected)
+        np.testing.assert_array_equal(out.targets["road_mask"], expected)
 
 
 def test_augmentation_does_not_touch_its_input():
@@ -362,16 +364,14 @@ def test_the_mark_of_no_return_is_none_in_canonical_depth():
     np.testing.assert_allclose(canonical_depth(sample, 50.0).sparse_depth[0, :3], [10, 62.5, 0])
 
 
-@pytest.mark.parametrize("scale_depth", [False, True])
 @pytest.mark.parametrize(("known", "factor"), [(True, 200 / (50 * 2)), (False, 1 / 2)])
-def test_augmented_samples_are_in_canonical_depth(known, factor, scale_depth):
+def test_augmented_samples_are_in_canonical_depth(known, factor):
     """Magnified by 2, of 50 px or as if of 200 px: all depth is as the canonical camera's."""
     sample = recorded_beside_its_target()
     if not known:
         sample = replace(sample, intrinsics=None)
     config = AugmentConfig(crop=(32, 32), scale=(2.0, 2.0), lidar_missing=0, lidar_random=0)
     metres = augment(sample, config, np.random.default_rng(3))
-    config = replace(config, scale_depth=scale_depth)
     canonical = augment(sample, config, np.random.default_rng(3), canonical_focal_px=200.0)
     assert metres.depth.any()
     assert metres.sparse_depth.any()
@@ -382,7 +382,7 @@ def test_augmented_samples_are_in_canonical_depth(known, factor, scale_depth):
 
 def test_the_lidar_is_drawn_in_metres_whatever_the_canonical_camera():
     """A wall at 60 m, drawn before the factor: a LiDAR of 85 m sees it at 240 canonical metres."""
-    sample = replace(plane(), depth=np.full((48, 64), 60, np.float32))
+    sample = plane().with_targets(depth=np.full((48, 64), 60, np.float32))
     config = AugmentConfig(crop=(48, 64), scale=(1.0, 1.0), lidar_missing=0, lidar_random=0)
     out = augment(sample, config, np.random.default_rng(0), canonical_focal_px=200.0)
     seen = out.sparse_depth[out.sparse_depth > 0]
@@ -395,7 +395,9 @@ def test_sky_is_far_where_nothing_was_measured():
     depth[1, 2], fed[1, 3] = 7, 5
     semantic = np.full((3, 40), 4, np.uint8)
     semantic[:, 30:] = 3
-    sample = Sample(np.zeros((3, 40, 3), np.uint8), depth, semantic, None, "sky", fed)
+    sample = Sample(
+        np.zeros((3, 40, 3), np.uint8), {"depth": depth, "semantic": semantic}, None, "sky", fed
+    )
 
     def sky_columns(sample):
         """Columns of the middle row whose depth is the sky's."""
@@ -404,7 +406,7 @@ def test_sky_is_far_where_nothing_was_measured():
     inner = set(range(30 - SKY_MARGIN_PX))
     assert sky_columns(sample) == inner - {2, 3}
     assert sky_columns(replace(sample, sparse_depth=None)) == inner - {2}
-    made_by_a_network = replace(sample, semantic_weight=0.2)
+    made_by_a_network = replace(sample, weights={"semantic": 0.2})
     assert sky_columns(made_by_a_network) == set(range(30 - PSEUDO_SKY_MARGIN_PX)) - {2, 3}
     out = far_sky(sample, 4, 80.0)
     assert out.depth.dtype == np.float32
@@ -417,7 +419,9 @@ def test_a_picture_without_any_depth_gets_no_sky_depth():
     """It would teach that all is far where there is no LiDAR."""
     semantic = np.full((2, 2), 4, np.uint8)
     nothing = np.zeros((2, 2), np.float32)
-    sample = Sample(np.zeros((2, 2, 3), np.uint8), nothing, semantic, None, "sky")
+    sample = Sample(
+        np.zeros((2, 2, 3), np.uint8), {"depth": nothing, "semantic": semantic}, None, "sky"
+    )
     assert not far_sky(sample, 4, 80.0).depth.any()
 
 
@@ -429,25 +433,6 @@ def rendered(height=48, width=64):
 
 
 ALWAYS = AugmentConfig(lidar_missing=0, lidar_random=0, lines=(64,))
-
-
-def test_a_solid_state_lidar_is_drawn_from_dense_truth_alone():
-    config = replace(ALWAYS, lidar_solid_state=1.0)
-    for sample in (rendered(), plane()):
-        out = draw_lidar(sample, config, np.random.default_rng(0))
-        seen = out.sparse_depth > 0
-        assert seen.sum() > 100
-        np.testing.assert_allclose(out.sparse_depth[seen], sample.depth[seen], atol=0.15)
-        np.testing.assert_array_equal(out.depth, sample.depth)
-    for sample in (recorded(), recorded_beside_its_target(), replace(plane(), intrinsics=None)):
-        thin = replace(sample, depth=np.where(sample.depth % 4 < 1, sample.depth, 0))
-        with_it, without = (
-            draw_lidar(thin, item, np.random.default_rng(0)).sparse_depth
-            for item in (config, ALWAYS)
-        )
-        np.testing.assert_array_equal(with_it, without)
-    missing = draw_lidar(plane(), replace(config, lidar_missing=1.0), np.random.default_rng(0))
-    assert not missing.sparse_depth.any()
 
 
 def test_128_lines_are_drawn_from_dense_truth_and_are_64_of_a_recorded_scan():
@@ -462,7 +447,7 @@ def test_128_lines_are_drawn_from_dense_truth_and_are_64_of_a_recorded_scan():
     )
     assert known.sum() > 1.7 * np.count_nonzero(drawn.sparse_depth)
     for scan in (recorded(), recorded_beside_its_target(), replace(rendered(), intrinsics=None)):
-        thin = replace(scan, depth=np.where(scan.depth % 4 < 1, scan.depth, 0))
+        thin = scan.with_targets(depth=np.where(scan.depth % 4 < 1, scan.depth, 0))
         of_128, of_64 = (
             draw_lidar(thin, item, np.random.default_rng(0)).sparse_depth
             for item in (config, ALWAYS)
@@ -470,8 +455,10 @@ def test_128_lines_are_drawn_from_dense_truth_and_are_64_of_a_recorded_scan():
         np.testing.assert_array_equal(of_128, of_64)
 
 
-def test_a_misaligned_lidar_moves_the_input_and_not_the_target():
-    config = replace(ALWAYS, lidar_misaligned=1.0, misalignment_deg=4.0, misalignment_m=0.0)
+def test_a_misaligned_lidar_moves_the_input_and_not_the_target(monkeypatch):
+    monkeypatch.setattr(augmenting, "MISALIGNMENT_DEG", 4.0)
+    monkeypatch.setattr(augmenting, "MISALIGNMENT_M", 0.0)
+    config = replace(ALWAYS, lidar_misaligned=1.0)
     sample = rendered()
     straight = draw_lidar(sample, ALWAYS, np.random.default_rng(0))
     moved = draw_lidar(sample, config, np.random.default_rng(0))
@@ -482,8 +469,9 @@ def test_a_misaligned_lidar_moves_the_input_and_not_the_target():
     np.testing.assert_array_equal(unknown.sparse_depth, straight.sparse_depth)
 
 
-def test_sectors_drop_out_of_the_input_and_not_of_the_target():
-    config = replace(ALWAYS, lidar_dropout=1.0, dropout_share=(0.2, 0.2))
+def test_sectors_drop_out_of_the_input_and_not_of_the_target(monkeypatch):
+    monkeypatch.setattr(augmenting, "SECTOR_SHARE", (0.2, 0.2))
+    config = replace(ALWAYS, lidar_dropout=1.0)
     sample = rendered()
     out = draw_lidar(sample, config, np.random.default_rng(0))
     whole = draw_lidar(sample, ALWAYS, np.random.default_rng(0)).sparse_depth

@@ -1,7 +1,5 @@
 """Decoded frames are kept as long as they fit, and never change what is read."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -32,7 +30,8 @@ class Counted:
         depth = np.full(size, 1.0 + index, np.float32)
         line = np.zeros(size, np.int16) if self.with_lines else None
         rgb, semantic = np.zeros((*size, 3), np.uint8), np.zeros(size, np.uint8)
-        return Sample(rgb, depth, semantic, None, str(index), scan_line=line)
+        targets = {"depth": depth, "semantic": semantic}
+        return Sample(rgb, targets, None, str(index), scan_line=line)
 
 
 def read(source, order):
@@ -75,7 +74,7 @@ def test_road_masks_count_too(limit, decoded):
     class Masked(Counted):
         def __getitem__(self, index):
             sample = super().__getitem__(index)
-            return replace(sample, road_mask=np.zeros(sample.size, np.uint8))
+            return sample.with_targets(road_mask=np.zeros(sample.size, np.uint8))
 
     counted = Masked()
     read(CachedSource(counted, limit_bytes=limit), [0, 0])

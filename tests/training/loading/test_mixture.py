@@ -5,13 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 
+from training.batch import Batch, Drawn
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.sample import Sample
 from training.loading.augment import AugmentConfig
-from training.loading.mixture import DepthTarget, Mixture, MixturePart, as_tensors
+from training.loading.mixture import DepthTarget, Mixture, MixturePart
 from training.loading.open_dataset import open_mixture
-from training.recipe import DataRecipe, ModelRecipe
+from training.losses.consistency import semantic_consistency_loss
+from training.recipe import DataRecipe
 
 
 class Numbered:
@@ -26,8 +29,7 @@ class Numbered:
     def __getitem__(self, index):
         value = self.offset + index
         rgb = np.full((40, 40, 3), value, np.uint8)
-        none = np.zeros((40, 40), np.float32)
-        return Sample(rgb, none, np.zeros((40, 40), np.uint8), None, str(value))
+        return Sample(rgb, {"semantic": np.zeros((40, 40), np.uint8)}, None, str(value))
 
 
 def mixture(length=400, seed=0):
@@ -39,17 +41,20 @@ def mixture(length=400, seed=0):
     return Mixture(parts, length=length, seed=seed)
 
 
+def sample(index, **options):
+    (view,) = mixture(**options)[index].views
+    return view
+
+
 def test_sample_is_a_function_of_seed_and_index():
-    a, b = mixture()[123], mixture()[123]
-    assert torch.equal(a["rgb"], b["rgb"])
-    assert a["name"] == b["name"]
-    assert [mixture(seed=1)[i]["name"] for i in range(20)] != [
-        mixture()[i]["name"] for i in range(20)
-    ]
+    a, b = sample(123), sample(123)
+    assert np.array_equal(a.rgb, b.rgb)
+    assert a.name == b.name
+    assert [sample(i, seed=1).name for i in range(20)] != [sample(i).name for i in range(20)]
 
 
 def test_proportions_and_passes():
-    names = [int(mixture()[i]["name"]) for i in range(400)]
+    names = [int(sample(i).name) for i in range(400)]
     first = [name for name in names if name < 100]
     assert len(first) == pytest.approx(300, abs=30)
     # Every pass shows each of the ten frames once.
@@ -58,11 +63,14 @@ def test_proportions_and_passes():
 
 
 def test_tensors_have_the_loops_form():
-    sample = mixture()[0]
-    assert sample["rgb"].dtype == torch.uint8
-    assert sample["rgb"].shape == (3, 32, 32)
-    assert sample["depth"].shape == sample["sparse_depth"].shape == (1, 32, 32)
-    assert sample["semantic"].dtype == torch.int64
+    batch = Batch.collate([mixture()[0]], ("depth", "semantic"))
+    assert batch.rgb.dtype == torch.uint8
+    assert batch.rgb.shape == (1, 3, 32, 32)
+    assert batch.sparse_depth.shape == (1, 1, 32, 32)
+    assert batch.targets["depth"].shape == batch.targets["semantic"].shape == (1, 32, 32)
+    assert batch.targets["depth"].dtype == batch.sparse_depth.dtype == torch.float32
+    assert batch.targets["semantic"].dtype == torch.uint8
+    assert batch.pair is None
 
 
 def test_weights_must_be_positive():
@@ -74,7 +82,7 @@ def test_a_target_is_never_fed_where_no_input_was_drawn():
     sample = Numbered(1, 0)[0]
     assert sample.sparse_depth is None
     with pytest.raises(ValueError, match="draw_lidar"):
-        as_tensors(sample)
+        Batch.collate([Drawn((sample,))], ())
 
 
 class Street:
@@ -88,44 +96,53 @@ class Street:
         depth[20:] = 20
         semantic = np.where(depth > 0, 3, 0).astype(np.uint8)
         intrinsics = np.array([[50.0, 0, 20], [0, 50.0, 20], [0, 0, 1]])
-        return Sample(np.zeros((40, 40, 3), np.uint8), depth, semantic, intrinsics, "street")
+        targets = {"depth": depth, "semantic": semantic}
+        return Sample(np.zeros((40, 40, 3), np.uint8), targets, intrinsics, "street")
 
 
-def drawn(data, model):
+def drawn(data, canonical_focal_px=None):
     config = AugmentConfig(crop=(40, 40), scale=(1.0, 1.0), lidar_missing=0)
     recipe = DataRecipe((CamVidRecipe(path="street"),), augment=config, **data)
-    sample = open_mixture(recipe, [Street()], length=1, model=model)[0]
-    return {name: set(sample[name].unique().tolist()) for name in ("depth", "sparse_depth")}
+    depth = DepthTarget(canonical_focal_px, 0 if data else None, **data)
+    (view,) = open_mixture(recipe, [Street()], length=1, depth=depth)[0].views
+    return {name: set(getattr(view, name).flat) for name in ("depth", "sparse_depth")}
 
 
 def test_the_recipe_sets_the_unit_of_the_depth():
-    plain = drawn({}, ModelRecipe("ssdnet-lite"))
+    plain = drawn({})
     assert plain["depth"] == {0, 20}
     # Far in the target only: no LiDAR measures the sky. Close to another label it stays unknown.
-    far = drawn({"sky_depth_m": 90.0}, ModelRecipe("ssdnet-lite"))
+    far = drawn({"sky_depth_m": 90.0})
     assert far["depth"] == {0, 20, 90}
     assert far["sparse_depth"] == plain["sparse_depth"]
     # The depth of the sky is canonical already.
-    both = drawn({"sky_depth_m": 100.0}, ModelRecipe("ssdnet-lite", canonical_focal_px=75.0))
+    both = drawn({"sky_depth_m": 100.0}, canonical_focal_px=75.0)
     assert both["depth"] == {0, 30, 100}
     assert 28 < max(both["sparse_depth"]) < 32
 
 
 def test_without_a_word_depth_is_in_metres():
     part = MixturePart(Street(), 1.0, AugmentConfig(crop=(40, 40), scale=(2.0, 2.0)))
-    assert Mixture([part], length=1, seed=0)[0]["depth"].max() == 20
+    assert Mixture([part], length=1, seed=0)[0].views[0].depth.max() == 20
     target = DepthTarget(canonical_focal_px=50.0)
     canonical = Mixture([part], length=1, seed=0, depth=target)[0]
-    assert canonical["depth"].max() == 10
+    assert canonical.views[0].depth.max() == 10
 
 
-def test_road_masks_are_batched():
-    sample = replace(Street()[0], sparse_depth=np.zeros((40, 40), np.float32))
-    assert (as_tensors(sample)["road_mask"] == 255).all()
+def test_targets_are_batched_and_unlabelled_where_a_set_lacks_them():
+    street = replace(Street()[0], sparse_depth=np.zeros((40, 40), np.float32))
     mask = np.where(np.arange(40)[:, None] < 20, 0, 1) * np.ones((40, 40), np.uint8)
-    tensors = as_tensors(replace(sample, road_mask=mask.astype(np.uint8)))
-    assert tensors["road_mask"].dtype == torch.uint8
-    assert tensors["road_mask"].tolist() == mask.tolist()
+    masked = replace(
+        street, targets={"road_mask": mask.astype(np.uint8)}, weights={"semantic": 0.2}
+    )
+    batch = Batch.collate([Drawn((street,)), Drawn((masked,))], ("depth", "road_mask", "semantic"))
+    assert batch.targets["road_mask"].dtype == torch.uint8
+    assert (batch.targets["road_mask"][0] == 255).all()
+    assert batch.targets["road_mask"][1].tolist() == mask.tolist()
+    assert (batch.targets["semantic"][1] == 255).all()
+    assert not batch.targets["depth"][1].any()
+    assert batch.weights["semantic"].tolist() == pytest.approx([1, 0.2])
+    assert batch.weights["depth"].tolist() == [1, 1]
 
 
 class Streets:
@@ -139,45 +156,71 @@ class Streets:
         rgb = rng.integers(0, 256, (300, 320, 3), dtype=np.uint8)
         depth = rng.uniform(20, 60, (300, 320)).astype(np.float32)
         labels = rng.integers(0, 11, (300, 320)).astype(np.uint8)
-        return Sample(rgb, depth, labels, np.array([[900.0, 0, 160], [0, 900, 10], [0, 0, 1]]), "")
+        targets = {"depth": depth, "semantic": labels, "road_mask": (labels == 3).astype(np.uint8)}
+        return Sample(rgb, targets, np.array([[900.0, 0, 160], [0, 900, 10], [0, 0, 1]]), "")
 
 
-def pairs(**options):
+def pairs(pair_step=4, **options):
     config = AugmentConfig(
         crop=(128, 160), pair_shift=32, blur=0, noise=0, lidar_missing=0, **options
     )
-    return Mixture([MixturePart(Streets(), 1.0, config)], length=24, seed=3)
+    parts = [MixturePart(Streets(), 1.0, config)]
+    return Mixture(parts, length=24, seed=3, pair_step=pair_step)
+
+
+def maps_of(view):
+    return {"rgb": view.rgb, "sparse_depth": view.sparse_depth, **view.targets}
 
 
 def test_two_views_show_the_same_frame_from_the_offset_on():
-    samples = [pairs()[index] for index in range(24)]
-    offsets = {tuple(sample["offset"].tolist()) for sample in samples}
+    drawn = [pairs()[index] for index in range(24)]
+    offsets = {frame.offset for frame in drawn}
     assert len(offsets) > 10
     assert all(part % 4 == 0 and part <= 32 for offset in offsets for part in offset)
-    for sample in samples:
-        rows, columns = sample["offset"].tolist()
-        for key in ("rgb", "depth", "semantic", "sparse_depth", "road_mask"):
-            first, second = sample[key]
-            assert first.shape[-2:] == (128, 160)
-            shared = second[..., : 128 - rows, : 160 - columns]
-            assert torch.equal(first[..., rows:, columns:], shared), key
+    for views, (rows, columns) in drawn:
+        first, second = map(maps_of, views)
+        assert first.keys() == {"rgb", "sparse_depth", "depth", "semantic", "road_mask"}
+        for key, values in first.items():
+            assert values.shape[:2] == (128, 160)
+            shared = second[key][: 128 - rows, : 160 - columns]
+            assert np.array_equal(values[rows:, columns:], shared), key
+
+
+def test_a_batch_has_all_first_views_before_all_second_ones():
+    drawn = [pairs()[index] for index in range(2)]
+    batch = Batch.collate(drawn, ("depth",))
+    order = [frame.views[view] for view in range(2) for frame in drawn]
+    for index, view in enumerate(order):
+        assert np.array_equal(batch.rgb[index].permute(1, 2, 0), view.rgb)
+        assert np.array_equal(batch.targets["depth"][index], view.depth)
+    assert batch.pair.offset.tolist() == [list(frame.offset) for frame in drawn]
+    assert torch.equal(torch.cat(batch.pair[1:]), batch.sparse_depth)
+    assert len(batch.names) == 2
+
+
+@pytest.mark.parametrize("stride", [4, 8, 16])
+def test_a_perfect_network_agrees_with_itself_whatever_the_grid_of_its_classes(stride):
+    """The means of the cells of its grid are the answer: equal where the cells are the same."""
+    for index in range(12):
+        batch = Batch.collate([pairs(pair_step=stride)[index]], ())
+        cells = F.avg_pool2d(batch.rgb.float(), stride).chunk(2)
+        loss = semantic_consistency_loss(*cells, batch.pair, side=stride)
+        assert loss.item() == pytest.approx(0)
 
 
 @pytest.mark.parametrize(("missing", "false"), [(1.0, 0.0), (0.0, 1.0), (0.0, 0.0)])
 def test_the_lidar_of_the_second_view_is_missing_or_has_false_returns(missing, false):
     for index in range(6):
-        sample = pairs(pair_lidar_missing=missing, pair_lidar_false=false)[index]
-        rows, columns = sample["offset"].tolist()
-        first, second = sample["sparse_depth"]
+        views, (rows, columns) = pairs(pair_lidar_missing=missing, pair_lidar_false=false)[index]
+        first, second = (view.sparse_depth for view in views)
         assert first.any()
         assert (not second.any()) == bool(missing)
-        changed = first[..., rows:, columns:] != second[..., : 128 - rows, : 160 - columns]
+        changed = first[rows:, columns:] != second[: 128 - rows, : 160 - columns]
         assert bool(changed.any()) == bool(missing or false)
-        assert torch.equal(sample["depth"][0, :, rows:, columns:][changed] > 0, changed[changed])
+        assert (views[0].depth[rows:, columns:][changed] > 0).all()
         if false:
             assert 0 < int(changed.sum()) < 20
 
 
 def test_one_view_is_the_default():
-    assert "offset" not in mixture()[0]
-    assert mixture()[0]["rgb"].shape == (3, 32, 32)
+    assert sample(0).rgb.shape == (32, 32, 3)

@@ -5,13 +5,14 @@ import math
 import pytest
 import torch
 
+from layouts.batch import batch_of
 from models import NetworkOutput
+from training.batch import Pair
 from training.limits import PAIR_BORDER_PX
 from training.losses import LossConfig, SSDNetLoss
 from training.losses.consistency import (
     FAR_WEIGHT,
     NEAR_WEIGHT,
-    Pair,
     depth_consistency_loss,
     overlap,
     semantic_consistency_loss,
@@ -39,6 +40,13 @@ def scene_of(channels=1, side=1, seed=0):
 
 def pair_of(first, second):
     return Pair(torch.tensor([OFFSET]), first[None], second[None])
+
+
+def test_cells_that_no_shift_of_both_views_shares_are_not_compared():
+    first, second = (view[None] for view in views(scene_of(5, side=8), side=8))
+    pair = pair_of(torch.zeros(1, *SIZE), torch.zeros(1, *SIZE))
+    with pytest.raises(ValueError, match=r"\[4, 12\] px apart .* 8 px"):
+        semantic_consistency_loss(first, second, Pair(torch.tensor([[4, 12]]), *pair[1:]), side=8)
 
 
 @pytest.mark.parametrize("side", [1, 2, 4])
@@ -111,9 +119,9 @@ def test_the_whole_loss_has_both_terms_of_pairs_alone():
     labels = torch.zeros(2, *SIZE, dtype=torch.int64)
     depth = torch.zeros(2, 1, *SIZE)
     criterion = SSDNetLoss(config, max_depth_m=100.0)
-    alone = criterion(output, labels, depth)
+    alone = criterion(output, batch_of(labels, depth))
     pair = pair_of(depth[0], depth[1])
-    terms = criterion(output, labels, depth, pair=pair)
+    terms = criterion(output, batch_of(labels, depth, pair=pair))
     added = 2.0 * terms["depth_consistency"] + 0.5 * terms["semantic_consistency"]
     assert set(terms) - set(alone) == {"depth_consistency", "semantic_consistency"}
     assert terms["total"].item() == pytest.approx((alone["total"] + added).item(), rel=1e-5)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from layouts.batch import batch_of
 from models import NetworkOutput
 from training.losses import LossConfig, SSDNetLoss, class_weights
 from training.losses.boundary import balanced_cross_entropy, boundary_target
@@ -26,6 +27,14 @@ from training.losses.semantic import (
     soft_overlap,
 )
 from training.losses.uncertainty import laplace_loss
+
+
+class Loss(SSDNetLoss):
+    """Takes the targets of a batch one by one."""
+
+    def forward(self, output, semantic, depth, **others):
+        return super().forward(output, batch_of(semantic, depth, **others))
+
 
 ALL_OFF = {
     "depth_weight": 0.0,
@@ -50,7 +59,6 @@ def leaves(count=2, size=(16, 24), classes=5, seed=0, dtype=torch.float32):
         "depth": leaf(count, 1, height, width),
         "coarse_depth": leaf(count, 1, height // 8, width // 8),
         "boundary": leaf(count, 1, height, width),
-        "side": leaf(count, 1, height // 4, width // 4),
     }
 
 
@@ -59,7 +67,6 @@ def answer(parts):
         semantic_logits=parts["semantic"],
         depths=(torch.sigmoid(parts["depth"]), torch.sigmoid(parts["coarse_depth"])),
         boundary_logits=parts["boundary"],
-        side_boundary_logits=(parts["side"],),
     )
 
 
@@ -84,20 +91,15 @@ def test_total_is_the_weighted_sum_of_the_families():
         boundary_weight=3.0,
         semantic_boundary_weight=0.7,
         semantic_depth_weight=0.3,
-        side_boundary_weight=1.1,
         joint_depth_scale=20.0,
     )
-    terms = SSDNetLoss(config, weights, max_depth_m=100.0)(
+    terms = Loss(config, weights, max_depth_m=100.0)(
         answer(parts), semantic, depth, semantic_weight=sample_weight
     )
     log_p = torch.log_softmax(parts["semantic"], dim=1)
     shares = class_shares(semantic, 5, (16, 24))
     maps = soft_disagreement(log_p.exp())
     target, valid = boundary_target(semantic)
-    coarse = (
-        target.float().reshape(2, 1, 4, 4, 6, 4).amax(dim=(3, 5)) > 0,
-        torch.ones(2, 1, 4, 6, dtype=torch.bool),
-    )
     normalised = normalise_depth(depth, 100.0)
     of_depth = [
         paper_depth_loss(
@@ -117,9 +119,6 @@ def test_total_is_the_weighted_sum_of_the_families():
         "boundary": balanced_cross_entropy(
             parts["boundary"], target, valid, sample_weight=sample_weight
         ),
-        "side_boundary": balanced_cross_entropy(
-            parts["side"], *coarse, sample_weight=sample_weight
-        ),
         "semantic_boundary": semantic_boundary_loss(maps, torch.sigmoid(parts["boundary"])),
         "semantic_depth": semantic_depth_loss(
             maps, torch.sigmoid(parts["depth"]), depth_scale=20.0
@@ -137,7 +136,7 @@ def test_depth_ends_where_the_regression_does():
     """Of a range of 200 m half: farther is no target, and at its end the sky no measurement."""
     parts = leaves()
     config = LossConfig(**{**ALL_OFF, "depth_weight": 1.0, "depth_uncertainty_weight": 1.0})
-    criterion = SSDNetLoss(config, max_depth_m=200.0, target_depth_m=100.0)
+    criterion = Loss(config, max_depth_m=200.0, target_depth_m=100.0)
     scale = torch.full_like(parts["depth"], 0.01)
 
     def terms(far):
@@ -158,37 +157,18 @@ def test_depth_ends_where_the_regression_does():
 
 def test_literal_forms_of_the_paper():
     parts = leaves()
-    config = LossConfig(class_weighting="paper", disagreement="hard", boundary_beta="image")
-    terms = SSDNetLoss(config, max_depth_m=100.0)(answer(parts), *targets())
+    config = LossConfig(class_weighting="paper", disagreement="hard")
+    terms = Loss(config, max_depth_m=100.0)(answer(parts), *targets())
     maps = hard_disagreement(parts["semantic"].argmax(dim=1))
     expected = semantic_boundary_loss(maps, torch.sigmoid(parts["boundary"]))
     assert terms["semantic_boundary"].item() == pytest.approx(expected.item(), rel=1e-5)
-
-
-def test_beta_is_counted_over_the_configured_scope():
-    parts = leaves()
-    semantic, depth = targets()
-    semantic[1, :, 3:] = 0  # few boundaries here, many in the other image
-    boundary = [
-        SSDNetLoss(LossConfig(boundary_beta=mode), max_depth_m=100.0)(
-            answer(parts), semantic, depth
-        )["boundary"].item()
-        for mode in ("batch", "image")
-    ]
-    target, valid = boundary_target(semantic)
-    expected = [
-        balanced_cross_entropy(parts["boundary"], target, valid, beta_mode=mode).item()
-        for mode in ("batch", "image")
-    ]
-    assert boundary == pytest.approx(expected, rel=1e-6)
-    assert expected[0] != pytest.approx(expected[1], rel=1e-2)
 
 
 @pytest.mark.parametrize(("form", "reaches"), [("soft", True), ("hard", False)])
 def test_joint_gradient_to_the_semantic_head(form, reaches):
     parts = leaves()
     config = LossConfig(**{**ALL_OFF, "semantic_boundary_weight": 1.0}, disagreement=form)
-    terms = SSDNetLoss(config, max_depth_m=100.0)(answer(parts), *targets())
+    terms = Loss(config, max_depth_m=100.0)(answer(parts), *targets())
     assert set(terms) == {"semantic_boundary", "total"}
     terms["total"].backward()
     gradient = parts["semantic"].grad
@@ -205,9 +185,8 @@ def test_samples_without_targets_get_no_gradient(depth_form):
         depth_form=depth_form,
         semantic_boundary_weight=0.0,
         semantic_depth_weight=0.0,
-        side_boundary_weight=1.0,
     )
-    SSDNetLoss(config, max_depth_m=100.0)(answer(parts), semantic, depth)["total"].backward()
+    Loss(config, max_depth_m=100.0)(answer(parts), semantic, depth)["total"].backward()
     for name, part in parts.items():
         assert part.grad.isfinite().all()
         empty = 1 if "depth" in name else 0
@@ -217,11 +196,9 @@ def test_samples_without_targets_get_no_gradient(depth_form):
 
 def test_no_targets_at_all_is_zero_and_finite():
     parts = leaves()
-    config = LossConfig(
-        semantic_boundary_weight=0.0, semantic_depth_weight=0.0, side_boundary_weight=1.0
-    )
+    config = LossConfig(semantic_boundary_weight=0.0, semantic_depth_weight=0.0)
     semantic, depth = torch.full((2, 16, 24), 255), torch.zeros(2, 1, 16, 24)
-    terms = SSDNetLoss(config, max_depth_m=100.0)(answer(parts), semantic, depth)
+    terms = Loss(config, max_depth_m=100.0)(answer(parts), semantic, depth)
     terms["total"].backward()
     assert all(term.item() == 0 for term in terms.values())
     assert all(part.grad.abs().max() == 0 for part in parts.values())
@@ -236,7 +213,7 @@ def test_no_targets_at_all_is_zero_and_finite():
 )
 def test_terms_of_absent_heads_are_left_out(missing, names):
     output = answer(leaves())._replace(**{missing: None})
-    terms = SSDNetLoss(LossConfig(), max_depth_m=100.0)(output, *targets())
+    terms = Loss(LossConfig(), max_depth_m=100.0)(output, *targets())
     assert set(terms) == names
     assert terms["total"].requires_grad
 
@@ -244,7 +221,7 @@ def test_terms_of_absent_heads_are_left_out(missing, names):
 def test_finest_scale_alone_leaves_the_coarse_ones_untrained():
     parts = leaves()
     config = LossConfig(depth_form="metric", depth_scales="finest")
-    SSDNetLoss(config, max_depth_m=100.0)(answer(parts), *targets())["total"].backward()
+    Loss(config, max_depth_m=100.0)(answer(parts), *targets())["total"].backward()
     assert parts["coarse_depth"].grad is None
     assert parts["depth"].grad.abs().sum() > 0
 
@@ -256,7 +233,7 @@ def test_metric_form_is_in_metres_of_the_networks_range():
     config = LossConfig(
         **{**ALL_OFF, "depth_weight": 1.0}, depth_form="metric", depth_scales="finest"
     )
-    terms = SSDNetLoss(config, max_depth_m=50.0)(answer(parts), semantic, depth)
+    terms = Loss(config, max_depth_m=50.0)(answer(parts), semantic, depth)
     means = []
     for sample in range(2):
         known = depth[sample] > 0
@@ -268,7 +245,7 @@ def test_metric_form_is_in_metres_of_the_networks_range():
 def test_bf16_answers_are_scored_in_float32_under_autocast():
     parts = leaves(dtype=torch.bfloat16)
     semantic, depth = targets()
-    criterion = SSDNetLoss(LossConfig(side_boundary_weight=1.0), max_depth_m=100.0)
+    criterion = Loss(LossConfig(), max_depth_m=100.0)
     with torch.autocast("cpu", dtype=torch.bfloat16):
         output = answer(parts)
         terms = criterion(output, semantic, depth)
@@ -277,7 +254,6 @@ def test_bf16_answers_are_scored_in_float32_under_autocast():
             output.semantic_logits.float(),
             tuple(depth.float() for depth in output.depths),
             output.boundary_logits.float(),
-            tuple(side.float() for side in output.side_boundary_logits),
         ),
         semantic,
         depth,
@@ -292,7 +268,7 @@ def test_bf16_answers_are_scored_in_float32_under_autocast():
 def test_wrong_sizes_and_configurations_are_refused():
     semantic, depth = targets()
     with pytest.raises(ValueError, match="expected one size"):
-        SSDNetLoss(LossConfig(), max_depth_m=100.0)(answer(leaves()), semantic[:, 1:], depth)
+        Loss(LossConfig(), max_depth_m=100.0)(answer(leaves()), semantic[:, 1:], depth)
     with pytest.raises(ValueError, match="metric_l2 = -1"):
         LossConfig(metric_l2=-1.0)
     with pytest.raises(ValueError, match="depth_weight = -1"):
@@ -307,7 +283,7 @@ def test_soft_iou_is_a_term_of_its_own():
     semantic[0, :5] = 255
     sample_weight = torch.tensor([1.0, 0.2])
     config = LossConfig(**{**ALL_OFF, "semantic_iou_weight": 2.0})
-    terms = SSDNetLoss(config, max_depth_m=100.0)(
+    terms = Loss(config, max_depth_m=100.0)(
         answer(parts), semantic, depth, semantic_weight=sample_weight
     )
     probabilities = torch.softmax(parts["semantic"], dim=1)
@@ -323,7 +299,7 @@ def test_lovasz_is_a_term_of_its_own():
     semantic, depth = targets()
     semantic[0, :5] = 255
     config = LossConfig(**{**ALL_OFF, "lovasz_weight": 2.0})
-    terms = SSDNetLoss(config, max_depth_m=100.0)(
+    terms = Loss(config, max_depth_m=100.0)(
         answer(parts), semantic, depth, semantic_weight=torch.tensor([1.0, 0.2])
     )
     probabilities = torch.softmax(parts["semantic"], dim=1)
@@ -337,8 +313,8 @@ def test_learned_weighting_by_hand():
     parts = leaves()
     semantic, depth = targets()
     fixed = LossConfig(semantic_weight=2.0, depth_weight=0.5)
-    plain = SSDNetLoss(fixed, max_depth_m=100.0)(answer(parts), semantic, depth)
-    criterion = SSDNetLoss(replace(fixed, weighting="uncertainty"), max_depth_m=100.0)
+    plain = Loss(fixed, max_depth_m=100.0)(answer(parts), semantic, depth)
+    criterion = Loss(replace(fixed, weighting="uncertainty"), max_depth_m=100.0)
     names = [name for name in plain if name != "total"]
     assert set(criterion.log_variances) == set(names)  # a likelihood needs no weight learned
     values = {name: 0.3 * index - 0.5 for index, name in enumerate(names)}
@@ -358,7 +334,7 @@ def test_learned_weighting_settles_where_sigma_squared_is_twice_the_loss():
     parts = leaves()
     semantic, depth = targets()
     config = LossConfig(**{**ALL_OFF, "semantic_weight": 1.0}, weighting="uncertainty")
-    criterion = SSDNetLoss(config, max_depth_m=100.0)
+    criterion = Loss(config, max_depth_m=100.0)
     optimizer = torch.optim.SGD(criterion.parameters(), lr=0.5)
     for _ in range(100):
         terms = criterion(answer(parts), semantic, depth)
@@ -372,7 +348,7 @@ def test_learned_weighting_settles_where_sigma_squared_is_twice_the_loss():
 def test_learned_weighting_leaves_alone_what_has_no_targets():
     parts = leaves()
     semantic, depth = targets()
-    criterion = SSDNetLoss(LossConfig(weighting="uncertainty"), max_depth_m=100.0)
+    criterion = Loss(LossConfig(weighting="uncertainty"), max_depth_m=100.0)
     criterion(answer(parts), semantic, torch.zeros_like(depth))["total"].backward()
     assert criterion.log_variances["depth"].grad.item() == 0
     assert criterion.log_variances["semantic"].grad.item() != 0
@@ -383,13 +359,13 @@ def test_masks_of_the_road_count_by_their_weight():
     mask = torch.ones(semantic.shape, dtype=torch.uint8)
     config = replace(LossConfig(), road_weight=2.0)
     given = {"max_depth_m": 100.0, "road": 1}
-    terms = SSDNetLoss(config, **given)(answer(leaves()), semantic, depth, road_mask=mask)
-    without = SSDNetLoss(LossConfig(), **given)(answer(leaves()), semantic, depth, road_mask=mask)
+    terms = Loss(config, **given)(answer(leaves()), semantic, depth, road_mask=mask)
+    without = Loss(LossConfig(), **given)(answer(leaves()), semantic, depth, road_mask=mask)
     assert "road" not in without
     expected = road_loss(answer(leaves()).semantic_logits, mask, 1)
     torch.testing.assert_close(terms["road"], expected)
     torch.testing.assert_close(terms["total"], without["total"] + 2 * expected)
-    assert "road" not in SSDNetLoss(config, **given)(answer(leaves()), semantic, depth)
+    assert "road" not in Loss(config, **given)(answer(leaves()), semantic, depth)
 
 
 def test_semantic_logits_may_stay_on_their_own_grid():
@@ -399,7 +375,7 @@ def test_semantic_logits_may_stay_on_their_own_grid():
     semantic, depth = targets()
     semantic[0, :3, 5:] = 255
     config = LossConfig(semantic_iou_weight=1.0, lovasz_weight=1.0, joint_depth_scale=50.0)
-    criterion = SSDNetLoss(config, max_depth_m=100.0)
+    criterion = Loss(config, max_depth_m=100.0)
     repeated = coarse.detach().repeat_interleave(2, dim=2).repeat_interleave(2, dim=3)
     output = answer(parts)
     on_grid = criterion(output._replace(semantic_logits=coarse), semantic, depth)
@@ -407,7 +383,7 @@ def test_semantic_logits_may_stay_on_their_own_grid():
     for name in set(on_grid) - {"semantic_boundary", "semantic_depth", "total"}:
         assert on_grid[name].item() == pytest.approx(at_size[name].item(), rel=1e-5), name
     on_grid["total"].backward()
-    assert all(parts[name].grad.any() for name in parts if name not in ("semantic", "side"))
+    assert all(parts[name].grad.any() for name in parts if name != "semantic")
     assert coarse.grad.any()
 
     # Repeated cells differ where cells meet, along two pixels each: the same sum over the pixels.
@@ -432,9 +408,7 @@ def test_semantics_alone_are_scored_on_their_own_grid_of_an_odd_size():
     coarse = leaves(size=(8, 12))["semantic"]
     semantic, depth = targets()
     output = NetworkOutput(semantic_logits=coarse)
-    terms = SSDNetLoss(LossConfig(), max_depth_m=100.0)(
-        output, semantic[:, 1:, 1:], depth[..., 1:, 1:]
-    )
+    terms = Loss(LossConfig(), max_depth_m=100.0)(output, semantic[:, 1:, 1:], depth[..., 1:, 1:])
     assert terms["semantic"].item() > 0
     with pytest.raises(ValueError, match="expected one size"):
-        SSDNetLoss(LossConfig(), max_depth_m=100.0)(output, semantic[:, 3:], depth[:, :, 3:])
+        Loss(LossConfig(), max_depth_m=100.0)(output, semantic[:, 3:], depth[:, :, 3:])

@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from layouts.batch import batch_of
 from models import NetworkOutput
 from training.losses import LossConfig, SSDNetLoss
 from training.losses.uncertainty import laplace_loss
@@ -51,8 +52,8 @@ def test_the_whole_loss_has_it_for_networks_with_uncertainty():
     semantic = torch.full((1, 4, 6), 255)
     depth = maps(20.0)
     sure = NetworkOutput(depths=(maps(0.23),), depth_uncertainty=maps(0.03))
-    terms = criterion(sure, semantic, depth)
+    terms = criterion(sure, batch_of(semantic, depth))
     assert terms["depth_uncertainty"].item() == pytest.approx(1 + math.log(3), rel=1e-4)
     assert terms["total"].item() == pytest.approx(0.5 * (1 + math.log(3)), rel=1e-4)
     unsure = NetworkOutput(depths=(maps(0.23),))
-    assert "depth_uncertainty" not in criterion(unsure, semantic, depth)
+    assert "depth_uncertainty" not in criterion(unsure, batch_of(semantic, depth))

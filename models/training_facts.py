@@ -1,0 +1,56 @@
+"""What a checkpoint says about the training of its weights."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Self
+
+from runtime.contract import ClassInfo, check_side
+
+
+@dataclass(frozen=True)
+class TrainingFacts:
+    """The facts of a training that outlive it; files have them as plain values.
+
+    Attributes:
+        data: titles of the data sets.
+        terms: data and terms that a model card and an exported file must state.
+        trained_height: height [px] of the images that it was trained for; None = unknown.
+        recipe: the resolved recipe, as plain values.
+        init: the weights that it started from; None = random ones.
+        processes: that trained together.
+        step: of these weights; None = unknown.
+    """
+
+    data: tuple[str, ...] = ()
+    terms: str = ""
+    trained_height: int | None = None
+    recipe: Mapping[str, Any] = field(default_factory=dict)
+    init: str | None = None
+    processes: int = 1
+    step: int | None = None
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Read the facts of a file of any release; what it lacks has its default.
+
+        Raises:
+            ValueError: if the height is none of an image.
+        """
+        facts = {key: values[key] for key in cls.__dataclass_fields__ if key in values}
+        if facts.get("trained_height") is not None:
+            check_side(facts["trained_height"], "trained_height")
+        if not isinstance(facts.get("recipe"), Mapping):
+            facts["recipe"] = {}
+        return cls(**{**facts, "data": tuple(facts.get("data", ()))})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the facts as plain values."""
+        return {**asdict(self), "data": list(self.data)}
+
+    @property
+    def classes(self) -> str | tuple[ClassInfo, ...]:
+        """The class table of the recipe: a name in `models.CLASS_TABLES`, or its own table."""
+        table = self.recipe.get("model", {}).get("classes", "camvid")
+        if isinstance(table, str):
+            return table
+        return tuple(ClassInfo(info["name"], tuple(info["color"])) for info in table)

@@ -1,0 +1,54 @@
+"""The crop that follows the data, and how much of a crop is padding."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from runtime.errors import InputError
+from training.datasets.camvid import CamVidRecipe
+from training.datasets.sample import Sample
+from training.loading.augment import AugmentConfig
+from training.loading.crop import padding_share, with_crop
+from training.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe
+
+
+def sources(*sizes):
+    return [[Sample(np.zeros((*size, 3), np.uint8), {}, None, "")] for size in sizes]
+
+
+def recipe(**options):
+    data = DataRecipe((CamVidRecipe(path="c"),), augment=AugmentConfig(**options))
+    return Recipe(ModelRecipe("ssdnet-lite"), data, ScheduleRecipe(steps=1))
+
+
+@pytest.mark.parametrize(
+    ("sizes", "crop"),
+    [
+        ([(125, 414)], (96, 144)),
+        ([(375, 1242)], (320, 480)),
+        ([(375, 1242), (200, 300)], (192, 288)),
+        ([(640, 256)], (320, 256)),
+        ([(20, 20)], (32, 32)),
+    ],
+)
+def test_the_crop_follows_the_smallest_frames(sizes, crop):
+    assert with_crop(recipe(), sources(*sizes)).data.augment.crop == crop
+
+
+def test_a_crop_that_the_recipe_has_is_kept():
+    stated = recipe(crop=(320, 480))
+    assert with_crop(stated, sources((125, 414))) == stated
+
+
+def test_a_crop_that_is_too_small_for_two_views_is_refused():
+    with pytest.raises(InputError, match=r"crop was chosen .* \[96, 144\]; with pair_shift = 32"):
+        with_crop(recipe(pair_shift=32), sources((125, 414)))
+
+
+def test_padding_is_what_lies_beyond_the_frame():
+    fixed = AugmentConfig(crop=(320, 480), scale=(1.0, 1.0))
+    assert padding_share((375, 1242), fixed) == 0
+    assert padding_share((160, 480), fixed) == pytest.approx(0.5)
+    assert padding_share((125, 414), fixed) > 0.6
+    assert padding_share((160, 480), replace(fixed, scale=(2.0, 2.0))) == 0

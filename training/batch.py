@@ -1,0 +1,100 @@
+"""A batch: what the mixture of data sets gives to the network and to the loss."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from training.datasets.sample import Sample
+
+
+class Pair(NamedTuple):
+    """How the second view of each frame differs from the first."""
+
+    #: int64 (N, 2): rows and columns by which the second view begins later.
+    offset: Tensor
+    #: float32 (N, 1, H, W), metres: the LiDAR input of each view, 0 = no return.
+    first_lidar: Tensor
+    second_lidar: Tensor
+
+
+class Drawn(NamedTuple):
+    """A frame that the mixture has drawn: one view, or two whose second begins later."""
+
+    views: tuple[Sample, ...]
+    #: (rows, columns) by which the second view begins later.
+    offset: tuple[int, int] = (0, 0)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Frames of one size. Of two views it has first that of each frame, then the second of each."""
+
+    #: uint8 (N, 3, H, W), RGB.
+    rgb: Tensor
+    #: float32 (N, 1, H, W), metres; 0 = no measurement.
+    sparse_depth: Tensor
+    #: Target -> (N, H, W), see `training.datasets.sample.target_kind`.
+    targets: Mapping[str, Tensor]
+    #: Target -> float32 (N,), weight of each frame's labels in the loss.
+    weights: Mapping[str, Tensor]
+    #: Set and frame of each, for messages.
+    names: Sequence[str]
+    #: None = no frame has two views.
+    pair: Pair | None = None
+
+    @classmethod
+    def collate(cls, drawn: Sequence[Drawn], targets: Collection[str]) -> Self:
+        """Make a batch of drawn frames with these targets; ValueError if one has no sparse depth.
+
+        A target that a frame lacks is unlabelled.
+        """
+        # All first views, then all second ones.
+        samples = [
+            view for part in zip(*(item.views for item in drawn), strict=True) for view in part
+        ]
+        for sample in samples:
+            if sample.sparse_depth is None:
+                raise ValueError(f"{sample.name} has no sparse_depth; draw one with draw_lidar")
+        sparse_depth = torch.from_numpy(np.stack([view.sparse_depth for view in samples])[:, None])
+        pair = None
+        if len(samples) > len(drawn):
+            pair = Pair(torch.tensor([item.offset for item in drawn]), *sparse_depth.chunk(2))
+        return cls(
+            rgb=torch.from_numpy(np.stack([view.rgb for view in samples]).transpose(0, 3, 1, 2)),
+            sparse_depth=sparse_depth,
+            targets={
+                name: torch.from_numpy(np.stack([view.target(name) for view in samples]))
+                for name in targets
+            },
+            weights={
+                name: torch.tensor([view.weights.get(name, 1.0) for view in samples])
+                for name in targets
+            },
+            names=[item.views[0].name for item in drawn],
+            pair=pair,
+        )
+
+    def pin_memory(self) -> Self:
+        """Return the batch in page-locked memory; the loader calls it for a GPU."""
+        return self._map(Tensor.pin_memory)
+
+    def to(self, device: torch.device) -> Self:
+        """Return the batch on a device."""
+        return self._map(lambda tensor: tensor.to(device, non_blocking=True))
+
+    def _map(self, change: Any) -> Self:
+        def changed(value: Any) -> Any:
+            if isinstance(value, Tensor):
+                return change(value)
+            if isinstance(value, Pair):
+                return Pair(*map(change, value))
+            if isinstance(value, Mapping):
+                return {name: change(tensor) for name, tensor in value.items()}
+            return value
+
+        values = {item.name: changed(getattr(self, item.name)) for item in fields(self)}
+        return replace(self, **values)

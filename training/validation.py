@@ -1,0 +1,83 @@
+"""Validations during a training, and its curves and pictures in TensorBoard."""
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from torch import Tensor
+from torch.utils.tensorboard import SummaryWriter
+from tqdm import tqdm
+
+from models import Network
+from training.datasets.sample import SampleSource
+from training.distributed import Processes
+from training.evaluation.pictures import draw_pictures
+from training.evaluation.scoring import score_sources, torch_predict
+from training.lidar.split import LidarInput
+from training.recipe import ValidationRecipe
+from training.score_table import SHOWN
+from training.state import Step
+
+
+class Board:
+    """TensorBoard, or nothing in processes that do not write."""
+
+    def __init__(self, folder: Path | None, step: int) -> None:
+        # Entries of later steps, of an interrupted run, are removed.
+        purge = step + 1 if step else None
+        self._writer = None if folder is None else SummaryWriter(str(folder), purge_step=purge)
+
+    def __enter__(self) -> "Board":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def add_step(self, done: Step, log_variances: Mapping[str, Tensor], step: int) -> None:
+        """Add the terms of a step, the weights that the loss learned, and the rate."""
+        terms = {f"loss/{name}": term.item() for name, term in done.terms.items()}
+        learned = {f"log_variance/{name}": value.item() for name, value in log_variances.items()}
+        self.add_scalars({**terms, **learned, "learning_rate": done.rate}, step)
+
+    def add_scalars(self, values: Mapping[str, float], step: int) -> None:
+        """Add a point to each curve."""
+        for name, value in values.items():
+            if self._writer is not None:
+                self._writer.add_scalar(name, value, step)
+
+    def add_picture(self, name: str, rgb: np.ndarray, step: int) -> None:
+        """Add a picture, uint8 (H, W, 3)."""
+        if self._writer is not None:
+            self._writer.add_image(name, rgb, step, dataformats="HWC")
+
+
+def validate(
+    network: Network,
+    sources: Mapping[str, SampleSource],
+    recipe: ValidationRecipe,
+    processes: Processes,
+    board: Board,
+    step: int,
+) -> dict[str, dict[str, float]]:
+    """Score the network, each process on its share of the frames; show scores and pictures."""
+    lidar = LidarInput.parse(recipe.lidar)
+    scores = score_sources(network, sources, processes, lidar=lidar)
+    shown = {
+        f"{name}/{key}": figures[key]
+        for name, figures in scores.items()
+        for key in SHOWN
+        if key in figures
+    }
+    board.add_scalars({f"validation/{name}": score for name, score in shown.items()}, step)
+    if not processes.is_first:
+        return scores
+    text = ", ".join(f"{name} {score:.4f}" for name, score in shown.items())
+    tqdm.write(f"step {step}: {text}", file=sys.stderr)
+    predict = torch_predict(network)
+    for name, source in sources.items():
+        pictures = draw_pictures(predict, source, network, lidar=lidar, count=recipe.pictures)
+        for frame, picture in pictures:
+            board.add_picture(f"{name}/{frame}", picture, step)
+    return scores
