@@ -61,7 +61,7 @@ class StreamPage:
         with self._lock:
             self._timeline.add(moment)
             self._invalid += not prediction.valid
-            self._samples.look(moment.name, result.rgb, prediction, result.health)
+            self._samples.add(moment.name, result.rgb, prediction, result.health)
 
     def write(self, path: str | PathLike[str], stream: PushStream) -> None:
         """Write the page of the results so far; an existing file is replaced.

@@ -112,7 +112,7 @@ class StreamResult:
 
 
 class FrameReader:
-    """Reads each frame of a source once, also those that are looked at before the stream.
+    """Reads each frame of a source once, also those that are needed before the stream.
 
     Args:
         read: reads a frame; raises an SSDNetError where it cannot be read.
@@ -122,7 +122,7 @@ class FrameReader:
         self._read = read
         self._kept: dict[int, TimedFrame | SSDNetError] = {}
 
-    def look(self, listed: ListedFrame) -> Frame:
+    def peek(self, listed: ListedFrame) -> Frame:
         """Read a frame, and keep it for `take`. Raises what reading raises."""
         if listed.sequence not in self._kept:
             try:

@@ -63,9 +63,9 @@ def run(
             frame_size = _warm_up(predictor, frames, reader, runs=options.warmup)
             _require_outputs(options, source)
             # The same for all shards.
-            doubt = _implausible_depth(predictor, listed[:FIRST_FRAMES], reader, source)
+            implausible = _implausible_depth(predictor, listed[:FIRST_FRAMES], reader, source)
             lines = [*source.notes, describe_predictor(predictor, frame_size)]
-            about = "\n".join([*lines, f"warning: {doubt}"] if doubt else lines)
+            about = "\n".join([*lines, f"warning: {implausible}"] if implausible else lines)
             contract, names = predictor.contract, [each.name for each in frames]
             overlay = SharedOverlay(contract.classes, contract.max_depth_m)
             opened = OpenRun(options, predictor, overlay, kinds, names)
@@ -75,13 +75,13 @@ def run(
                     frames,
                     reader=reader,
                     rate_hz=options.rate,
-                    degraded=(IMPLAUSIBLE_DEPTH,) if doubt else (),
+                    degraded=(IMPLAUSIBLE_DEPTH,) if implausible else (),
                     write=write,
                     record=record,
                     on_record=on_start(about, len(frames)),
                     stop=stop,
                 )
-                report = _report(opened, source, frame_size, result, doubt)
+                report = _report(opened, source, frame_size, result, implausible)
                 opened.report = report
             return report
 
@@ -127,7 +127,7 @@ def _warm_up(
     reasons = []
     for listed in frames[:_FIRST_FRAMES]:
         try:
-            frame = reader.look(listed)
+            frame = reader.peek(listed)
             size = (frame.rgb.shape[0], frame.rgb.shape[1])
             check_sparse_depth(frame.sparse_depth, size=size)
             predictor.warm_up(size, runs=runs)
@@ -154,7 +154,7 @@ def _implausible_depth(
     depth_scale = source.inputs.get("depth_scale")
     for listed in frames if "depth" in predictor.heads else ():
         with contextlib.suppress(SSDNetError):  # the run itself reports it
-            frame = reader.look(listed)
+            frame = reader.peek(listed)
             check_sparse_depth(frame.sparse_depth, size=(frame.rgb.shape[0], frame.rgb.shape[1]))
             if (frame.sparse_depth > 0).any():
                 camera_only = predictor.predict(frame.rgb, None)

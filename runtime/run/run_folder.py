@@ -86,7 +86,7 @@ class RunFolder:
                 f"cannot write {self._marker} ({error.strerror}): choose another --out"
             ) from error
 
-    def note(self, name: str) -> None:
+    def add_name(self, name: str) -> None:
         """Add a frame to the list on disk, before its files are written. Raises OutputError."""
         try:
             # As JSON, since a name may contain line feeds.

@@ -61,7 +61,7 @@ def write_variant(
     target = root / scene / variant
     if target.exists() and not overwrite:
         raise OutputError(
-            f"{target} exists already. Choose another folder or seed, or allow overwriting."
+            f"{target} exists already. Choose another folder or seed, or give --overwrite."
         )
     own = partial(_written_entries, target) if overwrite else None
     with atomic_folder(target, own=own) as temporary:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from itertools import groupby
 
 from runtime.drawing.axis import Axis, frame_ticks
-from runtime.drawing.report_page.html import Html, fill, join
+from runtime.drawing.report_page.html import Html, fill
 from runtime.drawing.report_page.timeline import Span
 from runtime.sync.latency import LatencyStatistics
 
@@ -73,7 +73,7 @@ def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None, title: st
     ticks = [fill("ytick", at=100 * axis.place(tick), text=f"{tick:g}") for tick in axis.ticks]
     for frame in frame_ticks(last, _FRAME_TICKS):
         ticks.append(fill("xtick", at=x(frame) * 100 / _WIDTH, text=frame))
-    return fill("chart", title=title, unit=axis.unit, drawn=join(drawn), ticks=join(ticks))
+    return fill("chart", title=title, unit=axis.unit, drawn=drawn, ticks=ticks)
 
 
 def mark_strip(spans: Sequence[Span], mark: str) -> Html:
@@ -117,7 +117,7 @@ def _strip(bars: Iterable[Bar]) -> Html:
         )
         for start, end, height, opacity in bars
     ]
-    return fill("strip", bars=join(drawn))
+    return fill("strip", bars=drawn)
 
 
 def _points(points: Iterable[tuple[float, float]]) -> str:

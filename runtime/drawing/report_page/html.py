@@ -1,7 +1,6 @@
 """HTML from the fragments of page.html."""
 
 import re
-from collections.abc import Iterable
 from functools import cache
 from html import escape
 from importlib import resources
@@ -16,22 +15,23 @@ class Html(str):
 
 
 def fill(fragment: str, **values: object) -> Html:
-    """Return a fragment of page.html with its $names replaced by values, escaped unless `Html`."""
-    texts = {
-        name: value if isinstance(value, Html) else escape(str(value))
-        for name, value in values.items()
-    }
+    """Return a fragment of page.html with its $names replaced by values.
+
+    Values are escaped, except `Html` and lists of it, which are joined.
+    """
+    texts = {name: _text(value) for name, value in values.items()}
     return Html(_fragments()[fragment].substitute(texts))
-
-
-def join(parts: Iterable[Html]) -> Html:
-    """Return the parts one after the other."""
-    return Html("".join(parts))
 
 
 def read_resource(name: str) -> str:
     """Return the text of a file of this package."""
     return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _text(value: object) -> str:
+    if isinstance(value, Html):
+        return value
+    return "".join(value) if isinstance(value, list) else escape(str(value))
 
 
 @cache

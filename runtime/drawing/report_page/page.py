@@ -16,7 +16,7 @@ from runtime.drawing.report_page.charts import (
     range_strip,
     returns_strip,
 )
-from runtime.drawing.report_page.html import Html, fill, join, read_resource
+from runtime.drawing.report_page.html import Html, fill, read_resource
 from runtime.drawing.report_page.samples import Sample
 from runtime.drawing.report_page.timeline import Timeline
 from runtime.io.encode import encode_png
@@ -26,7 +26,7 @@ _PARTS = ("preprocess", "inference", "postprocess")  # of a prediction
 _BAD = (SKIPPED, INVALID, LATE)
 _FEW_PROBLEMS, _MOST_PROBLEMS = 10, 200
 _BAR_WIDTH = 640
-_NOTHING = Html()
+_TILE = ("label", "value", "note", "kind")
 #: Mark -> its meaning.
 _MEANINGS = {
     SKIPPED: "could not be read or predicted",
@@ -109,14 +109,14 @@ def render_page(content: PageContent) -> bytes:
         badges=fill("badge", kind="warn", text="interrupted") if content.interrupted else "",
         command=fill("command", command=content.command) if content.command else "",
         tiles=_tiles(content),
-        sections=join(
+        sections=[
             fill("section", title=title, content=part) for title, part in sections.items() if part
-        ),
+        ],
     )
     return (page + "\n").encode(errors="backslashreplace")  # file names need not be valid text
 
 
-def _tiles(content: PageContent) -> Html:
+def _tiles(content: PageContent) -> list[Html]:
     counts = ", ".join(f"{count:,} {status}" for status, count in content.frames.items())
     tiles = [("frames", f"{content.timeline.frames:,}", counts or "none", "")]
     if (times := content.responses) is not None:
@@ -133,18 +133,15 @@ def _tiles(content: PageContent) -> Html:
     flagged = content.timeline.flagged
     kind = "warn" if flagged else "good"
     tiles.append(("flagged frames", f"{flagged:,}", "late, unanswered or degraded", kind))
-    return join(
-        fill("tile", label=label, value=value, note=note, kind=kind)
-        for label, value, note, kind in tiles
-    )
+    return [fill("tile", **dict(zip(_TILE, tile, strict=True))) for tile in tiles]
 
 
-def _latency(content: PageContent) -> Html:
+def _latency(content: PageContent) -> list[Html]:
     timeline, deadline_ms = content.timeline, content.deadline_ms
     spans = timeline.spans(MOST_SPANS)
     chart = latency_chart(spans, deadline_ms=deadline_ms, title=content.response)
     if not chart:
-        return fill("note", kind="soft", text="No frame was answered.")
+        return [fill("note", kind="soft", text="No frame was answered.")]
     keys = {"dot": content.response}
     if len(spans) < timeline.frames:
         keys["range"] = "smallest to largest of the frames there"
@@ -154,27 +151,27 @@ def _latency(content: PageContent) -> Html:
         keys["dot red"] = f"late ({late:,})"
     if dropped := timeline.marks[SKIPPED] + timeline.marks[INVALID]:
         keys["dot warn"] = f"no usable answer ({dropped:,})"
-    return chart + _legend(keys)
+    return [chart, fill("legend", keys=_keys(keys))]
 
 
-def _stages(content: PageContent) -> Html:
+def _stages(content: PageContent) -> list[Html]:
     stages = {name: each for name, each in content.stages.items() if each is not None}
     if not stages:
-        return _NOTHING
+        return []
     means = {name: stages[name].mean_ms for name in _PARTS if name in stages}
     shares = {name: mean / (sum(means.values()) or 1) for name, mean in means.items()}
     keys = {f"square {name}": f"{name} {_ms(means[name])} ms, {shares[name]:.0%}" for name in means}
-    bars = (fill("part", kind=name, share=f"{share:.2%}") for name, share in shares.items())
-    parts = fill("parts", bars=join(bars), keys=_keys(keys)) if means else _NOTHING
+    bars = [fill("part", kind=name, share=f"{share:.2%}") for name, share in shares.items()]
+    parts = [fill("parts", bars=bars, keys=_keys(keys))] if means else []
     most_ms = max(each.max_ms for each in stages.values()) or 1.0
     rows = [
         _row(name, *_cells(each), last=fill("wide", strip=range_strip(each, most_ms)))
         for name, each in stages.items()
     ]
-    return parts + fill("stages", rows=join(rows))
+    return [*parts, fill("stages", rows=rows)]
 
 
-def _health(content: PageContent) -> Html:
+def _health(content: PageContent) -> list[Html]:
     timeline = content.timeline
     spans = timeline.spans(MOST_SPANS)
     lanes = [
@@ -199,79 +196,56 @@ def _health(content: PageContent) -> Html:
     if lanes:
         text = f"From frame 0 (left) to {timeline.frames - 1:,} (right)."
         lanes.append(fill("note", kind="note", text=text))
-    return join(lanes)
+    return lanes
 
 
-def _problems(problems: Sequence[Problem]) -> Html:
+def _problems(problems: Sequence[Problem]) -> list[Html]:
     def table(shown: Sequence[Problem]) -> Html:
-        rows = (_row(each.name, each.status, each.reason) for each in shown)
-        return fill("problems", rows=join(rows))
+        return fill("problems", rows=[_row(each.name, each.status, each.reason) for each in shown])
 
-    if not problems:
-        return _NOTHING
-    parts = [table(problems[:_FEW_PROBLEMS])]
+    parts = [table(problems[:_FEW_PROBLEMS])] if problems else []
     if rest := problems[_FEW_PROBLEMS:_MOST_PROBLEMS]:
         parts.append(fill("more", count=len(rest), table=table(rest)))
     if (beyond := len(problems) - _MOST_PROBLEMS) > 0:
         parts.append(fill("note", kind="note", text=f"and {beyond:,} more, see frames.csv"))
-    return join(parts)
+    return parts
 
 
-def _samples(content: PageContent) -> Html:
-    if not content.samples:
-        return _NOTHING
+def _samples(content: PageContent) -> list[Html]:
     parts = []
     for sample in content.samples:
         badges = [fill("badge", kind="", text="slowest")] if sample.slowest else []
         badges += [fill("badge", kind="warn", text=mark) for mark in sample.marks]
-        panels = join(
+        panels = [
             fill("panel", title=title, name=sample.name, image=_data("image/jpeg", jpeg))
             for title, jpeg in sample.panels
-        )
+        ]
         time = _ms(sample.predict_ms)
-        parts.append(
-            fill("sample", name=sample.name, time=time, badges=join(badges), panels=panels)
-        )
+        parts.append(fill("sample", name=sample.name, time=time, badges=badges, panels=panels))
     contract = content.contract
-    if contract.classes:
-        swatches = (
-            fill(
-                "key",
-                kind="square",
-                style=Html(f' style="background:rgb{info.color}"'),
-                text=info.name,
-            )
-            for info in contract.classes
-        )
-        parts.append(fill("legend", keys=join(swatches)))
+    if parts and contract.classes:
+        keys = [fill("swatch", color=info.color, name=info.name) for info in contract.classes]
+        parts.append(fill("legend", keys=keys))
     if any("depth" in title for sample in content.samples for title, _ in sample.panels):
         bar = Overlay(contract.classes, contract.max_depth_m).draw_depth_bar(_BAR_WIDTH)
         parts.append(fill("scale", image=_data("image/png", bytes(encode_png(bar)))))
-    return join(parts)
+    return parts
 
 
 def _facts(facts: Mapping[str, Mapping[str, str]]) -> Html:
-    groups = (
-        fill(
-            "group",
-            title=title,
-            facts=join(fill("fact", name=name, value=value) for name, value in group.items()),
-        )
-        for title, group in facts.items()
-    )
-    return fill("facts", groups=join(groups))
+    groups = []
+    for title, group in facts.items():
+        rows = [fill("fact", name=name, value=value) for name, value in group.items()]
+        groups.append(fill("group", title=title, facts=rows))
+    return fill("facts", groups=groups)
 
 
-def _row(*cells: str, last: Html = _NOTHING) -> Html:
-    return fill("row", cells=join(fill("cell", text=cell) for cell in cells) + last)
+def _row(*cells: str, last: Html | None = None) -> Html:
+    return fill("row", cells=[*(fill("cell", text=cell) for cell in cells), last or Html()])
 
 
-def _legend(keys: Mapping[str, str]) -> Html:
-    return fill("legend", keys=_keys(keys))
-
-
-def _keys(keys: Mapping[str, str]) -> Html:
-    return join(fill("key", kind=kind, style="", text=text) for kind, text in keys.items())
+def _keys(keys: Mapping[str, str]) -> list[Html]:
+    return [fill("key", kind=kind, text=text) for kind, text in keys.items()]
 
 
 def _rank(mark: str, count: int) -> tuple[int, int, str]:

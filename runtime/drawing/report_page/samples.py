@@ -39,7 +39,7 @@ class SampleKeeper:
         self._flagged: dict[tuple[str, ...], Sample] = {}  # the first of each kind
         self._slowest: Sample | None = None
 
-    def look(
+    def add(
         self,
         name: str,
         rgb: NDArray[np.uint8],

@@ -67,7 +67,7 @@ class FrameWriter:
         Raises OutputError, and InputError for a cloud where the camera is not known.
         """
         written: list[Path] = []
-        self._folder.note(frame.name)
+        self._folder.add_name(frame.name)
         try:
             for kind, folder in self._folder.subfolders.items():
                 path = folder / (frame.name + SUFFIXES[kind])

@@ -31,7 +31,7 @@ class RunPage:
 
     def write(self, frame: Frame, prediction: Prediction) -> None:
         """Keep a frame and its answer as a sample, perhaps; nothing is written yet."""
-        self._samples.look(frame.name, frame.rgb, prediction, frame.health)
+        self._samples.add(frame.name, frame.rgb, prediction, frame.health)
 
     def render(self, report: RunReport) -> bytes:
         """Return the page."""

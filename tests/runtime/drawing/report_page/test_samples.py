@@ -24,7 +24,7 @@ def look(contract, model_file, make_frame):
         for index in range(n):
             latency = Latency(0, 0, 0, time_ms(index))
             timed = dataclasses.replace(prediction, latency=latency)
-            keeper.look(f"f{index}", rgb, timed, marks(index))
+            keeper.add(f"f{index}", rgb, timed, marks(index))
         return keeper.samples()
 
     return run
