@@ -107,7 +107,14 @@ def open_task(
     release = Release(recipe.release, weights, initial)
     sky = recipe.model.class_id("sky") if recipe.data.sky_depth_m else None
     depth = DepthTarget(network.config.canonical_focal_px, sky, recipe.data.sky_depth_m)
-    return Task(recipe, sources, validation, network, criterion, depth, release)
+    task = Task(recipe, sources, validation, network, criterion, depth, release)
+    if 0 < recipe.data.augment.pair_shift < task.pair_step:
+        raise InputError(
+            f"data.augment.pair_shift = {recipe.data.augment.pair_shift}; the classes of "
+            f"{network.config.name!r} are on cells of {task.pair_step} px, so that the second view "
+            f"would never be shifted. Set at least {task.pair_step}, or 0 for one view."
+        )
+    return task
 
 
 def _weigh_classes(recipe: Recipe, sources: Sequence[SampleSource], num_classes: int) -> Tensor:

@@ -146,6 +146,14 @@ def test_two_views_are_trained_to_agree_and_resume_to_the_same_weights(data, tmp
     assert all(torch.equal(value, whole[name]) for name, value in parts.items())
 
 
+def test_a_shift_smaller_than_the_cells_of_the_classes_is_refused(data, tmp_path):
+    run = replace(recipe(steps=1), model=ModelRecipe("fast-scnn"))
+    augment = AugmentConfig(crop=(96, 96), pair_shift=4)
+    run = replace(run, data=replace(run.data, augment=augment))
+    with pytest.raises(InputError, match=r"pair_shift = 4; .*'fast-scnn' are on cells of 8 px"):
+        train(run, data=[data], out=tmp_path / "run")
+
+
 def test_interrupted_run_ends_at_the_same_weights(data, tmp_path):
     run = recipe(steps=4)
     whole = train(run, data=[data], out=tmp_path / "whole")
