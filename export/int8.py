@@ -47,23 +47,14 @@ _FIGURES = {
     "boundary": "boundary_f",
     "depth_uncertainty": "coverage_1",
 }
-#: Head, figure, what a set needs, sets that have it.
-_NEEDED = (
-    (
-        "semantic",
-        "miou",
+#: Head -> what a set needs to tell its accuracy, and sets that have it.
+_NEEDED = {
+    "semantic": (
         "labels of the model's classes",
-        "folders:DIR,labels=FOLDER, camvid:DIR, cityscapes:DIR, kitti_streets:DIR, "
-        "virtual_kitti:DIR",
+        "folders:DIR,labels=FOLDER, camvid:DIR, cityscapes:DIR, kitti_streets:DIR",
     ),
-    (
-        "depth",
-        "mae_m",
-        "depth",
-        "folders:DIR,depth=FOLDER, kitti_depth:DIR, kitti_streets:DIR, kitti_raw:DIR, "
-        "virtual_kitti:DIR",
-    ),
-)
+    "depth": ("depth", "folders:DIR,depth=FOLDER, kitti_depth:DIR, kitti_streets:DIR"),
+}
 
 
 @dataclass(frozen=True)
@@ -117,7 +108,7 @@ def quantize_within(
         write(model, path)
         feeds = list(_feeds(path, options))
         ranges = measure_ranges(model, feeds)
-        lidars = LIDARS
+        lidars: Sequence[str] = LIDARS
         before = measure_accuracy(path, validate, lidars)
         _require_rows(heads, before)
         if {row.lidar for row in before if row.mae_m is not None} == {"none"}:
@@ -213,21 +204,21 @@ def _losses(
 
 def _require_rows(heads: Collection[str], rows: Sequence[Accuracy]) -> None:
     """Raise InputError for a head that no set can tell the accuracy of."""
-    for head, figure, truth, sets in _NEEDED:
-        if head in heads and all(getattr(row, figure) is None for row in rows):
+    for head, (truth, sets) in _NEEDED.items():
+        if head in heads and not _measured(head, rows):
             raise InputError(
                 f"--validate: no set has {truth}, so what int8 costs the {head} head cannot be "
                 f"measured, and nothing was written; add one of {sets}"
             )
 
 
+def _measured(head: str, rows: Sequence[Accuracy]) -> bool:
+    return any(getattr(row, _FIGURES.get(head, ""), None) is not None for row in rows)
+
+
 def _not_gated(heads: Sequence[str], classes: Sequence[str], rows: Sequence[Accuracy]) -> list[str]:
     """What these sets cannot tell, in words."""
-    found = [
-        f"{head}: no set has its figure"
-        for head in heads
-        if head not in _FIGURES or all(getattr(row, _FIGURES[head]) is None for row in rows)
-    ]
+    found = [f"{head}: no set has its figure" for head in heads if not _measured(head, rows)]
     compared = {name for row in rows for name in row.class_iou}
     if rare := [name for name in classes if "semantic" in heads and name not in compared]:
         found.append(

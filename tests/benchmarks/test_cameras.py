@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cameras import Frame, read_large, score
-from training.evaluation.scoring import Answer
+from training.evaluation.scoring import HeadMaps
 
 
 def test_one_lidar_is_fed_and_the_other_is_the_truth(tmp_path):
@@ -35,7 +35,7 @@ def test_scores_are_means_over_frames_of_what_is_known_up_to_100_and_200_m():
 
     def predict(rgb, sparse_depth, focal_length_px):
         seen.append(focal_length_px)
-        return Answer(None, np.full((2, 2), 12.0, np.float32), None)
+        return HeadMaps(None, np.full((2, 2), 12.0, np.float32), None)
 
     def frame(truth):
         maps = np.array(truth, np.float32)

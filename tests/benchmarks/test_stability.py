@@ -29,7 +29,7 @@ from stability import (
 )
 from training.datasets.sample import Sample
 from training.evaluation.scored_model import ScoredModel
-from training.evaluation.scoring import Answer
+from training.evaluation.scoring import HeadMaps
 
 HEIGHT, WIDTH = 20, 100
 
@@ -46,12 +46,12 @@ def frame(returns=()):
 
 def answer(like, semantic=3, depth=20.0):
     size = like.shape[:2]
-    return Answer(np.full(size, semantic, np.uint8), np.full(size, depth, np.float32), None)
+    return HeadMaps(np.full(size, semantic, np.uint8), np.full(size, depth, np.float32), None)
 
 
 def test_an_answer_that_moves_with_the_image_does_not_change():
     def predict(rgb, sparse_depth, focal_length_px):
-        return Answer(rgb[..., 0] // 10, rgb[..., 0] + np.float32(1), None)
+        return HeadMaps(rgb[..., 0] // 10, rgb[..., 0] + np.float32(1), None)
 
     assert probe_shift(predict, [frame()], sky=None) == {"shift_depth": 0, "shift_class": 0}
 
@@ -249,7 +249,7 @@ def test_flicker_is_measured_along_the_flow():
             if rgb[0, 0, 0] == 2:
                 depth[:4] *= np.float32(np.exp(0.5))
                 semantic[0] = 99
-        return Answer(semantic, depth, None)
+        return HeadMaps(semantic, depth, None)
 
     def flicker(second):
         first = Frame(np.zeros((HEIGHT, WIDTH, 3), np.uint8), np.zeros((HEIGHT, WIDTH), np.float32))
@@ -262,7 +262,7 @@ def test_flicker_is_measured_along_the_flow():
 
 def test_between_pixels_the_class_is_the_nearest_pixels():
     def predict(rgb, sparse_depth, focal_length_px):
-        return Answer(rgb[..., 0] // 10, rgb[..., 0] + np.float32(1), None)
+        return HeadMaps(rgb[..., 0] // 10, rgb[..., 0] + np.float32(1), None)
 
     flows = iter((steps(0.4), steps(-0.4)))
     figures = probe_flicker(predict, [frame(), frame()], follow=lambda *_: next(flows))

@@ -20,7 +20,7 @@ from training.datasets.source_recipe import SourceRecipe
 from training.evaluation.classical import METHODS
 from training.evaluation.score_report import Row
 from training.evaluation.scored_model import ScoredModel, open_method, open_model, trained_classes
-from training.evaluation.scoring import Answer, Scores, figures_over_places
+from training.evaluation.scoring import HeadMaps, Scores, figures_over_places
 from training.lidar.faults import Fault, add_fault
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
@@ -175,7 +175,7 @@ def _score_all(
     was_fed = dict.fromkeys(inputs, False)
     for index in tqdm(indices, desc=f"{name}, {title}", disable=None):
         sample = source[int(index)]  # once: reading it may cost more than an answer
-        answers: dict[str, Answer] = {}  # inputs that feed nothing share one
+        answers: dict[str, HeadMaps] = {}  # inputs that feed nothing share one
         for lidar, fault in inputs:
             rng = frame_generator(int(index))  # the same for every model, whatever the limit
             frame = split_lidar(sample, lidar, rng)

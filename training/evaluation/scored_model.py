@@ -20,7 +20,7 @@ from runtime.preprocess import clean_sparse_depth
 from training.datasets.class_mapping import ClassTable
 from training.evaluation.classical import CompletionMethod, create_method
 from training.evaluation.metrics import FARTHEST_M
-from training.evaluation.scoring import Answer, Predict, torch_predict
+from training.evaluation.scoring import HeadMaps, Predict, torch_predict
 
 
 @dataclass(frozen=True)
@@ -136,13 +136,13 @@ def method_predict(method: CompletionMethod) -> Predict:
 
     def predict(
         rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
-    ) -> Answer:
+    ) -> HeadMaps:
         near = np.where(sparse_depth > FARTHEST_M, np.float32(0), sparse_depth)
         cleaned, _, _ = clean_sparse_depth(near, max_depth_m=FARTHEST_M)
         depth = method.complete(rgb, cleaned)
         if not np.isfinite(depth).all():
             raise SSDNetError(f"{type(method).__name__} answered with depths that are not finite.")
-        return Answer(None, depth, None)
+        return HeadMaps(None, depth, None)
 
     return predict
 
@@ -152,11 +152,11 @@ def engine_predict(predictor: Predictor) -> Predict:
 
     def predict(
         rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
-    ) -> Answer:
+    ) -> HeadMaps:
         prediction = predictor.predict(rgb, sparse_depth, focal_length_px=focal_length_px)
         if not prediction.valid:
             raise SSDNetError(f"the model's answer is invalid: {', '.join(prediction.degraded)}.")
-        return Answer(
+        return HeadMaps(
             prediction.semantic,
             prediction.depth,
             prediction.boundary,

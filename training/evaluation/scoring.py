@@ -33,8 +33,8 @@ from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_
 BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
 
 
-class Answer(NamedTuple):
-    """What a predictor answers for one frame; a head that it lacks is None.
+class HeadMaps(NamedTuple):
+    """The maps of the heads for one frame; a head that the predictor lacks is None.
 
     Attributes:
         semantic: class ids, uint8 (H, W).
@@ -59,7 +59,7 @@ ROAD = "road"
 
 #: (rgb uint8 (H, W, 3), sparse_depth float32 (H, W) [m], focal length [px of this image] or None =
 #: unknown) -> answer at the same size.
-Predict = Callable[[NDArray[np.uint8], NDArray[np.float32], float | None], Answer]
+Predict = Callable[[NDArray[np.uint8], NDArray[np.float32], float | None], HeadMaps]
 
 
 def torch_predict(
@@ -77,7 +77,7 @@ def torch_predict(
     @torch.inference_mode()
     def predict(
         rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], focal_length_px: float | None
-    ) -> Answer:
+    ) -> HeadMaps:
         frame = preprocess(
             rgb,
             sparse_depth,
@@ -92,8 +92,8 @@ def torch_predict(
             torch.from_numpy(frame.sparse_depth).to(device)[None, None],
         )
         found = answers(output, config.max_depth_m)
-        heads = {head: found[head][0].cpu().numpy() for head in Answer._fields if head in found}
-        return Answer(**dict.fromkeys(Answer._fields) | to_frame(heads, frame))
+        heads = {head: found[head][0].cpu().numpy() for head in HeadMaps._fields if head in found}
+        return HeadMaps(**dict.fromkeys(HeadMaps._fields) | to_frame(heads, frame))
 
     return predict
 
@@ -112,7 +112,7 @@ class Scores:
         self.uncertainty = UncertaintyScores()
         self.road = RoadScores(num_classes)
 
-    def update(self, answer: Answer, frame: LidarSplit) -> None:
+    def update(self, answer: HeadMaps, frame: LidarSplit) -> None:
         """Count a frame; missing heads and targets are left out."""
         sample = frame.sample
         self.frames += 1

@@ -9,7 +9,7 @@ from layouts.batch import batch_of
 from models import CLASS_TABLES
 from runtime.drawing.overlay import Overlay
 from training.evaluation.pictures import draw_batch
-from training.evaluation.scoring import Answer
+from training.evaluation.scoring import HeadMaps
 
 HEIGHT, WIDTH = 64, 48
 OVERLAY = Overlay(CLASS_TABLES["camvid"], 100.0)
@@ -31,7 +31,7 @@ def make_batch():
 
 def color_at(metres):
     (panel,) = OVERLAY.panels(
-        None, Answer(None, np.full((1, 1), metres, np.float32), None)
+        None, HeadMaps(None, np.full((1, 1), metres, np.float32), None)
     ).values()
     return panel[0, 0].tolist()
 

@@ -12,7 +12,7 @@ from runtime.errors import InputError
 from runtime.heads import HEADS
 from training.datasets.sample import AUXILIARY, Sample
 from training.evaluation.pictures import draw_pictures
-from training.evaluation.scoring import Answer, score, split_frames, torch_predict
+from training.evaluation.scoring import HeadMaps, score, split_frames, torch_predict
 from training.lidar.split import LidarInput
 
 K = np.array([[300.0, 0, 60], [0, 300.0, 20], [0, 0, 1]])
@@ -91,7 +91,7 @@ def test_truth_scores_full_marks():
     edge = np.zeros((60, 120), np.float32)
     edge[10] = 1
     edge[10:, 60] = 1
-    result = figures(lambda rgb, fed: Answer(truth.semantic, truth.depth + 0.5, edge))
+    result = figures(lambda rgb, fed: HeadMaps(truth.semantic, truth.depth + 0.5, edge))
     assert result["miou"] == 1
     assert result["mae_m"] == pytest.approx(0.5)
     assert result["rmse_m"] == pytest.approx(0.5)
@@ -104,8 +104,8 @@ def test_depth_beyond_100_m_counts_in_no_figure():
     depth[20] = 300
     far = near.with_targets(depth=depth)
     answer = np.where(depth > 100, np.float32(99), depth + 1).astype(np.float32)
-    expected = figures(lambda rgb, fed: Answer(None, near.depth + 1, None), near)
-    result = figures(lambda rgb, fed: Answer(None, answer, None), far)
+    expected = figures(lambda rgb, fed: HeadMaps(None, near.depth + 1, None), near)
+    result = figures(lambda rgb, fed: HeadMaps(None, answer, None), far)
     assert result["mae_m"] == pytest.approx(1)
     assert {"imae_per_km", "irmse_per_km", "rmse_m", "mae_px", "rmse_px"} <= result.keys()
     for name, value in result.items():
@@ -117,7 +117,7 @@ def test_each_depth_error_has_its_own_name():
     frame = sample(focal_baseline_px_m=400.0)
     answer = frame.depth.copy()
     answer[10:, :60] = 12.5
-    result = figures(lambda rgb, fed: Answer(None, answer, None), frame)
+    result = figures(lambda rgb, fed: HeadMaps(None, answer, None), frame)
     by_distance = {name: result.pop(name) for name in list(result) if "return" in name}
     assert list(by_distance) == [
         f"{error}_m_return_{px}_px" for px in ("0", "1_2", "3_6") for error in ("mae", "rmse")
@@ -143,7 +143,7 @@ def test_each_depth_error_has_its_own_name():
 
 
 def test_one_class_everywhere_scores_its_share():
-    result = figures(lambda rgb, fed: Answer(np.full((60, 120), 3, np.uint8), None, None))
+    result = figures(lambda rgb, fed: HeadMaps(np.full((60, 120), 3, np.uint8), None, None))
     assert result["miou"] == pytest.approx((3000 / 7200 + 0 + 0) / 3)
     assert result["accuracy"] == pytest.approx(3000 / 7200)
     assert "mae_m" not in result
@@ -153,12 +153,12 @@ def test_regions_are_those_of_dense_truth_alone():
     """Without returns all is uncovered; a recorded scan that is scored has no regions."""
     depth = sample().depth
     half = replace(sample(), sparse_depth=np.where(np.arange(120) < 40, depth, 0))
-    result = figures(lambda rgb, fed: Answer(None, depth + fed / 10, None), half)
+    result = figures(lambda rgb, fed: HeadMaps(None, depth + fed / 10, None), half)
     assert result["mae_m_interior"] == pytest.approx(40 / 52)  # 12 px beyond the last return
     assert result["mae_m_uncovered"] == 0
     assert "mae_m_edge" not in result
     frame = recorded()
-    result = figures(lambda rgb, fed: Answer(None, frame.depth, None), frame)
+    result = figures(lambda rgb, fed: HeadMaps(None, frame.depth, None), frame)
     assert "mae_m" in result
     assert not any("interior" in name or "uncovered" in name for name in result)
 
@@ -167,12 +167,12 @@ def test_uncertainty_is_scored_where_a_model_has_one():
     depth = sample().depth
     answer = depth + np.where(np.arange(120) < 60, np.float32(1), np.float32(4))
     scale = np.where(np.arange(120) < 60, np.float32(0.9), np.float32(3)) + np.zeros_like(depth)
-    result = figures(lambda rgb, fed: Answer(None, answer, None, scale))
+    result = figures(lambda rgb, fed: HeadMaps(None, answer, None, scale))
     assert result["mae_m_confident_50"] == pytest.approx(1)
     assert result["mae_m_confident_80"] == pytest.approx((0.5 * 1 + 0.3 * 4) / 0.8)
     assert result["mae_m_confident_100"] == pytest.approx(result["mae_m"])
     assert (result["coverage_1"], result["coverage_2"]) == (0, 1)
-    without = figures(lambda rgb, fed: Answer(None, answer, None))
+    without = figures(lambda rgb, fed: HeadMaps(None, answer, None))
     assert not any("confident" in name or "coverage" in name for name in without)
 
 
@@ -185,7 +185,7 @@ def test_the_class_road_is_scored_against_a_mask_of_it():
     ids = np.full((60, 120), 8, np.uint8)
     ids[25:45] = 3
     split = split_lidar(frame)
-    scores = score(lambda rgb, fed, _: Answer(ids, None, None), [split], num_classes=11)
+    scores = score(lambda rgb, fed, _: HeadMaps(ids, None, None), [split], num_classes=11)
     names = [f"c{i}" for i in range(11)]
     assert scores.figures(names) == {}
     assert scores.figures() == {}
@@ -196,7 +196,7 @@ def test_the_class_road_is_scored_against_a_mask_of_it():
 def test_unlabelled_frames_do_not_count():
     unknown = np.full((60, 120), 255, np.uint8)
     frame = sample(semantic=unknown)
-    result = figures(lambda rgb, fed: Answer(unknown, frame.depth, None), frame)
+    result = figures(lambda rgb, fed: HeadMaps(unknown, frame.depth, None), frame)
     assert "miou" not in result
     assert result["mae_m"] == 0
 
@@ -245,7 +245,7 @@ def test_frames_are_scored_with_their_own_focal_length():
 
     def predict(rgb, fed, focal_length_px):
         seen.append(focal_length_px)
-        return Answer(None, sample().depth, None)
+        return HeadMaps(None, sample().depth, None)
 
     frames = [split_lidar(sample(), "random:0.1"), split_lidar(sample(intrinsics=None), "none")]
     score(predict, frames, num_classes=11)
