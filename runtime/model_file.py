@@ -84,7 +84,10 @@ def parse_model_file(content: bytes) -> ModelFile:
     view, text = memoryview(content), _document(content)
     contract, entry = Contract.from_json(text), _entry(text)
     digest = hashlib.sha256(view[: -len(entry)])
-    if contract.content is not None:
+    if contract.content is None:  # a later one would hide the digests of another
+        if (entries := content.count(_KEY + _VALUE)) > 1:
+            raise _damaged(f"it holds the metadata {METADATA_KEY!r} {entries} times")
+    else:
         if view[-len(entry) :] != entry:
             raise _damaged("its metadata is not the last thing in it, or is written another way")
         found = Content(bytes=len(view) - len(entry), sha256=digest.hexdigest())
@@ -115,15 +118,13 @@ def _document(content: bytes) -> str:
         raise ContractError(
             "the model cannot be loaded: the file is not ONNX; give one that ssdnet-export wrote"
         )
-    entries = content.count(_KEY + _VALUE)
-    if not entries:
+    key = content.rfind(_KEY + _VALUE)
+    if key < 0:
         raise ContractError(
             f"the ONNX file has no metadata {METADATA_KEY!r}: it is truncated or damaged, or not a "
             "model for this engine; get it again, or export one with ssdnet-export"
         )
-    if entries > 1:
-        raise _damaged(f"it holds the metadata {METADATA_KEY!r} {entries} times")
-    length = _LENGTH.match(content, content.index(_KEY + _VALUE) + len(_KEY + _VALUE))
+    length = _LENGTH.match(content, key + len(_KEY + _VALUE))
     if length is None:
         raise _damaged("the length of its metadata is no number")
     size = sum((byte & 0x7F) << 7 * place for place, byte in enumerate(length[0]))

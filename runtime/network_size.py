@@ -62,13 +62,13 @@ def parse_network_size(text: str) -> NetworkSize:
 def network_size(
     requested: NetworkSize, frame_size: tuple[int, int], *, trained_height: int | None
 ) -> tuple[int, int]:
-    """Return the (height, width) at which a network of free size runs for a frame.
+    """Return the (height, width) at which a network runs for a frame.
 
     Args:
         requested: None = `trained_height` rows with the aspect kept for a frame that has more than
             a quarter more of them, the frame's own size for any other or where no height is known;
             "frame" = the frame's own size; a number of rows with the aspect kept; or
-            (height, width).
+            (height, width), as of a network of fixed size.
         frame_size: (height, width).
         trained_height: rows of the images that the network was trained on; None = not known.
 

@@ -62,9 +62,9 @@ class Predictor:
         providers: ONNX Runtime's execution providers of the session.
         node_counts: execution provider -> nodes of the graph; None = not known.
         threads: threads within an operator.
-        input_size: (height, width) of a fixed model; None = any.
+        size: (height, width) of a model of fixed size, else as requested.
+        free_size: whether the model takes frames of any size.
         free_batch: whether one run of the model takes several frames.
-        size: as requested.
         focal_length_px: as given.
         heads: names of the outputs, for example ("semantic", "depth", "boundary").
         load_ms: time of reading and optimising the model.
@@ -106,9 +106,9 @@ class Predictor:
         self._cold_ms: float | None = None  # of the check of a fixed model, its very first run
         session = self._open_session(file.content)
         signature = read_signature(session, num_classes=len(self.contract.classes))
-        self.input_size, self.heads = signature.size, signature.heads
-        self.free_batch = signature.free_batch
-        self.size = check_network_size(size, fixed=signature.size is not None)
+        self.heads = signature.heads
+        self.free_size, self.free_batch = signature.size is None, signature.free_batch
+        self.size = check_network_size(size, fixed=not self.free_size) or signature.size
         self.providers = tuple(session.get_providers())
         self.node_counts = node_counts(session)
         self._session: Any = session
@@ -122,9 +122,9 @@ class Predictor:
             )
         self.first_inference_ms: float | None = None
         if warmup:
-            self.warm_up(self.input_size or self.contract.native_size, runs=warmup)
+            self.warm_up(signature.size or self.contract.native_size, runs=warmup)
         else:
-            self._require_finite(self.input_size or _SMALL_SIZE)
+            self._require_finite(signature.size or _SMALL_SIZE)
 
     def predict(
         self,
@@ -213,9 +213,7 @@ class Predictor:
         Raises:
             InputError: if the requested rows are too wide at the frame's aspect.
         """
-        return self.input_size or network_size(
-            self.size, frame_size, trained_height=self.contract.trained_height
-        )
+        return network_size(self.size, frame_size, trained_height=self.contract.trained_height)
 
     def camera_scale(
         self, frame_size: tuple[int, int], *, focal_length_px: float | None = None
@@ -307,7 +305,7 @@ class Predictor:
         rgb, sparse_depth = _empty_frame(size)
         scale = CameraScale(1.0, self.contract.max_depth_m, None)
         (outputs,) = self._run([NetworkInput(rgb, sparse_depth, rgb, Cleaned(), 0, (), scale)])
-        if size == self.input_size:
+        if not self.free_size:
             self._cold_ms = _ms_since(started)
         _check_finite(faults(outputs, self.contract))
 

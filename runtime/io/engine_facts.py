@@ -115,8 +115,10 @@ def engine_facts(predictor: "Predictor") -> EngineFacts:
             path=predictor.model,
             sha256=predictor.digest,
             precision=contract.precision,
-            input_size=predictor.input_size,
-            size_asked=predictor.size,
+            input_size=(
+                None if predictor.free_size else predictor.network_size(contract.native_size)
+            ),
+            size_asked=predictor.size if predictor.free_size else None,
             trained_height=contract.trained_height,
             canonical_focal_px=contract.canonical_focal_px,
             heads=predictor.heads,

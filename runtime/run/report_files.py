@@ -67,7 +67,9 @@ def frames_csv(report: RunReport) -> str:
 
 def describe_predictor(predictor: Predictor, frame_size: tuple[int, int] | None) -> str:
     """Lines on model, providers, threads, sizes of frames and network, focal length and range."""
-    network_size = predictor.network_size(frame_size) if frame_size else predictor.input_size
+    network_size = None
+    if frame_size or not predictor.free_size:
+        network_size = predictor.network_size(frame_size or predictor.contract.native_size)
     nodes = predictor.node_counts
     running = ", ".join(
         name if nodes is None else f"{name} {nodes.get(name, 0)} nodes"

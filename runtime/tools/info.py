@@ -55,7 +55,7 @@ def describe_model(predictor: Predictor) -> dict[str, Any]:
         "bytes": Path(predictor.model).stat().st_size,
         "sha256": predictor.digest,
         "heads": predictor.heads,
-        "input_size": predictor.input_size,
+        "input_size": None if predictor.free_size else predictor.size,
         "free_batch": predictor.free_batch,
         "metadata": asdict(predictor.contract),
     }

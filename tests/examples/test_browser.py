@@ -19,7 +19,7 @@ import pytest
 
 from runtime import Predictor
 from runtime.bundled_models import find_model
-from runtime.canonical_focal import depth_scale
+from runtime.canonical_focal import camera_scale
 from runtime.heads import HEADS
 from runtime.resize import move_returns
 from runtime.sources.bundled_stream import bundled_frames, bundled_stream
@@ -210,7 +210,7 @@ def test_returns_are_fed_as_the_engine_feeds_them(
     assert page.drop(model, *paths) == ""
     answer = page.answer()
     page.set_focal_length(None)
-    scale = depth_scale(80.0, 700.0, focal_px, frame_size=frame_size, network_size=network_size)
+    scale = camera_scale(80.0, 700.0, focal_px, frame_size=frame_size, network_size=network_size)
     fed = move_returns(np.minimum(depth, scale.range_m), network_size)
     np.testing.assert_allclose(answer["depth"], fed + 1.5 / scale.factor, rtol=1e-6)
     np.testing.assert_array_equal(answer["depth_uncertainty"], answer["depth"] / 16)

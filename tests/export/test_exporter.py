@@ -29,7 +29,7 @@ SIZE = (64, 96)
 def test_contract_says_where_the_file_comes_from(exported, lite_checkpoint):
     with Predictor(exported.path, warmup=0) as predictor:
         contract = predictor.contract
-        assert predictor.input_size == SIZE
+        assert predictor.size == SIZE
     assert contract.model_name == "ssdnet-lite"
     assert contract.classes == CAMVID_CLASSES
     assert contract.max_depth_m == 200.0
@@ -122,7 +122,7 @@ def test_a_file_takes_any_size_unless_one_is_fixed(
     assert result.exit_code == 0, result.output
     assert ("any size accepted" in result.output) == (size is None)
     with Predictor(path, warmup=0) as predictor:
-        assert (predictor.input_size, predictor.contract.native_size) == (size, SIZE)
+        assert (predictor.size, predictor.contract.native_size) == (size, SIZE)
 
 
 def test_only_the_one_file_is_left(exported):
@@ -159,7 +159,7 @@ def test_every_variant_exports_with_both_inputs(name, heads, dynamic, small_mode
     with Predictor(report.path, warmup=0) as predictor:  # refuses a file without both inputs
         assert predictor.heads == heads
         assert predictor.contract.model_name == name
-        assert predictor.input_size == (None if dynamic else (45, 61))
+        assert predictor.size == (None if dynamic else (45, 61))
     if dynamic:
         sizes = [(33, 32), (57, 80), (64, 61)]
         frames = [f for size in sizes for f in probe_frames(size, max_depth_m=100.0, seeds=(4,))]
@@ -354,7 +354,7 @@ def test_of_two_exports_to_one_path_one_succeeds(
     _, error = process.communicate("go on\n")
     assert process.returncode == 0, error
     assert list(tmp_path.iterdir()) == [target]
-    assert Predictor(target, warmup=0).input_size == SIZE
+    assert Predictor(target, warmup=0).size == SIZE
 
 
 @pytest.mark.usefixtures("traced")

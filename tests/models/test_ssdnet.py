@@ -159,7 +159,7 @@ def test_invalid_depth_counts_as_none(name):
     rgb, depth = frame(64, 96)
     empty = depth == 0
     spoiled = depth.clone()
-    values = torch.tensor([float("nan"), float("inf"), -float("inf"), -3.0, 200.5, 1e30])
+    values = torch.tensor([float("nan"), float("inf"), -float("inf"), -3.0, 250.5, 1e30])
     spoiled[empty] = values.repeat(int(empty.sum()) // len(values) + 1)[: int(empty.sum())]
     clean, same = model(rgb, depth), model(rgb, spoiled)
     torch.testing.assert_close(same.semantic_logits, clean.semantic_logits, rtol=0, atol=0)

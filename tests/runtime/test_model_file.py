@@ -122,6 +122,16 @@ def test_metadata_of_others_may_stand_before_ours(model_file, contract):
     )
 
 
+def test_a_tensor_may_have_the_name_of_the_metadata(model_file, contract):
+    model = onnx.load(model_file(contract=None))
+    (last,) = (node for node in model.graph.node if "depth" in node.output)
+    last.output[0] = METADATA_KEY
+    model.graph.node.append(helper.make_node("Identity", [METADATA_KEY], ["depth"]))
+    content = model.SerializeToString()
+    assert b"\x0a\x06ssdnet\x12" in content
+    assert parse_model_file(with_contract(content, contract)).contract.content.bytes == len(content)
+
+
 @pytest.mark.parametrize("value", [b"\xff\xfe", b"{\xc3}", b"\0"])
 def test_metadata_that_is_no_text(model_file, value):
     key = METADATA_KEY.encode()

@@ -48,7 +48,7 @@ def test_what_the_predictor_tells_about_itself(model_file, contract):
     predictor = Predictor(path, threads=1, warmup=2)
     assert dataclasses.replace(predictor.contract, content=None) == contract
     assert predictor.digest == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert predictor.input_size == (48, 64)
+    assert (predictor.size, predictor.free_size) == ((48, 64), False)
     assert predictor.heads == ("semantic", "depth", "boundary")
     assert predictor.providers == ("CPUExecutionProvider",)
     assert predictor.node_counts is not None
@@ -58,7 +58,7 @@ def test_what_the_predictor_tells_about_itself(model_file, contract):
     assert predictor.first_inference_ms > 0
     assert Predictor(path, warmup=0).first_inference_ms is None
     assert Predictor(bytes(path)).digest == predictor.digest, "a path as bytes"
-    assert Predictor(model_file("free.onnx")).input_size is None
+    assert Predictor(model_file("free.onnx")).free_size
 
 
 def test_the_session_is_set_up_for_an_embedded_engine(model_file):
@@ -206,7 +206,7 @@ def test_a_model_of_free_size_runs_at_the_size_asked_for(
     with Predictor(path, size=size) as predictor:
         prediction = predictor.predict(*make_frame(*frame))
         assert predictor.size == size
-        assert predictor.input_size is None
+        assert predictor.free_size
         assert predictor.network_size(frame) == runs_at
     assert prediction.network_size == runs_at
     assert prediction.frame_size == frame
