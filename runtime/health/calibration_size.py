@@ -30,34 +30,30 @@ class CalibrationSize:
 
     def add(
         self,
-        camera_only: Prediction,
+        camera_only: Prediction | None,
         sparse_depth: NDArray[np.float32],
         calibration: Calibration | None,
     ) -> None:
         """Add a frame; ignored after FIRST_FRAMES, and where there is nothing to compare.
 
         Args:
-            camera_only: prediction from the image of the frame without any return.
+            camera_only: prediction from the image of the frame without any return; None: not
+                needed, since no point of the scan fell into the image.
             sparse_depth: float32 (H, W), metres, projected with the calibration.
             calibration: of the frame.
         """
-        if calibration is None or calibration.size is not None or camera_only.depth is None:
+        if calibration is None or calibration.size is not None or len(self._gains) == FIRST_FRAMES:
             return
         height, width = sparse_depth.shape
         middle_x, middle_y = calibration.intrinsics[:2, 2]
-        if abs(middle_x / width - 0.5) < _FAR or middle_x <= 0 or len(self._gains) == FIRST_FRAMES:
-            return
-        if not camera_only.valid or IMAGE_CONSTANT in camera_only.degraded:
+        if abs(middle_x / width - 0.5) < _FAR or middle_x <= 0:
             return
         scale = width / (2 * middle_x)
-        row, column = np.nonzero((sparse_depth > 0) & (sparse_depth < np.inf))
-        inside = (row * scale < height - 0.5) & (column * scale < width - 0.5)
-        if np.count_nonzero(inside) < _LEAST_RETURNS:
+        gain = _gain(camera_only, sparse_depth, scale)
+        if camera_only is None and middle_x > width:
+            gain = 1.0  # any return is better than none
+        if gain is None:
             return
-        measured = np.log(sparse_depth[row, column].astype(np.float64))
-        moved = np.rint(np.stack([row, column])[:, inside] * scale).astype(np.intp)
-        gain = _fit(camera_only.depth, moved, measured[inside])
-        gain -= _fit(camera_only.depth, np.stack([row, column]), measured)
         self._gains.append(gain)
         self._scale = scale
         self._suspect = (
@@ -75,6 +71,23 @@ class CalibrationSize:
             f"that was calibrated, or multiply the first two rows of the intrinsics by the width "
             f"now / the width then, about {self._scale:.2g}, in a TOML file for --calibration"
         )
+
+
+def _gain(
+    camera_only: Prediction | None, sparse_depth: NDArray[np.float32], scale: float
+) -> float | None:
+    """What the fit gains if the returns move to `scale` times their pixels; None: not known."""
+    if camera_only is None or camera_only.depth is None or not camera_only.valid:
+        return None
+    height, width = sparse_depth.shape
+    row, column = np.nonzero((sparse_depth > 0) & (sparse_depth < np.inf))
+    inside = (row * scale < height - 0.5) & (column * scale < width - 0.5)
+    if np.count_nonzero(inside) < _LEAST_RETURNS or IMAGE_CONSTANT in camera_only.degraded:
+        return None
+    place, measured = np.stack([row, column]), np.log(sparse_depth[row, column].astype(np.float64))
+    moved = np.rint(place[:, inside] * scale).astype(np.intp)
+    depth = camera_only.depth
+    return _fit(depth, moved, measured[inside]) - _fit(depth, place, measured)
 
 
 def _fit(
