@@ -8,16 +8,17 @@ depth that the model predicts from the image alone better than where they are, i
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.health.depth_plausibility import FIRST_FRAMES
+from runtime.health.depth_plausibility import BANDS, FIRST_FRAMES, correlations, log_depth
 from runtime.io.calibration import Calibration
 from runtime.prediction import IMAGE_CONSTANT, Prediction
 
 _FAR = 0.08  # of the width, from the middle; KITTI, PandaSet and View-of-Delft: at most 0.02
 _LEAST_RETURNS = 200
-_BANDS = 48  # over the height of the image
 # Gain in correlation, median of up to five frames, of KITTI and PandaSet at 0.5, 0.67, 0.8 and 2
 # times the size of their calibration: 0.18 to 1.1; cut at the left or right: -0.3 and less.
 _LEAST_GAIN = 0.1
+
+_Index = NDArray[np.intp]
 
 
 class CalibrationSize:
@@ -84,20 +85,11 @@ def _gain(
     inside = (row * scale < height - 0.5) & (column * scale < width - 0.5)
     if np.count_nonzero(inside) < _LEAST_RETURNS or IMAGE_CONSTANT in camera_only.degraded:
         return None
-    place, measured = np.stack([row, column]), np.log(sparse_depth[row, column].astype(np.float64))
-    moved = np.rint(place[:, inside] * scale).astype(np.intp)
-    depth = camera_only.depth
-    return _fit(depth, moved, measured[inside]) - _fit(depth, place, measured)
+    depth, measured = camera_only.depth, np.log(sparse_depth[row, column].astype(np.float64))
 
+    def fit(row: _Index, column: _Index, measured: NDArray[np.float64]) -> float:
+        seen = log_depth(depth, row, column)
+        return sum(correlations(row * BANDS // height, measured, seen)) / 2
 
-def _fit(
-    depth: NDArray[np.float32], place: NDArray[np.intp], measured: NDArray[np.float64]
-) -> float:
-    """Mean correlation of log depths, as they are and without the mean of each band of rows."""
-    seen = np.log(np.maximum(depth[place[0], place[1]], 0.1, dtype=np.float64))
-    band = place[0] * _BANDS // len(depth)
-    count = np.maximum(np.bincount(band, minlength=_BANDS), 1)
-    pairs = [(measured, seen)]
-    pairs.append(tuple(each - (np.bincount(band, each, _BANDS) / count)[band] for each in pairs[0]))
-    with np.errstate(divide="ignore", invalid="ignore"):  # of a constant depth
-        return float(np.mean([np.nan_to_num(np.corrcoef(*pair)[0, 1]) for pair in pairs]))
+    moved_row, moved_column = (np.rint(p[inside] * scale).astype(np.intp) for p in (row, column))
+    return fit(moved_row, moved_column, measured[inside]) - fit(row, column, measured)
