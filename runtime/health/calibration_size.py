@@ -8,16 +8,17 @@ depth that the model predicts from the image alone better than where they are, i
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.health.depth_plausibility import FIRST_FRAMES
+from runtime.health.depth_plausibility import BANDS, FIRST_FRAMES, correlations, log_depth
 from runtime.io.calibration import Calibration
 from runtime.prediction import IMAGE_CONSTANT, Prediction
 
 _FAR = 0.08  # of the width, from the middle; KITTI, PandaSet and View-of-Delft: at most 0.02
 _LEAST_RETURNS = 200
-_BANDS = 48  # over the height of the image
 # Gain in correlation, median of up to five frames, of KITTI and PandaSet at 0.5, 0.67, 0.8 and 2
 # times the size of their calibration: 0.18 to 1.1; cut at the left or right: -0.3 and less.
 _LEAST_GAIN = 0.1
+
+_Index = NDArray[np.intp]
 
 
 class CalibrationSize:
@@ -30,34 +31,30 @@ class CalibrationSize:
 
     def add(
         self,
-        camera_only: Prediction,
+        camera_only: Prediction | None,
         sparse_depth: NDArray[np.float32],
         calibration: Calibration | None,
     ) -> None:
         """Add a frame; ignored after FIRST_FRAMES, and where there is nothing to compare.
 
         Args:
-            camera_only: prediction from the image of the frame without any return.
+            camera_only: prediction from the image of the frame without any return; None: not
+                needed, since no point of the scan fell into the image.
             sparse_depth: float32 (H, W), metres, projected with the calibration.
             calibration: of the frame.
         """
-        if calibration is None or calibration.size is not None or camera_only.depth is None:
+        if calibration is None or calibration.size is not None or len(self._gains) == FIRST_FRAMES:
             return
         height, width = sparse_depth.shape
         middle_x, middle_y = calibration.intrinsics[:2, 2]
-        if abs(middle_x / width - 0.5) < _FAR or middle_x <= 0 or len(self._gains) == FIRST_FRAMES:
-            return
-        if not camera_only.valid or IMAGE_CONSTANT in camera_only.degraded:
+        if abs(middle_x / width - 0.5) < _FAR or middle_x <= 0:
             return
         scale = width / (2 * middle_x)
-        row, column = np.nonzero((sparse_depth > 0) & (sparse_depth < np.inf))
-        inside = (row * scale < height - 0.5) & (column * scale < width - 0.5)
-        if np.count_nonzero(inside) < _LEAST_RETURNS:
+        gain = _gain(camera_only, sparse_depth, scale)
+        if camera_only is None and middle_x > width:
+            gain = 1.0  # any return is better than none
+        if gain is None:
             return
-        measured = np.log(sparse_depth[row, column].astype(np.float64))
-        moved = np.rint(np.stack([row, column])[:, inside] * scale).astype(np.intp)
-        gain = _fit(camera_only.depth, moved, measured[inside])
-        gain -= _fit(camera_only.depth, np.stack([row, column]), measured)
         self._gains.append(gain)
         self._scale = scale
         self._suspect = (
@@ -77,14 +74,22 @@ class CalibrationSize:
         )
 
 
-def _fit(
-    depth: NDArray[np.float32], place: NDArray[np.intp], measured: NDArray[np.float64]
-) -> float:
-    """Mean correlation of log depths, as they are and without the mean of each band of rows."""
-    seen = np.log(np.maximum(depth[place[0], place[1]], 0.1, dtype=np.float64))
-    band = place[0] * _BANDS // len(depth)
-    count = np.maximum(np.bincount(band, minlength=_BANDS), 1)
-    pairs = [(measured, seen)]
-    pairs.append(tuple(each - (np.bincount(band, each, _BANDS) / count)[band] for each in pairs[0]))
-    with np.errstate(divide="ignore", invalid="ignore"):  # of a constant depth
-        return float(np.mean([np.nan_to_num(np.corrcoef(*pair)[0, 1]) for pair in pairs]))
+def _gain(
+    camera_only: Prediction | None, sparse_depth: NDArray[np.float32], scale: float
+) -> float | None:
+    """What the fit gains if the returns move to `scale` times their pixels; None: not known."""
+    if camera_only is None or camera_only.depth is None or not camera_only.valid:
+        return None
+    height, width = sparse_depth.shape
+    row, column = np.nonzero((sparse_depth > 0) & (sparse_depth < np.inf))
+    inside = (row * scale < height - 0.5) & (column * scale < width - 0.5)
+    if np.count_nonzero(inside) < _LEAST_RETURNS or IMAGE_CONSTANT in camera_only.degraded:
+        return None
+    depth, measured = camera_only.depth, np.log(sparse_depth[row, column].astype(np.float64))
+
+    def fit(row: _Index, column: _Index, measured: NDArray[np.float64]) -> float:
+        seen = log_depth(depth, row, column)
+        return sum(correlations(row * BANDS // height, measured, seen)) / 2
+
+    moved_row, moved_column = (np.rint(p[inside] * scale).astype(np.intp) for p in (row, column))
+    return fit(moved_row, moved_column, measured[inside]) - fit(row, column, measured)

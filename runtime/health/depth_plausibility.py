@@ -18,7 +18,7 @@ from runtime.prediction import IMAGE_CONSTANT, Prediction
 
 FIRST_FRAMES = 5  # checked when a stream starts; the median of the last so many counts
 _LEAST_RETURNS, _MOST_RETURNS = 200, 50_000  # of denser maps every n-th counts
-_BANDS = 48  # over the height of the image
+BANDS = 48  # over the height of the image
 _LEAST_DEPTH_M = 0.1
 _ALIKE = 0.5  # correlation from which two depth maps show the same scene
 _MIRRORED_MARGIN = 0.2  # by which the mirrored map must correlate better
@@ -78,19 +78,11 @@ class DepthPlausibility:
         step = len(row) // _MOST_RETURNS + 1
         row, column = row[::step], column[::step]
         measured = np.log(sparse_depth[row, column].astype(np.float64))
-        seen, mirrored = (
-            np.log(np.maximum(view[row, column], _LEAST_DEPTH_M, dtype=np.float64))
-            for view in (depth, depth[:, ::-1])
-        )
-        band = row * _BANDS // len(depth)
-        self._figures.append(
-            (
-                float(np.median(measured - seen)),
-                _correlation(measured, seen),
-                _correlation(_within(band, measured), _within(band, seen)),
-                _correlation(_within(band, measured), _within(band, mirrored)),
-            )
-        )
+        seen, mirrored = (log_depth(view, row, column) for view in (depth, depth[:, ::-1]))
+        band = row * BANDS // len(depth)
+        overall, alike = correlations(band, measured, seen)
+        _, alike_mirrored = correlations(band, measured, mirrored)
+        self._figures.append((float(np.median(measured - seen)), overall, alike, alike_mirrored))
 
     def finding(self) -> Implausible | None:
         """What is wrong by the last frames; None = nothing, or it cannot be told."""
@@ -118,10 +110,22 @@ def _rounded(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
-def _within(band: NDArray[np.intp], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Subtract the mean of each band."""
-    means = np.bincount(band, values, _BANDS) / np.maximum(np.bincount(band, minlength=_BANDS), 1)
-    return np.asarray(values - means[band])
+def log_depth(
+    depth: NDArray[np.float32], row: NDArray[np.intp], column: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """Logarithms of a predicted depth at some pixels."""
+    return np.log(np.maximum(depth[row, column], _LEAST_DEPTH_M, dtype=np.float64))
+
+
+def correlations(
+    band: NDArray[np.intp], measured: NDArray[np.float64], seen: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Correlation of two log depths: as they are, and without the mean of each band of rows."""
+    count = np.maximum(np.bincount(band, minlength=BANDS), 1)
+    first, second = (
+        values - (np.bincount(band, values, BANDS) / count)[band] for values in (measured, seen)
+    )
+    return _correlation(measured, seen), _correlation(first, second)
 
 
 def _correlation(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:

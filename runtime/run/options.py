@@ -132,7 +132,7 @@ class RunOptions:
     ] = None
     camera: Annotated[
         int | None,
-        _INPUT(min=0, max=3, help="Camera of kitti-raw: 2 left, 3 right. [default: left]"),
+        _INPUT(min=0, max=3, help="Camera of KITTI: 2 left, 3 right. [default: left]"),
     ] = None
     shard: Annotated[
         str | None,

@@ -162,6 +162,8 @@ def _implausible_depth(
                 size_check.add(camera_only, frame.sparse_depth, frame.calibration)
                 if depth_scale is not None and holds_metres(listed.depth):
                     depth_scale = None
+            elif listed.depth is not None:
+                size_check.add(None, frame.sparse_depth, frame.calibration)
     if (other_size := size_check.finding()) is not None:
         return other_size
     finding, focal_px = check.finding(), predictor.focal_length_px

@@ -14,6 +14,8 @@ _IMAGES = ("image", "rgb", "color")
 _MAPS = ("depth", "sparse_depth")
 _SCANS = ("points", "velodyne", "lidar")  # hold depth maps, too, as in KITTI's depth selection
 _JPEG = (".jpg", ".jpeg")
+_FILES_OF_SCANS = tuple(suffix for suffix in SCAN_SUFFIXES if suffix not in DEPTH_SUFFIXES)
+_IMAGES_OF_DEPTH = tuple(suffix for suffix in DEPTH_SUFFIXES if suffix not in SCAN_SUFFIXES)
 _MAP = "depth"  # in the name of a map that lies beside its image
 
 
@@ -44,7 +46,7 @@ class OneFolderSource(FolderSource):
         if options.get("depth") is None and options.get("points") is None:
             rgb, found = _find_folders(path) or (path, path)
         if found is not None:
-            scans = _have_scans(found)
+            scans = _holds(path, _FILES_OF_SCANS) if found == path else _have_scans(found)
             if options.get("calibration") is None:
                 options["calibration"] = _find_calibration(path) if scans else _intrinsics(path)
             if not scans or found != path or options["calibration"] is not None:
@@ -76,7 +78,9 @@ def _find_folders(path: Path) -> tuple[Path, Path] | None:
     Raises InputError where it must be chosen what to read.
     """
     images, maps, scans = (
-        sorted(e for e in list_entries(path) if e.name.startswith(kind) and os.path.isdir(e))
+        sorted(
+            e for e in list_entries(path) if e.name.lower().startswith(kind) and os.path.isdir(e)
+        )
         for kind in (_IMAGES, _MAPS, _SCANS)
     )
     others = maps or scans
@@ -106,12 +110,8 @@ def _holds_both(path: Path) -> bool:
     images, maps = stems(RGB_SUFFIXES), stems(DEPTH_SUFFIXES)
     named = {stem for stem in maps if _MAP in stem}
     return bool(
-        images & stems(_scan_suffixes()) or stems(_JPEG) & maps or (named and images - named)
+        images & stems(_FILES_OF_SCANS) or stems(_JPEG) & maps or (named and images - named)
     )
-
-
-def _scan_suffixes() -> tuple[str, ...]:
-    return tuple(suffix for suffix in SCAN_SUFFIXES if suffix not in DEPTH_SUFFIXES)
 
 
 def _holds(folder: Path, suffixes: tuple[str, ...]) -> bool:
@@ -119,8 +119,10 @@ def _holds(folder: Path, suffixes: tuple[str, ...]) -> bool:
 
 
 def _have_scans(folder: Path) -> bool:
-    """Whether a folder holds scans rather than depth maps."""
-    return _holds(folder, _scan_suffixes()) or not _holds(folder, DEPTH_SUFFIXES)
+    """Whether a folder of this name holds scans rather than depth maps."""
+    if folder.name.lower().startswith(_MAPS):
+        return False
+    return _holds(folder, _FILES_OF_SCANS) or not _holds(folder, _IMAGES_OF_DEPTH)
 
 
 def _find_calibration(path: Path) -> Path | None:

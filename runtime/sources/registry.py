@@ -27,8 +27,8 @@ SOURCES: dict[str, type[Source]] = {
 
 #: Kinds of earlier releases, and what replaces them.
 _REMOVED = {
-    "vkitti": "link its images and depth maps into two folders under the same names, and give "
-    "--source folders:IMAGES --depth DEPTH --depth-scale 100"
+    "vkitti": "give --source folders:IMAGES --depth DEPTH --depth-scale 100, of its folders "
+    "frames/rgb/Camera_0 and frames/depth/Camera_0"
 }
 
 

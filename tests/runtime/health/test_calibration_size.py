@@ -102,7 +102,19 @@ def test_a_calibration_with_a_size_and_none_at_all_are_not_judged(nano, bundled)
     assert check.finding() is None
 
 
-@pytest.mark.parametrize("scale", [1, 2])
+def test_an_image_that_no_return_falls_into(bundled):
+    """Quarter-size images: the principal point is outside. Without a scan nothing is known."""
+    frames, intrinsics = bundled
+    height, width = (side // 4 for side in frames[0][0].shape[:2])
+    empty = np.zeros((height, width), np.float32)
+    for scale, expected in ((1, True), (0.25, False)):
+        check = CalibrationSize()
+        matrix = intrinsics * [[scale], [scale], [1]]
+        check.add(None, empty, Calibration(matrix, np.eye(4)))
+        assert (check.finding() is not None) == expected
+
+
+@pytest.mark.parametrize("scale", [1, 2, 4])
 def test_a_run_warns_reports_and_degrades(bundled, tmp_path, scale):
     frames, intrinsics = bundled
     for name in ("image", "points"):
@@ -117,12 +129,13 @@ def test_a_run_warns_reports_and_degrades(bundled, tmp_path, scale):
     arguments += ["--out", tmp_path / "out", "--save", "none", "--warmup", 0]
     result = CliRunner().invoke(app, [str(each) for each in arguments])
     report = json.loads((tmp_path / "out/report.json").read_text())
-    is_wrong = scale == 2
+    is_wrong = scale > 1
     assert ("warning: the calibration seems to be of images of another size" in result.output) == (
         is_wrong
     ), result.output
     assert ("another size" in str(report["frames"]["implausible_depth"])) == is_wrong
-    assert report["frames"]["degraded"] == ({"implausible_depth": 3} if is_wrong else {})
+    degraded = {1: {}, 2: {"implausible_depth": 3}, 4: {"no_depth": 3, "implausible_depth": 3}}
+    assert report["frames"]["degraded"] == degraded[scale]
     assert report["frames"]["by_status"] == {"ok": 3}
 
 

@@ -144,6 +144,18 @@ def test_a_folder_runs_as_it_is(layout, run, make, kind, focal_px, make_frame, m
         assert abs(answers.fed_depth(name) - expected).max() < 0.01
 
 
+def test_virtual_kitti_runs_as_two_folders(layout, run, tmp_path, make_frame):
+    layout.images("frames/rgb/Camera_0/rgb_{:05d}.jpg")
+    layout.depths("frames/depth/Camera_0/depth_{:05d}.png")
+    frames = layout.folder / "frames"
+    answers = run(
+        "--source", f"folders:{frames}/rgb/Camera_0", "--depth", frames / "depth/Camera_0"
+    )
+    assert answers.names == [f"rgb_{number:05d}" for number in range(N)]
+    for number, name in enumerate(answers.names):
+        assert abs(answers.fed_depth(name) - make_frame(*SIZE, seed=number)[1]).max() < 0.01
+
+
 def test_a_video_runs_as_it_is(run, tmp_path, make_frame):
     path = tmp_path / "drive.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))

@@ -34,7 +34,7 @@ def frames(tmp_path, make_frame, write_rgb, write_depth):
     [
         ("image/{}.png", "depth/{}.png"),
         ("rgb/{}.png", "depth/{}.png"),
-        ("color/{}.png", "sparse_depth_02/{}.png"),
+        ("Color/{}.png", "sparse_depth_02/{}.png"),
         ("images/left_{}.png", "depth/depth_{}.png"),  # the numbers decide
         ("rgb_{}.png", "depth_{}.png"),
         ("{}_image.png", "{}_depth.png"),
@@ -139,6 +139,20 @@ def test_scans_beside_images_are_used_with_a_calibration(scans, run, name):
     assert all(int(returns) > 100 for returns in answers.column("depth_returns"))
     assert "warning" not in answers.text
     assert "unused_scans" not in answers.report["inputs"]
+
+
+@pytest.mark.parametrize(("folder", "is_scan"), [("points", True), ("depth", False)])
+def test_arrays_are_what_their_folder_says(
+    tmp_path, make_frame, make_scan, write_rgb, run, folder, is_scan
+):
+    data = tmp_path / "data"
+    write_rgb(data / "image/0.png", make_frame()[0])
+    (data / folder).mkdir()
+    np.save(data / folder / "0.npy", make_scan() if is_scan else make_frame()[1])
+    (data / "calib.toml").write_text(CALIBRATION)
+    answers = run(data)
+    assert (answers.exit_code, answers.column("degraded")) == (0, [""]), answers.text
+    assert ("points" in answers.report["inputs"]) == is_scan
 
 
 def test_options_name_what_lies_elsewhere(scans, run, tmp_path):
