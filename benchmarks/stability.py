@@ -52,7 +52,7 @@ from training.evaluation.depth_regions import distance_px
 from training.evaluation.evaluate import short_names
 from training.evaluation.metrics import SemanticScores
 from training.evaluation.scored_model import ScoredModel, open_model, trained_classes
-from training.evaluation.scoring import Answer, Predict
+from training.evaluation.scoring import HeadMaps, Predict
 from training.lidar.simulate import SENSOR_LINES, scan_lines
 from training.lidar.split import frame_generator
 from training.loading.open_dataset import open_dataset
@@ -226,7 +226,7 @@ def probe_seam(predict: Predict, frames: Iterable[Frame], *, sky: int | None) ->
 
 
 def seam_jumps(
-    answer: Answer, alone: Answer, measured: NDArray[np.bool_], *, sky: int | None
+    answer: HeadMaps, alone: HeadMaps, measured: NDArray[np.bool_], *, sky: int | None
 ) -> NDArray[np.float32]:
     """Return the seam at each column, float32 (W,); NaN where there is none to see.
 

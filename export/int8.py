@@ -51,9 +51,9 @@ _FIGURES = {
 _NEEDED = {
     "semantic": (
         "labels of the model's classes",
-        "folders:DIR,labels=FOLDER, camvid:DIR, cityscapes:DIR, kitti_streets:DIR",
+        "folders:DIR,labels=FOLDER, camvid:DIR, cityscapes:DIR, kitti-streets:DIR",
     ),
-    "depth": ("depth", "folders:DIR,depth=FOLDER, kitti_depth:DIR, kitti_streets:DIR"),
+    "depth": ("depth", "folders:DIR,depth=FOLDER, kitti-depth:DIR, kitti-streets:DIR"),
 }
 
 

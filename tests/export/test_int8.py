@@ -162,7 +162,7 @@ def test_a_file_in_single_precision_states_its_accuracy_and_its_work(
     ("target", "missing", "would_do"),
     [
         ("depth=depth", "labels of the model's classes", "folders:DIR,labels=FOLDER, camvid:DIR"),
-        ("labels=labels", "depth", "folders:DIR,depth=FOLDER, kitti_depth:DIR"),
+        ("labels=labels", "depth", "folders:DIR,depth=FOLDER, kitti-depth:DIR"),
     ],
 )
 def test_each_head_needs_truth_or_int8_is_refused(export_int8, tmp_path, target, missing, would_do):

@@ -9,7 +9,7 @@ from models import CLASS_TABLES
 from training.datasets.sample import Sample
 from training.evaluation.evaluate import _score_all, short_names
 from training.evaluation.scored_model import ScoredModel
-from training.evaluation.scoring import Answer
+from training.evaluation.scoring import HeadMaps
 from training.lidar.split import LidarInput
 
 
@@ -33,7 +33,7 @@ def test_the_boundary_of_all_places_is_scored_at_one_threshold():
         weak, strong = ((0.32, 0.42), (0.72, 0.92))[rgb[0, 0, 0]]
         boundary = np.full((32, 32), weak, np.float32)
         boundary[:, 16] = strong
-        return Answer(None, None, boundary)
+        return HeadMaps(None, None, boundary)
 
     model = ScoredModel(predict, CLASS_TABLES["camvid"], "none")
     (row,) = _score_all("m", model, "d", source, [LidarInput("none")], ["none"], None, None)
