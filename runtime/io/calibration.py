@@ -14,7 +14,7 @@ from runtime.io.kitti_calibration import NumbersFile, chain
 from runtime.projection import OcclusionFilter, project_points
 from runtime.read_input import read_toml
 
-_TOML_KEYS = {"intrinsics", "extrinsics", "size"}
+_TOML_KEYS = {"intrinsics", "extrinsics", "size", "body_from_lidar"}
 _RAW_FILES = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt")
 
 
@@ -28,6 +28,8 @@ class Calibration:
             along z, x to the right.
         size: (height, width) of the images, None if unknown.
         occlusion: removes returns that the camera cannot see; None: keeps them.
+        body_from_lidar: float64 (4, 4) from the LiDAR's frame to the one of which poses are given
+            as of the "body", None if unknown [m].
 
     Raises:
         InputError: for invalid matrices.
@@ -37,6 +39,7 @@ class Calibration:
     extrinsics: NDArray[np.float64]
     size: tuple[int, int] | None = None
     occlusion: OcclusionFilter | None = None
+    body_from_lidar: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         """Check the matrices."""
@@ -166,7 +169,7 @@ class Calibration:
 
         Args:
             path: file of `intrinsics` (3 rows of 3), `extrinsics` (4 of 4) and optionally `size`
-                ([height, width]).
+                ([height, width]) and `body_from_lidar` (4 of 4).
 
         Raises:
             InputError: if the file cannot be read, and for unknown and missing keys.
@@ -175,13 +178,16 @@ class Calibration:
         if not {"intrinsics", "extrinsics"} <= keys.keys() <= _TOML_KEYS:
             raise InputError(
                 f"{path} has the keys {', '.join(sorted(keys)) or 'none'}, expected intrinsics, "
-                "extrinsics and optionally size"
+                "extrinsics and optionally size and body_from_lidar"
             )
-        size = keys.get("size")
+        size, body = keys.get("size"), keys.get("body_from_lidar")
         return cls(
             _matrix(f"intrinsics of {path}", keys["intrinsics"], 3, 3),
             _matrix(f"extrinsics of {path}", keys["extrinsics"], 4, 4),
             tuple(size) if isinstance(size, list) else size,
+            body_from_lidar=(
+                None if body is None else _matrix(f"body_from_lidar of {path}", body, 4, 4)
+            ),
         )
 
 
