@@ -104,7 +104,7 @@ class KittiRawSource(Source):
         messages += [(Sensor.DEPTH, self._scan_stamps[n], p) for n, p in self._scans.items()]
         messages.sort(key=lambda message: message[1])
         pairs = match_by_stamp(messages, max_skew_ms=max_skew_ms, left_out=self._left_out)
-        for sequence, (image, scan) in enumerate(pairs):
+        for sequence, (image, scan, _) in enumerate(pairs):
             yield ListedFrame(
                 sequence,
                 image.data.stem,

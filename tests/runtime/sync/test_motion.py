@@ -114,7 +114,7 @@ def test_returns_that_are_not_finite_stay_so():
 ])  # fmt: skip
 def test_other_arrays_are_refused(points, times):
     track = PoseTrack.of(*drive(10))
-    with pytest.raises(InputError, match="points|times"):
+    with pytest.raises(InputError, match=r"points|times"):
         move_points(points, times, track, 0)
 
 
@@ -129,17 +129,17 @@ def test_anything_is_moved_or_has_a_reason(points, times, to, poses):
     drawn = times.draw(hnp.arrays(np.int64, len(points), elements=st.integers(-(2**62), 2**62)))
     near = times.draw(hnp.arrays(np.int64, len(points), elements=st.integers(-400, 800))) * MS
     track = PoseTrack.of(*drive(poses))
+    reasons = set()
     for each in (drawn, near):
         try:
             moved = move_points(points, each, track, to * MS)
         except NoPoseError as error:
-            assert error.reason in {"no_pose", "pose_gap", "pose_jump", "pose_clock"}
+            reasons.add(error.reason)
         else:
             assert moved.shape == points.shape
-            finite = np.isfinite(points[:, :3]).all(axis=1) & (np.abs(points[:, :3]) < 1e6).all(
-                axis=1
-            )
-            assert np.isfinite(moved[finite, :3]).all()
+            near_by = (np.abs(points[:, :3]) < 1e6).all(axis=1)
+            assert np.isfinite(moved[near_by, :3]).all()
+    assert reasons <= {"no_pose", "pose_gap", "pose_jump", "pose_clock"}
 
 
 def test_a_scan_is_projected_where_the_picture_sees_it():
@@ -151,7 +151,7 @@ def test_a_scan_is_projected_where_the_picture_sees_it():
         depth = project_moved(CALIBRATION, points, times, track, 100 * MS, (40, 80))
         assert np.count_nonzero(depth) == 1
         assert depth[20, 40] == pytest.approx(8.5, abs=1e-3)
-    with pytest.raises(InputError, match="size|calibration"):
+    with pytest.raises(InputError, match="the calibration is of images"):
         project_moved(CALIBRATION, points, 0, track, 0, (40, 81))
 
 
