@@ -67,7 +67,7 @@ def read_oxts_poses(paths: Iterable[Path]) -> NDArray[np.float64]:
         InputError: if a file cannot be read.
     """
     poses: list[NDArray[np.float64]] = []
-    scale = 0.0
+    scale, origin = 0.0, np.zeros(3)
     for path in paths:
         row = _numbers(path, _OXTS)
         if len(row) != 1:
@@ -83,11 +83,9 @@ def read_oxts_poses(paths: Iterable[Path]) -> NDArray[np.float64]:
             scale * _EARTH_RADIUS_M * np.log(np.tan(np.radians(90 + latitude) / 2)),
             altitude,
         )
-        if poses:
-            pose[:3, 3] -= origin
-        else:
+        if not poses:
             origin = pose[:3, 3].copy()
-            pose[:3, 3] = 0
+        pose[:3, 3] -= origin
         poses.append(pose)
     return np.array(poses).reshape(-1, 4, 4)
 

@@ -17,11 +17,9 @@ def pose(position=(0, 0, 0), rotvec=(0, 0, 0)):
 def drive(count, *, step_ms=10, speed=15.0, turn=0.5, start_ns=0):
     """Poses on a circle: (poses, stamps)."""
     times = np.arange(count) * step_ms / 1e3
+    angles, radius = turn * times, speed / turn
     poses = [
-        pose(
-            (speed / turn * np.sin(turn * t), speed / turn * (1 - np.cos(turn * t)), 0),
-            (0, 0, turn * t),
-        )
-        for t in times
+        pose((radius * np.sin(angle), radius * (1 - np.cos(angle)), 0), (0, 0, angle))
+        for angle in angles
     ]
     return poses, [start_ns + n * step_ms * MS for n in range(count)]

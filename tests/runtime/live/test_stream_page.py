@@ -13,7 +13,9 @@ def streamed(model_file, make_frame):
     """(page, stream) after N frames, one without depth, one frozen, and one depth map alone."""
     with Predictor(model_file(), threads=1) as predictor:
         page = StreamPage(predictor)
-        with PushStream(predictor, mode="replay", deadline_ms=1e-3, on_result=page.add) as stream:
+        with PushStream(
+            predictor, mode="replay", deadline_ms=1e-3, reuse_depth_ms=0, on_result=page.add
+        ) as stream:
             for index in range(N):
                 rgb, depth = make_frame(seed=index - (index == 5))
                 stream.push_image(rgb, 0.1 * index)
