@@ -89,7 +89,7 @@ class Answerer:
         depth, size = pair.depth, pair.image.data.shape[:2]
         if depth is None:
             return np.zeros(size, np.float32), None, ()
-        reasons = (DEPTH_REUSED,) if pair.reused else ()
+        reasons: tuple[str, ...] = (DEPTH_REUSED,) if pair.reused else ()
         scan = depth.data
         if not isinstance(scan, Points):
             # A depth map cannot be moved.

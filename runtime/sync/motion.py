@@ -10,8 +10,10 @@ from runtime.io.calibration import Calibration
 from runtime.projection import project_points
 from runtime.sync.poses import PoseFrame, PoseTrack, check_pose
 
-#: A scan's times are rounded to so many steps: 24 µs of 100 ms, 1 mm at 40 m/s.
-_STEPS = 4096
+#: Poses are computed at so many times of a scan; between them, in 0.4 ms, matrices are linear.
+_KNOTS = 257
+#: Steps from one to the next, to which times are rounded: 24 µs of 100 ms, 1 mm at 40 m/s.
+_STEPS = 16
 
 
 def move_points(
@@ -54,35 +56,45 @@ def move_points(
     else:
         first_ns = last_ns = int(times)
     poses.at(np.array([first_ns, last_ns], np.int64))  # an error before anything is computed
-    steps = min(_STEPS, last_ns - first_ns + 1)
-    knots_ns = first_ns + np.round(np.linspace(0, last_ns - first_ns, steps)).astype(np.int64)
-    table = relative_poses(poses, knots_ns, to)[:, :3].astype(np.float32)
-    table = np.ascontiguousarray(table.reshape(steps, 12).T)
     index: Any = None
-    if steps > 1:
+    if isinstance(times, np.ndarray) and last_ns > first_ns:
+        table = _matrices(poses, first_ns, last_ns, to)
         place = (times - first_ns).astype(np.float32)
-        place *= np.float32((steps - 1) / (last_ns - first_ns))
+        place *= np.float32((table.shape[1] - 1) / (last_ns - first_ns))
         place += np.float32(0.5)
         index = place.astype(np.intp)
+    else:
+        moved_as_one = relative_poses(poses, np.array([first_ns], np.int64), to)
+        table = moved_as_one[0, :3].reshape(12, 1).astype(np.float32)
     moved = points.copy()
-    axes = np.ascontiguousarray(points[:, :3].T)
-    factor = np.empty(len(points), np.float32)
+    x, y, z = np.ascontiguousarray(points[:, :3].T)
+    factor, total = np.empty_like(x), np.empty_like(x)
     with np.errstate(over="ignore", invalid="ignore"):  # returns that are not finite stay so
         for row in range(3):
-            for column, axis in enumerate(axes):
+            for column, axis in enumerate((None, x, y, z)):
+                entry = table[4 * row + (column - 1) % 4]
+                into = total if axis is None else factor
                 if index is None:
-                    factor[:] = table[4 * row + column, 0]
+                    into[:] = entry[0]
                 else:
-                    table[4 * row + column].take(index, out=factor, mode="clip")
-                factor *= axis
-                if column == 0:
-                    total = factor.copy()
-                else:
+                    entry.take(index, out=into, mode="clip")
+                if axis is not None:
+                    factor *= axis
                     total += factor
-            shift = table[4 * row + 3]
-            total += shift[0] if index is None else shift.take(index, mode="clip")
             moved[:, row] = total
     return moved
+
+
+def _matrices(poses: PoseTrack, first_ns: int, last_ns: int, to_ns: int) -> NDArray[np.float32]:
+    """The 12 entries of the matrices to `to_ns` at even steps from the first to the last time."""
+    knots_ns = np.linspace(0, last_ns - first_ns, _KNOTS).round().astype(np.int64) + first_ns
+    knots = relative_poses(poses, knots_ns, to_ns)[:, :3].reshape(_KNOTS, 12).T
+    table = np.empty((12, (_KNOTS - 1) * _STEPS + 1), np.float32)
+    share = np.arange(_STEPS) / _STEPS
+    between = knots[:, :-1, None] + np.diff(knots)[:, :, None] * share
+    table[:, :-1] = between.reshape(12, -1)
+    table[:, -1] = knots[:, -1]
+    return table
 
 
 def project_moved(
