@@ -2,6 +2,7 @@
 
     python benchmarks/motion.py drops [--data DIR] [--model ssdnet-lite] [--age 2]
     python benchmarks/motion.py sweep
+    python benchmarks/motion.py picture --out FILE.jpg
 
 drops  Every second scan of a drive is dropped. Depth of those frames is predicted from the camera
        alone (a), with the scan before as it is (b), moved by the poses (c), and with the frame's
@@ -13,7 +14,9 @@ drops  Every second scan of a drive is dropped. Depth of those frames is predict
        of `stability.py`, over all frames.
 sweep  A scan of 100 ms on a street of planes, straight on at 15 m/s and in a curve of 0.5 rad/s.
        Each column is measured at its own time, in closed form. Error of the returns in the picture
-       of the scan's middle: as they are, moved as one, and each by its own time; poses at 100 Hz.
+       of the scan's middle, as they are and each moved by its own time; in a picture 50 ms later,
+       moved as one, too. Poses at 100 Hz.
+picture  A rendered frame with the returns of the scan before, as they are and moved.
 """
 
 import argparse
@@ -233,24 +236,24 @@ def swept_scan(
     return np.concatenate(points).astype(np.float32), np.concatenate(times), np.concatenate(places)
 
 
-def sweep_errors(*, speed: float, turn: float) -> dict[str, NDArray[np.float64]]:
+def sweep_errors(*, speed: float, turn: float, later_ms: int = 0) -> dict[str, NDArray[np.float64]]:
     """Way -> error of each return that the picture should show: (N, 2), pixels and metres."""
 
     def pose_at(time_s: float) -> NDArray[np.float64]:
         return car_pose(time_s, speed=speed, turn=turn)
 
     points, times, places = swept_scan(pose_at)
-    to = SWEEP_NS // 2
+    middle = SWEEP_NS // 2
+    to = middle + later_ms * 1_000_000
     stamps = np.arange(-1, 12) * 10_000_000
     track = PoseTrack.of([pose_at(stamp / 1e9) for stamp in stamps], stamps)
     pose = pose_at(to / 1e9)
     exact = (places - pose[:3, 3]) @ pose[:3, :3]
     seen, exact_z = _pixels(exact)
-    ways = {
-        # As one: from the scan's middle, which is the picture's time; after it, from there.
-        "as they are": points,
-        "each by its own time": move_points(points, times, track, to),
-    }
+    ways = {"as they are": points}
+    if later_ms:
+        ways["as one"] = move_points(points, middle, track, to)
+    ways["each by its own time"] = move_points(points, times, track, to)
     errors = {}
     inside = (exact_z > 1) & (np.abs(seen - (620.5, 187)) <= (620.5, 187)).all(axis=1)
     for name, moved in ways.items():
@@ -266,10 +269,31 @@ def _pixels(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
         return (seen @ INTRINSICS.T)[:, :2] / seen[:, 2:], seen[:, 2]
 
 
+def draw_returns(frames: list[DriveFrame]) -> NDArray[np.uint8]:
+    """The last frame twice, with the returns of the scan before, as they are and moved."""
+    *_, before, frame = frames
+    track = PoseTrack.of([before.pose, frame.pose], [0, STEP_NS])
+    panels = []
+    for name, points in (
+        ("scan before, as it is", before.points),
+        ("moved by poses", move_points(before.points, 0, track, STEP_NS)),
+    ):
+        panel = cv2.addWeighted(frame.rgb, 0.7, np.zeros_like(frame.rgb), 0.3, 0)
+        depth = frame.calibration.project(points, frame.rgb.shape[:2])
+        near = 255 - np.clip(255 * np.log2(np.maximum(depth, 3) / 3) / 4.3, 0, 255).astype(np.uint8)
+        colors = cv2.cvtColor(cv2.applyColorMap(near, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
+        for row, column in np.argwhere(depth > 0):
+            cv2.circle(panel, (int(column), int(row)), 1, colors[row, column].tolist(), -1)
+        cv2.putText(panel, name, (12, 30), cv2.FONT_HERSHEY_SIMPLEX, 0.9, (255, 255, 255), 2)
+        panels.append(panel)
+    return np.concatenate(panels)
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=["drops", "sweep"])
+    parser.add_argument("part", choices=["drops", "sweep", "picture"])
+    parser.add_argument("--out", type=Path, help="of the picture")
     parser.add_argument("--data", type=Path)
     parser.add_argument("--model", default="ssdnet-lite")
     parser.add_argument("--limit", type=int, default=51, help="frames of the drive")
@@ -279,14 +303,23 @@ def main() -> None:
     arguments = parser.parse_args()
     cv2.setNumThreads(arguments.threads)
     if arguments.part == "sweep":
-        print("| motion | returns | n | px median | px p95 | m median | m p95 |\n|" + "---|" * 7)
-        for name, speed, turn in (("15 m/s", 15, 0.0), ("15 m/s, 0.5 rad/s", 15, 0.5)):
-            for way, errors in sweep_errors(speed=speed, turn=turn).items():
-                (px, m), (px95, m95) = np.percentile(errors, [50, 95], axis=0)
-                print(
-                    f"| {name} | {way} | {len(errors)} | {px:.2f} | {px95:.2f} | {m:.4f} | "
-                    f"{m95:.4f} |"
-                )
+        print("| motion, picture | returns | px median | px p95 | m median | m p95 |")
+        print("|" + "---|" * 6)
+        for turn in (0.0, 0.5):
+            for later_ms in (0, 50):
+                errors = sweep_errors(speed=15, turn=turn, later_ms=later_ms)
+                for way, values in errors.items():
+                    (px, m), (px95, m95) = np.percentile(values, [50, 95], axis=0)
+                    print(
+                        f"| 15 m/s, {turn:g} rad/s, {later_ms} ms later | {way} | {px:.2f} | "
+                        f"{px95:.2f} | {m:.4f} | {m95:.4f} |"
+                    )
+        return
+    if arguments.part == "picture":
+        frames = list(rendered_drive(arguments.seed, 6))
+        picture = cv2.cvtColor(draw_returns(frames), cv2.COLOR_RGB2BGR)
+        if not cv2.imwrite(str(arguments.out), picture, [cv2.IMWRITE_JPEG_QUALITY, 85]):
+            raise OSError(f"cannot write {arguments.out}")
         return
     if arguments.data is None:
         drive = rendered_drive(arguments.seed, arguments.limit)

@@ -506,7 +506,7 @@ class PushStream:
             image_stamp=image.stamp,
             depth_stamp=None if depth is None else depth.stamp,
             skew_ms=skew_ms,
-            depth_age_ms=None if skew_ms is None else -skew_ms,
+            depth_age_ms=None if skew_ms is None else 0.0 - skew_ms,  # no -0.0
             depth_reused=reused,
             depth_motion=answer.depth_motion,
             latency_ms=latency_ms,
