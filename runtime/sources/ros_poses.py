@@ -93,7 +93,10 @@ def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
         return None  # drivers that do not fill it
     if dtype.itemsize == 8 and np.abs(values).max() > _LONGEST_SCAN_NS:
         whole = np.floor(times).astype(np.int64)  # not by one float64, which would lose digits
-        return whole * 10**9 + np.rint((times - whole) * 1e9).astype(np.int64)
+        absolute: NDArray[np.int64] = whole * 10**9 + np.rint((times - whole) * 1e9).astype(
+            np.int64
+        )
+        return absolute
     return stamp_ns + np.rint(values).astype(np.int64)
 
 
