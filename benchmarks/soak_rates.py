@@ -8,8 +8,8 @@ jitter and lost messages, past walls across a road, at 15 m/s. Each minute, pose
 
 Every depth map that reached the network is compared with the wall: where the answer does not say
 "depth_uncompensated", the returns must be at the time of the picture, else at that of their scan.
-Exits with 1 if one is not, if a message is not accounted for, or if answers that could have been
-moved were not.
+Exits with 1 if one is not, if a message is not accounted for, or if an answer lacks a pose although
+poses on time, or 60 ms late, were there when its image was pushed; a busy machine delays them.
 """
 
 import argparse
@@ -38,8 +38,8 @@ CALIBRATION = Calibration(
 PHASES = ("on time", "on time", "60 ms late", "400 ms late", "jumps", "none")
 PHASE_S = 10.0
 TOLERANCE_M = 0.1
-#: Phase -> largest share of the answers with "depth_uncompensated".
-MOST_UNCOMPENSATED = {"on time": 0.02, "60 ms late": 0.02, "jumps": 0.3}
+#: Poses that are this much older than an image are extrapolated to it: a little less than 100 ms.
+REACH_S = 0.095
 
 
 def phase(time_s: float) -> str:
@@ -106,12 +106,18 @@ def soak_rates(predictor: Predictor, *, seconds: float, seed: int) -> tuple[list
     watched = Watched(predictor)
     found: list[str] = []
     flags: dict[str, Counter[str]] = defaultdict(Counter)
+    newest = {"pose": -1.0}
+    known: dict[float, float] = {}  # stamp of an image -> newest pose when it was pushed
 
     def take(result: FrameResult) -> None:
         problem = check(result, watched.seen.pop(result.image_stamp))
         if problem is not None:
             found.append(problem)
-        of = flags[phase(result.image_stamp)]
+        stamp = result.image_stamp
+        has_pose = known[stamp] >= stamp - REACH_S and stamp % PHASE_S > 0.5
+        if has_pose and "no_pose" in result.prediction.degraded and phase(stamp) in PHASES[:3]:
+            found.append(f"no_pose at {stamp:.3f} s, there was one of {known[stamp]:.3f} s")
+        of = flags[phase(stamp)]
         of.update(["answers", *result.prediction.degraded])
 
     called: Counter[str] = Counter()
@@ -134,7 +140,10 @@ def soak_rates(predictor: Predictor, *, seconds: float, seed: int) -> tuple[list
             due = at + (late if name == "pose" else 0.005)
             time.sleep(max(0.0, started + due - time.monotonic()))
             called[name] += 1
+            if name == "image":
+                known[at] = newest["pose"]
             send(at)
+            newest[name] = at
 
     image = np.random.default_rng(seed).integers(0, 255, (8, *SIZE, 3), np.uint8)
     sensors = {
@@ -159,10 +168,6 @@ def soak_rates(predictor: Predictor, *, seconds: float, seed: int) -> tuple[list
             found.append(f"{called[name]} of {name} pushed, {of.pushed} counted, {of.pending} left")
     if sum(counts.errors.values()) + sum(counts.poses.errors.values()):
         found.append(f"errors {dict(counts.errors)}, of poses {dict(counts.poses.errors)}")
-    for name, of in flags.items():
-        share = of["depth_uncompensated"] / of["answers"]
-        if share > MOST_UNCOMPENSATED.get(name, 1.0):
-            found.append(f"{share:.0%} of the answers with poses {name} were not moved")
     lines = [f"poses {name}: {dict(of)}" for name, of in flags.items()]
     lines += [f"images {counts.images}", f"scans {counts.depths}", f"poses {counts.poses}"]
     lines += [f"reused {counts.reused}, camera only {counts.camera_only}"]
