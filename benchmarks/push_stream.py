@@ -1,11 +1,16 @@
 """Overhead of a push stream over `Predictor.predict`, on the same frames from memory.
 
     python benchmarks/push_stream.py [--sizes 375x1242 ...] [--threads 2] [--rounds 7]
+    python benchmarks/push_stream.py --rates [--threads 2] [--rounds 7]
 
 Three ways run interleaved: `predict` back to back; a replay that a thread pushes into, for the
 throughput; and a live stream into which a frame is pushed when the last one was answered, for the
 additional latency of a single frame ("overhead"). Ratios are of the same round; "processor" is the
 time of all threads, which other programs affect less.
+
+With --rates a camera of 20 Hz beside a LiDAR of 10 Hz and one of 10 Hz beside it push live into
+streams, interleaved, 30 s each, the depth 5 ms after its image: the age of the answers after the
+first 2 s, from which on the periods are known. Take it on an idle machine.
 """
 
 import argparse
@@ -20,6 +25,7 @@ import numpy as np
 
 from runtime import Predictor, PushStream
 from runtime.io.engine_facts import cpu_name
+from runtime.live.frame_result import FrameResult
 from runtime.run.process import dedicate_process
 from runtime.sources.frames import Frame
 from soak import resized_frames
@@ -35,7 +41,11 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--frames", type=int, default=40, help="of a run")
+    parser.add_argument("--rates", action="store_true", help="ages at 20 / 10 Hz and 10 / 10 Hz")
     arguments = parser.parse_args()
+    if arguments.rates:
+        print_rates(arguments.model, threads=arguments.threads, rounds=arguments.rounds)
+        return
     print(
         f"{cpu_name()}, {arguments.threads} threads, onnxruntime {version('onnxruntime')}, "
         f"Python {platform.python_version()}; medians of {arguments.rounds} interleaved runs of "
@@ -59,6 +69,38 @@ def main() -> None:
             f"{row['live_p99_ms']:.1f} |",
             flush=True,
         )
+
+
+def print_rates(model: str | None, *, threads: int, rounds: int, seconds: float = 30) -> None:
+    """Print the ages at two rates of the camera."""
+    ages_ms: dict[int, list[float]] = {20: [], 10: []}
+    (frame, *_) = resized_frames((125, 414))
+    dedicate_process()
+    with Predictor(model, size="frame", threads=threads) as predictor:
+        for _ in range(rounds):
+            for rate, ages in ages_ms.items():
+                ages += rate_ages(predictor, frame, rate=rate, seconds=seconds)
+    print("| camera / LiDAR Hz | answers | age ms median | p99 |\n|---|---|---|---|")
+    for rate, ages in ages_ms.items():
+        median, p99 = np.quantile(ages, [0.5, 0.99], method="inverted_cdf")
+        print(f"| {rate} / 10 | {len(ages)} | {median:.1f} | {p99:.1f} |")
+
+
+def rate_ages(predictor: Predictor, frame: Frame, *, rate: int, seconds: float) -> list[float]:
+    """Ages of the answers [ms] of a live stream in real time, without its first 2 s."""
+    results: list[FrameResult] = []
+    with PushStream(predictor, mode="live", on_result=results.append) as stream:
+        images = [(number / rate, stream.push_image) for number in range(int(seconds * rate))]
+        depths = [(number / 10, stream.push_depth) for number in range(int(seconds * 10))]
+        started = time.perf_counter()
+        for stamp, push in sorted(
+            images + depths, key=lambda each: each[0] + 0.005 * (each[1] == stream.push_depth)
+        ):
+            is_image = push == stream.push_image
+            due_s = started + stamp + (0 if is_image else 0.005)
+            time.sleep(max(0.0, due_s - time.perf_counter()))
+            push(frame.rgb if is_image else frame.sparse_depth, stamp)
+    return [result.age_ms for result in results if result.image_stamp >= 2]
 
 
 def measure(predictor: Predictor, frames: list[Frame], *, rounds: int) -> dict[str, float]:

@@ -28,6 +28,8 @@ class Calibration:
             along z, x to the right.
         size: (height, width) of the images, None if unknown.
         occlusion: removes returns that the camera cannot see; None: keeps them.
+        body_from_lidar: float64 (4, 4) from the LiDAR's frame to the one of which poses are given
+            as of the "body", None if unknown [m].
 
     Raises:
         InputError: for invalid matrices.
@@ -37,6 +39,7 @@ class Calibration:
     extrinsics: NDArray[np.float64]
     size: tuple[int, int] | None = None
     occlusion: OcclusionFilter | None = None
+    body_from_lidar: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         """Check the matrices."""
@@ -172,23 +175,29 @@ class Calibration:
         Args:
             path: file of `intrinsics` (3 rows of 3), `extrinsics` (4 of 4) or, where the points
                 are in the camera's frame, `points_in = "camera"`, and optionally `size` ([height,
-                width]).
+                width]) and `body_from_lidar` (4 of 4).
 
         Raises:
             InputError: if the file cannot be read, and for unknown and missing keys.
         """
         keys = read_toml(Path(path))
         in_camera = keys.get("points_in") == "camera"
-        if keys.keys() - {"size"} != {"intrinsics", "points_in" if in_camera else "extrinsics"}:
+        if keys.keys() - {"size", "body_from_lidar"} != {
+            "intrinsics",
+            "points_in" if in_camera else "extrinsics",
+        }:
             raise InputError(
                 f"{path} has the keys {', '.join(sorted(keys)) or 'none'}, expected intrinsics, "
-                'extrinsics (or points_in = "camera") and optionally size'
+                'extrinsics (or points_in = "camera") and optionally size and body_from_lidar'
             )
-        size = keys.get("size")
+        size, body = keys.get("size"), keys.get("body_from_lidar")
         return cls(
             _matrix(f"intrinsics of {path}", keys["intrinsics"], 3, 3),
             _matrix(f"extrinsics of {path}", keys.get("extrinsics", np.eye(4)), 4, 4),
             tuple(size) if isinstance(size, list) else size,
+            body_from_lidar=(
+                None if body is None else _matrix(f"body_from_lidar of {path}", body, 4, 4)
+            ),
         )
 
 

@@ -12,8 +12,16 @@ from runtime.health.consistency import Consistency, ConsistencyCheck
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.health.frame_health import FrameHealth
 from runtime.io.calibration import Calibration
+from runtime.live.frame_result import DepthMotion
 from runtime.live.payload import Points
-from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
+from runtime.prediction import (
+    DEPTH_REUSED,
+    DEPTH_UNCOMPENSATED,
+    IMPLAUSIBLE_DEPTH,
+    Prediction,
+)
+from runtime.sync.motion import project_moved
+from runtime.sync.poses import NoPoseError, PoseTrack
 from runtime.sync.synchronizer import Pair
 
 _CHECK_EVERY = 100  # frames with depth, after the first ones
@@ -40,6 +48,7 @@ class Answer(NamedTuple):
     prediction: Prediction
     health: tuple[str, ...]
     consistency: Consistency | None
+    depth_motion: DepthMotion | None
 
 
 class Answerer:
@@ -61,24 +70,20 @@ class Answerer:
         self._checks = self._since = 0  # frames checked; frames with depth since then
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
 
-    def answer(self, pair: Pair) -> Answer:
-        """Answer a frame; raises what `Predictor.predict` raises."""
+    def answer(self, pair: Pair, poses: PoseTrack | None) -> Answer:
+        """Answer a frame; raises what `Predictor.predict` raises.
+
+        poses: of the LiDAR over the time of the frame; None = of a stream without poses.
+        """
         rgb = pair.image.data
-        size = rgb.shape[:2]
-        if pair.depth is None:
-            sparse_depth = np.zeros(size, np.float32)
-        elif isinstance(pair.depth.data, Points):
-            assert self._calibration is not None  # push_points requires it
-            sparse_depth = self._calibration.project(pair.depth.data.points, size)
-        else:
-            sparse_depth = pair.depth.data
-        if self._consistency is None or pair.depth is None:
+        sparse_depth, motion, reasons = self._sparse_depth(pair, poses)
+        if self._consistency is None or pair.own_depth is None:
             prediction, consistency = self._predict(rgb, sparse_depth, pair), None
         else:
             left, held_out = self._consistency.hold_out(sparse_depth)
             prediction, camera_only = self._predict(rgb, left, pair), None
             if self._consistency.scale_is_due:
-                camera_only = self._predict(rgb, np.zeros(size, np.float32), pair)
+                camera_only = self._predict(rgb, np.zeros(rgb.shape[:2], np.float32), pair)
                 if self._check_depth:
                     self._judge(camera_only, sparse_depth)
             consistency = self._consistency.score(
@@ -88,10 +93,42 @@ class Answerer:
             self._since += 1
             self._last = None if prediction.depth is None else (pair, sparse_depth)
             if self._is_implausible:
-                degraded = (*prediction.degraded, IMPLAUSIBLE_DEPTH)
-                prediction = replace(prediction, degraded=degraded)
+                reasons = (IMPLAUSIBLE_DEPTH, *reasons)
+        if reasons:
+            prediction = replace(prediction, degraded=(*prediction.degraded, *reasons))
         health = self._health.check(rgb, sparse_depth)  # predict has checked that they fit
-        return Answer(prediction, health, consistency)
+        return Answer(prediction, health, consistency, motion)
+
+    def _sparse_depth(
+        self, pair: Pair, poses: PoseTrack | None
+    ) -> tuple[NDArray[np.float32], DepthMotion | None, tuple[str, ...]]:
+        """The depth map, how its returns were moved, and what is wrong with it."""
+        depth, size = pair.depth, pair.image.data.shape[:2]
+        if depth is None:
+            return np.zeros(size, np.float32), None, ()
+        reasons: tuple[str, ...] = (DEPTH_REUSED,) if pair.reused else ()
+        scan = depth.data
+        if not isinstance(scan, Points):
+            # A depth map cannot be moved.
+            moves = poses is not None and depth.stamp_ns != pair.image.stamp_ns
+            if moves or pair.reused:
+                reasons += (DEPTH_UNCOMPENSATED,)
+            return scan, "none", reasons
+        assert self._calibration is not None  # push_points requires it
+        if poses is None:
+            if pair.reused:
+                reasons += (DEPTH_UNCOMPENSATED,)
+        else:
+            assert scan.times is not None  # see `Points.measured_at`
+            try:
+                moved = project_moved(
+                    self._calibration, scan.points, scan.times, poses, pair.image.stamp_ns, size
+                )
+            except NoPoseError as error:
+                reasons += (DEPTH_UNCOMPENSATED, error.reason)
+            else:
+                return moved, "scan" if isinstance(scan.times, int) else "each", reasons
+        return self._calibration.project(scan.points, size), "none", reasons
 
     def check_last(self, *, idle: bool) -> None:
         """Compare the returns of the last frame with a prediction from its image alone, if due.

@@ -1,6 +1,7 @@
 """The result of a stream for a frame."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +9,8 @@ from numpy.typing import NDArray
 from runtime.health.consistency import Consistency
 from runtime.prediction import Prediction
 from runtime.sync.stamp import Stamp
+
+DepthMotion = Literal["each", "scan", "none"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +27,12 @@ class FrameResult:
         image_stamp, depth_stamp: as pushed; depth_stamp is None where the prediction is from the
             camera alone (`prediction.degraded` then holds "no_depth").
         skew_ms: depth stamp - image stamp; None without depth.
+        depth_age_ms: image stamp - depth stamp; None without depth.
+        depth_reused: whether the depth is an older scan's (`prediction.degraded` then holds
+            "depth_reused"), because the image has none of its own.
+        depth_motion: "each" where each return was moved to the time of the image by its own time,
+            "scan" where the scan was moved as one, "none" where it is as it was measured; None
+            without depth.
         latency_ms: live, since the image was pushed, with waiting for its depth and for its turn;
             in a replay, since its turn.
         age_ms: time of the result - stamp of the image, by `sensor_clock`; without one, live
@@ -39,6 +48,9 @@ class FrameResult:
     image_stamp: Stamp
     depth_stamp: Stamp | None
     skew_ms: float | None
+    depth_age_ms: float | None
+    depth_reused: bool
+    depth_motion: DepthMotion | None
     latency_ms: float
     age_ms: float | None
     deadline_met: bool | None

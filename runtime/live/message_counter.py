@@ -36,7 +36,10 @@ class StreamCounts(MessageCounts):
 
     Attributes:
         images, depths: the same by sensor; `images.answered` is the number of answers.
+        poses: the same of poses; "answered" are those that were taken.
         camera_only: answers among them without depth.
+        reused: answers among them with the depth of an older scan; that scan is counted once, as
+            part of the answer with its own image, or as "reused" if it has none.
         out_of_order: messages that were older than the newest of their sensor; their outcomes are
             counted as those of any other.
         jumps_back: how often the stamps of a sensor jumped back by more than a second.
@@ -44,7 +47,9 @@ class StreamCounts(MessageCounts):
 
     images: MessageCounts
     depths: MessageCounts
+    poses: MessageCounts
     camera_only: int
+    reused: int
     out_of_order: int
     jumps_back: int
 
@@ -55,7 +60,7 @@ class MessageCounter:
     def __init__(self) -> None:
         self._pushed: Counter[Sensor] = Counter()
         self._outcomes: dict[Sensor, Counter[Outcome]] = {sensor: Counter() for sensor in Sensor}
-        self._camera_only = 0
+        self._camera_only = self._reused = 0
 
     def push(self, sensor: Sensor) -> None:
         """Count a new message."""
@@ -65,29 +70,34 @@ class MessageCounter:
         """Count the outcome of a message."""
         self._outcomes[sensor][outcome] += 1
 
-    def record_frame(self, outcome: Outcome, *, with_depth: bool) -> None:
-        """Count the outcome of an image and of its depth map, if there is one."""
+    def record_frame(self, outcome: Outcome, *, with_depth: bool, reused: bool = False) -> None:
+        """Count the outcome of an image and of its depth map, if it has one of its own."""
         self.record(Sensor.IMAGE, outcome)
         if with_depth:
             self.record(Sensor.DEPTH, outcome)
         elif outcome is Outcome.ANSWERED:
-            self._camera_only += 1
+            self._reused += reused
+            self._camera_only += not reused
 
-    def record_unread(self, *, with_depth: bool) -> None:
+    def record_unread(self, *, with_depth: bool, reused: bool = False) -> None:
         """An answer was not fetched: its messages count as dropped instead."""
         self.record_frame(Outcome.UNREAD, with_depth=with_depth)
         self._outcomes[Sensor.IMAGE][Outcome.ANSWERED] -= 1
         self._outcomes[Sensor.DEPTH][Outcome.ANSWERED] -= with_depth
-        self._camera_only -= not with_depth
+        self._reused -= reused
+        self._camera_only -= not with_depth and not reused
 
     def counts(self, *, out_of_order: int, jumps_back: int) -> StreamCounts:
         """A copy of the present counts."""
         both = self._outcomes[Sensor.IMAGE] + self._outcomes[Sensor.DEPTH]
+        pushed = self._pushed[Sensor.IMAGE] + self._pushed[Sensor.DEPTH]
         return StreamCounts(
-            **vars(_counts(self._pushed.total(), both)),
+            **vars(_counts(pushed, both)),
             images=_counts(self._pushed[Sensor.IMAGE], self._outcomes[Sensor.IMAGE]),
             depths=_counts(self._pushed[Sensor.DEPTH], self._outcomes[Sensor.DEPTH]),
+            poses=_counts(self._pushed[Sensor.POSE], self._outcomes[Sensor.POSE]),
             camera_only=self._camera_only,
+            reused=self._reused,
             out_of_order=out_of_order,
             jumps_back=jumps_back,
         )

@@ -20,6 +20,9 @@ other change. Invariants:
    where that method holds the lock, `close` only sets `_closed` and returns.
 7. The worker references the stream only while it works, so that a dropped stream is collected. That
    ends the worker, as does the interpreter's exit, which must not happen during a prediction.
+8. The worker copies the poses of a frame when it takes it (`_step`). In a replay the synchronizer
+   holds an image back until the poses reach it and its scan, so that the copy is the same each
+   time; `_SILENT_NS` holds for poses, too. Live no image waits for a pose.
 """
 
 import contextlib
@@ -27,7 +30,6 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Callable
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -39,13 +41,22 @@ from runtime.live.answerer import Answer, Answerer, FramePredictor
 from runtime.live.clock import MonotonicClock
 from runtime.live.frame_result import FrameResult
 from runtime.live.message_counter import MessageCounter, StreamCounts
-from runtime.live.payload import check_depth, check_points
+from runtime.live.payload import Points, ScanStamp, check_depth, check_points
+from runtime.live.pose_feed import PoseFeed
 from runtime.live.stream_statistics import StatisticsRecorder, StreamStatistics
 from runtime.live.watchdog import Watchdog, WatchdogLimits, WatchdogState
+from runtime.prediction import DEPTH_REUSED
 from runtime.preprocess import check_rgb
 from runtime.process_guard import ProcessGuard
 from runtime.sync.outcome import Outcome, Sensor
-from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, NS_PER_MS, Stamp, stamp_ns
+from runtime.sync.poses import PoseTrack
+from runtime.sync.stamp import (
+    DEFAULT_MAX_SKEW_MS,
+    DEFAULT_REUSE_DEPTH_MS,
+    NS_PER_MS,
+    Stamp,
+    stamp_ns,
+)
 from runtime.sync.synchronizer import Decided, Message, Pair, Synchronizer
 
 _WAITING = 16  # messages of a sensor that wait for their partner
@@ -54,6 +65,7 @@ _RESULTS = 8  # replay: results that wait to be fetched
 _SILENT_NS = 2_000 * NS_PER_MS  # replay: without any push, until the other sensor counts as absent
 _EXIT_S = 10.0  # the interpreter's exit waits so long for a prediction
 _LONGEST_MS = 1e9
+_FAR_NS = 2**63  # before all stamps
 
 
 class PushStream:
@@ -63,6 +75,7 @@ class PushStream:
     with PushStream(predictor, mode="live", deadline_ms=50) as stream:
         stream.push_image(rgb, stamp)  # in the camera's callback; seconds, or int nanoseconds
         stream.push_depth(sparse_depth, stamp)  # in the LiDAR's; or push_points(points, stamp)
+        stream.push_pose(pose, stamp)  # in the odometry's, with pose_frame=
         for result in stream:  # ends after stream.close()
             result.prediction, result.skew_ms, result.age_ms, result.deadline_met
     stream.counts, stream.statistics  # the outcome of every message; latency, age, jitter
@@ -82,6 +95,13 @@ class PushStream:
             stamps.
         calibration: of camera and LiDAR, required by `push_points`; its focal length is used where
             the predictor has none.
+        reuse_depth_ms: an image without depth of its own takes the newest one before it that is at
+            most so old; 0 = never.
+        pose_frame: the frame of which `push_pose` gives poses, "lidar", "camera" or "body" (the
+            calibration's `body_from_lidar`): scans are moved to the time of their image. None = no
+            poses.
+        scan_stamp: what instant of a scan its stamp is, "start", "middle" or "end", where its
+            points have no times of their own; it is moved from its middle.
         consistency: share of the returns that is held out of each frame to check whether camera
             and LiDAR are still calibrated and in sync (0.05, for example); every 10th frame then
             takes a second prediction. None = no check.
@@ -115,6 +135,9 @@ class PushStream:
         max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
         max_wait_ms: float = 50.0,
         calibration: Calibration | None = None,
+        reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS,
+        pose_frame: Literal["lidar", "camera", "body"] | None = None,
+        scan_stamp: ScanStamp = "middle",
         consistency: float | None = None,
         check_depth: bool = True,
         on_result: Callable[[FrameResult], object] | None = None,
@@ -151,7 +174,11 @@ class PushStream:
             max_skew_ns=round(_check_ms("max_skew_ms", max_skew_ms) * NS_PER_MS),
             max_wait_ns=round(_check_ms("max_wait_ms", max_wait_ms) * NS_PER_MS),
             capacity=_WAITING,
+            reuse_ns=round(_check_ms("reuse_depth_ms", reuse_depth_ms) * NS_PER_MS),
         )
+        self._poses = PoseFeed(pose_frame, scan_stamp, calibration)
+        if self._poses.expected and not self._live:
+            self._synchronizer.poses_reach(-_FAR_NS, 0)
         self._counter = MessageCounter()
         self._recorder = StatisticsRecorder(self.deadline_ms)
         self._watchdog = Watchdog(watchdog or WatchdogLimits(), live=self._live)
@@ -204,19 +231,46 @@ class PushStream:
         """
         self._push(Sensor.DEPTH, check_depth, sparse_depth, stamp)
 
-    def push_points(self, points: NDArray[np.float32], stamp: Stamp) -> None:
+    def push_points(
+        self,
+        points: NDArray[np.float32],
+        stamp: Stamp,
+        times: NDArray[np.floating[Any]] | NDArray[np.integer[Any]] | None = None,
+    ) -> None:
         """Push a LiDAR scan, as `push_depth`.
 
         Args:
             points: float32 (N, 3) or wider: x, y, z in metres in the LiDAR's frame.
             stamp: as of `push_image`.
+            times: (N,), when each point was measured: floats are seconds after the stamp, integers
+                nanoseconds of its clock. None = unknown, see `scan_stamp`.
 
         Raises:
-            InputError: as `push_image`, and if the stream has no `calibration`.
+            InputError: as `push_image`, if the stream has no `calibration`, and for times that are
+                more than a second from the stamp.
             InferenceError: as `push_image`.
         """
-        check = partial(check_points, calibration=self._calibration)
+
+        def check(points: Any) -> Points:
+            return check_points(
+                points, times=times, stamp_ns=stamp_ns(stamp), calibration=self._calibration
+            )
+
         self._push(Sensor.DEPTH, check, points, stamp)
+
+    def push_pose(self, pose: NDArray[np.floating[Any]], stamp: Stamp) -> None:
+        """Push where the car is, in rising order of the stamps; needs `pose_frame`.
+
+        Args:
+            pose: float (4, 4), rigid, from the stream's `pose_frame` to a frame that is fixed over
+                seconds, as that of an odometry [m].
+            stamp: as of `push_image`.
+
+        Raises:
+            InputError: as `push_image`, if the pose is not rigid or the stream has no `pose_frame`.
+            InferenceError: as `push_image`.
+        """
+        self._push(Sensor.POSE, self._poses.check, pose, stamp)
 
     def _push(self, sensor: Sensor, check: Callable[[Any], Any], data: Any, stamp: Any) -> None:
         self._guard.check()
@@ -250,19 +304,21 @@ class PushStream:
             if sensor is not self._alone:
                 self._alone = None
             self._watchdog.start(now_ns)
-            jumps = self._synchronizer.jumps_back
-            message = Message(stamp, nanoseconds, now_ns, data)
-            self._queue(self._synchronizer.add(sensor, message, now_ns))
-            if self._synchronizer.jumps_back != jumps:
-                self._recorder.reset_jitter()
+            if sensor is Sensor.POSE:
+                self._add_pose(data, nanoseconds, now_ns)
+            else:
+                self._add(sensor, data, stamp, nanoseconds, now_ns)
             self._changed.notify_all()
 
     def _wait_for_room(self, sensor: Sensor) -> None:
         if threading.current_thread() is self._worker:  # a callback: no other thread makes room
             return
         while not self._closed:
-            full = self._synchronizer.full(sensor)
-            if not full and len(self._ready) < _READY:
+            if sensor is Sensor.POSE:
+                full = self._poses.full(self._synchronizer.decided_ns)
+            else:
+                full = self._synchronizer.full(sensor)
+            if not full and (sensor is Sensor.POSE or len(self._ready) < _READY):
                 return
             wait_ns = None
             if full and not self._ready:
@@ -270,6 +326,8 @@ class PushStream:
                 wait_ns = self._moved_ns + _SILENT_NS - now_ns
                 if wait_ns <= 0 or self._alone is sensor:
                     self._alone, self._moved_ns = sensor, now_ns
+                    if sensor is Sensor.POSE:  # the oldest poses go
+                        return
                     self._queue(self._synchronizer.release_oldest(sensor, now_ns))
                     self._changed.notify_all()
                     continue
@@ -373,13 +431,14 @@ class PushStream:
             pair = None
             if self._has_work():
                 pair = self._ready.popleft()
+                poses = self._poses.track(pair)
                 self._moved_ns = now_ns
                 self._changed.notify_all()
             elif self._closed:
                 self._end()
                 return False
         if pair is not None:
-            self._answer(pair)
+            self._answer(pair, poses)
             with self._changed:
                 idle = not (self._live and self._ready)  # a replay does not depend on the clock
             self._answerer.check_last(idle=idle)
@@ -402,11 +461,11 @@ class PushStream:
         room = self._live or self._closed or len(self._results) < _RESULTS
         return room and bool(self._ready)
 
-    def _answer(self, pair: Pair) -> None:
+    def _answer(self, pair: Pair, poses: PoseTrack | None) -> None:
         """Predict, count the pair's outcome, and hand the result over."""
         started_ns = self._clock.now_ns()
         try:
-            answer = self._answerer.answer(pair)
+            answer = self._answerer.answer(pair, poses)
             now_ns = self._clock.now_ns()
             result = self._result(pair, answer, started_ns, now_ns)
         except SSDNetError as error:
@@ -428,21 +487,24 @@ class PushStream:
             self._watchdog.answered(
                 now_ns,
                 late=result.deadline_met is False,
-                degraded=bool(result.prediction.degraded or result.health),
+                degraded=bool({*result.prediction.degraded} - {DEPTH_REUSED} or result.health),
                 valid=result.prediction.valid,
+                reused=pair.reused,
             )
             self._record_outcome(pair, Outcome.ANSWERED)
             if self._on_result is None:
                 if self._live and self._results:
                     unread = self._results.popleft()
-                    self._counter.record_unread(with_depth=unread.depth_stamp is not None)
+                    has_own = unread.depth_stamp is not None and not unread.depth_reused
+                    self._counter.record_unread(with_depth=has_own, reused=unread.depth_reused)
                 self._results.append(result)
                 self._answered.notify_all()
         if self._on_result is not None:
             self._on_result(result)
 
     def _result(self, pair: Pair, answer: Answer, started_ns: int, now_ns: int) -> FrameResult:
-        image, depth = pair
+        image, depth, reused = pair
+        skew_ms = None if depth is None else (depth.stamp_ns - image.stamp_ns) / NS_PER_MS
         latency_ms = (now_ns - (image.arrived_ns if self._live else started_ns)) / NS_PER_MS
         age_ms = None
         if self._sensor_clock is not None:
@@ -457,7 +519,10 @@ class PushStream:
             consistency=answer.consistency,
             image_stamp=image.stamp,
             depth_stamp=None if depth is None else depth.stamp,
-            skew_ms=None if depth is None else (depth.stamp_ns - image.stamp_ns) / NS_PER_MS,
+            skew_ms=skew_ms,
+            depth_age_ms=None if skew_ms is None else 0.0 - skew_ms,  # no -0.0
+            depth_reused=reused,
+            depth_motion=answer.depth_motion,
             latency_ms=latency_ms,
             age_ms=age_ms,
             deadline_met=None if self.deadline_ms is None else latency_ms <= self.deadline_ms,
@@ -475,6 +540,25 @@ class PushStream:
 
     # --- with the lock held --------------------------------------------------------------------
 
+    def _add(self, sensor: Sensor, data: Any, stamp: Stamp, nanoseconds: int, now_ns: int) -> None:
+        """Hand an image or depth to the synchronizer."""
+        needs_ns = None
+        if isinstance(data, Points):
+            period_ns = self._synchronizer.period_ns(sensor)
+            data = self._poses.instant(data, nanoseconds, period_ns)
+            needs_ns = data.last_ns
+        jumps = self._synchronizer.jumps_back
+        message = Message(stamp, nanoseconds, now_ns, data, needs_ns)
+        self._queue(self._synchronizer.add(sensor, message, now_ns))
+        if self._synchronizer.jumps_back != jumps:
+            self._recorder.reset_jitter()
+
+    def _add_pose(self, pose: NDArray[np.float64], nanoseconds: int, now_ns: int) -> None:
+        self._counter.record(Sensor.POSE, self._poses.add(pose, nanoseconds))
+        if not self._live:
+            newest_ns = self._poses.buffer.newest_ns
+            self._queue(self._synchronizer.poses_reach(newest_ns, now_ns))
+
     def _queue(self, decided: Decided) -> None:
         """Count what was discarded and queue the pairs; live, the newest complete one stays."""
         for discarded in decided.discarded:
@@ -488,7 +572,8 @@ class PushStream:
             self._ready.append(pair)
 
     def _record_outcome(self, pair: Pair, outcome: Outcome) -> None:
-        self._counter.record_frame(outcome, with_depth=pair.depth is not None)
+        has_own = pair.own_depth is not None
+        self._counter.record_frame(outcome, with_depth=has_own, reused=pair.reused)
 
     def _discard_all(self) -> None:
         self._closed = True

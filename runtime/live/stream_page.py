@@ -80,6 +80,8 @@ class StreamPage:
             "state": ", ".join([state.level, *state.reasons]),
             "images": _outcomes(counts.images),
             "depth maps": _outcomes(counts.depths),
+            "poses": _outcomes(counts.poses) if counts.poses.pushed else "none",
+            "answered with an older scan": counts.reused,
             "answered from the camera alone": counts.camera_only,
             "out of order": counts.out_of_order,
             "stamps that jumped back": counts.jumps_back,

@@ -13,7 +13,17 @@ from runtime.sync.latency import (
     latency_table,
 )
 
-_FIGURES = ("preprocess", "inference", "postprocess", "predict", "latency", "age", "skew", "jitter")
+_FIGURES = (
+    "preprocess",
+    "inference",
+    "postprocess",
+    "predict",
+    "latency",
+    "age",
+    "skew",
+    "depth age",
+    "jitter",
+)
 
 
 @dataclass(frozen=True)
@@ -23,9 +33,10 @@ class StreamStatistics:
     Attributes:
         stages: figure -> statistics in milliseconds, None without a value. "preprocess",
             "inference", "postprocess" and "predict" are those of `Prediction.latency`, "latency"
-            and "age" those of `FrameResult`, "skew" is its absolute value, and "jitter" is
-            |(t2 - t1) - (s2 - s1)| of two successive results at t with image stamps s (the
-            transit-time difference of RFC 3550).
+            and "age" those of `FrameResult`, "skew" is its absolute value where the depth is the
+            image's own, "depth age" that of all depth (0 where it is newer than its image), and
+            "jitter" is |(t2 - t1) - (s2 - s1)| of two successive results at t with image stamps s
+            (the transit-time difference of RFC 3550).
         deadline_ms: as given to the stream.
         missed: late results; None without a deadline.
     """
@@ -76,7 +87,10 @@ class StatisticsRecorder:
             "predict": latency.total_ms,
             "latency": result.latency_ms,
             "age": result.age_ms,
-            "skew": None if result.skew_ms is None else abs(result.skew_ms),
+            "skew": (
+                None if result.skew_ms is None or result.depth_reused else abs(result.skew_ms)
+            ),
+            "depth age": (None if result.depth_age_ms is None else max(result.depth_age_ms, 0.0)),
             "jitter": self._jitter.record(transit_ns),
         }
         for name, value_ms in figures_ms.items():

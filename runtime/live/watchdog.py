@@ -24,7 +24,9 @@ class WatchdogLimits:
 
     Attributes:
         late: results in a row that missed the deadline.
-        degraded: results in a row with a reason in `Prediction.degraded` or `FrameResult.health`.
+        degraded: results in a row with a reason in `Prediction.degraded`, other than
+            "depth_reused", or in `FrameResult.health`.
+        reused: results in a row with the depth of an older scan.
         failed: frames in a row that were an error or whose prediction is not valid.
         silence_ms: time since the last result, or else since the first message; live only.
 
@@ -34,6 +36,7 @@ class WatchdogLimits:
 
     late: Limits = (1, 5)
     degraded: Limits = (1, None)
+    reused: Limits = (None, None)
     failed: Limits = (1, 3)
     silence_ms: Limits = (500, 2000)
 
@@ -66,7 +69,7 @@ class Watchdog:
 
     def __init__(self, limits: WatchdogLimits, *, live: bool) -> None:
         self._limits, self._live = limits, live
-        self._runs = {"late": 0, "degraded": 0, "failed": 0}
+        self._runs = {"late": 0, "degraded": 0, "reused": 0, "failed": 0}
         self._last_ns: int | None = None
 
     def start(self, now_ns: int) -> None:
@@ -74,11 +77,14 @@ class Watchdog:
         if self._last_ns is None:
             self._last_ns = now_ns
 
-    def answered(self, now_ns: int, *, late: bool, degraded: bool, valid: bool) -> None:
+    def answered(
+        self, now_ns: int, *, late: bool, degraded: bool, valid: bool, reused: bool = False
+    ) -> None:
         """A frame was answered."""
         self._last_ns = now_ns
         self._count("late", late)
         self._count("degraded", degraded)
+        self._count("reused", reused)
         self._count("failed", not valid)
 
     def failed(self) -> None:

@@ -232,7 +232,7 @@ class BagSource(Source):
 
         names: Counter[str] = Counter()
         pairs = match_by_stamp(stamped(), max_skew_ms=self._max_skew_ms, left_out=self._left_out)
-        for sequence, (image, depth) in enumerate(pairs):
+        for sequence, (image, depth, _) in enumerate(pairs):
             name = str(image.stamp_ns)
             names[name] += 1
             yield ListedFrame(

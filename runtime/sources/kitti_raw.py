@@ -92,7 +92,7 @@ class KittiRawSource(FolderSource):
 
     def _match(self, max_skew_ms: float) -> Iterator[ListedFrame]:
         pairs = match_by_stamp(self._stamped, max_skew_ms=max_skew_ms, left_out=self._left_out)
-        for sequence, (image, scan) in enumerate(pairs):
+        for sequence, (image, scan, _) in enumerate(pairs):
             yield ListedFrame(
                 sequence,
                 image.data.stem,

@@ -8,6 +8,11 @@ class Sensor(StrEnum):
 
     IMAGE = "image"
     DEPTH = "depth"
+    POSE = "pose"
+
+
+#: The sensors whose messages are matched with each other.
+MATCHED = (Sensor.IMAGE, Sensor.DEPTH)
 
 
 class Outcome(StrEnum):
@@ -25,15 +30,16 @@ class Outcome(StrEnum):
     INTERRUPTED = "interrupted"  # replay: Ctrl-C while the push waited for room
     # Unmatched:
     NO_IMAGE = "no_image"  # depth: no image within max_skew_ms
+    REUSED = "reused"  # depth: no image of its own, but it served one without depth
     CLOCK_JUMP = "clock_jump"  # depth: it waited when the stamps jumped back
     # Errors:
     BAD_STAMP = "bad_stamp"
-    BAD_MESSAGE = "bad_message"  # refused by push_image, push_depth or push_points
+    BAD_MESSAGE = "bad_message"  # refused by push_image, push_depth, push_points or push_pose
     INPUT_ERROR = "input_error"  # image and depth do not fit each other, or the model
     INFERENCE_ERROR = "inference_error"
 
 
-UNMATCHED = frozenset({Outcome.NO_IMAGE, Outcome.CLOCK_JUMP})
+UNMATCHED = frozenset({Outcome.NO_IMAGE, Outcome.REUSED, Outcome.CLOCK_JUMP})
 ERRORS = frozenset(
     {Outcome.BAD_STAMP, Outcome.BAD_MESSAGE, Outcome.INPUT_ERROR, Outcome.INFERENCE_ERROR}
 )

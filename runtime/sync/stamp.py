@@ -14,6 +14,8 @@ NS_PER_MS = 1_000_000
 #: Largest difference between the stamps of an image and its depth map by default: half the period
 #: of a LiDAR of 10 Hz, so that each scan has its image.
 DEFAULT_MAX_SKEW_MS = 50.0
+#: Oldest depth that an image without depth of its own takes: a LiDAR of 10 Hz may lose a scan.
+DEFAULT_REUSE_DEPTH_MS = 150.0
 _LIMIT_NS = 2**63  # what 64 bits hold: 292 years
 
 

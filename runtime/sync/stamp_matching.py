@@ -14,25 +14,32 @@ _WAITING = 64  # messages of a sensor; more mean that it is far ahead, or the ot
 
 
 def match_by_stamp(
-    messages: Iterable[tuple[Sensor, int, Any]], *, max_skew_ms: float, left_out: Counter[str]
+    messages: Iterable[tuple[Sensor, int, Any]],
+    *,
+    max_skew_ms: float,
+    left_out: Counter[str],
+    reuse_depth_ms: float = 0.0,
 ) -> Iterator[Pair]:
     """Yield each image with its depth map or None, in the order of the images' stamps.
 
     Args:
         messages: (sensor, stamp in nanoseconds, data) in the order of the recording.
         max_skew_ms: largest difference between the stamps of a pair.
+        reuse_depth_ms: largest age of a depth map that an image without one of its own takes.
         left_out: counts each message that is in no pair: "image: duplicate", and so on.
 
     Raises:
-        InputError: if the skew is out of range.
+        InputError: if the skew or the age is out of range.
     """
-    if not 0 <= max_skew_ms <= 1e6:
-        raise InputError(f"max_skew_ms must be a number from 0 to 1e6, got {max_skew_ms}")
+    for name, value in (("max_skew_ms", max_skew_ms), ("reuse_depth_ms", reuse_depth_ms)):
+        if not 0 <= value <= 1e6:
+            raise InputError(f"{name} must be a number from 0 to 1e6, got {value}")
     synchronizer = Synchronizer(
         live=False,
         max_skew_ns=round(max_skew_ms * NS_PER_MS),
         max_wait_ns=_MAX_WAIT_NS,
         capacity=_WAITING,
+        reuse_ns=round(reuse_depth_ms * NS_PER_MS),
     )
 
     def steps() -> Iterator[Any]:

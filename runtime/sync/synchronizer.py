@@ -8,38 +8,59 @@ image nearest to it. A match is certain once no later message can be nearer: the
 are assumed to rise, live by at least their shortest recent interval (a learned "inter-message lower
 bound" of ROS's approximate time policy), so that a frame of regular sensors does not wait for the
 next one. A message whose match is not certain waits. Live: until `max_wait_ns` after it arrived;
-then an image is decided with what is there, and a depth map is unmatched. In a replay: without a
-partner until the other sensor's stamps are `max_skew_ns + max_wait_ns` ahead, with one until it is
-certain, so that the pairs do not depend on the turns of the threads that push.
+then an image is decided with what is there, and a depth map is unmatched. An image that no depth
+map is due for, judged by the periods of both sensors, does not wait. In a replay: without a partner
+until the other sensor's stamps are `max_skew_ns + max_wait_ns` ahead, with one until it is certain,
+and, where poses are pushed, until these reach the image and its scan, so that the pairs do not
+depend on the turns of the threads that push.
+
+An image without a partner takes the newest depth map before it that is at most `reuse_ns` old
+("reused"). One depth map may serve several images, beside the one that it was matched with.
 """
 
 from bisect import insort
 from collections import deque
 from dataclasses import dataclass, field
+from statistics import median_low
 from typing import Any, NamedTuple
 
-from runtime.sync.outcome import Outcome, Sensor
+from runtime.sync.outcome import MATCHED, Outcome, Sensor
 
 JUMP_BACK_NS = 1_000_000_000  # a sensor's clock was reset if its stamps go back further
 _REMEMBERED = 64  # latest stamps of a sensor, to detect duplicates
 _INTERVALS = 16  # latest intervals of a sensor; the shortest bounds the next one
+_KNOWN = 5  # intervals from which a sensor's period is known
 
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """One push. stamp: as pushed; arrived_ns: by the stream's clock."""
+    """One push.
+
+    stamp: as pushed; arrived_ns: by the stream's clock. needs_ns: time of the latest pose that it
+    is moved by, None = its stamp.
+    """
 
     stamp: Any
     stamp_ns: int
     arrived_ns: int
     data: Any = None
+    needs_ns: int | None = None
 
 
 class Pair(NamedTuple):
-    """An image and its depth map; None = none was near enough in time."""
+    """An image and its depth map; None = none was near enough in time.
+
+    reused: the depth map is an older one, which is accounted for elsewhere.
+    """
 
     image: Message
     depth: Message | None
+    reused: bool = False
+
+    @property
+    def own_depth(self) -> Message | None:
+        """The depth map whose outcome is that of the image."""
+        return None if self.reused else self.depth
 
 
 class Discarded(NamedTuple):
@@ -48,6 +69,14 @@ class Discarded(NamedTuple):
     sensor: Sensor
     message: Message
     outcome: Outcome
+
+
+@dataclass(eq=False)
+class _Kept:
+    """A depth map that may be reused; outcome: when it is dropped, None = it has one."""
+
+    depth: Message
+    outcome: Outcome | None
 
 
 @dataclass
@@ -63,16 +92,41 @@ class Synchronizer:
 
     live: an image that is decided discards older ones, and `max_wait_ns` is by the clock. Else
     every image is decided, in the order of the stamps, and `max_wait_ns` is by the stamps.
+    reuse_ns: largest age of a depth map that an image without one of its own takes; 0 = none.
     """
 
-    def __init__(self, *, live: bool, max_skew_ns: int, max_wait_ns: int, capacity: int) -> None:
+    def __init__(
+        self,
+        *,
+        live: bool,
+        max_skew_ns: int,
+        max_wait_ns: int,
+        capacity: int,
+        reuse_ns: int = 0,
+    ) -> None:
         self._live = live
         self._max_skew_ns, self._max_wait_ns = max_skew_ns, max_wait_ns
-        self._capacity = capacity
-        self._sensors = {sensor: _Waiting() for sensor in Sensor}
+        self._capacity, self._reuse_ns = capacity, reuse_ns
+        self._sensors = {sensor: _Waiting() for sensor in MATCHED}
+        self._kept: list[_Kept] = []  # by stamp
+        self._poses_ns: int | None = None  # the newest pose; None = they are not waited for
         self._decided_ns: int | None = None  # the newest image that was decided
         self.out_of_order = 0
         self.jumps_back = 0
+
+    @property
+    def decided_ns(self) -> int | None:
+        """The newest image that was decided."""
+        return self._decided_ns
+
+    def period_ns(self, sensor: Sensor) -> int | None:
+        """The median interval of a sensor; None if it is not known yet."""
+        return self._sensors[sensor].period_ns()
+
+    def poses_reach(self, newest_ns: int | None, now_ns: int) -> Decided:
+        """In a replay images wait until poses are as new; None = for none."""
+        self._poses_ns = newest_ns
+        return self.advance(now_ns)
 
     def full(self, sensor: Sensor) -> bool:
         """Whether another message of `sensor` would be one too many."""
@@ -90,7 +144,7 @@ class Synchronizer:
             if message.stamp_ns < waiting.newest_ns - JUMP_BACK_NS:
                 self.jumps_back += 1
                 self._flush(decided, Outcome.CLOCK_JUMP)
-                self._sensors = {sensor: _Waiting() for sensor in Sensor}
+                self._sensors = {sensor: _Waiting() for sensor in MATCHED}
                 self._decided_ns = None
                 waiting = self._sensors[sensor]
         if sensor is Sensor.IMAGE and self._is_late(message):
@@ -121,6 +175,10 @@ class Synchronizer:
     def release_oldest(self, sensor: Sensor, now_ns: int) -> Decided:
         """Decide the oldest message of `sensor` with what is there."""
         decided = Decided()
+        if self._poses_ns is not None and self._images and self._lacks_poses(self._images[0]):
+            self._poses_ns = None  # until the next one
+            self._decide(decided, now_ns)
+            return decided
         for oldest in self._sensors[sensor].messages[:1]:
             if sensor is Sensor.IMAGE:
                 self._decide_image(decided, oldest)
@@ -155,18 +213,62 @@ class Synchronizer:
 
     def _next_decidable(self, now_ns: int) -> Message | None:
         """The image to decide next: live the newest of those that can be, else only the oldest."""
-        candidates = reversed(self._images) if self._live else self._images[:1]
-        for image in candidates:
+        if not self._live:
+            image = next(iter(self._images), None)
+            return image if image is not None and self._is_decidable(image, now_ns) else None
+        for image in reversed(self._images):
             depth = self._partner(image)
             if depth is not None and self._is_certain(image, depth):
                 return image
-            # In a replay an image with a partner waits for the images that might be nearer to it.
-            if (self._live or depth is None) and self._is_over(image, Sensor.DEPTH, now_ns):
+            if self._is_over(image, Sensor.DEPTH, now_ns):
                 return image
-        return None
+        # One that no depth is due for: unless an older one waits, which would be dropped.
+        oldest = next(iter(self._images), None)
+        if oldest is None or self._partner(oldest) is not None or self._is_due(oldest):
+            return None
+        return oldest
+
+    def _is_decidable(self, image: Message, now_ns: int) -> bool:
+        """Whether no later message can change the oldest image's answer, in a replay."""
+        depth = self._partner(image)
+        # An image with a partner waits for the images that might be nearer to it.
+        if depth is None:
+            certain = self._is_over(image, Sensor.DEPTH, now_ns)
+            depth = self._older_depth(image) if certain else None
+        else:
+            certain = self._is_certain(image, depth)
+        return certain and not self._lacks_poses(image, depth)
+
+    def _lacks_poses(self, *messages: Message | None) -> bool:
+        """Whether a frame of a replay waits for newer poses."""
+        return self._poses_ns is not None and any(
+            self._poses_ns < (each.stamp_ns if each.needs_ns is None else each.needs_ns)
+            for each in messages
+            if each is not None
+        )
+
+    def _is_due(self, image: Message) -> bool:
+        """Whether a depth map may still come whose nearest image this is."""
+        depths, images = self._sensors[Sensor.DEPTH], self._sensors[Sensor.IMAGE]
+        period_ns, image_period_ns = depths.period_ns(), images.period_ns()
+        if period_ns is None or image_period_ns is None or depths.newest_ns is None:
+            return True
+        silent_ns = image.stamp_ns - depths.newest_ns
+        if silent_ns > self._max_wait_ns + 2 * period_ns:
+            return False  # a LiDAR that stopped
+        # The stamps that are expected next: newest + n * period, n = 1, 2, ...
+        slack_ns = depths.spread_ns() + images.spread_ns()
+        ahead = max(silent_ns // period_ns, 0)
+        return any(
+            abs(depths.newest_ns + n * period_ns - image.stamp_ns)
+            <= min(self._max_skew_ns, image_period_ns // 2) + slack_ns
+            for n in (ahead, ahead + 1)
+            if n > 0
+        )
 
     def _decide_image(self, decided: Decided, image: Message) -> None:
         depth = self._partner(image)
+        older_depth = self._older_depth(image) if depth is None else None
         self._decided_ns = image.stamp_ns
         for older in list(self._images):
             if older.stamp_ns < image.stamp_ns:  # live alone
@@ -175,14 +277,63 @@ class Synchronizer:
         self._images.remove(image)
         if depth is not None:
             self._depths.remove(depth)
-        decided.pairs.append(Pair(image, depth))
+            self._keep(decided, depth, None)
+            decided.pairs.append(Pair(image, depth))
+        else:
+            decided.pairs.append(Pair(image, older_depth, reused=older_depth is not None))
+        if older_depth is not None:
+            self._mark_reused(decided, older_depth)
         for dead in list(self._depths):
             if dead.stamp_ns < image.stamp_ns - self._max_skew_ns:  # images to come are newer
                 self._discard_depth(decided, dead, Outcome.NO_IMAGE)
+        self._forget_depths(decided, image.stamp_ns)
 
     def _discard_depth(self, decided: Decided, depth: Message, outcome: Outcome) -> None:
         self._depths.remove(depth)
-        decided.discarded.append(Discarded(Sensor.DEPTH, depth, outcome))
+        if outcome is Outcome.NO_IMAGE:
+            self._keep(decided, depth, outcome)
+        else:
+            decided.discarded.append(Discarded(Sensor.DEPTH, depth, outcome))
+
+    # --- depth maps that may be reused ------------------------------------------------------------
+
+    def _older_depth(self, image: Message) -> Message | None:
+        """The newest depth map before an image, if it is not too old."""
+        if not self._reuse_ns:
+            return None
+        depths = (*(kept.depth for kept in self._kept), *self._depths)
+        recent = (
+            depth for depth in depths if 0 <= image.stamp_ns - depth.stamp_ns <= self._reuse_ns
+        )
+        return max(recent, key=lambda depth: depth.stamp_ns, default=None)
+
+    def _keep(self, decided: Decided, depth: Message, outcome: Outcome | None) -> None:
+        """Keep a depth map that left the matching; its outcome follows when it is dropped."""
+        insort(self._kept, _Kept(depth, outcome), key=lambda kept: kept.depth.stamp_ns)
+        if not self._reuse_ns:
+            self._drop(decided, list(self._kept))
+        self._drop(decided, self._kept[: -self._capacity])
+
+    def _mark_reused(self, decided: Decided, depth: Message) -> None:
+        if depth in self._depths:  # images to come are farther from it than this one
+            self._depths.remove(depth)
+            self._keep(decided, depth, Outcome.REUSED)
+        for kept in self._kept:
+            if kept.depth is depth and kept.outcome is not None:
+                kept.outcome = Outcome.REUSED
+
+    def _forget_depths(self, decided: Decided, image_ns: int) -> None:
+        """Drop those that no later image takes: all before the image but a recent one."""
+        before = [kept for kept in self._kept if kept.depth.stamp_ns <= image_ns]
+        if before and image_ns - before[-1].depth.stamp_ns < self._reuse_ns:
+            before.pop()
+        self._drop(decided, before)
+
+    def _drop(self, decided: Decided, those: list[_Kept]) -> None:
+        for kept in those:
+            self._kept.remove(kept)
+            if kept.outcome is not None:
+                decided.discarded.append(Discarded(Sensor.DEPTH, kept.depth, kept.outcome))
 
     def _flush(self, decided: Decided, outcome: Outcome) -> None:
         if self._live:
@@ -194,6 +345,7 @@ class Synchronizer:
             self._decide_image(decided, self._images[-1 if self._live else 0])
         for depth in list(self._depths):
             self._discard_depth(decided, depth, outcome)
+        self._drop(decided, list(self._kept))
 
     def _partner(self, image: Message) -> Message | None:
         """The nearest depth map to which no other image is nearer; the older of two as near."""
@@ -244,6 +396,18 @@ class _Waiting:
             if self.newest_ns is not None:
                 self._intervals.append(message.stamp_ns - self.newest_ns)
             self.newest_ns = message.stamp_ns
+
+    def period_ns(self) -> int | None:
+        """The median interval; None before `_KNOWN` intervals."""
+        return median_low(self._intervals) if len(self._intervals) >= _KNOWN else None
+
+    def spread_ns(self) -> int:
+        """How far intervals are from the period: the mean distance of those that are one."""
+        period_ns = self.period_ns()
+        if period_ns is None:
+            return 0
+        single = [each for each in self._intervals if each < 1.5 * period_ns]
+        return sum(abs(each - period_ns) for each in single) // len(single)
 
     def next_ns(self, live: bool) -> int:
         """The earliest possible next stamp; only after a first message."""

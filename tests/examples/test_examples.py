@@ -6,13 +6,15 @@ import shutil
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from runtime.sources.bundled_stream import bundled_stream
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TESTED = {
-    *("bare_onnxruntime.py", "callbacks.py", "driving_loop.py", "multi_camera.py"),
+    *("bare_onnxruntime.py", "callbacks.py", "driving_loop.py", "multi_camera.py", "odometry.py"),
     "ray_data.py",  # by test_ray_data.py
 }
 
@@ -68,3 +70,35 @@ def test_callbacks(run):
         assert answered + others == 4
     assert len(answers) == int(re.fullmatch(counted, image)[2]) >= 1
     assert all(re.match(r"0\.\d\d s: \d+ ms, (skew 10 ms|no depth)", line) for line in answers)
+
+
+def test_an_odometry_beside_the_stream(run, tmp_path):
+    """Past walls at 10 m/s: all answers have depth, and every second one that of a scan before."""
+    pytest.importorskip("kiss_icp", reason="kiss-icp is no dependency")
+    images, scans = tmp_path / "images", tmp_path / "scans"
+    images.mkdir()
+    scans.mkdir()
+    walls = np.random.default_rng(0).uniform([-60, -9, -1.7], [60, -7, 4], (20_000, 3))
+    walls[::2, 1] += 16 + 3 * np.sin(walls[::2, 0])
+    walls[1::3, 0] = np.round(walls[1::3, 0] / 15) * 15  # houses' ends
+    for number in range(8):
+        name = f"{number:03d}"
+        rgb = np.random.default_rng(number).integers(0, 255, (64, 96, 3), np.uint8)
+        assert cv2.imwrite(str(images / f"{name}.png"), rgb)
+        points = (walls - (number, 0, 0)).astype("<f4")
+        np.column_stack([points, points[:, :1]]).astype("<f4").tofile(scans / f"{name}.bin")
+    calibration = tmp_path / "calibration.toml"
+    calibration.write_text(
+        "intrinsics = [[60.0, 0, 48], [0, 60.0, 32], [0, 0, 1]]\n"
+        "extrinsics = [[0.0, -1, 0, 0], [0, 0, -1, 0], [1.0, 0, 0, 0], [0, 0, 0, 1]]\n"
+    )
+    *lines, last = run(
+        "odometry.py", "--images", images, "--scans", scans, "--calibration", calibration
+    )
+    assert last == "8 answers, 4 with the scan before"
+    for number, line in enumerate(lines):
+        age = 100 * (number % 2)
+        assert line.startswith(f"{number / 10} s: depth {age} ms old, moved: "), line
+        if 2 <= number < 7:  # the first scan has no motion yet
+            assert "moved: scan" in line
+            assert "uncompensated" not in line

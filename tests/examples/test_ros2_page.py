@@ -67,6 +67,8 @@ def spun(monkeypatch):
             "rclpy.node": {"Node": Node},
             "rclpy.qos": {"qos_profile_sensor_data": object()},
             "cv_bridge": {"CvBridge": CvBridge},
+            "nav_msgs": {},
+            "nav_msgs.msg": {"Odometry": object},
             "sensor_msgs": {},
             "sensor_msgs.msg": {"Image": object, "PointCloud2": object},
             "sensor_msgs_py": {
@@ -90,17 +92,27 @@ def test_an_image_and_a_scan_are_answered(spun):
     frame = bundled_frames()[0]
     random = np.random.default_rng(0)
     points = random.uniform([4, -8, -1.5], [40, 8, 1], (5000, 3))  # x ahead, y left, z up
-    node = spun([("image", stamped(image=frame.rgb)), ("points", stamped(points=points))])
+    inner = SimpleNamespace(
+        position=SimpleNamespace(x=1, y=2, z=3), orientation=SimpleNamespace(x=0, y=0, z=0, w=1)
+    )
+    odometry = stamped(pose=SimpleNamespace(pose=inner))
+    node = spun(
+        [
+            ("odometry", odometry),
+            ("image", stamped(image=frame.rgb)),
+            ("points", stamped(points=points, fields=())),
+        ]
+    )
     depth, semantic = node.sent["~/depth"], node.sent["~/semantic"]
     assert (depth.encoding, semantic.encoding) == ("32FC1", "mono8")
     assert depth.values.shape == semantic.values.shape == (256, 832)
     assert (depth.header.stamp.sec, depth.header.stamp.nanosec) == (SECONDS, NANOSECONDS)
     assert node.destroyed
-    assert node.stream.counts.depths.answered == 1
+    assert node.stream.counts.depths.answered == node.stream.counts.poses.answered == 1
     assert not [text for text in node.logged if "must" in text], node.logged
 
 
 def test_a_scan_of_the_wrong_shape_is_an_error_that_the_node_outlives(spun):
-    node = spun([("points", stamped(points=np.zeros((5, 2))))])
+    node = spun([("points", stamped(points=np.zeros((5, 2)), fields=()))])
     assert any("points must" in text for text in node.logged), node.logged
     assert node.destroyed

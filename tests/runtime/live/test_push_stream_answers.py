@@ -264,7 +264,7 @@ def test_a_live_stream_checks_later_frames_when_none_waits():
     pair = Pair(*messages)
 
     def frame(*, idle):
-        answerer.answer(pair)
+        answerer.answer(pair, None)
         answerer.check_last(idle=idle)
         return asked.pop() is False
 

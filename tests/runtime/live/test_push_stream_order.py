@@ -95,7 +95,7 @@ def test_a_live_push_never_waits_and_the_newest_complete_frame_wins(setup):
 
 
 def test_a_complete_frame_is_not_overtaken_by_one_without_depth(setup):
-    made = setup(mode="live", max_wait_ms=50)
+    made = setup(mode="live", max_wait_ms=50, reuse_depth_ms=0)
     made.predictor.gate.clear()
     push_pair(made.stream, 0)
     made.predictor.entered.acquire()

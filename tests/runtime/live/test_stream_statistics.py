@@ -16,6 +16,8 @@ def record(recorder, image_ms, answered_ms, *, met=None, latency=1.0):
         latency_ms=latency,
         age_ms=None,
         skew_ms=None,
+        depth_age_ms=None,
+        depth_reused=False,
         deadline_met=met,
     )
     recorder.record(result, transit_ns=(answered_ms - image_ms) * MS)
@@ -54,7 +56,7 @@ def test_misses_and_their_longest_run():
     lines = statistics.table().splitlines()
     assert lines[-1] == "missed deadlines of 50 ms: 3, longest run 2"
     names = [line.split()[0] for line in lines]
-    assert names[5:9] == ["latency", "age", "skew", "jitter"]
+    assert names[5:10] == ["latency", "age", "skew", "depth", "jitter"]
 
 
 def test_without_a_deadline_there_are_no_misses():

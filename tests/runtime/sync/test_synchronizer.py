@@ -16,9 +16,13 @@ CAPACITY = 16
 class Played:
     """Plays messages to a synchronizer and keeps what it decides; all times in ms."""
 
-    def __init__(self, *, live, max_skew=20, max_wait=50, capacity=CAPACITY):
+    def __init__(self, *, live, max_skew=20, max_wait=50, capacity=CAPACITY, reuse=0):
         self.synchronizer = Synchronizer(
-            live=live, max_skew_ns=max_skew * MS, max_wait_ns=max_wait * MS, capacity=capacity
+            live=live,
+            max_skew_ns=max_skew * MS,
+            max_wait_ns=max_wait * MS,
+            capacity=capacity,
+            reuse_ns=reuse * MS,
         )
         self.now = 0
         self.pushed, self.pairs, self.discarded = [], [], []
@@ -209,6 +213,135 @@ def test_live_memory_is_bounded_by_dropping_the_oldest():
     ]
 
 
+# --- images without depth of their own -----------------------------------------------------------
+
+
+def reused(played):
+    return [(p.image.stamp, p.depth and p.depth.stamp, p.reused) for p in played.pairs]
+
+
+@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+def test_an_image_without_depth_takes_the_newest_before_it(live):
+    played = Played(live=live, reuse=150)
+    for stamp in (0, 50, 100, 150, 300):
+        played.image(stamp, at=stamp)
+        if stamp in (0, 100):
+            played.depth(stamp)
+        played.advance(stamp + 50)
+    played.flush()
+    assert reused(played) == [
+        (0, 0, False),
+        (50, 0, True),
+        (100, 100, False),
+        (150, 100, True),
+        (300, None, False),
+    ], "150 ms old is young enough, 200 ms is not"
+    assert played.outcomes() == []
+
+
+@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+@pytest.mark.parametrize(("stamp", "outcome"), [(130, "reused"), (400, "no_image")])
+def test_depth_without_an_image_of_its_own_is_reused_or_unmatched(live, stamp, outcome):
+    played = Played(live=live, reuse=150)
+    played.depth(0)
+    played.advance(60)
+    assert played.outcomes() == [], "an image may still take it"
+    played.image(stamp, at=stamp)
+    played.advance(stamp + 60)
+    played.flush()
+    assert played.outcomes() == [(DEPTH, 0, Outcome(outcome))]
+
+
+@pytest.mark.parametrize("turn", ["camera first", "lidar first"])
+def test_a_replay_reuses_the_same_depth_in_any_order_of_pushes(turn):
+    played = Played(live=False, reuse=150)
+    pushes = [(IMAGE, stamp) for stamp in (0, 50, 100, 150, 200)]
+    pushes += [(DEPTH, stamp) for stamp in (0, 100, 200)]
+    for sensor, stamp in pushes if turn == "camera first" else reversed(pushes[5:] + pushes[:5]):
+        if turn == "camera first":
+            played.push(sensor, stamp)
+    if turn == "lidar first":
+        for sensor, stamp in pushes[5:] + pushes[:5]:
+            played.push(sensor, stamp)
+    played.flush()
+    assert [(i, d) for i, d, _ in reused(played)] == [
+        (0, 0), (50, 0), (100, 100), (150, 100), (200, 200)
+    ]  # fmt: skip
+
+
+def test_a_replay_waits_for_poses_by_their_stamps():
+    played = Played(live=False, reuse=150)
+    played._keep(played.synchronizer.poses_reach(-(2**63), 0))
+    played.image(0)
+    played.depth(0)
+    assert played.pairs == []
+    assert played._keep(played.synchronizer.poses_reach(0, 0)) == [(0, 0)]
+    played.image(100)
+    message = Message(100, 100 * MS, 0, None, needs_ns=150 * MS)
+    played._keep(played.synchronizer.add(DEPTH, message, 0))
+    assert played._keep(played.synchronizer.poses_reach(149 * MS, 0)) == []
+    assert played._keep(played.synchronizer.poses_reach(150 * MS, 0)) == [(100, 100)]
+    played.image(200)
+    played.depth(200)
+    assert played._keep(played.synchronizer.release_oldest(IMAGE, 0)) == [(200, 200)]
+    played.image(300)
+    assert played.depth(300) == [(300, 300)], "poses count as absent until the next one"
+
+
+# --- no waiting for depth that is not due --------------------------------------------------------
+
+
+def rig(played, *, until, image_period=50, depth_period=100, lost=(), depth_delay=0):
+    """Play regular sensors; the ms that each image waited."""
+    waited = {}
+    events = [(stamp, IMAGE, stamp) for stamp in range(0, until, image_period)]
+    events += [
+        (stamp + depth_delay, DEPTH, stamp)
+        for stamp in range(0, until, depth_period)
+        if stamp not in lost
+    ]
+    events.sort(key=lambda event: (event[0], event[1] is IMAGE))
+    times = sorted({*(at for at, _, _ in events), *range(until + 100)})
+    for at in times:
+        found = played.advance(at)
+        for _, sensor, stamp in (event for event in events if event[0] == at):
+            found += played.push(sensor, stamp, at=at)
+        waited |= {image: at - image for image, _ in found}
+    return waited
+
+
+def test_live_an_image_that_no_depth_is_due_for_does_not_wait():
+    played = Played(live=True, max_skew=50, reuse=150)
+    waited = rig(played, until=1500)
+    assert set(waited) == set(range(0, 1500, 50)), "every image is decided"
+    assert max(wait for image, wait in waited.items() if image >= 700) == 0
+    assert max(waited.values()) == 50, "until the periods are known"
+    assert all(depth is not None for _, depth in stamps(played.pairs))
+
+
+def test_live_it_gives_no_older_image_away_that_depth_is_due_for():
+    played = Played(live=True, max_skew=50, reuse=150, max_wait=80)
+    waited = rig(played, until=2000, depth_delay=60)
+    later = {image: wait for image, wait in waited.items() if image >= 1000}
+    assert set(later) == set(range(1000, 2000, 50))
+    assert {wait for image, wait in later.items() if image % 100 == 0} == {60}
+    assert {wait for image, wait in later.items() if image % 100} == {10}
+
+
+def test_live_a_lost_scan_is_waited_for_and_the_next_image_is_not():
+    played = Played(live=True, max_skew=50, reuse=150)
+    waited = rig(played, until=1500, lost=(1000,))
+    assert (waited[950], waited[1000], waited[1050], waited[1100]) == (0, 50, 0, 0)
+    assert stamps(played.pairs)[-9:-7] == [(1050, 900), (1100, 1100)]
+
+
+def test_live_a_lidar_that_stopped_is_not_waited_for():
+    played = Played(live=True, max_skew=50, reuse=150)
+    waited = rig(played, until=2000, lost=range(1000, 2000, 100))
+    assert {waited[image] for image in range(1300, 2000, 50)} == {0}
+    assert stamps(played.pairs)[-14] == (1300, None)
+
+
 # --- against a plain loop ----------------------------------------------------------------------
 
 
@@ -249,7 +382,7 @@ def test_a_replay_matches_as_a_plain_loop_in_any_order_of_pushes(images, depths,
 
 anything = st.lists(
     st.tuples(
-        st.sampled_from(Sensor),
+        st.sampled_from([IMAGE, DEPTH]),
         st.one_of(st.integers(0, 300), st.integers(-5000, 5000), st.just(10**9)),
         st.integers(0, 60),  # ms until it arrives
     ),
@@ -258,9 +391,14 @@ anything = st.lists(
 
 
 @settings(max_examples=150, deadline=None)
-@given(messages=anything, live=st.booleans(), capacity=st.integers(1, 5))
-def test_every_message_of_any_sequence_is_accounted_for(messages, live, capacity):
-    played = Played(live=live, capacity=capacity)
+@given(
+    messages=anything,
+    live=st.booleans(),
+    capacity=st.integers(1, 5),
+    reuse=st.sampled_from([0, 30, 150, 10**6]),
+)
+def test_every_message_of_any_sequence_is_accounted_for(messages, live, capacity, reuse):
+    played = Played(live=live, capacity=capacity, reuse=reuse)
     now, jumps, epoch = 0, 0, 0
     for sensor, stamp, after in messages:
         now += after
@@ -275,15 +413,25 @@ def test_every_message_of_any_sequence_is_accounted_for(messages, live, capacity
             jumps, epoch = played.synchronizer.jumps_back, len(played.pairs)
         decided_ns = [pair.image.stamp_ns for pair in played.pairs[epoch:]]
         assert decided_ns == sorted(set(decided_ns)), "images are decided in their order"
-        for of in Sensor:
+        for of in (IMAGE, DEPTH):
             assert len(played.synchronizer._sensors[of].messages) <= capacity
+        assert len(played.synchronizer._kept) <= (capacity if reuse else 0)
     played.flush()
     assert played.synchronizer.due_ns() is None
-    decided = [id(m) for pair in played.pairs for m in pair if m is not None]
+    decided = [id(m) for pair in played.pairs for m in (pair.image, pair.own_depth) if m]
     decided += [id(item.message) for item in played.discarded]
     assert sorted(decided) == sorted(id(message) for _, message in played.pushed)
-    for image, depth in played.pairs:
-        assert depth is None or abs(image.stamp_ns - depth.stamp_ns) <= 20 * MS
+    served = set()
+    for image, depth, reused in played.pairs:
+        if reused:
+            assert 0 <= image.stamp_ns - depth.stamp_ns <= reuse * MS
+            served.add(depth)
+        else:
+            assert depth is None or abs(image.stamp_ns - depth.stamp_ns) <= 20 * MS
+    for item in played.discarded:
+        assert (item.outcome is Outcome.REUSED) <= (item.message in served)
+        if item.outcome is Outcome.NO_IMAGE:
+            assert item.message not in served
     if not live:
         lost = {outcome for sensor, _, outcome in played.outcomes() if sensor is IMAGE}
         assert lost <= {Outcome.DUPLICATE, Outcome.LATE}, "a replay answers every image"

@@ -1,0 +1,157 @@
+"""Files of poses: KITTI's, TUM's, and KITTI raw's oxts.
+
+Formats: A. Geiger et al., KITTI odometry development kit and "Vision meets Robotics", 2013;
+J. Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", 2012.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import InputError
+from runtime.read_input import read_text
+
+_KITTI, _TUM, _OXTS = 12, 8, 30
+_EARTH_RADIUS_M = 6378137.0
+
+
+def read_kitti_poses(path: Path) -> NDArray[np.float64]:
+    """Read a file of 12 numbers a line, a 3 x 4 matrix row by row: KITTI odometry, kiss-icp.
+
+    Returns:
+        float64 (N, 4, 4), a pose a line.
+
+    Raises:
+        InputError: if the file cannot be read or a line is no such matrix.
+    """
+    rows = _numbers(path, _KITTI)
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3] = rows.reshape(-1, 3, 4)
+    return poses
+
+
+def read_tum_poses(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Read a file of "time x y z qx qy qz qw" lines, as of TUM's benchmark and evo.
+
+    Returns:
+        Nanoseconds int64 (N,), and poses float64 (N, 4, 4).
+
+    Raises:
+        InputError: if the file cannot be read, or a line is no time [s] or no pose.
+    """
+    rows = _numbers(path, _TUM)
+    if len(rows) and not (np.abs(rows[:, 0]) < 2**63 / 1e9).all():
+        raise InputError(f"{path} must begin its lines with seconds, got {rows[:, 0].max():g}")
+    # Not by float: 1.6e9 s in float64 are exact to 0.2 µs alone.
+    stamps = [_nanoseconds(line.split()[0]) for line in _lines(path)]
+    poses = [
+        pose_of(row[1:4], row[4:8], f"line {number + 1} of {path}")
+        for number, row in enumerate(rows)
+    ]
+    return np.array(stamps, np.int64), np.array(poses).reshape(-1, 4, 4)
+
+
+def read_oxts_poses(paths: Iterable[Path]) -> NDArray[np.float64]:
+    """Read the files of KITTI raw's oxts/data, one each frame.
+
+    Args:
+        paths: in the order of the frames. Each begins with latitude and longitude [degrees],
+            altitude [m], roll, pitch and yaw [rad].
+
+    Returns:
+        float64 (N, 4, 4), poses of the IMU, on a Mercator plane scaled at the first latitude.
+
+    Raises:
+        InputError: if a file cannot be read.
+    """
+    poses: list[NDArray[np.float64]] = []
+    scale, origin = 0.0, np.zeros(3)
+    for path in paths:
+        row = _numbers(path, _OXTS)
+        if len(row) != 1:
+            raise InputError(f"{path} must have one line of {_OXTS} numbers, it has {len(row)}")
+        latitude, longitude, altitude, roll, pitch, yaw = row[0, :6]
+        if not (abs(latitude) < 89 and abs(longitude) <= 360):
+            raise InputError(f"{path} must begin with latitude and longitude in degrees")
+        scale = scale or np.cos(np.radians(latitude))
+        pose = np.eye(4)
+        pose[:3, :3] = _about_z(yaw) @ _about_y(pitch) @ _about_x(roll)
+        pose[:3, 3] = (
+            scale * _EARTH_RADIUS_M * np.radians(longitude),
+            scale * _EARTH_RADIUS_M * np.log(np.tan(np.radians(90 + latitude) / 2)),
+            altitude,
+        )
+        if not poses:
+            origin = pose[:3, 3].copy()
+        pose[:3, 3] -= origin
+        poses.append(pose)
+    return np.array(poses).reshape(-1, 4, 4)
+
+
+def pose_of(
+    position: Iterable[float], quaternion: Iterable[float], name: str
+) -> NDArray[np.float64]:
+    """Return the matrix (4, 4) of a position [m] and a unit quaternion x, y, z, w.
+
+    Raises:
+        InputError: if the numbers are not finite or the quaternion is not of unit length.
+    """
+    pose = np.eye(4)
+    pose[:3, 3] = tuple(position)
+    x, y, z, w = numbers = np.array(tuple(quaternion), np.float64)
+    norm = numbers @ numbers
+    if not (np.isfinite(pose).all() and 0.9 < norm < 1.1):
+        raise InputError(
+            f"{name} has the rotation {numbers.tolist()} and the position "
+            f"{pose[:3, 3].tolist()}: expected a unit quaternion x, y, z, w and metres"
+        )
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    pose[:3, :3] += 2 / norm * (w * cross + cross @ cross)
+    return pose
+
+
+def _lines(path: Path) -> list[str]:
+    lines = (line.partition("#")[0] for line in read_text(path).splitlines())
+    return [line for line in lines if line.strip()]
+
+
+def _numbers(path: Path, count: int) -> NDArray[np.float64]:
+    """The numbers of a text file, float64 (lines, count); "#" begins a comment."""
+    rows = []
+    for number, line in enumerate(_lines(path), 1):
+        try:
+            row = [float(word) for word in line.split()]
+        except ValueError:
+            row = []
+        if len(row) != count or not np.isfinite(row).all():
+            raise InputError(
+                f"line {number} of {path} must have {count} finite numbers, got {line!r:.80}"
+            )
+        rows.append(row)
+    return np.array(rows).reshape(-1, count)
+
+
+def _nanoseconds(word: str) -> int:
+    """Nanoseconds of a decimal number of seconds, without rounding where it has no exponent."""
+    whole, _, fraction = word.partition(".")
+    if not (whole.lstrip("+-").isdecimal() and (fraction or "0").isdecimal()):
+        return round(float(word) * 1e9)
+    rest = int(fraction[:9].ljust(9, "0"))
+    return int(whole) * 10**9 + (-rest if whole.startswith("-") else rest)
+
+
+def _about_x(angle: float) -> NDArray[np.float64]:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+
+
+def _about_y(angle: float) -> NDArray[np.float64]:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+def _about_z(angle: float) -> NDArray[np.float64]:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])

@@ -1,0 +1,383 @@
+"""Poses of a moving sensor by time: a bounded buffer, and interpolation between its poses.
+
+There are no threads and no clocks here. Between two poses rotations are interpolated by slerp and
+positions linearly. Beyond the first and the last pose the motion goes on evenly for at most
+`MAX_EXTRAPOLATION_MS`. Elsewhere there is no pose, and `NoPoseError` says why.
+"""
+
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import InputError
+from runtime.prediction import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
+from runtime.sync.outcome import Outcome
+from runtime.sync.stamp import NS_PER_MS
+from runtime.sync.synchronizer import JUMP_BACK_NS
+
+MAX_EXTRAPOLATION_MS = 100.0
+#: Longest time between two poses to interpolate over: at 10 m/s² a car leaves the straight line by
+#: 8 cm in it.
+MAX_GAP_MS = 250.0
+#: Poses that a `PoseBuffer` holds: 80 s at 100 Hz.
+CAPACITY = 8192
+_OTHER_CLOCK_NS = 10_000 * NS_PER_MS  # no pose within this time of a picture
+_VELOCITY_NS = 100 * NS_PER_MS  # velocities are averaged over this time
+_RIGID_TOLERANCE = 1e-3  # float32 poses that were multiplied often
+_LARGEST_M = 1e7
+# What a car can do between two poses; beyond it, the odometry jumped.
+_SPEED_M_S, _ACCELERATION_M_S2, _JUMP_M = 100.0, 10.0, 0.5
+_TURN_DEG_S, _TURN_DEG_S2, _JUMP_DEG = 180.0, 400.0, 5.0
+
+
+class PoseFrame(StrEnum):
+    """The frame of which poses are given."""
+
+    LIDAR = "lidar"
+    CAMERA = "camera"
+    BODY = "body"
+
+
+class NoPoseError(InputError):
+    """There is no pose for a time.
+
+    Attributes:
+        reason: "no_pose", "pose_gap", "pose_jump" or "pose_clock", as in `Prediction.degraded`.
+    """
+
+    def __init__(self, reason: str, text: str) -> None:
+        super().__init__(f"{reason}: {text}")
+        self.reason = reason
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTrack:
+    """Poses over a stretch of time; made by `PoseBuffer.between` or `PoseTrack.of`.
+
+    Attributes:
+        stamps_ns: int64 (N,), rising.
+        quaternions: float64 (N, 4), w, x, y, z.
+        positions: float64 (N, 3), metres.
+        jumped: bool (N,): whether the pose does not continue the motion of the one before it.
+        mount: float64 (4, 4) from the frame to be moved to the frame of the poses.
+        max_gap_ns: longest time to interpolate over.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    quaternions: NDArray[np.float64]
+    positions: NDArray[np.float64]
+    jumped: NDArray[np.bool_]
+    mount: NDArray[np.float64]
+    max_gap_ns: int
+
+    @classmethod
+    def of(cls, poses: Any, stamps_ns: Any) -> "PoseTrack":
+        """Make a track of a whole recording.
+
+        Args:
+            poses: float (N, 4, 4), rigid, from the moving frame to a fixed one [m].
+            stamps_ns: N integers, rising.
+
+        Raises:
+            InputError: for a pose that is not rigid and for stamps that do not rise.
+        """
+        buffer = PoseBuffer(capacity=max(1, len(poses)))
+        for pose, stamp_ns in zip(poses, stamps_ns, strict=True):
+            if buffer.add(pose, int(stamp_ns)) is not Outcome.ANSWERED or buffer.resets:
+                raise InputError(f"the stamps of poses must rise, got {stamp_ns} after a later one")
+        return buffer.whole()
+
+    def mounted(self, mount: NDArray[np.float64]) -> "PoseTrack":
+        """The same motion of a frame that is fixed to that of the poses by `mount`, (4, 4)."""
+        return replace(self, mount=mount)
+
+    def at(self, times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the poses at some times, float64 (M, 4, 4), all in one fixed frame.
+
+        Args:
+            times_ns: int64 (M,).
+
+        Raises:
+            NoPoseError: if one of the times has none, or the motion jumped between them.
+        """
+        if not len(times_ns):
+            return np.zeros((0, 4, 4))
+        first_ns, last_ns = int(times_ns.min()), int(times_ns.max())
+        stamps_ns = self.stamps_ns
+        if not len(stamps_ns):
+            raise NoPoseError(NO_POSE, "no poses were given")
+        before_ns, after_ns = int(stamps_ns[0]) - first_ns, last_ns - int(stamps_ns[-1])
+        if before_ns > 0 or after_ns > 0:
+            beyond_ns = max(before_ns, after_ns)
+            reason = POSE_CLOCK if beyond_ns > _OTHER_CLOCK_NS else NO_POSE
+            raise NoPoseError(
+                reason,
+                f"{beyond_ns / NS_PER_MS:g} ms beyond the poses and their "
+                f"{MAX_EXTRAPOLATION_MS:g} ms of extrapolation",
+            )
+        # The segment that ends at pose `end`; a time that is exactly a pose's needs no second one.
+        end = np.searchsorted(stamps_ns, times_ns, side="left")
+        on_pose = stamps_ns[end] == times_ns
+        start = np.where(on_pose, end, end - 1)
+        if self.jumped[start.min() + 1 : end.max() + 1].any():
+            raise NoPoseError(POSE_JUMP, "the poses jump between the returns and the picture")
+        lengths_ns = stamps_ns[end] - stamps_ns[start]
+        if (lengths_ns > self.max_gap_ns).any():
+            raise NoPoseError(
+                POSE_GAP,
+                f"{lengths_ns.max() / NS_PER_MS:g} ms without a pose, at most "
+                f"{self.max_gap_ns / NS_PER_MS:g} ms are interpolated",
+            )
+        weights = (times_ns - stamps_ns[start]) / np.maximum(lengths_ns, 1)
+        poses = np.zeros((len(times_ns), 4, 4))
+        poses[:, :3, :3] = _matrices(
+            _slerp(self.quaternions[start], self.quaternions[end], weights)
+        )
+        step = self.positions[end] - self.positions[start]
+        poses[:, :3, 3] = self.positions[start] + weights[:, None] * step
+        poses[:, 3, 3] = 1
+        return np.asarray(poses @ self.mount)
+
+
+class PoseBuffer:
+    """Keeps the newest poses of one moving frame.
+
+    A pose that is older than the newest one is not taken: poses are used as they come. Stamps that
+    go back by more than a second are of a new clock; all older poses are then forgotten.
+
+    Args:
+        capacity: poses that are kept.
+        max_gap_ms: longest time between two poses to interpolate over.
+
+    Attributes:
+        out_of_order: poses that were older than the newest one.
+        resets: how often the stamps went back by more than a second.
+        jumps: how often the motion was none that a car can do.
+    """
+
+    def __init__(self, *, capacity: int = CAPACITY, max_gap_ms: float = MAX_GAP_MS) -> None:
+        self._capacity, self._max_gap_ns = capacity, round(max_gap_ms * NS_PER_MS)
+        self._stamps_ns: list[int] = []
+        self._quaternions: list[NDArray[np.float64]] = []
+        self._positions: list[NDArray[np.float64]] = []
+        self._jumped: list[bool] = []
+        self.out_of_order = self.resets = self.jumps = 0
+
+    def __len__(self) -> int:
+        return len(self._stamps_ns)
+
+    @property
+    def newest_ns(self) -> int | None:
+        """The stamp of the newest pose."""
+        return self._stamps_ns[-1] if self._stamps_ns else None
+
+    def count_after(self, stamp_ns: int) -> int:
+        """How many poses are newer than this."""
+        return len(self._stamps_ns) - bisect_right(self._stamps_ns, stamp_ns)
+
+    def add(self, pose: Any, stamp_ns: int) -> Outcome:
+        """Take a pose.
+
+        Args:
+            pose: float (4, 4), rigid, from the moving frame to a fixed one [m].
+            stamp_ns: its time.
+
+        Returns:
+            ANSWERED where it was taken; DUPLICATE and LATE where it was not.
+
+        Raises:
+            InputError: if it is not rigid.
+        """
+        pose = check_pose(pose)
+        if self._stamps_ns and stamp_ns <= self._stamps_ns[-1]:
+            if stamp_ns == self._stamps_ns[-1]:
+                return Outcome.DUPLICATE
+            self.out_of_order += 1
+            if stamp_ns >= self._stamps_ns[-1] - JUMP_BACK_NS:
+                return Outcome.LATE
+            self.resets += 1
+            self._drop(len(self._stamps_ns))
+        quaternion, position = _quaternion(pose[:3, :3]), pose[:3, 3].copy()
+        jumped = bool(self._stamps_ns) and self._is_jump(stamp_ns, quaternion, position)
+        self.jumps += jumped
+        self._stamps_ns.append(stamp_ns)
+        self._quaternions.append(quaternion)
+        self._positions.append(position)
+        self._jumped.append(jumped)
+        if len(self._stamps_ns) >= 2 * self._capacity:  # seldom: it moves the lists
+            self._drop(len(self._stamps_ns) - self._capacity)
+        return Outcome.ANSWERED
+
+    def whole(self) -> PoseTrack:
+        """All poses, with the extrapolation at both ends."""
+        if not self._stamps_ns:
+            return self.between(0, 0)
+        reach_ns = round(MAX_EXTRAPOLATION_MS * NS_PER_MS)
+        return self.between(self._stamps_ns[0] - reach_ns, self._stamps_ns[-1] + reach_ns)
+
+    def between(self, first_ns: int, last_ns: int) -> PoseTrack:
+        """Copy the poses for the times from `first_ns` to `last_ns`, and one on each side."""
+        stamps_ns = self._stamps_ns
+        start = max(bisect_right(stamps_ns, first_ns) - 1, 0)
+        stop = min(bisect_left(stamps_ns, last_ns) + 1, len(stamps_ns))
+        # At least the nearest pose, which says how far away it is.
+        start = min(start, max(len(stamps_ns) - 1, 0))
+        stop = max(stop, min(start + 1, len(stamps_ns)))
+        stamps = stamps_ns[start:stop]
+        quaternions, positions = self._quaternions[start:stop], self._positions[start:stop]
+        jumped = self._jumped[start:stop]
+        if stamps:
+            reach_ns = round(MAX_EXTRAPOLATION_MS * NS_PER_MS)
+            newest, oldest = stamps_ns[-1], stamps_ns[0]
+            if last_ns > newest and (base := self._base(len(stamps_ns) - 1)) is not None:
+                end_ns = min(last_ns, newest + reach_ns)
+                quaternion, position = self._beyond(base, len(stamps_ns) - 1, end_ns)
+                stamps, jumped = [*stamps, end_ns], [*jumped, False]
+                quaternions, positions = [*quaternions, quaternion], [*positions, position]
+            if first_ns < oldest and (base := self._base_after(0)) is not None:
+                end_ns = max(first_ns, oldest - reach_ns)
+                quaternion, position = self._beyond(base, 0, end_ns)
+                stamps, jumped = [end_ns, *stamps], [False, *jumped]
+                quaternions, positions = [quaternion, *quaternions], [position, *positions]
+        return PoseTrack(
+            np.array(stamps, np.int64),
+            np.array(quaternions, np.float64).reshape(-1, 4),
+            np.array(positions, np.float64).reshape(-1, 3),
+            np.array(jumped, bool),
+            np.eye(4),
+            self._max_gap_ns,
+        )
+
+    def _drop(self, count: int) -> None:
+        for column in (self._stamps_ns, self._quaternions, self._positions, self._jumped):
+            del column[:count]
+
+    def _base(self, last: int) -> int | None:
+        """The pose from which the velocity at pose `last` is taken; None = there is none."""
+        earliest_ns = self._stamps_ns[last] - _VELOCITY_NS
+        base = last
+        while base > 0 and not self._jumped[base]:
+            if base < last and self._stamps_ns[base - 1] < earliest_ns:
+                break
+            base -= 1
+        gap_ns = self._stamps_ns[last] - self._stamps_ns[base]
+        return base if 0 < gap_ns <= max(self._max_gap_ns, _VELOCITY_NS) else None
+
+    def _base_after(self, first: int) -> int | None:
+        latest_ns = self._stamps_ns[first] + _VELOCITY_NS
+        base = first
+        while base + 1 < len(self._stamps_ns) and not self._jumped[base + 1]:
+            if base > first and self._stamps_ns[base + 1] > latest_ns:
+                break
+            base += 1
+        gap_ns = self._stamps_ns[base] - self._stamps_ns[first]
+        return base if 0 < gap_ns <= max(self._max_gap_ns, _VELOCITY_NS) else None
+
+    def _beyond(
+        self, base: int, end: int, stamp_ns: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Where the motion from pose `base` to pose `end` leads at a time beyond `end`."""
+        length_ns = self._stamps_ns[end] - self._stamps_ns[base]
+        weight = np.array([(stamp_ns - self._stamps_ns[base]) / length_ns])
+        step = self._positions[end] - self._positions[base]
+        (quaternion,) = _slerp(self._quaternions[base][None], self._quaternions[end][None], weight)
+        return quaternion, self._positions[base] + weight * step
+
+    def _is_jump(
+        self, stamp_ns: int, quaternion: NDArray[np.float64], position: NDArray[np.float64]
+    ) -> bool:
+        """Whether the next pose is one that a car cannot reach from the poses before it."""
+        last = len(self._stamps_ns) - 1
+        after_s = (stamp_ns - self._stamps_ns[last]) / 1e9
+        base = self._base(last)
+        if base is None:
+            from_quaternion, from_position = self._quaternions[last], self._positions[last]
+            far_m, far_deg = _SPEED_M_S * after_s, _TURN_DEG_S * after_s
+        else:
+            from_quaternion, from_position = self._beyond(base, last, stamp_ns)
+            base_s = (self._stamps_ns[last] - self._stamps_ns[base]) / 1e9
+            square_s2 = after_s * (after_s + base_s)
+            far_m, far_deg = _ACCELERATION_M_S2 * square_s2, _TURN_DEG_S2 * square_s2
+        cosine = min(1.0, abs(float(from_quaternion @ quaternion)))
+        return bool(
+            np.linalg.norm(position - from_position) > _JUMP_M + far_m
+            or np.degrees(2 * np.arccos(cosine)) > _JUMP_DEG + far_deg
+        )
+
+
+def check_pose(pose: Any, name: str = "pose") -> NDArray[np.float64]:
+    """Return a rigid transform as float64 (4, 4).
+
+    Raises:
+        InputError: if it is not rigid: a rotation without scale or mirror, finite metres, and the
+            last row 0, 0, 0, 1.
+    """
+    plain = isinstance(pose, np.ndarray) and not isinstance(pose, np.ma.MaskedArray | np.matrix)
+    if not plain or pose.dtype.kind != "f" or pose.shape != (4, 4):
+        got = f"{pose.dtype} {pose.shape}" if plain else type(pose).__name__
+        raise InputError(f"{name} must be an array of floats (4, 4), got {got}")
+    matrix: NDArray[np.float64] = pose.astype(np.float64)
+    if not np.isfinite(matrix).all() or np.abs(matrix[:3, 3]).max() > _LARGEST_M:
+        raise InputError(f"{name} must be finite, with a position in metres, got {pose.tolist()}")
+    rotation = matrix[:3, :3]
+    if not np.array_equal(matrix[3], (0, 0, 0, 1)):
+        raise InputError(
+            f"the last row of {name} must be 0, 0, 0, 1, got {matrix[3].tolist()}: is the matrix "
+            "transposed?"
+        )
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    if not error <= _RIGID_TOLERANCE or np.linalg.det(rotation) < 0:
+        raise InputError(
+            f"{name} must be rigid, a rotation and a position, got {rotation.tolist()}: "
+            "it scales, shears or mirrors"
+        )
+    return matrix
+
+
+def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """w, x, y, z of a rotation matrix, by its largest component (Shepperd 1978)."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+    choices = (a + e + i, a - e - i, e - a - i, i - a - e)
+    largest = choices.index(max(choices))
+    rows = (
+        (1 + choices[0], h - f, c - g, d - b),
+        (h - f, 1 + choices[1], b + d, c + g),
+        (c - g, b + d, 1 + choices[2], f + h),
+        (d - b, c + g, f + h, 1 + choices[3]),
+    )
+    quaternion = np.array(rows[largest])
+    return np.asarray(quaternion / np.linalg.norm(quaternion))
+
+
+def _slerp(
+    first: NDArray[np.float64], second: NDArray[np.float64], weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Unit quaternions (M, 4) between two, on the shorter way; weights beyond 0..1 go further."""
+    cosine = np.einsum("ij,ij->i", first, second)
+    second = np.where(cosine[:, None] < 0, -second, second)
+    angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
+    sine = np.sin(angle)
+    even = sine < 1e-6  # sin(x) = x to the last bit
+    sine = np.where(even, 1.0, sine)
+    of_first = np.where(even, 1 - weights, np.sin((1 - weights) * angle) / sine)
+    of_second = np.where(even, weights, np.sin(weights * angle) / sine)
+    between = of_first[:, None] * first + of_second[:, None] * second
+    return np.asarray(between / np.linalg.norm(between, axis=1, keepdims=True))
+
+
+def _matrices(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrices (M, 3, 3) of unit quaternions."""
+    w, x, y, z = quaternions.T
+    matrices = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return np.moveaxis(matrices, 2, 0)

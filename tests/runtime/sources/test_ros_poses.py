@@ -1,0 +1,99 @@
+"""Poses of Odometry and /tf, and the times of points, of messages made by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from runtime.errors import InputError
+from runtime.sources.ros_poses import odometry_pose, point_times_ns, transform_pose
+
+STAMP_NS = 1_700_000_000 * 10**9 + 123_456_789
+QUATERNION = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_quat()
+
+
+def vector(*values):
+    return SimpleNamespace(**dict(zip("xyzw", values, strict=False)))
+
+
+def odometry(quaternion=QUATERNION, position=(1, 2, 3)):
+    inner = SimpleNamespace(position=vector(*position), orientation=vector(*quaternion))
+    return SimpleNamespace(pose=SimpleNamespace(pose=inner))
+
+
+def test_poses_of_both_messages():
+    expected = np.eye(4)
+    expected[:3, :3] = Rotation.from_quat(QUATERNION).as_matrix()
+    expected[:3, 3] = 1, 2, 3
+    transform = SimpleNamespace(translation=vector(1, 2, 3), rotation=vector(*QUATERNION))
+    np.testing.assert_allclose(odometry_pose(odometry()), expected, atol=1e-12)
+    np.testing.assert_allclose(
+        transform_pose(SimpleNamespace(transform=transform)), expected, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("wrong", [{"quaternion": (0, 0, 0, 0)}, {"quaternion": (0, 0, 0, 2)},
+                                   {"position": (np.nan, 0, 0)}])  # fmt: skip
+def test_a_pose_that_is_none_is_refused(wrong):
+    with pytest.raises(InputError, match="an Odometry has the rotation"):
+        odometry_pose(odometry(**wrong))
+
+
+def cloud(name, datatype, code, values, *, height=1, is_bigendian=False, offset=12, count=1):
+    step = 24
+    width = len(values) // height
+    data = np.zeros((len(values), step), np.uint8)
+    raw = np.array(values, ("<", ">")[is_bigendian] + code)
+    data[:, 12 : 12 + raw.itemsize] = raw.view(np.uint8).reshape(len(values), raw.itemsize)
+    field = SimpleNamespace(name=name, datatype=datatype, offset=offset, count=count)
+    return SimpleNamespace(
+        fields=[SimpleNamespace(name="x", datatype=7, offset=0, count=1), field],
+        height=height, width=width, point_step=step, row_step=step * width,
+        is_bigendian=is_bigendian, data=data.tobytes(),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("is_bigendian", [False, True])
+@pytest.mark.parametrize(("name", "datatype", "code", "values", "after_ns"), [
+    ("t", 6, "u4", [0, 50_000_000, 99_000_000, 1], [0, 50_000_000, 99_000_000, 1]),  # Ouster
+    ("time", 7, "f4", [-0.1, 0.0, 0.05, 0.0], [-100_000_001, 0, 50_000_001, 0]),  # Velodyne
+    ("timestamp", 8, "f8", [0.0, 0.05, 0.1, 0.0], [0, 50_000_000, 100_000_000, 0]),
+    ("time_stamp", 6, "u4", [5, 6, 7, 8], [5, 6, 7, 8]),  # Autoware
+    ("offset_time", 6, "u4", [5, 6, 7, 8], [5, 6, 7, 8]),  # Livox
+])  # fmt: skip
+@pytest.mark.parametrize("height", [1, 2])
+def test_times_after_the_stamp(name, datatype, code, values, after_ns, height, is_bigendian):
+    message = cloud(name, datatype, code, values, height=height, is_bigendian=is_bigendian)
+    times = point_times_ns(message, STAMP_NS)
+    np.testing.assert_allclose(times - STAMP_NS, after_ns, atol=2)
+
+
+def test_eight_bytes_are_of_the_clock_where_they_are_large():
+    """As Hesai's and RoboSense's drivers write them; a float64 is exact to 0.24 µs there."""
+    message = cloud("timestamp", 8, "f8", [STAMP_NS / 1e9, STAMP_NS / 1e9 + 0.05])
+    times = point_times_ns(message, STAMP_NS)
+    np.testing.assert_allclose(times - STAMP_NS, [0, 50_000_000], atol=250)
+
+
+def test_a_field_that_is_missing_or_not_filled_is_no_time():
+    assert point_times_ns(cloud("intensity", 7, "f4", [1, 2]), STAMP_NS) is None
+    assert point_times_ns(cloud("t", 6, "u4", [0, 0, 0]), STAMP_NS) is None
+    assert point_times_ns(cloud("t", 6, "u4", []), STAMP_NS) is None
+
+
+@pytest.mark.parametrize("change", [
+    {"datatype": 2, "code": "u1"}, {"offset": 22}, {"offset": -1}, {"count": 3},
+    {"datatype": 7, "code": "f4", "values": [0, np.nan]},
+])  # fmt: skip
+def test_another_layout_is_refused(change):
+    arguments = {"name": "t", "datatype": 6, "code": "u4", "values": [1, 2]} | change
+    with pytest.raises(InputError, match="the field t"):
+        point_times_ns(cloud(**arguments), STAMP_NS)
+
+
+def test_truncated_data_is_refused():
+    message = cloud("t", 6, "u4", [1, 2])
+    message.data = message.data[:-1]
+    with pytest.raises(InputError, match="truncated"):
+        point_times_ns(message, STAMP_NS)
