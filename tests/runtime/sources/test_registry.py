@@ -1,12 +1,15 @@
-"""Sources by their kind, and their options."""
+"""Sources by their kind, and their options. A source is a file and a line of SOURCES."""
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from runtime import InputError
 from runtime.sources.folders import FolderSource
+from runtime.sources.frames import Frame
 from runtime.sources.registry import SOURCES, open_source, parse_source
+from runtime.sources.source import ListedFrame, Source, up_to
 
 KINDS = "one of the kinds kitti-raw, kitti-object, video, bag, one-folder, folders"
 
@@ -90,3 +93,46 @@ def test_a_path_that_is_not_there_is_an_input_error(kind, tmp_path, run):
     answers = run("--source", f"{kind}:{tmp_path / 'none'}")
     assert answers.exit_code == 1
     assert str(tmp_path / "none") in answers.text
+
+
+class ArchiveSource(Source):
+    """A new source is such a class, here with an option that others have, ..."""
+
+    accepted = "arrays rgb and depth in one .npz file"
+    options = ("depth_scale",)
+
+    def __init__(self, path, *, depth_scale=1.0):
+        self.recordings, self._scale = (path,), depth_scale
+        with np.load(path) as arrays:
+            self._rgb, self._depth = arrays["rgb"], arrays["depth"]
+
+    @staticmethod
+    def accepts(path):
+        return path.suffix == ".npz"
+
+    def list_frames(self, *, limit=None):
+        frames = (ListedFrame(i, f"frame{i}", i, i) for i in range(len(self._rgb)))
+        return up_to(frames, limit)
+
+    def read(self, frame):
+        depth = np.float32(self._depth[frame.depth] / self._scale)
+        return Frame(self._rgb[frame.image], depth)
+
+    @property
+    def inputs(self):
+        return {"source": str(self.recordings[0])}
+
+
+@pytest.mark.parametrize("kind", ["", "archive:"])
+def test_another_source_is_a_file_and_a_line(kind, run, tmp_path, make_frame, monkeypatch):
+    monkeypatch.setitem(SOURCES, "archive", ArchiveSource)  # ... and its line
+    frames = [make_frame(seed=seed) for seed in range(3)]
+    depths = [depth * 4 for _, depth in frames]
+    np.savez(tmp_path / "drive.npz", rgb=[rgb for rgb, _ in frames], depth=depths)
+    path = f"{kind}{tmp_path / 'drive.npz'}"
+    answers = run(*(["--source"] if kind else []), path, "--depth-scale", 4, "--limit", 2)
+    assert answers.exit_code == 0
+    assert answers.names == ["frame0", "frame1"]
+    returns = frames[1][1]
+    fed = answers.fed_depth("frame1")[returns > 0]
+    np.testing.assert_allclose(fed, returns[returns > 0], atol=1 / 256)
