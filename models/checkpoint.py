@@ -11,6 +11,7 @@ from models.checkpoint_checks import check_archive, check_weights
 from models.network import Network
 from models.registry import NETWORKS
 from models.training_facts import TrainingFacts
+from runtime.checks import shown
 from runtime.errors import CheckpointError, OutputError
 from runtime.io.atomic_write import atomic_file
 
@@ -116,7 +117,7 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
         )
     if not _is_equal(version, VERSION):
         raise CheckpointError(
-            f"{path}: checkpoint version {version!r:.80}, but this installation reads version "
+            f"{path}: checkpoint version {shown(version)}, but this installation reads version "
             f"{VERSION}. Install a release that matches the file."
         )
     return restore(document, path)
@@ -161,7 +162,7 @@ def restore(document: Mapping[str, Any], path: Path) -> Checkpoint:
     kinds = {entry.network.__name__: entry for entry in NETWORKS.values()}
     if kind not in kinds:
         raise CheckpointError(
-            f"{path}: holds the network {kind!r:.80}, but this installation knows "
+            f"{path}: holds the network {shown(kind)}, but this installation knows "
             f"{', '.join(kinds)}. Install a release that matches the file."
         )
     try:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from models.checkpoint import VERSION, read_document, restore, write_document
+from runtime.checks import shown
 from runtime.errors import CheckpointError, OutputError
 
 #: Network of today -> the fields of version 1 that it no longer has, with the values that are it.
@@ -62,7 +63,7 @@ def convert_checkpoint(old: Path, new: Path) -> None:
     document = read_document(old)
     if not _is_same(document.get("version"), 1):
         raise CheckpointError(
-            f"{old}: checkpoint version {document.get('version')!r:.80}; only version 1 is "
+            f"{old}: checkpoint version {shown(document.get('version'))}; only version 1 is "
             "converted. Use the file as it is."
         )
     if document["trainer"]:

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from models.blocks import upsample
 from models.classes import CAMVID_CLASSES
+from runtime.checks import shown
 from runtime.contract import (
     MIN_SIDE,
     ClassInfo,
@@ -119,7 +120,7 @@ def check_fields(config: type[NetworkConfig], names: Iterable[object], network: 
     if unknown:
         hints = (f" (removed: {_REPLACED[key]})" if key in _REPLACED else "" for key in unknown)
         listed = ", ".join(key + hint for key, hint in zip(unknown, hints, strict=True))
-        raise ValueError(f"no configuration field of the network {network!r:.80}: {listed}")
+        raise ValueError(f"no configuration field of the network {shown(network)}: {listed}")
 
 
 class Network(nn.Module):
@@ -290,4 +291,4 @@ def _checked(value: Any, hint: Any, key: str) -> Any:
         return value
     if kind in (bool, int, float, str) and type(value) is kind:
         return value
-    raise ValueError(f"{key} has the wrong type: {value!r:.80}")
+    raise ValueError(f"{key} has the wrong type: {shown(value)}")

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from models import Network
+from runtime.checks import shown
 from runtime.errors import InputError
 from training.recipe import ReleaseRecipe
 
@@ -71,7 +72,7 @@ def class_offsets(network: Network, offsets: Sequence[tuple[str, float]]) -> Ten
     for index, (name, offset) in enumerate(offsets):
         if name not in names or name in dict(offsets[:index]):
             raise InputError(
-                f"release.logit_offsets: {name!r:.80} is named twice or no class of the network; "
+                f"release.logit_offsets: {shown(name)} is named twice or no class of the network; "
                 f"it has {', '.join(names) or 'none'}."
             )
         values[names.index(name)] = offset

@@ -9,6 +9,7 @@ from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 
 from models import Network, NetworkOutput, load_checkpoint, save_checkpoint
+from runtime.checks import shown
 from runtime.errors import CheckpointError, InputError
 from training.batch import Batch
 from training.distributed import Processes, share_gradients
@@ -83,7 +84,7 @@ class TrainingState:
                 self.step = int(checkpoint.trainer["step"])
             except Exception as error:  # a damaged state can fail in any way
                 raise CheckpointError(
-                    f"{path}: its state of the loop is damaged ({error!r:.200}), so it cannot be "
+                    f"{path}: its state of the loop is damaged ({shown(error, 200)}), so it cannot be "
                     "resumed. Start a new --out with --init and this file."
                 ) from error
         if len(set(self._processes.gather(self.step))) > 1:

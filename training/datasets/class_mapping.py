@@ -18,26 +18,20 @@ from training.datasets.sample import IGNORE
 #: A name in `models.CLASS_TABLES`, or a table.
 ClassTable = str | tuple[ClassInfo, ...]
 
-#: Virtual KITTI's categories, and those that rendered scenes add, by the names in their files.
+#: Virtual KITTI's categories, by the names in their files.
 _VIRTUAL_KITTI_NAMES: Mapping[str, str] = {
-    "Terrain": "terrain",
-    "Sky": "sky",
-    "Tree": "tree",
-    "Vegetation": "vegetation",
-    "Building": "building",
-    "Road": "road",
-    "GuardRail": "guard rail",
-    "TrafficSign": "traffic sign",
-    "TrafficLight": "traffic light",
-    "Pole": "pole",
-    "Misc": "misc",
-    "Truck": "truck",
-    "Car": "car",
-    "Van": "van",
+    info.name.title().replace(" ", ""): info.name for info in CLASS_TABLES["virtual_kitti"]
 }
+#: Those that rendered scenes add.
 _RENDERED_ONLY = ("Pavement", "Fence", "Pedestrian", "Cyclist", "Undefined")
 
 _Names = Mapping[str, str | None]
+
+
+def _joined(classes: Mapping[str | None, Sequence[str]]) -> _Names:
+    """Turn class -> its labels into label -> its class."""
+    return {label: name for name, labels in classes.items() for label in labels}
+
 
 #: (data set, table) -> label of the data set -> class of the table, None = ignored.
 _MAPPINGS: Mapping[tuple[str, str], _Names] = {
@@ -45,74 +39,60 @@ _MAPPINGS: Mapping[tuple[str, str], _Names] = {
     ("cityscapes", "cityscapes"): {info.name: info.name for info in CLASS_TABLES["cityscapes"]},
     # Wall joins building as in the SegNet mapping, terrain joins tree (CamVid's VegetationMisc),
     # rider and two-wheelers are bicyclist.
-    ("cityscapes", "camvid"): {
-        "road": "road",
-        "sidewalk": "pavement",
-        "building": "building",
-        "wall": "building",
-        "fence": "fence",
-        "pole": "pole",
-        "traffic light": "sign",
-        "traffic sign": "sign",
-        "vegetation": "tree",
-        "terrain": "tree",
-        "sky": "sky",
-        "person": "pedestrian",
-        "rider": "bicyclist",
-        "car": "car",
-        "truck": "car",
-        "bus": "car",
-        "train": "car",
-        "motorcycle": "bicyclist",
-        "bicycle": "bicyclist",
-    },
+    ("cityscapes", "camvid"): _joined(
+        {
+            "road": ["road"],
+            "pavement": ["sidewalk"],
+            "building": ["building", "wall"],
+            "fence": ["fence"],
+            "pole": ["pole"],
+            "sign": ["traffic light", "traffic sign"],
+            "tree": ["vegetation", "terrain"],
+            "sky": ["sky"],
+            "pedestrian": ["person"],
+            "bicyclist": ["rider", "motorcycle", "bicycle"],
+            "car": ["car", "truck", "bus", "train"],
+        }
+    ),
     ("virtual_kitti", "virtual_kitti"): {
         **_VIRTUAL_KITTI_NAMES,
         **dict.fromkeys(_RENDERED_ONLY),
     },
-    ("virtual_kitti", "camvid"): {
-        "Sky": "sky",
-        "Building": "building",
-        "Pole": "pole",
-        "Road": "road",
-        "Pavement": "pavement",
-        "Tree": "tree",
-        "Vegetation": "tree",
-        "Terrain": "tree",
-        "TrafficSign": "sign",
-        "TrafficLight": "sign",
-        "Fence": "fence",
-        "GuardRail": "fence",
-        "Car": "car",
-        "Van": "car",
-        "Truck": "car",
-        "Pedestrian": "pedestrian",
-        "Cyclist": "bicyclist",
-        "Misc": None,
-        "Undefined": None,
-    },
+    ("virtual_kitti", "camvid"): _joined(
+        {
+            "sky": ["Sky"],
+            "building": ["Building"],
+            "pole": ["Pole"],
+            "road": ["Road"],
+            "pavement": ["Pavement"],
+            "tree": ["Tree", "Vegetation", "Terrain"],
+            "sign": ["TrafficSign", "TrafficLight"],
+            "fence": ["Fence", "GuardRail"],
+            "car": ["Car", "Van", "Truck"],
+            "pedestrian": ["Pedestrian"],
+            "bicyclist": ["Cyclist"],
+            None: ["Misc", "Undefined"],
+        }
+    ),
     # Cityscapes labels a rider apart from the bicycle; here the two are one.
-    ("virtual_kitti", "cityscapes"): {
-        "Sky": "sky",
-        "Building": "building",
-        "Pole": "pole",
-        "Road": "road",
-        "Pavement": "sidewalk",
-        "Tree": "vegetation",
-        "Vegetation": "vegetation",
-        "Terrain": "terrain",
-        "TrafficSign": "traffic sign",
-        "TrafficLight": "traffic light",
-        "Fence": "fence",
-        "GuardRail": None,
-        "Car": "car",
-        "Van": "car",
-        "Truck": "truck",
-        "Pedestrian": "person",
-        "Cyclist": None,
-        "Misc": None,
-        "Undefined": None,
-    },
+    ("virtual_kitti", "cityscapes"): _joined(
+        {
+            "sky": ["Sky"],
+            "building": ["Building"],
+            "pole": ["Pole"],
+            "road": ["Road"],
+            "sidewalk": ["Pavement"],
+            "vegetation": ["Tree", "Vegetation"],
+            "terrain": ["Terrain"],
+            "traffic sign": ["TrafficSign"],
+            "traffic light": ["TrafficLight"],
+            "fence": ["Fence"],
+            "car": ["Car", "Van"],
+            "truck": ["Truck"],
+            "person": ["Pedestrian"],
+            None: ["GuardRail", "Cyclist", "Misc", "Undefined"],
+        }
+    ),
 }
 
 

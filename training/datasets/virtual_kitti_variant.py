@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.io.images import DEPTH_SUFFIXES, list_files, read_sparse_depth
@@ -82,7 +83,7 @@ def _read_calibrations(path: Path, camera: int) -> dict[int, Calibration]:
             fx, fy, cx, cy = numbers = tuple(float(text) for text in row[2:])
         except (IndexError, ValueError) as error:
             raise InputError(
-                f"{path}: {' '.join(row)!r:.80} is not 'frame cameraID fx fy cx cy': "
+                f"{path}: {shown(' '.join(row))} is not 'frame cameraID fx fy cx cy': "
                 "restore the file"
             ) from error
         if row_camera == camera:

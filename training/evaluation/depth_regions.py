@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import Errors, ErrorSums, require_same_shape, scored
+from training.evaluation.metrics import Accumulator, Errors, ErrorSums, require_same_shape, scored
 
 RETURN_REACH_PX = 12
 EDGE_REACH_PX = 3
@@ -42,7 +42,7 @@ _AROUND = (3, 3)
 _BEYOND_M = 1e6  # in place of unknown depth in a minimum
 
 
-class DepthRegionScores:
+class DepthRegionScores(Accumulator):
     """MAE and RMSE of `RETURN_DISTANCES` and `REGIONS`, over the same pixels as `DepthScores`.
 
     Frames without dense ground truth do not count in the `REGIONS`.
@@ -76,11 +76,6 @@ class DepthRegionScores:
             regions |= split_regions(depth, to_return_px)
         for region, mask in regions.items():
             self._sums[region].add(error[mask[known]])
-
-    def merge(self, other: "DepthRegionScores") -> None:
-        """Add another's sums."""
-        for region, sums in self._sums.items():
-            sums.merge(other._sums[region])
 
     def compute(self) -> dict[str, Errors]:
         """Return the errors [m] of all frames so far, by region."""
@@ -117,11 +112,7 @@ def split_regions(
     """
     covered = to_return_px <= RETURN_REACH_PX
     at_edge = distance_px(depth_edges(depth)) <= EDGE_REACH_PX
-    return {
-        "interior": covered & ~at_edge,
-        "edge": covered & at_edge,
-        "uncovered": ~covered,
-    }
+    return {"interior": covered & ~at_edge, "edge": covered & at_edge, "uncovered": ~covered}
 
 
 def depth_edges(depth: NDArray[np.floating]) -> NDArray[np.bool_]:

@@ -1,13 +1,13 @@
 """The metrics of Table 1, KITTI's inverse-depth errors, boundary precision and recall, road IoU.
 
-Each `...Scores` accumulates over frames with `update`, adds another's counts with `merge`, and
+Each `...Scores` accumulates over frames with `update`, adds another's sums with `merge`, and
 `compute` returns the metrics of all frames together. Everything is counted over pixels, not
 averaged over frames. A number that nothing was measured for is NaN.
 """
 
 from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -26,6 +26,26 @@ RANGES_M = ((0.0, 20.0), (0.0, 50.0), (0.0, 10.0), (10.0, 20.0), (20.0, 40.0), (
 _NEAREST_M = 0.1
 
 
+class Accumulator:
+    """Sums over frames, in arrays, and settings, which are all its other attributes."""
+
+    def merge(self, other: Self) -> None:
+        """Add another's sums. Raises ValueError for other settings."""
+        pairs = [(name, ours, vars(other)[name]) for name, ours in vars(self).items()]
+        for name, ours, theirs in pairs:
+            if not isinstance(ours, np.ndarray | Accumulator | dict) and ours != theirs:
+                raise ValueError(f"cannot merge scores of another {name}: {ours} and {theirs}")
+        for _, ours, theirs in pairs:
+            match ours:
+                case np.ndarray():
+                    ours += theirs
+                case Accumulator():
+                    ours.merge(theirs)
+                case dict():
+                    for key, part in ours.items():
+                        part.merge(theirs[key])
+
+
 @dataclass(frozen=True)
 class SemanticMetrics:
     """Table 1, shares 0..1.
@@ -41,7 +61,7 @@ class SemanticMetrics:
     class_iou: tuple[float, ...]
 
 
-class SemanticScores:
+class SemanticScores(Accumulator):
     """Acc, mAcc, mIoU and fwIoU from one confusion matrix.
 
     A class that is neither in the ground truth nor predicted is left out of mIoU; one that is only
@@ -84,12 +104,6 @@ class SemanticScores:
         self.confusion += counts.numpy()
         self.frames += counts.numpy().any(axis=1)
 
-    def merge(self, other: "SemanticScores") -> None:
-        """Add another's counts. Raises ValueError for another number of classes."""
-        require_equal("num_classes", self.num_classes, other.num_classes)
-        self.confusion += other.confusion
-        self.frames += other.frames
-
     def compute_categories(
         self, class_names: Sequence[str], groups: Mapping[str, Set[str]]
     ) -> dict[str, float]:
@@ -130,7 +144,7 @@ class SemanticScores:
         )
 
 
-class RoadScores:
+class RoadScores(Accumulator):
     """IoU of the road against a mask of it that was drawn by hand.
 
     Predicted road is the class of that name, whatever other classes there are.
@@ -143,6 +157,7 @@ class RoadScores:
     NO_ROAD, ROAD = 0, 1
 
     def __init__(self, num_classes: int) -> None:
+        self.num_classes = num_classes
         self.counts: NDArray[np.int64] = np.zeros((2, num_classes), dtype=np.int64)
 
     def update(self, prediction: NDArray[np.integer], road_mask: NDArray[np.integer]) -> None:
@@ -156,21 +171,15 @@ class RoadScores:
             ValueError: if the shapes differ or an id is not a class.
         """
         require_same_shape(prediction=prediction, road_mask=road_mask)
-        num_classes = self.counts.shape[1]
         for row, value in enumerate((self.NO_ROAD, self.ROAD)):
             ids = prediction[road_mask == value].astype(np.int64)
-            counted = np.bincount(ids, minlength=num_classes)
-            if len(counted) > num_classes:
+            counted = np.bincount(ids, minlength=self.num_classes)
+            if len(counted) > self.num_classes:
                 raise ValueError(
                     f"prediction holds the class id {len(counted) - 1}, expected 0.."
-                    f"{num_classes - 1}"
+                    f"{self.num_classes - 1}"
                 )
             self.counts[row] += counted
-
-    def merge(self, other: "RoadScores") -> None:
-        """Add another's counts. Raises ValueError for another number of classes."""
-        require_equal("num_classes", self.counts.shape[1], other.counts.shape[1])
-        self.counts += other.counts
 
     def compute(self, road: int) -> float:
         """Return the IoU of the class `road`, 0..1; NaN without any pixel of either."""
@@ -187,7 +196,7 @@ class Errors:
     rmse: float
 
 
-class ErrorSums:
+class ErrorSums(Accumulator):
     """`Errors` from sums over frames."""
 
     def __init__(self) -> None:
@@ -196,10 +205,6 @@ class ErrorSums:
     def add(self, error: NDArray[np.float64]) -> None:
         """Count errors of any shape."""
         self._sums += error.size, np.abs(error).sum(), np.square(error).sum()
-
-    def merge(self, other: "ErrorSums") -> None:
-        """Add another's sums."""
-        self._sums += other._sums
 
     def compute(self) -> Errors:
         """Return the errors of all frames so far."""
@@ -224,7 +229,7 @@ class DepthMetrics:
     ranges: Mapping[tuple[float, float], Errors]
 
 
-class DepthScores:
+class DepthScores(Accumulator):
     """MAE, RMSE, iMAE and iRMSE over the same pixels, and MAE and RMSE within ranges.
 
     A range is the true depths above its first and up to its last [m]. Pixels whose true depth
@@ -263,14 +268,6 @@ class DepthScores:
             sums.add(error[(truth > above) & (truth <= limit)])
         self._per_km.add(1000 * (1 / np.maximum(answer, _NEAREST_M) - 1 / truth))
 
-    def merge(self, other: "DepthScores") -> None:
-        """Add another's sums. Raises ValueError for other ranges."""
-        require_equal("ranges_m", self.ranges_m, other.ranges_m)
-        self._metres.merge(other._metres)
-        self._per_km.merge(other._per_km)
-        for item, sums in self._ranges.items():
-            sums.merge(other._ranges[item])
-
     def compute(self) -> DepthMetrics:
         """Return the metrics of all frames so far."""
         ranges = {item: sums.compute() for item, sums in self._ranges.items()}
@@ -287,7 +284,7 @@ class BoundaryMetrics:
     f_score: float
 
 
-class DisparityScores:
+class DisparityScores(Accumulator):
     """MAE and RMSE of disparity, as the paper scores depth on Cityscapes: d = f * b / depth.
 
     Over the same pixels as `DepthScores`.
@@ -319,16 +316,12 @@ class DisparityScores:
         answer = np.maximum(prediction[known].astype(np.float64), _NEAREST_M)
         self._sums.add(focal_baseline_px_m * (1 / answer - 1 / depth[known].astype(np.float64)))
 
-    def merge(self, other: "DisparityScores") -> None:
-        """Add another's sums."""
-        self._sums.merge(other._sums)
-
     def compute(self) -> Errors:
         """Return the errors of all frames so far, in pixels of the data set's images."""
         return self._sums.compute()
 
 
-class BoundaryScores:
+class BoundaryScores(Accumulator):
     """Boundary precision, recall and F-score at a pixel tolerance.
 
     Predicted boundary is where the probability exceeds a threshold; true boundary where the label
@@ -368,12 +361,6 @@ class BoundaryScores:
                 np.count_nonzero(true),
                 np.count_nonzero(true & self._dilate(predicted)),
             )
-
-    def merge(self, other: "BoundaryScores") -> None:
-        """Add another's counts. Raises ValueError for other thresholds or another tolerance."""
-        require_equal("thresholds", self.thresholds, other.thresholds)
-        require_equal("tolerance_px", self.tolerance_px, other.tolerance_px)
-        self._counts += other._counts
 
     def compute(self, threshold: float | None = None) -> BoundaryMetrics:
         """Return the metrics of all frames so far at a threshold; None = the best.
@@ -426,9 +413,3 @@ def require_same_shape(**arrays: NDArray[np.generic]) -> None:
     if len(set(shapes.values())) > 1:
         text = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
         raise ValueError(f"shapes differ: {text}; expected one (height, width)")
-
-
-def require_equal(name: str, ours: object, theirs: object) -> None:
-    """Raise a ValueError if two scores to be merged differ in a setting."""
-    if ours != theirs:
-        raise ValueError(f"cannot merge scores of another {name}: {ours} and {theirs}")

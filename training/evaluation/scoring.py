@@ -19,6 +19,7 @@ from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import Processes
 from training.evaluation.depth_regions import DepthRegionScores
 from training.evaluation.metrics import (
+    Accumulator,
     BoundaryScores,
     DepthScores,
     DisparityScores,
@@ -136,13 +137,9 @@ class Scores:
         """Add another's counts."""
         self.frames += other.frames
         self.heads |= other.heads
-        self.semantic.merge(other.semantic)
-        self.depth.merge(other.depth)
-        self.boundary.merge(other.boundary)
-        self.disparity.merge(other.disparity)
-        self.regions.merge(other.regions)
-        self.uncertainty.merge(other.uncertainty)
-        self.road.merge(other.road)
+        for name, part in vars(self).items():
+            if isinstance(part, Accumulator):
+                part.merge(getattr(other, name))
 
     def labelled(self, class_names: Sequence[str]) -> dict[str, tuple[int, int]]:
         """Return class -> labelled pixels, and frames that show it, of those that are labelled."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import require_equal, require_same_shape, scored
+from training.evaluation.metrics import Accumulator, require_same_shape, scored
 
 #: Shares of a Laplace distribution within one and two of its scales b: 1 - exp(-1), 1 - exp(-2).
 LAPLACE_COVERAGE = (0.632, 0.865)
@@ -32,7 +32,7 @@ class UncertaintyMetrics:
     coverage_2: float
 
 
-class UncertaintyScores:
+class UncertaintyScores(Accumulator):
     """Error of the most confident shares of the pixels of all frames together, and coverage.
 
     Over the same pixels as `DepthScores`. The pixels of all frames are ranked together by a
@@ -78,12 +78,6 @@ class UncertaintyScores:
         self._bins[:, 0] += np.bincount(index, minlength=_BINS)
         self._bins[:, 1] += np.bincount(index, weights=error, minlength=_BINS)
         self._within += [(error <= factor * scale).sum() for factor in (1, 2)]
-
-    def merge(self, other: "UncertaintyScores") -> None:
-        """Add another's counts. Raises ValueError for other shares."""
-        require_equal("shares", self.shares, other.shares)
-        self._bins += other._bins
-        self._within += other._within
 
     def compute(self) -> UncertaintyMetrics:
         """Return the metrics of all frames so far; NaN without any pixel."""

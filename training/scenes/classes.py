@@ -5,53 +5,47 @@ Pavement, Fence, Pedestrian and Cyclist are added with colours of their own.
 """
 
 from enum import IntEnum
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 
 class SceneClass(IntEnum):
-    """Class id of a surface, an index into `CLASS_TABLE` and `class_colors()`."""
+    """Class id of a surface, an index into `CLASS_TABLE` and `class_colors()`, and its colour."""
 
-    SKY = 0
-    TERRAIN = 1
-    TREE = 2
-    VEGETATION = 3
-    BUILDING = 4
-    ROAD = 5
-    GUARD_RAIL = 6
-    TRAFFIC_SIGN = 7
-    TRAFFIC_LIGHT = 8
-    POLE = 9
-    MISC = 10
-    TRUCK = 11
-    CAR = 12
-    VAN = 13
-    PAVEMENT = 14
-    FENCE = 15
-    PEDESTRIAN = 16
-    CYCLIST = 17
+    SKY = 0, (90, 200, 255)
+    TERRAIN = 1, (210, 0, 200)
+    TREE = 2, (0, 199, 0)
+    VEGETATION = 3, (90, 240, 0)
+    BUILDING = 4, (140, 140, 140)
+    ROAD = 5, (100, 60, 100)
+    GUARD_RAIL = 6, (250, 100, 255)
+    TRAFFIC_SIGN = 7, (255, 255, 0)
+    TRAFFIC_LIGHT = 8, (200, 200, 0)
+    POLE = 9, (255, 130, 0)
+    MISC = 10, (80, 80, 80)
+    TRUCK = 11, (160, 60, 60)
+    CAR = 12, (255, 127, 80)
+    VAN = 13, (0, 139, 139)
+    PAVEMENT = 14, (0, 0, 192)
+    FENCE = 15, (64, 64, 128)
+    PEDESTRIAN = 16, (220, 20, 60)
+    CYCLIST = 17, (0, 128, 192)
+
+    color: tuple[int, int, int]
+
+    def __new__(cls, number: int, color: tuple[int, int, int]) -> Self:
+        """Make a member of this id."""
+        member = int.__new__(cls, number)
+        member._value_ = number
+        member.color = color
+        return member
 
 
-CLASS_TABLE: tuple[tuple[str, tuple[int, int, int]], ...] = (
-    ("Sky", (90, 200, 255)),
-    ("Terrain", (210, 0, 200)),
-    ("Tree", (0, 199, 0)),
-    ("Vegetation", (90, 240, 0)),
-    ("Building", (140, 140, 140)),
-    ("Road", (100, 60, 100)),
-    ("GuardRail", (250, 100, 255)),
-    ("TrafficSign", (255, 255, 0)),
-    ("TrafficLight", (200, 200, 0)),
-    ("Pole", (255, 130, 0)),
-    ("Misc", (80, 80, 80)),
-    ("Truck", (160, 60, 60)),
-    ("Car", (255, 127, 80)),
-    ("Van", (0, 139, 139)),
-    ("Pavement", (0, 0, 192)),
-    ("Fence", (64, 64, 128)),
-    ("Pedestrian", (220, 20, 60)),
-    ("Cyclist", (0, 128, 192)),
+#: Names, as in files, and colours by id.
+CLASS_TABLE: tuple[tuple[str, tuple[int, int, int]], ...] = tuple(
+    (item.name.title().replace("_", ""), item.color) for item in SceneClass
 )
 
 

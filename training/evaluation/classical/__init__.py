@@ -5,6 +5,7 @@ Each method is a file with a frozen dataclass of its settings; `METHODS` names a
 
 from collections.abc import Callable
 
+from runtime.checks import shown
 from runtime.errors import InputError
 from training.evaluation.classical.ip_basic import IPBasic, IPBasicMultiscale
 from training.evaluation.classical.method import CompletionMethod
@@ -32,5 +33,5 @@ def create_method(name: str) -> CompletionMethod:
         ProviderError: if a package that the method needs is not installed.
     """
     if name not in METHODS:
-        raise InputError(f"unknown method {name!r:.80}; known: {', '.join(METHODS)}")
+        raise InputError(f"unknown method {shown(name)}; known: {', '.join(METHODS)}")
     return METHODS[name]()

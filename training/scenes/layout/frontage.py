@@ -6,8 +6,8 @@ import numpy as np
 from numpy.random import Generator
 
 from training.scenes.layout.centreline import Centreline
-from training.scenes.layout.placing import facing, place
-from training.scenes.layout.street_plan import END_M, KERB_M, START_M, Plan
+from training.scenes.layout.placing import Site, facing
+from training.scenes.layout.street_plan import END_M, KERB_M, START_M, Plan, StreetKind
 from training.scenes.things import buildings, furniture, plants
 from training.scenes.things.mesh import Mesh
 
@@ -36,14 +36,20 @@ def _draw_stock(rng: Generator) -> TreeStock:
     return TreeStock(near, far)
 
 
+#: Share of the plots with trees instead of a building.
+_GREEN = {"town": 0.1, "residential": 0.35, "avenue": 0.55, "highway": 0.85, "square": 0.45}
+
+
 def make_frontage(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
     """Buildings, gardens and trees behind the pavement on both sides."""
     parts: list[Mesh] = []
+    site = Site(rng, plan, line)
     stock = _draw_stock(rng)
     bushes = [plants.make_bush(rng) for _ in range(3)]
-    green = {"town": 0.1, "residential": 0.35, "avenue": 0.55, "highway": 0.85, "square": 0.45}
+    half = plan.crossing_half
+    gaps = [(c - half - 2.5, c + half + 2.5) for c in plan.crossings]
     for sign in (-1.0, 1.0):
-        share = np.clip(green[plan.kind] + rng.normal(0, 0.15), 0, 1)
+        share = np.clip(_GREEN[plan.kind] + rng.normal(0, 0.15), 0, 1)
         set_back = {
             "town": 0.0,
             "residential": float(rng.uniform(3, 7)),
@@ -53,27 +59,22 @@ def make_frontage(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
         }[plan.kind]
         s = START_M + float(rng.uniform(0, 8))
         while s < END_M:
-            length = float(
-                rng.uniform(6, 16) if plan.kind in ("town", "residential") else rng.uniform(12, 34)
-            )
-            blocked = [
-                c
-                for c in plan.crossings
-                if s < c + plan.crossing_half + 2.5 and s + length > c - plan.crossing_half - 2.5
-            ]
+            narrow = plan.kind in ("town", "residential")
+            length = float(rng.uniform(6, 16) if narrow else rng.uniform(12, 34))
+            blocked = [gap for gap in gaps if s < gap[1] and s + length > gap[0]]
             if blocked:
-                room = blocked[0] - plan.crossing_half - 2.5 - s
+                room = blocked[0][0] - s
                 if room < 5:
-                    s = blocked[0] + plan.crossing_half + 2.5
+                    s = blocked[0][1]
                     continue
                 length = room
             if rng.random() < share:
-                parts += _grove(rng, plan, line, s, length, sign, stock, bushes)
+                parts += _grove(site, s, length, sign, stock, bushes)
             else:
-                parts += _plot(rng, plan, line, s, length, sign, set_back, bushes)
+                parts += _plot(site, s, length, sign, set_back, bushes)
             s += length + (0.02 if plan.kind == "town" else float(rng.uniform(0.5, 5)))
         for c in plan.crossings:
-            parts += _side_road(rng, plan, line, c, sign, stock)
+            parts += _side_road(site, c, sign, stock)
     if plan.verge or plan.kind in ("square", "avenue") or rng.random() < 0.25:
         spacing = float(rng.uniform(8, 18))
         d = plan.kerb + (plan.verge / 2 if plan.verge else 0.9)
@@ -81,127 +82,91 @@ def make_frontage(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
             for s in np.arange(START_M, 220, spacing) + rng.uniform(0, 6):
                 if plan.free(s, 3) and rng.random() < 0.75:
                     tree = stock.draw(rng, s).scaled(float(rng.uniform(0.6, 0.9)))
-                    parts.append(place(line, tree, s, sign * d, KERB_M, float(rng.uniform(0, 6.3))))
+                    parts.append(site.place(tree, s, sign * d, KERB_M, site.draw_turn()))
     return parts
+
+
+def _make_building(rng: Generator, kind: StreetKind, length: float) -> Mesh:
+    """A building as it stands in a kind of street."""
+    if kind == "town":
+        shop = bool(rng.random() < 0.55)
+        if length > 11 and rng.random() < 0.3:
+            return buildings.make_office(rng, length)
+        return buildings.make_town_house(rng, length, shop=shop)
+    draw = rng.random()
+    if kind == "residential":
+        if draw < 0.75:
+            return buildings.make_house(rng, length)
+        return buildings.make_town_house(rng, length, shop=False)
+    if draw < 0.5:
+        return buildings.make_office(rng, length)
+    if draw < 0.75:
+        return buildings.make_town_house(rng, length, shop=True)
+    return buildings.make_shed(rng, length)
 
 
 def _plot(
-    rng: Generator,
-    plan: Plan,
-    line: Centreline,
-    s: float,
-    length: float,
-    sign: float,
-    set_back: float,
-    bushes: list[Mesh],
+    site: Site, s: float, length: float, sign: float, set_back: float, bushes: list[Mesh]
 ) -> list[Mesh]:
-    kind = plan.kind
-    if kind == "town":
-        shop = bool(rng.random() < 0.55)
-        mesh = (
-            buildings.make_office(rng, length)
-            if length > 11 and rng.random() < 0.3
-            else buildings.make_town_house(rng, length, shop=shop)
-        )
-    elif kind == "residential":
-        mesh = (
-            buildings.make_house(rng, length)
-            if rng.random() < 0.75
-            else buildings.make_town_house(rng, length, shop=False)
-        )
-    else:
-        draw = rng.random()
-        mesh = (
-            buildings.make_office(rng, length)
-            if draw < 0.5
-            else buildings.make_town_house(rng, length, shop=True)
-            if draw < 0.75
-            else buildings.make_shed(rng, length)
-        )
-    turned = facing(sign)
+    rng, plan = site.rng, site.plan
+    mesh = _make_building(rng, plan.kind, length)
     start = s if sign < 0 else s + length
-    d = sign * (plan.back + set_back + (0.0 if kind == "town" else rng.uniform(0, 1.5)))
-    parts = [place(line, mesh, start, d, KERB_M, turned)]
-    if kind in ("residential", "avenue") and set_back > 2.5:
-        parts += _garden_edge(rng, plan, line, s, length, sign)
+    d = sign * (plan.back + set_back + (0.0 if plan.kind == "town" else rng.uniform(0, 1.5)))
+    parts = [site.place(mesh, start, d, KERB_M, facing(sign))]
+    if plan.kind in ("residential", "avenue") and set_back > 2.5:
+        parts += _garden_edge(site, s, length, sign)
         for _ in range(rng.integers(0, 4)):
-            parts.append(
-                place(
-                    line,
-                    bushes[rng.integers(len(bushes))],
-                    s + rng.uniform(0, length),
-                    sign * (plan.back + rng.uniform(0.8, set_back)),
-                    KERB_M,
-                    0.0,
-                )
-            )
+            bush, along = bushes[rng.integers(len(bushes))], s + rng.uniform(0, length)
+            d = sign * (plan.back + rng.uniform(0.8, set_back))
+            parts.append(site.place(bush, along, d, KERB_M))
     return parts
 
 
-def _garden_edge(
-    rng: Generator, plan: Plan, line: Centreline, s: float, length: float, sign: float
-) -> list[Mesh]:
+def _garden_edge(site: Site, s: float, length: float, sign: float) -> list[Mesh]:
+    rng = site.rng
     run = max(1.0, length - float(rng.choice([0.0, 2.5])))
     if run < 2:
         return []
-    d = sign * (plan.back + 0.2)
     draw = rng.random()
     if draw < 0.3:
-        hedge = plants.make_hedge(run, float(rng.uniform(0.9, 1.9)), rng)
-        return [place(line, hedge, s + run / 2, d, KERB_M, 0.0)]
-    if draw < 0.55:
-        fence = furniture.make_board_fence(run, float(rng.uniform(0.9, 1.9)), rng)
+        edge = plants.make_hedge(run, float(rng.uniform(0.9, 1.9)), rng)
+        s += run / 2  # a hedge is centred, fences begin at their origin
+    elif draw < 0.55:
+        edge = furniture.make_board_fence(run, float(rng.uniform(0.9, 1.9)), rng)
     elif draw < 0.75:
-        fence = furniture.make_wall(run, float(rng.uniform(0.5, 1.6)), rng)
+        edge = furniture.make_wall(run, float(rng.uniform(0.5, 1.6)), rng)
     elif draw < 0.9:
-        fence = furniture.make_railing(run, rng)
+        edge = furniture.make_railing(run, rng)
     else:
         return []
-    return [place(line, fence, s, d, KERB_M, 0.0)]
+    return [site.place(edge, s, sign * (site.plan.back + 0.2), KERB_M)]
 
 
 def _grove(
-    rng: Generator,
-    plan: Plan,
-    line: Centreline,
-    s: float,
-    length: float,
-    sign: float,
-    stock: TreeStock,
-    bushes: list[Mesh],
+    site: Site, s: float, length: float, sign: float, stock: TreeStock, bushes: list[Mesh]
 ) -> list[Mesh]:
+    rng, plan = site.rng, site.plan
     parts = []
     for _ in range(int(length / 4) + 1):
         tree = stock.draw(rng, s).scaled(float(rng.uniform(0.7, 1.25)))
         d = sign * (plan.back + rng.uniform(2.5, 22))
-        parts.append(
-            place(line, tree, s + rng.uniform(0, length), d, 0.0, float(rng.uniform(0, 6.3)))
-        )
+        parts.append(site.place(tree, s + rng.uniform(0, length), d, turned=site.draw_turn()))
     for _ in range(int(length / 4)):
         bush = bushes[rng.integers(len(bushes))].scaled(float(rng.uniform(0.8, 1.8)))
-        parts.append(
-            place(
-                line,
-                bush,
-                s + rng.uniform(0, length),
-                sign * (plan.back + rng.uniform(1.2, 8)),
-                0.0,
-                float(rng.uniform(0, 6.3)),
-            )
-        )
+        along, d = s + rng.uniform(0, length), sign * (plan.back + rng.uniform(1.2, 8))
+        parts.append(site.place(bush, along, d, turned=site.draw_turn()))
     if plan.kind == "highway":
         rail = furniture.make_guard_rail(length)
-        up, turned, start = 0.0, 0.0 if sign > 0 else np.pi, s if sign > 0 else s + length
-        parts.append(place(line, rail, start, sign * (plan.kerb + 0.7), up, turned))
+        turned, start = (0.0, s) if sign > 0 else (np.pi, s + length)
+        parts.append(site.place(rail, start, sign * (plan.kerb + 0.7), turned=turned))
     elif rng.random() < 0.4:
-        parts += _garden_edge(rng, plan, line, s, length, sign)
+        parts += _garden_edge(site, s, length, sign)
     return parts
 
 
-def _side_road(
-    rng: Generator, plan: Plan, line: Centreline, c: float, sign: float, stock: TreeStock
-) -> list[Mesh]:
+def _side_road(site: Site, c: float, sign: float, stock: TreeStock) -> list[Mesh]:
     """Buildings or trees that close the view into a side road."""
+    rng, plan = site.rng, site.plan
     parts = []
     for edge in (-1.0, 1.0):
         d = plan.back + 16.0
@@ -215,13 +180,11 @@ def _side_road(
                     else buildings.make_town_house(rng, length, shop=False)
                 )
                 # The front looks at the side road: its normal points to -edge along s.
-                start = d if edge > 0 else d + length
-                turned = np.pi / 2 if edge > 0 else -np.pi / 2
+                start, turned = (d, np.pi / 2) if edge > 0 else (d + length, -np.pi / 2)
                 at = sign * (start if sign > 0 else 2 * d + length - start)
-                parts.append(place(line, house, base, at, KERB_M, turned))
+                parts.append(site.place(house, base, at, KERB_M, turned))
             else:
-                tree = stock.draw(rng, base)
-                parts.append(place(line, tree, base + edge * 2, sign * (d + 4), 0.0, 0.0))
+                parts.append(site.place(stock.draw(rng, base), base + edge * 2, sign * (d + 4)))
             d += length
     return parts
 

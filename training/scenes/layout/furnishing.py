@@ -5,7 +5,7 @@ from numpy.random import Generator
 
 from training.scenes.classes import SceneClass
 from training.scenes.layout.centreline import Centreline
-from training.scenes.layout.placing import facing, place
+from training.scenes.layout.placing import Site, facing
 from training.scenes.layout.street_plan import KERB_M, START_M, Plan
 from training.scenes.things import furniture, people, vehicles
 from training.scenes.things.mesh import Mesh
@@ -14,6 +14,7 @@ from training.scenes.things.mesh import Mesh
 def make_furniture(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
     """Lamps, signs, lights, bollards and the rest, near the kerbs."""
     parts: list[Mesh] = []
+    site = Site(rng, plan, line)
     up = KERB_M if plan.pavement else 0.0
     near = plan.kerb + 0.5
     lamp_gap, lamp_height = float(rng.uniform(18, 35)), float(rng.uniform(5.5, 9))
@@ -21,53 +22,45 @@ def make_furniture(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
         sign = -1.0 if k % 2 else 1.0
         if plan.free(s, 1):
             lamp = furniture.make_lamp(rng, lamp_height)
-            parts.append(place(line, lamp, s, sign * near, up, facing(sign)))
+            parts.append(site.place(lamp, s, sign * near, up, facing(sign)))
     for s in np.cumsum(rng.uniform(7, 26, 14)):
         sign = -1.0 if rng.random() < 0.65 else 1.0
         sign *= plan.side
         if plan.free(s, 0.5):
             toward = 0.0 if sign == -plan.side or rng.random() < 0.5 else np.pi
             sign_mesh = furniture.make_sign(rng)
-            parts.append(
-                place(
-                    line, sign_mesh, s, sign * (near + 0.1), up, toward + float(rng.normal(0, 0.12))
-                )
-            )
+            turned = toward + float(rng.normal(0, 0.12))
+            parts.append(site.place(sign_mesh, s, sign * (near + 0.1), up, turned))
     for c in plan.crossings:
         if rng.random() < 0.55:
             phase = int(rng.integers(3))
             for sign in (-1.0, 1.0):
                 gap = plan.crossing_half + 1.5
                 light = furniture.make_traffic_light(rng, phase)
-                parts.append(place(line, light, c - gap, sign * near, up, 0.0))
+                parts.append(site.place(light, c - gap, sign * near, up))
                 back = furniture.make_traffic_light(rng, phase)
-                parts.append(place(line, back, c + gap, sign * near, up, np.pi))
+                parts.append(site.place(back, c + gap, sign * near, up, np.pi))
         else:
+            right_of_way = furniture.make_sign(rng, int(rng.choice([4, 7, 1])))
             parts.append(
-                place(
-                    line,
-                    furniture.make_sign(rng, int(rng.choice([4, 7, 1]))),
-                    c - plan.crossing_half - 2,
-                    -plan.side * near,
-                    up,
-                    0.0,
-                )
+                site.place(right_of_way, c - plan.crossing_half - 2, -plan.side * near, up)
             )
     if plan.pavement:
         for _ in range(rng.integers(3, 10)):
-            parts += _clutter(rng, plan, line, near, up)
+            parts += _clutter(site, near, up)
     if rng.random() < 0.3:
         wooden = furniture.make_utility_pole(rng)
         sign = float(rng.choice([-1, 1]))
         parts += [
-            place(line, wooden, s, sign * (plan.back + 0.4), up, 0.0)
+            site.place(wooden, s, sign * (plan.back + 0.4), up)
             for s in np.arange(0, 240, 32.0) + rng.uniform(0, 20)
             if plan.free(s, 2)
         ]
     return parts
 
 
-def _clutter(rng: Generator, plan: Plan, line: Centreline, near: float, up: float) -> list[Mesh]:
+def _clutter(site: Site, near: float, up: float) -> list[Mesh]:
+    rng, plan = site.rng, site.plan
     sign = float(rng.choice([-1, 1]))
     s = float(rng.uniform(3, 110))
     if not plan.free(s, 7):
@@ -76,25 +69,25 @@ def _clutter(rng: Generator, plan: Plan, line: Centreline, near: float, up: floa
     if draw < 0.3:
         bollard = furniture.make_bollard(rng)
         return [
-            place(line, bollard, s + 1.5 * k, sign * near, up, 0.0)
+            site.place(bollard, s + 1.5 * k, sign * near, up)
             for k in range(rng.integers(2, 8))
             if plan.free(s + 1.5 * k, 1)
         ]
     if draw < 0.5:
         bin_ = furniture.make_bin(rng)
-        return [place(line, bin_, s, sign * (near + 0.4), up, float(rng.uniform(0, 6)))]
+        return [site.place(bin_, s, sign * (near + 0.4), up, float(rng.uniform(0, 6)))]
     if draw < 0.6:
-        return [place(line, furniture.make_bench(), s, sign * (plan.back - 0.5), up, facing(sign))]
+        return [site.place(furniture.make_bench(), s, sign * (plan.back - 0.5), up, facing(sign))]
     if draw < 0.7:
-        return [place(line, furniture.make_shelter(rng), s, sign * (near + 1.2), up, facing(sign))]
+        return [site.place(furniture.make_shelter(rng), s, sign * (near + 1.2), up, facing(sign))]
     if draw < 0.9:
         run = float(rng.uniform(6, 18))
         if not all(plan.free(x, 1) for x in np.arange(s, s + run, 1.0)):
             return []
-        return [place(line, furniture.make_railing(run, rng), s, sign * (near - 0.15), up, 0.0)]
+        return [site.place(furniture.make_railing(run, rng), s, sign * (near - 0.15), up)]
     bike = people.make_bicycle(SceneClass.MISC, (0.1, 0.1, 0.12))
     return [
-        place(line, bike, s + k, sign * (plan.back - 0.6), up, float(rng.normal(1.5, 0.2)))
+        site.place(bike, s + k, sign * (plan.back - 0.6), up, float(rng.normal(1.5, 0.2)))
         for k in range(rng.integers(1, 4))
     ]
 
@@ -102,6 +95,7 @@ def _clutter(rng: Generator, plan: Plan, line: Centreline, near: float, up: floa
 def park_cars(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
     """Cars along the kerbs and, in some streets, on the pavement side or in bays."""
     parts: list[Mesh] = []
+    site = Site(rng, plan, line)
     if plan.parking < 2 and plan.kind != "residential":
         return parts
     for sign in (-1.0, 1.0):
@@ -113,6 +107,6 @@ def park_cars(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
                 d = sign * (plan.kerb - 1.05 + float(rng.normal(0, 0.06)))
                 ahead = sign == -plan.side or rng.random() < 0.1
                 turned = (0.0 if ahead else np.pi) + float(rng.normal(0, 0.015))
-                parts.append(place(line, mesh, s + 2.5, d, 0.0, turned))
+                parts.append(site.place(mesh, s + 2.5, d, turned=turned))
             s += float(rng.uniform(5.6, 6.8))
     return parts

@@ -46,12 +46,7 @@ def make_ground(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
             grass,
         ),
     ]
-    stops = [
-        START_M,
-        *sum(((c - plan.crossing_half, c + plan.crossing_half) for c in plan.crossings), ()),
-        END_M + 60,
-    ]
-    for a, b in zip(stops[::2], stops[1::2], strict=True):
+    for a, b in plan.blocks(END_M + 60):
         s = np.linspace(a, b, max(2, int((b - a) / 3) + 1))
         for sign in (-1.0, 1.0):
 

@@ -2,21 +2,13 @@
 
 from numpy.random import Generator
 
-from training.scenes.layout.street_plan import END_M, START_M, Plan, lane_centre
+from training.scenes.layout.street_plan import END_M, Plan, lane_centre
 from training.scenes.textures.paint import Stripe
 
 
 def draw_stripes(rng: Generator, plan: Plan) -> list[Stripe]:
     """Centre and lane lines, edge lines, stop lines, zebra crossings."""
     stripes = []
-    stops = [
-        START_M,
-        *sum(
-            ((c - plan.crossing_half - 2.5, c + plan.crossing_half + 2.5) for c in plan.crossings),
-            (),
-        ),
-        END_M,
-    ]
     yellow = (0.55, 0.38, 0.04)
     center_solid = rng.random() < 0.25
     edge_line = plan.kind in ("highway", "avenue") or rng.random() < 0.3
@@ -24,7 +16,7 @@ def draw_stripes(rng: Generator, plan: Plan) -> list[Stripe]:
     wide = float(rng.uniform(0.05, 0.08))
     dash, share = float(rng.choice([6.0, 9.0, 12.0])), float(rng.choice([0.33, 0.5]))
     centre = plan.kind != "residential" or rng.random() < 0.4
-    for a, b in zip(stops[::2], stops[1::2], strict=True):
+    for a, b in plan.blocks(END_M, margin=2.5):
         if centre:
             solid = center_solid or plan.lanes > 1
             stripes.append(Stripe("s", 0.0, wide, a, b, 0.0 if solid else dash, share))
@@ -61,17 +53,8 @@ def draw_stripes(rng: Generator, plan: Plan) -> list[Stripe]:
             lo, hi = sorted((sign * (plan.kerb + 0.4), sign * 60.0))
             stripes.append(Stripe("d", c, 0.06, lo, hi, 4.0, 0.5))
             rim = sign * (plan.kerb + 0.5)
-            stripes.append(
-                Stripe(
-                    "s",
-                    rim,
-                    0.12,
-                    c - plan.crossing_half + 0.2,
-                    c + plan.crossing_half - 0.2,
-                    0.8,
-                    0.6,
-                )
-            )
+            half = plan.crossing_half
+            stripes.append(Stripe("s", rim, 0.12, c - half + 0.2, c + half - 0.2, 0.8, 0.6))
     if plan.lanes > 1:
         for lane in range(plan.lanes):
             where = float(rng.uniform(8, 40))

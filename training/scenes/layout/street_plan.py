@@ -1,22 +1,16 @@
 """Cross-section of a street: lanes, parking, verges, pavements and side roads."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from numpy.random import Generator
 
 StreetKind = Literal["town", "residential", "avenue", "highway", "square"]
+STREET_KINDS: tuple[StreetKind, ...] = get_args(StreetKind)
 
-
-STREET_KINDS: tuple[StreetKind, ...] = ("town", "residential", "avenue", "highway", "square")
-
-
+#: Height of the kerbs, and where streets start and end.
 KERB_M = 0.12
-
-
 START_M = -40.0
-
-
 END_M = 330.0
 
 
@@ -46,6 +40,12 @@ class Plan:
     def back(self) -> float:
         """Distance of the plots behind the pavement."""
         return self.kerb + self.verge + self.pavement
+
+    def blocks(self, end: float, margin: float = 0.0) -> list[tuple[float, float]]:
+        """Start and end of each block between side roads, from `START_M` to ``end``."""
+        starts = [START_M, *(c + self.crossing_half + margin for c in self.crossings)]
+        ends = [*(c - self.crossing_half - margin for c in self.crossings), end]
+        return list(zip(starts, ends, strict=True))
 
     def free(self, s: float, margin: float = 0.0) -> bool:
         """Whether s is clear of every side road."""
@@ -81,17 +81,8 @@ def draw_plan(rng: Generator, kind: StreetKind, side: float) -> Plan:
         where += float(rng.uniform(45, 120))
     if kind == "highway" and rng.random() < 0.3:
         crossings = [float(rng.uniform(40, 90))]
-    return Plan(
-        kind,
-        side,
-        lane,
-        lanes,
-        parking,
-        verge,
-        pavement,
-        tuple(crossings),
-        float(rng.uniform(3.2, 5.5)),
-    )
+    half = float(rng.uniform(3.2, 5.5))
+    return Plan(kind, side, lane, lanes, parking, verge, pavement, tuple(crossings), half)
 
 
 def lane_centre(plan: Plan, lane: int, *, own: bool = True) -> float:

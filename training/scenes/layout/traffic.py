@@ -66,30 +66,16 @@ def draw_traffic(
             s = float(rng.uniform(-6, 16))
         while s < 200:
             mesh, length = _vehicle(rng, heavy=heavy if s > 14 else 0.02)
-            actors.append(
-                Actor(
-                    _rigid(mesh),
-                    s + length / 2,
-                    lane_centre(plan, lane) + float(rng.normal(0, 0.15)),
-                    speed,
-                    0.0,
-                )
-            )
+            d = lane_centre(plan, lane) + float(rng.normal(0, 0.15))
+            actors.append(Actor(_rigid(mesh), s + length / 2, d, speed, 0.0))
             s += length + float(rng.uniform(2.5, 7) if queue else rng.uniform(12, 70))
         speed = float(rng.uniform(5, 12))
         s = float(rng.uniform(2, 30))
         busy = rng.random() < 0.4
         while s < 230:
             mesh, length = _vehicle(rng, heavy=heavy)
-            actors.append(
-                Actor(
-                    _rigid(mesh),
-                    s + length / 2,
-                    lane_centre(plan, lane, own=False) + float(rng.normal(0, 0.15)),
-                    -speed,
-                    np.pi,
-                )
-            )
+            d = lane_centre(plan, lane, own=False) + float(rng.normal(0, 0.15))
+            actors.append(Actor(_rigid(mesh), s + length / 2, d, -speed, np.pi))
             s += length + float(rng.uniform(4, 14) if busy else rng.uniform(15, 80))
     for c in plan.crossings:
         for sign in (-1.0, 1.0):
@@ -115,16 +101,9 @@ def draw_people(rng: Generator, plan: Plan) -> list[Actor]:
         speed = float(rng.choice([-1, 1])) * float(rng.uniform(1.0, 1.6))
         standing = rng.random() < 0.2
         for k in range(group):
-            actors.append(
-                _walker(
-                    rng,
-                    s + 0.3 * float(rng.normal()),
-                    d + 0.65 * k * -sign,
-                    0.0 if standing else speed,
-                    0.0,
-                    KERB_M,
-                )
-            )
+            along, beside = s + 0.3 * float(rng.normal()), d + 0.65 * k * -sign
+            pace = 0.0 if standing else speed
+            actors.append(_walker(rng, along, beside, pace, 0.0, KERB_M))
     for c in plan.crossings[:2]:
         for _ in range(rng.integers(0, 3)):
             toward = float(rng.choice([-1, 1]))
@@ -138,16 +117,8 @@ def draw_people(rng: Generator, plan: Plan) -> list[Actor]:
         d = -plan.side * edge if own else plan.side * edge
         dress = people.draw_dress(rng, cyclist=True)
         speed = float(rng.uniform(3.5, 6)) * (1 if own else -1)
-        actors.append(
-            Actor(
-                partial(people.make_cyclist, dress),
-                float(rng.uniform(7, 50)),
-                d,
-                speed,
-                0.0 if own else np.pi,
-                cycle=1.1,
-            )
-        )
+        pose, s = partial(people.make_cyclist, dress), float(rng.uniform(7, 50))
+        actors.append(Actor(pose, s, d, speed, 0.0 if own else np.pi, cycle=1.1))
     return actors
 
 
@@ -155,13 +126,5 @@ def _walker(rng: Generator, s: float, d: float, speed: float, across: float, up:
     dress = people.draw_dress(rng)
     still = speed == 0 and across == 0
     turned = float(rng.uniform(0, 6.3)) if still else float(np.arctan2(across, speed))
-    return Actor(
-        lambda phase: people.make_walker(dress, phase, standing=still),
-        s,
-        d,
-        speed,
-        turned,
-        across=across,
-        up=up,
-        cycle=1.05,
-    )
+    pose = partial(people.make_walker, dress, standing=still)
+    return Actor(pose, s, d, speed, turned, across=across, up=up, cycle=1.05)

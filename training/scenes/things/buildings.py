@@ -1,32 +1,22 @@
 """Town houses, detached houses, office blocks and sheds with façades, roofs and shop fronts."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.random import Generator
 
 from training.scenes.classes import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Color, Look, Mesh, box, join, quad
+from training.scenes.things.mesh import Color, Look, Mesh, box, join, quad, rows, vary
 
-_PLASTER = (
-    (0.62, 0.58, 0.5),
-    (0.7, 0.69, 0.66),
-    (0.6, 0.5, 0.32),
-    (0.55, 0.42, 0.33),
-    (0.5, 0.52, 0.5),
-    (0.68, 0.6, 0.44),
-    (0.45, 0.42, 0.4),
-    (0.58, 0.36, 0.28),
+_PLASTER = rows(
+    "0.62 0.58 0.5, 0.7 0.69 0.66, 0.6 0.5 0.32, 0.55 0.42 0.33, 0.5 0.52 0.5, "
+    "0.68 0.6 0.44, 0.45 0.42 0.4, 0.58 0.36 0.28"
 )
-_BRICK = (
-    (0.32, 0.16, 0.1),
-    (0.38, 0.27, 0.17),
-    (0.26, 0.13, 0.09),
-    (0.45, 0.36, 0.24),
-    (0.22, 0.17, 0.14),
-)
-_ROOF = ((0.24, 0.09, 0.05), (0.1, 0.1, 0.11), (0.16, 0.1, 0.07), (0.3, 0.13, 0.07))
+_BRICK = rows("0.32 0.16 0.1, 0.38 0.27 0.17, 0.26 0.13 0.09, 0.45 0.36 0.24, 0.22 0.17 0.14")
+_ROOF = rows("0.24 0.09 0.05, 0.1 0.1 0.11, 0.16 0.1 0.07, 0.3 0.13 0.07")
 
-_OFFICE = ((0.5, 0.49, 0.46), (0.33, 0.34, 0.35), (0.6, 0.58, 0.52), (0.36, 0.22, 0.16))
+_OFFICE = rows("0.5 0.49 0.46, 0.33 0.34 0.35, 0.6 0.58 0.52, 0.36 0.22 0.16")
 
 #: Façade styles the shader knows.
 PLASTER, BRICK, OFFICE, SHED = 0.0, 1.0, 2.0, 3.0
@@ -42,13 +32,8 @@ def _walls(length: float, depth: float, height: float, look: Look) -> list[Mesh]
         corners = [(bx, by, -3), (ax, ay, -3), (ax, ay, height), (bx, by, height)]
         texture = np.array([(run, k, -3), (0, k, -3), (0, k, height), (run, k, height)])
         bay = run / max(1, round(run / look.params[0]))
-        walls.append(
-            quad(
-                corners,
-                Look(look.kind, look.color, look.label, (bay, *look.params[1:])),
-                texture=texture,
-            )
-        )
+        wall = replace(look, params=(bay, *look.params[1:]))
+        walls.append(quad(corners, wall, texture=texture))
     return walls
 
 
@@ -70,7 +55,7 @@ def _gable_roof(
 ) -> list[Mesh]:
     """A pitched roof; `across` turns the gable to the street."""
     e = eaves
-    plain = Look(wall.kind, wall.color, wall.label, (100.0, *wall.params[1:]))
+    plain = replace(wall, params=(100.0, *wall.params[1:]))
     if not across:
         ridge = [(-0.1, -depth / 2, height + rise), (length + 0.1, -depth / 2, height + rise)]
         drop = rise * e / (depth / 2)
@@ -107,11 +92,8 @@ def _gable_roof(
         along = along / np.linalg.norm(along)
         normal = np.cross(points[1] - points[0], points[2] - points[0])
         down = np.cross(normal / np.linalg.norm(normal), along)
-        parts.append(
-            quad(
-                points, roof, texture=np.stack([points @ along, points @ down, np.zeros(4)], axis=1)
-            )
-        )
+        texture = np.stack([points @ along, points @ down, np.zeros(4)], axis=1)
+        parts.append(quad(points, roof, texture=texture))
     for end in ends:
         points = np.asarray([*end, end[-1]])
         run = points[:, 1] if not across else points[:, 0]
@@ -151,13 +133,8 @@ def make_town_house(rng: Generator, length: float, *, shop: bool) -> Mesh:
         parts += _gable_roof(length, depth, height, rise, roof, look, across=across)
         if not across:
             stack = _look(SurfaceKind.BRICKWORK, (0.3, 0.15, 0.1))
-            parts.append(
-                box(
-                    (0.9, 0.6, 2.0),
-                    (length * rng.uniform(0.1, 0.9), -depth / 2 + 0.4, height + rise),
-                    stack,
-                )
-            )
+            at = (length * rng.uniform(0.1, 0.9), -depth / 2 + 0.4, height + rise)
+            parts.append(box((0.9, 0.6, 2.0), at, stack))
             if rng.random() < 0.5:
                 for x in np.arange(1.8, length - 1.2, 3.2):
                     parts.append(_dormer(x, height, rise, depth, look))
@@ -188,10 +165,7 @@ def _draw_tone(palette: tuple[Color, ...], rng: Generator) -> Color:
 
 
 def _tone(color: Color, rng: Generator) -> Color:
-    r, g, b = np.clip(
-        np.asarray(color) * rng.uniform(0.75, 1.15) * rng.uniform(0.94, 1.06, 3), 0.02, 0.85
-    )
-    return float(r), float(g), float(b)
+    return vary(color, rng, most=1.15, tint=0.06, limits=(0.02, 0.85))
 
 
 def _dormer(x: float, height: float, rise: float, depth: float, wall: Look) -> Mesh:
@@ -234,9 +208,8 @@ def make_office(rng: Generator, length: float) -> Mesh:
     roof = _look(SurfaceKind.PLAIN, (0.25, 0.25, 0.25))
     parts = _walls(length, depth, height, look)
     parts.append(_flat_roof(length, depth, height, roof))
-    parts.append(
-        box((length * 0.3, depth * 0.4, 2.2), (length / 2, -depth / 2, height + 1.1), roof)
-    )
+    size = (length * 0.3, depth * 0.4, 2.2)
+    parts.append(box(size, (length / 2, -depth / 2, height + 1.1), roof))
     return join(parts)
 
 
@@ -262,16 +235,8 @@ def make_house(rng: Generator, length: float) -> Mesh:
     )
     roof = _look(SurfaceKind.ROOF, _draw_tone(_ROOF, rng))
     parts = _walls(length, depth, height, look)
-    parts += _gable_roof(
-        length,
-        depth,
-        height,
-        float(rng.uniform(2.2, 3.6)),
-        roof,
-        look,
-        across=bool(rng.random() < 0.35),
-        eaves=0.5,
-    )
+    rise, across = float(rng.uniform(2.2, 3.6)), bool(rng.random() < 0.35)
+    parts += _gable_roof(length, depth, height, rise, roof, look, across=across, eaves=0.5)
     stack = _look(SurfaceKind.BRICKWORK, (0.3, 0.15, 0.1))
     parts.append(box((0.7, 0.5, 2.4), (length * 0.8, -depth / 2 - 0.6, height + 2.6), stack))
     return join(parts)

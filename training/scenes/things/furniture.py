@@ -15,7 +15,7 @@ _DARK_STEEL = (0.04, 0.045, 0.045)
 _SIGN_KINDS = 8
 
 
-def _pole(color: tuple[float, float, float] = _STEEL) -> Look:
+def _pole(color: tuple[float, ...] = _STEEL) -> Look:
     return Look(SurfaceKind.METAL, color, SceneClass.POLE)
 
 
@@ -123,7 +123,7 @@ def make_traffic_light(rng: Generator, phase: int) -> Mesh:
         for k, color in enumerate(((0.9, 0.03, 0.02), (0.9, 0.4, 0.02), (0.03, 0.8, 0.35))):
             lit = 6.0 if k == phase else 0.0
             dim = color if k == phase else tuple(0.06 * c + 0.01 for c in color)
-            lens = Look(SurfaceKind.GLOW, dim, SceneClass.TRAFFIC_LIGHT, (lit,))  # type: ignore[arg-type]
+            lens = Look(SurfaceKind.GLOW, dim, SceneClass.TRAFFIC_LIGHT, (lit,))
             lamp = (-0.1, y, z + 0.75 - 0.3 * k)
             parts.append(ellipsoid(lamp, (0.03, 0.1, 0.1), lens))
             parts.append(box((0.14, 0.22, 0.015), (-0.15, y, z + 0.86 - 0.3 * k), housing))
@@ -144,12 +144,8 @@ def make_railing(length: float, rng: Generator) -> Mesh:
 def make_board_fence(length: float, height: float, rng: Generator) -> Mesh:
     """A closed wooden fence along x, starting at the origin."""
     tone = rng.uniform(0.5, 1.3)
-    look = Look(
-        SurfaceKind.PLANKS,
-        (0.2 * tone, 0.13 * tone, 0.08 * tone),
-        SceneClass.FENCE,
-        (0.14, 0.6, float(rng.random())),
-    )
+    color, boards = (0.2 * tone, 0.13 * tone, 0.08 * tone), (0.14, 0.6, float(rng.random()))
+    look = Look(SurfaceKind.PLANKS, color, SceneClass.FENCE, boards)
     return box((length, 0.06, height), (length / 2, 0, height / 2), look)
 
 
@@ -204,12 +200,8 @@ def make_bench() -> Mesh:
 def make_shelter(rng: Generator) -> Mesh:
     """A bus shelter opening towards +y."""
     steel = Look(SurfaceKind.METAL, (0.12, 0.13, 0.14), SceneClass.MISC)
-    poster = Look(
-        SurfaceKind.PLANKS,
-        tuple(rng.uniform(0.1, 0.6, 3)),
-        SceneClass.MISC,
-        (0.6, 0.5, float(rng.random())),
-    )
+    color, print_ = tuple(rng.uniform(0.1, 0.6, 3)), (0.6, 0.5, float(rng.random()))
+    poster = Look(SurfaceKind.PLANKS, color, SceneClass.MISC, print_)
     glass = Look(SurfaceKind.CAR_GLASS, (0.05, 0.06, 0.06), SceneClass.MISC, (0.5,))
     return join(
         [

@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 import trimesh
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from training.scenes.arrays import Floats
@@ -17,7 +18,20 @@ NUM_PARAMS = 8
 
 
 #: Linear RGB, 0..1.
-Color = tuple[float, float, float]
+Color = tuple[float, ...]
+
+
+def rows(text: str) -> tuple[tuple[float, ...], ...]:
+    """The rows of a table of numbers: "1 2, 3 4" is ((1, 2), (3, 4))."""
+    return tuple(tuple(float(number) for number in row.split()) for row in text.split(","))
+
+
+def vary(
+    color: Color, rng: Generator, *, most: float, tint: float, limits: tuple[float, float]
+) -> Color:
+    """A shade of a colour: 0.75 to `most` times as bright, its channels by up to `tint`."""
+    shade = np.asarray(color) * rng.uniform(0.75, most) * rng.uniform(1 - tint, 1 + tint, 3)
+    return tuple(np.clip(shade, *limits).tolist())
 
 
 @dataclass(frozen=True)
@@ -28,6 +42,10 @@ class Look:
     color: Color
     label: SceneClass
     params: tuple[float, ...] = ()
+
+    def darker(self, factor: float) -> "Look":
+        """The same material of a darker colour, without shader parameters."""
+        return Look(self.kind, tuple(factor * c for c in self.color), self.label)
 
 
 @dataclass(frozen=True)

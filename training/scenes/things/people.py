@@ -1,8 +1,9 @@
 """Pedestrians and cyclists made of tapered limbs, posed by the phase of their step."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -10,32 +11,15 @@ from numpy.random import Generator
 from training.scenes.arrays import Floats
 from training.scenes.classes import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Color, Look, Mesh, box, ellipsoid, join, tube
+from training.scenes.things.mesh import Color, Look, Mesh, box, ellipsoid, join, rows, tube
 
-_SKIN: tuple[Color, ...] = ((0.52, 0.33, 0.24), (0.4, 0.24, 0.16), (0.2, 0.11, 0.07))
-_HAIR: tuple[Color, ...] = (
-    (0.03, 0.02, 0.015),
-    (0.1, 0.06, 0.03),
-    (0.3, 0.22, 0.1),
-    (0.3, 0.3, 0.3),
+_SKIN = rows("0.52 0.33 0.24, 0.4 0.24 0.16, 0.2 0.11 0.07")
+_HAIR = rows("0.03 0.02 0.015, 0.1 0.06 0.03, 0.3 0.22 0.1, 0.3 0.3 0.3")
+_TOPS = rows(
+    "0.02 0.02 0.025, 0.05 0.06 0.12, 0.3 0.03 0.03, 0.5 0.5 0.48, 0.08 0.15 0.06, "
+    "0.25 0.2 0.12, 0.12 0.12 0.13, 0.1 0.2 0.4, 0.5 0.35 0.05"
 )
-_TOPS: tuple[Color, ...] = (
-    (0.02, 0.02, 0.025),
-    (0.05, 0.06, 0.12),
-    (0.3, 0.03, 0.03),
-    (0.5, 0.5, 0.48),
-    (0.08, 0.15, 0.06),
-    (0.25, 0.2, 0.12),
-    (0.12, 0.12, 0.13),
-    (0.1, 0.2, 0.4),
-    (0.5, 0.35, 0.05),
-)
-_BOTTOMS: tuple[Color, ...] = (
-    (0.02, 0.02, 0.03),
-    (0.04, 0.06, 0.14),
-    (0.12, 0.1, 0.07),
-    (0.08, 0.08, 0.09),
-)
+_BOTTOMS = rows("0.02 0.02 0.03, 0.04 0.06 0.14, 0.12 0.1 0.07, 0.08 0.08 0.09")
 
 
 @dataclass(frozen=True)
@@ -69,16 +53,24 @@ def draw_dress(rng: Generator, *, cyclist: bool = False) -> Dress:
     )
 
 
-def _cloth(color: Color, label: SceneClass) -> Look:
-    return Look(SurfaceKind.CLOTH, color, label)
+class _Clothes(NamedTuple):
+    """What is seen of a person."""
+
+    skin: Look
+    hair: Look
+    top: Look
+    bottom: Look
+    shoe: Look
+
+
+def _clothes(dress: Dress, label: SceneClass) -> _Clothes:
+    colors = (dress.skin, dress.hair, dress.top, dress.bottom, (0.03, 0.03, 0.03))
+    return _Clothes(*(Look(SurfaceKind.CLOTH, color, label) for color in colors))
 
 
 def make_walker(dress: Dress, phase: float, *, standing: bool = False) -> Mesh:
     """A pedestrian at `phase` (0..1) of the step; x forward, feet on z = 0."""
-    label = SceneClass.PEDESTRIAN
-    skin, hair = _cloth(dress.skin, label), _cloth(dress.hair, label)
-    top, bottom = _cloth(dress.top, label), _cloth(dress.bottom, label)
-    shoe = _cloth((0.03, 0.03, 0.03), label)
+    skin, hair, top, bottom, shoe = _clothes(dress, SceneClass.PEDESTRIAN)
     swing = 0.08 if standing else 0.42 * float(np.sin(2 * np.pi * phase))
     b = dress.breadth
     parts = []
@@ -104,20 +96,14 @@ def make_walker(dress: Dress, phase: float, *, standing: bool = False) -> Mesh:
         parts.append(tube((0, 0, 1.2), (0, 0, 0.62), (0.16 * b, 0.23 * b), top, sides=10))
     parts += _head((0.02, 0, 1.66), skin, hair)
     if dress.bag:
-        parts.append(box((0.16, 0.28, 0.4), (-0.2, 0, 1.25), _cloth(dress.bottom, label)))
+        parts.append(box((0.16, 0.28, 0.4), (-0.2, 0, 1.25), bottom))
     return join(parts).scaled(dress.height / 1.78)
 
 
 def _head(centre: tuple[float, float, float], skin: Look, hair: Look) -> list[Mesh]:
     c = np.asarray(centre)
     return [
-        tube(
-            c + np.array([-0.01, 0, -0.2]),
-            c + np.array([0, 0, -0.05]),
-            (0.055, 0.055),
-            skin,
-            rounded=True,
-        ),
+        tube(c - (0.01, 0, 0.2), c - (0, 0, 0.05), (0.055, 0.055), skin, rounded=True),
         ellipsoid(c, (0.1, 0.078, 0.125), skin, detail=2),
         ellipsoid(c + np.array([-0.022, 0, 0.035]), (0.1, 0.088, 0.115), hair, detail=2),
     ]
@@ -125,11 +111,8 @@ def _head(centre: tuple[float, float, float], skin: Look, hair: Look) -> list[Me
 
 def make_cyclist(dress: Dress, phase: float) -> Mesh:
     """A person riding a bicycle at `phase` (0..1) of the pedals; wheels on z = 0."""
-    label = SceneClass.CYCLIST
-    skin, hair = _cloth(dress.skin, label), _cloth(dress.hair, label)
-    top, bottom = _cloth(dress.top, label), _cloth(dress.bottom, label)
-    shoe = _cloth((0.03, 0.03, 0.03), label)
-    parts = [make_bicycle(label, dress.top)]
+    skin, hair, top, bottom, shoe = _clothes(dress, SceneClass.CYCLIST)
+    parts = [make_bicycle(SceneClass.CYCLIST, dress.top)]
     seat, bars = np.array([-0.25, 0.0, 0.98]), np.array([0.42, 0.0, 1.05])
     neck = np.array([0.16, 0.0, 1.5])
     for k, sign in enumerate((-1.0, 1.0)):
@@ -139,9 +122,7 @@ def make_cyclist(dress: Dress, phase: float) -> Mesh:
         ankle = pedal + np.array([0, 0, 0.08])
         knee = _joint(hip, ankle, 0.45, 0.46)
         parts.append(tube(hip, knee, (0.095, 0.065), bottom, rounded=True))
-        parts.append(
-            tube(knee, pedal + np.array([0, 0, 0.08]), (0.064, 0.048), bottom, rounded=True)
-        )
+        parts.append(tube(knee, ankle, (0.064, 0.048), bottom, rounded=True))
         parts.append(ellipsoid(pedal + np.array([0.05, 0, 0.04]), (0.13, 0.05, 0.05), shoe))
         shoulder = neck + np.array([-0.03, 0.19 * sign, -0.06])
         hand = bars + np.array([0, 0.24 * sign, 0.02])
@@ -149,17 +130,9 @@ def make_cyclist(dress: Dress, phase: float) -> Mesh:
         parts.append(tube(shoulder, elbow, (0.06, 0.05), top, rounded=True))
         parts.append(tube(elbow, hand, (0.048, 0.04), top, rounded=True))
         parts.append(ellipsoid(hand, (0.05, 0.04, 0.04), skin))
-    parts.append(
-        tube(
-            seat + np.array([0, 0, 0.05]),
-            neck - (0.03, 0, 0.08),
-            (0.16, 0.185),
-            top,
-            sides=10,
-            rounded=True,
-        )
-    )
-    cap = _cloth((0.6, 0.6, 0.6), label) if dress.helmet else hair
+    back = seat + np.array([0, 0, 0.05]), neck - (0.03, 0, 0.08)
+    parts.append(tube(*back, (0.16, 0.185), top, sides=10, rounded=True))
+    cap = replace(hair, color=(0.6, 0.6, 0.6)) if dress.helmet else hair
     parts += _head((0.24, 0, 1.68), skin, cap)
     return join(parts)
 
@@ -191,15 +164,8 @@ def make_bicycle(label: SceneClass, color: Color) -> Mesh:
         parts += [tube(p, q, (0.022, 0.022), rubber, sides=5) for p, q in pairwise(rim)]
         parts += [tube((x, 0, 0.345), p, (0.006, 0.006), chrome, sides=3) for p in rim[:-1:2]]
     hub, head, crank, saddle = (-0.52, 0, 0.345), (0.4, 0, 0.85), (0, 0, 0.32), (-0.22, 0, 0.85)
-    for p, q in (
-        (hub, crank),
-        (hub, saddle),
-        (crank, saddle),
-        (crank, head),
-        (saddle, head),
-        (head, (0.55, 0, 0.345)),
-        (head, (0.38, 0, 1.02)),
-    ):
+    ends = (hub, crank), (hub, saddle), (crank, saddle), (crank, head), (saddle, head)
+    for p, q in (*ends, (head, (0.55, 0, 0.345)), (head, (0.38, 0, 1.02))):
         parts.append(tube(p, q, (0.02, 0.02), frame, sides=6))
     parts.append(tube((0.38, -0.28, 1.03), (0.38, 0.28, 1.03), (0.015, 0.015), chrome, sides=5))
     parts.append(box((0.25, 0.14, 0.06), (-0.25, 0, 0.93), rubber))

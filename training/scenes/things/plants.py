@@ -6,16 +6,11 @@ from numpy.random import Generator
 from training.scenes.arrays import Floats
 from training.scenes.classes import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Look, Mesh, ellipsoid, join, triangles, tube
+from training.scenes.things.mesh import Look, Mesh, ellipsoid, join, rows, triangles, tube, vary
 
-_LEAVES = (
-    (0.07, 0.12, 0.025),
-    (0.05, 0.1, 0.03),
-    (0.1, 0.14, 0.03),
-    (0.12, 0.13, 0.03),
-    (0.06, 0.085, 0.03),
-    (0.16, 0.12, 0.03),
-    (0.2, 0.1, 0.03),
+_LEAVES = rows(
+    "0.07 0.12 0.025, 0.05 0.1 0.03, 0.1 0.14 0.03, 0.12 0.13 0.03, 0.06 0.085 0.03, "
+    "0.16 0.12 0.03, 0.2 0.1 0.03"
 )
 
 
@@ -44,9 +39,22 @@ def _leaf_cloud(blobs: Floats, look: Look, count: int, size: float, rng: Generat
     return mesh
 
 
-def _foliage(color: tuple[float, float, float], label: SceneClass, rng: Generator) -> Look:
-    tone = np.clip(np.asarray(color) * rng.uniform(0.75, 1.25) * rng.uniform(0.9, 1.1, 3), 0, 1)
-    return Look(SurfaceKind.FOLIAGE, (float(tone[0]), float(tone[1]), float(tone[2])), label)
+def _blobs(*columns: float | Floats) -> Floats:
+    """Rows of (x, y, z, rx, ry, rz)."""
+    return np.stack(np.broadcast_arrays(*columns), axis=1)
+
+
+def _foliage(color: tuple[float, ...], label: SceneClass, rng: Generator) -> Look:
+    tone = vary(color, rng, most=1.25, tint=0.1, limits=(0, 1))
+    return Look(SurfaceKind.FOLIAGE, tone, label)
+
+
+def _crown(
+    blobs: Floats, look: Look, count: int, size: float, rng: Generator, *, core: float, dark: float
+) -> list[Mesh]:
+    """A cloud of leaves around cores of a share of the blobs' size and brightness."""
+    leaves = _leaf_cloud(blobs, look, count, size, rng)
+    return [leaves, *(ellipsoid(b[:3], b[3:] * core, look.darker(dark)) for b in blobs)]
 
 
 def make_tree(rng: Generator, *, leaf_count: int = 3600) -> Mesh:
@@ -60,23 +68,17 @@ def make_tree(rng: Generator, *, leaf_count: int = 3600) -> Mesh:
     radius = spread * np.sqrt(np.clip(1 - (2 * level - 0.8) ** 2 * 0.7, 0.1, 1)) * 0.75
     angle = rng.uniform(0, 2 * np.pi, count)
     size = spread * rng.uniform(0.4, 0.65, count)
-    blobs = np.stack(
-        [
-            np.cos(angle) * radius * 0.75,
-            np.sin(angle) * radius * 0.75,
-            trunk_top + 0.25 * spread + level * (height - trunk_top - 0.5 * spread),
-            size,
-            size,
-            size * 0.8,
-        ],
-        axis=1,
+    blobs = _blobs(
+        np.cos(angle) * radius * 0.75,
+        np.sin(angle) * radius * 0.75,
+        trunk_top + 0.25 * spread + level * (height - trunk_top - 0.5 * spread),
+        size,
+        size,
+        size * 0.8,
     )
-    leaves = _leaf_cloud(
-        blobs, look, leaf_count, (0.075 + 0.008 * height) * np.sqrt(3600 / leaf_count), rng
-    )
-    dark = Look(look.kind, tuple(0.4 * c for c in look.color), look.label)  # type: ignore[arg-type]
-    cores = [ellipsoid(b[:3], b[3:] * 0.74, dark) for b in blobs]
-    return join([leaves, *cores, *_trunk(blobs[:, :3], trunk_top, 0.012 * height + 0.06, rng)])
+    leaf_size = (0.075 + 0.008 * height) * np.sqrt(3600 / leaf_count)
+    crown = _crown(blobs, look, leaf_count, leaf_size, rng, core=0.74, dark=0.4)
+    return join([*crown, *_trunk(blobs[:, :3], trunk_top, 0.012 * height + 0.06, rng)])
 
 
 def make_conifer(rng: Generator, *, leaf_count: int = 1800) -> Mesh:
@@ -85,22 +87,13 @@ def make_conifer(rng: Generator, *, leaf_count: int = 1800) -> Mesh:
     height = float(rng.uniform(5, 14))
     level = np.linspace(0.1, 0.95, 8)
     size = height * float(rng.uniform(0.1, 0.2)) * (1.05 - level)
-    blobs = np.stack(
-        [
-            rng.normal(0, 0.1, 8),
-            rng.normal(0, 0.1, 8),
-            level * height,
-            size,
-            size,
-            np.full(8, height * 0.09),
-        ],
-        axis=1,
+    blobs = _blobs(
+        rng.normal(0, 0.1, 8), rng.normal(0, 0.1, 8), level * height, size, size, height * 0.09
     )
-    leaves = _leaf_cloud(blobs, look, leaf_count, 0.17 * np.sqrt(1800 / leaf_count), rng)
-    dark = Look(look.kind, tuple(0.4 * c for c in look.color), look.label)  # type: ignore[arg-type]
-    cores = [ellipsoid(b[:3], b[3:] * 0.85, dark) for b in blobs]
+    leaf_size = 0.17 * np.sqrt(1800 / leaf_count)
+    crown = _crown(blobs, look, leaf_count, leaf_size, rng, core=0.85, dark=0.4)
     bark = Look(SurfaceKind.BARK, (0.09, 0.065, 0.045), SceneClass.TREE)
-    return join([leaves, *cores, tube((0, 0, -0.3), (0, 0, height * 0.8), (0.18, 0.05), bark)])
+    return join([*crown, tube((0, 0, -0.3), (0, 0, height * 0.8), (0.18, 0.05), bark)])
 
 
 def make_bare_tree(rng: Generator) -> Mesh:
@@ -108,13 +101,7 @@ def make_bare_tree(rng: Generator) -> Mesh:
     bark = Look(SurfaceKind.BARK, (0.07, 0.055, 0.045), SceneClass.TREE)
     parts: list[Mesh] = []
 
-    def grow(
-        base: Floats,
-        heading: Floats,
-        length: float,
-        radius: float,
-        level: int,
-    ) -> None:
+    def grow(base: Floats, heading: Floats, length: float, radius: float, level: int) -> None:
         tip = base + heading * length
         parts.append(tube(base, tip, (radius, radius * 0.65), bark, sides=6 if level < 2 else 3))
         if level == 5:
@@ -122,13 +109,8 @@ def make_bare_tree(rng: Generator) -> Mesh:
         for _ in range(3 if level < 4 else 4):
             turn = heading + rng.standard_normal(3) * 0.5 + (0, 0, 0.12)
             turn /= np.linalg.norm(turn)
-            grow(
-                tip - heading * length * rng.uniform(0, 0.35),
-                turn,
-                length * rng.uniform(0.6, 0.82),
-                radius * 0.56,
-                level + 1,
-            )
+            fork = tip - heading * length * rng.uniform(0, 0.35)
+            grow(fork, turn, length * rng.uniform(0.6, 0.82), radius * 0.56, level + 1)
 
     height = float(rng.uniform(7, 12))
     grow(np.array([0, 0, -0.3]), np.array([0, 0, 1.0]), height * 0.28, 0.018 * height, 0)
@@ -150,30 +132,17 @@ def make_bush(rng: Generator) -> Mesh:
     look = _foliage(_LEAVES[rng.integers(5)], SceneClass.VEGETATION, rng)
     count = int(rng.integers(3, 6))
     size = rng.uniform(0.4, 0.8, count)
-    blobs = np.stack(
-        [rng.normal(0, 0.5, count), rng.normal(0, 0.4, count), size * 0.7, size, size, size * 0.85],
-        axis=1,
+    blobs = _blobs(
+        rng.normal(0, 0.5, count), rng.normal(0, 0.4, count), size * 0.7, size, size, size * 0.85
     )
-    dark = Look(look.kind, tuple(0.45 * c for c in look.color), look.label)  # type: ignore[arg-type]
-    cores = [ellipsoid(b[:3], b[3:] * 0.8, dark) for b in blobs]
-    return join([_leaf_cloud(blobs, look, 800, 0.085, rng), *cores])
+    return join(_crown(blobs, look, 800, 0.085, rng, core=0.8, dark=0.45))
 
 
 def make_hedge(length: float, height: float, rng: Generator) -> Mesh:
     """A clipped hedge along x, centred on the origin."""
     look = _foliage(_LEAVES[rng.integers(3)], SceneClass.VEGETATION, rng)
     n = max(2, int(length / 0.6))
-    blobs = np.stack(
-        [
-            np.linspace(-length / 2, length / 2, n),
-            np.zeros(n),
-            np.full(n, height * 0.5),
-            np.full(n, 0.5),
-            np.full(n, 0.38),
-            np.full(n, height * 0.5),
-        ],
-        axis=1,
+    blobs = _blobs(
+        np.linspace(-length / 2, length / 2, n), 0.0, height * 0.5, 0.5, 0.38, height * 0.5
     )
-    dark = Look(look.kind, tuple(0.5 * c for c in look.color), look.label)  # type: ignore[arg-type]
-    cores = [ellipsoid(b[:3], b[3:] * 0.96, dark) for b in blobs]
-    return join([_leaf_cloud(blobs, look, int(110 * length), 0.09, rng), *cores])
+    return join(_crown(blobs, look, int(110 * length), 0.09, rng, core=0.96, dark=0.5))

@@ -7,24 +7,12 @@ from numpy.random import Generator
 
 from training.scenes.classes import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Color, Look, Mesh, box, grid, join, tube
+from training.scenes.things.mesh import Color, Look, Mesh, box, grid, join, rows, tube, vary
 
-_PAINTS: tuple[Color, ...] = (
-    (0.55, 0.56, 0.57),
-    (0.75, 0.75, 0.74),
-    (0.03, 0.03, 0.035),
-    (0.12, 0.13, 0.14),
-    (0.3, 0.31, 0.32),
-    (0.45, 0.03, 0.03),
-    (0.03, 0.07, 0.25),
-    (0.05, 0.1, 0.16),
-    (0.02, 0.12, 0.07),
-    (0.2, 0.02, 0.03),
-    (0.5, 0.47, 0.38),
-    (0.06, 0.2, 0.42),
-    (0.6, 0.35, 0.03),
-    (0.18, 0.19, 0.2),
-    (0.82, 0.82, 0.82),
+_PAINTS = rows(
+    "0.55 0.56 0.57, 0.75 0.75 0.74, 0.03 0.03 0.035, 0.12 0.13 0.14, 0.3 0.31 0.32, "
+    "0.45 0.03 0.03, 0.03 0.07 0.25, 0.05 0.1 0.16, 0.02 0.12 0.07, 0.2 0.02 0.03, "
+    "0.5 0.47 0.38, 0.06 0.2 0.42, 0.6 0.35 0.03, 0.18 0.19 0.2, 0.82 0.82 0.82"
 )
 
 
@@ -34,7 +22,7 @@ class CarShape:
 
     length: float
     width: float
-    outline: tuple[tuple[float, float], ...]
+    outline: tuple[tuple[float, ...], ...]
     belt: float
     rear_glass: tuple[float, float]
     windscreen: tuple[float, float]
@@ -44,118 +32,85 @@ class CarShape:
 
 
 _HATCHBACK = CarShape(
-    4.1,
-    1.74,
-    (
-        (0, 0.62),
-        (0.015, 0.92),
-        (0.03, 0.98),
-        (0.13, 1.40),
-        (0.22, 1.47),
-        (0.5, 1.47),
-        (0.6, 1.38),
-        (0.76, 0.99),
-        (0.93, 0.84),
-        (0.985, 0.7),
-        (1, 0.6),
+    length=4.1,
+    width=1.74,
+    outline=rows(
+        "0 0.62, 0.015 0.92, 0.03 0.98, 0.13 1.40, 0.22 1.47, 0.5 1.47, "
+        "0.6 1.38, 0.76 0.99, 0.93 0.84, 0.985 0.7, 1 0.6"
     ),
-    0.93,
-    (0.03, 0.13),
-    (0.6, 0.76),
-    (0.2, 0.44),
-    (0.185, 0.80),
+    belt=0.93,
+    rear_glass=(0.03, 0.13),
+    windscreen=(0.6, 0.76),
+    pillars=(0.2, 0.44),
+    wheels=(0.185, 0.80),
 )
 _SEDAN = CarShape(
-    4.6,
-    1.8,
-    (
-        (0, 0.6),
-        (0.012, 0.9),
-        (0.03, 0.98),
-        (0.14, 1.03),
-        (0.27, 1.36),
-        (0.38, 1.43),
-        (0.52, 1.43),
-        (0.58, 1.37),
-        (0.72, 1.0),
-        (0.93, 0.83),
-        (0.985, 0.7),
-        (1, 0.58),
+    length=4.6,
+    width=1.8,
+    outline=rows(
+        "0 0.6, 0.012 0.9, 0.03 0.98, 0.14 1.03, 0.27 1.36, 0.38 1.43, "
+        "0.52 1.43, 0.58 1.37, 0.72 1.0, 0.93 0.83, 0.985 0.7, 1 0.58"
     ),
-    0.93,
-    (0.14, 0.27),
-    (0.58, 0.72),
-    (0.24, 0.45),
-    (0.2, 0.81),
+    belt=0.93,
+    rear_glass=(0.14, 0.27),
+    windscreen=(0.58, 0.72),
+    pillars=(0.24, 0.45),
+    wheels=(0.2, 0.81),
 )
 _ESTATE = CarShape(
-    4.7,
-    1.8,
-    (
-        (0, 0.6),
-        (0.012, 0.95),
-        (0.025, 1.0),
-        (0.09, 1.38),
-        (0.14, 1.47),
-        (0.5, 1.48),
-        (0.58, 1.4),
-        (0.72, 1.02),
-        (0.93, 0.85),
-        (0.985, 0.7),
-        (1, 0.58),
+    length=4.7,
+    width=1.8,
+    outline=rows(
+        "0 0.6, 0.012 0.95, 0.025 1.0, 0.09 1.38, 0.14 1.47, 0.5 1.48, "
+        "0.58 1.4, 0.72 1.02, 0.93 0.85, 0.985 0.7, 1 0.58"
     ),
-    0.95,
-    (0.025, 0.09),
-    (0.58, 0.72),
-    (0.22, 0.44),
-    (0.2, 0.81),
+    belt=0.95,
+    rear_glass=(0.025, 0.09),
+    windscreen=(0.58, 0.72),
+    pillars=(0.22, 0.44),
+    wheels=(0.2, 0.81),
 )
 _SUV = CarShape(
-    4.5,
-    1.86,
-    (
-        (0, 0.7),
-        (0.012, 1.05),
-        (0.025, 1.1),
-        (0.09, 1.6),
-        (0.15, 1.7),
-        (0.52, 1.7),
-        (0.6, 1.6),
-        (0.72, 1.16),
-        (0.94, 1.05),
-        (0.985, 0.85),
-        (1, 0.7),
+    length=4.5,
+    width=1.86,
+    outline=rows(
+        "0 0.7, 0.012 1.05, 0.025 1.1, 0.09 1.6, 0.15 1.7, 0.52 1.7, "
+        "0.6 1.6, 0.72 1.16, 0.94 1.05, 0.985 0.85, 1 0.7"
     ),
-    1.08,
-    (0.025, 0.09),
-    (0.6, 0.72),
-    (0.22, 0.45),
-    (0.19, 0.81),
-    0.37,
+    belt=1.08,
+    rear_glass=(0.025, 0.09),
+    windscreen=(0.6, 0.72),
+    pillars=(0.22, 0.45),
+    wheels=(0.19, 0.81),
+    wheel_radius=0.37,
 )
 _VAN = CarShape(
-    5.3,
-    2.0,
-    (
-        (0, 0.7),
-        (0.006, 1.2),
-        (0.01, 1.25),
-        (0.02, 2.2),
-        (0.05, 2.35),
-        (0.68, 2.35),
-        (0.74, 2.2),
-        (0.87, 1.25),
-        (0.96, 1.05),
-        (0.99, 0.85),
-        (1, 0.6),
+    length=5.3,
+    width=2.0,
+    outline=rows(
+        "0 0.7, 0.006 1.2, 0.01 1.25, 0.02 2.2, 0.05 2.35, 0.68 2.35, "
+        "0.74 2.2, 0.87 1.25, 0.96 1.05, 0.99 0.85, 1 0.6"
     ),
-    1.22,
-    (0.01, 0.02),
-    (0.74, 0.87),
-    (0.64,),
-    (0.17, 0.82),
-    0.36,
+    belt=1.22,
+    rear_glass=(0.01, 0.02),
+    windscreen=(0.74, 0.87),
+    pillars=(0.64,),
+    wheels=(0.17, 0.82),
+    wheel_radius=0.36,
 )
+_TRUCK_CAB = CarShape(
+    length=2.3,
+    width=2.45,
+    outline=rows("0 0.9, 0.01 2.5, 0.05 2.75, 0.7 2.75, 0.8 2.65, 0.95 1.5, 0.99 1.2, 1 0.6"),
+    belt=1.45,
+    rear_glass=(0.0, 0.0),
+    windscreen=(0.8, 0.95),
+    pillars=(0.3,),
+    wheels=(0.45, 0.45),
+    wheel_radius=0.48,
+)
+_CARGO_PAINTS = rows("0.7 0.7 0.68, 0.5 0.5 0.52, 0.4 0.05 0.04, 0.06 0.15 0.35, 0.6 0.45 0.1")
+_BUS_PAINTS = rows("0.5 0.04 0.03, 0.7 0.68 0.6, 0.05 0.2 0.45, 0.1 0.35 0.12, 0.65 0.5 0.05")
 _CARS = (_HATCHBACK, _HATCHBACK, _SEDAN, _ESTATE, _SUV)
 
 
@@ -179,10 +134,7 @@ def make_van(rng: Generator) -> Mesh:
 
 
 def _vary(color: Color, rng: Generator) -> Color:
-    r, g, b = np.clip(
-        np.asarray(color) * rng.uniform(0.75, 1.2) * rng.uniform(0.95, 1.05, 3), 0.015, 0.85
-    )
-    return float(r), float(g), float(b)
+    return vary(color, rng, most=1.2, tint=0.05, limits=(0.015, 0.85))
 
 
 def _bodied(
@@ -216,21 +168,9 @@ def _bodied(
     q = np.concatenate([np.zeros(4), [0.0, 1.0], np.full(5, 1.0), [1.0, 0.0], np.zeros(5)])
     seed = float(rng.random())
     wheel_x = [(f - 0.5) * length for f in shape.wheels]
-    body = Look(
-        SurfaceKind.CAR_BODY,
-        paint,
-        label,
-        (
-            wheel_x[0],
-            wheel_x[1],
-            shape.wheel_radius,
-            length,
-            shape.width,
-            shape.belt,
-            (shape.pillars[-1] - 0.5) * length,
-            seed,
-        ),
-    )
+    door_x = (shape.pillars[-1] - 0.5) * length
+    sizes = (*wheel_x, shape.wheel_radius, length, shape.width, shape.belt, door_x)
+    body = Look(SurfaceKind.CAR_BODY, paint, label, (*sizes, seed))
     pillars = [(f - 0.5) * length for f in shape.pillars] + [99.0]
     side = Look(SurfaceKind.CAR_SIDE_WINDOW, paint, label, (pillars[0], pillars[1], seed))
     if label == SceneClass.VAN and seed < 0.75:
@@ -262,8 +202,7 @@ def _bodied(
     for end in (0, -1):
         ring = lattice[end]
         centre = np.broadcast_to(ring.mean(axis=0), ring.shape)
-        rows = [ring, centre] if end == 0 else [centre, ring]
-        parts.append(grid(np.stack(rows), body))
+        parts.append(grid(np.stack([ring, centre] if end == 0 else [centre, ring]), body))
     tyre = Look(SurfaceKind.WHEEL, (0.45, 0.45, 0.46), label, (shape.wheel_radius, seed))
     for wx in wheel_x:
         for sign in (-1, 1):
@@ -287,37 +226,10 @@ def make_truck(rng: Generator) -> Mesh:
     label = SceneClass.TRUCK
     length = float(rng.uniform(6.5, 10.5))
     cab_paint = _vary(_PAINTS[rng.integers(len(_PAINTS))], rng)
-    box_paint = _vary(
-        (
-            (0.7, 0.7, 0.68),
-            (0.5, 0.5, 0.52),
-            (0.4, 0.05, 0.04),
-            (0.06, 0.15, 0.35),
-            (0.6, 0.45, 0.1),
-        )[rng.integers(5)],
-        rng,
+    box_paint = _vary(_CARGO_PAINTS[rng.integers(5)], rng)
+    front = _bodied(_TRUCK_CAB, cab_paint, label, rng, size=1.0).moved(
+        offset=(length / 2 - 1.15, 0, 0.05)
     )
-    cab = CarShape(
-        2.3,
-        2.45,
-        (
-            (0, 0.9),
-            (0.01, 2.5),
-            (0.05, 2.75),
-            (0.7, 2.75),
-            (0.8, 2.65),
-            (0.95, 1.5),
-            (0.99, 1.2),
-            (1, 0.6),
-        ),
-        1.45,
-        (0.0, 0.0),
-        (0.8, 0.95),
-        (0.3,),
-        (0.45, 0.45),
-        0.48,
-    )
-    front = _bodied(cab, cab_paint, label, rng, size=1.0).moved(offset=(length / 2 - 1.15, 0, 0.05))
     dark = Look(SurfaceKind.PLAIN, (0.03, 0.03, 0.03), label, (0.2,))
     tyre = Look(SurfaceKind.WHEEL, (0.3, 0.3, 0.31), label, (0.48, 0.2))
     cargo_length, height = length - 2.6, float(rng.uniform(2.2, 2.8))
@@ -325,15 +237,8 @@ def make_truck(rng: Generator) -> Mesh:
     parts = [front, box((length - 0.6, 1.0, 0.3), (-0.2, 0, 0.75), dark)]
     if rng.random() < 0.2:
         tank = Look(SurfaceKind.METAL, (0.6, 0.6, 0.6), label)
-        parts.append(
-            tube(
-                (-length / 2, 0, 2.05),
-                (-length / 2 + cargo_length, 0, 2.05),
-                (1.15, 1.15),
-                tank,
-                sides=24,
-            )
-        )
+        ends = ((-length / 2, 0, 2.05), (-length / 2 + cargo_length, 0, 2.05))
+        parts.append(tube(*ends, (1.15, 1.15), tank, sides=24))
     else:
         cargo = Look(SurfaceKind.PLANKS, box_paint, label, (1.2, 0.25, float(rng.random())))
         parts.append(box((cargo_length, 2.45, height), (middle, 0, 1.0 + height / 2), cargo))
@@ -353,16 +258,7 @@ def make_bus(rng: Generator) -> Mesh:
     """A city bus; its class is Truck, the nearest one of Virtual KITTI 2."""
     label = SceneClass.TRUCK
     length, width, height = 11.0, 2.5, float(rng.choice([2.9, 4.1]))
-    paint = _vary(
-        (
-            (0.5, 0.04, 0.03),
-            (0.7, 0.68, 0.6),
-            (0.05, 0.2, 0.45),
-            (0.1, 0.35, 0.12),
-            (0.65, 0.5, 0.05),
-        )[rng.integers(5)],
-        rng,
-    )
+    paint = _vary(_BUS_PAINTS[rng.integers(5)], rng)
     side = Look(SurfaceKind.BUS_SIDE, paint, label, (height, length, width, float(rng.random())))
     parts = [box((length, width, height - 0.3), (0, 0, 0.3 + (height - 0.3) / 2), side)]
     tyre = Look(SurfaceKind.WHEEL, (0.3, 0.3, 0.31), label, (0.48, 0.1))
