@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
 from runtime.io.images import RGB_SUFFIXES, list_files
@@ -162,5 +163,5 @@ def _nanoseconds(text: str, where: str) -> int:
         return int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0"))
     except ValueError as error:
         raise InputError(
-            f"{where} is {text!r:.60}, expected a time like 2011-09-26 13:02:25.964389445"
+            f"{where} is {shown(text)}, expected a time like 2011-09-26 13:02:25.964389445"
         ) from error

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import cut, shown
 from runtime.errors import InputError
 
 
@@ -37,8 +38,8 @@ class TransformTree:
         if common is None:
             frames = {*self._parents, *(parent for parent, _ in self._parents.values())}
             raise InputError(
-                f"/tf_static does not connect the frame {source!r:.80} to {target!r:.80}, it has "
-                f"{', '.join(sorted(frames)) or 'no frames':.300}: give --calibration"
+                f"/tf_static does not connect the frame {shown(source)} to {shown(target)}, it has "
+                f"{cut(', '.join(sorted(frames)), 300) or 'no frames'}: give --calibration"
             )
         matrix: NDArray[np.float64] = np.linalg.inv(from_target[common]) @ from_source[common]
         matrix[3] = (0, 0, 0, 1)  # to the last bit
@@ -51,7 +52,7 @@ class TransformTree:
         while frame in self._parents:
             frame, to_parent = self._parents[frame]
             if frame in matrices:
-                raise InputError(f"/tf_static has a cycle at the frame {frame!r:.80}")
+                raise InputError(f"/tf_static has a cycle at the frame {shown(frame)}")
             matrix = to_parent @ matrix
             matrices[frame] = matrix
         return matrices
