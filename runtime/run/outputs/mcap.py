@@ -5,6 +5,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -95,13 +96,9 @@ class McapWriter:
 
     def _status(self, name: str, prediction: Prediction) -> Any:
         of_type: Any = self._types["diagnostic_msgs/msg/DiagnosticStatus"]
-        latency = prediction.latency
         values = {
             "frame": name,
-            "preprocess_ms": f"{latency.preprocess_ms:.3f}",
-            "inference_ms": f"{latency.inference_ms:.3f}",
-            "postprocess_ms": f"{latency.postprocess_ms:.3f}",
-            "total_ms": f"{latency.total_ms:.3f}",
+            **{stage: f"{ms:.3f}" for stage, ms in asdict(prediction.latency).items()},
             "depth_returns": str(prediction.depth_returns),
             "depth_cleaned": str(prediction.cleaned.total),
         }
