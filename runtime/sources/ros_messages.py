@@ -123,8 +123,7 @@ def decode_points(message: Any) -> NDArray[np.float32]:
         InputError: if x, y or z is missing, doubled or of another type, and for inconsistent
             offsets, steps and length of the data.
     """
-    height, width = _count("height", message.height), _count("width", message.width)
-    point_step = _count("point_step", message.point_step)
+    height, width, point_step = message_counts(message, "height", "width", "point_step")
     order = ">" if message.is_bigendian else "<"
     offsets, formats = [], []
     for axis in "xyz":
@@ -141,7 +140,7 @@ def decode_points(message: Any) -> NDArray[np.float32]:
                 f"the field {axis} of a PointCloud2 is {field.count} of the datatype {name}, "
                 "expected one float32 or float64"
             )
-        offset, size = _count("offset", field.offset), int(_FLOATS[field.datatype][1])
+        (offset,), size = message_counts(field, "offset"), int(_FLOATS[field.datatype][1])
         if offset + size > point_step:
             raise InputError(
                 f"the field {axis} of a PointCloud2 ends at byte {offset + size} of a point, which "
@@ -152,7 +151,7 @@ def decode_points(message: Any) -> NDArray[np.float32]:
     if height == 0 or width == 0:
         return np.zeros((0, 3), np.float32)
     what = f"a PointCloud2 of {height} x {width} points"
-    data, row_step = _rows(message, what, height, width * point_step, "row_step")
+    data, row_step = message_rows(message, what, height, width * point_step, "row_step")
     layout = np.dtype(
         {"names": list("xyz"), "formats": formats, "offsets": offsets, "itemsize": point_step}
     )
@@ -166,23 +165,23 @@ def decode_points(message: Any) -> NDArray[np.float32]:
 
 def _pixels(message: Any, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
     """A view of an Image's data, (H, W) or (H, W, channels)."""
-    height, width = _count("height", message.height), _count("width", message.width)
+    height, width = message_counts(message, "height", "width")
     what = f"an Image of {height} x {width} pixels of {message.encoding}"
     if height == 0 or width == 0:
         raise InputError(f"{what} is empty")
     require_pixels((height, width), name=what)
     pixel = dtype.itemsize * channels
-    data, step = _rows(message, what, height, width * pixel, "step")
+    data, step = message_rows(message, what, height, width * pixel, "step")
     shape, strides = (height, width, channels), (step, pixel, dtype.itemsize)
     rank = 2 if channels == 1 else 3
     return np.ndarray(shape[:rank], dtype, data, strides=strides[:rank])
 
 
-def _rows(
+def message_rows(
     message: Any, what: str, height: int, row_bytes: int, step: str
 ) -> tuple[NDArray[np.uint8], int]:
     """The data of a message, not copied, and the bytes from one row to the next."""
-    stride = _count(step, getattr(message, step)) if height > 1 else row_bytes
+    (stride,) = message_counts(message, step) if height > 1 else (row_bytes,)
     if stride < row_bytes:
         raise InputError(f"{what} has {step} {stride}, expected at least {row_bytes}")
     data = message.data
@@ -196,6 +195,11 @@ def _rows(
     return content, stride
 
 
-def _count(name: str, value: Any) -> int:
-    """A field that is a count. Raises InputError."""
-    return check_integer(f"the field {name} of a message", value, 0, 2**32 - 1, error=InputError)
+def message_counts(message: Any, *names: str) -> tuple[int, ...]:
+    """Fields of a message that are counts. Raises InputError."""
+    return tuple(
+        check_integer(
+            f"the field {name} of a message", getattr(message, name), 0, 2**32 - 1, error=InputError
+        )
+        for name in names
+    )
