@@ -2,7 +2,7 @@
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
@@ -253,9 +253,8 @@ def _highest_percentile(times: LatencyStatistics) -> tuple[str, float]:
 
 
 def _cells(times: LatencyStatistics) -> list[str]:
-    names = ("mean_ms", "median_ms", "p90_ms", "p99_ms", "p99_9_ms", "max_ms")
-    values = (getattr(times, name) for name in names)
-    return [f"{times.n:,}", *("n/a" if value is None else _ms(value) for value in values)]
+    n, *values = astuple(times)
+    return [f"{n:,}", *("n/a" if value is None else _ms(value) for value in values)]
 
 
 def _ms(value: float) -> str:

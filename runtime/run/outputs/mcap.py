@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from runtime.errors import OutputError, install_command
+from runtime.errors import OutputError
 from runtime.heads import HEADS
 from runtime.io.atomic_write import atomic_path
 from runtime.io.encode import encode_jpeg
@@ -127,12 +127,8 @@ def open_mcap(run: OpenRun) -> Iterator[McapWriter]:
 
     A run without a frame leaves no file there.
     """
-    try:
-        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-    except ImportError as error:
-        raise OutputError(
-            f"an MCAP file needs the package rosbags ({error}): {install_command('bag')}"
-        ) from error
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
     assert run.options.mcap is not None
     with atomic_path(run.options.mcap, overwrite=run.options.overwrite) as temporary:
         folder = temporary.with_suffix("")
