@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from runtime import Predictor, PushStream
-from runtime.io.engine_facts import cpu_name
+from runtime.io.engine_facts import machine_facts
 from runtime.live.frame_result import FrameResult
 from runtime.run.process import dedicate_process
 from runtime.sources.frames import Frame
@@ -47,7 +47,8 @@ def main() -> None:
         print_rates(arguments.model, threads=arguments.threads, rounds=arguments.rounds)
         return
     print(
-        f"{cpu_name()}, {arguments.threads} threads, onnxruntime {version('onnxruntime')}, "
+        f"{machine_facts().cpu}, {arguments.threads} threads, "
+        f"onnxruntime {version('onnxruntime')}, "
         f"Python {platform.python_version()}; medians of {arguments.rounds} interleaved runs of "
         f"{arguments.frames} frames\n"
     )

@@ -23,7 +23,7 @@ from runtime.sources.source import Source
 TASK_FRAMES = 8  # of a task, which is repeated when its actor dies
 
 
-class FramePredictor:
+class PredictorActor:
     """The actor: reads and predicts frames by their numbers."""
 
     def __init__(self, open_source: Callable[[], Source], options: dict[str, Any]) -> None:
@@ -66,7 +66,7 @@ def predict_source(
         rows = [{"index": each.sequence, "name": each.name} for each in source.list_frames()]
     dataset = ray.data.from_items(rows, override_num_blocks=math.ceil(len(rows) / TASK_FRAMES))
     return dataset.map(
-        FramePredictor,
+        PredictorActor,
         fn_constructor_args=(open_source, {**options, "threads": threads}),
         compute=ray.data.ActorPoolStrategy(size=actors),
         num_cpus=threads,

@@ -304,7 +304,7 @@ class Predictor:
         started = time.perf_counter()
         rgb, sparse_depth = _empty_frame(size)
         scale = CameraScale(1.0, self.contract.max_depth_m, None)
-        (outputs,) = self._run([NetworkInput(rgb, sparse_depth, rgb, Cleaned(), 0, (), scale)])
+        (outputs,) = self._run([NetworkInput(rgb, sparse_depth, size, Cleaned(), 0, (), scale)])
         if not self.free_size:
             self._cold_ms = _ms_since(started)
         _check_finite(faults(outputs, self.contract))

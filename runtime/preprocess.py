@@ -31,7 +31,7 @@ class NetworkInput:
         rgb: uint8 (h, w, 3) at the network's size.
         sparse_depth: float32 (h, w) at the network's size, metres times `scale.factor`, 0 =
             no measurement.
-        frame_rgb: uint8 (H, W, 3) as given.
+        frame_size: (height, width) of the frame.
         cleaned: depth pixels of the frame that were changed.
         depth_returns: number of depth pixels of the frame that are left.
         degraded: reasons why the answer is worth less than usual.
@@ -40,16 +40,11 @@ class NetworkInput:
 
     rgb: NDArray[np.uint8]
     sparse_depth: NDArray[np.float32]
-    frame_rgb: NDArray[np.uint8]
+    frame_size: Size
     cleaned: Cleaned
     depth_returns: int
     degraded: tuple[str, ...]
     scale: CameraScale
-
-    @property
-    def frame_size(self) -> Size:
-        """(height, width) of the frame."""
-        return self.frame_rgb.shape[0], self.frame_rgb.shape[1]
 
     @property
     def network_size(self) -> Size:
@@ -109,7 +104,9 @@ def preprocess(
         degraded.append(SPARSE_DEPTH_LOW)
     if is_constant(rgb):
         degraded.append(IMAGE_CONSTANT)
-    return NetworkInput(network_rgb, sparse_depth, rgb, cleaned, returns, tuple(degraded), scale)
+    return NetworkInput(
+        network_rgb, sparse_depth, frame_size, cleaned, returns, tuple(degraded), scale
+    )
 
 
 def check_rgb(rgb: Any) -> NDArray[np.uint8]:

@@ -33,21 +33,19 @@ def open_input(path: Path, *, max_bytes: int) -> Iterator[BinaryIO]:
     Raises:
         InputError: if it cannot be opened, is no regular file or is larger.
     """
-    try:
+    with _reported(path):
         file = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 - closed below
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot read {_shown(path)} ({_reason(error)})") from error
     with file:
         _require_regular(path, os.fstat(file.fileno()), max_bytes)
         yield file
 
 
-def read_input(path: Path, *, max_bytes: int | None = None) -> bytes:
+def read_input(path: Path, *, max_bytes: int = MAX_FILE_BYTES) -> bytes:
     """Read a regular file of bounded size.
 
     Args:
         path: the file; links are followed.
-        max_bytes: its largest size; None: `MAX_FILE_BYTES`.
+        max_bytes: its largest size.
 
     Returns:
         Its content.
@@ -55,11 +53,8 @@ def read_input(path: Path, *, max_bytes: int | None = None) -> bytes:
     Raises:
         InputError: if it cannot be read, is no regular file or is larger.
     """
-    with open_input(path, max_bytes=MAX_FILE_BYTES if max_bytes is None else max_bytes) as file:
-        try:  # a file of the kernel has the size 0
-            return file.read(os.fstat(file.fileno()).st_size)
-        except OSError as error:
-            raise InputError(f"cannot read {_shown(path)} ({_reason(error)})") from error
+    with open_input(path, max_bytes=max_bytes) as file, _reported(path):
+        return file.read(os.fstat(file.fileno()).st_size)  # 0 of a file of the kernel
 
 
 def read_text(path: Path) -> str:
@@ -81,13 +76,11 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def require_regular(path: Path, *, max_bytes: int | None = None) -> None:
     """Check a file that a library opens by its name; None: of any size. Errors as `read_input`."""
-    try:
+    with _reported(path):
         status = os.stat(path)
-        _require_regular(path, status, max_bytes)
-        if status.st_size == 0:  # as files of the kernel, of which reading can block
-            raise InputError(f"cannot read {_shown(path)}: it is empty")
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot read {_shown(path)} ({_reason(error)})") from error
+    _require_regular(path, status, max_bytes)
+    if status.st_size == 0:  # as files of the kernel, of which reading can block
+        raise InputError(f"cannot read {_shown(path)}: it is empty")
 
 
 def _require_regular(path: Path, status: os.stat_result, max_bytes: int | None) -> None:
@@ -104,8 +97,14 @@ def _open_at_once(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NONBLOCK)  # does not wait for a pipe's writer
 
 
-def _reason(error: OSError | ValueError) -> str:
-    return getattr(error, "strerror", None) or str(error)  # ValueError: a zero byte in the name
+@contextlib.contextmanager
+def _reported(path: Path) -> Iterator[None]:
+    """Raise what opening or reading a file raises as an InputError."""
+    try:
+        yield
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot read {_shown(path)} ({reason})") from error
 
 
 def _shown(path: Path) -> str:

@@ -52,12 +52,16 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
     ort = import_onnxruntime()
     name = PROVIDERS[provider]
     _require_available(ort, provider, name)
-    printed = _preload(ort) if provider == "cuda" else ""
+    printed, settings = "", {}
+    if provider == "cuda":
+        # An exhaustive search would stall the first frame of every new size.
+        settings = {"device_id": str(device_id), "cudnn_conv_algo_search": "HEURISTIC"}
+        printed = _preload(ort)
     try:
         session = ort.InferenceSession(
             model,
             sess_options=_options(ort, threads),
-            providers=[(name, _provider_options(provider, device_id))],
+            providers=[(name, settings)],
             enable_fallback=False,
         )
     except Exception as error:
@@ -103,13 +107,6 @@ def _options(ort: Any, threads: int) -> Any:
     for key, value in entries.items():
         options.add_session_config_entry(key, value)
     return options
-
-
-def _provider_options(provider: str, device_id: int) -> dict[str, str]:
-    if provider == "cuda":
-        # An exhaustive search would stall the first frame of every new size.
-        return {"device_id": str(device_id), "cudnn_conv_algo_search": "HEURISTIC"}
-    return {}
 
 
 def _require_available(ort: Any, provider: str, name: str) -> None:

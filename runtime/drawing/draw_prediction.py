@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import shown
 from runtime.contract import ClassInfo
 from runtime.drawing.overlay import Overlay
 from runtime.errors import InputError, OutputError
@@ -53,7 +54,7 @@ def save_prediction(
     except TypeError as error:
         raise InputError(f"path must be a path, got {type(path).__name__}") from error
     if "\0" in str(path):
-        raise InputError(f"{str(path)!r:.80} is not a file's name: it holds a NUL character")
+        raise InputError(f"{shown(str(path))} is not a file's name: it holds a NUL character")
     suffix = path.suffix.lower()
     content: bytes | memoryview
     if suffix in _PICTURES:

@@ -24,7 +24,7 @@ _NEAREST_M = 3.0  # of the depth's colours; the bonnet is nearer
 _UNCERTAINTY_PERCENT = (1.0, 100.0)
 
 
-class Answers(Protocol):
+class Drawable(Protocol):
     """What can be drawn."""
 
     @property
@@ -58,7 +58,7 @@ class Overlay:
         self._legends: dict[tuple[int, tuple[ColorScale, ...]], NDArray[np.uint8]] = {}
 
     def draw(
-        self, rgb: NDArray[np.uint8] | None, prediction: Answers, *, widest: int | None = None
+        self, rgb: NDArray[np.uint8] | None, prediction: Drawable, *, widest: int | None = None
     ) -> NDArray[np.uint8]:
         """Draw one frame.
 
@@ -82,7 +82,7 @@ class Overlay:
         return cv2.vconcat([strip, self._legend(strip.shape[1], bars)])  # type: ignore[return-value]
 
     def panels(
-        self, rgb: NDArray[np.uint8] | None, prediction: Answers, *, widest: int | None = None
+        self, rgb: NDArray[np.uint8] | None, prediction: Drawable, *, widest: int | None = None
     ) -> dict[str, NDArray[np.uint8]]:
         """Draw the panels of `draw`: title -> uint8 (H', W', 3), BGR, without text, of one size.
 
@@ -97,7 +97,9 @@ class Overlay:
         heads = prediction.heads
         ids = _shrink_nearest(heads["semantic"], step) if "semantic" in heads else None
         depth = _shrink_nearest(heads["depth"], step) if "depth" in heads else None
-        hidden = None if depth is None else self._without_depth(depth, ids)
+        hidden = None if depth is None else ~(depth > 0)
+        if hidden is not None and ids is not None and self._sky is not None:
+            hidden |= ids == self._sky
         for kind, head in ((kind, head) for kind in Panel for head in heads):
             if HEADS[head].panel is not kind:
                 continue
@@ -120,13 +122,6 @@ class Overlay:
     def draw_depth_bar(self, width: int) -> NDArray[np.uint8]:
         """Draw the colour bar of the depth: uint8 (H', width, 3), BGR."""
         return self._depth_scale.draw_bar(width, _LEGEND_LINE)
-
-    def _without_depth(
-        self, depth: NDArray[np.float32], ids: NDArray[np.uint8] | None
-    ) -> NDArray[np.bool_]:
-        """Pixels of the sky and those whose depth is not above 0."""
-        hidden: NDArray[np.bool_] = ~(depth > 0)
-        return hidden if ids is None or self._sky is None else hidden | (ids == self._sky)
 
     def _paint_classes(self, ids: NDArray[np.uint8], image: NDArray[Any] | None) -> NDArray[Any]:
         classes = cv2.applyColorMap(ids, self._class_colors)
@@ -154,11 +149,11 @@ class Overlay:
 class SharedOverlay(Overlay):
     """An overlay shared by several outputs: each frame is drawn once, and the picture is shared."""
 
-    _of: tuple[NDArray[np.uint8] | None, Answers] | None = None
+    _of: tuple[NDArray[np.uint8] | None, Drawable] | None = None
     _drawn: dict[int, NDArray[np.uint8]]  # step -> picture
 
     def draw(
-        self, rgb: NDArray[np.uint8] | None, prediction: Answers, *, widest: int | None = None
+        self, rgb: NDArray[np.uint8] | None, prediction: Drawable, *, widest: int | None = None
     ) -> NDArray[np.uint8]:
         """Draw a frame, or return the picture if it is of the last one and of this size."""
         if self._of is None or self._of[0] is not rgb or self._of[1] is not prediction:
@@ -169,7 +164,7 @@ class SharedOverlay(Overlay):
         return self._drawn[step]
 
 
-def _size(rgb: NDArray[np.uint8] | None, prediction: Answers) -> tuple[int, int]:
+def _size(rgb: NDArray[np.uint8] | None, prediction: Drawable) -> tuple[int, int]:
     """(height, width) of the frame."""
     array = next(iter(prediction.heads.values())) if rgb is None else rgb[..., 0]
     return array.shape[-2], array.shape[-1]

@@ -13,9 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import check_number
 from runtime.errors import InputError
 from runtime.prediction import Prediction
 
+_SHARE = "consistency, the share of the returns that is held out,"
 _WEIGHT = 0.1  # of a new frame in the running means
 _SCALE_EVERY = 10  # frames: the scale takes a second prediction
 _SQUARES = 8  # that are held out, over the height of the image
@@ -55,19 +57,14 @@ class ConsistencyCheck:
     """Holds a share of each frame's returns out and compares the prediction with them.
 
     Args:
-        share: of the returns, above 0 and at most 0.5.
+        share: of the returns, 1e-6 to 0.5.
 
     Raises:
         InputError: if the share is out of range.
     """
 
     def __init__(self, share: float) -> None:
-        number = isinstance(share, int | float) and not isinstance(share, bool)
-        if not number or not 0 < share <= 0.5:
-            raise InputError(
-                f"consistency must be a share of the returns above 0 and up to 0.5, got {share!r}"
-            )
-        self._share = share
+        self._share = check_number(_SHARE, share, 1e-6, 0.5, error=InputError)
         self._random = np.random.default_rng(0)
         self._holdout, self._edges, self._scale = _Figure(), _Figure(), _Figure(weight=0.5)
         self._frames = 0

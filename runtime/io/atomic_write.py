@@ -227,16 +227,11 @@ def _require_replaceable(path: Path) -> None:
 
 
 def _publish(temporary: Path, path: Path, *, overwrite: bool) -> None:
-    """Give the file its name. Raises OutputError."""
+    """Give the file its name, without `overwrite` if no other has it. Raises OutputError."""
     if overwrite:
         _require_replaceable(path)
         os.replace(temporary, path)
-    else:
-        _publish_new(temporary, path)
-
-
-def _publish_new(temporary: Path, path: Path) -> None:
-    """Give the file its name if nobody has it. Raises OutputError."""
+        return
     try:
         try:
             os.link(temporary, path)

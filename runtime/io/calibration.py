@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.images import list_files, natural_order
 from runtime.io.kitti_calibration import NumbersFile, chain
@@ -244,5 +245,5 @@ def _matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.floa
     except (OverflowError, TypeError, ValueError):
         matrix = np.empty(0)
     if matrix.size != rows * columns or not np.isfinite(matrix).all():
-        raise InputError(f"{name} must be {rows} x {columns} finite numbers, got {numbers!r:.60}")
+        raise InputError(f"{name} must be {rows} x {columns} finite numbers, got {shown(numbers)}")
     return matrix.reshape(rows, columns)

@@ -141,17 +141,12 @@ def machine_facts() -> MachineFacts:
     flags = set(_cpu_info("flags").split())
     sets = tuple(name for name, any_of in _INSTRUCTION_SETS.items() if flags & any_of)
     return MachineFacts(
-        cpu=cpu_name(),
+        cpu=_cpu_info("model name") or platform.processor() or platform.machine(),
         instruction_sets=sets,
         logical_cores=os.cpu_count(),
         system=platform.platform(),
         python=platform.python_version(),
     )
-
-
-def cpu_name() -> str:
-    """Return the name of the processor as the system reports it."""
-    return _cpu_info("model name") or platform.processor() or platform.machine()
 
 
 def _cpu_info(key: str) -> str:

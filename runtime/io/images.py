@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import cut
 from runtime.contract import MAX_PIXELS
 from runtime.errors import InputError
 from runtime.io.image_header import image_size
@@ -130,7 +131,7 @@ def list_files(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[s
         paths = sorted(folder.iterdir())
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot list the folder {str(folder)[:200]} ({reason})") from error
+        raise InputError(f"cannot list the folder {cut(str(folder), 200)} ({reason})") from error
     files: dict[str, Path] = {}
     for path in paths:
         suffix = next(filter(path.name.lower().endswith, suffixes), None)

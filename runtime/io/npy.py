@@ -9,6 +9,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from runtime.checks import cut
 from runtime.errors import InputError
 from runtime.read_input import read_input
 
@@ -30,5 +31,5 @@ def read_npy(path: Path) -> NDArray[Any]:
         return array.reshape(shape, order="F" if is_fortran else "C")
     except Exception as error:  # the header is an expression of Python: anything can be wrong
         raise InputError(
-            f"{path} is no .npy file of numbers, or it is truncated ({error!s:.200})"
+            f"{path} is no .npy file of numbers, or it is truncated ({cut(str(error), 200)})"
         ) from error

@@ -14,7 +14,7 @@ run keeps its pace, and numpy's archive has a checksum of every array.
 
 import contextlib
 import json
-import math
+import sys
 import zipfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import check_number, cut, shown
 from runtime.errors import InputError, OutputError
 from runtime.heads import HEADS
 from runtime.io.agreement import compare, first_figure, recording_limits
@@ -43,6 +44,8 @@ _FLOAT_LIMITS = {"semantic": 0.99, "depth": 1.0, "depth_uncertainty": 1.0, "boun
 MAX_FRAME_BYTES = 2**32  # of the largest cameras with all heads
 
 _INPUTS = ("rgb", "sparse_depth")
+#: A limit or a time.
+_check = partial(check_number, least=0, most=sys.float_info.max)
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,8 @@ class Recording:
             raise
         except Exception as error:  # zipfile and numpy raise anything
             raise InputError(
-                f"cannot read {path} ({str(error)[:200]}): the recording is damaged, get it again"
+                f"cannot read {path} ({cut(str(error), 200)}): the recording is damaged, get it "
+                "again"
             ) from error
 
 
@@ -242,7 +246,7 @@ def _check_members(members: Sequence[zipfile.ZipInfo], names: Collection[str]) -
     """Raise ValueError unless these are the arrays, as `Recorder` writes them: not compressed."""
     found = sorted(member.filename for member in members)
     if found != sorted(f"{name}.npy" for name in names):
-        raise ValueError(f"it holds {found!r:.200}, expected {sorted(names)}")
+        raise ValueError(f"it holds {shown(found, 200)}, expected {sorted(names)}")
     if any(member.compress_type != zipfile.ZIP_STORED for member in members):
         raise ValueError("its arrays are compressed")
     if (size := sum(member.file_size for member in members)) > MAX_FRAME_BYTES:
@@ -251,10 +255,10 @@ def _check_members(members: Sequence[zipfile.ZipInfo], names: Collection[str]) -
 
 def _parse(folder: Path, document: Any) -> Recording:
     if document["format"] != RECORDING_FORMAT:
-        raise ValueError(f"format is {document['format']!r:.80}, expected {RECORDING_FORMAT!r}")
+        raise ValueError(f"format is {shown(document['format'])}, expected {RECORDING_FORMAT!r}")
     major = str(document["version"]).partition(".")[0]
     if major not in ("1", "2"):
-        raise ValueError(f"version is {document['version']!r:.80}, this reader reads 1.x and 2.x")
+        raise ValueError(f"version is {shown(document['version'])}, this reader reads 1.x and 2.x")
     limits = _first_limits(document["limits"]) if major == "1" else document["limits"]
     settings = document["settings"]
     size, focal_px = settings["size"], settings["focal_length_px"]
@@ -279,14 +283,14 @@ def _frame(entry: Any) -> RecordedFrame:
         name=str(entry["name"]),
         valid=bool(entry["valid"]),
         degraded=None if degraded is None else tuple(map(str, degraded)),
-        predict_ms=None if predict_ms is None else _finite(predict_ms),
+        predict_ms=None if predict_ms is None else _check("predict_ms", predict_ms),
     )
 
 
 def _first_limits(limits: Any) -> dict[str, dict[str, float]]:
     """The limits of version 1. Raises ValueError for those of an 8-bit model."""
     for head, most in _FLOAT_LIMITS.items():
-        value = _finite(limits.get(head, most))
+        value = _check(head, limits.get(head, most))
         if value < most if head == "semantic" else value > most:
             raise ValueError(
                 f"the limit of {head}, {value:g}, is of an 8-bit model and of an older version, "
@@ -298,20 +302,14 @@ def _first_limits(limits: Any) -> dict[str, dict[str, float]]:
 def _limits(head: str, entry: Mapping[str, Any]) -> dict[str, float]:
     known = compare(_head(head), np.ones(1), np.ones(1)).keys()
     if not entry or entry.keys() - known:
-        raise ValueError(f"the limits of {head} are {entry!r:.80}, expected some of {[*known]}")
-    return {name: _finite(value) for name, value in entry.items()}
+        raise ValueError(f"the limits of {head} are {shown(entry)}, expected some of {[*known]}")
+    return {name: _check(name, value) for name, value in entry.items()}
 
 
 def _head(name: str) -> str:
     if name not in HEADS:
-        raise ValueError(f"unknown head {name!r:.80}")
+        raise ValueError(f"unknown head {shown(name)}")
     return name
-
-
-def _finite(value: Any) -> float:
-    if isinstance(value, bool) or not math.isfinite(value) or value < 0:
-        raise ValueError(f"{value!r:.80} is no limit or time")
-    return float(value)
 
 
 def _frame_path(folder: Path, index: int) -> Path:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import cut, shown
 from runtime.errors import InputError
 from runtime.io.npy import read_npy
 from runtime.read_input import MAX_FILE_BYTES, read_input
@@ -140,7 +141,7 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
     encodings = _OF_PCD if is_pcd else _OF_PLY
     if encoding not in encodings:
         expected = ", ".join(encodings)
-        raise ValueError(f"its points are {encoding!r:.40}, expected one of {expected}")
+        raise ValueError(f"its points are {shown(encoding)}, expected one of {expected}")
     places, width, size = _place(fields)
     if encoding == _COMPRESSED:
         body = _decompress(body, points * size)
@@ -200,7 +201,7 @@ def _parse_ply(lines: list[list[str]]) -> _Header:
 def _count(text: str) -> int:
     """A number of a header; int() takes underscores, too."""
     if not re.fullmatch("-?[0-9]+", text):
-        raise ValueError(f"invalid literal for a count: {text!r:.40}")
+        raise ValueError(f"invalid literal for a count: {shown(text)}")
     return int(text)
 
 
@@ -211,7 +212,7 @@ def _place(fields: list[tuple[str, str, int]]) -> tuple[list[tuple[int, int, str
     for name, kind, count in fields:
         code = _TYPES.get(kind)
         if code is None or count < 1:
-            raise ValueError(f"its field {name:.40} is {count} of {kind:.40}, expected numbers")
+            raise ValueError(f"its field {cut(name)} is {count} of {cut(kind)}, expected numbers")
         if name in ("x", "y", "z"):
             if name in places or count > 1 or code[0] != "f":
                 raise ValueError(f"expected one float as the field {name}, got {count} of {kind}")
@@ -219,7 +220,7 @@ def _place(fields: list[tuple[str, str, int]]) -> tuple[list[tuple[int, int, str
         width, size = width + count, size + count * int(code[1])
     if len(places) < 3:
         names = ", ".join(name for name, _, _ in fields)
-        raise ValueError(f"expected the fields x, y and z, it has {names or 'none':.200}")
+        raise ValueError(f"expected the fields x, y and z, it has {cut(names, 200) or 'none'}")
     return [places[axis] for axis in "xyz"], width, size
 
 

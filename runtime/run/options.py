@@ -12,6 +12,7 @@ from typing import Annotated, TypeVar
 import typer
 
 from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
+from runtime.checks import check_number, shown
 from runtime.command import Provider
 from runtime.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.errors import InputError
@@ -38,6 +39,14 @@ FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap", "rerun": "
 DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
 RERUN_LIVE = "live"  # --rerun: the viewer on this machine
 _OUT = Path("ssdnet-run")
+#: Option that is a number -> its least and largest value.
+_RANGES = {
+    "depth_scale": (1e-3, 1e6),
+    "deadline_ms": (1e-6, 1e9),
+    "rate": (1e-3, 1e6),
+    "focal_length": (MIN_FOCAL_PX, MAX_FOCAL_PX),
+    "max_skew_ms": (0, 1e6),
+}
 
 Item = TypeVar("Item")
 
@@ -286,11 +295,10 @@ class RunOptions:
             raise UsageError(
                 "give one of PATH, --demo, --rgb (with --depth or --points) and --source"
             )
-        _require_range("--depth-scale", self.depth_scale, 1e-3, 1e6)
-        _require_range("--deadline-ms", self.deadline_ms, 1e-6, 1e9)
-        _require_range("--rate", self.rate, 1e-3, 1e6)
-        _require_range("--focal-length", self.focal_length, MIN_FOCAL_PX, MAX_FOCAL_PX)
-        _require_range("--max-skew-ms", self.max_skew_ms, 0, 1e6)
+        for field, (least, most) in _RANGES.items():
+            if (value := getattr(self, field)) is not None:
+                option = f"--{field.replace('_', '-')}"
+                check_number(option, value, least, most, error=UsageError)
         for option, path in self.named_files.items():
             if path.suffix.lower() != FILE_SUFFIXES[option]:
                 raise UsageError(f"--{option} writes {FILE_SUFFIXES[option]} files, got {path}")
@@ -299,7 +307,7 @@ class RunOptions:
         if self.rerun is not None and not (is_rerun_file(self.rerun) or is_viewer(self.rerun)):
             raise UsageError(
                 f"--rerun takes a file that ends in {FILE_SUFFIXES['rerun']}, {RERUN_LIVE}, or a "
-                f"viewer's rerun+http://HOST:PORT/proxy, got {self.rerun!r:.80}"
+                f"viewer's rerun+http://HOST:PORT/proxy, got {shown(self.rerun)}"
             )
         _ = self.kinds, self.network_size, self._shard, self.open_source
 
@@ -393,7 +401,7 @@ class RunOptions:
         if not (all(numbers) and 1 <= int(part) <= int(parts) <= MAX_SHARDS):
             raise UsageError(
                 f"--shard is I/N with 1 <= I <= N <= {MAX_SHARDS}, such as 2/4, got "
-                f"{self.shard!r:.80}"
+                f"{shown(self.shard)}"
             )
         return int(part), int(parts)
 
@@ -417,9 +425,3 @@ def _usage_errors() -> Iterator[None]:
         yield
     except InputError as error:
         raise UsageError(str(error)) from error
-
-
-def _require_range(option: str, value: float | None, least: float, most: float) -> None:
-    """Raise UsageError for a number out of range; None is not given."""
-    if value is not None and not least <= value <= most:
-        raise UsageError(f"{option} must be a number from {least:g} to {most:g}, got {value}")

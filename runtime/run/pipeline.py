@@ -86,7 +86,7 @@ class FrameRecord:
 
 
 @dataclass(frozen=True)
-class Answer:
+class FrameOutcome:
     """The outcome of one frame with its arrays, which are None where it was skipped."""
 
     record: FrameRecord
@@ -148,7 +148,7 @@ class FrameReader:
 
 def answer_frame(
     predictor: Predictor, index: int, name: str, read: Callable[[], TimedFrame]
-) -> Answer:
+) -> FrameOutcome:
     """Read and predict one frame.
 
     Args:
@@ -161,7 +161,7 @@ def answer_frame(
         frame, read_ms = read()
         prediction = predictor.predict(frame.rgb, frame.sparse_depth)
     except SSDNetError as error:
-        return Answer(FrameRecord(index, name, SKIPPED, reason=str(error)))
+        return FrameOutcome(FrameRecord(index, name, SKIPPED, reason=str(error)))
     record = FrameRecord(
         index,
         name,
@@ -178,7 +178,7 @@ def answer_frame(
         image_stamp_ns=frame.image_stamp_ns,
         depth_stamp_ns=frame.depth_stamp_ns,
     )
-    return Answer(record, frame, prediction)
+    return FrameOutcome(record, frame, prediction)
 
 
 def run_stream(

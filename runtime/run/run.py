@@ -1,13 +1,14 @@
 """Run a model over a stream of frames, and write what was asked for."""
 
 import contextlib
+import importlib.util
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from runtime.command import stop_requested
 from runtime.drawing.overlay import SharedOverlay
-from runtime.errors import InputError, OutputError, SSDNetError
+from runtime.errors import InputError, OutputError, SSDNetError, install_command
 from runtime.health.calibration_size import CalibrationSize
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.io.engine_facts import engine_facts
@@ -16,7 +17,7 @@ from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth
 from runtime.run.options import RunOptions
-from runtime.run.outputs.output import OpenRun, Output, require_free, require_package
+from runtime.run.outputs.output import OpenRun, Output, require_free
 from runtime.run.outputs.registry import OUTPUTS, RECORDERS, OpenOutput
 from runtime.run.pipeline import FrameReader, FrameRecord, StreamResult, WriteFrame, run_stream
 from runtime.run.process import dedicate_process
@@ -26,6 +27,8 @@ from runtime.run.run_report import RunReport
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source
 
+#: Option -> the package that it needs, and the extra that installs it.
+_PACKAGES = {"rerun": ("rerun", "rerun"), "mcap": ("rosbags", "bag")}
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
 
 OnRecord = Callable[[FrameRecord], None]
@@ -184,8 +187,12 @@ def _require_apart(out: Path, inputs: Sequence[Path]) -> None:
 
 def _require_outputs(options: RunOptions, source: Source) -> None:
     """Raise OutputError for an output that cannot be made, before anything is written."""
-    if options.rerun is not None:
-        require_package("--rerun", "rerun", extra="rerun")
+    for option, (package, extra) in _PACKAGES.items():
+        if getattr(options, option) is not None and importlib.util.find_spec(package) is None:
+            raise OutputError(
+                f"--{option} needs the package {package}, which is not installed: "
+                f"{install_command(extra)}"
+            )
     for path in options.named_files.values():
         require_free(path, overwrite=options.overwrite, inputs=source.recordings)
 

@@ -1,8 +1,9 @@
 """The folder of a run: an earlier run in it can be replaced, files of others are never touched."""
 
+import contextlib
 import json
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 from runtime.errors import InputError, OutputError
@@ -78,24 +79,18 @@ class RunFolder:
         for folder in self.subfolders.values():
             _make(folder)
         atomic_write(self._marker, _MARKER_TEXT.encode())
-        try:
+        with _reported(f"cannot write {self._marker}"):
             # Kept open: writing competes with inference for the processor.
             self._names = os.open(self._marker, os.O_WRONLY | os.O_APPEND)
-        except OSError as error:
-            raise OutputError(
-                f"cannot write {self._marker} ({error.strerror}): choose another --out"
-            ) from error
 
     def add_name(self, name: str) -> None:
         """Add a frame to the list on disk, before its files are written. Raises OutputError."""
-        try:
+        with _reported(
+            f"cannot write {self._marker}",
+            "make room or choose another --out; what was finished before is kept",
+        ):
             # As JSON, since a name may contain line feeds.
             os.write(self._names, (json.dumps(name) + "\n").encode())
-        except OSError as error:
-            raise OutputError(
-                f"cannot write {self._marker} ({error.strerror}): make room or choose another "
-                "--out; what was finished before is kept"
-            ) from error
 
     def close(self) -> None:
         """Close the list of names; nothing is written any more."""
@@ -103,30 +98,30 @@ class RunFolder:
 
     def _remove_run(self, names: Collection[str]) -> None:
         """Remove an earlier run; the report first, since a run with a report is whole."""
-        try:
-            for file in (REPORT_FILE, FRAMES_FILE, LATENCY_FILE):
-                _remove(self.path / file)
-            for kind, suffix in SUFFIXES.items():
-                folder = self.path / kind
-                if folder.is_symlink():  # its files lie elsewhere
-                    continue
-                for name in names:
-                    _remove(folder / (name + suffix))
-        except OSError as error:
-            raise OutputError(
-                f"cannot remove the earlier run in {self.path} ({error}): choose another --out"
-            ) from error
+        for file in (REPORT_FILE, FRAMES_FILE, LATENCY_FILE):
+            _remove(self.path / file)
+        for kind, suffix in SUFFIXES.items():
+            folder = self.path / kind
+            if folder.is_symlink():  # its files lie elsewhere
+                continue
+            for name in names:
+                _remove(folder / (name + suffix))
+
+
+@contextlib.contextmanager
+def _reported(fault: str, remedy: str = "choose another --out") -> Iterator[None]:
+    """Raise an OSError of the block as an OutputError."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{fault} ({error.strerror}): {remedy}") from error
 
 
 def _make(folder: Path) -> None:
     """Make a folder that can be listed. Raises OutputError."""
-    try:
+    with _reported(f"cannot make the output folder {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
         next(folder.iterdir(), None)
-    except OSError as error:
-        raise OutputError(
-            f"cannot make the output folder {folder} ({error.strerror}): choose another --out"
-        ) from error
 
 
 def _require_free(folder: Path, suffix: str, names: Collection[str], ours: Collection[str]) -> None:
@@ -164,9 +159,10 @@ def _read_names(marker: Path) -> set[str]:
 
 
 def _remove(path: Path) -> None:
-    """Remove a file and what a killed run left of it, but no folder."""
-    if _removable(path):
-        path.unlink()
+    """Remove a file and what a killed run left of it, but no folder. Raises OutputError."""
+    with _reported(f"cannot remove the earlier run's {path}"):
+        if _removable(path):
+            path.unlink()
     remove_leftover(path)
 
 

@@ -232,18 +232,12 @@ class BagSource(Source):
 
         names: Counter[str] = Counter()
         pairs = match_by_stamp(stamped(), max_skew_ms=self._max_skew_ms, left_out=self._left_out)
-        for sequence, (image, depth, _) in enumerate(pairs):
-            name = str(image.stamp_ns)
+        for sequence, pair in enumerate(pairs):
+            name = str(pair.image.stamp_ns)
             names[name] += 1
-            yield ListedFrame(
-                sequence,
-                name if names[name] == 1 else f"{name}-{names[name]}",  # played in a loop
-                image.data,
-                None if depth is None else depth.data,
-                image.stamp_ns,
-                None if depth is None else depth.stamp_ns,
-                complete=depth is not None or self._depth_topic is None,
-            )
+            if names[name] > 1:  # played in a loop
+                name = f"{name}-{names[name]}"
+            yield ListedFrame.of_pair(sequence, name, pair, alone=self._depth_topic is None)
 
     def _recorded(self) -> Iterator[RecordedMessage]:
         """The messages of both topics, in the same order each time."""

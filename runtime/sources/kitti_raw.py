@@ -6,12 +6,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
 from runtime.io.images import RGB_SUFFIXES, list_files
 from runtime.read_input import read_text
 from runtime.sources.folders import FolderSource
-from runtime.sources.source import ListedFrame, up_to
+from runtime.sources.source import ListedFrame, by_number, up_to
 from runtime.sync.outcome import Sensor
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
 from runtime.sync.stamp_matching import match_by_stamp
@@ -92,16 +93,8 @@ class KittiRawSource(FolderSource):
 
     def _match(self, max_skew_ms: float) -> Iterator[ListedFrame]:
         pairs = match_by_stamp(self._stamped, max_skew_ms=max_skew_ms, left_out=self._left_out)
-        for sequence, (image, scan, _) in enumerate(pairs):
-            yield ListedFrame(
-                sequence,
-                image.data.stem,
-                image.data,
-                None if scan is None else scan.data,
-                image.stamp_ns,
-                None if scan is None else scan.stamp_ns,
-                complete=scan is not None,
-            )
+        for sequence, pair in enumerate(pairs):
+            yield ListedFrame.of_pair(sequence, pair.image.data.stem, pair)
 
     @property
     def inputs(self) -> dict[str, Any]:
@@ -115,18 +108,6 @@ class KittiRawSource(FolderSource):
         }
 
 
-def _by_number(paths: dict[str, Path]) -> dict[int, Path]:
-    """Files by the number that is their stem. Raises InputError."""
-    numbers: dict[int, Path] = {}
-    for stem, path in paths.items():
-        if not (stem.isascii() and stem.isdecimal()):
-            raise InputError(f"{path} must have a number for a name, such as 0000000042")
-        if int(stem) in numbers:
-            raise InputError(f"{numbers[int(stem)]} and {path} have the same number: remove one")
-        numbers[int(stem)] = path
-    return numbers
-
-
 def _read_stamps(
     sensor: Sensor, folder: Path, suffixes: tuple[str, ...]
 ) -> list[tuple[Sensor, int, Path]]:
@@ -135,7 +116,7 @@ def _read_stamps(
     Empty without the file. Raises InputError for a line that is no time, and for a number without
     one.
     """
-    numbers = _by_number(list_files(folder / "data", suffixes))
+    numbers = by_number(list_files(folder / "data", suffixes))
     path = folder / "timestamps.txt"
     if not os.path.lexists(path):
         return []
@@ -162,5 +143,5 @@ def _nanoseconds(text: str, where: str) -> int:
         return int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0"))
     except ValueError as error:
         raise InputError(
-            f"{where} is {text!r:.60}, expected a time like 2011-09-26 13:02:25.964389445"
+            f"{where} is {shown(text)}, expected a time like 2011-09-26 13:02:25.964389445"
         ) from error

@@ -48,7 +48,7 @@ class OneFolderSource(FolderSource):
         if found is not None:
             scans = _holds(path, _FILES_OF_SCANS) if found == path else _have_scans(found)
             if options.get("calibration") is None:
-                options["calibration"] = _find_calibration(path) if scans else _intrinsics(path)
+                options["calibration"] = _find_calibration(path, of_scans=scans)
             if not scans or found != path or options["calibration"] is not None:
                 options["points" if scans else "depth"] = found
         self._is_beside = found == path
@@ -125,15 +125,15 @@ def _have_scans(folder: Path) -> bool:
     return _holds(folder, _FILES_OF_SCANS) or not _holds(folder, _IMAGES_OF_DEPTH)
 
 
-def _find_calibration(path: Path) -> Path | None:
-    """The calibration of scans in or above a folder; None of none or several."""
-    if (folder := find_raw_calibration(path)) is not None:
-        return folder
+def _find_calibration(path: Path, *, of_scans: bool) -> Path | None:
+    """The calibration in or above a folder; None of none or several.
+
+    Depth maps have at most the intrinsics/ of KITTI's depth selection.
+    """
+    if not of_scans:
+        folder = path / "intrinsics"
+        return folder if os.path.isdir(folder) else None
+    if (raw := find_raw_calibration(path)) is not None:
+        return raw
     files = [entry for entry in list_entries(path) if entry.name.startswith("calib")]
     return files[0] if len(files) == 1 else None
-
-
-def _intrinsics(path: Path) -> Path | None:
-    """The folder of intrinsics of KITTI's depth selection; None if there is none."""
-    folder = path / "intrinsics"
-    return folder if os.path.isdir(folder) else None

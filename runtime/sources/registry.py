@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.sources.bag import BagSource
 from runtime.sources.folders import FolderSource
@@ -59,7 +60,7 @@ def parse_source(text: str) -> SourcePath:
     """Read "KIND:PATH". Raises InputError for another form or an unknown kind."""
     kind, _, path = text.partition(":")
     if not path:
-        raise InputError(f"a source is KIND:PATH with {_kinds()}, got {text!r:.80}")
+        raise InputError(f"a source is KIND:PATH with {_kinds()}, got {shown(text)}")
     _require_kind(kind)
     # The shell does not expand the home in KIND:~/PATH.
     return SourcePath(kind, Path(os.path.expanduser(path)))
@@ -103,7 +104,7 @@ def _require_kind(kind: str) -> None:
     if kind not in SOURCES:
         right = kind.replace("_", "-")
         remedy = f"write {right}" if right in SOURCES else f"give {_kinds()}"
-        raise InputError(f"there is no kind of source {kind!r:.80}: {remedy}")
+        raise InputError(f"there is no kind of source {shown(kind)}: {remedy}")
 
 
 def _kinds() -> str:

@@ -51,7 +51,7 @@ class RosBag:
         self.path = path
         self.lost: Counter[str] = Counter()
         self._reader, self._definitions = _open(path)
-        with self._reading():
+        with reading(self.path):
             self.types = {
                 topic: info.msgtype or "several types"
                 for topic, info in self._reader.topics.items()
@@ -59,7 +59,7 @@ class RosBag:
 
     def messages(self, topics: Collection[str]) -> Iterator[RecordedMessage]:
         """Yield the messages of the topics in the order in which they were recorded."""
-        with self._reading():
+        with reading(self.path):
             connections = [c for c in self._reader.connections if c.topic in topics]
             if connections:  # rosbags reads all of them otherwise
                 left = Counter({topic: self._reader.topics[topic].msgcount for topic in topics})
@@ -102,11 +102,6 @@ class RosBag:
         """Close the files. May be called again."""
         with contextlib.suppress(Exception):  # closed before
             self._reader.close()
-
-    @contextlib.contextmanager
-    def _reading(self) -> Iterator[None]:
-        with reading(self.path):
-            yield
 
 
 def _open(path: Path) -> "tuple[AnyReader, Typestore]":

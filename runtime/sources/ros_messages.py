@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import check_integer, cut, shown
 from runtime.errors import InputError
 from runtime.io.images import decode_rgb, require_pixels
 
@@ -52,7 +53,7 @@ def decode_image(message: Any) -> NDArray[np.uint8]:
             hint = "debayer it first (image_proc), or choose a topic of its colours"
         elif encoding in _DEPTHS:
             hint = "that is a depth map: name it with --depth-topic"
-        raise InputError(f"an Image has the encoding {encoding!r:.40}: {hint}")
+        raise InputError(f"an Image has the encoding {shown(encoding)}: {hint}")
     channels, conversion = _PICTURES[encoding]
     pixels = _pixels(message, np.dtype("u1"), channels)
     if conversion is None:
@@ -77,11 +78,11 @@ def decode_compressed_image(message: Any) -> NDArray[np.uint8]:
     """
     if "compressedDepth" in str(message.format):
         raise InputError(
-            f"a CompressedImage has the format {message.format!r:.60}, a depth map of "
+            f"a CompressedImage has the format {shown(message.format)}, a depth map of "
             "compressed_depth_image_transport: republish it as raw"
         )
     content = bytes(memoryview(message.data))
-    return decode_rgb(content, name=f"a CompressedImage ({message.format!r:.40})")
+    return decode_rgb(content, name=f"a CompressedImage ({shown(message.format)})")
 
 
 def decode_depth_image(message: Any) -> NDArray[np.float32]:
@@ -99,7 +100,7 @@ def decode_depth_image(message: Any) -> NDArray[np.float32]:
     encoding = message.encoding
     if encoding not in _DEPTHS:
         raise InputError(
-            f"a depth Image has the encoding {encoding!r:.40}: expected 16UC1 (millimetres) or "
+            f"a depth Image has the encoding {shown(encoding)}: expected 16UC1 (millimetres) or "
             "32FC1 (metres)"
         )
     kind, units_a_metre = _DEPTHS[encoding]
@@ -122,10 +123,7 @@ def decode_points(message: Any) -> NDArray[np.float32]:
         InputError: if x, y or z is missing, doubled or of another type, and for inconsistent
             offsets, steps and length of the data.
     """
-    height, width = _count("height", message.height), _count("width", message.width)
-    point_step, row_step = (
-        _count(name, getattr(message, name)) for name in ("point_step", "row_step")
-    )
+    height, width, point_step = message_counts(message, "height", "width", "point_step")
     order = ">" if message.is_bigendian else "<"
     offsets, formats = [], []
     for axis in "xyz":
@@ -133,7 +131,7 @@ def decode_points(message: Any) -> NDArray[np.float32]:
         if len(found) != 1:
             names = ", ".join(str(field.name) for field in message.fields)
             raise InputError(
-                f"a PointCloud2 must have one field {axis}, it has {names or 'none':.200}"
+                f"a PointCloud2 must have one field {axis}, it has {cut(names, 200) or 'none'}"
             )
         (field,) = found
         if field.datatype not in _FLOATS or field.count not in (0, 1):  # some drivers write 0
@@ -142,7 +140,7 @@ def decode_points(message: Any) -> NDArray[np.float32]:
                 f"the field {axis} of a PointCloud2 is {field.count} of the datatype {name}, "
                 "expected one float32 or float64"
             )
-        offset, size = _count("offset", field.offset), int(_FLOATS[field.datatype][1])
+        (offset,), size = message_counts(field, "offset"), int(_FLOATS[field.datatype][1])
         if offset + size > point_step:
             raise InputError(
                 f"the field {axis} of a PointCloud2 ends at byte {offset + size} of a point, which "
@@ -152,23 +150,12 @@ def decode_points(message: Any) -> NDArray[np.float32]:
         formats.append(order + _FLOATS[field.datatype])
     if height == 0 or width == 0:
         return np.zeros((0, 3), np.float32)
-    if height > 1 and row_step < width * point_step:
-        raise InputError(
-            f"a PointCloud2 of {width} points of {point_step} bytes a row has row_step {row_step}"
-        )
-    data = _bytes(message.data)
-    needed = row_step * (height - 1) + width * point_step
-    if len(data) < needed:
-        raise InputError(
-            f"a PointCloud2 of {height} x {width} points has {len(data)} bytes, expected {needed}: "
-            "it is truncated"
-        )
+    what = f"a PointCloud2 of {height} x {width} points"
+    data, row_step = message_rows(message, what, height, width * point_step, "row_step")
     layout = np.dtype(
         {"names": list("xyz"), "formats": formats, "offsets": offsets, "itemsize": point_step}
     )
-    cloud: NDArray[Any] = np.ndarray(
-        (height, width), layout, data, strides=(row_step if height > 1 else needed, point_step)
-    )
+    cloud: NDArray[Any] = np.ndarray((height, width), layout, data, strides=(row_step, point_step))
     points = np.empty((height, width, 3), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):  # float64 beyond float32 is no return
         for column, axis in enumerate("xyz"):
@@ -178,34 +165,41 @@ def decode_points(message: Any) -> NDArray[np.float32]:
 
 def _pixels(message: Any, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
     """A view of an Image's data, (H, W) or (H, W, channels)."""
-    height, width = _count("height", message.height), _count("width", message.width)
-    step = _count("step", message.step)
+    height, width = message_counts(message, "height", "width")
     what = f"an Image of {height} x {width} pixels of {message.encoding}"
     if height == 0 or width == 0:
         raise InputError(f"{what} is empty")
     require_pixels((height, width), name=what)
     pixel = dtype.itemsize * channels
-    if step < width * pixel:
-        raise InputError(f"{what} has step {step}, expected at least {width * pixel}")
-    data = _bytes(message.data)
-    needed = step * (height - 1) + width * pixel
-    if len(data) < needed:
-        raise InputError(f"{what} has {len(data)} bytes, expected {needed}: it is truncated")
-    if channels == 1:
-        return np.ndarray((height, width), dtype, data, strides=(step, pixel))
-    strides = (step, pixel, dtype.itemsize)
-    return np.ndarray((height, width, channels), dtype, data, strides=strides)
+    data, step = message_rows(message, what, height, width * pixel, "step")
+    shape, strides = (height, width, channels), (step, pixel, dtype.itemsize)
+    rank = 2 if channels == 1 else 3
+    return np.ndarray(shape[:rank], dtype, data, strides=strides[:rank])
 
 
-def _bytes(data: Any) -> NDArray[np.uint8]:
-    """The data of a message as bytes, not copied."""
+def message_rows(
+    message: Any, what: str, height: int, row_bytes: int, step: str
+) -> tuple[NDArray[np.uint8], int]:
+    """The data of a message, not copied, and the bytes from one row to the next."""
+    (stride,) = message_counts(message, step) if height > 1 else (row_bytes,)
+    if stride < row_bytes:
+        raise InputError(f"{what} has {step} {stride}, expected at least {row_bytes}")
+    data = message.data
     if isinstance(data, np.ndarray):
-        return np.ascontiguousarray(data).reshape(-1).view(np.uint8)
-    return np.frombuffer(data, np.uint8)
+        content = np.ascontiguousarray(data).reshape(-1).view(np.uint8)
+    else:
+        content = np.frombuffer(data, np.uint8)
+    needed = stride * (height - 1) + row_bytes
+    if len(content) < needed:
+        raise InputError(f"{what} has {len(content)} bytes, expected {needed}: it is truncated")
+    return content, stride
 
 
-def _count(name: str, value: Any) -> int:
-    """A field that is a count. Raises InputError."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise InputError(f"the field {name} of a message must be a count, got {value!r:.40}")
-    return int(value)
+def message_counts(message: Any, *names: str) -> tuple[int, ...]:
+    """Fields of a message that are counts. Raises InputError."""
+    return tuple(
+        check_integer(
+            f"the field {name} of a message", getattr(message, name), 0, 2**32 - 1, error=InputError
+        )
+        for name in names
+    )

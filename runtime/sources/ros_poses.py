@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.poses import pose_of
+from runtime.sources.ros_messages import message_counts, message_rows
 
 #: Field of a PointCloud2 with the time of each point, as drivers name it; the first that is there.
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
@@ -38,7 +39,8 @@ def transform_pose(stamped: Any) -> NDArray[np.float64]:
         InputError: as `odometry_pose`.
     """
     transform = stamped.transform
-    return _pose(transform.translation, transform.rotation, "a TransformStamped")
+    name = f"the transform from {stamped.header.frame_id} to {stamped.child_frame_id}"
+    return _pose(transform.translation, transform.rotation, name)
 
 
 def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
@@ -60,8 +62,7 @@ def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
     field = next((f for name in TIME_FIELDS for f in message.fields if f.name == name), None)
     if field is None:
         return None
-    height, width = int(message.height), int(message.width)
-    step, row_step = int(message.point_step), int(message.row_step)
+    height, width, step = message_counts(message, "height", "width", "point_step")
     if field.datatype not in _TIMES or field.count not in (0, 1):
         raise InputError(
             f"the field {field.name} of a PointCloud2 has the datatype {field.datatype}, expected "
@@ -69,22 +70,16 @@ def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
         )
     code, unit_ns = _TIMES[field.datatype]
     dtype = np.dtype(("<", ">")[bool(message.is_bigendian)] + code)
-    offset = int(field.offset)
-    data = np.frombuffer(memoryview(message.data), np.uint8)
-    row_step = row_step if height > 1 else width * step
+    (offset,) = message_counts(field, "offset")
     if not height * width:
         return None
-    needed = row_step * (height - 1) + width * step
-    if (
-        offset < 0
-        or offset + dtype.itemsize > step
-        or row_step < width * step
-        or needed > len(data)
-    ):
+    what = f"a PointCloud2 of {height} x {width} points"
+    if offset + dtype.itemsize > step:
         raise InputError(
-            f"a PointCloud2 of {height} x {width} points of {step} bytes has {len(data)} bytes and "
-            f"the field {field.name} at byte {offset}: it is truncated or inconsistent"
+            f"the field {field.name} of {what} begins at byte {offset} of {step}: the message is "
+            "truncated or inconsistent"
         )
+    data, row_step = message_rows(message, what, height, width * step, "row_step")
     times = np.ndarray((height, width), dtype, data, offset, (row_step, step)).ravel()
     values = np.asarray(times, np.float64) * unit_ns
     if not np.isfinite(values).all():

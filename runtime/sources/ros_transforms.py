@@ -6,7 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import cut, shown
 from runtime.errors import InputError
+from runtime.sources.ros_poses import transform_pose
 
 
 class TransformTree:
@@ -24,7 +26,7 @@ class TransformTree:
         for message in messages:
             for stamped in message.transforms:
                 child, parent = _name(stamped.child_frame_id), _name(stamped.header.frame_id)
-                self._parents[child] = (parent, _matrix(stamped.transform, f"{parent} to {child}"))
+                self._parents[child] = (parent, transform_pose(stamped))
 
     def between(self, source: str, target: str) -> NDArray[np.float64]:
         """Return the matrix, float64 (4, 4), from the frame `source` to the frame `target` [m].
@@ -37,8 +39,8 @@ class TransformTree:
         if common is None:
             frames = {*self._parents, *(parent for parent, _ in self._parents.values())}
             raise InputError(
-                f"/tf_static does not connect the frame {source!r:.80} to {target!r:.80}, it has "
-                f"{', '.join(sorted(frames)) or 'no frames':.300}: give --calibration"
+                f"/tf_static does not connect the frame {shown(source)} to {shown(target)}, it has "
+                f"{cut(', '.join(sorted(frames)), 300) or 'no frames'}: give --calibration"
             )
         matrix: NDArray[np.float64] = np.linalg.inv(from_target[common]) @ from_source[common]
         matrix[3] = (0, 0, 0, 1)  # to the last bit
@@ -51,7 +53,7 @@ class TransformTree:
         while frame in self._parents:
             frame, to_parent = self._parents[frame]
             if frame in matrices:
-                raise InputError(f"/tf_static has a cycle at the frame {frame!r:.80}")
+                raise InputError(f"/tf_static has a cycle at the frame {shown(frame)}")
             matrix = to_parent @ matrix
             matrices[frame] = matrix
         return matrices
@@ -60,20 +62,3 @@ class TransformTree:
 def _name(frame: Any) -> str:
     """Without the slash that ROS 1 wrote in front of some frames."""
     return str(frame).removeprefix("/")
-
-
-def _matrix(transform: Any, name: str) -> NDArray[np.float64]:
-    """The matrix of a geometry_msgs/Transform."""
-    q, shift = transform.rotation, transform.translation
-    x, y, z, w = quaternion = np.array([q.x, q.y, q.z, q.w], np.float64)
-    matrix = np.eye(4)
-    matrix[:3, 3] = (shift.x, shift.y, shift.z)
-    norm = quaternion @ quaternion
-    if not (np.isfinite(matrix).all() and 0.9 < norm < 1.1):
-        raise InputError(
-            f"the transform from {name} in /tf_static has the rotation {quaternion.tolist()} and "
-            f"the translation {matrix[:3, 3].tolist()}: expected a unit quaternion and metres"
-        )
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    matrix[:3, :3] += 2 / norm * (w * cross + cross @ cross)
-    return matrix

@@ -1,5 +1,6 @@
 """The interface of every source of frames: it lists its frames and reads each of them."""
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -9,8 +10,10 @@ from typing import Any, ClassVar, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.sources.frames import Frame
+from runtime.sync.synchronizer import Pair
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,14 @@ class ListedFrame:
     image_stamp_ns: int | None = None
     depth_stamp_ns: int | None = None
     complete: bool = True
+
+    @classmethod
+    def of_pair(cls, sequence: int, name: str, pair: Pair, *, alone: bool = False) -> "ListedFrame":
+        """List two matched messages; alone: an image without depth is complete."""
+        image, depth, _ = pair
+        if depth is None:
+            return cls(sequence, name, image.data, None, image.stamp_ns, complete=alone)
+        return cls(sequence, name, image.data, depth.data, image.stamp_ns, depth.stamp_ns)
 
 
 class Source(ABC):
@@ -144,6 +155,20 @@ def pair_up(
         for sequence, key in enumerate(keys)
     )
     return up_to(frames, limit)
+
+
+def by_number(files: Mapping[str, Path]) -> dict[int, Path]:
+    """Files, given by their stems, by the numbers at the ends of these. Raises InputError."""
+    numbers: dict[int, Path] = {}
+    for stem, path in files.items():
+        digits = re.search("[0-9]+$", stem)
+        if digits is None:
+            raise InputError(f"the name of {path} must end in the number of its frame, from 0 on")
+        number = int(digits[0])
+        if number in numbers:
+            raise InputError(f"{numbers[number]} and {path} have the same number: remove one")
+        numbers[number] = path
+    return numbers
 
 
 def no_depth(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:

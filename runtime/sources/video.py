@@ -2,7 +2,6 @@
 
 import math
 import os
-import re
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from runtime.io.images import (
 )
 from runtime.read_input import require_regular
 from runtime.sources.frames import Frame
-from runtime.sources.source import ListedFrame, Source, no_depth, pair_up
+from runtime.sources.source import ListedFrame, Source, by_number, no_depth, pair_up
 
 _SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".webm")
 
@@ -76,7 +75,9 @@ class VideoSource(Source):
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`. A frame without a depth map is listed too, and the reverse."""
         count = self._count()
-        maps = {} if self._depth is None else _by_number(self._depth)
+        maps = {}
+        if self._depth is not None:
+            maps = by_number(list_files(self._depth, DEPTH_SUFFIXES))
         if maps and count in maps and 0 not in maps:
             raise InputError(
                 f"{maps[count]} has the number {count}, but {self._path} has {count} frames, which "
@@ -167,17 +168,3 @@ def _open(path: Path) -> cv2.VideoCapture:
     # As with images, pixels stay where the sensor has them.
     video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return video
-
-
-def _by_number(folder: Path) -> dict[int, Path]:
-    """Depth maps by the number at the end of their stem. Raises InputError."""
-    maps: dict[int, Path] = {}
-    for stem, path in list_files(folder, DEPTH_SUFFIXES).items():
-        digits = re.search("[0-9]+$", stem)
-        if digits is None:
-            raise InputError(f"the name of {path} must end in the number of its frame, from 0 on")
-        number = int(digits.group())
-        if number in maps:
-            raise InputError(f"{maps[number]} and {path} have the same number: remove one")
-        maps[number] = path
-    return maps

@@ -1,35 +1,19 @@
 """Entry points of the commands; each imports only its own file."""
 
+from collections.abc import Callable
+from importlib import import_module
+
 from runtime.command import begin_command
 
 
-def info() -> None:
-    """`ssdnet-info`."""
-    begin_command()
-    from runtime.tools.info import app
+def _command(module: str) -> Callable[[], None]:
+    """The entry point of the command whose `app` a module of this folder holds."""
 
-    app()
+    def start() -> None:
+        begin_command()
+        import_module(f"runtime.tools.{module}").app()
 
-
-def doctor() -> None:
-    """`ssdnet-doctor`."""
-    begin_command()
-    from runtime.tools.doctor_cli import app
-
-    app()
+    return start
 
 
-def verify() -> None:
-    """`ssdnet-verify`."""
-    begin_command()
-    from runtime.tools.verify_cli import app
-
-    app()
-
-
-def bench() -> None:
-    """`ssdnet-bench`."""
-    begin_command()
-    from runtime.tools.bench_cli import app
-
-    app()
+info, doctor, verify, bench = map(_command, ("info", "doctor_cli", "verify_cli", "bench_cli"))

@@ -94,7 +94,7 @@ def model_table(described: dict[str, Any]) -> str:
         *_facts(metadata["accuracy"]),
         ("terms", _plain(metadata["training"].get("terms", "not stated"))),
         ("trained on", _plain(metadata["training"].get("data", "not stated"))),
-        ("made by", _pairs(metadata["versions"])),
+        ("made by", _plain(metadata["versions"])),
         ("checkpoint sha256", metadata["checkpoint_sha256"]),
         ("parity with PyTorch", "" if metadata["parity"] else "not measured"),
         *((f"  {head}", _plain(figures)) for head, figures in metadata["parity"].items()),
@@ -118,10 +118,6 @@ def _facts(document: dict[str, Any] | None) -> list[tuple[str, str]]:
 
 def _size(size: tuple[int, int]) -> str:
     return f"{size[0]} x {size[1]}"
-
-
-def _pairs(mapping: dict[str, str]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in mapping.items())
 
 
 def _plain(value: Any) -> str:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from runtime.checks import shown
 from runtime.command import ERROR, Provider, print_result, reported_errors
 from runtime.command_options import NoDevice, Version
 from runtime.io.recording import read_recording
@@ -94,7 +95,7 @@ def _tolerances(texts: Sequence[str]) -> dict[str, float]:
         except ValueError:
             limits[head] = math.nan
         if not 0 <= limits[head] < math.inf:
-            raise typer.BadParameter(f"--tolerance is HEAD=LIMIT, as depth=0.01, got {text!r:.80}")
+            raise typer.BadParameter(f"--tolerance is HEAD=LIMIT, as depth=0.01, got {shown(text)}")
     return limits
 
 
@@ -120,8 +121,8 @@ def _table(report: VerifyReport) -> str:
     for head, limits in report.limits.items():
         figures = report.worst(head) or {}
         for name, limit in limits.items():
-            shown = f"{figures[name]:.6g}" if figures else "n/a"
-            lines.append(f"{head:18}{name:14}{shown:>12}{limit:>12.6g}")
+            worst = f"{figures[name]:.6g}" if figures else "n/a"
+            lines.append(f"{head:18}{name:14}{worst:>12}{limit:>12.6g}")
     if report.slowdown is not None:
         limit_text = "no limit" if report.max_slowdown is None else f"{report.max_slowdown:g}"
         lines.append(f"{'time':18}{'x recorded':14}{report.slowdown:>12.3f}{limit_text:>12}")

@@ -2,7 +2,7 @@
 
 import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
@@ -45,15 +45,6 @@ _MEANINGS = {
 
 
 @dataclass(frozen=True)
-class Problem:
-    """A frame without a usable answer."""
-
-    name: str
-    status: str
-    reason: str
-
-
-@dataclass(frozen=True)
 class PageContent:
     """The content of a page.
 
@@ -70,7 +61,7 @@ class PageContent:
         missed: None = there was no deadline.
         frames: status -> frames.
         frames_per_second: None = not known.
-        problems: frames without a usable answer.
+        problems: name, status and reason of frames without a usable answer.
         samples: pictures.
         facts: heading -> name -> value.
     """
@@ -87,7 +78,7 @@ class PageContent:
     missed: MissedDeadlines | None
     frames: Mapping[str, int]
     frames_per_second: float | None
-    problems: Sequence[Problem]
+    problems: Sequence[tuple[str, str, str]]
     samples: Sequence[Sample]
     facts: Mapping[str, Mapping[str, str]]
 
@@ -199,9 +190,9 @@ def _health(content: PageContent) -> list[Html]:
     return lanes
 
 
-def _problems(problems: Sequence[Problem]) -> list[Html]:
-    def table(shown: Sequence[Problem]) -> Html:
-        return fill("problems", rows=[_row(each.name, each.status, each.reason) for each in shown])
+def _problems(problems: Sequence[tuple[str, str, str]]) -> list[Html]:
+    def table(shown: Sequence[tuple[str, str, str]]) -> Html:
+        return fill("problems", rows=[_row(*each) for each in shown])
 
     parts = [table(problems[:_FEW_PROBLEMS])] if problems else []
     if rest := problems[_FEW_PROBLEMS:_MOST_PROBLEMS]:
@@ -262,9 +253,8 @@ def _highest_percentile(times: LatencyStatistics) -> tuple[str, float]:
 
 
 def _cells(times: LatencyStatistics) -> list[str]:
-    names = ("mean_ms", "median_ms", "p90_ms", "p99_ms", "p99_9_ms", "max_ms")
-    values = (getattr(times, name) for name in names)
-    return [f"{times.n:,}", *("n/a" if value is None else _ms(value) for value in values)]
+    n, *values = astuple(times)
+    return [f"{n:,}", *("n/a" if value is None else _ms(value) for value in values)]
 
 
 def _ms(value: float) -> str:

@@ -62,7 +62,12 @@ class SampleKeeper:
         flagged = bool(reasons) and reasons not in self._flagged and len(self._flagged) < _FLAGGED
         if not (even or slowest or flagged):
             return
-        sample = Sample(index, name, time_ms, reasons, self._draw(rgb, prediction))
+        drawn = self._overlay.panels(rgb, prediction, widest=_WIDEST)
+        panels = tuple(
+            (title, bytes(encode_jpeg(panel, quality=_JPEG_QUALITY)))
+            for title, panel in list(drawn.items())[:_PANELS]
+        )
+        sample = Sample(index, name, time_ms, reasons, panels)
         if slowest:
             self._slowest = sample
         if flagged:
@@ -79,12 +84,3 @@ class SampleKeeper:
         if self._slowest is not None:
             kept[self._slowest.index] = replace(self._slowest, slowest=self._seen > 1)
         return [kept[index] for index in sorted(kept)]
-
-    def _draw(
-        self, rgb: NDArray[np.uint8], prediction: Prediction
-    ) -> tuple[tuple[str, bytes], ...]:
-        panels = self._overlay.panels(rgb, prediction, widest=_WIDEST)
-        return tuple(
-            (title, bytes(encode_jpeg(panel, quality=_JPEG_QUALITY)))
-            for title, panel in list(panels.items())[:_PANELS]
-        )

@@ -2,6 +2,8 @@
 
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import add
 
 _MAX_SPANS = 2048  # more than a screen has columns
 
@@ -65,6 +67,21 @@ class Span:
         """Mean number of returns; None = not known."""
         return self.returns / self.returns_known if self.returns_known else None
 
+    def __add__(self, later: "Span") -> "Span":
+        """Join it with the span after it."""
+        return Span(
+            self.first,
+            later.last,
+            "",
+            answered=self.answered + later.answered,
+            low_ms=min(self.low_ms, later.low_ms),
+            high_ms=max(self.high_ms, later.high_ms),
+            sum_ms=self.sum_ms + later.sum_ms,
+            marks=self.marks + later.marks,
+            returns=self.returns + later.returns,
+            returns_known=self.returns_known + later.returns_known,
+        )
+
 
 class Timeline:
     """Collects moments; in long runs several frames share a span."""
@@ -94,7 +111,7 @@ class Timeline:
         self.marks.update(span.marks)
         self.flagged += bool(span.marks)
         if self._spans and self._spans[-1].frames < self._span_frames:
-            self._spans[-1] = _joined([self._spans[-1], span])
+            self._spans[-1] += span
         else:
             self._spans.append(span)
         self.frames += 1
@@ -108,24 +125,4 @@ class Timeline:
 
 
 def _by(spans: list[Span], several: int) -> list[Span]:
-    if several == 1:
-        return list(spans)
-    return [_joined(spans[at : at + several]) for at in range(0, len(spans), several)]
-
-
-def _joined(spans: list[Span]) -> Span:
-    marks: Counter[str] = Counter()
-    for span in spans:
-        marks.update(span.marks)
-    return Span(
-        spans[0].first,
-        spans[-1].last,
-        spans[0].name if len(spans) == 1 else "",
-        answered=sum(span.answered for span in spans),
-        low_ms=min(span.low_ms for span in spans),
-        high_ms=max(span.high_ms for span in spans),
-        sum_ms=sum(span.sum_ms for span in spans),
-        marks=marks,
-        returns=sum(span.returns for span in spans),
-        returns_known=sum(span.returns_known for span in spans),
-    )
+    return [reduce(add, spans[at : at + several]) for at in range(0, len(spans), several)]

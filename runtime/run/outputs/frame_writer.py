@@ -1,14 +1,11 @@
 """Write the files of each frame of a run: all files of a frame, or none."""
 
 import contextlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Self
 
 import cv2
 
-from runtime.contract import Contract
-from runtime.drawing.overlay import Overlay
 from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import ENCODERS, encode_jpeg
@@ -17,49 +14,15 @@ from runtime.prediction import Prediction
 from runtime.run.outputs.intrinsics import intrinsics_of
 from runtime.run.outputs.output import OpenRun
 from runtime.run.report_files import write_report
-from runtime.run.run_folder import CLOUD, KINDS, OVERLAY, SAVED_HEADS, SUFFIXES, RunFolder
+from runtime.run.run_folder import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, RunFolder
 from runtime.sources.frames import Frame
 
 
 class FrameWriter:
-    """Write the answers to each frame into a `RunFolder`, one subfolder a kind.
+    """Write the answers to each frame, one subfolder a kind; see `open_frame_files`."""
 
-    Args:
-        folder: see `RunFolder`.
-        contract: of the model.
-        kinds: of SUFFIXES; heads that the model lacks are left out.
-        names: see `RunFolder`.
-        overwrite: see `RunFolder`.
-        focal_length_px: for clouds of frames without a calibration, see `intrinsics_of`.
-        overlay: draws the overlays; None = a new one.
-        overlay_width: largest width of a panel of an overlay; None = as `Overlay` has it.
-
-    Raises:
-        OutputError: if the folder cannot be used.
-    """
-
-    def __init__(
-        self,
-        folder: Path,
-        contract: Contract,
-        *,
-        kinds: Sequence[str] = KINDS,
-        names: Collection[str] = (),
-        overwrite: bool = False,
-        focal_length_px: float | None = None,
-        overlay: Overlay | None = None,
-        overlay_width: int | None = None,
-    ) -> None:
-        self._classes, self._focal_length_px = contract.classes, focal_length_px
-        self._overlay = overlay or Overlay(contract.classes, contract.max_depth_m)
-        self._overlay_width = overlay_width
-        self._folder = RunFolder(folder, kinds=kinds, names=names, overwrite=overwrite)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._folder.close()
+    def __init__(self, folder: RunFolder, run: OpenRun) -> None:
+        self._folder, self._run = folder, run
 
     def write(self, frame: Frame, prediction: Prediction) -> None:
         """Write the files of one frame: all of them, or, on an error, none.
@@ -85,13 +48,14 @@ class FrameWriter:
         self, kind: str, frame: Frame, prediction: Prediction, path: Path
     ) -> bytes | memoryview | None:
         if kind == CLOUD:
-            intrinsics = intrinsics_of(frame, self._focal_length_px)
-            return encode_ply(prediction.points(intrinsics, frame.rgb), self._classes)
+            intrinsics = intrinsics_of(frame, self._run.predictor.focal_length_px)
+            return encode_ply(
+                prediction.points(intrinsics, frame.rgb), self._run.predictor.contract.classes
+            )
         try:
             if kind == OVERLAY:
-                return encode_jpeg(
-                    self._overlay.draw(frame.rgb, prediction, widest=self._overlay_width)
-                )
+                widest = self._run.options.overlay_width
+                return encode_jpeg(self._run.overlay.draw(frame.rgb, prediction, widest=widest))
             head, encoding = SAVED_HEADS[kind]
             values = prediction.heads.get(head)
             return None if values is None else ENCODERS[encoding](values)
@@ -109,17 +73,11 @@ def open_frame_files(run: OpenRun) -> Iterator[FrameWriter | None]:
 
     Yields None where no file of a frame is to be written.
     """
-    writer = FrameWriter(
-        run.options.folder,
-        run.predictor.contract,
-        kinds=run.kinds,
-        names=run.names,
-        overwrite=run.options.overwrite,
-        focal_length_px=run.predictor.focal_length_px,
-        overlay=run.overlay,
-        overlay_width=run.options.overlay_width,
+    options = run.options
+    folder = RunFolder(
+        options.folder, kinds=run.kinds, names=run.names, overwrite=options.overwrite
     )
-    with writer:
-        yield writer if run.kinds else None
+    with contextlib.closing(folder):
+        yield FrameWriter(folder, run) if run.kinds else None
     if run.report is not None:
         write_report(run.report)

@@ -18,10 +18,6 @@ def intrinsics_of(frame: Frame, focal_length_px: float | None) -> NDArray[np.flo
     if focal_length_px is None:
         raise InputError("a cloud needs the camera: give --calibration, or --focal-length")
     height, width = frame.rgb.shape[:2]
-    return np.array(
-        [
-            [focal_length_px, 0, (width - 1) / 2],
-            [0, focal_length_px, (height - 1) / 2],
-            [0, 0, 1],
-        ]
-    )
+    intrinsics: NDArray[np.float64] = np.diag([focal_length_px, focal_length_px, 1.0])
+    intrinsics[:2, 2] = (width - 1) / 2, (height - 1) / 2
+    return intrinsics

@@ -5,11 +5,12 @@ import json
 import os
 import sys
 from collections.abc import Iterator
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from runtime.errors import OutputError, install_command
+from runtime.errors import OutputError
 from runtime.heads import HEADS
 from runtime.io.atomic_write import atomic_path
 from runtime.io.encode import encode_jpeg
@@ -95,13 +96,9 @@ class McapWriter:
 
     def _status(self, name: str, prediction: Prediction) -> Any:
         of_type: Any = self._types["diagnostic_msgs/msg/DiagnosticStatus"]
-        latency = prediction.latency
         values = {
             "frame": name,
-            "preprocess_ms": f"{latency.preprocess_ms:.3f}",
-            "inference_ms": f"{latency.inference_ms:.3f}",
-            "postprocess_ms": f"{latency.postprocess_ms:.3f}",
-            "total_ms": f"{latency.total_ms:.3f}",
+            **{stage: f"{ms:.3f}" for stage, ms in asdict(prediction.latency).items()},
             "depth_returns": str(prediction.depth_returns),
             "depth_cleaned": str(prediction.cleaned.total),
         }
@@ -130,12 +127,8 @@ def open_mcap(run: OpenRun) -> Iterator[McapWriter]:
 
     A run without a frame leaves no file there.
     """
-    try:
-        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-    except ImportError as error:
-        raise OutputError(
-            f"an MCAP file needs the package rosbags ({error}): {install_command('bag')}"
-        ) from error
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
     assert run.options.mcap is not None
     with atomic_path(run.options.mcap, overwrite=run.options.overwrite) as temporary:
         folder = temporary.with_suffix("")

@@ -1,6 +1,5 @@
 """The interface of the outputs of a run, and checks before it starts."""
 
-import importlib.util
 import os
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -8,7 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from runtime.drawing.overlay import Overlay
-from runtime.errors import OutputError, install_command
+from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_path
 from runtime.prediction import Prediction
 from runtime.predictor import Predictor
@@ -67,12 +66,3 @@ def require_free(path: Path, *, overwrite: bool, inputs: Collection[Path] = ()) 
             raise OutputError(f"{path} is what the run reads: choose another name")
     with atomic_path(path, overwrite=False):  # whether it could be made
         pass
-
-
-def require_package(option: str, package: str, *, extra: str) -> None:
-    """Raise OutputError unless a package that an option needs is installed."""
-    if importlib.util.find_spec(package) is None:
-        raise OutputError(
-            f"{option} needs the package {package}, which is not installed: "
-            f"{install_command(extra)}"
-        )

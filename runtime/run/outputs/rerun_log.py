@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from runtime.errors import OutputError, install_command
+from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_path
 from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
@@ -95,12 +95,8 @@ def open_rerun(run: OpenRun) -> Iterator[RerunLogger]:
 
     The viewer on this machine (RERUN_LIVE) is started unless one is open.
     """
-    try:
-        import rerun
-    except ImportError as error:
-        raise OutputError(
-            f"Rerun needs the package rerun-sdk ({error}): {install_command('rerun')}"
-        ) from error
+    import rerun
+
     target = run.options.rerun or RERUN_LIVE
     log = rerun.RecordingStream("ssdnet")
     with contextlib.ExitStack() as made:

@@ -35,7 +35,7 @@ class RunPage:
 
     def render(self, report: RunReport) -> bytes:
         """Return the page."""
-        from runtime.drawing.report_page.page import PageContent, Problem, render_page
+        from runtime.drawing.report_page.page import PageContent, render_page
 
         timeline = Timeline()
         for record in report.records:
@@ -53,9 +53,7 @@ class RunPage:
             missed=report.missed,
             frames=report.by_status,
             frames_per_second=report.frames_per_second,
-            problems=[
-                Problem(record.name, record.status, record.reason) for record in report.not_ok
-            ],
+            problems=[(each.name, each.status, each.reason) for each in report.not_ok],
             samples=self._samples.samples(),
             facts=collect_facts(report.engine, "Run", _run_facts(report, self._started)),
         )

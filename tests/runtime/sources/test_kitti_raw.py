@@ -207,7 +207,7 @@ def cut_stamps(drive):
         ),
         (
             lambda d: (d / "image_02/data/left.png").write_bytes(b""),
-            "must have a number for a name",
+            "must end in the number of its frame",
         ),
         (lambda d: (d / "image_02/data/00.png").write_bytes(b""), "have the same number"),
     ],

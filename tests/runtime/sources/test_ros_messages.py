@@ -173,8 +173,11 @@ def test_a_cloud_that_says_anything_is_points_or_an_input_error(seed):
         ({"fields": [field("x", 0), field("y", 4, count=2), field("z", 8)]}, "y .* is 2 of the"),
         ({"fields": [field("x", 0), field("y", 4), field("z", 9)]}, "z .* ends at byte 13 .* 12"),
         ({"data": np.zeros(35, np.uint8)}, "3 points has 35 bytes, expected 36: it is truncated"),
-        ({"height": 2, "width": 2, "row_step": 23}, "2 points of 12 bytes a row has row_step 23"),
-        ({"width": -3}, "width of a message must be a count, got -3"),
+        (
+            {"height": 2, "width": 2, "row_step": 23},
+            "2 points has row_step 23, expected .* 24",
+        ),
+        ({"width": -3}, "width of a message must be a whole number of 0 to .*, got -3"),
     ],
 )
 def test_what_is_wrong_with_a_cloud_is_in_the_error(changes, text):

@@ -56,7 +56,7 @@ def test_a_quaternion_a_little_off_is_made_a_rotation():
         ([stamped("a", "b"), stamped("b", "a")], "a cycle at the frame 'b'"),
         ([stamped("a", "b", (0, 0, 0, 0))], "expected a unit quaternion"),
         ([stamped("a", "b", (0, 0, 0, np.nan))], "expected a unit quaternion"),
-        ([stamped("a", "b", shift=(np.inf, 0, 0))], "expected a unit quaternion and metres"),
+        ([stamped("a", "b", shift=(np.inf, 0, 0))], "expected a unit quaternion .* and metres"),
     ],
 )
 def test_invalid_trees_are_refused(transforms, text):

@@ -5,7 +5,9 @@ import pytest
 from runtime import Predictor
 from runtime.drawing.overlay import SharedOverlay
 from runtime.run.options import RunOptions
+from runtime.run.outputs.frame_writer import FrameWriter
 from runtime.run.outputs.output import OpenRun
+from runtime.run.run_folder import RunFolder
 from runtime.sources.frames import Frame
 
 
@@ -35,5 +37,15 @@ def open_run(model_file, overlay):
         return OpenRun(
             RunOptions(**{"demo": True, "overwrite": True, **options}), predictor, overlay
         )
+
+    return make
+
+
+@pytest.fixture
+def make_writer(open_run):
+    """Make a writer into the folder of a run."""
+
+    def make(out, focal_length=None, **options):
+        return FrameWriter(RunFolder(out, **options), open_run(focal_length=focal_length))
 
     return make

@@ -7,7 +7,6 @@ import pytest
 
 from runtime import InputError, Predictor
 from runtime.io.calibration import Calibration
-from runtime.run.outputs.frame_writer import FrameWriter
 from runtime.run.outputs.intrinsics import intrinsics_of
 from runtime.sources.folders import FolderSource
 from runtime.sources.frames import Frame
@@ -38,9 +37,9 @@ def test_a_frames_own_calibration_comes_first():
         Frame(frame.rgb, frame.sparse_depth, calibration=other)
 
 
-def test_the_cloud_of_a_frame(tmp_path, contract, answered, read_ply):
+def test_the_cloud_of_a_frame(tmp_path, make_writer, answered, read_ply):
     frame, prediction = answered
-    writer = FrameWriter(tmp_path / "out", contract, kinds=("depth", "cloud"), focal_length_px=50.0)
+    writer = make_writer(tmp_path / "out", 50.0, kinds=("depth", "cloud"))
     writer.write(frame, prediction)
     lines, points = read_ply(tmp_path / "out/cloud/a.ply")
     expected = prediction.points(intrinsics_of(frame, 50.0), frame.rgb)
@@ -51,8 +50,8 @@ def test_the_cloud_of_a_frame(tmp_path, contract, answered, read_ply):
     assert "comment label 0 dark 0 0 128" in lines
 
 
-def test_a_camera_that_is_not_known_leaves_nothing_of_the_frame(tmp_path, contract, answered):
-    writer = FrameWriter(tmp_path / "out", contract, kinds=("depth", "cloud"))
+def test_a_camera_that_is_not_known_leaves_nothing_of_the_frame(tmp_path, make_writer, answered):
+    writer = make_writer(tmp_path / "out", kinds=("depth", "cloud"))
     with pytest.raises(InputError, match="--calibration"):
         writer.write(*answered)
     assert not list((tmp_path / "out").glob("*/*"))

@@ -12,7 +12,6 @@ import pytest
 from runtime import OutputError
 from runtime.drawing.overlay import Overlay
 from runtime.io.atomic_write import atomic_file
-from runtime.run.outputs.frame_writer import FrameWriter
 from runtime.run.run_folder import KINDS
 
 
@@ -25,10 +24,10 @@ def files_in(folder: Path) -> set[str]:
     return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
 
 
-def test_a_frame_is_written(tmp_path, contract, answered):
+def test_a_frame_is_written(tmp_path, make_writer, answered):
     prediction = answered[1]
     out = tmp_path / "deep" / "out"
-    FrameWriter(out, contract, kinds=KINDS).write(*named(answered, "0007"))
+    make_writer(out, kinds=KINDS).write(*named(answered, "0007"))
     assert files_in(out) == {
         ".ssdnet-run",
         "semantic/0007.png",
@@ -47,21 +46,21 @@ def test_a_frame_is_written(tmp_path, contract, answered):
     assert abs(boundary - prediction.boundary).max() <= 0.5 / 255 + 1e-6
 
 
-def test_only_what_was_asked_for_and_what_the_model_has(tmp_path, contract, answered):
+def test_only_what_was_asked_for_and_what_the_model_has(tmp_path, make_writer, answered):
     frame, prediction = answered
     heads = {head: prediction.heads[head] for head in ("semantic", "depth")}
     prediction = dataclasses.replace(prediction, heads=heads)
     kinds = ("semantic", "boundary", "uncertainty")
-    writer = FrameWriter(tmp_path / "out", contract, kinds=kinds)
+    writer = make_writer(tmp_path / "out", kinds=kinds)
     writer.write(frame, prediction)
     assert files_in(tmp_path / "out") == {".ssdnet-run", "semantic/a.png"}
 
 
-def test_what_a_format_cannot_hold_is_an_output_error(tmp_path, contract, answered, monkeypatch):
+def test_what_a_format_cannot_hold_is_an_output_error(tmp_path, make_writer, answered, monkeypatch):
     monkeypatch.setattr(
         Overlay, "draw", lambda *arguments, **options: np.zeros((8, 65600, 3), np.uint8)
     )
-    writer = FrameWriter(tmp_path / "out", contract, kinds=KINDS)
+    writer = make_writer(tmp_path / "out", kinds=KINDS)
     with pytest.raises(OutputError, match=r"cannot encode .*a\.jpg.*leave out overlay"):
         writer.write(*answered)
     assert files_in(tmp_path / "out") == {".ssdnet-run"}
@@ -70,23 +69,23 @@ def test_what_a_format_cannot_hold_is_an_output_error(tmp_path, contract, answer
 # --- the folder --------------------------------------------------------------------------------
 
 
-def test_an_empty_folder_may_be_used(tmp_path, contract):
-    FrameWriter(tmp_path, contract, kinds=("depth",))
+def test_an_empty_folder_may_be_used(tmp_path, make_writer):
+    make_writer(tmp_path, kinds=("depth",))
     assert (tmp_path / "depth").is_dir()
 
 
-def test_a_used_folder_is_refused(tmp_path, contract, answered):
-    FrameWriter(tmp_path / "out", contract, kinds=KINDS).write(*answered)
+def test_a_used_folder_is_refused(tmp_path, make_writer, answered):
+    make_writer(tmp_path / "out", kinds=KINDS).write(*answered)
     before = files_in(tmp_path)
     with pytest.raises(OutputError, match=r"not empty.*--overwrite"):
-        FrameWriter(tmp_path / "out", contract, kinds=KINDS)
+        make_writer(tmp_path / "out", kinds=KINDS)
     assert files_in(tmp_path) == before
 
 
-def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, contract, answered):
+def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, make_writer, answered):
     out = tmp_path / "out"
     names = ("old", "two\nlines", "g\udcff1")
-    writer = FrameWriter(out, contract, kinds=KINDS)
+    writer = make_writer(out, kinds=KINDS)
     for name in names:
         writer.write(*named(answered, name))
     with atomic_file(out / "depth" / "old.png") as file:
@@ -96,106 +95,106 @@ def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, contract, ans
         (out / name).write_text("x")
     (out / "boundary" / "old.png").unlink()
     (out / "boundary" / "old.png").mkdir()  # a folder is not ours, whatever its name
-    FrameWriter(out, contract, kinds=("depth",), overwrite=True).write(*named(answered, "new"))
+    make_writer(out, kinds=("depth",), overwrite=True).write(*named(answered, "new"))
     assert files_in(out) == {".ssdnet-run", "depth/new.png", *mine}
     assert (out / "boundary" / "old.png").is_dir()
-    FrameWriter(out, contract, kinds=(), overwrite=True)
+    make_writer(out, kinds=(), overwrite=True)
     assert files_in(out) == {".ssdnet-run", *mine}
 
 
 @pytest.fixture
-def earlier_run(tmp_path, contract, answered):
+def earlier_run(tmp_path, make_writer, answered):
     """A folder with a run of the frame "a", whose report was written."""
-    FrameWriter(tmp_path / "out", contract, kinds=KINDS).write(*answered)
+    make_writer(tmp_path / "out", kinds=KINDS).write(*answered)
     (tmp_path / "out" / "report.json").write_text("{}")
     return tmp_path / "out"
 
 
-def refuse_to_overwrite(out, contract, text, **options):
+def refuse_to_overwrite(out, make_writer, text, **options):
     """Check that nothing was touched, there or elsewhere."""
     before = {name: (out.parent / name).read_bytes() for name in files_in(out.parent)}
     with pytest.raises(OutputError, match=text):
-        FrameWriter(out, contract, overwrite=True, **options)
+        make_writer(out, overwrite=True, **options)
     assert before == {name: (out.parent / name).read_bytes() for name in files_in(out.parent)}
 
 
-def test_overwrite_writes_nothing_through_a_link(tmp_path, contract, earlier_run):
+def test_overwrite_writes_nothing_through_a_link(tmp_path, make_writer, earlier_run):
     (earlier_run / "depth").rename(tmp_path / "pictures")
     (earlier_run / "depth").symlink_to(tmp_path / "pictures")
     text = r"out/depth is a link or a file where"
-    refuse_to_overwrite(earlier_run, contract, text, kinds=("semantic", "depth"))
+    refuse_to_overwrite(earlier_run, make_writer, text, kinds=("semantic", "depth"))
     (earlier_run / "depth").unlink()
     (earlier_run / "depth").symlink_to(tmp_path / "none")
-    refuse_to_overwrite(earlier_run, contract, text, kinds=("depth",))
+    refuse_to_overwrite(earlier_run, make_writer, text, kinds=("depth",))
     (earlier_run / "depth").unlink()
     (earlier_run / "depth").touch()
-    refuse_to_overwrite(earlier_run, contract, text, kinds=("depth",))
-    FrameWriter(earlier_run, contract, kinds=("semantic",), overwrite=True)
+    refuse_to_overwrite(earlier_run, make_writer, text, kinds=("depth",))
+    make_writer(earlier_run, kinds=("semantic",), overwrite=True)
 
 
-def test_overwrite_replaces_no_file_of_another(tmp_path, contract, earlier_run, answered):
+def test_overwrite_replaces_no_file_of_another(tmp_path, make_writer, earlier_run, answered):
     foreign = earlier_run / "depth" / "b.png"
     foreign.write_text("mine")
     text = r"out/depth/b\.png is not of the earlier run"
-    refuse_to_overwrite(earlier_run, contract, text, names=("a", "b"))
+    refuse_to_overwrite(earlier_run, make_writer, text, names=("a", "b"))
     foreign.unlink()
     foreign.symlink_to(tmp_path / "none")
-    refuse_to_overwrite(earlier_run, contract, text, names=("a", "b"))
-    FrameWriter(earlier_run, contract, kinds=("semantic",), names=("a", "b"), overwrite=True)
+    refuse_to_overwrite(earlier_run, make_writer, text, names=("a", "b"))
+    make_writer(earlier_run, kinds=("semantic",), names=("a", "b"), overwrite=True)
     assert foreign.is_symlink()
 
 
-def test_overwrite_replaces_no_folder_of_another(contract, earlier_run):
+def test_overwrite_replaces_no_folder_of_another(make_writer, earlier_run):
     (earlier_run / "depth" / "a.png").unlink()
     (earlier_run / "depth" / "a.png").mkdir()
     text = r"out/depth/a\.png is not of the earlier run"
-    refuse_to_overwrite(earlier_run, contract, text, names=("a",))
+    refuse_to_overwrite(earlier_run, make_writer, text, names=("a",))
 
 
-def test_overwrite_does_not_follow_links_out_of_the_folder(tmp_path, contract, answered):
+def test_overwrite_does_not_follow_links_out_of_the_folder(tmp_path, make_writer, answered):
     out, pictures = tmp_path / "out", tmp_path / "pictures"
-    FrameWriter(out, contract, kinds=("semantic",)).write(*answered)
+    make_writer(out, kinds=("semantic",)).write(*answered)
     (out / "semantic").rename(pictures)
     (out / "semantic").symlink_to(pictures)
-    FrameWriter(out, contract, kinds=("depth",), overwrite=True)
+    make_writer(out, kinds=("depth",), overwrite=True)
     assert files_in(pictures) == {"a.png"}
 
 
-def test_overwrite_names_what_it_could_not_remove(contract, earlier_run, read_only):
+def test_overwrite_names_what_it_could_not_remove(make_writer, earlier_run, read_only):
     read_only(earlier_run / "depth")
     with pytest.raises(OutputError, match=r"cannot remove the earlier run.*depth/a\.png"):
-        FrameWriter(earlier_run, contract, kinds=KINDS, overwrite=True)
+        make_writer(earlier_run, kinds=KINDS, overwrite=True)
     assert not (earlier_run / "report.json").exists(), "a run with a report is whole"
 
 
-def test_overwrite_never_touches_a_folder_that_is_not_ours(tmp_path, contract):
+def test_overwrite_never_touches_a_folder_that_is_not_ours(tmp_path, make_writer):
     (tmp_path / "depth").mkdir()
     (tmp_path / "depth" / "0001.png").write_text("a data set")
     with pytest.raises(OutputError, match="did not make"):
-        FrameWriter(tmp_path, contract, kinds=KINDS, overwrite=True)
+        make_writer(tmp_path, kinds=KINDS, overwrite=True)
     assert files_in(tmp_path) == {"depth/0001.png"}
 
 
-def test_a_folder_that_cannot_be_made(tmp_path, contract):
+def test_a_folder_that_cannot_be_made(tmp_path, make_writer):
     (tmp_path / "file").touch()
     for out in (tmp_path / "file", tmp_path / "file" / "out", Path("/proc/none/out")):
         with pytest.raises(OutputError, match="cannot make the output folder"):
-            FrameWriter(out, contract, kinds=KINDS)
+            make_writer(out, kinds=KINDS)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_without_permission(tmp_path, contract):
+def test_a_folder_without_permission(tmp_path, make_writer):
     tmp_path.chmod(0o500)
     with pytest.raises(OutputError, match="Permission denied"):
-        FrameWriter(tmp_path / "out", contract, kinds=KINDS)
+        make_writer(tmp_path / "out", kinds=KINDS)
 
 
 # --- whole or not at all -----------------------------------------------------------------------
 
 
-def test_a_frame_that_fails_half_way_leaves_none_of_its_files(tmp_path, contract, answered):
+def test_a_frame_that_fails_half_way_leaves_none_of_its_files(tmp_path, make_writer, answered):
     out = tmp_path / "out"
-    writer = FrameWriter(out, contract, kinds=KINDS)
+    writer = make_writer(out, kinds=KINDS)
     writer.write(*named(answered, "good"))
     before = files_in(out)
     (out / KINDS[-1]).rename(tmp_path / "away")
@@ -207,9 +206,9 @@ def test_a_frame_that_fails_half_way_leaves_none_of_its_files(tmp_path, contract
     assert files_in(out) == before
 
 
-def test_a_disk_that_is_really_full(mount_disk, contract, answered):
+def test_a_disk_that_is_really_full(mount_disk, make_writer, answered):
     tiny_disk = mount_disk(64)
-    writer = FrameWriter(tiny_disk / "out", contract, kinds=KINDS)
+    writer = make_writer(tiny_disk / "out", kinds=KINDS)
     finished: list[str] = []
 
     def write_frames():
@@ -240,10 +239,10 @@ def test_a_disk_that_is_really_full(mount_disk, contract, answered):
         "\xff",
     ],
 )
-def test_an_odd_line_in_the_list_of_frames_names_no_file(contract, earlier_run, line):
+def test_an_odd_line_in_the_list_of_frames_names_no_file(make_writer, earlier_run, line):
     with (earlier_run / ".ssdnet-run").open("a", encoding="latin-1") as marker:
         marker.write(line + "\n")
     (earlier_run / "depth" / ".png").write_text("mine")
     (earlier_run / "mine.png").write_text("mine")
-    FrameWriter(earlier_run, contract, kinds=KINDS, overwrite=True)
+    make_writer(earlier_run, kinds=KINDS, overwrite=True)
     assert files_in(earlier_run) == {".ssdnet-run", "depth/.png", "mine.png"}

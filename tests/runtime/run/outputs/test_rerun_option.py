@@ -4,15 +4,13 @@ import importlib.util
 
 import pytest
 
-from runtime.run.outputs import output
-
 
 def test_without_the_package_the_command_fails_before_anything_is_written(
     tmp_path, run, monkeypatch
 ):
     find_spec = importlib.util.find_spec
     monkeypatch.setattr(
-        output.importlib.util,
+        importlib.util,
         "find_spec",
         lambda name: None if name == "rerun" else find_spec(name),
     )
