@@ -49,6 +49,11 @@ else:
     ]
 
 
+#: Of weights that `ModelRecipe.pretrained` gives.
+IMAGENET_TERMS = (
+    "ImageNet: research, non-commercial (its weights, EfficientNet-Lite0's, are Apache-2.0)"
+)
+
 #: Tags of the two forms of ``model.classes``.
 _NAMED, _OWN = "(named)", "(own)"
 _Channel = Annotated[int, Field(ge=0, le=255)]
@@ -82,6 +87,9 @@ class ModelRecipe:
     #: Height [px] of the training images after magnification, stored in the exported file: images
     #: of a much higher camera are resized to it. None = unknown: every frame runs at its own size.
     trained_height: Side | None = None
+    #: "imagenet": the encoder starts from weights of ImageNet, see `training.imagenet_weights`; the
+    #: images are then normalised as these want. None = random weights.
+    pretrained: Literal["imagenet"] | None = None
     #: What differs from the named network's configuration, for example `max_depth_m` and
     #: `canonical_focal_px`, see `models.NetworkConfig`.
     config: Annotated[dict[str, Any], Field(max_length=100)] = field(default_factory=dict)
@@ -273,6 +281,18 @@ class Recipe:
                 f"schedule.steps = {self.schedule.steps}: with data.batch_size and "
                 f"loop.accumulate these are {samples} samples; at most {MAX_SAMPLES} are drawn"
             )
+
+    @property
+    def data_titles(self) -> tuple[str, ...]:
+        """The sets that the weights know, as files name them."""
+        titles = tuple(item.title for item in self.data.source)
+        return (*titles, "ImageNet") if self.model.pretrained else titles
+
+    @property
+    def all_terms(self) -> str:
+        """``terms``, with those of the pretrained weights."""
+        pretrained = IMAGENET_TERMS if self.model.pretrained else ""
+        return "; ".join(filter(None, (self.terms, pretrained)))
 
     @property
     def log_every(self) -> int:

@@ -61,9 +61,17 @@ class Task:
 
 
 def open_task(
-    recipe: Recipe, processes: Processes, data: Sequence[Path], init: Path | None
+    recipe: Recipe,
+    processes: Processes,
+    data: Sequence[Path],
+    init: Path | None,
+    *,
+    resumed: bool = False,
 ) -> Task:
-    """Seed the random numbers, open the data sets and build network and loss, see `loop.train`."""
+    """Seed the random numbers, open the data sets and build network and loss, see `loop.train`.
+
+    A ``resumed`` training does not read pretrained weights again.
+    """
     # OpenCV's thread pool does not survive the fork of the loader's workers: they would hang.
     cv2.setNumThreads(0)
     torch.manual_seed(recipe.data.seed)
@@ -82,7 +90,7 @@ def open_task(
             "release.trained_share mixes the trained weights with those of --init: give --init, or "
             "set it to 1"
         )
-    network, taken = build_with_weights(recipe.model, init)
+    network, taken = build_with_weights(recipe.model, init, resumed=resumed)
     train_parts(network, recipe.optimizer.only)
     heads = network.heads
     if not recipe.loss.terms_for(heads):
