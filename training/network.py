@@ -103,11 +103,11 @@ def _configuration(config: NetworkConfig, changes: Mapping[str, Any]) -> Network
     return type(config).from_dict(values)
 
 
-def train_parts(network: Network, only: tuple[str, ...]) -> None:
+def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...] = ()) -> None:
     """Put the parts whose names begin with one of ``only`` into training mode; () = all.
 
-    The others are frozen: no gradient, and constant batch statistics. InputError for a beginning
-    that fits no part.
+    The others, and layers at any depth whose names begin with one of ``frozen``, have no gradient
+    and constant batch statistics. InputError for a beginning that fits none.
     """
     parts = dict(network.named_children())
     unknown = [start for start in only if not any(name.startswith(start) for name in parts)]
@@ -122,3 +122,12 @@ def train_parts(network: Network, only: tuple[str, ...]) -> None:
         part.requires_grad_(trained)
         if not trained:
             part.eval()
+    for start in frozen:
+        layers = [part for name, part in network.named_modules() if name.startswith(start)]
+        if not layers:
+            raise InputError(
+                f"optimizer.frozen: no layer of '{network.config.name}' begins with {start!r}; its "
+                f"parts are {', '.join(parts)}."
+            )
+        for layer in layers:
+            layer.requires_grad_(False).eval()

@@ -155,11 +155,16 @@ class OptimizerRecipe:
 
     name: Literal["adamw", "sgd"] = "adamw"
     learning_rate: NotNegative = 2e-3
+    #: Rate of the encoder; one schedule scales both. None = `learning_rate`.
+    encoder_rate: NotNegative | None = None
     weight_decay: NotNegative = 1e-2
     momentum: Share = 0.9
     #: Parts of the network that are trained, by the beginning of their names ("depth_"); the others
     #: are frozen with their batch statistics. () = all.
     only: Annotated[tuple[str, ...], Field(max_length=100)] = ()
+    #: Layers that are not trained, by the beginning of their names ("encoder.trunk.stem"); their
+    #: batch statistics are constant, too.
+    frozen: Annotated[tuple[str, ...], Field(max_length=100)] = ()
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -23,6 +23,7 @@ from training.loading.mixture import DepthTarget
 from training.loading.open_dataset import count_pixels, open_dataset
 from training.losses import SSDNetLoss, class_weights
 from training.network import build_with_weights, train_parts
+from training.optimizer import require_encoder
 from training.recipe import Recipe
 from training.release import Release, class_offsets
 
@@ -91,7 +92,9 @@ def open_task(
             "set it to 1"
         )
     network, taken = build_with_weights(recipe.model, init, resumed=resumed)
-    train_parts(network, recipe.optimizer.only)
+    train_parts(network, recipe.optimizer.only, recipe.optimizer.frozen)
+    if recipe.optimizer.encoder_rate is not None:
+        require_encoder(network)
     heads = network.heads
     if not recipe.loss.terms_for(heads):
         raise InputError(

@@ -71,6 +71,28 @@ def test_only_some_parts_are_trained():
         train_parts(network, ("depth_", "deep"))
 
 
+def test_frozen_layers_keep_weights_and_statistics_and_have_no_backward_pass():
+    network = create_model("ssdnet-lite", encoder="efficientnet-lite0")
+    early = ("encoder.trunk.stem", "encoder.trunk.stride2", "encoder.trunk.stride4")
+    train_parts(network, (), early)
+    before = {name: value.clone() for name, value in network.encoder.state_dict().items()}
+    output = network(torch.rand(2, 3, 64, 64) * 255, torch.full((2, 1, 64, 64), 20.0))
+    output.semantic_logits.sum().backward()
+    moved = {
+        name for name, value in network.encoder.state_dict().items() if value.ne(before[name]).any()
+    }
+    assert {name.split(".")[1] for name in moved} == {"stride8", "stride16", "stride32"}
+    trained = {
+        name.split(".")[1] for name, p in network.encoder.named_parameters() if p.grad is not None
+    }
+    assert trained == {"stride8", "stride16", "stride32"}
+    at_2, at_4 = network.encoder.early(torch.rand(1, 3, 64, 64), None, None)
+    assert not at_2.requires_grad
+    assert not at_4.requires_grad
+    with pytest.raises(InputError, match="no layer of 'ssdnet-lite' begins with"):
+        train_parts(network, (), ("encoder.steam",))
+
+
 def test_canonical_focal_length_goes_from_the_recipe_into_the_checkpoint(tmp_path):
     recipe = ModelRecipe("ssdnet-lite", config={"canonical_focal_px": 721.5})
     network = build_network(recipe, None)
