@@ -132,12 +132,16 @@ class DataRecipe:
     #: Depth target of unmeasured pixels of the class "sky", canonical where the network's depth is
     #: [m]; 0 = none.
     sky_depth_m: NotNegative = 0.0
+    #: Classes that `augment.rare_crops` of the crops are chosen for.
+    rare_classes: Annotated[tuple[str, ...], Field(max_length=MAX_CLASSES)] = ()
 
     def __post_init__(self) -> None:
         """Check that a batch and its crops fit into memory."""
         crop = self.augment.size
         if min(crop) < MIN_SIDE:
             raise ValueError(f"augment.crop = {list(crop)}; both must be at least {MIN_SIDE}")
+        if self.augment.rare_crops and not self.rare_classes:
+            raise ValueError("augment.rare_crops needs rare_classes, for example ['pole', 'sign']")
         views = 2 if self.augment.pair_shift else 1
         if views * self.batch_size * crop[0] * crop[1] > MAX_BATCH_PIXELS:
             raise ValueError(
@@ -270,6 +274,9 @@ class Recipe:
 
     def __post_init__(self) -> None:
         """Check the classes that the loss needs and the number of samples."""
+        for name in self.data.rare_classes:
+            if self.model.class_id(name.lower()) is None:
+                raise ValueError(f"data.rare_classes: {name!r} is no class of model.classes")
         if self.data.sky_depth_m and self.model.class_id("sky") is None:
             raise ValueError("data.sky_depth_m needs a class called 'sky' in model.classes")
         if self.loss.road_weight and self.model.class_id("road") is None:
@@ -286,6 +293,12 @@ class Recipe:
                 f"schedule.steps = {self.schedule.steps}: with data.batch_size and "
                 f"loop.accumulate these are {samples} samples; at most {MAX_SAMPLES} are drawn"
             )
+
+    @property
+    def rare_ids(self) -> tuple[int, ...]:
+        """The ids of `DataRecipe.rare_classes`."""
+        ids = (self.model.class_id(name.lower()) for name in self.data.rare_classes)
+        return tuple(index for index in ids if index is not None)
 
     @property
     def data_titles(self) -> tuple[str, ...]:
