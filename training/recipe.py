@@ -348,21 +348,29 @@ def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:
     Raises:
         InputError: for a missing file, invalid TOML, unknown keys or values of the wrong type.
     """
-    table = _read_table(Path(path), ())
-    for change in changes:
-        try:
-            table = _merge(table, tomllib.loads(change))
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(
-                f"{change!r} is not 'table.key = value' in TOML ({error}); text needs quotes."
-            ) from error
+    table = read_table(Path(path))
+    if "stage" in table:
+        raise InputError(f"{path}: has stages, which ssdnet-train runs; here one run is expected.")
     try:
-        return build(Recipe, table)
+        return build(Recipe, merge(table, parse_changes(changes)))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def _read_table(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
+def parse_changes(changes: Sequence[str]) -> dict[str, Any]:
+    """Return changes, each "table.key = value" in TOML, as one table."""
+    table: dict[str, Any] = {}
+    for change in changes:
+        try:
+            table = merge(table, tomllib.loads(change))
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(
+                f"{change!r} is not 'table.key = value' in TOML ({error}); text needs quotes."
+            ) from error
+    return table
+
+
+def read_table(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Read the table of a recipe, merged into that of its base."""
     resolved = Path(os.path.realpath(path))
     if resolved in above:
@@ -373,16 +381,16 @@ def _read_table(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
         return table
     if not isinstance(base, str):
         raise InputError(f"{path}: base = {base!r}; expected the name of a recipe beside it.")
-    return _merge(_read_table(path.parent / base, (*above, resolved)), table)
+    return merge(read_table(path.parent / base, (*above, resolved)), table)
 
 
-def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Merge tables key by key; other values are replaced."""
     merged = dict(base)
     for key, value in changes.items():
         below = merged.get(key)
         merged[key] = (
-            _merge(below, value)
+            merge(below, value)
             if isinstance(below, Mapping) and isinstance(value, Mapping)
             else value
         )

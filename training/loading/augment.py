@@ -59,12 +59,12 @@ class AugmentConfig:
     #: (height, width) of the result; None = chosen by the height of the data, see
     #: `training.loading.crop`.
     crop: tuple[CropSide, CropSide] | None = None
+    #: Range of the random magnification of the image.
+    scale: FactorRange = (0.7, 1.8)
     #: Share of the crops that are, of ``crop_candidates`` random ones, the one that shows most
     #: pixels of the recipe's `data.rare_classes`.
     rare_crops: Share = 0.0
     crop_candidates: Annotated[int, Field(ge=1, le=100)] = 4
-    #: Range of the random magnification of the image.
-    scale: FactorRange = (0.7, 1.8)
     flip: Share = 0.5
     #: Largest relative change of brightness, contrast and saturation; largest hue shift [degrees].
     brightness: Strength = 0.3
