@@ -71,7 +71,8 @@ class InvertedResidual(nn.Module):
         self.expand = _normalised(SameConv(in_channels, width, 1)) if expand else None
         self.depthwise = _normalised(SameConv(width, width, kernel, stride, groups=width))
         self.project = _normalised(SameConv(width, out_channels, 1))
-        self.residual = stride == 1 and in_channels == out_channels
+        # The first block has none, whatever is left of the stem.
+        self.residual = expand and stride == 1 and in_channels == out_channels
 
     def forward(self, x: Tensor) -> Tensor:
         """(N, C, H, W) -> (N, C', H / stride, W / stride)."""

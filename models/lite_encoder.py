@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from models.blocks import ConvBNReLU, ResidualBlock
+from models.efficientnet_lite import CHANNELS, WIDTHS, EfficientNetLite
 from models.ssdnet_config import SSDNetLiteConfig
 
 
@@ -67,5 +68,26 @@ class ResidualEncoder(LiteEncoder):
         return features
 
 
+class EfficientNetEncoder(LiteEncoder):
+    """EfficientNet-Lite0's trunk, which reads the colours alone."""
+
+    def __init__(self, config: SSDNetLiteConfig) -> None:
+        super().__init__()
+        self.trunk = EfficientNetLite(config.encoder_widths or WIDTHS)
+        self.early_channels = CHANNELS[2], CHANNELS[4]
+        self.late_channels = tuple(CHANNELS[stride] for stride in (4, 8, 16, 32))
+
+    def early(self, rgb: Tensor, depth: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+        """See `LiteEncoder`."""
+        return self.trunk.early(rgb)
+
+    def late(self, at_4: Tensor) -> list[Tensor]:
+        """See `LiteEncoder`."""
+        return [at_4, *self.trunk.late(at_4)]
+
+
 #: `SSDNetLiteConfig.encoder` -> the class, which takes the configuration.
-ENCODERS: dict[str, Callable[[SSDNetLiteConfig], LiteEncoder]] = {"residual": ResidualEncoder}
+ENCODERS: dict[str, Callable[[SSDNetLiteConfig], LiteEncoder]] = {
+    "residual": ResidualEncoder,
+    "efficientnet-lite0": EfficientNetEncoder,
+}

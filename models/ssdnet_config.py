@@ -131,7 +131,11 @@ class SSDNetLiteConfig(EncoderDecoderConfig):
     max_depth_m: float = 200.0
     #: "residual": a stem of two strided convolutions, then residual stages, both of the channels
     #: and blocks given here; the last stage is the bottom, the others are skips.
-    encoder: Literal["residual"] = "residual"
+    #: "efficientnet-lite0": that trunk; returns enter at stride 4 alone.
+    encoder: Literal["residual", "efficientnet-lite0"] = "residual"
+    #: Channels of the stem and within each block of "efficientnet-lite0", as pruning left them; ()
+    #: = all, `models.efficientnet_lite.WIDTHS`.
+    encoder_widths: tuple[int, ...] = ()
     stem_channels: tuple[int, ...] = (16, 32)
     encoder_channels: tuple[int, ...] = (32, 64, 128, 256)
     encoder_blocks: tuple[int, ...] = (1, 2, 2, 2)
@@ -153,12 +157,15 @@ class SSDNetLiteConfig(EncoderDecoderConfig):
         super().__post_init__()
         if self.regressed_depth_m is not None:
             check_max_depth(self.regressed_depth_m, "regressed_depth_m")
+        if self.encoder_widths and self.encoder == "residual":
+            raise ValueError("encoder_widths are those of encoder = 'efficientnet-lite0'")
 
     def counts(self) -> dict[str, tuple[int, int, int]]:
         """See `EncoderDecoderConfig`."""
         return {
             **super().counts(),
             "stem layers": (len(self.stem_channels), 2, 2),
+            **{f"encoder_widths {each}": (each, 1, MAX_CHANNELS) for each in self.encoder_widths},
             "semantic_refine_channels": (self.semantic_refine_channels, 0, MAX_CHANNELS),
             "depth_refine_channels": (self.depth_refine_channels, 0, MAX_CHANNELS),
         }
@@ -166,7 +173,7 @@ class SSDNetLiteConfig(EncoderDecoderConfig):
     @property
     def num_skips(self) -> int:
         """Number of encoder features that the decoders get."""
-        return len(self.encoder_channels) - 1
+        return 3 if self.encoder == "efficientnet-lite0" else len(self.encoder_channels) - 1
 
     @property
     def target_depth_m(self) -> float:

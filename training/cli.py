@@ -63,14 +63,15 @@ def train(
     ] = None,
     device: Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")] = "cpu",
     stop_after: Annotated[
-        int | None, typer.Option(min=1, help="Stop at this step. The run can be resumed.")
+        int | None,
+        typer.Option(min=1, help="Stop at this step, over all stages. The run can be resumed."),
     ] = None,
     dry_run: Annotated[
         bool,
         typer.Option(
             "--dry-run",
-            help="Check that the training can start, describe its data, and draw its first batch "
-            "in batch.png below --out, instead of training.",
+            help="Check that the training, or its next stage, can start, describe its data, and "
+            "draw its first batch in batch.png below --out, instead of training.",
         ),
     ] = False,
     _list: Annotated[
@@ -95,22 +96,22 @@ def train(
         # Heavy imports here, so that --help is quick.
         from training.dry_run import dry_run as draw_first_batch
         from training.initial_weights import find_weights
-        from training.loop import train as run
-        from training.recipe import read_recipe
         from training.recipe_files import find_recipe
+        from training.stages import next_stage, read_stages, train_stages
 
         with StopSignal() as stop:
-            wanted = read_recipe(find_recipe(recipe), change or ())
+            stages = read_stages(find_recipe(recipe), change or ())
             weights = None if init is None else find_weights(init)
             if dry_run:
+                stage, folder, weights = next_stage(stages, out, weights)
                 path, lines = draw_first_batch(
-                    wanted, data=data, out=out, init=weights, device=device
+                    stage.recipe, data=data, out=folder, init=weights, device=device
                 )
                 for line in lines:
                     typer.echo(line)
             else:
-                path = run(
-                    wanted,
+                path = train_stages(
+                    stages,
                     data=data,
                     out=out,
                     init=weights,

@@ -78,7 +78,7 @@ def _train(
     stop_after: int | None,
     stop: Callable[[], bool],
 ) -> Path:
-    task = open_task(recipe, processes, data, init)
+    task = open_task(recipe, processes, data, init, resumed=(out / LAST).is_file())
     recipe = task.recipe
     start = None if init is None else name_weights(init)
     resolved: dict[str, Any] = {
@@ -97,8 +97,8 @@ def _train(
 
     def facts() -> dict[str, Any]:
         return TrainingFacts(
-            data=tuple(item.title for item in recipe.data.source),
-            terms=recipe.terms,
+            data=recipe.data_titles,
+            terms=recipe.all_terms,
             trained_height=recipe.model.trained_height,
             step=state.step,
             **resolved,

@@ -4,12 +4,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from models import Network, NetworkConfig, create_model, load_checkpoint
+from models import Network, NetworkConfig, SSDNetLite, create_model, load_checkpoint
+from models.efficientnet_lite import RGB_MEAN, RGB_STD
 from models.registry import NETWORKS
 from runtime.errors import InputError
 from training.datasets.class_mapping import list_classes
+from training.imagenet_weights import load_imagenet
 from training.initial_weights import start_from
+from training.prune import prune_trunk
 from training.recipe import ModelRecipe
+
+#: `NetworkConfig`'s normalisation that weights of ImageNet want.
+_IMAGENET_COLORS = {"rgb_mean": (RGB_MEAN,) * 3, "rgb_std": (RGB_STD,) * 3}
 
 
 def build_network(recipe: ModelRecipe, init: Path | None) -> Network:
@@ -17,23 +23,30 @@ def build_network(recipe: ModelRecipe, init: Path | None) -> Network:
     return build_with_weights(recipe, init)[0]
 
 
-def build_with_weights(recipe: ModelRecipe, init: Path | None) -> tuple[Network, frozenset[str]]:
+def build_with_weights(
+    recipe: ModelRecipe, init: Path | None, *, resumed: bool = False
+) -> tuple[Network, frozenset[str]]:
     """Build a recipe's network, with the weights of the checkpoint ``init`` as far as they fit.
 
-    Images are normalised as ``init``'s network does, unless the recipe says otherwise: the weights
-    know no other values.
+    Images are normalised as ``init``'s network does, or as ``pretrained`` weights want, unless the
+    recipe says otherwise: the weights know no other values. A wider trunk of ``init`` is pruned.
+    Pretrained weights are loaded before ``init``'s, unless these replace the whole trunk, or the
+    run is ``resumed``.
 
     Returns:
         The network, and the names of the tensors that ``init`` gave.
 
     Raises:
-        InputError: if the network cannot be built.
-        CheckpointError: if ``init`` cannot be read or nothing of it fits.
+        InputError: if the network cannot be built, or ``pretrained`` weights are not for it.
+        CheckpointError: if ``init`` or ``pretrained`` weights cannot be read, or nothing of
+            ``init`` fits.
     """
     changes: dict[str, Any] = {}
     source = None if init is None else load_checkpoint(init).model
     if source is not None:
         changes |= {"rgb_mean": source.config.rgb_mean, "rgb_std": source.config.rgb_std}
+    if recipe.pretrained:
+        changes |= _IMAGENET_COLORS
     try:
         if recipe.name in NETWORKS:
             config = _configuration(NETWORKS[recipe.name].config, recipe.config)
@@ -42,9 +55,44 @@ def build_with_weights(recipe: ModelRecipe, init: Path | None) -> tuple[Network,
         network = create_model(recipe.name, **changes)
     except ValueError as error:
         raise InputError(f"the recipe's model cannot be built: {error}.") from error
+    has_trunk = source is not None and _has_trunk(source)
+    if recipe.pretrained:
+        _require_pretrainable(network)
+        if not (resumed or has_trunk):
+            load_imagenet(network.encoder.trunk)
     if init is None or source is None:
         return network, frozenset()
+    if has_trunk and _has_trunk(network):
+        source = _with_widths(source, network)
     return network, start_from(network, source, init)
+
+
+def _has_trunk(network: Network) -> bool:
+    return isinstance(network, SSDNetLite) and network.config.encoder == "efficientnet-lite0"
+
+
+def _with_widths(source: Network, network: Network) -> Network:
+    """Prune the trunk of ``source`` to the widths of a network, if they differ."""
+    assert isinstance(source, SSDNetLite)
+    assert isinstance(network, SSDNetLite)
+    widths = network.config.encoder_widths
+    return source if source.config.encoder_widths == widths else prune_trunk(source, widths)
+
+
+def _require_pretrainable(network: Network) -> None:
+    """Raise InputError for a network that weights of ImageNet do not fit."""
+    if not _has_trunk(network):
+        raise InputError(
+            f"model.pretrained: {network.config.name!r} has no encoder with weights of ImageNet. "
+            "Set model.config.encoder = 'efficientnet-lite0', a field of ssdnet-lite and "
+            "ssdnet-nano, or leave model.pretrained out."
+        )
+    for key, wanted in _IMAGENET_COLORS.items():
+        if (found := getattr(network.config, key)) != wanted:
+            raise InputError(
+                f"model.config.{key} = {list(found)}, but weights of ImageNet were trained with "
+                f"{list(wanted)}. Leave it out."
+            )
 
 
 def _configuration(config: NetworkConfig, changes: Mapping[str, Any]) -> NetworkConfig:
@@ -55,11 +103,11 @@ def _configuration(config: NetworkConfig, changes: Mapping[str, Any]) -> Network
     return type(config).from_dict(values)
 
 
-def train_parts(network: Network, only: tuple[str, ...]) -> None:
+def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...] = ()) -> None:
     """Put the parts whose names begin with one of ``only`` into training mode; () = all.
 
-    The others are frozen: no gradient, and constant batch statistics. InputError for a beginning
-    that fits no part.
+    The others, and layers at any depth whose names begin with one of ``frozen``, have no gradient
+    and constant batch statistics. InputError for a beginning that fits none.
     """
     parts = dict(network.named_children())
     unknown = [start for start in only if not any(name.startswith(start) for name in parts)]
@@ -74,3 +122,12 @@ def train_parts(network: Network, only: tuple[str, ...]) -> None:
         part.requires_grad_(trained)
         if not trained:
             part.eval()
+    for start in frozen:
+        layers = [part for name, part in network.named_modules() if name.startswith(start)]
+        if not layers:
+            raise InputError(
+                f"optimizer.frozen: no layer of '{network.config.name}' begins with {start!r}; its "
+                f"parts are {', '.join(parts)}."
+            )
+        for layer in layers:
+            layer.requires_grad_(False).eval()

@@ -1,13 +1,14 @@
 """The optimiser, the schedule of its learning rate, and the average of the weights."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from models import Network
+from runtime.errors import InputError
 from training.losses import SSDNetLoss
 from training.recipe import OptimizerRecipe, ScheduleRecipe
 
@@ -30,13 +31,39 @@ def parameter_groups(
 ) -> list[dict[str, Any]]:
     """Return the parameters by how they are trained.
 
-    Biases, normalisation and the parameters of the loss do not decay.
+    Biases, normalisation and the parameters of the loss do not decay. The encoder may have a rate
+    of its own.
     """
-    kernels = [p for p in network.parameters() if p.ndim > 1]
-    others = [p for p in network.parameters() if p.ndim <= 1]
+    encoder: set[nn.Parameter] = set()
+    if recipe.encoder_rate is not None:
+        encoder = set(require_encoder(network).parameters())
+    rest = [p for p in network.parameters() if p not in encoder]
+    groups = _by_decay(recipe, rest, criterion.parameters())
+    if encoder:
+        in_order = [p for p in network.parameters() if p in encoder]
+        groups += [{**group, "lr": recipe.encoder_rate} for group in _by_decay(recipe, in_order)]
+    return groups
+
+
+def require_encoder(network: Network) -> nn.Module:
+    """Return the network's encoder; InputError if it has none."""
+    encoder = dict(network.named_children()).get("encoder")
+    if encoder is None:
+        raise InputError(
+            f"optimizer.encoder_rate: '{network.config.name}' has no part called 'encoder'. Leave "
+            "it out, or take ssdnet-lite or ssdnet-nano."
+        )
+    return encoder
+
+
+def _by_decay(
+    recipe: OptimizerRecipe, parameters: Sequence[nn.Parameter], others: Iterable[nn.Parameter] = ()
+) -> list[dict[str, Any]]:
+    kernels = [p for p in parameters if p.ndim > 1]
+    vectors = [p for p in parameters if p.ndim <= 1]
     return [
         {"params": kernels, "weight_decay": recipe.weight_decay},
-        {"params": [*others, *criterion.parameters()], "weight_decay": 0.0},
+        {"params": [*vectors, *others], "weight_decay": 0.0},
     ]
 
 

@@ -49,6 +49,11 @@ else:
     ]
 
 
+#: Of weights that `ModelRecipe.pretrained` gives.
+IMAGENET_TERMS = (
+    "ImageNet: research, non-commercial (its weights, EfficientNet-Lite0's, are Apache-2.0)"
+)
+
 #: Tags of the two forms of ``model.classes``.
 _NAMED, _OWN = "(named)", "(own)"
 _Channel = Annotated[int, Field(ge=0, le=255)]
@@ -82,6 +87,9 @@ class ModelRecipe:
     #: Height [px] of the training images after magnification, stored in the exported file: images
     #: of a much higher camera are resized to it. None = unknown: every frame runs at its own size.
     trained_height: Side | None = None
+    #: "imagenet": the encoder starts from weights of ImageNet, see `training.imagenet_weights`; the
+    #: images are then normalised as these want. None = random weights.
+    pretrained: Literal["imagenet"] | None = None
     #: What differs from the named network's configuration, for example `max_depth_m` and
     #: `canonical_focal_px`, see `models.NetworkConfig`.
     config: Annotated[dict[str, Any], Field(max_length=100)] = field(default_factory=dict)
@@ -124,12 +132,16 @@ class DataRecipe:
     #: Depth target of unmeasured pixels of the class "sky", canonical where the network's depth is
     #: [m]; 0 = none.
     sky_depth_m: NotNegative = 0.0
+    #: Classes that `augment.rare_crops` of the crops are chosen for.
+    rare_classes: Annotated[tuple[str, ...], Field(max_length=MAX_CLASSES)] = ()
 
     def __post_init__(self) -> None:
         """Check that a batch and its crops fit into memory."""
         crop = self.augment.size
         if min(crop) < MIN_SIDE:
             raise ValueError(f"augment.crop = {list(crop)}; both must be at least {MIN_SIDE}")
+        if self.augment.rare_crops and not self.rare_classes:
+            raise ValueError("augment.rare_crops needs rare_classes, for example ['pole', 'sign']")
         views = 2 if self.augment.pair_shift else 1
         if views * self.batch_size * crop[0] * crop[1] > MAX_BATCH_PIXELS:
             raise ValueError(
@@ -147,11 +159,16 @@ class OptimizerRecipe:
 
     name: Literal["adamw", "sgd"] = "adamw"
     learning_rate: NotNegative = 2e-3
+    #: Rate of the encoder; one schedule scales both. None = `learning_rate`.
+    encoder_rate: NotNegative | None = None
     weight_decay: NotNegative = 1e-2
     momentum: Share = 0.9
     #: Parts of the network that are trained, by the beginning of their names ("depth_"); the others
     #: are frozen with their batch statistics. () = all.
     only: Annotated[tuple[str, ...], Field(max_length=100)] = ()
+    #: Layers that are not trained, by the beginning of their names ("encoder.trunk.stem"); their
+    #: batch statistics are constant, too.
+    frozen: Annotated[tuple[str, ...], Field(max_length=100)] = ()
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -257,6 +274,9 @@ class Recipe:
 
     def __post_init__(self) -> None:
         """Check the classes that the loss needs and the number of samples."""
+        for name in self.data.rare_classes:
+            if self.model.class_id(name.lower()) is None:
+                raise ValueError(f"data.rare_classes: {name!r} is no class of model.classes")
         if self.data.sky_depth_m and self.model.class_id("sky") is None:
             raise ValueError("data.sky_depth_m needs a class called 'sky' in model.classes")
         if self.loss.road_weight and self.model.class_id("road") is None:
@@ -273,6 +293,24 @@ class Recipe:
                 f"schedule.steps = {self.schedule.steps}: with data.batch_size and "
                 f"loop.accumulate these are {samples} samples; at most {MAX_SAMPLES} are drawn"
             )
+
+    @property
+    def rare_ids(self) -> tuple[int, ...]:
+        """The ids of `DataRecipe.rare_classes`."""
+        ids = (self.model.class_id(name.lower()) for name in self.data.rare_classes)
+        return tuple(index for index in ids if index is not None)
+
+    @property
+    def data_titles(self) -> tuple[str, ...]:
+        """The sets that the weights know, as files name them."""
+        titles = tuple(item.title for item in self.data.source)
+        return (*titles, "ImageNet") if self.model.pretrained else titles
+
+    @property
+    def all_terms(self) -> str:
+        """``terms``, with those of the pretrained weights."""
+        pretrained = IMAGENET_TERMS if self.model.pretrained else ""
+        return "; ".join(filter(None, (self.terms, pretrained)))
 
     @property
     def log_every(self) -> int:
@@ -310,21 +348,29 @@ def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:
     Raises:
         InputError: for a missing file, invalid TOML, unknown keys or values of the wrong type.
     """
-    table = _read_table(Path(path), ())
-    for change in changes:
-        try:
-            table = _merge(table, tomllib.loads(change))
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(
-                f"{change!r} is not 'table.key = value' in TOML ({error}); text needs quotes."
-            ) from error
+    table = read_table(Path(path))
+    if "stage" in table:
+        raise InputError(f"{path}: has stages, which ssdnet-train runs; here one run is expected.")
     try:
-        return build(Recipe, table)
+        return build(Recipe, merge(table, parse_changes(changes)))
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def _read_table(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
+def parse_changes(changes: Sequence[str]) -> dict[str, Any]:
+    """Return changes, each "table.key = value" in TOML, as one table."""
+    table: dict[str, Any] = {}
+    for change in changes:
+        try:
+            table = merge(table, tomllib.loads(change))
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(
+                f"{change!r} is not 'table.key = value' in TOML ({error}); text needs quotes."
+            ) from error
+    return table
+
+
+def read_table(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Read the table of a recipe, merged into that of its base."""
     resolved = Path(os.path.realpath(path))
     if resolved in above:
@@ -335,16 +381,16 @@ def _read_table(path: Path, above: tuple[Path, ...]) -> dict[str, Any]:
         return table
     if not isinstance(base, str):
         raise InputError(f"{path}: base = {base!r}; expected the name of a recipe beside it.")
-    return _merge(_read_table(path.parent / base, (*above, resolved)), table)
+    return merge(read_table(path.parent / base, (*above, resolved)), table)
 
 
-def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Merge tables key by key; other values are replaced."""
     merged = dict(base)
     for key, value in changes.items():
         below = merged.get(key)
         merged[key] = (
-            _merge(below, value)
+            merge(below, value)
             if isinstance(below, Mapping) and isinstance(value, Mapping)
             else value
         )

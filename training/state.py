@@ -49,6 +49,7 @@ class TrainingState:
         self._recipe, self._processes, self._out = recipe, processes, out
         self._network, self.criterion = task.network, task.criterion
         self._optimizer = build_optimizer(recipe.optimizer, task.network, task.criterion)
+        self._peaks = [group["lr"] for group in self._optimizer.param_groups]
         is_fp16 = recipe.loop.autocast == "fp16"
         self._scaler = torch.amp.GradScaler(processes.device.type, enabled=is_fp16)
         # Buffers are averaged too: batch statistics must fit the averaged weights.
@@ -103,10 +104,10 @@ class TrainingState:
     def advance(self, batches: Iterator[Batch]) -> Step:
         """Train one step on the next batches."""
         loop, scaler = self._recipe.loop, self._scaler
-        rate = learning_rate(self._recipe.schedule, self._recipe.optimizer.learning_rate, self.step)
-        for group in self._optimizer.param_groups:
-            group["lr"] = rate
-        train_parts(self._network, self._recipe.optimizer.only)
+        optimizer = self._recipe.optimizer
+        for group, peak in zip(self._optimizer.param_groups, self._peaks, strict=True):
+            group["lr"] = learning_rate(self._recipe.schedule, peak, self.step)
+        train_parts(self._network, optimizer.only, optimizer.frozen)
         self._optimizer.zero_grad(set_to_none=True)
         sums: dict[str, Tensor] = {}
         names: list[str] = []
@@ -129,7 +130,7 @@ class TrainingState:
         scaler.update()
         self._average.update_parameters(self._network)
         self.step += 1
-        return Step(sums, rate)
+        return Step(sums, self._optimizer.param_groups[0]["lr"])
 
     def _require_finite(self, terms: Mapping[str, Tensor], value: Tensor, names: list[str]) -> None:
         require_finite(terms, value, self.step, names, self._out, self._processes)

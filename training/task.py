@@ -23,6 +23,7 @@ from training.loading.mixture import DepthTarget
 from training.loading.open_dataset import count_pixels, open_dataset
 from training.losses import SSDNetLoss, class_weights
 from training.network import build_with_weights, train_parts
+from training.optimizer import require_encoder
 from training.recipe import Recipe
 from training.release import Release, class_offsets
 
@@ -61,9 +62,17 @@ class Task:
 
 
 def open_task(
-    recipe: Recipe, processes: Processes, data: Sequence[Path], init: Path | None
+    recipe: Recipe,
+    processes: Processes,
+    data: Sequence[Path],
+    init: Path | None,
+    *,
+    resumed: bool = False,
 ) -> Task:
-    """Seed the random numbers, open the data sets and build network and loss, see `loop.train`."""
+    """Seed the random numbers, open the data sets and build network and loss, see `loop.train`.
+
+    A ``resumed`` training does not read pretrained weights again.
+    """
     # OpenCV's thread pool does not survive the fork of the loader's workers: they would hang.
     cv2.setNumThreads(0)
     torch.manual_seed(recipe.data.seed)
@@ -82,8 +91,10 @@ def open_task(
             "release.trained_share mixes the trained weights with those of --init: give --init, or "
             "set it to 1"
         )
-    network, taken = build_with_weights(recipe.model, init)
-    train_parts(network, recipe.optimizer.only)
+    network, taken = build_with_weights(recipe.model, init, resumed=resumed)
+    train_parts(network, recipe.optimizer.only, recipe.optimizer.frozen)
+    if recipe.optimizer.encoder_rate is not None:
+        require_encoder(network)
     heads = network.heads
     if not recipe.loss.terms_for(heads):
         raise InputError(

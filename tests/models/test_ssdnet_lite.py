@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from models import create_model
+from models import SSDNetLiteConfig, create_model
+from models.efficientnet_lite import InvertedResidual
 from models.surfaces import NEAREST
 
 
@@ -63,3 +64,31 @@ def test_the_choice_reads_the_features_of_the_semantic_decoder():
         network.surface_depth.semantics.weight.fill_(0.5)
         changed = network(rgb, sparse).depths[0]
     assert (changed - before).abs().max() > 1e-3
+
+
+def test_an_efficientnet_encoder_reads_colours_and_returns_enter_at_stride_4():
+    network = create_model("ssdnet-lite", encoder="efficientnet-lite0").eval()
+    torch.manual_seed(0)
+    rgb = torch.rand(1, 3, 70, 101) * 255
+    with torch.no_grad():
+        found = network(rgb, torch.full((1, 1, 70, 101), 12.0))
+        none = network(rgb, torch.zeros(1, 1, 70, 101))
+    sizes = [tuple(depth.shape[2:]) for depth in found.depths]
+    assert sizes == [(70, 101), (24, 32), (12, 16), (6, 8)]
+    assert found.semantic_logits.shape == (1, 11, 70, 101)
+    assert not torch.equal(found.semantic_logits, none.semantic_logits)
+    assert 3.2e6 < sum(p.numel() for p in network.parameters()) < 3.4e6
+
+
+def test_the_trunk_of_an_efficientnet_encoder_has_the_widths_of_the_configuration():
+    widths = (16, 48, *[72] * 2, *[120] * 2, *[240] * 3, *[336] * 3, *[576] * 4)
+    network = create_model("ssdnet-nano", encoder="efficientnet-lite0", encoder_widths=widths)
+    blocks = [m for m in network.modules() if isinstance(m, InvertedResidual)]
+    assert tuple(block.depthwise[0].out_channels for block in blocks) == widths
+    assert SSDNetLiteConfig.from_dict(network.config.to_dict()) == network.config
+    with pytest.raises(ValueError, match="encoder_widths are those of encoder = 'efficientnet-"):
+        create_model("ssdnet-lite", encoder_widths=widths)
+    with pytest.raises(ValueError, match="expected 16 positive widths"):
+        create_model("ssdnet-lite", encoder="efficientnet-lite0", encoder_widths=(16,))
+    with pytest.raises(ValueError, match="encoder_widths 0: 1 to"):
+        create_model("ssdnet-lite", encoder="efficientnet-lite0", encoder_widths=(0,) * 16)

@@ -6,8 +6,11 @@ import pytest
 import torch
 
 from models import CLASS_TABLES, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
-from runtime.errors import InputError
-from training.network import build_network, train_parts
+from models.efficientnet_lite import WIDTHS as EFFICIENTNET_WIDTHS
+from models.efficientnet_lite import InvertedResidual
+from runtime.errors import CheckpointError, InputError
+from training.network import build_network, build_with_weights, train_parts
+from training.prune import prune_trunk
 from training.recipe import ModelRecipe
 
 
@@ -68,6 +71,28 @@ def test_only_some_parts_are_trained():
         train_parts(network, ("depth_", "deep"))
 
 
+def test_frozen_layers_keep_weights_and_statistics_and_have_no_backward_pass():
+    network = create_model("ssdnet-lite", encoder="efficientnet-lite0")
+    early = ("encoder.trunk.stem", "encoder.trunk.stride2", "encoder.trunk.stride4")
+    train_parts(network, (), early)
+    before = {name: value.clone() for name, value in network.encoder.state_dict().items()}
+    output = network(torch.rand(2, 3, 64, 64) * 255, torch.full((2, 1, 64, 64), 20.0))
+    output.semantic_logits.sum().backward()
+    moved = {
+        name for name, value in network.encoder.state_dict().items() if value.ne(before[name]).any()
+    }
+    assert {name.split(".")[1] for name in moved} == {"stride8", "stride16", "stride32"}
+    trained = {
+        name.split(".")[1] for name, p in network.encoder.named_parameters() if p.grad is not None
+    }
+    assert trained == {"stride8", "stride16", "stride32"}
+    at_2, at_4 = network.encoder.early(torch.rand(1, 3, 64, 64), None, None)
+    assert not at_2.requires_grad
+    assert not at_4.requires_grad
+    with pytest.raises(InputError, match="no layer of 'ssdnet-lite' begins with"):
+        train_parts(network, (), ("encoder.steam",))
+
+
 def test_canonical_focal_length_goes_from_the_recipe_into_the_checkpoint(tmp_path):
     recipe = ModelRecipe("ssdnet-lite", config={"canonical_focal_px": 721.5})
     network = build_network(recipe, None)
@@ -122,9 +147,107 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
             ("ssdnet-lite", {"canonical_focal_px": focal}, "canonical_focal_px")
             for focal in (0, 0.5, -700.0, float("inf"), float("nan"), "721", 2e6)
         ),
-        ("fast-scnn", {"boundary_channels": 8}, "unknown model configuration keys"),
     ],
 )
 def test_an_invalid_configuration_is_refused(name, config, text):
     with pytest.raises(InputError, match=text):
         build_network(ModelRecipe(name, config=config), None)
+
+
+IMAGENET = ModelRecipe(
+    "ssdnet-lite", pretrained="imagenet", config={"encoder": "efficientnet-lite0"}
+)
+
+
+@pytest.fixture
+def loaded(monkeypatch):
+    """The trunks that ImageNet's weights were loaded into: ones instead."""
+    trunks = []
+
+    def load(trunk):
+        trunks.append(trunk)
+        with torch.no_grad():
+            for value in trunk.parameters():
+                value.fill_(1.0)
+
+    monkeypatch.setattr("training.network.load_imagenet", load)
+    return trunks
+
+
+def test_a_pretrained_encoder_is_loaded_with_its_normalisation(loaded):
+    network = build_network(IMAGENET, None)
+    assert loaded == [network.encoder.trunk]
+    assert network.config.rgb_mean == (127.0,) * 3
+    assert network.rgb_std.flatten().tolist() == [128.0] * 3
+    assert (network.encoder.trunk.stem[0][0].weight == 1).all()
+
+
+def test_a_resumed_run_does_not_read_pretrained_weights_again(loaded):
+    build_with_weights(IMAGENET, None, resumed=True)
+    assert loaded == []
+
+
+def test_init_comes_after_the_pretrained_weights(loaded, tmp_path, capsys):
+    """A trunk of --init replaces them; from another network the rest is taken."""
+    save_checkpoint(tmp_path / "same.pt", build_network(IMAGENET, None))
+    save_checkpoint(tmp_path / "other.pt", create_model("ssdnet-lite"))
+    loaded.clear()
+    build_network(IMAGENET, tmp_path / "same.pt")
+    assert loaded == []
+    built = build_network(IMAGENET, tmp_path / "other.pt")
+    assert loaded == [built.encoder.trunk]
+    assert built.config.rgb_mean == (127.0,) * 3
+
+
+@pytest.mark.parametrize(
+    ("name", "config", "text"),
+    [
+        ("ssdnet-lite", {}, "'ssdnet-lite' has no encoder with weights of ImageNet. Set"),
+        ("enet", {}, "'enet' has no encoder with weights of ImageNet"),
+        (
+            "ssdnet-lite",
+            {"encoder": "efficientnet-lite0", "rgb_mean": [123.675, 116.28, 103.53]},
+            r"rgb_mean = \[123.675, 116.28, 103.53\], but weights of ImageNet were trained with",
+        ),
+    ],
+)
+def test_pretrained_weights_that_a_network_cannot_take_are_refused(loaded, name, config, text):
+    with pytest.raises(InputError, match=text):
+        build_network(ModelRecipe(name, pretrained="imagenet", config=config), None)
+    assert loaded == []
+
+
+WIDTHS = (24, 48, *[72] * 2, *[120] * 2, *[240] * 3, *[336] * 3, *[576] * 4)
+
+
+def test_init_of_a_wider_trunk_is_pruned(tmp_path, capsys):
+    config = {"encoder": "efficientnet-lite0"}
+    wide = create_model("ssdnet-lite", **config)
+    save_checkpoint(tmp_path / "wide.pt", wide)
+    narrow = ModelRecipe("ssdnet-lite", config={**config, "encoder_widths": list(WIDTHS)})
+    network, taken = build_with_weights(narrow, tmp_path / "wide.pt")
+    assert network.config.encoder_widths == WIDTHS
+    assert capsys.readouterr().err == "the trunk was pruned from 8960 to 4488 channels\n"
+    assert taken == network.state_dict().keys() - {"rgb_mean", "rgb_std"}
+    save_checkpoint(tmp_path / "narrow.pt", network)
+    with pytest.raises(CheckpointError, match="pruning only narrows a trunk"):
+        build_network(ModelRecipe("ssdnet-lite", config=config), tmp_path / "narrow.pt")
+
+
+def test_pruning_keeps_the_channels_of_the_largest_weights(capsys):
+    torch.manual_seed(0)
+    wide = create_model("ssdnet-lite", encoder="efficientnet-lite0").eval()
+    block = wide.encoder.trunk.stride4[0]
+    with torch.no_grad():  # every second channel is all but idle
+        for part in [m for m in wide.modules() if isinstance(m, InvertedResidual)]:
+            part.project[0].weight[:, ::2] *= 1e-6
+    narrow = prune_trunk(wide, [width // 2 for width in EFFICIENTNET_WIDTHS])
+    pruned = narrow.encoder.trunk.stride4[0]
+    assert torch.equal(pruned.depthwise[0].weight, block.depthwise[0].weight[1::2])
+    assert torch.equal(pruned.expand[0].weight, block.expand[0].weight[1::2])
+    assert torch.equal(pruned.project[0].weight, block.project[0].weight[:, 1::2])
+    rgb, returns = torch.rand(1, 3, 64, 96) * 255, torch.full((1, 1, 64, 96), 20.0)
+    with torch.no_grad():
+        found, expected = narrow(rgb, returns), wide(rgb, returns)
+    torch.testing.assert_close(found.semantic_logits, expected.semantic_logits, atol=1e-3, rtol=0)
+    torch.testing.assert_close(found.depths[0], expected.depths[0], atol=1e-4, rtol=0)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from models import create_model
+from runtime.errors import InputError
 from training.losses import LossConfig, SSDNetLoss
 from training.optimizer import build_optimizer, exponential_average, learning_rate
 from training.recipe import OptimizerRecipe, ScheduleRecipe
@@ -32,6 +33,20 @@ def test_weight_decay_pulls_at_kernels_alone(name):
         kinds["norm"] += not decayed and key.endswith("weight")
         kinds["learned by the loss"] += key.startswith("log_variances")
     assert all(kinds.values()), kinds
+
+
+def test_the_encoder_has_a_rate_of_its_own():
+    network, criterion = create_model("ssdnet-nano"), SSDNetLoss(LossConfig(), max_depth_m=200.0)
+    recipe = OptimizerRecipe(learning_rate=2e-3, encoder_rate=4e-4, weight_decay=0.1)
+    groups = build_optimizer(recipe, network, criterion).param_groups
+    rates = {p: (g["lr"], g["weight_decay"]) for g in groups for p in g["params"]}
+    assert rates.keys() == set(network.parameters())
+    assert rates[network.encoder.stages[0][0].conv1[0].weight] == (4e-4, 0.1)
+    assert rates[network.encoder.stages[0][0].conv1[1].weight] == (4e-4, 0.0)
+    assert rates[network.semantic_head.weight] == (2e-3, 0.1)
+    assert rates[network.semantic_head.bias] == (2e-3, 0.0)
+    with pytest.raises(InputError, match="'enet' has no part called 'encoder'"):
+        build_optimizer(recipe, create_model("enet"), criterion)
 
 
 def test_learning_rate_by_hand():

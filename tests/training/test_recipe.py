@@ -467,3 +467,14 @@ def test_a_mask_of_the_road_needs_a_class_of_that_name(tmp_path):
     own = text.replace('"ssdnet-lite"', '"ssdnet-lite"\nclasses = [{name = "a", color = [0,0,0]}]')
     with pytest.raises(InputError, match=r"loss\.road_weight needs a class called 'road'"):
         read(tmp_path, own)
+
+
+def test_rare_classes_are_classes_of_the_model(tmp_path):
+    text = MINIMAL.replace("batch_size = 4", "batch_size = 4\nrare_classes = ['pole', 'Sign']")
+    assert read(tmp_path, text).rare_ids == (2, 6)
+    with pytest.raises(
+        InputError, match=r"data\.rare_classes: 'sing' is no class of model.classes"
+    ):
+        read(tmp_path, text.replace("Sign", "sing"))
+    with pytest.raises(InputError, match=r"augment\.rare_crops needs rare_classes"):
+        read(tmp_path, MINIMAL + "[data.augment]\nrare_crops = 0.5")

@@ -1,6 +1,6 @@
 """Joint augmentation: one random change of RGB, depth, labels and intrinsics together."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
@@ -30,6 +30,7 @@ from training.limits import (
     Strength,
     require_window,
 )
+from training.loading.crop_choice import choose_crop
 
 Depth = NDArray[np.float32]
 
@@ -60,6 +61,10 @@ class AugmentConfig:
     crop: tuple[CropSide, CropSide] | None = None
     #: Range of the random magnification of the image.
     scale: FactorRange = (0.7, 1.8)
+    #: Share of the crops that are, of ``crop_candidates`` random ones, the one that shows most
+    #: pixels of the recipe's `data.rare_classes`.
+    rare_crops: Share = 0.0
+    crop_candidates: Annotated[int, Field(ge=1, le=100)] = 4
     flip: Share = 0.5
     #: Largest relative change of brightness, contrast and saturation; largest hue shift [degrees].
     brightness: Strength = 0.3
@@ -112,6 +117,7 @@ def augment(
     rng: Generator,
     *,
     canonical_focal_px: float | None = None,
+    rare: Sequence[int] = (),
 ) -> Sample:
     """Return a randomly changed sample; a pure function of its arguments.
 
@@ -120,13 +126,14 @@ def augment(
         config: ranges and probabilities.
         rng: source of all random numbers.
         canonical_focal_px: makes the depth canonical, see `canonical_depth`; None = metres.
+        rare: ids of the classes that ``config.rare_crops`` of the crops are chosen for.
 
     Returns:
         A sample of size ``config.size`` with a sparse depth.
     """
     # In canonical depth an unknown camera is treated as the canonical one, closer to the scene.
     is_closer = canonical_focal_px is not None and sample.intrinsics is None
-    sample = scale_and_crop(sample, config, rng, is_closer=is_closer)
+    sample = scale_and_crop(sample, config, rng, is_closer=is_closer, rare=rare)
     if rng.random() < config.flip:
         sample = flip(sample)
     sample = draw_lidar(sample, config, rng)
@@ -163,18 +170,31 @@ def take_views(
 
 
 def scale_and_crop(
-    sample: Sample, config: AugmentConfig, rng: Generator, *, is_closer: bool = False
+    sample: Sample,
+    config: AugmentConfig,
+    rng: Generator,
+    *,
+    is_closer: bool = False,
+    rare: Sequence[int] = (),
 ) -> Sample:
     """Magnify by a random factor and cut a random window of ``config.size``.
 
+    Some windows are chosen for the classes ``rare``, see `AugmentConfig.rare_crops`.
     Beyond the image there is mean colour, no depth and no label. Depth keeps its metres and the
     intrinsics are scaled; if the camera ``is_closer``, the depth is divided by the factor instead.
     """
     scale = float(np.exp(rng.uniform(*np.log(config.scale))))
     height, width = config.size
     window = (round(height / scale), round(width / scale))  # in pixels of the sample
-    top = _random_offset(sample.size[0], window[0], rng)
-    left = _random_offset(sample.size[1], window[1], rng)
+    chosen = rare and config.rare_crops and rng.random() < config.rare_crops
+    offsets = [
+        (
+            _random_offset(sample.size[0], window[0], rng),
+            _random_offset(sample.size[1], window[1], rng),
+        )
+        for _ in range(config.crop_candidates if chosen else 1)
+    ]
+    top, left = choose_crop(sample.semantic, window, offsets, rare)
     is_dense = _is_dense(sample)  # of the whole frame: a window may be mostly sky
     sample = resize(cut(sample, top, left, window), config.size, is_dense=is_dense)
     return approach(sample, scale) if is_closer else sample

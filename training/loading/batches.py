@@ -35,6 +35,7 @@ def read_batches(
             length=steps * per_step,
             depth=task.depth_target,
             pair_step=task.pair_step,
+            rare=recipe.rare_ids,
         ),
         batch_size=batch,
         sampler=processes.shares(step * per_step, steps * per_step, batch),

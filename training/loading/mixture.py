@@ -37,7 +37,7 @@ class Mixture(Dataset[Drawn]):
     A run resumed at sample i therefore gets the same samples, whatever the number of worker
     processes. Each set is drawn in shuffled passes, each frame once a pass.
 
-    With ``pair_shift`` a sample has two views.
+    With ``pair_shift`` a sample has two views. Crops may be chosen for the classes ``rare``.
     """
 
     def __init__(
@@ -48,6 +48,7 @@ class Mixture(Dataset[Drawn]):
         seed: int,
         depth: DepthTarget | None = None,
         pair_step: int = PAIR_STEP_PX,
+        rare: Sequence[int] = (),
     ) -> None:
         if not parts or any(part.weight <= 0 for part in parts):
             raise ValueError("a mixture needs at least one data set, each with a positive weight")
@@ -55,6 +56,7 @@ class Mixture(Dataset[Drawn]):
         self._seed = seed
         self._depth = depth or DepthTarget()
         self._pair_step = pair_step
+        self._rare = tuple(rare)
         weights = np.array([part.weight for part in parts], dtype=np.float64)
         rng = np.random.default_rng([seed, 0])
         self._part = rng.choice(len(parts), size=length, p=weights / weights.sum())
@@ -78,6 +80,7 @@ class Mixture(Dataset[Drawn]):
             with_margin(part.augment),
             rng,
             canonical_focal_px=target.canonical_focal_px,
+            rare=self._rare,
         )
         if target.sky is not None:
             sample = far_sky(sample, target.sky, target.sky_depth_m)

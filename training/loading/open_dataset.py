@@ -50,11 +50,12 @@ def open_mixture(
     length: int,
     depth: DepthTarget | None = None,
     pair_step: int = PAIR_STEP_PX,
+    rare: Sequence[int] = (),
 ) -> Mixture:
     """Mix data sets by the recipe's weights, with its augmentation and cache.
 
     ``depth`` is the unit of the depth; None = metres, and no depth of the sky. The offsets of
-    second views are multiples of ``pair_step`` [px].
+    second views are multiples of ``pair_step`` [px]. ``rare`` are the ids of the rare classes.
     """
     share = recipe.cache_gib / (max(1, recipe.workers) * len(sources))
     parts = [
@@ -65,7 +66,9 @@ def open_mixture(
         )
         for item, source in zip(recipe.source, sources, strict=True)
     ]
-    return Mixture(parts, length=length, seed=recipe.seed, depth=depth, pair_step=pair_step)
+    return Mixture(
+        parts, length=length, seed=recipe.seed, depth=depth, pair_step=pair_step, rare=rare
+    )
 
 
 def count_pixels(

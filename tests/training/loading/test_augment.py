@@ -488,3 +488,33 @@ def test_what_is_off_draws_no_random_number():
     # Missing or not, at random or not, how many lines, the first of them.
     _ = expected.random(), expected.random(), expected.choice(ALWAYS.lines), expected.integers(64)
     assert ours.random() == expected.random()
+
+
+def test_crops_chosen_for_a_rare_class_show_it_more_often():
+    """It is in a crop of several as often as in any of them."""
+    sample = plane(64, 96)
+    labels = np.zeros((64, 96), np.uint8)
+    labels[12:14, 20:22] = 2
+    sample = sample.with_targets(semantic=labels)
+
+    def share(**changes):
+        config = AugmentConfig(crop=(32, 48), scale=(1.0, 1.0), flip=0.0, **changes)
+        crops = [
+            augment(sample, config, np.random.default_rng(seed), rare=(2,)) for seed in range(200)
+        ]
+        return np.mean([(crop.semantic == 2).any() for crop in crops])
+
+    by_chance = share()
+    assert share(rare_crops=1.0, crop_candidates=1) == pytest.approx(by_chance, abs=0.1)
+    assert share(rare_crops=1.0) == pytest.approx(1 - (1 - by_chance) ** 4, abs=0.1)
+    assert by_chance + 0.1 < share(rare_crops=0.5) < share(rare_crops=1.0) - 0.1
+
+
+@pytest.mark.parametrize("changes", [{"rare_crops": 0.0}, {"rare_crops": 1.0}])
+def test_without_rare_classes_nothing_more_is_drawn(changes):
+    config = AugmentConfig(crop=(32, 48))
+    expected = augment(plane(), config, np.random.default_rng(3))
+    rare = () if changes["rare_crops"] else (2,)
+    found = augment(plane(), replace(config, **changes), np.random.default_rng(3), rare=rare)
+    assert np.array_equal(found.rgb, expected.rgb)
+    assert np.array_equal(found.sparse_depth, expected.sparse_depth)

@@ -224,3 +224,21 @@ def test_the_lidar_of_the_second_view_is_missing_or_has_false_returns(missing, f
 
 def test_one_view_is_the_default():
     assert sample(0).rgb.shape == (32, 32, 3)
+
+
+def test_the_mixture_chooses_crops_for_rare_classes():
+    class Corner(Numbered):
+        def __getitem__(self, index):
+            labels = np.zeros((64, 64), np.uint8)
+            labels[44:48, 44:48] = 5
+            return Sample(np.zeros((64, 64, 3), np.uint8), {"semantic": labels}, None, "corner")
+
+    config = AugmentConfig(crop=(32, 32), rare_crops=1.0, crop_candidates=20, scale=(1.0, 1.0))
+    parts = [MixturePart(Corner(1, 0), 1.0, config)]
+    chosen = Mixture(parts, length=40, seed=0, rare=(5,))
+    by_chance = Mixture(parts, length=40, seed=0)
+    shown = [
+        sum(bool((each[i].views[0].semantic == 5).any()) for i in range(40))
+        for each in (chosen, by_chance)
+    ]
+    assert shown[0] > shown[1] + 10

@@ -1,0 +1,147 @@
+"""Recipes of several stages: runs one after the other, each from the weights of the one before."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from runtime.errors import InputError
+from runtime.io.atomic_write import atomic_write
+from training.loop import train
+from training.recipe import Recipe, build, merge, parse_changes, read_table
+from training.run_folder import FINAL, RECIPE, folder_errors
+
+_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A run of a recipe: its folder below --out ("" = --out itself) and its recipe."""
+
+    folder: str
+    recipe: Recipe
+
+
+def read_stages(path: Path, changes: Sequence[str] = ()) -> tuple[Stage, ...]:
+    """Read a recipe with its stages; one without ``[[stage]]`` has a single stage.
+
+    Each ``[[stage]]`` has a name and keys that it changes of the recipe, as ``base`` does.
+
+    Args:
+        path: the TOML file.
+        changes: further changes of all stages, see `read_recipe`.
+
+    Raises:
+        InputError: as of `read_recipe`, and for stages without a name of their own.
+    """
+    table, further = read_table(path), parse_changes(changes)
+    tables = table.pop("stage", None)
+    try:
+        if tables is None:
+            return (Stage("", build(Recipe, merge(table, further))),)
+        return tuple(
+            Stage(f"{number}-{name}", build(Recipe, merge(merge(table, stage), further)))
+            for number, (name, stage) in enumerate(_name_stages(tables), start=1)
+        )
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _name_stages(tables: object) -> list[tuple[str, dict[str, Any]]]:
+    """Return the name of each stage and what it changes."""
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise InputError("stage: expected tables [[stage]].")
+    stages = [(table.get("name"), {**table}) for table in tables]
+    for index, (name, changed) in enumerate(stages):
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise InputError(
+                f"stage[{index}].name = {name!r:.80}; expected small letters, digits and hyphens."
+            )
+        if name in [other for other, _ in stages[:index]]:
+            raise InputError(f"stage[{index}].name = {name!r}: another stage has this name.")
+        del changed["name"]
+    return stages
+
+
+def train_stages(
+    stages: Sequence[Stage],
+    *,
+    data: Sequence[Path],
+    out: Path,
+    init: Path | None = None,
+    device: str = "cpu",
+    stop_after: int | None = None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Path:
+    """Run all stages; a run that was stopped or killed is resumed in its stage.
+
+    Each is a run of its own in ``out``/NUMBER-NAME that begins with the model.pt of the one before;
+    that of the last is also ``out``/model.pt. A finished stage is not run again, but refused where
+    its recipe is another one now.
+
+    Args:
+        stages: see `read_stages`.
+        data: as of `train`, like what follows.
+        out: folder of all stages.
+        init: a checkpoint that the first stage starts from.
+        device: "cpu", "cuda" or "cuda:N".
+        stop_after: stop at this step, counted over all stages.
+        stop: called between two steps; True stops.
+
+    Returns:
+        ``out``/model.pt, or the last.pt of the stage that was stopped.
+
+    Raises:
+        InputError: if ``out`` belongs to other stages, and as of `train`, like all others.
+    """
+    _require_same_stages(stages, out)
+    path = out
+    for stage in stages:
+        steps = stage.recipe.schedule.steps
+        path = train(
+            stage.recipe,
+            data=data,
+            out=out / stage.folder,
+            init=init,
+            device=device,
+            stop_after=stop_after,
+            stop=stop,
+        )
+        if path.name != FINAL:
+            return path
+        init = path
+        if stop_after is not None and (stop_after := stop_after - steps) < 1:
+            break
+    else:
+        if path.parent != out:
+            with folder_errors(out):
+                atomic_write(out / FINAL, path.read_bytes())
+        return out / FINAL
+    return path
+
+
+def next_stage(
+    stages: Sequence[Stage], out: Path, init: Path | None
+) -> tuple[Stage, Path, Path | None]:
+    """Return the first stage that is not finished, its folder, and the weights it starts from."""
+    _require_same_stages(stages, out)
+    for stage in stages:
+        final = out / stage.folder / FINAL
+        if not final.is_file() or stage is stages[-1]:
+            break
+        init = final
+    return stage, out / stage.folder, init
+
+
+def _require_same_stages(stages: Sequence[Stage], out: Path) -> None:
+    """Raise InputError for a folder with runs of other stages."""
+    wanted = {stage.folder for stage in stages}
+    found = {path.parent.name for path in out.glob(f"[0-9]*-*/{RECIPE}")}
+    if "" not in wanted and (out / RECIPE).is_file():
+        found.add("a run without stages")
+    if others := sorted(found - wanted):
+        raise InputError(
+            f"{out}: holds {others[0]}, but the stages of this recipe are "
+            f"{', '.join(sorted(wanted)) or 'none'}. Choose another --out."
+        )
