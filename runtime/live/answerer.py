@@ -12,16 +12,10 @@ from runtime.health.consistency import Consistency, ConsistencyCheck
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.health.frame_health import FrameHealth
 from runtime.io.calibration import Calibration
-from runtime.live.frame_result import DepthMotion
 from runtime.live.payload import Points
-from runtime.prediction import (
-    DEPTH_REUSED,
-    DEPTH_UNCOMPENSATED,
-    IMPLAUSIBLE_DEPTH,
-    Prediction,
-)
-from runtime.sync.motion import project_moved
-from runtime.sync.poses import NoPoseError, PoseTrack
+from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
+from runtime.sync.depth_in_time import DepthMotion, keep_map, project_in_time
+from runtime.sync.poses import PoseTrack
 from runtime.sync.synchronizer import Pair
 
 _CHECK_EVERY = 100  # frames with depth, after the first ones
@@ -103,32 +97,19 @@ class Answerer:
         self, pair: Pair, poses: PoseTrack | None
     ) -> tuple[NDArray[np.float32], DepthMotion | None, tuple[str, ...]]:
         """The depth map, how its returns were moved, and what is wrong with it."""
-        depth, size = pair.depth, pair.image.data.shape[:2]
+        depth, image = pair.depth, pair.image
+        size = image.data.shape[:2]
         if depth is None:
             return np.zeros(size, np.float32), None, ()
-        reasons: tuple[str, ...] = (DEPTH_REUSED,) if pair.reused else ()
         scan = depth.data
         if not isinstance(scan, Points):
-            # A depth map cannot be moved.
-            moves = poses is not None and depth.stamp_ns != pair.image.stamp_ns
-            if moves or pair.reused:
-                reasons += (DEPTH_UNCOMPENSATED,)
-            return scan, "none", reasons
+            apart = depth.stamp_ns != image.stamp_ns
+            return keep_map(scan, apart=apart, has_poses=poses is not None, reused=pair.reused)
         assert self._calibration is not None  # push_points requires it
-        if poses is None:
-            if pair.reused:
-                reasons += (DEPTH_UNCOMPENSATED,)
-        else:
-            assert scan.times is not None  # see `Points.measured_at`
-            try:
-                moved = project_moved(
-                    self._calibration, scan.points, scan.times, poses, pair.image.stamp_ns, size
-                )
-            except NoPoseError as error:
-                reasons += (DEPTH_UNCOMPENSATED, error.reason)
-            else:
-                return moved, "scan" if isinstance(scan.times, int) else "each", reasons
-        return self._calibration.project(scan.points, size), "none", reasons
+        times = depth.stamp_ns if scan.times is None else scan.times  # None = without poses
+        return project_in_time(
+            self._calibration, scan.points, times, poses, image.stamp_ns, size, reused=pair.reused
+        )
 
     def check_last(self, *, idle: bool) -> None:
         """Compare the returns of the last frame with a prediction from its image alone, if due.

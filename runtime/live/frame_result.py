@@ -1,16 +1,14 @@
 """The result of a stream for a frame."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.health.consistency import Consistency
 from runtime.prediction import Prediction
+from runtime.sync.depth_in_time import DepthMotion
 from runtime.sync.stamp import Stamp
-
-DepthMotion = Literal["each", "scan", "none"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """Checks of what a LiDAR pushes, a depth map or a scan, before its image is known."""
 
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,12 +10,6 @@ from runtime.io.calibration import Calibration
 from runtime.preprocess import check_sparse_depth
 from runtime.sync.stamp import NS_PER_MS
 
-#: What instant of a scan its stamp is.
-ScanStamp = Literal["start", "middle", "end"]
-#: Stamp -> how much later the middle of the scan is, in scans.
-MIDDLE_AFTER: dict[ScanStamp, float] = {"start": 0.5, "middle": 0.0, "end": -0.5}
-#: Duration of a scan until the LiDAR's period is known: that of 10 Hz.
-FIRST_SCAN_NS = 100 * NS_PER_MS
 _LONGEST_SCAN_NS = 1_000 * NS_PER_MS
 
 

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.live.payload import FIRST_SCAN_NS, MIDDLE_AFTER, Points, ScanStamp
+from runtime.live.payload import Points
+from runtime.sync.depth_in_time import FIRST_SCAN_NS, MIDDLE_AFTER, ScanStamp
 from runtime.sync.motion import lidar_mount
 from runtime.sync.outcome import Outcome
 from runtime.sync.poses import CAPACITY, PoseBuffer, PoseFrame, PoseTrack, check_pose

@@ -41,13 +41,14 @@ from runtime.live.answerer import Answer, Answerer, FramePredictor
 from runtime.live.clock import MonotonicClock
 from runtime.live.frame_result import FrameResult
 from runtime.live.message_counter import MessageCounter, StreamCounts
-from runtime.live.payload import Points, ScanStamp, check_depth, check_points
+from runtime.live.payload import Points, check_depth, check_points
 from runtime.live.pose_feed import PoseFeed
 from runtime.live.stream_statistics import StatisticsRecorder, StreamStatistics
 from runtime.live.watchdog import Watchdog, WatchdogLimits, WatchdogState
 from runtime.prediction import DEPTH_REUSED
 from runtime.preprocess import check_rgb
 from runtime.process_guard import ProcessGuard
+from runtime.sync.depth_in_time import ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseTrack
 from runtime.sync.stamp import (

@@ -1,0 +1,88 @@
+"""The depth of a picture: its returns at the picture's time, or what is wrong with them."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.io.calibration import Calibration
+from runtime.prediction import DEPTH_REUSED, DEPTH_UNCOMPENSATED
+from runtime.sync.motion import project_moved
+from runtime.sync.poses import NoPoseError, PoseTrack
+from runtime.sync.stamp import NS_PER_MS
+
+DepthMotion = Literal["each", "scan", "none"]
+#: What instant of a scan its stamp is.
+ScanStamp = Literal["start", "middle", "end"]
+#: Stamp -> how much later the middle of the scan is, in scans.
+MIDDLE_AFTER: dict[ScanStamp, float] = {"start": 0.5, "middle": 0.0, "end": -0.5}
+#: Duration of a scan until the LiDAR's period is known: that of 10 Hz.
+FIRST_SCAN_NS = 100 * NS_PER_MS
+
+
+class DepthInTime(NamedTuple):
+    """A sparse depth map.
+
+    Attributes:
+        sparse_depth: float32 (H, W), metres, 0 = no return.
+        motion: "each" where each return was moved by its own time, "scan" where the scan was moved
+            as one, "none" where it is as it was measured.
+        degraded: reasons as of `Prediction.degraded`.
+    """
+
+    sparse_depth: NDArray[np.float32]
+    motion: DepthMotion
+    degraded: tuple[str, ...]
+
+
+def project_in_time(
+    calibration: Calibration,
+    points: NDArray[np.float32],
+    times: NDArray[np.int64] | int,
+    poses: PoseTrack | None,
+    to: int,
+    size: tuple[int, int],
+    *,
+    reused: bool,
+) -> DepthInTime:
+    """Project a scan into a picture, as `project_moved` where there are poses.
+
+    Args:
+        calibration: of camera and LiDAR.
+        points: as of `move_points`.
+        times: as of `move_points`.
+        poses: of the LiDAR; None = of a car without poses.
+        to: nanoseconds, the time of the picture.
+        size: its (height, width).
+        reused: whether it is an older scan than the picture's own.
+
+    Raises:
+        InputError: if the size is not the calibration's, and for invalid arrays.
+    """
+    reasons: tuple[str, ...] = (DEPTH_REUSED,) if reused else ()
+    if poses is not None:
+        try:
+            moved = project_moved(calibration, points, times, poses, to, size)
+            return DepthInTime(moved, "scan" if isinstance(times, int) else "each", reasons)
+        except NoPoseError as error:
+            reasons += (DEPTH_UNCOMPENSATED, error.reason)
+    elif reused:
+        reasons += (DEPTH_UNCOMPENSATED,)
+    return DepthInTime(calibration.project(points, size), "none", reasons)
+
+
+def keep_map(
+    sparse_depth: NDArray[np.float32], *, apart: bool, has_poses: bool, reused: bool
+) -> DepthInTime:
+    """Take a depth map, which cannot be moved.
+
+    Args:
+        sparse_depth: float32 (H, W), metres.
+        apart: whether its stamp is not the picture's.
+        has_poses: whether the car has poses, so that returns ought to be moved.
+        reused: whether it is an older map than the picture's own.
+    """
+    reasons: tuple[str, ...] = (DEPTH_REUSED,) if reused else ()
+    if reused or (has_poses and apart):
+        reasons += (DEPTH_UNCOMPENSATED,)
+    return DepthInTime(sparse_depth, "none", reasons)
