@@ -13,6 +13,7 @@ FORMER_KEYS: Mapping[str, str] = {
     "loss.depth_l1": "the weights are the paper's; see loss.depth_form for another loss",
     "loss.depth_l2": "the weights are the paper's; see loss.depth_form for another loss",
     "loss.depth_ssim": "the weights are the paper's; see loss.depth_form for another loss",
+    "loss.joint_depth_scale": "the depth of Eq. 11 is normalised",
     "data.frequency_samples": "class frequencies are counted in 400 frames",
     "data.augment.scale_depth": "set model.config.canonical_focal_px, by which depth is scaled",
     "data.augment.recorded_share": "it is 0.3 to 0.8",

@@ -85,8 +85,8 @@ class TrainingState:
                 self.step = int(checkpoint.trainer["step"])
             except Exception as error:  # a damaged state can fail in any way
                 raise CheckpointError(
-                    f"{path}: its state of the loop is damaged ({shown(error, 200)}), so it cannot be "
-                    "resumed. Start a new --out with --init and this file."
+                    f"{path}: its state of the loop is damaged ({shown(error, 200)}), so it cannot "
+                    "be resumed. Start a new --out with --init and this file."
                 ) from error
         if len(set(self._processes.gather(self.step))) > 1:
             raise InputError(

@@ -79,22 +79,19 @@ def semantic_boundary_loss(
     return _mean(across, down, doubt.numel() * side)
 
 
-def semantic_depth_loss(
-    disagreement: NeighbourMaps, depth: Tensor, *, depth_scale: float = 1.0, side: int = 1
-) -> Tensor:
+def semantic_depth_loss(disagreement: NeighbourMaps, depth: Tensor, *, side: int = 1) -> Tensor:
     """Eq. 9-11: where neighbours differ in class the depth should step, ().
 
-    `depth` P_d, float (N, 1, H, W), normalised to 0..1. (1/N) sum f_u e^-|s du P_d| +
-    f_v e^-|s dv P_d| with s = `depth_scale`: the printed loss depends on the unit of depth, 1
-    means normalised depth and `max_depth_m` would mean metres. ``side`` as in
+    `depth` P_d, float (N, 1, H, W). (1/N) sum f_u e^-|du P_d| + f_v e^-|dv P_d|: the printed loss
+    depends on the unit of depth; `SSDNetLoss` takes the normalised one, 0..1. ``side`` as in
     `semantic_boundary_loss`.
     """
-    scaled = depth.squeeze(1) * depth_scale
-    step_across = (scaled[..., 1:] - scaled[..., :-1]).abs()
-    step_down = (scaled[..., 1:, :] - scaled[..., :-1, :]).abs()
+    depth = depth.squeeze(1)
+    step_across = (depth[..., 1:] - depth[..., :-1]).abs()
+    step_down = (depth[..., 1:, :] - depth[..., :-1, :]).abs()
     across = disagreement.across * torch.exp(-step_across)
     down = disagreement.down * torch.exp(-step_down)
-    return _mean(across, down, scaled.numel() * side)
+    return _mean(across, down, depth.numel() * side)
 
 
 def _mean(across: Tensor, down: Tensor, pixels: int) -> Tensor:

@@ -135,8 +135,6 @@ class LossConfig:
 
     #: Eq. 7 on probabilities, or as printed on arg-max labels (no gradient to the semantic head).
     disagreement: Literal["soft", "hard"] = "soft"
-    #: Eq. 11's unit of depth: 1 = normalised.
-    joint_depth_scale: float = 1.0
 
     @property
     def weighs_classes(self) -> bool:
@@ -209,11 +207,13 @@ class SSDNetLoss(nn.Module):
         self.target_depth_m = target_depth_m or max_depth_m
         self.register_buffer("class_weights", class_weights, persistent=False)
         # A likelihood may be negative, and its best weight would then be infinite.
-        learned = [name for name in TERMS if config.weight(name) and name != "depth_uncertainty"]
-        if config.weighting == "fixed":
-            learned = []
+        learned = set(TERMS) - {"depth_uncertainty"} if config.weighting == "uncertainty" else ()
         self.log_variances = nn.ParameterDict(
-            {name: nn.Parameter(torch.zeros(())) for name in learned}
+            {
+                name: nn.Parameter(torch.zeros(()))
+                for name in TERMS
+                if name in learned and config.weight(name)
+            }
         )
 
     def forward(self, output: NetworkOutput, batch: Batch) -> dict[str, Tensor]:
@@ -289,17 +289,16 @@ class SSDNetLoss(nn.Module):
         config = self.config
         if output.depths is None or not (config.depth_weight or config.depth_uncertainty_weight):
             return {}
-        criterion: DepthCriterion
+        farthest = self.target_depth_m / self.max_depth_m
+        criterion: DepthCriterion = paper_depth_loss
         if config.depth_form == "metric":
             criterion = partial(
                 metric_depth_loss,
                 max_depth_m=self.max_depth_m,
                 l2=config.metric_l2,
                 log=config.metric_log,
-                farthest=self.target_depth_m / self.max_depth_m,
+                farthest=farthest,
             )
-        else:
-            criterion = paper_depth_loss
         scales = output.depths if config.depth_scales == "mean" else output.depths[:1]
         target, valid = normalise_depth(depth, self.max_depth_m, self.target_depth_m)
         terms = {}
@@ -311,7 +310,7 @@ class SSDNetLoss(nn.Module):
                 output.depths[0].float(),
                 target,
                 # The sky, at the far end, is no measurement.
-                valid & (target < self.target_depth_m / self.max_depth_m),
+                valid & (target < farthest),
                 max_depth_m=self.max_depth_m,
             )
         return terms
@@ -322,15 +321,13 @@ class SSDNetLoss(nn.Module):
         config = self.config
         terms: dict[str, Tensor] = {}
         if config.depth_consistency_weight and output.depths is not None:
-            first, second = output.depths[0].float().chunk(2)
-            terms["depth_consistency"] = depth_consistency_loss(first, second, pair)
+            views = output.depths[0].float().chunk(2)
+            terms["depth_consistency"] = depth_consistency_loss(*views, pair)
         if config.semantic_consistency_weight and output.semantic_logits is not None:
             logits = output.semantic_logits.float()
             side = cell_side(size, (logits.shape[-2], logits.shape[-1]))
-            first, second = logits.chunk(2)
-            terms["semantic_consistency"] = semantic_consistency_loss(
-                first, second, pair, side=side
-            )
+            loss = semantic_consistency_loss(*logits.chunk(2), pair, side=side)
+            terms["semantic_consistency"] = loss
         return terms
 
     def _road_terms(self, output: NetworkOutput, road_mask: Tensor | None) -> dict[str, Tensor]:
@@ -351,19 +348,7 @@ class SSDNetLoss(nn.Module):
         alone = config.semantic_weight or config.semantic_iou_weight or config.lovasz_weight
         if not (alone or joint):
             return {}
-        weights = self.class_weights
-        if weights is None:
-            weights = torch.ones(logits.shape[1], device=logits.device)
-        form = config.disagreement if joint else None
-        classes = _class_maps(
-            logits,
-            semantic,
-            weights,
-            semantic_weight,
-            form,
-            with_overlap=bool(config.semantic_iou_weight),
-            with_lovasz=bool(config.lovasz_weight),
-        )
+        classes = self._class_maps(logits, semantic, semantic_weight, joint=joint)
         terms = {}
         if classes.overlap is not None:
             terms["semantic_iou"] = soft_iou_loss(classes.overlap)
@@ -380,13 +365,52 @@ class SSDNetLoss(nn.Module):
             boundary = _on_grid(torch.sigmoid(boundary_logits.float()), grid)
             terms["semantic_boundary"] = semantic_boundary_loss(disagreement, boundary, side=side)
         if with_depth and output.depths is not None:
-            terms["semantic_depth"] = semantic_depth_loss(
-                disagreement,
-                _on_grid(output.depths[0].float(), grid),
-                depth_scale=config.joint_depth_scale,
-                side=side,
-            )
+            depth = _on_grid(output.depths[0].float(), grid)
+            terms["semantic_depth"] = semantic_depth_loss(disagreement, depth, side=side)
         return terms
+
+    def _class_maps(
+        self, logits: Tensor, semantic: Tensor, sample_weight: Tensor | None, *, joint: bool
+    ) -> "_ClassMaps":
+        """Compute what needs all classes of a pixel; ``joint``: for the joint terms, too.
+
+        Sample by sample: the class maps of a whole batch do not fit the cache, which takes a third
+        more time on a CPU.
+        """
+        config, weights = self.config, self.class_weights
+        count, grid = logits.shape[1], (logits.shape[-2], logits.shape[-1])
+        if weights is None:
+            weights = torch.ones(count, device=logits.device)
+        soft = joint and config.disagreement == "soft"
+        cross_entropy, known, overlaps, lovasz, disagreements = [], [], [], [], []
+        # Unbound, not sliced: the gradient of each slice would be as large as the whole batch.
+        for index, (sample, label) in enumerate(
+            zip(logits.unbind(0), semantic.unbind(0), strict=True)
+        ):
+            log_probabilities = F.log_softmax(sample[None].float(), dim=1)
+            shares = class_shares(label[None], count, grid)
+            cross_entropy.append(cross_entropy_sums(log_probabilities, shares, weights))
+            known.append(shares.sum())
+            if config.semantic_iou_weight or config.lovasz_weight or soft:
+                probabilities = log_probabilities.exp()
+            if config.semantic_iou_weight:
+                share = None if sample_weight is None else sample_weight[index : index + 1]
+                overlaps.append(soft_overlap(probabilities, shares, share))
+            if config.lovasz_weight:
+                lovasz.append(lovasz_softmax_loss(_over_pixels(probabilities[0], label), label))
+            if soft:
+                disagreements.append(soft_disagreement(probabilities))
+            elif joint:
+                disagreements.append(hard_disagreement(log_probabilities.argmax(dim=1)))
+        return _ClassMaps(
+            cross_entropy=torch.cat(cross_entropy),
+            known=torch.stack(known).sum(),
+            overlap=torch.stack(overlaps).sum(dim=0) if overlaps else None,
+            lovasz=torch.stack(lovasz) if lovasz else None,
+            disagreement=NeighbourMaps(*map(torch.cat, zip(*disagreements, strict=True)))
+            if disagreements
+            else None,
+        )
 
 
 def _on_grid(x: Tensor, grid: tuple[int, int]) -> Tensor:
@@ -418,53 +442,6 @@ class _ClassMaps(NamedTuple):
     lovasz: Tensor | None
     #: Eq. 7 on the grid of the logits.
     disagreement: NeighbourMaps | None
-
-
-def _class_maps(
-    logits: Tensor,
-    semantic: Tensor,
-    weights: Tensor,
-    sample_weight: Tensor | None,
-    form: Literal["soft", "hard"] | None,
-    *,
-    with_overlap: bool,
-    with_lovasz: bool,
-) -> _ClassMaps:
-    """Compute the terms that need all classes of a pixel.
-
-    Sample by sample: the class maps of a whole batch do not fit the cache, which takes a third more
-    time on a CPU.
-    """
-    count, grid = logits.shape[1], (logits.shape[-2], logits.shape[-1])
-    cross_entropy, known, overlaps, lovasz, disagreements = [], [], [], [], []
-    # Unbound, not sliced: the gradient of each slice would be as large as the whole batch.
-    for index, (sample, label) in enumerate(zip(logits.unbind(0), semantic.unbind(0), strict=True)):
-        log_probabilities = F.log_softmax(sample[None].float(), dim=1)
-        shares = class_shares(label[None], count, grid)
-        cross_entropy.append(cross_entropy_sums(log_probabilities, shares, weights))
-        known.append(shares.sum())
-        soft = with_overlap or with_lovasz or form == "soft"
-        probabilities = log_probabilities.exp() if soft else None
-        if with_overlap and probabilities is not None:
-            share = None if sample_weight is None else sample_weight[index : index + 1]
-            overlaps.append(soft_overlap(probabilities, shares, share))
-        if with_lovasz and probabilities is not None:
-            lovasz.append(lovasz_softmax_loss(_over_pixels(probabilities[0], label), label))
-        if form == "soft" and probabilities is not None:
-            disagreements.append(soft_disagreement(probabilities))
-        elif form == "hard":
-            disagreements.append(hard_disagreement(log_probabilities.argmax(dim=1)))
-    disagreement = None
-    if disagreements:
-        across, down = zip(*disagreements, strict=True)
-        disagreement = NeighbourMaps(torch.cat(across), torch.cat(down))
-    return _ClassMaps(
-        cross_entropy=torch.cat(cross_entropy),
-        known=torch.stack(known).sum(),
-        overlap=torch.stack(overlaps).sum(dim=0) if overlaps else None,
-        lovasz=torch.stack(lovasz) if lovasz else None,
-        disagreement=disagreement,
-    )
 
 
 def _over_pixels(cells: Tensor, semantic: Tensor) -> Tensor:

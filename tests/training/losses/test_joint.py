@@ -54,7 +54,7 @@ def test_joint_losses_equal_loops(soft):
         probabilities.numpy(), boundary.numpy(), depth.numpy(), 7.0, soft=soft
     )
     assert semantic_boundary_loss(maps, boundary).item() == pytest.approx(expected[0], rel=1e-6)
-    ours = semantic_depth_loss(maps, depth, depth_scale=7.0).item()
+    ours = semantic_depth_loss(maps, 7.0 * depth).item()
     assert ours == pytest.approx(expected[1], rel=1e-6)
 
 
@@ -74,7 +74,7 @@ def test_joint_losses_by_hand():
     depth = torch.tensor([0.1, 0.6]).view(1, 1, 1, 2)
     assert semantic_boundary_loss(maps, boundary).item() == pytest.approx(math.exp(-1) / 2)
     assert semantic_depth_loss(maps, depth).item() == pytest.approx(math.exp(-0.5) / 2)
-    scaled = semantic_depth_loss(maps, depth, depth_scale=100.0).item()
+    scaled = semantic_depth_loss(maps, 100.0 * depth).item()
     assert scaled == pytest.approx(math.exp(-50) / 2, rel=1e-4)
 
 

@@ -91,7 +91,6 @@ def test_total_is_the_weighted_sum_of_the_families():
         boundary_weight=3.0,
         semantic_boundary_weight=0.7,
         semantic_depth_weight=0.3,
-        joint_depth_scale=20.0,
     )
     terms = Loss(config, weights, max_depth_m=100.0)(
         answer(parts), semantic, depth, semantic_weight=sample_weight
@@ -120,9 +119,7 @@ def test_total_is_the_weighted_sum_of_the_families():
             parts["boundary"], target, valid, sample_weight=sample_weight
         ),
         "semantic_boundary": semantic_boundary_loss(maps, torch.sigmoid(parts["boundary"])),
-        "semantic_depth": semantic_depth_loss(
-            maps, torch.sigmoid(parts["depth"]), depth_scale=20.0
-        ),
+        "semantic_depth": semantic_depth_loss(maps, torch.sigmoid(parts["depth"])),
     }
     assert set(terms) == {*expected, "total"}
     for name, value in expected.items():
@@ -374,7 +371,7 @@ def test_semantic_logits_may_stay_on_their_own_grid():
     coarse = leaves(size=(8, 12))["semantic"]
     semantic, depth = targets()
     semantic[0, :3, 5:] = 255
-    config = LossConfig(semantic_iou_weight=1.0, lovasz_weight=1.0, joint_depth_scale=50.0)
+    config = LossConfig(semantic_iou_weight=1.0, lovasz_weight=1.0)
     criterion = Loss(config, max_depth_m=100.0)
     repeated = coarse.detach().repeat_interleave(2, dim=2).repeat_interleave(2, dim=3)
     output = answer(parts)
@@ -397,10 +394,10 @@ def test_semantic_logits_may_stay_on_their_own_grid():
     assert expected.item() == pytest.approx(
         semantic_boundary_loss(maps, pooled[0]).item() / 2, rel=1e-5
     )
-    expected = semantic_depth_loss(maps, pooled[1], depth_scale=50.0, side=2)
+    expected = semantic_depth_loss(maps, pooled[1], side=2)
     assert on_grid["semantic_depth"].item() == pytest.approx(expected.item(), rel=1e-5)
     assert expected.item() == pytest.approx(
-        semantic_depth_loss(maps, pooled[1], depth_scale=50.0).item() / 2, rel=1e-5
+        semantic_depth_loss(maps, pooled[1]).item() / 2, rel=1e-5
     )
 
 
