@@ -34,7 +34,7 @@ class NetworkInput:
         frame_size: (height, width) of the frame.
         cleaned: depth pixels of the frame that were changed.
         depth_returns: number of depth pixels of the frame that are left.
-        degraded: reasons why the answer is worth less than usual.
+        degraded: reasons why the answer is less reliable than usual.
         scale: from metres to the network's depth.
     """
 
@@ -95,7 +95,7 @@ def preprocess(
         fed = cv2.countNonZero(sparse_depth)
     if scale.factor != 1:
         sparse_depth = sparse_depth * np.float32(scale.factor)
-        # Rounding must not lift the farthest return out of the range.
+        # Rounding must not move the farthest return out of the range.
         np.minimum(sparse_depth, np.float32(max_depth_m), out=sparse_depth)
     degraded = []
     if returns == 0:
