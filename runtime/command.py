@@ -104,7 +104,7 @@ def _handle(handler: Callable[[int, FrameType | None], None]) -> dict[signal.Sig
 def reported_errors(extras: str) -> Iterator[None]:
     """Turn an exception of the block into a line on stderr and an exit code.
 
-    SSDNetError is exit code 1; ImportError, too, with `import_remedy` of `extras`.
+    SSDNetError and, with `import_remedy` of `extras`, ImportError are exit code 1.
     KeyboardInterrupt is exit code 130 without a line.
     """
     try:

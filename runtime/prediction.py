@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from runtime.contract import Contract
     from runtime.point_cloud import PointCloud
 
-# Reasons in Prediction.degraded. The answer is usable, but worth less than usual:
+# Reasons in Prediction.degraded. The answer is usable, but less reliable than usual:
 NO_DEPTH = "no_depth"  # not one usable return: the answer comes from the camera alone
 SPARSE_DEPTH_LOW = "sparse_depth_low"  # in too few places, see `preprocess.covers_little`
 IMAGE_CONSTANT = "image_constant"  # all pixels are equal: a covered or dead camera
@@ -46,7 +46,7 @@ class Cleaned:
     nan: int = 0
     infinite: int = 0
     negative: int = 0
-    too_far: int = 0  # beyond the range: clipped to it; beyond 250 m, too: none
+    too_far: int = 0  # beyond the range: clipped to it; also beyond 250 m: none
 
     @property
     def total(self) -> int:
@@ -66,7 +66,7 @@ class Prediction:
         latency: of the stages.
         valid: False when an output holds NaN, Inf, an unknown class or a value out of its range;
             `degraded` names it.
-        degraded: reasons why the answer is worth less than usual; () in the normal case.
+        degraded: reasons why the answer is less reliable than usual; () in the normal case.
         cleaned: depth pixels that were treated as no measurement.
         depth_returns: number of depth pixels used.
         stamp: as given to `predict`.
@@ -135,7 +135,7 @@ class Prediction:
         Returns:
             uint8 (H', W', 3), RGB: panels of image and heads over a legend, shrunk by a whole
             number where the frame is large, see `runtime.drawing.overlay.Overlay`. Answers with
-            `valid` False are drawn, too.
+            `valid` False are also drawn.
 
         Raises:
             InputError: for an image that is not the frame's, and where `contract` is None.

@@ -34,7 +34,7 @@ class NetworkInput:
         frame_size: (height, width) of the frame.
         cleaned: depth pixels of the frame that were changed.
         depth_returns: number of depth pixels of the frame that are left.
-        degraded: reasons why the answer is worth less than usual.
+        degraded: reasons why the answer is less reliable than usual.
         scale: from metres to the network's depth.
     """
 
@@ -95,7 +95,7 @@ def preprocess(
         fed = cv2.countNonZero(sparse_depth)
     if scale.factor != 1:
         sparse_depth = sparse_depth * np.float32(scale.factor)
-        # Rounding must not lift the farthest return out of the range.
+        # Rounding must not move the farthest return out of the range.
         np.minimum(sparse_depth, np.float32(max_depth_m), out=sparse_depth)
     degraded = []
     if returns == 0:
@@ -111,12 +111,7 @@ def preprocess(
 
 def check_rgb(rgb: Any) -> NDArray[np.uint8]:
     """Return `rgb`, contiguous; InputError unless it is uint8 (H, W, 3), each side >= MIN_SIDE."""
-    if isinstance(rgb, np.ma.MaskedArray):
-        raise InputError("rgb must be a plain numpy array, got a masked one: use rgb.filled(0)")
-    if not isinstance(rgb, np.ndarray):
-        raise InputError(
-            f"rgb must be a numpy array, got {type(rgb).__name__}: use np.asarray(rgb)"
-        )
+    _check_plain("rgb", rgb)
     if rgb.ndim != 3 or rgb.shape[2] != 3:
         hint = ""
         if rgb.ndim == 2 or (rgb.ndim == 3 and rgb.shape[2] == 1):
@@ -138,13 +133,7 @@ def check_rgb(rgb: Any) -> NDArray[np.uint8]:
 
 def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[np.float32]:
     """Return `sparse_depth`, contiguous; InputError unless it is float32 (H, W) of `size`."""
-    if isinstance(sparse_depth, np.ma.MaskedArray):
-        raise InputError(
-            "sparse_depth must be a plain numpy array, got a masked one: 0 = no "
-            "measurement, use sparse_depth.filled(0)"
-        )
-    if not isinstance(sparse_depth, np.ndarray):
-        raise InputError(f"sparse_depth must be a numpy array, got {type(sparse_depth).__name__}")
+    _check_plain("sparse_depth", sparse_depth)
     if sparse_depth.dtype != np.float32:
         if sparse_depth.dtype.kind in "iu":
             hint = (
@@ -159,6 +148,18 @@ def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[n
             f"sparse_depth must have the shape (H, W) of rgb, {size}, got {sparse_depth.shape}"
         )
     return np.ascontiguousarray(sparse_depth)
+
+
+def _check_plain(name: str, array: Any) -> None:
+    """Raise InputError unless an input is an array without a mask."""
+    if isinstance(array, np.ma.MaskedArray):
+        raise InputError(
+            f"{name} must be a plain numpy array, got a masked one: use {name}.filled(0)"
+        )
+    if not isinstance(array, np.ndarray):
+        raise InputError(
+            f"{name} must be a numpy array, got {type(array).__name__}: use np.asarray({name})"
+        )
 
 
 def clean_sparse_depth(

@@ -122,7 +122,7 @@ def project_with_rows(
     *,
     occlusion: OcclusionFilter | None = None,
 ) -> ProjectedPoints:
-    """Project as `project_points`, and return the point of each pixel, too; of equals the first."""
+    """Project as `project_points`, and also return the point of each pixel; ties keep the first."""
     _check_points(points)
     check_intrinsics(intrinsics)
     _check_matrix("extrinsics", extrinsics, 4)

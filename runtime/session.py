@@ -67,7 +67,7 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
     except Exception as error:
         if provider == "cpu":
             raise _unloadable(error) from error
-        # A damaged file fails on the CPU, too, which raises the right error.
+        # A damaged file also fails on the CPU, which raises the right error.
         open_session(model, provider="cpu", device_id=0, threads=threads)
         raise ProviderError(
             f"provider {provider!r} could not be started ({error}) {printed}: {_GPU_NEEDS}"
@@ -77,7 +77,7 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
 
 
 def explain(error: Exception) -> str:
-    """Return the text of an error of ONNX Runtime or NumPy; running out of memory is said so."""
+    """Return the text of an error of ONNX Runtime or NumPy, with a remedy where memory ran out."""
     if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
         return f"out of memory, choose a smaller size or fewer frames ({error})"
     return str(error)

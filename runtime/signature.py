@@ -79,12 +79,11 @@ def _read(session: Any, num_classes: int) -> Signature:
     if (height is None) != (width is None):
         raise _foreign("height and width both fixed or both free", f"{inputs['rgb'].shape}")
     free_batch = not any(isinstance(tensor.shape[0], int) for tensor in inputs.values())
-    if height is None or width is None:
-        return Signature(size=None, heads=names, free_batch=free_batch)
     try:
-        return Signature(size=check_size((height, width)), heads=names, free_batch=free_batch)
+        size = None if height is None else check_size((height, width))
     except ValueError as error:
         raise _foreign("inputs of the size of images", str(error)) from error
+    return Signature(size, names, free_batch)
 
 
 def check_outputs(

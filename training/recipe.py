@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
 from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from runtime.checks import shown
 from runtime.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
 from runtime.errors import InputError
 from runtime.read_input import read_toml
@@ -415,7 +416,7 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
     place = error["loc"]
     key = _join(place)
     value, context = error["input"], error.get("ctx", {})
-    shown = repr(value) if len(repr(value)) <= 200 else f"{value!r:.200}..."
+    text = shown(value, 200)
     match error["type"]:
         case "unexpected_keyword_argument" if (former := _without_indices(place)) in FORMER_KEYS:
             return f"{key} is no key any more: {FORMER_KEYS[former]}."
@@ -423,7 +424,7 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
             known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
             return f"unknown key {key}; known here: {known}. Correct its name."
         case "missing" if isinstance(place[-1], int):
-            return f"{_join(place[:-1])} = {shown} has too few values."
+            return f"{_join(place[:-1])} = {text} has too few values."
         case "missing":
             return f"missing key {key}."
         case "union_tag_not_found":
@@ -434,13 +435,13 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
                 return f"{key + '.' * bool(key)}kind = {tag!r} is written {right!r}."
             return f"{key + '.' * bool(key)}kind = {tag!r}; choose one of {known}."
         case "literal_error":
-            return f"{key} = {shown}; choose one of {context['expected']}."
+            return f"{key} = {text}; choose one of {context['expected']}."
         case "value_error" if isinstance(value, dict):  # of a table; its text starts with the key
             return f"{key + '.' * bool(key)}{context['error']}."
         case "value_error":
-            return f"{key} = {shown}: {context['error']}."
+            return f"{key} = {text}: {context['error']}."
         case _:
-            return f"{key} = {shown}: {error['msg'].lower()}."
+            return f"{key} = {text}: {error['msg'].lower()}."
 
 
 def _without_indices(place: Sequence[str | int]) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
 from training.loop import train
@@ -56,7 +57,7 @@ def _name_stages(tables: object) -> list[tuple[str, dict[str, Any]]]:
     for index, (name, changed) in enumerate(stages):
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise InputError(
-                f"stage[{index}].name = {name!r:.80}; expected small letters, digits and hyphens."
+                f"stage[{index}].name = {shown(name)}; expected small letters, digits and hyphens."
             )
         if name in [other for other, _ in stages[:index]]:
             raise InputError(f"stage[{index}].name = {name!r}: another stage has this name.")

@@ -22,8 +22,8 @@ class ColorScale:
     Attributes:
         title: of the colour bar.
         unit: of the values.
-        low: value of the first colour; smaller values have it, too.
-        high: value of the last colour; larger values have it, too.
+        low: value of the first colour, which smaller values also have.
+        high: value of the last colour, which larger values also have.
         color_map: one of OpenCV's.
         bright_low: whether the map's last and brightest colour is that of `low`.
     """

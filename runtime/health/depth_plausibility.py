@@ -85,7 +85,7 @@ class DepthPlausibility:
         self._figures.append((float(np.median(measured - seen)), overall, alike, alike_mirrored))
 
     def finding(self) -> Implausible | None:
-        """What is wrong by the last frames; None = nothing, or it cannot be told."""
+        """What is wrong by the last frames; None = nothing, or it is not certain."""
         if not self._figures:
             return None
         log_ratio, overall, alike, mirrored = np.median(self._figures, axis=0)
@@ -129,7 +129,7 @@ def correlations(
 
 
 def _correlation(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """Pearson's; 0 where one of both is constant."""
+    """Pearson's; 0 where one of the two is constant."""
     first, second = first - first.mean(), second - second.mean()
     spread = float(np.sqrt((first @ first) * (second @ second)))
     return float(first @ second) / spread if spread > 1e-6 else 0.0

@@ -177,7 +177,7 @@ def _open(temporary: Path) -> int:
 
 
 def _lock(handle: int) -> bool:
-    """Whether this process holds the lock now; True, too, where the file system has none."""
+    """Whether this process holds the lock now; also True where the file system has no locks."""
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -217,7 +217,7 @@ def _remove(path: Path) -> None:
 
 
 def _require_replaceable(path: Path) -> None:
-    """Raise OutputError for a device, a pipe and the like, which root could replace by a file."""
+    """Raise OutputError for a device, a pipe and the like, which root could replace with a file."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:

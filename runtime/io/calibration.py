@@ -90,7 +90,7 @@ class Calibration:
 
         Args:
             path: TOML file, or KITTI's file or folder.
-            camera: whose images, 0 to 3; of KITTI's alone.
+            camera: whose images, 0 to 3; for KITTI only.
 
         Raises:
             InputError: if the calibration cannot be read.

@@ -4,6 +4,7 @@ Encoding shares the processor with inference, so the settings are the cheapest o
 """
 
 from collections.abc import Callable
+from itertools import chain
 from typing import Any
 
 import cv2
@@ -14,20 +15,11 @@ from runtime.heads import Encoding
 
 METRES_PNG_SCALE = 256  # units of a 16-bit PNG per metre, as KITTI has it
 METRES_PNG_MAX_M = 65535 / METRES_PNG_SCALE
-_PNG_RUNS = (
-    cv2.IMWRITE_PNG_COMPRESSION,
-    1,
-    cv2.IMWRITE_PNG_STRATEGY,
-    cv2.IMWRITE_PNG_STRATEGY_RLE,
-    cv2.IMWRITE_PNG_FILTER,
-    cv2.IMWRITE_PNG_FILTER_NONE,
-)
-_PNG_STORED = (
-    cv2.IMWRITE_PNG_COMPRESSION,
-    0,
-    cv2.IMWRITE_PNG_FILTER,
-    cv2.IMWRITE_PNG_FILTER_NONE,
-)
+_PNG_STORED = {cv2.IMWRITE_PNG_COMPRESSION: 0, cv2.IMWRITE_PNG_FILTER: cv2.IMWRITE_PNG_FILTER_NONE}
+_PNG_RUNS = _PNG_STORED | {
+    cv2.IMWRITE_PNG_COMPRESSION: 1,
+    cv2.IMWRITE_PNG_STRATEGY: cv2.IMWRITE_PNG_STRATEGY_RLE,
+}
 
 
 def encode_ids(ids: NDArray[np.uint8]) -> memoryview:
@@ -48,7 +40,7 @@ def encode_probability(probability: NDArray[np.float32]) -> memoryview:
 
 def encode_png(picture: NDArray[np.uint8]) -> memoryview:
     """Encode a picture (H, W, 3), blue first, as a PNG."""
-    return _encode(".png", picture, ())
+    return _encode(".png", picture, {})
 
 
 def encode_jpeg(picture: NDArray[np.uint8], *, quality: int = 85) -> memoryview:
@@ -57,7 +49,7 @@ def encode_jpeg(picture: NDArray[np.uint8], *, quality: int = 85) -> memoryview:
     Raises:
         ValueError: if a side is too long for the format.
     """
-    return _encode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, quality))
+    return _encode(".jpg", picture, {cv2.IMWRITE_JPEG_QUALITY: quality})
 
 
 #: Encoding of a head -> function that encodes its array as the content of a file.
@@ -68,8 +60,8 @@ ENCODERS: dict[Encoding, Callable[[NDArray[Any]], memoryview]] = {
 }
 
 
-def _encode(suffix: str, image: Any, parameters: tuple[int, ...]) -> memoryview:
-    done, content = cv2.imencode(suffix, image, parameters)
+def _encode(suffix: str, image: Any, parameters: dict[int, int]) -> memoryview:
+    done, content = cv2.imencode(suffix, image, list(chain(*parameters.items())))
     if not done:
         raise ValueError(f"{image.shape[0]} x {image.shape[1]} is too large for {suffix}")
     return content.ravel().data

@@ -53,7 +53,7 @@ class _Header(NamedTuple):
 
 
 def read_scan(path: Path, *, columns: int | None = None) -> NDArray[np.float32]:
-    """Read a scan, in the format that the ending of its name says.
+    """Read a scan; the ending of its name decides on the format.
 
     Args:
         path: .pcd or .ply with the float fields x, y and z; .npy of floats (N, 3) or wider; any
@@ -104,8 +104,8 @@ def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
     remedy = f": give --point-columns {' or '.join(others)}" if others else ""
     if fits:
         raise ValueError(
-            f"its points jump about if each has {columns} float32, and lie in the order of a "
-            f"scanner if it has {' or '.join(others)}{remedy}"
+            f"its points are not in the order of a scanner if each has {columns} float32, but they "
+            f"are if each has {' or '.join(others)}{remedy}"
         )
     raise ValueError(
         f"its {len(content)} bytes are not points of {columns} float32: it is truncated, of "
@@ -199,7 +199,7 @@ def _parse_ply(lines: list[list[str]]) -> _Header:
 
 
 def _count(text: str) -> int:
-    """A number of a header; int() takes underscores, too."""
+    """A number of a header; int() also takes underscores."""
     if not re.fullmatch("-?[0-9]+", text):
         raise ValueError(f"invalid literal for a count: {shown(text)}")
     return int(text)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.live.payload import Points
@@ -32,7 +33,7 @@ class PoseFeed:
     def __init__(self, pose_frame: Any, scan_stamp: Any, calibration: Calibration | None) -> None:
         if scan_stamp not in MIDDLE_AFTER:
             raise InputError(
-                f"scan_stamp must be one of {', '.join(MIDDLE_AFTER)}, got {scan_stamp!r:.40}"
+                f"scan_stamp must be one of {', '.join(MIDDLE_AFTER)}, got {shown(scan_stamp)}"
             )
         self._scan_stamp: ScanStamp = scan_stamp
         self.buffer = PoseBuffer()
@@ -41,7 +42,8 @@ class PoseFeed:
             frames = [str(each) for each in PoseFrame]
             if pose_frame not in frames:
                 raise InputError(
-                    f"pose_frame must be one of {', '.join(frames)} or None, got {pose_frame!r:.40}"
+                    f"pose_frame must be one of {', '.join(frames)} or None, got "
+                    f"{shown(pose_frame)}"
                 )
             if calibration is None:
                 raise InputError("pose_frame needs a calibration: give calibration=")

@@ -30,11 +30,13 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import check_number, shown
 from runtime.errors import InferenceError, InputError, SSDNetError
 from runtime.io.calibration import Calibration
 from runtime.live.answerer import Answer, Answerer, FramePredictor
@@ -65,7 +67,7 @@ _READY = 2  # replay: pairs that wait for their prediction
 _RESULTS = 8  # replay: results that wait to be fetched
 _SILENT_NS = 2_000 * NS_PER_MS  # replay: without any push, until the other sensor counts as absent
 _EXIT_S = 10.0  # the interpreter's exit waits so long for a prediction
-_LONGEST_MS = 1e9
+_check_ms = partial(check_number, most=1e9, unit="milliseconds", error=InputError)
 _FAR_NS = 2**63  # before all stamps
 
 
@@ -149,7 +151,7 @@ class PushStream:
         clock: MonotonicClock | None = None,
     ) -> None:
         if mode not in ("live", "replay"):
-            raise InputError(f'mode must be "live" or "replay", got {mode!r:.40}')
+            raise InputError(f'mode must be "live" or "replay", got {shown(mode)}')
         _check_type("calibration", calibration, Calibration)
         _check_type("watchdog", watchdog, WatchdogLimits)
         _check_type("on_result", on_result, Callable)
@@ -158,7 +160,7 @@ class PushStream:
         _check_type("sensor_clock", sensor_clock, Callable)
         self.mode = mode
         self.deadline_ms = (
-            None if deadline_ms is None else _check_ms("deadline_ms", deadline_ms, least=1e-6)
+            None if deadline_ms is None else _check_ms("deadline_ms", deadline_ms, 1e-6)
         )
         self._calibration = calibration
         # The worker's alone.
@@ -172,10 +174,10 @@ class PushStream:
         self._changed, self._answered = threading.Condition(lock), threading.Condition(lock)
         self._synchronizer = Synchronizer(
             live=self._live,
-            max_skew_ns=round(_check_ms("max_skew_ms", max_skew_ms) * NS_PER_MS),
-            max_wait_ns=round(_check_ms("max_wait_ms", max_wait_ms) * NS_PER_MS),
+            max_skew_ns=round(_check_ms("max_skew_ms", max_skew_ms, 0) * NS_PER_MS),
+            max_wait_ns=round(_check_ms("max_wait_ms", max_wait_ms, 0) * NS_PER_MS),
             capacity=_WAITING,
-            reuse_ns=round(_check_ms("reuse_depth_ms", reuse_depth_ms) * NS_PER_MS),
+            reuse_ns=round(_check_ms("reuse_depth_ms", reuse_depth_ms, 0) * NS_PER_MS),
         )
         self._poses = PoseFeed(pose_frame, scan_stamp, calibration)
         if self._poses.expected and not self._live:
@@ -297,8 +299,8 @@ class PushStream:
                 self._counter.record(sensor, Outcome.CLOSED)
                 if self._failure is not None:
                     raise InferenceError(
-                        f"the stream was ended by {self._failure!r:.200}: close it and make a new "
-                        "one"
+                        f"the stream was ended by {shown(self._failure, 200)}: close it and make "
+                        "a new one"
                     ) from self._failure
                 return
             now_ns = self._moved_ns = self._clock.now_ns()
@@ -628,16 +630,4 @@ def _end_worker(
 
 def _check_type(name: str, value: Any, kind: Any) -> None:
     if value is not None and not isinstance(value, kind):
-        raise InputError(
-            f"{name} must be a {kind.__name__} or None, got {type(value).__name__} {value!r:.40}"
-        )
-
-
-def _check_ms(name: str, value: Any, *, least: float = 0.0) -> float:
-    number = value if isinstance(value, int | float | np.number) else None
-    if isinstance(value, bool) or number is None or not least <= number <= _LONGEST_MS:
-        raise InputError(
-            f"{name} must be a number of milliseconds from {least:g} to {_LONGEST_MS:g}, got "
-            f"{value!r:.40}"
-        )
-    return float(number)
+        raise InputError(f"{name} must be a {kind.__name__} or None, got {shown(value)}")

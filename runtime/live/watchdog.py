@@ -1,8 +1,10 @@
 """The state of a stream, OK, WARN or ERROR, with its reasons."""
 
+import math
 from dataclasses import dataclass, fields
 from enum import StrEnum
 
+from runtime.checks import check_number, shown
 from runtime.errors import InputError
 from runtime.sync.stamp import NS_PER_MS
 
@@ -44,11 +46,12 @@ class WatchdogLimits:
         """Check the limits."""
         for field in fields(self):
             pair = getattr(self, field.name)
-            if not isinstance(pair, tuple) or len(pair) != 2 or not all(map(_is_limit, pair)):
-                raise InputError(
-                    f"{field.name} must be a pair (warn, error) of positive numbers or None, got "
-                    f"{pair!r:.60}"
-                )
+            expected = f"{field.name} must be a pair (warn, error) of numbers or None"
+            if not isinstance(pair, tuple) or len(pair) != 2:
+                raise InputError(f"{expected}, got {shown(pair)}")
+            for limit in pair:
+                if limit is not None:
+                    check_number(f"{expected}: each", limit, 1e-6, math.inf, error=InputError)
 
 
 @dataclass(frozen=True)
@@ -122,9 +125,3 @@ class Watchdog:
 
     def _count(self, name: str, wrong: bool) -> None:
         self._runs[name] = self._runs[name] + 1 if wrong else 0
-
-
-def _is_limit(limit: object) -> bool:
-    if limit is None:
-        return True
-    return isinstance(limit, int | float) and not isinstance(limit, bool) and limit > 0

@@ -18,7 +18,7 @@ SAVED_HEADS = {
     for head in HEADS.values()
     if head.encoding is not None
 }
-#: Kind of a frame's file, which is its subfolder, too -> suffix.
+#: Kind of a frame's file, also the name of its subfolder -> suffix.
 SUFFIXES = {**dict.fromkeys(SAVED_HEADS, ".png"), OVERLAY: ".jpg", CLOUD: ".ply"}
 #: What is written unless something else is asked for; the others are large.
 KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)

@@ -1,4 +1,4 @@
-"""Frames in the layout of KITTI's object data (Geiger et al. 2012), as of View-of-Delft, too."""
+"""Frames in the layout of KITTI's object data (Geiger et al. 2012), which View-of-Delft shares."""
 
 import os
 from pathlib import Path

@@ -12,7 +12,7 @@ from runtime.sources.folders import FolderSource, list_entries
 
 _IMAGES = ("image", "rgb", "color")
 _MAPS = ("depth", "sparse_depth")
-_SCANS = ("points", "velodyne", "lidar")  # hold depth maps, too, as in KITTI's depth selection
+_SCANS = ("points", "velodyne", "lidar")  # may also hold depth maps, as in KITTI's depth selection
 _JPEG = (".jpg", ".jpeg")
 _FILES_OF_SCANS = tuple(suffix for suffix in SCAN_SUFFIXES if suffix not in DEPTH_SUFFIXES)
 _IMAGES_OF_DEPTH = tuple(suffix for suffix in DEPTH_SUFFIXES if suffix not in SCAN_SUFFIXES)

@@ -22,7 +22,7 @@ SOURCES: dict[str, type[Source]] = {
     "video": VideoSource,
     "bag": BagSource,
     "one-folder": OneFolderSource,
-    "folders": FolderSource,  # last: another kind may hold images, too
+    "folders": FolderSource,  # last: the other kinds may also hold images
 }
 
 

@@ -156,7 +156,7 @@ def _bounded_reader(path: Path, *, is_ros1: bool) -> Any:
 
 
 def _load_anew(name: str) -> Any:
-    """A module of its own, which nobody else imports."""
+    """A new copy of a module, which no other code imports."""
     spec = importlib.util.find_spec(name)
     assert spec is not None
     assert spec.loader is not None

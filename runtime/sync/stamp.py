@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from runtime.checks import shown
 from runtime.errors import InputError
 
 Stamp = float | int
@@ -43,7 +44,7 @@ def stamp_ns(stamp: Any) -> int:
             ) from None
     if not -_LIMIT_NS <= nanoseconds < _LIMIT_NS:
         raise InputError(
-            f"stamp must be finite and fit in 64 bits of nanoseconds, got {stamp!r:.60}: "
+            f"stamp must be finite and fit in 64 bits of nanoseconds, got {shown(stamp)}: "
             "a float is seconds, an int nanoseconds"
         )
     return nanoseconds

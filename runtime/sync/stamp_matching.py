@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from runtime.checks import check_number
 from runtime.errors import InputError
 from runtime.sync.outcome import Sensor
 from runtime.sync.stamp import NS_PER_MS
@@ -32,8 +33,7 @@ def match_by_stamp(
         InputError: if the skew or the age is out of range.
     """
     for name, value in (("max_skew_ms", max_skew_ms), ("reuse_depth_ms", reuse_depth_ms)):
-        if not 0 <= value <= 1e6:
-            raise InputError(f"{name} must be a number from 0 to 1e6, got {value}")
+        check_number(name, value, 0, 1e6, "milliseconds", error=InputError)
     synchronizer = Synchronizer(
         live=False,
         max_skew_ns=round(max_skew_ms * NS_PER_MS),

@@ -20,7 +20,7 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 def doctor(
     provider: Annotated[
         Provider,
-        typer.Option(help="Where the model shall run; with cuda a missing GPU is a fault."),
+        typer.Option(help="Where the self-test runs; with cuda a missing GPU is a fault."),
     ] = Provider.cpu,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print a JSON document instead of the lines.")

@@ -65,6 +65,7 @@ def model_table(described: dict[str, Any]) -> str:
     """The document of `describe_model` as a table, a line a fact."""
     metadata = described["metadata"]
     focal_px = metadata["canonical_focal_px"]
+    focal = "none: plain metres" if focal_px is None else f"{focal_px:g} px"
     rows = metadata["trained_height"]
     giga_macs = metadata["giga_macs"]
     batch = "any number" if described["free_batch"] else "one"
@@ -74,19 +75,13 @@ def model_table(described: dict[str, Any]) -> str:
         ("sha256", described["sha256"]),
         ("schema", metadata["schema_version"]),
         ("heads", ", ".join(described["heads"])),
-        (
-            "input size",
-            "any" if described["input_size"] is None else _size(described["input_size"]),
-        ),
+        ("input size", _size(described["input_size"])),
         ("verified at", _size(metadata["native_size"])),
         ("trained for", "not known" if rows is None else f"{rows} rows"),
         ("frames a run", batch),
         ("stride", f"{metadata['stride']} px"),
         ("depth range", f"{metadata['max_depth_m']:g} m"),
-        (
-            "canonical focal length",
-            "none: plain metres" if focal_px is None else f"{focal_px:g} px",
-        ),
+        ("canonical focal length", focal),
         ("precision", metadata["precision"]),
         *_facts(metadata["quantization"]),
         ("GMACs a frame", "not counted" if giga_macs is None else f"{giga_macs:.3g}"),
@@ -116,8 +111,8 @@ def _facts(document: dict[str, Any] | None) -> list[tuple[str, str]]:
     return lines
 
 
-def _size(size: tuple[int, int]) -> str:
-    return f"{size[0]} x {size[1]}"
+def _size(size: tuple[int, int] | None) -> str:
+    return "any" if size is None else f"{size[0]} x {size[1]}"
 
 
 def _plain(value: Any) -> str:

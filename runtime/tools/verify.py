@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InferenceError, InputError
@@ -205,7 +204,7 @@ def _check_frame(
         answer = prediction.heads.get(head)
         if answer is None:
             continue
-        if answer.shape != expected.shape or not _is_number(expected):
+        if answer.shape != expected.shape or expected.dtype.kind not in "uif":
             faults.append(
                 f"{head} is {answer.dtype} {answer.shape}, recorded was {expected.dtype} "
                 f"{expected.shape}"
@@ -242,7 +241,3 @@ def _other_flags(prediction: Prediction, frame: RecordedFrame) -> list[str]:
 
 def _named(names: Iterable[str]) -> str:
     return ", ".join(names) or "nothing"
-
-
-def _is_number(values: np.ndarray[Any, Any]) -> bool:
-    return values.dtype.kind in "uif"
