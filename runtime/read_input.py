@@ -59,8 +59,8 @@ def read_input(path: Path, *, max_bytes: int = MAX_FILE_BYTES) -> bytes:
 
 def read_text(path: Path) -> str:
     """Read a UTF-8 file of at most `MAX_TEXT_BYTES`; errors as of `read_input`."""
-    try:
-        return read_input(path, max_bytes=MAX_TEXT_BYTES).decode("utf-8")
+    try:  # editors of Windows begin a text with a byte order mark
+        return read_input(path, max_bytes=MAX_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"cannot read {_shown(path)}: it is not UTF-8 text ({error})") from error
 

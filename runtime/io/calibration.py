@@ -74,9 +74,11 @@ class Calibration:
     def require_size(self, size: tuple[int, ...]) -> None:
         """Raise InputError unless images of this (height, width) are the calibration's."""
         if self.size not in (None, size):
+            swapped = self.size == size[::-1]
+            remedy = "swap the two" if swapped else "scale the intrinsics with the image"
             raise InputError(
                 f"the calibration is of images of {self.size} (height, width), got one of {size}: "
-                "scale the intrinsics with the image"
+                f"{remedy}"
             )
 
     def check(self, points: Any) -> None:

@@ -69,10 +69,11 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
     depth = _read_map(path)
     kind = depth.dtype.str[1:]
     if depth.ndim != 2 or not (kind == "u2" or kind.startswith("f")):
+        is_picture = depth.dtype == np.uint8
+        remedy = "an image for display holds no metres" if is_picture else "convert it to one"
         raise InputError(
             f"{path} must be a depth map of one channel of 16 bits (PNG, TIFF or .npy) or of "
-            f"floats in metres (TIFF or .npy), got {depth.dtype} {depth.shape}: an image for "
-            "display holds no metres"
+            f"floats in metres (TIFF or .npy), got {depth.dtype} {depth.shape}: {remedy}"
         )
     scale = np.float32(depth_scale if kind == "u2" else 1)
     with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no measurement

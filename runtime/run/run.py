@@ -15,7 +15,7 @@ from runtime.io.engine_facts import engine_facts
 from runtime.io.images import holds_metres
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.predictor import Predictor
-from runtime.preprocess import check_sparse_depth
+from runtime.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.run.options import RunOptions
 from runtime.run.outputs.output import OpenRun, Output, require_free
 from runtime.run.outputs.registry import OUTPUTS, RECORDERS, OpenOutput
@@ -29,6 +29,10 @@ from runtime.sources.source import ListedFrame, Source
 
 #: Option -> the package that it needs, and the extra that installs it.
 _PACKAGES = {"rerun": ("rerun", "rerun"), "mcap": ("rosbags", "bag")}
+_NO_RETURNS = (
+    "no scan or depth map of the first frames has a return in the image: check that scans are in "
+    "metres, and that the extrinsics of the calibration lead from the LiDAR to the camera"
+)
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
 
 OnRecord = Callable[[FrameRecord], None]
@@ -78,12 +82,16 @@ def run(
                     frames,
                     reader=reader,
                     rate_hz=options.rate,
-                    degraded=(IMPLAUSIBLE_DEPTH,) if implausible else (),
+                    degraded=(IMPLAUSIBLE_DEPTH,) if implausible not in (None, _NO_RETURNS) else (),
                     write=write,
                     record=record,
                     on_record=on_start(about, len(frames)),
                     stop=stop,
                 )
+                if implausible == _NO_RETURNS and any(
+                    done.depth_returns for done in result.records
+                ):
+                    implausible = None  # the LiDAR started later
                 report = _report(opened, source, frame_size, result, implausible)
                 opened.report = report
             return report
@@ -155,10 +163,14 @@ def _implausible_depth(
     """
     check, size_check = DepthPlausibility(), CalibrationSize()
     depth_scale = source.inputs.get("depth_scale")
+    returns: list[int] = []  # of each scan or depth map
     for listed in frames if "depth" in predictor.heads else ():
         with contextlib.suppress(SSDNetError):  # the run itself reports it
             frame = reader.peek(listed)
             check_sparse_depth(frame.sparse_depth, size=(frame.rgb.shape[0], frame.rgb.shape[1]))
+            if listed.depth is not None:
+                scale = predictor.camera_scale((frame.rgb.shape[0], frame.rgb.shape[1]))
+                returns.append(clean_sparse_depth(frame.sparse_depth, max_depth_m=scale.range_m)[2])
             if (frame.sparse_depth > 0).any():
                 camera_only = predictor.predict(frame.rgb, None)
                 check.add(camera_only, frame.sparse_depth)
@@ -169,10 +181,11 @@ def _implausible_depth(
                 size_check.add(None, frame.sparse_depth, frame.calibration)
     if (other_size := size_check.finding()) is not None:
         return other_size
-    finding, focal_px = check.finding(), predictor.focal_length_px
-    if predictor.contract.canonical_focal_px is None:
-        focal_px = None
-    return finding and finding.advice(depth_scale=depth_scale, focal_length_px=focal_px)
+    if (finding := check.finding()) is not None:
+        has_scale = predictor.contract.canonical_focal_px is not None
+        focal_px = predictor.focal_length_px if has_scale else None
+        return finding.advice(depth_scale=depth_scale, focal_length_px=focal_px)
+    return _NO_RETURNS if returns and not any(returns) else None
 
 
 def _require_apart(out: Path, inputs: Sequence[Path]) -> None:

@@ -178,7 +178,7 @@ class RunReport:
 
 def size_text(size: tuple[int, int] | None) -> str:
     """A (height, width) in words; None = any."""
-    return "of any size" if size is None else f"{size[0]} x {size[1]}"
+    return "any size" if size is None else f"{size[0]} x {size[1]}"
 
 
 def _known(times_ms: Iterable[float | None]) -> Iterable[float]:

@@ -23,6 +23,7 @@ from runtime.sources.source import ListedFrame, Source, no_depth, pair_up
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.stamp_matching import left_out_note
 
+_SENSOR_WORDS = {"image", "img", "rgb", "color", "depth", "lidar", "velodyne", "points"}
 #: Camera of a folder of KITTI: image_02, image_2/, image_02/data.
 _KITTI_CAMERA = re.compile(r"(?:^|/)image_0?([0-3])(?:/data)?$")
 
@@ -111,6 +112,8 @@ class FolderSource(Source):
         """
         self._left_out.clear()
         self._notes.clear()
+        if self._depth is not None:
+            _require_option(self._depth, has_scans=self._has_scans)
         images = {self._rgb.stem: self._rgb} if self._is_one else self._list_images()
         depths = None
         if self._depth is None:
@@ -223,14 +226,28 @@ def _is_image(path: Path) -> bool:
     return path.suffix.lower() in RGB_SUFFIXES and os.path.isfile(path)
 
 
+def _require_option(path: Path, *, has_scans: bool) -> None:
+    """Raise InputError for scans that were given as depth maps, and the reverse."""
+    names = [path.name] if os.path.isfile(path) else [entry.name for entry in list_entries(path)]
+    scans, maps = (
+        any(name.lower().endswith(suffixes) for name in names)
+        for suffixes in (SCAN_SUFFIXES, DEPTH_SUFFIXES)
+    )
+    if scans and not maps and not has_scans:
+        raise InputError(f"{path} is of scans, not of depth maps: give --points, and --calibration")
+    if maps and not scans and has_scans:
+        raise InputError(f"{path} is of depth maps, not of scans: give --depth")
+
+
 def _numbers(stem: str) -> tuple[str, ...]:
     return tuple(re.findall("[0-9]+", stem))
 
 
 def _differ_by_a_word(stem: str, other: str) -> bool:
-    """Whether each has a word that the other lacks."""
-    words, others = (Counter(re.findall(r"[^\W\d_]+", text)) for text in (stem, other))
-    return bool(words - others and others - words)
+    """Whether each has a word that the other lacks, or one has the name of a sensor more."""
+    words, others = (Counter(re.findall(r"[^\W\d_]+", text.lower())) for text in (stem, other))
+    more, less = words - others, others - words
+    return bool(more and less) or (bool(more + less) and set(more + less) <= _SENSOR_WORDS)
 
 
 def _few(names: dict[str, Path]) -> str:

@@ -1,5 +1,6 @@
 """The kinds of sources. A new one: its file and a line here."""
 
+import contextlib
 import os
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -9,7 +10,7 @@ from typing import Any, NamedTuple
 from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.sources.bag import BagSource
-from runtime.sources.folders import FolderSource
+from runtime.sources.folders import FolderSource, list_entries
 from runtime.sources.kitti_object import KittiObjectSource
 from runtime.sources.kitti_raw import KittiRawSource
 from runtime.sources.one_folder import OneFolderSource
@@ -25,6 +26,8 @@ SOURCES: dict[str, type[Source]] = {
     "folders": FolderSource,  # last: the other kinds may also hold images
 }
 
+
+_LOOKED_AT = 100  # of what a folder that is no recording holds
 
 #: Kinds of earlier releases, and what replaces them.
 _REMOVED = {
@@ -47,6 +50,8 @@ def detect_source(path: Path) -> SourcePath:
             return SourcePath(kind, path)
     try:
         os.stat(path)
+        if (near := _source_near(path)) is not None:
+            raise InputError(f"{path} is no recording, {near} is one: give that")
         fault = "is none of these"
     except FileNotFoundError:
         fault = "does not exist; give one of these"
@@ -54,6 +59,15 @@ def detect_source(path: Path) -> SourcePath:
         fault = f"cannot be read ({getattr(error, 'strerror', None) or error}); give one of these"
     accepted = "; ".join(source.accepted for source in SOURCES.values())
     raise InputError(f"{path} {fault}: {accepted}. --source KIND:PATH names the kind")
+
+
+def _source_near(path: Path) -> Path | None:
+    """A recording in a folder, or the folder that it is a part of; None: there is none."""
+    for near in (*sorted(list_entries(path))[:_LOOKED_AT], path.absolute().parent):
+        with contextlib.suppress(InputError):
+            if os.path.isdir(near) and any(source.accepts(near) for source in SOURCES.values()):
+                return near
+    return None
 
 
 def parse_source(text: str) -> SourcePath:
@@ -102,7 +116,7 @@ def _require_kind(kind: str) -> None:
     if kind in _REMOVED:
         raise InputError(f"there is no source {kind} any more: {_REMOVED[kind]}")
     if kind not in SOURCES:
-        right = kind.replace("_", "-")
+        right = kind.lower().replace("_", "-")
         remedy = f"write {right}" if right in SOURCES else f"give {_kinds()}"
         raise InputError(f"there is no kind of source {shown(kind)}: {remedy}")
 

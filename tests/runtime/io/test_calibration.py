@@ -112,6 +112,19 @@ def test_toml(tmp_path):
     assert calibration.size == SIZE
 
 
+def test_toml_with_a_byte_order_mark(tmp_path):
+    path = tmp_path / "camera.toml"
+    path.write_text(f'intrinsics = {K.tolist()}\npoints_in = "camera"\n', encoding="utf-8-sig")
+    np.testing.assert_array_equal(Calibration.from_toml(path).intrinsics, K)
+
+
+def test_a_size_of_width_and_height_is_to_be_swapped(tmp_path):
+    path = tmp_path / "camera.toml"
+    path.write_text(f'intrinsics = {K.tolist()}\npoints_in = "camera"\nsize = [640, 240]\n')
+    with pytest.raises(InputError, match=r"of \(640, 240\) .*, got one of \(240, 640\): swap"):
+        Calibration.from_toml(path).require_size(SIZE)
+
+
 def test_toml_of_points_in_the_camera_frame(tmp_path):
     path = tmp_path / "camera.toml"
     path.write_text(f'intrinsics = {K.tolist()}\npoints_in = "camera"\n')

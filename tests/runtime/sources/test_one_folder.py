@@ -38,6 +38,8 @@ def frames(tmp_path, make_frame, write_rgb, write_depth):
         ("images/left_{}.png", "depth/depth_{}.png"),  # the numbers decide
         ("rgb_{}.png", "depth_{}.png"),
         ("{}_image.png", "{}_depth.png"),
+        ("{}.png", "{}_depth.png"),
+        ("image/rgb_{}.png", "depth/{}.png"),
         ("{}.jpg", "{}.png"),
         ("rgb_{}.jpg", "depth_{}.png"),
     ],

@@ -23,6 +23,8 @@ def test_what_is_no_kind_and_path_is_an_error_with_the_kinds(text):
 def test_a_kind_with_an_underscore_is_answered_with_the_right_spelling(run):
     with pytest.raises(InputError, match="no kind of source 'kitti_raw': write kitti-raw"):
         open_source("kitti_raw", "drive")
+    with pytest.raises(InputError, match="'Kitti-Object': write kitti-object"):
+        open_source("Kitti-Object", "training")
     answers = run("--source", "kitti_raw:drive")
     assert answers.exit_code == 2
     assert "write kitti-raw" in answers.text
@@ -57,6 +59,16 @@ def test_options_of_another_kind_are_wrong_usage_of_the_command(run, tmp_path):
     assert "takes --camera, --calibration, --max-skew-ms, not --depth" in answers.text
     assert run("--source", "nothing:here").exit_code == 2
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("given", ["day", "day/drive/velodyne_points", "day/drive/notes.txt"])
+def test_a_recording_inside_or_above_is_named(run, tmp_path, given):
+    (tmp_path / "day/drive/velodyne_points/data").mkdir(parents=True)
+    (tmp_path / "day/drive/notes.txt").touch()
+    answers = run(tmp_path / given)
+    assert answers.exit_code == 1
+    text = answers.text.replace("\n", " ")
+    assert f"{given} is no recording, {tmp_path / 'day/drive'} is one: give that" in text
 
 
 @pytest.mark.parametrize("name", ["", "notes.txt", "none", "none.mp4"])
