@@ -45,7 +45,7 @@ def build_with_weights(
     source = None if init is None else load_checkpoint(init).model
     if source is not None:
         changes |= {"rgb_mean": source.config.rgb_mean, "rgb_std": source.config.rgb_std}
-    if recipe.pretrained:
+    if recipe.pretrained == "imagenet":
         changes |= _IMAGENET_COLORS
     try:
         if recipe.name in NETWORKS:
@@ -56,7 +56,7 @@ def build_with_weights(
     except ValueError as error:
         raise InputError(f"the recipe's model cannot be built: {error}.") from error
     has_trunk = source is not None and _has_trunk(source)
-    if recipe.pretrained:
+    if recipe.pretrained == "imagenet":
         _require_pretrainable(network)
         if not (resumed or has_trunk):
             load_imagenet(network.encoder.trunk)

@@ -89,8 +89,8 @@ class ModelRecipe:
     #: of a much higher camera are resized to it. None = unknown: every frame runs at its own size.
     trained_height: Side | None = None
     #: "imagenet": the encoder starts from weights of ImageNet, see `training.imagenet_weights`; the
-    #: images are then normalised as these want. None = random weights.
-    pretrained: Literal["imagenet"] | None = None
+    #: images are then normalised as these want.
+    pretrained: Literal["none", "imagenet"] = "none"
     #: What differs from the named network's configuration, for example `max_depth_m` and
     #: `canonical_focal_px`, see `models.NetworkConfig`.
     config: Annotated[dict[str, Any], Field(max_length=100)] = field(default_factory=dict)
@@ -305,12 +305,12 @@ class Recipe:
     def data_titles(self) -> tuple[str, ...]:
         """The sets that the weights know, as files name them."""
         titles = tuple(item.title for item in self.data.source)
-        return (*titles, "ImageNet") if self.model.pretrained else titles
+        return (*titles, "ImageNet") if self.model.pretrained == "imagenet" else titles
 
     @property
     def all_terms(self) -> str:
         """``terms``, with those of the pretrained weights."""
-        pretrained = IMAGENET_TERMS if self.model.pretrained else ""
+        pretrained = IMAGENET_TERMS if self.model.pretrained == "imagenet" else ""
         return "; ".join(filter(None, (self.terms, pretrained)))
 
     @property

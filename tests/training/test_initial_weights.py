@@ -83,7 +83,7 @@ def test_the_installed_weights_state_their_terms(name):
     training = load_checkpoint(path).training
     assert "non-commercial" in training["terms"]
     assert "camvid" in training["data"]
-    recipe = read_recipe(find_recipe("lite"))
+    recipe = read_recipe(find_recipe("residual-lite"))
     assert load_checkpoint(path).trained_height == recipe.model.trained_height == 400
     assert path.stat().st_size < 7e6  # half precision
 

@@ -19,7 +19,7 @@ from training import recipes
 from training.loop import train
 from training.losses.total import TERMS
 from training.network import build_network
-from training.recipe import read_recipe
+from training.stages import read_stages
 
 FOLDER = Path(recipes.__file__).parent
 
@@ -50,6 +50,13 @@ def data(tmp_path_factory):
     kitti_stream.write_stream(root / "kitti_stream", frames=52, labelled=52, magnify=5)
     kitti_stream.write_stream(root / "kitti_drive_0009", frames=2, labelled=2, magnify=5)
     kitti_streets.write_streets(root / "kitti_streets", (2, 69, 70, 98), magnify=5, road=True)
+    kitti_stream.write_objects(root / "kitti_object")
+    for path, folders in (
+        ("kitti_labelled", ("image_02", "semantic")),
+        ("nuscenes_boston", ("image", "pseudo_semantic")),
+    ):
+        write(root / path / folders[0] / "a.png", np.full((*label.shape, 3), 90, np.uint8))
+        write(root / path / folders[1] / "a.png", label)
     for path in ("camvid_depth", "kitti_labelled_depth"):
         for folder, picture in (
             ("images", np.full((*label.shape, 3), 90, np.uint8)),
@@ -98,7 +105,7 @@ def shrink(size):
 
 
 def shrink_sources(sources):
-    """Small, and each drawn as often as the others, so that the one batch holds frames of all."""
+    """Small, and each drawn as often as the others: with the seed above the batch holds all."""
     return tuple(
         replace(item, weight=1.0, size=None if item.size is None else shrink(item.size))
         for item in sources
@@ -106,12 +113,18 @@ def shrink_sources(sources):
 
 
 def read_shrunk(path):
-    """A recipe for one step on small frames; all that it says about network and loss stays."""
+    """The stages of a recipe, each for one step on small frames.
+
+    All that they say about network and loss stays.
+    """
     changes = (
-        *("data.batch_size = 16", "data.seed = 5", "data.workers = 0", "schedule.steps = 1"),
+        *("data.batch_size = 16", "data.seed = 26", "data.workers = 0", "schedule.steps = 1"),
         *("validation.every = 1", "loop.log_every = 1", "release.trained_share = 1.0"),
     )
-    recipe = read_recipe(path, changes)
+    return [shrink_recipe(stage.recipe) for stage in read_stages(path, changes)]
+
+
+def shrink_recipe(recipe):
     height, width = shrink(recipe.data.augment.crop)
     if recipe.data.augment.pair_shift:  # the views need room within their borders
         height, width = height + 96, width + 64
@@ -151,10 +164,17 @@ def read_scalars(folder):
     "path", sorted(FOLDER.rglob("*.toml")), ids=lambda path: str(path.relative_to(FOLDER))
 )
 def test_shipped_recipe_trains(path, data, tmp_path):
-    recipe = read_shrunk(path)
+    init = None
+    for number, recipe in enumerate(read_shrunk(path)):
+        init = check_training(recipe, data, tmp_path / f"{number}", init)
+
+
+def check_training(recipe, data, out, init):
+    """Train a step; the checkpoint has all that the recipe says. Returns its path."""
     torch.manual_seed(recipe.data.seed)
-    start = build_network(recipe.model, None).state_dict()
-    checkpoint = load_checkpoint(train(recipe, data=[data], out=tmp_path / "run"))
+    start = build_network(recipe.model, init).state_dict()
+    trained = train(recipe, data=[data], out=out, init=init)
+    checkpoint = load_checkpoint(trained)
 
     config = checkpoint.model.config
     assert config.name == recipe.model.name
@@ -163,8 +183,11 @@ def test_shipped_recipe_trains(path, data, tmp_path):
     assert config.max_depth_m == recipe.model.config.get("max_depth_m", named.max_depth_m)
     assert config.boundary_gating == recipe.model.config.get("boundary_gating", True)
     assert checkpoint.training["recipe"]["loss"] == asdict(recipe.loss)
-    assert checkpoint.training["terms"] == recipe.terms
+    assert checkpoint.training["terms"].startswith(recipe.terms)
     assert recipe.terms
+    is_pretrained = recipe.model.pretrained == "imagenet"
+    assert ("ImageNet" in checkpoint.training["data"]) == is_pretrained
+    assert ("ImageNet: research" in checkpoint.training["terms"]) == is_pretrained
 
     weights = checkpoint.model.state_dict()
     assert all(value.isfinite().all() for value in weights.values())
@@ -180,9 +203,14 @@ def test_shipped_recipe_trains(path, data, tmp_path):
     frozen = {name for name, p in checkpoint.model.named_parameters() if p.ndim > 1} - {
         name for name in start if name.startswith(only)
     }
+    frozen |= {
+        name
+        for name, value in checkpoint.model.named_parameters()
+        if value.ndim > 1 and name.startswith(recipe.optimizer.frozen)
+    }
     assert still == idle | frozen
 
-    shown = read_scalars(tmp_path / "run" / "tensorboard")
+    shown = read_scalars(out / "tensorboard")
     terms = expected_terms(recipe.loss, config)
     assert shown["loss"].keys() == terms | {"total"}
     wrong = {
@@ -198,3 +226,4 @@ def test_shipped_recipe_trains(path, data, tmp_path):
         f"{item.title}/{score}" for item in recipe.validation.source for score in SCORES[item.kind]
     }
     assert all(math.isfinite(value) for value in shown["validation"].values())
+    return trained
