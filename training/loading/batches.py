@@ -1,12 +1,12 @@
 """The batches of a training, decoded and augmented by worker processes."""
 
-from collections.abc import Iterator
+import traceback
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from functools import partial
 
 import cv2
 from torch.utils.data import DataLoader
-from torch.utils.data.dataloader import _MultiProcessingDataLoaderIter
 
 from runtime.errors import DatasetError
 from training.batch import Batch
@@ -45,12 +45,14 @@ def read_batches(
         worker_init_fn=_start_worker,
         collate_fn=partial(Batch.collate, targets=task.targets),
     )
-    batches = iter(loader)
+    batches = _without_tracebacks(iter(loader))
     try:
-        yield _without_tracebacks(batches)
+        yield batches
+    except BaseException as error:
+        traceback.clear_frames(error.__traceback__)
+        raise
     finally:
-        if isinstance(batches, _MultiProcessingDataLoaderIter):
-            batches._shutdown_workers()
+        batches.close()  # the last reference to the loader's iterator, which ends its workers
 
 
 def _start_worker(_: int) -> None:
@@ -60,10 +62,11 @@ def _start_worker(_: int) -> None:
     cv2.setNumThreads(0)
 
 
-def _without_tracebacks(batches: Iterator[Batch]) -> Iterator[Batch]:
+def _without_tracebacks(batches: Iterator[Batch]) -> Generator[Batch, None, None]:
     """Yield the batches; a worker's error about a damaged file comes without its traceback."""
     try:
         yield from batches
     except DatasetError as error:
+        traceback.clear_frames(error.__traceback__)
         last = str(error).strip().splitlines()[-1]
         raise DatasetError(last.removeprefix(f"{DatasetError.__module__}.DatasetError: ")) from None
