@@ -89,14 +89,16 @@ def holds_metres(path: Path) -> bool:
 def _read_map(path: Path) -> NDArray[Any]:
     if path.suffix.lower() == ".npy":
         return read_npy(path)
-    return decode_content(read_input(path), cv2.IMREAD_UNCHANGED, name=str(path))
+    return decode(path, cv2.IMREAD_UNCHANGED)
+
+
+def decode(path: Path, flags: int) -> NDArray[Any]:
+    """Decode a PNG, JPEG or TIFF file with OpenCV's IMREAD_* `flags`. Raises InputError."""
+    return decode_content(read_input(path), flags, name=str(path))
 
 
 def decode_content(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
-    """Decode the content of a PNG, JPEG or TIFF file with OpenCV's IMREAD_* `flags`.
-
-    `name` is for the errors. Raises InputError.
-    """
+    """Decode the content of such a file as `decode` does; `name` is for the errors."""
     damaged = (
         f"{name} is empty, truncated or damaged, or no PNG, JPEG or TIFF ({len(content)} bytes)"
     )
