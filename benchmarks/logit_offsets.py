@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from models import Network, load_checkpoint
-from runtime.canonical_focal import canonical_factor
+from runtime.canonical_focal import camera_scale
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.source_recipe import SourceRecipe
@@ -81,10 +81,17 @@ def predict(
         sample = source[index]
         split = split_lidar(sample, LidarInput.parse("64"), frame_generator(index))
         fed = np.zeros(sample.size, np.float32) if split is None else split.fed
-        factor = canonical_factor(network.config.canonical_focal_px, sample.focal_length_px)
+        config, size = network.config, sample.size
+        scale = camera_scale(
+            config.max_depth_m,
+            config.canonical_focal_px,
+            sample.focal_length_px,
+            frame_size=size,
+            network_size=size,
+        )
         with torch.inference_mode():
             rgb = torch.from_numpy(sample.rgb).permute(2, 0, 1)[None].float()
-            logits = network(rgb, torch.from_numpy(fed)[None, None] * factor).semantic_logits
+            logits = network(rgb, torch.from_numpy(fed)[None, None] * scale.factor).semantic_logits
         assert logits is not None
         labels = sample.targets.get("road_mask", sample.semantic)
         yield logits[0].half().numpy(), labels

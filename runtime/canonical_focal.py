@@ -15,7 +15,7 @@ class CameraScale(NamedTuple):
     """How metres become the depth of a network, for one camera and one size of frames.
 
     Attributes:
-        factor: f_c / f, see `canonical_factor`.
+        factor: f_c / f, from metres to canonical depth; 1 where either is not known.
         range_m: no answer is farther, and returns beyond it are clipped to it, metres.
         focal_length_px: of the frame, as used; None = not known, or not used by the model.
     """
@@ -44,21 +44,8 @@ def camera_scale(
     """
     if canonical_focal_px is None or focal_length_px is None:
         return CameraScale(1.0, max_depth_m, None)
-    at_network = focal_length_at(network_size, focal_length_px, frame_size)
-    factor = canonical_factor(canonical_focal_px, at_network)
+    factor = canonical_focal_px / focal_length_at(network_size, focal_length_px, frame_size)
     return CameraScale(factor, max_depth_m / factor, focal_length_px)
-
-
-def canonical_factor(canonical_focal_px: float | None, focal_length_px: float | None) -> float:
-    """Return f_c / f, the factor from metres to canonical depth; 1 where either is not known.
-
-    Args:
-        canonical_focal_px: of the model; None = it works in plain metres.
-        focal_length_px: of the image at the network's size.
-    """
-    if canonical_focal_px is None or focal_length_px is None:
-        return 1.0
-    return canonical_focal_px / focal_length_px
 
 
 def focal_length_at(

@@ -40,12 +40,12 @@ def open_input(path: Path, *, max_bytes: int) -> Iterator[BinaryIO]:
         yield file
 
 
-def read_input(path: Path, *, max_bytes: int = MAX_FILE_BYTES) -> bytes:
+def read_input(path: Path, *, max_bytes: int | None = None) -> bytes:
     """Read a regular file of bounded size.
 
     Args:
         path: the file; links are followed.
-        max_bytes: its largest size.
+        max_bytes: its largest size; None: `MAX_FILE_BYTES`.
 
     Returns:
         Its content.
@@ -53,7 +53,8 @@ def read_input(path: Path, *, max_bytes: int = MAX_FILE_BYTES) -> bytes:
     Raises:
         InputError: if it cannot be read, is no regular file or is larger.
     """
-    with open_input(path, max_bytes=max_bytes) as file, _reported(path):
+    most = MAX_FILE_BYTES if max_bytes is None else max_bytes
+    with open_input(path, max_bytes=most) as file, _reported(path):
         return file.read(os.fstat(file.fileno()).st_size)  # 0 of a file of the kernel
 
 

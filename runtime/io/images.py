@@ -87,8 +87,9 @@ def holds_metres(path: Path) -> bool:
 
 
 def _read_map(path: Path) -> NDArray[Any]:
-    is_npy = path.suffix.lower() == ".npy"
-    return read_npy(path) if is_npy else decode(path, cv2.IMREAD_UNCHANGED)
+    if path.suffix.lower() == ".npy":
+        return read_npy(path)
+    return decode(path, cv2.IMREAD_UNCHANGED)
 
 
 def decode(path: Path, flags: int) -> NDArray[Any]:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from runtime.checks import shown
+from runtime.checks import check_number, shown
 from runtime.command import (
     ERROR,
     INTERRUPTED,
@@ -74,8 +74,8 @@ def main(
     _version: Version = False,
 ) -> None:
     """Measure latency, memory and load time of models side by side."""
-    if rate is not None and not 0 < rate < math.inf:
-        raise typer.BadParameter(f"--rate must be more than 0, got {rate}")
+    if rate is not None:
+        check_number("--rate", rate, 1e-3, 1e6, error=typer.BadParameter)
     cases = tuple(map(_size, size)), tuple(threads or [available_cores()]), tuple(batch)
     options = BenchOptions(tuple(models), *cases, rounds, rate, provider.value)
     with reported_errors("cpu"):

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from runtime.checks import shown
+from runtime.checks import check_number, shown
 from runtime.command import ERROR, Provider, print_result, reported_errors
 from runtime.command_options import NoDevice, Version
 from runtime.io.recording import read_recording
@@ -67,8 +67,8 @@ def main(
 ) -> None:
     """Predict the frames of a recording again, and compare the answers with the recorded ones."""
     tolerances = _tolerances(tolerance or [])
-    if max_slowdown is not None and not 0 < max_slowdown < math.inf:
-        raise typer.BadParameter(f"--max-slowdown must be more than 0, got {max_slowdown}")
+    if max_slowdown is not None:
+        check_number("--max-slowdown", max_slowdown, 1e-6, 1e6, error=typer.BadParameter)
     with reported_errors("cpu"):
         recording = read_recording(recording_dir)
         with Predictor(
