@@ -207,13 +207,10 @@ class SSDNetLoss(nn.Module):
         self.target_depth_m = target_depth_m or max_depth_m
         self.register_buffer("class_weights", class_weights, persistent=False)
         # A likelihood may be negative, and its best weight would then be infinite.
-        learned = set(TERMS) - {"depth_uncertainty"} if config.weighting == "uncertainty" else ()
+        weighted = [name for name in TERMS if config.weight(name) and name != "depth_uncertainty"]
+        learned = weighted if config.weighting == "uncertainty" else []
         self.log_variances = nn.ParameterDict(
-            {
-                name: nn.Parameter(torch.zeros(()))
-                for name in TERMS
-                if name in learned and config.weight(name)
-            }
+            {name: nn.Parameter(torch.zeros(())) for name in learned}
         )
 
     def forward(self, output: NetworkOutput, batch: Batch) -> dict[str, Tensor]:
