@@ -15,15 +15,8 @@ from models.blocks import extend_to_multiple
 from models.pooling import cell_means
 from training.batch import Batch, Pair
 from training.limits import STRICT, NotNegative
-from training.losses.boundary import (
-    balanced_cross_entropy,
-    boundary_at_scale,
-    boundary_target,
-)
-from training.losses.consistency import (
-    depth_consistency_loss,
-    semantic_consistency_loss,
-)
+from training.losses.boundary import balanced_cross_entropy, boundary_at_scale, boundary_target
+from training.losses.consistency import depth_consistency_loss, semantic_consistency_loss
 from training.losses.depth import (
     DepthCriterion,
     metric_depth_loss,
