@@ -311,12 +311,13 @@ class SSDNetLoss(nn.Module):
         config = self.config
         terms: dict[str, Tensor] = {}
         if config.depth_consistency_weight and output.depths is not None:
-            views = output.depths[0].float().chunk(2)
-            terms["depth_consistency"] = depth_consistency_loss(*views, pair)
+            first, second = output.depths[0].float().chunk(2)
+            terms["depth_consistency"] = depth_consistency_loss(first, second, pair)
         if config.semantic_consistency_weight and output.semantic_logits is not None:
             logits = output.semantic_logits.float()
             side = cell_side(size, (logits.shape[-2], logits.shape[-1]))
-            loss = semantic_consistency_loss(*logits.chunk(2), pair, side=side)
+            first, second = logits.chunk(2)
+            loss = semantic_consistency_loss(first, second, pair, side=side)
             terms["semantic_consistency"] = loss
         return terms
 
