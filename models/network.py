@@ -191,32 +191,24 @@ class Network(nn.Module):
         height, width = _check_shapes(rgb, sparse_depth)
         coarse = self.predict_coarse(rgb, sparse_depth)
 
-        def full_size(x: Tensor, stride: int) -> Tensor:
-            return upsample(x, factor=stride)[:, :, :height, :width]
+        def full_size(x: Tensor, head: str) -> Tensor:
+            return upsample(x, factor=self.head_stride(head))[:, :, :height, :width]
 
         logits, depths, boundary = coarse.semantic_logits, coarse.depths, coarse.boundary_logits
-        scale = coarse.depth_uncertainty
-        if logits is not None:
-            side = self.semantic_stride
-            logits = (
-                full_size(logits, side)
-                if upsample_semantic
-                else logits[:, :, : -(-height // side), : -(-width // side)]
-            )
+        scale, side = coarse.depth_uncertainty, self.semantic_stride
+        if logits is not None and upsample_semantic:
+            logits = full_size(logits, "semantic")
+        elif logits is not None:
+            logits = logits[:, :, : -(-height // side), : -(-width // side)]
+        if depths is not None:
+            depths = (full_size(depths[0], "depth"), *depths[1:])
         return NetworkOutput(
-            semantic_logits=logits,
-            depths=None
-            if depths is None
-            else (full_size(depths[0], self.depth_stride), *depths[1:]),
-            boundary_logits=(
-                None if boundary is None else full_size(boundary, self.boundary_stride)
-            ),
-            side_boundary_logits=coarse.side_boundary_logits,
-            depth_uncertainty=None if scale is None else full_size(scale, self.depth_stride),
-            others={
-                head: full_size(values, self.head_stride(head))
-                for head, values in coarse.others.items()
-            },
+            logits,
+            depths,
+            None if boundary is None else full_size(boundary, "boundary"),
+            coarse.side_boundary_logits,
+            None if scale is None else full_size(scale, "depth_uncertainty"),
+            {head: full_size(values, head) for head, values in coarse.others.items()},
         )
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:

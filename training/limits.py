@@ -8,10 +8,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, ConfigDict, Field
 
-from runtime.contract import (
-    MAX_SIDE,
-    MIN_SIDE,
-)
+from runtime.contract import MAX_SIDE, MIN_SIDE
 
 #: Of every table of a recipe: "3" is not 3, true is not 1, no unknown keys, no NaN or infinity.
 STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)

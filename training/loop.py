@@ -13,15 +13,7 @@ from training.loading.batches import read_batches
 from training.progress import Progress
 from training.recipe import Recipe
 from training.release import release_weights
-from training.run_folder import (
-    BEST,
-    FINAL,
-    LAST,
-    SCORES,
-    TENSORBOARD,
-    name_weights,
-    prepare_folder,
-)
+from training.run_folder import BEST, FINAL, LAST, SCORES, TENSORBOARD, name_weights, prepare_folder
 from training.score_table import ScoreTable
 from training.state import TrainingState
 from training.task import open_task
@@ -79,11 +71,10 @@ def _train(
     stop: Callable[[], bool],
 ) -> Path:
     task = open_task(recipe, processes, data, init, resumed=(out / LAST).is_file())
-    recipe = task.recipe
-    start = None if init is None else name_weights(init)
+    recipe = task.recipe  # with what the data decide
     resolved: dict[str, Any] = {
         "recipe": asdict(recipe),
-        "init": start,
+        "init": None if init is None else name_weights(init),
         "processes": processes.count,
     }
     if processes.is_first:
@@ -125,7 +116,9 @@ def _train(
                 figures = validate(
                     network, task.validation, recipe.validation, processes, board, state.step
                 )
-                if scores is not None and scores.add(state.step, figures, recipe.validation.best):
+                # The table is written by the first process alone.
+                is_best = scores and scores.add(state.step, figures, recipe.validation.best)
+                if is_best:
                     save_checkpoint(out / BEST, network, training=facts())
             if state.step % recipe.checkpoint_every == 0:
                 state.save(out / LAST, facts())

@@ -9,15 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.baselines.residual import (
-    Bottleneck,
-    PoolingPyramid,
-    basic_stage,
-    conv_bn,
-    normed,
-    refinement,
-)
-from models.blocks import ConvBNReLU, pad_to_multiple, upsample
+from models.baselines.residual import Bottleneck, PoolingPyramid, basic_stage, normed, refinement
+from models.blocks import ConvBNReLU, conv_bn, pad_to_multiple, upsample
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 _CHANNELS = 32

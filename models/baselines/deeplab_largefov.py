@@ -8,6 +8,7 @@ and a rate of 12. Without the CRF, which smooths the answers of the network afte
 from torch import Tensor, nn
 
 from models.baselines.vgg16 import VGG16_BLOCKS, vgg_block
+from models.blocks import ConvBNReLU
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 _WIDE = 1024
@@ -41,9 +42,7 @@ class DeepLabLargeFOV(Network):
         self.classify = nn.Sequential(
             vgg_block(in_channels, _WIDE, 1, dilation=_RATE),
             nn.Dropout(0.5),
-            nn.Conv2d(_WIDE, _WIDE, 1, bias=False),
-            nn.BatchNorm2d(_WIDE),
-            nn.ReLU(inplace=True),
+            *ConvBNReLU(_WIDE, _WIDE, kernel=1),
             nn.Dropout(0.5),
         )
         self.semantic_head = nn.Conv2d(_WIDE, config.num_classes, 1)

@@ -95,11 +95,7 @@ class PyramidPooling(nn.Module):
 
 
 def _depthwise(channels: int, *, stride: int = 1, dilation: int = 1) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(channels, channels, 3, stride, dilation, dilation, groups=channels, bias=False),
-        nn.BatchNorm2d(channels),
-        nn.ReLU(inplace=True),
-    )
+    return ConvBNReLU(channels, channels, stride=stride, dilation=dilation, groups=channels)
 
 
 def _separable(in_channels: int, out_channels: int, *, stride: int = 1) -> nn.Sequential:

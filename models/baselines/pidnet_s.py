@@ -14,11 +14,10 @@ from models.baselines.residual import (
     Bottleneck,
     PoolingPyramid,
     basic_stage,
-    conv_bn,
     normed,
     refinement,
 )
-from models.blocks import pad_to_multiple, upsample
+from models.blocks import conv_bn, pad_to_multiple, upsample
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 _CHANNELS = 32

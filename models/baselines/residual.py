@@ -2,7 +2,7 @@
 
 from torch import Tensor, nn
 
-from models.blocks import ConvBNReLU, upsample
+from models.blocks import ConvBNReLU, conv_bn, shortcut, upsample
 
 
 class BasicBlock(nn.Module):
@@ -14,7 +14,7 @@ class BasicBlock(nn.Module):
             ConvBNReLU(in_channels, out_channels, stride=stride),
             conv_bn(out_channels, out_channels),
         )
-        self.shortcut = _shortcut(in_channels, out_channels, stride)
+        self.shortcut = shortcut(in_channels, out_channels, stride)
 
     def forward(self, x: Tensor) -> Tensor:
         """(N, C, H, W) -> (N, C', ceil(H / stride), ceil(W / stride))."""
@@ -32,7 +32,7 @@ class Bottleneck(nn.Module):
             ConvBNReLU(channels, channels, stride=stride),
             conv_bn(channels, 2 * channels, kernel=1),
         )
-        self.shortcut = _shortcut(in_channels, 2 * channels, stride)
+        self.shortcut = shortcut(in_channels, 2 * channels, stride)
 
     def forward(self, x: Tensor) -> Tensor:
         """(N, C, H, W) -> (N, 2 C', ceil(H / stride), ceil(W / stride))."""
@@ -65,13 +65,8 @@ class PoolingPyramid(nn.Module):
         size = (x.shape[2], x.shape[3])
         means = [pool(x) for pool in self.pools] + [x.mean(dim=(2, 3), keepdim=True)]
         first, *others = self.narrow
-        return [
-            first(x),
-            *(
-                upsample(narrow(mean), size=size)
-                for narrow, mean in zip(others, means, strict=True)
-            ),
-        ]
+        pairs = zip(others, means, strict=True)
+        return [first(x), *(upsample(narrow(mean), size=size) for narrow, mean in pairs)]
 
 
 def basic_stage(
@@ -84,16 +79,6 @@ def basic_stage(
     return nn.Sequential(*layers)
 
 
-def conv_bn(
-    in_channels: int, out_channels: int, *, kernel: int = 3, stride: int = 1
-) -> nn.Sequential:
-    """A convolution and batch normalisation, without ReLU."""
-    return nn.Sequential(
-        nn.Conv2d(in_channels, out_channels, kernel, stride, kernel // 2, bias=False),
-        nn.BatchNorm2d(out_channels),
-    )
-
-
 def normed(conv: nn.Conv2d) -> nn.Sequential:
     """Batch normalisation and ReLU in front of a convolution."""
     return nn.Sequential(nn.BatchNorm2d(conv.in_channels), nn.ReLU(), conv)
@@ -101,14 +86,4 @@ def normed(conv: nn.Conv2d) -> nn.Sequential:
 
 def refinement(in_channels: int, channels: int) -> nn.Sequential:
     """The 3x3 convolution in front of the classifier, normalised before and after."""
-    return nn.Sequential(
-        *normed(nn.Conv2d(in_channels, channels, 3, padding=1, bias=False)),
-        nn.BatchNorm2d(channels),
-        nn.ReLU(inplace=True),
-    )
-
-
-def _shortcut(in_channels: int, out_channels: int, stride: int) -> nn.Module:
-    if stride == 1 and in_channels == out_channels:
-        return nn.Identity()
-    return conv_bn(in_channels, out_channels, kernel=1, stride=stride)
+    return nn.Sequential(nn.BatchNorm2d(in_channels), nn.ReLU(), *ConvBNReLU(in_channels, channels))

@@ -9,7 +9,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from models.blocks import ResidualBlock, pad_to_multiple
+from models.blocks import ConvBNReLU, ResidualBlock, conv_bn, pad_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 #: Channels of ResNet-18's stages, of two blocks each (He et al. 2016).
@@ -27,21 +27,16 @@ class SparseToDense(Network):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
         layers: list[nn.Module] = [
-            nn.Conv2d(4, _STAGES[0], 7, 2, 3, bias=False),
-            nn.BatchNorm2d(_STAGES[0]),
-            nn.ReLU(inplace=True),
+            *ConvBNReLU(4, _STAGES[0], kernel=7, stride=2),
             nn.MaxPool2d(3, 2, padding=1),
         ]
         in_channels = _STAGES[0]
         for channels in _STAGES:
-            layers.append(
-                ResidualBlock(in_channels, channels, stride=1 if channels == in_channels else 2)
-            )
+            stride = 1 if channels == in_channels else 2
+            layers.append(ResidualBlock(in_channels, channels, stride=stride))
             layers.append(ResidualBlock(channels, channels))
             in_channels = channels
-        self.encoder = nn.Sequential(
-            *layers, nn.Conv2d(in_channels, _DECODER[0], 1, bias=False), nn.BatchNorm2d(_DECODER[0])
-        )
+        self.encoder = nn.Sequential(*layers, *conv_bn(in_channels, _DECODER[0], kernel=1))
         ups: list[nn.Module] = []
         for in_channels, channels in pairwise(_DECODER):
             ups += [

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from models.blocks import ConvBNReLU
+
 #: Channels and convolutions of each block.
 VGG16_BLOCKS = ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))
 
@@ -50,12 +52,6 @@ def vgg_block(
     """So many 3x3 convolutions, each with batch normalisation and ReLU."""
     layers: list[nn.Module] = []
     for _ in range(count):
-        layers += [
-            nn.Conv2d(
-                in_channels, out_channels, 3, padding=dilation, dilation=dilation, bias=False
-            ),
-            nn.BatchNorm2d(out_channels),
-            nn.ReLU(inplace=True),
-        ]
+        layers += ConvBNReLU(in_channels, out_channels, dilation=dilation)
         in_channels = out_channels
     return nn.Sequential(*layers)

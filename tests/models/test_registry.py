@@ -169,7 +169,7 @@ def test_weights_of_another_network_are_not_taken_over(tmp_path, monkeypatch):
 def test_settings_that_a_network_lacks_are_named():
     with pytest.raises(ValueError, match="network 'tiny-semantic': boundary_gating"):
         create_model("tiny-semantic", boundary_gating=False)
-    with pytest.raises(InputError, match="configuration keys: sparse_depth_gain"):
+    with pytest.raises(InputError, match="network 'tiny-semantic': sparse_depth_gain"):
         build_network(ModelRecipe("tiny-semantic", config={"sparse_depth_gain": 2.0}), None)
     with pytest.raises(ValueError, match="exactly when there is a semantic head"):
         create_model("tiny-depth", num_classes=4)

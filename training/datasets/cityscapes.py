@@ -12,12 +12,7 @@ from models import CLASS_TABLES
 from runtime.errors import DatasetError
 from runtime.read_input import read_text
 from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.files import (
-    dataset_errors,
-    read_gray,
-    read_rgb,
-    require_folder,
-)
+from training.datasets.files import dataset_errors, read_gray, read_rgb, require_folder
 from training.datasets.sample import Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT

@@ -15,12 +15,7 @@ from runtime.io.images import KITTI_DEPTH_SCALE
 from runtime.io.kitti_calibration import NumbersFile
 from runtime.read_input import read_text
 from training.datasets.class_mapping import ClassTable
-from training.datasets.files import (
-    dataset_errors,
-    read_depth,
-    read_rgb,
-    require_folder,
-)
+from training.datasets.files import dataset_errors, read_depth, read_rgb, require_folder
 from training.datasets.sample import Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT

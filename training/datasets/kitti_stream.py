@@ -11,13 +11,7 @@ from runtime.errors import DatasetError
 from runtime.io.calibration import Calibration
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.files import (
-    dataset_errors,
-    read_gray,
-    read_points,
-    read_rgb,
-    require_folder,
-)
+from training.datasets.files import dataset_errors, read_gray, read_points, read_rgb, require_folder
 from training.datasets.sample import Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.lidar.scan import project_lines

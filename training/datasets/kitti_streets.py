@@ -14,13 +14,7 @@ from runtime.io.calibration import Calibration
 from runtime.io.kitti_calibration import NumbersFile
 from training.datasets.camvid import CamVidLabels
 from training.datasets.class_mapping import ClassTable
-from training.datasets.files import (
-    dataset_errors,
-    read_gray,
-    read_points,
-    read_rgb,
-    require_folder,
-)
+from training.datasets.files import dataset_errors, read_gray, read_points, read_rgb, require_folder
 from training.datasets.sample import IGNORE, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.lidar.scan import project_lines

@@ -9,11 +9,7 @@ from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.rendered_scenes import RenderedOnTheFlyRecipe
 from training.datasets.source_recipe import SourceRecipe
-from training.datasets.virtual_kitti import (
-    RenderedRecipe,
-    VirtualKitti1Recipe,
-    VirtualKittiRecipe,
-)
+from training.datasets.virtual_kitti import RenderedRecipe, VirtualKitti1Recipe, VirtualKittiRecipe
 
 DATASETS: dict[str, type[SourceRecipe]] = {
     "camvid": CamVidRecipe,

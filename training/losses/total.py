@@ -15,15 +15,8 @@ from models.blocks import extend_to_multiple
 from models.pooling import cell_means
 from training.batch import Batch, Pair
 from training.limits import STRICT, NotNegative
-from training.losses.boundary import (
-    balanced_cross_entropy,
-    boundary_at_scale,
-    boundary_target,
-)
-from training.losses.consistency import (
-    depth_consistency_loss,
-    semantic_consistency_loss,
-)
+from training.losses.boundary import balanced_cross_entropy, boundary_at_scale, boundary_target
+from training.losses.consistency import depth_consistency_loss, semantic_consistency_loss
 from training.losses.depth import (
     DepthCriterion,
     metric_depth_loss,
@@ -207,13 +200,10 @@ class SSDNetLoss(nn.Module):
         self.target_depth_m = target_depth_m or max_depth_m
         self.register_buffer("class_weights", class_weights, persistent=False)
         # A likelihood may be negative, and its best weight would then be infinite.
-        learned = set(TERMS) - {"depth_uncertainty"} if config.weighting == "uncertainty" else ()
+        weighted = [name for name in TERMS if config.weight(name) and name != "depth_uncertainty"]
+        learned = weighted if config.weighting == "uncertainty" else []
         self.log_variances = nn.ParameterDict(
-            {
-                name: nn.Parameter(torch.zeros(()))
-                for name in TERMS
-                if name in learned and config.weight(name)
-            }
+            {name: nn.Parameter(torch.zeros(())) for name in learned}
         )
 
     def forward(self, output: NetworkOutput, batch: Batch) -> dict[str, Tensor]:
@@ -321,12 +311,13 @@ class SSDNetLoss(nn.Module):
         config = self.config
         terms: dict[str, Tensor] = {}
         if config.depth_consistency_weight and output.depths is not None:
-            views = output.depths[0].float().chunk(2)
-            terms["depth_consistency"] = depth_consistency_loss(*views, pair)
+            first, second = output.depths[0].float().chunk(2)
+            terms["depth_consistency"] = depth_consistency_loss(first, second, pair)
         if config.semantic_consistency_weight and output.semantic_logits is not None:
             logits = output.semantic_logits.float()
             side = cell_side(size, (logits.shape[-2], logits.shape[-1]))
-            loss = semantic_consistency_loss(*logits.chunk(2), pair, side=side)
+            first, second = logits.chunk(2)
+            loss = semantic_consistency_loss(first, second, pair, side=side)
             terms["semantic_consistency"] = loss
         return terms
 
