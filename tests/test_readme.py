@@ -55,6 +55,10 @@ def test_every_relative_link_leads_somewhere(page):
         assert not anchor or anchor in anchors(target), f"{page.name}: no heading {path}#{anchor}"
 
 
+def test_the_card_which_is_in_the_wheel_has_no_links_out_of_it():
+    assert links(CARD) == []
+
+
 @pytest.mark.parametrize("picture", PICTURES, ids=lambda picture: picture.name)
 def test_every_picture_is_shown_by_a_page(picture):
     shown = {(page.parent / path).resolve() for page in PAGES for path, _ in links(page) if path}
