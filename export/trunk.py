@@ -6,7 +6,8 @@ import onnx
 
 #: Convolutions of fewer channels read pixels, returns or boundary maps: exact, and cheap.
 _LEAST_CHANNELS = 16
-_BETWEEN = ("Add", "Mul", "Relu", "Resize")
+_BETWEEN = ("Add", "Clip", "Mul", "Relu", "Resize")
+_ACTIVATIONS = ("Clip", "Relu")
 
 
 def trunk(model: onnx.ModelProto) -> list[str]:
@@ -23,7 +24,9 @@ def trunk(model: onnx.ModelProto) -> list[str]:
     for node in graph.node:
         if node.op_type == "Conv":
             shape = shapes.get(node.input[1], ())
-            inside = len(shape) == 4 and shape[1] >= _LEAST_CHANNELS
+            # Of a depthwise convolution each group has one channel.
+            groups = next((item.i for item in node.attribute if item.name == "group"), 1)
+            inside = len(shape) == 4 and groups * shape[1] >= _LEAST_CHANNELS
         else:
             inputs = [name for name in node.input if name and name not in shapes]
             inside = node.op_type in _BETWEEN and (any if node.op_type == "Mul" else all)(
@@ -41,8 +44,9 @@ def _leading_to_a_convolution(nodes: Sequence[onnx.NodeProto]) -> set[str]:
     read: set[str] = set()
     kept: set[str] = set()
     for node in reversed(nodes):
-        if node.op_type in ("Conv", "Relu") or read.intersection(node.output):
+        is_activation = node.op_type in _ACTIVATIONS
+        if node.op_type == "Conv" or is_activation or read.intersection(node.output):
             kept.add(node.name)
-            if node.op_type != "Relu" or read.intersection(node.output):
+            if not is_activation or read.intersection(node.output):
                 read.update(node.input)
     return kept

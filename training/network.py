@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from models import Network, NetworkConfig, SSDNetLite, create_model, load_checkpoint
-from models.efficientnet_lite import RGB_MEAN, RGB_STD
+from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite
+from models.lite_encoder import EfficientNetEncoder
 from models.registry import NETWORKS
 from runtime.errors import InputError
 from training.datasets.class_mapping import list_classes
@@ -57,9 +58,9 @@ def build_with_weights(
         raise InputError(f"the recipe's model cannot be built: {error}.") from error
     has_trunk = source is not None and _has_trunk(source)
     if recipe.pretrained == "imagenet":
-        _require_pretrainable(network)
+        trunk = _require_pretrainable(network)
         if not (resumed or has_trunk):
-            load_imagenet(network.encoder.trunk)
+            load_imagenet(trunk)
     if init is None or source is None:
         return network, frozenset()
     if has_trunk and _has_trunk(network):
@@ -79,9 +80,10 @@ def _with_widths(source: Network, network: Network) -> Network:
     return source if source.config.encoder_widths == widths else prune_trunk(source, widths)
 
 
-def _require_pretrainable(network: Network) -> None:
-    """Raise InputError for a network that weights of ImageNet do not fit."""
-    if not _has_trunk(network):
+def _require_pretrainable(network: Network) -> EfficientNetLite:
+    """Return the trunk; InputError for a network that weights of ImageNet do not fit."""
+    encoder = getattr(network, "encoder", None)
+    if not isinstance(encoder, EfficientNetEncoder):
         raise InputError(
             f"model.pretrained: {network.config.name!r} has no encoder with weights of ImageNet. "
             "Set model.config.encoder = 'efficientnet-lite0', a field of ssdnet-lite and "
@@ -93,6 +95,7 @@ def _require_pretrainable(network: Network) -> None:
                 f"model.config.{key} = {list(found)}, but weights of ImageNet were trained with "
                 f"{list(wanted)}. Leave it out."
             )
+    return encoder.trunk
 
 
 def _configuration(config: NetworkConfig, changes: Mapping[str, Any]) -> NetworkConfig:

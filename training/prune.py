@@ -4,11 +4,11 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 
-from torch import Tensor
+from torch import Tensor, nn
 from tqdm import tqdm
 
 from models import SSDNetLite
-from models.efficientnet_lite import WIDTHS, EfficientNetLite, InvertedResidual
+from models.efficientnet_lite import WIDTHS, EfficientNetLite, InvertedResidual, SameConv
 from runtime.errors import CheckpointError
 
 
@@ -63,8 +63,12 @@ def _without_channels(network: SSDNetLite, widths: Sequence[int]) -> dict[str, T
 
 def _largest(block: InvertedResidual, width: int) -> Tensor:
     """Return the indices of the channels with the largest norms, in their order."""
-    conv, norm = block.depthwise[0], block.depthwise[1]
+    conv, norm, project = block.depthwise[0], block.depthwise[1], block.project[0]
+    assert isinstance(conv, SameConv)
+    assert isinstance(project, SameConv)
+    assert isinstance(norm, nn.BatchNorm2d)
+    assert norm.running_var is not None
     scale = (norm.weight / (norm.running_var + norm.eps).sqrt()).abs()
     inwards = scale * conv.weight.abs().sum(dim=(1, 2, 3))
-    outwards = block.project[0].weight.abs().sum(dim=(0, 2, 3))
+    outwards = project.weight.abs().sum(dim=(0, 2, 3))
     return (inwards * outwards).topk(width).indices.sort().values

@@ -4,12 +4,16 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
+import torch
 from onnx import TensorProto, helper, numpy_helper
 
+from export.deploy import DeployGraph
 from export.half import to_half
 from export.probe_frames import probe_frames
 from export.quantize import measure_ranges, quantize
+from export.trace import trace
 from export.trunk import trunk
+from models import create_model
 from runtime.io.agreement import compare
 
 SIZE = (64, 96)
@@ -109,3 +113,24 @@ def test_8_bit_products_do_not_saturate_in_16_bits():
     for weight in quantized.graph.initializer:
         if weight.data_type == TensorProto.INT8:
             assert np.abs(numpy_helper.to_array(weight).astype(int)).max() <= 64
+
+
+def test_a_trunk_of_relu6_is_quantised_with_its_activations_and_depthwise_convolutions():
+    """A Clip in float between two 8-bit convolutions would cost more than they gain."""
+    torch.manual_seed(0)
+    network = create_model("ssdnet-nano", encoder="efficientnet-lite0").eval()
+    model = trace(DeployGraph(network), size=SIZE)
+    names = set(trunk(model))
+    wide = [n for n in model.graph.node if n.op_type == "Conv" and n.name in names]
+    groups = [item.i for n in wide for item in n.attribute if item.name == "group" and item.i > 1]
+    assert len(groups) == 16  # a block each
+    clips = [n for n in model.graph.node if n.op_type == "Clip" and n.name in names]
+    assert len(clips) == 16 + 15  # the first block has no expansion
+    frames = probe_frames(SIZE, max_depth_m=200.0)[:2]
+    feeds = [{"rgb": f.rgb[None], "sparse_depth": f.sparse_depth[None]} for f in frames]
+    quantized = quantize(model, measure_ranges(model, feeds))
+    left = {n.name for n in quantized.graph.node if n.op_type == "Clip"}
+    assert not left & {n.name for n in clips}
+    for feed in feeds:
+        expected, found = run(model, feed), run(quantized, feed)
+        assert compare("depth", found["depth"], expected["depth"])["mean_abs_m"] < 2.0
