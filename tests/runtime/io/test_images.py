@@ -44,6 +44,11 @@ def test_depth_is_read_in_metres(tmp_path, scale):
     assert depth[0, 0] == 0
 
 
+def test_a_depth_map_with_an_axis_too_many_is_no_picture(tmp_path):
+    with pytest.raises(InputError, match=r"got float32 \(40, 50, 1\): convert it to one"):
+        read_sparse_depth(write(tmp_path / "d.npy", np.zeros((40, 50, 1), np.float32)))
+
+
 @pytest.mark.parametrize(
     "image",
     [np.zeros((40, 50), np.uint8), np.zeros((40, 50, 3), np.uint16)],
