@@ -92,7 +92,11 @@ def parse_model_file(content: bytes) -> ModelFile:
             raise _damaged("its metadata is not the last thing in it, or is written another way")
         found = Content(bytes=len(view) - len(entry), sha256=digest.hexdigest())
         if found != contract.content:
-            raise _damaged(f"the model is {found}, by its metadata {contract.content}")
+            known = contract.content
+            raise _damaged(
+                f"the model has {found.bytes} bytes of SHA-256 {found.sha256[:12]}, its metadata "
+                f"describes {known.bytes} bytes of SHA-256 {known.sha256[:12]}"
+            )
     digest.update(view[-len(entry) :])  # one pass over the bytes for both digests
     return ModelFile(content, digest.hexdigest(), contract)
 

@@ -272,8 +272,9 @@ class Predictor:
         Raises:
             ContractError: if the file is no longer the one that was opened.
             ProviderError: if the provider cannot run it any more.
+            InferenceError: after `close`.
         """
-        self._guard.check()
+        self._open()
         file = load_model_file(Path(self.model), sha256=self.digest)
         self._session = self._open_session(file.content)
 
@@ -366,12 +367,16 @@ class Predictor:
             )
         ]
 
+    def _open(self) -> Any:
+        """The session. Raises InferenceError after `close` and in a forked process."""
+        self._guard.check()
+        if (session := self._session) is None:
+            raise InferenceError("the predictor is closed: make a new one")
+        return session
+
     def _run(self, frames: Sequence[NetworkInput]) -> list[dict[str, NDArray[Any]]]:
         """Run frames of one network size as one batch: head -> array, of each."""
-        self._guard.check()
-        session = self._session
-        if session is None:
-            raise InferenceError("the predictor is closed: make a new one")
+        session = self._open()
         height, width = frames[0].network_size
         feed = {
             "rgb": _batch([frame.rgb for frame in frames]),

@@ -144,10 +144,13 @@ def list_files(folder: Path, suffixes: tuple[str, ...] = RGB_SUFFIXES) -> dict[s
             raise InputError(f"{files[stem]} and {path} have the same stem: remove one")
         files[stem] = path
     if not files:
-        raise InputError(
-            f"the folder {folder} has no {' or '.join(suffixes)} files: give the folder that "
-            "holds the frames themselves"
+        found = sorted({path.suffix for path in paths if path.suffix and path.name[0] != "."})
+        remedy = (
+            f"it has {', '.join(found[:5])}, convert them or give another folder"
+            if found
+            else "give the folder that holds the frames themselves"
         )
+        raise InputError(f"the folder {folder} has no {' or '.join(suffixes)} files: {remedy}")
     return files
 
 

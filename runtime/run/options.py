@@ -335,6 +335,18 @@ class RunOptions:
         later = (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
         return next(path for path in itertools.chain([_OUT], later) if not os.path.lexists(path))
 
+    def claim_folder(self) -> None:
+        """Make a folder that was not named; another run may have taken its name meanwhile."""
+        while self.out is None and not self.overwrite:
+            try:
+                os.mkdir(self.folder)
+            except FileExistsError:
+                del self.__dict__["folder"]  # the next name
+                continue
+            except OSError:
+                pass  # reported where the folder is opened
+            return
+
     @cached_property
     def network_size(self) -> NetworkSize:
         """--size, as `Predictor` takes it."""

@@ -26,12 +26,17 @@ from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, SUFFIXES
 from runtime.run.run_report import RunReport
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source
+from runtime.sync.outcome import Sensor
 
 #: Option -> the package that it needs, and the extra that installs it.
 _PACKAGES = {"rerun": ("rerun", "rerun"), "mcap": ("rosbags", "bag")}
 _NO_RETURNS = (
     "no scan or depth map of the first frames has a return in the image: check that scans are in "
     "metres, and that the extrinsics of the calibration lead from the LiDAR to the camera"
+)
+_NO_MATCH = (
+    "no image has a scan or depth map of its time: check that the time stamps of both are of one "
+    "recording and one clock, or give a larger --max-skew-ms"
 )
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
 
@@ -70,11 +75,14 @@ def run(
             frame_size = _warm_up(predictor, frames, reader, runs=options.warmup)
             _require_outputs(options, source)
             # The same for all shards.
-            implausible = _implausible_depth(predictor, listed[:FIRST_FRAMES], reader, source)
+            implausible = _unmatched(listed, source) or _implausible_depth(
+                predictor, listed[:FIRST_FRAMES], reader, source
+            )
             lines = [*source.notes, describe_predictor(predictor, frame_size)]
             about = "\n".join([*lines, f"warning: {implausible}"] if implausible else lines)
             contract, names = predictor.contract, [each.name for each in frames]
             overlay = SharedOverlay(contract.classes, contract.max_depth_m)
+            options.claim_folder()
             opened = OpenRun(options, predictor, overlay, kinds, names)
             with stop_requested() as stop, _open_outputs(opened) as (write, record):
                 result = run_stream(
@@ -82,7 +90,9 @@ def run(
                     frames,
                     reader=reader,
                     rate_hz=options.rate,
-                    degraded=(IMPLAUSIBLE_DEPTH,) if implausible not in (None, _NO_RETURNS) else (),
+                    degraded=(IMPLAUSIBLE_DEPTH,)
+                    if implausible not in (None, _NO_MATCH, _NO_RETURNS)
+                    else (),
                     write=write,
                     record=record,
                     on_record=on_start(about, len(frames)),
@@ -152,6 +162,13 @@ def _warm_up(
             + "; ".join(group_reasons(reasons))
         )
     return None
+
+
+def _unmatched(frames: Sequence[ListedFrame], source: Source) -> str | None:
+    """What is wrong if the source has depth and no frame has; None: nothing."""
+    left_out = source.inputs.get("left_out") or {}
+    has_depth = any(reason.startswith(f"{Sensor.DEPTH}:") for reason in left_out)
+    return _NO_MATCH if has_depth and all(each.depth is None for each in frames) else None
 
 
 def _implausible_depth(

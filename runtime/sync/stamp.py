@@ -17,6 +17,7 @@ NS_PER_MS = 1_000_000
 DEFAULT_MAX_SKEW_MS = 50.0
 #: Oldest depth that an image without depth of its own takes: a LiDAR of 10 Hz may lose a scan.
 DEFAULT_REUSE_DEPTH_MS = 150.0
+_COARSEST_S = 1e-3  # of the time since 1970, float64 resolves 2.4e-7 s, float32 128 s
 _LIMIT_NS = 2**63  # what 64 bits hold: 292 years
 
 
@@ -27,7 +28,8 @@ def stamp_ns(stamp: Any) -> int:
         stamp: seconds if a float, nanoseconds if an int; Python's or NumPy's.
 
     Raises:
-        InputError: if it is of another type, not finite, or beyond 64 bits of nanoseconds.
+        InputError: if it is of another type, not finite, beyond 64 bits of nanoseconds, or a float
+            that is too short to tell milliseconds apart.
     """
     if isinstance(stamp, float | np.floating):
         nanoseconds_float = float(stamp) * 1e9
@@ -46,5 +48,10 @@ def stamp_ns(stamp: Any) -> int:
         raise InputError(
             f"stamp must be finite and fit in 64 bits of nanoseconds, got {shown(stamp)}: "
             "a float is seconds, an int nanoseconds"
+        )
+    if isinstance(stamp, np.floating) and (step_s := float(np.spacing(abs(stamp)))) > _COARSEST_S:
+        raise InputError(
+            f"stamp must resolve milliseconds, got {shown(stamp)} in {stamp.dtype}, whose next "
+            f"value is {step_s:g} s away: give float64 seconds, or nanoseconds"
         )
     return nanoseconds

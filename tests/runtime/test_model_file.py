@@ -82,6 +82,15 @@ def test_bytes_that_come_or_go(model_file):
                 parse_model_file(change)
 
 
+def test_bytes_that_differ_are_refused_with_both_digests(model_file):
+    whole = model_file().read_bytes()
+    damaged = whole[:20] + bytes([whole[20] ^ 1]) + whole[21:]
+    with pytest.raises(
+        ContractError, match=r"the model has \d+ bytes of SHA-256 [0-9a-f]{12}, its"
+    ):
+        parse_model_file(damaged)
+
+
 def test_what_is_appended_is_refused(model_file, contract):
     whole = model_file().read_bytes()
     old = json.loads(contract.to_json()) | {"schema_version": "1.0", "max_depth_m": 20.0}

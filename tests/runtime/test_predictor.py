@@ -493,6 +493,13 @@ def test_reset_recovers_from_a_provider_that_failed(model_file, make_frame):
         assert predictor.providers == tuple(predictor._session.get_providers()) == providers
 
 
+def test_reset_opens_no_predictor_that_was_closed(model_file):
+    with Predictor(model_file(), threads=1) as predictor:
+        pass
+    with pytest.raises(InferenceError, match="the predictor is closed: make a new one"):
+        predictor.reset()
+
+
 def test_reset_runs_no_other_model_than_before(model_file, make_frame):
     frame = make_frame()
     with Predictor(model_file(), threads=1) as predictor:

@@ -44,6 +44,11 @@ def test_depth_is_read_in_metres(tmp_path, scale):
     assert depth[0, 0] == 0
 
 
+def test_a_depth_map_with_an_axis_too_many_is_no_picture(tmp_path):
+    with pytest.raises(InputError, match=r"got float32 \(40, 50, 1\): convert it to one"):
+        read_sparse_depth(write(tmp_path / "d.npy", np.zeros((40, 50, 1), np.float32)))
+
+
 @pytest.mark.parametrize(
     "image",
     [np.zeros((40, 50), np.uint8), np.zeros((40, 50, 3), np.uint16)],
@@ -190,9 +195,9 @@ def test_a_picture_may_have_so_many_pixels(tmp_path, monkeypatch, suffix):
 def test_a_file_may_have_so_many_bytes(tmp_path, monkeypatch):
     path = write(tmp_path / "a.png", np.zeros((40, 50, 3), np.uint8))
     size = path.stat().st_size
-    monkeypatch.setattr(runtime.read_input, "MAX_FILE_BYTES", size)
+    monkeypatch.setitem(runtime.read_input.read_input.__kwdefaults__, "max_bytes", size)
     assert read_rgb(path).shape == (40, 50, 3)
-    monkeypatch.setattr(runtime.read_input, "MAX_FILE_BYTES", size - 1)
+    monkeypatch.setitem(runtime.read_input.read_input.__kwdefaults__, "max_bytes", size - 1)
     with pytest.raises(InputError, match=rf"has {size} bytes, expected at most {size - 1}"):
         read_rgb(path)
 

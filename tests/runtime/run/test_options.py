@@ -78,3 +78,17 @@ def test_options_are_parsed_once(tmp_path):
     assert list(options.shard_of(range(8))) == [1, 4, 7]
     assert options.source_path == ("folders", tmp_path)
     assert options.named_files == {}
+
+
+def test_a_folder_that_was_not_named_is_a_new_one_also_of_runs_at_the_same_time(
+    tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    first, second = RunOptions(demo=True), RunOptions(demo=True)
+    assert first.folder == second.folder == Path("ssdnet-run")
+    for options in (first, second):
+        options.claim_folder()
+    assert (first.folder, second.folder) == (Path("ssdnet-run"), Path("ssdnet-run-2"))
+    assert all(options.folder.is_dir() for options in (first, second))
+    RunOptions(demo=True, out=Path("named")).claim_folder()
+    assert not Path("named").exists()

@@ -263,3 +263,13 @@ def test_a_pipe_in_place_of_a_text_file_is_not_waited_for(drive, name):
     os.mkfifo(drive / name)
     with pytest.raises(InputError, match="not a regular file"):
         KittiRawSource(drive)
+
+
+def test_scans_of_another_time_are_reported(drive, run):
+    """As with stamps in local time, or of another drive."""
+    (drive / "velodyne_points/timestamps.txt").write_text(stamps(range(20_000, 20_600, 100)))
+    answers = run(drive)
+    assert answers.exit_code == 3, answers.text
+    assert "warning: no image has a scan or depth map of its time" in answers.text
+    assert "--max-skew-ms" in answers.report["frames"]["implausible_depth"]
+    assert set(answers.column("degraded")) == {"no_depth"}

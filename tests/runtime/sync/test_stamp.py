@@ -36,6 +36,7 @@ def test_floats_are_seconds_and_ints_nanoseconds(stamp, nanoseconds):
         (2**63, "fit in 64 bits"),
         (-(2**63) - 1, "fit in 64 bits"),
         (np.zeros(3), "got ndarray"),
+        (np.float32(1.7e9), "in float32, whose next value is 128 s away: give float64 seconds"),
     ],
 )
 def test_invalid_stamps_are_refused(stamp, message):
