@@ -93,7 +93,7 @@ def read_oxts_poses(paths: Iterable[Path]) -> NDArray[np.float64]:
 
 def read_poses(
     path: Path, stamps_ns: Sequence[int], *, of_clock: bool
-) -> tuple[Sequence[int], NDArray[np.float64]]:
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Read the poses of a folder's frames: KITTI's format, a line a frame, or TUM's.
 
     Args:
@@ -102,7 +102,7 @@ def read_poses(
         of_clock: whether these are times of a clock, which TUM's format needs.
 
     Returns:
-        Nanoseconds (N,), and poses float64 (N, 4, 4).
+        Nanoseconds int64 (N,), and poses float64 (N, 4, 4).
 
     Raises:
         InputError: as `read_kitti_poses` and `read_tum_poses`; and for another number of lines than
@@ -121,7 +121,7 @@ def read_poses(
             f"{path} has {len(poses)} poses, there are {len(stamps_ns)} images: it must have a "
             "line for each image, in natural order"
         )
-    return stamps_ns, poses
+    return np.array(stamps_ns, np.int64), poses
 
 
 def pose_of(

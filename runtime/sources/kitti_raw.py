@@ -130,7 +130,7 @@ class KittiRawSource(FolderSource):
             return
         poses = read_oxts_poses(path for _, _, path in stamped)
         track = track_of(zip((stamp_ns for _, stamp_ns, _ in stamped), poses, strict=True))
-        body_from_lidar = np.linalg.inv(lidar_from_body)
+        body_from_lidar = np.linalg.inv(lidar_from_body).astype(np.float64)
         self._poses = RecordedPoses(track, PoseFrame.BODY, body_from_lidar)
 
     @property

@@ -133,10 +133,9 @@ def _in_front(
         for axis, along in zip(xyz[1:], middle[1:3], strict=True):
             np.multiply(axis, np.float32(along), out=factor)
             depth += factor
-        # Where one is infinite all stay.
-        return np.flatnonzero(
-            depth >= np.float32(nearest) if np.isfinite(nearest) else depth == depth
-        )
+        if not np.isfinite(nearest):  # a return is not: all stay
+            return np.arange(len(depth))
+        return np.flatnonzero(depth >= np.float32(nearest))
 
 
 def project_moved(
