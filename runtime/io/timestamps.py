@@ -53,6 +53,8 @@ def parse_seconds(text: str) -> int:
     whole, _, fraction = text.strip().partition(".")
     digits = whole.removeprefix("-").removeprefix("+")
     if not (digits.isdecimal() and (fraction or "0").isdecimal()):
+        if "_" in text:  # float() takes them
+            raise ValueError(text)
         return round(float(text) * 1e9)
     rest = int(fraction[:9].ljust(9, "0"))
     return int(whole) * 10**9 + (-rest if whole.startswith("-") else rest)

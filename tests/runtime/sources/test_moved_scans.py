@@ -369,3 +369,18 @@ def test_one_of_several_topics_of_odometry_is_chosen(make_bag, make_frame, make_
     assert chosen.column("degraded") == ["", "depth_reused"] * N
     wrong = run(path, "--pose-topic", "/imu", out="wrong")
     assert "no topic of Odometry or transforms" in wrong.text
+
+
+def test_a_depth_map_is_reused_as_it_is_and_flagged(folders, write_depth, make_frame):
+    for number in range(0, 2 * N, 2):
+        write_depth(folders / f"depth/{number}.png", make_frame(*SIZE, seed=number)[1])
+    source = FolderSource(folders / "image", depth=folders / "depth", reuse_depth_ms=150)
+    frames = source.list_frames()
+    assert "guessed: the images are 100 ms apart; --timestamps says when" in source.notes
+    own, reused = (source.read(frame) for frame in frames[:2])
+    assert own.degraded == ()
+    assert (reused.degraded, reused.depth_motion) == (
+        ("depth_reused", "depth_uncompensated"),
+        "none",
+    )
+    assert np.array_equal(own.sparse_depth, reused.sparse_depth)
