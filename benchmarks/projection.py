@@ -4,7 +4,8 @@
 
 The scan is that of a 64-line sensor on a street of walls, 115,200 returns all around; the picture
 has 1242 x 375 pixels. Plain and filtered projection, and moving each return by the pose at its own
-time (`move_points`, poses at 100 Hz), run interleaved. With --keep-memory freed memory is kept for
+time (`move_points`, poses at 100 Hz; `project_moved` leaves out what stays behind the camera), run
+interleaved. With --keep-memory freed memory is kept for
 the next scan, as ssdnet-run keeps it.
 """
 
@@ -18,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import OcclusionFilter, project_points
+from runtime.io.calibration import Calibration
 from runtime.run.process import dedicate_process
-from runtime.sync.motion import move_points
+from runtime.sync.motion import move_points, project_moved
 from runtime.sync.poses import PoseTrack
 
 SIZE = (375, 1242)
@@ -71,15 +73,19 @@ def main() -> None:
     stamps = range(-20_000_000, 130_000_000, 10_000_000)
     track = PoseTrack.of([_pose(stamp) for stamp in stamps], stamps)
     times = np.tile(np.linspace(0, 100_000_000, 1800).astype(np.int64), 64)
+    calibration = Calibration(INTRINSICS, EXTRINSICS)
     ways: dict[str, Callable[[], NDArray[np.float32]]] = {
         "plain": lambda: project_points(points, INTRINSICS, EXTRINSICS, SIZE),
         "with occlusion filter": lambda: project_points(
             points, INTRINSICS, EXTRINSICS, SIZE, occlusion=occlusion
         ),
         "moving alone": lambda: move_points(points, times, track, 50_000_000),
+        "moved and projected": lambda: project_moved(
+            calibration, points, times, track, 50_000_000, SIZE
+        ),
     }
     times_ms: dict[str, list[float]] = {name: [] for name in ways}
-    returns = {name: np.count_nonzero(ways[name]()) for name in ("plain", "with occlusion filter")}
+    returns = {name: np.count_nonzero(ways[name]()) for name in ways if name != "moving alone"}
     for _ in range(rounds):
         for name, way in ways.items():
             start = time.perf_counter()

@@ -45,7 +45,7 @@ class PredictorActor:
             prediction = self._predictor.predict(frame.rgb, frame.sparse_depth)
         except SSDNetError as error:
             return {**row, "reason": str(error), **none}
-        row["degraded"] = ",".join(prediction.degraded)
+        row["degraded"] = ",".join(prediction.degraded + frame.degraded)
         return {**row, **(prediction.heads if prediction.valid else none)}
 
 

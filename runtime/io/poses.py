@@ -4,13 +4,14 @@ Formats: A. Geiger et al., KITTI odometry development kit and "Vision meets Robo
 J. Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems", 2012.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
+from runtime.io.timestamps import parse_seconds
 from runtime.read_input import read_text
 
 _KITTI, _TUM, _OXTS = 12, 8, 30
@@ -45,7 +46,7 @@ def read_tum_poses(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     if len(rows) and not (np.abs(rows[:, 0]) < 2**63 / 1e9).all():
         raise InputError(f"{path} must begin its lines with seconds, got {rows[:, 0].max():g}")
     # Not by float: 1.6e9 s in float64 are exact to 0.2 µs alone.
-    stamps = [_nanoseconds(line.split()[0]) for line in _lines(path)]
+    stamps = [parse_seconds(line.split()[0]) for line in _lines(path)]
     poses = [
         pose_of(row[1:4], row[4:8], f"line {number + 1} of {path}")
         for number, row in enumerate(rows)
@@ -90,6 +91,39 @@ def read_oxts_poses(paths: Iterable[Path]) -> NDArray[np.float64]:
     return np.array(poses).reshape(-1, 4, 4)
 
 
+def read_poses(
+    path: Path, stamps_ns: Sequence[int], *, of_clock: bool
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Read the poses of a folder's frames: KITTI's format, a line a frame, or TUM's.
+
+    Args:
+        path: of the file.
+        stamps_ns: of the frames.
+        of_clock: whether these are times of a clock, which TUM's format needs.
+
+    Returns:
+        Nanoseconds int64 (N,), and poses float64 (N, 4, 4).
+
+    Raises:
+        InputError: as `read_kitti_poses` and `read_tum_poses`; and for another number of lines than
+            frames, and TUM's format without times of the frames.
+    """
+    first = next(iter(_lines(path)), "")
+    if len(first.split()) == _TUM:
+        if not of_clock:
+            raise InputError(
+                f"{path} has times, the frames have none: give --timestamps, a line a frame"
+            )
+        return read_tum_poses(path)
+    poses = read_kitti_poses(path)
+    if len(poses) != len(stamps_ns):
+        raise InputError(
+            f"{path} has {len(poses)} poses, there are {len(stamps_ns)} images: it must have a "
+            "line for each image, in natural order"
+        )
+    return np.array(stamps_ns, np.int64), poses
+
+
 def pose_of(
     position: Iterable[float], quaternion: Iterable[float], name: str
 ) -> NDArray[np.float64]:
@@ -131,15 +165,6 @@ def _numbers(path: Path, count: int) -> NDArray[np.float64]:
             )
         rows.append(row)
     return np.array(rows).reshape(-1, count)
-
-
-def _nanoseconds(word: str) -> int:
-    """Nanoseconds of a decimal number of seconds, without rounding where it has no exponent."""
-    whole, _, fraction = word.partition(".")
-    if not (whole.lstrip("+-").isdecimal() and (fraction or "0").isdecimal()):
-        return round(float(word) * 1e9)
-    rest = int(fraction[:9].ljust(9, "0"))
-    return int(whole) * 10**9 + (-rest if whole.startswith("-") else rest)
 
 
 def _about_x(angle: float) -> NDArray[np.float64]:

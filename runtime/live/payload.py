@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.preprocess import check_sparse_depth
-from runtime.sync.stamp import NS_PER_MS
-
-_LONGEST_SCAN_NS = 1_000 * NS_PER_MS
+from runtime.sync.depth_in_time import point_times
 
 
 class Points(NamedTuple):
@@ -56,33 +54,4 @@ def check_points(
     calibration.check(points)
     if times is None:
         return Points(points)
-    return Points(points, *_point_times(times, len(points), stamp_ns))
-
-
-def _point_times(times: Any, count: int, stamp_ns: int) -> tuple[NDArray[np.int64], int, int]:
-    """Nanoseconds of the points, the first and the last of them; raises InputError."""
-    kind = times.dtype.kind if isinstance(times, np.ndarray) else None
-    if kind not in ("f", "i", "u") or times.shape != (count,):
-        got = f"{times.dtype} {times.shape}" if kind else type(times).__name__
-        raise InputError(
-            f"times must have the shape ({count},), seconds after the stamp as floats or "
-            f"nanoseconds of its clock as integers, got {got}"
-        )
-    if not count:
-        return np.zeros(0, np.int64), stamp_ns, stamp_ns
-    if kind == "f":
-        after_ns = times.astype(np.float64) * 1e9
-    else:  # by extremes first: an unsigned time may be beyond int64
-        least, most = int(times.min()) - stamp_ns, int(times.max()) - stamp_ns
-        after_ns = np.array([least, most], np.float64)
-    if not (np.abs(after_ns) <= _LONGEST_SCAN_NS).all():  # nor NaN
-        far_s = np.abs(after_ns).max() / 1e9
-        raise InputError(
-            f"times must be within {_LONGEST_SCAN_NS / 1e9:g} s of the stamp, got {far_s:g} s: are "
-            "they of another unit or clock?"
-        )
-    if kind == "f":
-        absolute = stamp_ns + np.rint(after_ns).astype(np.int64)
-    else:
-        absolute = times.astype(np.int64)
-    return absolute, int(absolute.min()), int(absolute.max())
+    return Points(points, *point_times(times, len(points), stamp_ns))

@@ -30,7 +30,9 @@ from runtime.sources.registry import (
     parse_source,
 )
 from runtime.sources.source import Source
-from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
+from runtime.sync.depth_in_time import MIDDLE_AFTER
+from runtime.sync.poses import PoseFrame
+from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
 MAX_SHARDS = 1_000_000
 MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG
@@ -46,14 +48,15 @@ _RANGES = {
     "rate": (1e-3, 1e6),
     "focal_length": (MIN_FOCAL_PX, MAX_FOCAL_PX),
     "max_skew_ms": (0, 1e6),
+    "reuse_depth_ms": (0, 1e6),
 }
 
 Item = TypeVar("Item")
 
 # The groups of --help, in their order there.
-_INPUT, _OUTPUTS, _MODEL, _TIMING, _TOPICS = (
+_INPUT, _MOTION, _OUTPUTS, _MODEL, _TIMING, _TOPICS = (
     partial(typer.Option, rich_help_panel=title)
-    for title in ("Input", "Outputs", "Model", "Timing", "Topics of a bag")
+    for title in ("Input", "Motion", "Outputs", "Model", "Timing", "Topics of a bag")
 )
 
 
@@ -129,6 +132,49 @@ class RunOptions:
         _INPUT(
             min=3,
             help="float32 per point of .bin scans, x, y, z first. [default: 4, of .pcd.bin 5]",
+        ),
+    ] = None
+    timestamps: Annotated[
+        Path | None,
+        _MOTION(
+            metavar="FILE",
+            help="Times of the images of a folder, a line each in natural order: seconds, or dates "
+            "as of KITTI's raw data. [default: 100 ms apart]",
+        ),
+    ] = None
+    reuse_depth_ms: Annotated[
+        float | None,
+        _MOTION(
+            help="Largest age of the depth that an image without depth of its own takes; 0 = none. "
+            f"[default: {DEFAULT_REUSE_DEPTH_MS:g}, in folders with --timestamps or --poses]"
+        ),
+    ] = None
+    poses: Annotated[
+        Path | None,
+        _MOTION(
+            metavar="FILE",
+            help="Poses by which scans in a folder are moved to the time of the image: KITTI's "
+            "format, a line for each image in natural order, or TUM's with --timestamps. Drives of "
+            "KITTI and bags bring their own.",
+        ),
+    ] = None
+    pose_frame: Annotated[
+        PoseFrame | None,
+        _MOTION(help="What --poses are of; body needs body_from_lidar in --calibration."),
+    ] = None
+    scan_stamp: Annotated[
+        str | None,
+        _MOTION(
+            metavar="|".join(MIDDLE_AFTER),
+            help="What instant of a scan its stamp is. [default: middle]",
+        ),
+    ] = None
+    point_time_column: Annotated[
+        int | None,
+        _MOTION(
+            min=3,
+            help="Column of .bin and .npy scans, x being 0, with the time of each point in seconds "
+            "after the stamp. [default: a scan is moved as one]",
         ),
     ] = None
     source: Annotated[
@@ -287,6 +333,13 @@ class RunOptions:
         str | None,
         _TOPICS(help="Topic of the CameraInfo. [default: the one beside the images]"),
     ] = None
+    pose_topic: Annotated[
+        str | None,
+        _TOPICS(
+            help="Topic of the car's Odometry, or of transforms (/tf); none = scans are not moved. "
+            "[default: the only Odometry, else /tf]"
+        ),
+    ] = None
 
     def __post_init__(self) -> None:
         """Check every option."""
@@ -299,6 +352,12 @@ class RunOptions:
             if (value := getattr(self, field)) is not None:
                 option = f"--{field.replace('_', '-')}"
                 check_number(option, value, least, most, error=UsageError)
+        if (self.poses is None) != (self.pose_frame is None):
+            raise UsageError("give --poses and --pose-frame together")
+        if self.scan_stamp not in (None, *MIDDLE_AFTER):
+            raise UsageError(
+                f"--scan-stamp is one of {', '.join(MIDDLE_AFTER)}, got {shown(self.scan_stamp)}"
+            )
         for option, path in self.named_files.items():
             if path.suffix.lower() != FILE_SUFFIXES[option]:
                 raise UsageError(f"--{option} writes {FILE_SUFFIXES[option]} files, got {path}")

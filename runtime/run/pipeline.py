@@ -14,6 +14,7 @@ from runtime.prediction import Cleaned, Latency, Prediction
 from runtime.predictor import Predictor
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame
+from runtime.sync.depth_in_time import DepthMotion
 from runtime.sync.latency import Jitter
 from runtime.sync.stamp import NS_PER_MS
 
@@ -47,6 +48,8 @@ class FrameRecord:
         depth_returns: as of `Prediction`.
         image_stamp_ns: clock of the sensor; None = not known.
         depth_stamp_ns: clock of the sensor; None = not known.
+        depth_reused: as of `Frame`.
+        depth_motion: as of `Frame`.
         age_ms: constant stream: from when the frame was due until it was predicted.
         jitter_ms: constant stream: difference to the age of the frame before, the transit-time
             difference of RFC 3550.
@@ -67,15 +70,29 @@ class FrameRecord:
     depth_returns: int = 0
     image_stamp_ns: int | None = None
     depth_stamp_ns: int | None = None
+    depth_reused: bool = False
+    depth_motion: DepthMotion | None = None
     age_ms: float | None = None
     jitter_ms: float | None = None
 
     @property
     def skew_ms(self) -> float | None:
-        """Difference of the two sensors' stamps; None where one is not known."""
+        """Difference of the stamps of an image and its own depth; None where one is not known."""
+        return None if self.depth_age_ms is None or self.depth_reused else abs(self.depth_age_ms)
+
+    @property
+    def depth_age_ms(self) -> float | None:
+        """Image stamp - depth stamp; None where one is not known."""
         if self.image_stamp_ns is None or self.depth_stamp_ns is None:
             return None
-        return abs(self.depth_stamp_ns - self.image_stamp_ns) / 1e6
+        return (self.image_stamp_ns - self.depth_stamp_ns) / 1e6
+
+    @property
+    def depth_source(self) -> str:
+        """Depth of the image's "own" scan, "reused" from an older one, or "" without depth."""
+        if self.depth_motion is None:
+            return ""
+        return "reused" if self.depth_reused else "own"
 
     @property
     def response_ms(self) -> float | None:
@@ -177,6 +194,8 @@ def answer_frame(
         depth_returns=prediction.depth_returns,
         image_stamp_ns=frame.image_stamp_ns,
         depth_stamp_ns=frame.depth_stamp_ns,
+        depth_reused=frame.depth_reused,
+        depth_motion=frame.depth_motion,
     )
     return FrameOutcome(record, frame, prediction)
 
@@ -258,8 +277,8 @@ def run_stream(
                     done = replace(done, age_ms=age_ms, jitter_ms=jitter_ms)
                 if record is not None:
                     record(answer.frame, prediction)
-                if degraded:
-                    prediction = replace(prediction, degraded=prediction.degraded + degraded)
+                if reasons := answer.frame.degraded + degraded:
+                    prediction = replace(prediction, degraded=prediction.degraded + reasons)
                     done = replace(done, degraded=prediction.degraded)
                 if write is not None and prediction.valid:
                     written = writer.submit(_timed_write, write, answer.frame, prediction)

@@ -48,7 +48,7 @@ def frames_csv(report: RunReport) -> str:
         + [f"{stage}_ms" for stage in STAGES]
         + ["missed_deadline", "degraded", "nan", "infinite", "negative", "too_far"]
         + ["depth_returns", "network_height", "network_width"]
-        + ["image_stamp_ns", "depth_stamp_ns", "health"]
+        + ["image_stamp_ns", "depth_stamp_ns", "health", "depth_source", "depth_motion"]
     )
     for record in report.records:
         times_ms = (time_of(record) for time_of in STAGES.values())
@@ -61,6 +61,7 @@ def frames_csv(report: RunReport) -> str:
             + [*asdict(record.cleaned).values(), record.depth_returns]
             + list(record.network_size or ("", ""))
             + [record.image_stamp_ns, record.depth_stamp_ns, ";".join(record.health)]
+            + [record.depth_source, record.depth_motion]
         )
     return text.getvalue()
 

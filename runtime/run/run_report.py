@@ -17,11 +17,11 @@ from runtime.sync.latency import (
     latency_statistics,
 )
 
-REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.8"
+REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.9"
 FRAMES_SKIPPED, DEADLINE_MISSED = 3, 4  # exit codes
 
 # "predict" is Predictor.predict from end to end; "age" and "jitter" are of constant streams, "skew"
-# of sources whose sensors both have stamps.
+# and "depth_age" of sources whose sensors both have stamps.
 STAGES: dict[str, Callable[[FrameRecord], float | None]] = {
     "read": lambda record: record.read_ms,
     "preprocess": lambda record: record.latency.preprocess_ms if record.latency else None,
@@ -32,8 +32,10 @@ STAGES: dict[str, Callable[[FrameRecord], float | None]] = {
     "age": lambda record: record.age_ms,
     "jitter": lambda record: record.jitter_ms,
     "skew": lambda record: record.skew_ms,
+    "depth_age": lambda record: None if (age := record.depth_age_ms) is None else max(age, 0.0),
 }
 _CONSTANT_STREAM = ("age", "jitter")
+_OF_STAMPS = ("skew", "depth_age")
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,15 @@ class RunReport:
         return Counter(reason for record in self.records for reason in record.health)
 
     @property
+    def depth_sources(self) -> Counter[str]:
+        """Own or reused, and how the returns were moved -> frames with depth."""
+        return Counter(
+            f"{record.depth_source}, motion {record.depth_motion}"
+            for record in self.records
+            if record.depth_motion is not None
+        )
+
+    @property
     def by_network_size(self) -> Counter[str]:
         """Size at which the network ran -> frames."""
         sizes = (record.network_size for record in self.records)
@@ -98,8 +109,11 @@ class RunReport:
     def stages(self) -> dict[str, LatencyStatistics | None]:
         """Stage -> statistics over the frames that passed it; the stages of the scenario."""
         left_out: tuple[str, ...] = () if self.stream.rate_hz is not None else _CONSTANT_STREAM
-        if all(record.skew_ms is None for record in self.records):
-            left_out += ("skew",)
+        left_out += tuple(
+            stage
+            for stage in _OF_STAMPS
+            if all(STAGES[stage](record) is None for record in self.records)
+        )
         return {
             stage: latency_statistics(_known(map(time_of, self.records)))
             for stage, time_of in STAGES.items()
@@ -157,6 +171,7 @@ class RunReport:
                 "by_status": self.by_status,
                 "degraded": self.degraded,
                 "health": self.health,
+                "depth": self.depth_sources,
                 "implausible_depth": self.implausible_depth,
                 "by_network_size": self.by_network_size,
                 "not_ok": [

@@ -4,6 +4,7 @@ import contextlib
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,13 @@ import numpy as np
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.sources.frames import Frame
+from runtime.sources.recorded_motion import (
+    RecordedPoses,
+    frame_of,
+    match_frames,
+    project_listed,
+    track_of,
+)
 from runtime.sources.ros_bag import RecordedMessage, RosBag
 from runtime.sources.ros_messages import (
     decode_compressed_image,
@@ -20,15 +28,20 @@ from runtime.sources.ros_messages import (
     decode_points,
     is_depth_encoding,
 )
+from runtime.sources.ros_poses import odometry_poses, point_times_ns, transform_poses
 from runtime.sources.ros_transforms import TransformTree
-from runtime.sources.source import ListedFrame, Source, no_depth, up_to
+from runtime.sources.source import ListedFrame, Source, no_depth
+from runtime.sync.depth_in_time import ScanStamp, keep_map
 from runtime.sync.outcome import Outcome, Sensor
-from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
-from runtime.sync.stamp_matching import left_out_note, match_by_stamp
+from runtime.sync.poses import PoseFrame
+from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
+from runtime.sync.stamp_matching import left_out_note
+from runtime.sync.synchronizer import Pair
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+ODOMETRY = "nav_msgs/msg/Odometry"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 #: As depth_topic: the camera alone.
@@ -42,7 +55,8 @@ class BagSource(Source):
     """Images and, matched by the time stamps in their headers, point clouds or depth images.
 
     A header without a stamp counts with the time at which it was recorded. An image without depth
-    is a frame of the camera alone; depth without an image is left out. Listing reads the bag once.
+    takes an older one, or is a frame of the camera alone; depth without an image is left out.
+    Listing reads the bag once.
 
     Args:
         path: as `RosBag`.
@@ -52,6 +66,11 @@ class BagSource(Source):
         info_topic: of CameraInfo; None: the one beside the images.
         calibration: as `Calibration.from_file`, in place of CameraInfo and /tf_static.
         max_skew_ms: largest difference of the time stamps of an image and its depth.
+        reuse_depth_ms: largest age of the depth that an image without depth of its own takes.
+        scan_stamp: what instant of a scan its time stamp is.
+        pose_topic: of Odometry, or of TFMessage such as /tf, by which clouds are moved to the time
+            of the image; "none": they are not; None: the only Odometry, else /tf, if there are any
+            and /tf_static connects them to the LiDAR.
 
     Raises:
         InputError: if `rosbags` is not installed, the bag is damaged, a topic does not exist or
@@ -59,7 +78,16 @@ class BagSource(Source):
     """
 
     accepted = f"a bag ({', '.join(_SUFFIXES)}, or a folder that holds metadata.yaml)"
-    options = ("image_topic", "depth_topic", "info_topic", "calibration", "max_skew_ms")
+    options = (
+        "image_topic",
+        "depth_topic",
+        "info_topic",
+        "calibration",
+        "max_skew_ms",
+        "reuse_depth_ms",
+        "scan_stamp",
+        "pose_topic",
+    )
 
     def __init__(
         self,
@@ -70,8 +98,14 @@ class BagSource(Source):
         info_topic: str | None = None,
         calibration: Path | None = None,
         max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
+        reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS,
+        scan_stamp: ScanStamp = "middle",
+        pose_topic: str | None = None,
     ) -> None:
         self._max_skew_ms, self._calibration_path = max_skew_ms, calibration
+        self._reuse_depth_ms, self._scan_stamp = reuse_depth_ms, scan_stamp
+        self._pose_topic: str | None = None
+        self._unused_poses = ""
         self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
         self.recordings = (path,)
         self._left_out: Counter[str] = Counter()
@@ -81,6 +115,7 @@ class BagSource(Source):
             self._image_topic, self._depth_topic = self._find_topics(image_topic, depth_topic)
             self._info_topic = self._find_info(info_topic)
             self.calibration = self._calibrate()
+            self._poses = self._find_poses(pose_topic)
         except BaseException:
             self.close()
             raise
@@ -177,13 +212,61 @@ class BagSource(Source):
             )
         camera = self._first(self._image_topic).header.frame_id or info.header.frame_id
         lidar = self._first(self._depth_topic).header.frame_id
-        tree = TransformTree(
+        return Calibration.from_camera_info(fields, self._tree.between(lidar, camera))
+
+    @cached_property
+    def _tree(self) -> TransformTree:
+        return TransformTree(
             message
             for topic, kind in self._bag.types.items()
             if kind in TRANSFORMS and topic.endswith("tf_static")
             for message in self._bag.decoded(topic)
         )
-        return Calibration.from_camera_info(fields, tree.between(lidar, camera))
+
+    def _find_poses(self, requested: str | None) -> RecordedPoses | None:
+        """The poses of the car, where clouds can be moved by them. Raises InputError."""
+        is_cloud = self._depth_topic and self._bag.types[self._depth_topic] == POINT_CLOUD
+        if not is_cloud or requested == NO_TOPIC:
+            return None
+        types = self._bag.types.items()
+        odometry = [topic for topic, kind in types if kind == ODOMETRY]
+        moving = [t for t, kind in types if kind in TRANSFORMS and not t.endswith("tf_static")]
+        if requested is not None and requested not in odometry + moving:
+            topics = ", ".join(sorted(odometry + moving)) or "none"
+            raise InputError(
+                f"--pose-topic {requested} is no topic of Odometry or transforms in "
+                f"{self._bag.path}, it has {topics}"
+            )
+        if requested is None and len(odometry) > 1:
+            names = ", ".join(sorted(odometry))
+            self._unused_poses = f"poses are not used: choose one of {names} by --pose-topic"
+            return None
+        topic = requested or next(iter(odometry + moving), None)
+        if topic is None:
+            return None
+        try:
+            poses = self._read_poses(topic, is_odometry=topic in odometry)
+        except InputError as error:
+            if requested is not None:
+                raise
+            self._unused_poses = f"the poses of {topic} are not used: {error}"
+            return None
+        if requested is None:
+            self._guessed.append(f"pose topic {topic}")
+        self._pose_topic = topic
+        return poses
+
+    def _read_poses(self, topic: str, *, is_odometry: bool) -> RecordedPoses:
+        assert self._depth_topic is not None
+        lidar = self._first(self._depth_topic).header.frame_id
+        if is_odometry:
+            body, stamped = odometry_poses(self._bag.decoded(topic))
+        else:
+            body, stamped = transform_poses(self._bag.decoded(topic), self._tree.carriers(lidar))
+        mount = None
+        if self.calibration is None or self.calibration.body_from_lidar is None:
+            mount = self._tree.between(lidar, body)
+        return RecordedPoses(track_of(stamped), PoseFrame.BODY, mount)
 
     def _first(self, topic: str) -> Any:
         """The first message of a topic. Raises InputError if there is none."""
@@ -202,7 +285,7 @@ class BagSource(Source):
     def list_frames(self, *, limit: int | None = None) -> tuple[ListedFrame, ...]:
         """See `Source.list_frames`."""
         self._left_out.clear()
-        frames = up_to(self._match(), limit)
+        frames = self._match(limit)
         if not frames:
             raise InputError(
                 f"the topic {self._image_topic} of {self._bag.path} has no messages with a stamp"
@@ -215,7 +298,7 @@ class BagSource(Source):
         }
         return frames
 
-    def _match(self) -> Iterator[ListedFrame]:
+    def _match(self, limit: int | None) -> tuple[ListedFrame, ...]:
         """The frames, with the positions of their two messages among those of both topics."""
 
         def stamped() -> Iterator[tuple[Sensor, int, int]]:
@@ -231,13 +314,22 @@ class BagSource(Source):
                 self._left_out[f"{sensor}: in the index, but lost"] += count
 
         names: Counter[str] = Counter()
-        pairs = match_by_stamp(stamped(), max_skew_ms=self._max_skew_ms, left_out=self._left_out)
-        for sequence, pair in enumerate(pairs):
-            name = str(pair.image.stamp_ns)
-            names[name] += 1
-            if names[name] > 1:  # played in a loop
-                name = f"{name}-{names[name]}"
-            yield ListedFrame.of_pair(sequence, name, pair, alone=self._depth_topic is None)
+
+        def name(pair: Pair) -> str:
+            stamp = str(pair.image.stamp_ns)
+            names[stamp] += 1
+            return stamp if names[stamp] == 1 else f"{stamp}-{names[stamp]}"  # played in a loop
+
+        return match_frames(
+            stamped(),
+            max_skew_ms=self._max_skew_ms,
+            reuse_depth_ms=self._reuse_depth_ms,
+            scan_stamp=self._scan_stamp,
+            left_out=self._left_out,
+            name=name,
+            limit=limit,
+            camera_only=self._depth_topic is None,
+        )
 
     def _recorded(self) -> Iterator[RecordedMessage]:
         """The messages of both topics, in the same order each time."""
@@ -251,18 +343,24 @@ class BagSource(Source):
         is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE
         rgb = decode_compressed_image(image) if is_compressed else decode_image(image)
         if frame.depth is None:
-            sparse_depth = no_depth(rgb)
-        else:
-            depth = self._bag.decode(messages[frame.depth])
-            if self._bag.types[messages[frame.depth].topic] != POINT_CLOUD:
-                sparse_depth = decode_depth_image(depth)
-            else:
-                assert self.calibration is not None  # see `_calibrate`
-                height, width = rgb.shape[:2]
-                sparse_depth = self.calibration.project(decode_points(depth), (height, width))
-        return Frame(
-            rgb, sparse_depth, frame.image_stamp_ns, frame.depth_stamp_ns, self.calibration
-        )
+            return frame_of(frame, rgb, no_depth(rgb), self.calibration)
+        recorded = messages[frame.depth]
+        message, size = self._bag.decode(recorded), (rgb.shape[0], rgb.shape[1])
+        if self._bag.types[recorded.topic] != POINT_CLOUD:
+            depth = decode_depth_image(message)
+            return frame_of(
+                frame,
+                rgb,
+                keep_map(depth, apart=False, has_poses=False, reused=frame.reused),
+                self.calibration,
+            )
+        assert self.calibration is not None  # see `_calibrate`
+        times = None
+        if self._poses is not None and frame.depth_stamp_ns is not None:
+            times = point_times_ns(message, frame.depth_stamp_ns)
+        points = decode_points(message)
+        moved = project_listed(frame, self.calibration, points, times, self._poses, size)
+        return frame_of(frame, rgb, moved, self.calibration)
 
     def _take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
         """The messages of a frame by position; those of later frames on the way are kept."""
@@ -285,7 +383,11 @@ class BagSource(Source):
                 self._kept[self._next_place] = message
             missing.discard(self._next_place)
             self._next_place += 1
-        return {place: self._kept.pop(place) for place in places}
+        taken = {place: self._kept[place] for place in places}
+        for place in places:
+            if self._owners[place] <= frame.sequence:  # a scan may serve later images, too
+                del self._kept[place]
+        return taken
 
     @property
     def inputs(self) -> dict[str, Any]:
@@ -298,6 +400,8 @@ class BagSource(Source):
             "info_topic": self._info_topic,
             "calibration": None if calibration is None else str(calibration),
             "max_skew_ms": self._max_skew_ms,
+            "reuse_depth_ms": self._reuse_depth_ms,
+            "pose_topic": self._pose_topic,
             "left_out": dict(self._left_out),
         }
 
@@ -305,7 +409,8 @@ class BagSource(Source):
     def notes(self) -> tuple[str, ...]:
         """See `Source.notes`."""
         guessed = (f"guessed: {', '.join(self._guessed)}",) if self._guessed else ()
-        return guessed + left_out_note(self._left_out)
+        unused = (self._unused_poses,) if self._unused_poses else ()
+        return guessed + unused + left_out_note(self._left_out)
 
     def close(self) -> None:
         """See `Source.close`."""

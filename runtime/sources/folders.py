@@ -2,9 +2,14 @@
 
 import os
 import re
+from bisect import bisect_left
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.calibration import FrameCalibrations
@@ -17,13 +22,26 @@ from runtime.io.images import (
     read_rgb,
     read_sparse_depth,
 )
+from runtime.io.poses import read_poses
 from runtime.io.scan import SCAN_SUFFIXES, read_scan
+from runtime.io.timestamps import read_timestamps
 from runtime.sources.frames import Frame
+from runtime.sources.recorded_motion import (
+    RecordedPoses,
+    frame_of,
+    match_frames,
+    project_listed,
+)
 from runtime.sources.source import ListedFrame, Source, no_depth, pair_up
+from runtime.sync.depth_in_time import ScanStamp, keep_map, point_times
+from runtime.sync.motion import lidar_mount
 from runtime.sync.outcome import Outcome, Sensor
+from runtime.sync.poses import PoseFrame, PoseTrack
+from runtime.sync.stamp import DEFAULT_REUSE_DEPTH_MS, NS_PER_MS
 from runtime.sync.stamp_matching import left_out_note
 
 _SENSOR_WORDS = {"image", "img", "rgb", "color", "depth", "lidar", "velodyne", "points"}
+_APART_NS = 100 * NS_PER_MS  # of images without times
 #: Camera of a folder of KITTI: image_02, image_2/, image_02/data.
 _KITTI_CAMERA = re.compile(r"(?:^|/)image_0?([0-3])(?:/data)?$")
 
@@ -42,10 +60,19 @@ class FolderSource(Source):
         point_columns: numbers per point of .bin scans; None: as `read_scan`.
         calibration: TOML or KITTI file, see `Calibration.from_file`, or a folder with such a file
             of the name of each frame. Scans need one.
+        timestamps: file with the time of each image, see `read_timestamps`; None: unknown.
+        reuse_depth_ms: an image without depth of its own takes the newest before it that is at most
+            so old. None: 150 with `poses` or `timestamps`; without any of the three an image
+            without depth is a frame that cannot be read. Images without times are 100 ms apart.
+        poses: file of poses, see `read_poses`, by which scans are moved to the time of an image.
+        pose_frame: of which they are.
+        scan_stamp: what instant of a scan the time of its image is.
+        point_time_column: number, from 0, of the column of .bin and .npy scans with the time of
+            each point, in seconds after the time of its image.
 
     Raises:
         InputError: for a folder with a file of the other kind, for scans with depth or without a
-            calibration, and if the calibration cannot be read.
+            calibration, for poses without scans, and if the calibration cannot be read.
     """
 
     accepted = "a folder of images, or one image"
@@ -55,6 +82,12 @@ class FolderSource(Source):
         "depth_scale",
         "point_columns",
         "calibration",
+        "timestamps",
+        "reuse_depth_ms",
+        "poses",
+        "pose_frame",
+        "scan_stamp",
+        "point_time_column",
     )
     #: Whether an image without depth is a frame of the camera alone, and depth without an image
     #: left out. Otherwise both are frames that cannot be read.
@@ -69,7 +102,17 @@ class FolderSource(Source):
         depth_scale: float = KITTI_DEPTH_SCALE,
         point_columns: int | None = None,
         calibration: Path | None = None,
+        timestamps: Path | None = None,
+        reuse_depth_ms: float | None = None,
+        poses: Path | None = None,
+        pose_frame: PoseFrame | None = None,
+        scan_stamp: ScanStamp = "middle",
+        point_time_column: int | None = None,
     ) -> None:
+        if (poses is None) != (pose_frame is None):
+            raise InputError("give --poses and --pose-frame together")
+        if poses is not None and points is None:
+            raise InputError(f"the poses in {poses} move scans: give --points")
         if points is not None and depth is not None:
             raise InputError(f"give depth maps ({depth}) or scans ({points}), not both")
         if points is not None and calibration is None:
@@ -90,6 +133,12 @@ class FolderSource(Source):
             for path in (rgb, self._depth)
             if path is not None
         )
+        self._timestamps, self._poses_file, self._scan_stamp = timestamps, poses, scan_stamp
+        self._pose_frame, self._point_time_column = pose_frame, point_time_column
+        self._is_timed = any(each is not None for each in (timestamps, poses, reuse_depth_ms))
+        self.camera_alone = self.camera_alone or self._is_timed
+        self._reuse_depth_ms = DEFAULT_REUSE_DEPTH_MS if reuse_depth_ms is None else reuse_depth_ms
+        self._poses: RecordedPoses | None = None
         self._calibrations: FrameCalibrations | None = None
         if calibration is not None:
             camera = _KITTI_CAMERA.search(rgb.as_posix())
@@ -97,6 +146,8 @@ class FolderSource(Source):
                 calibration, camera=int(camera[1]) if camera else 2
             )
             self.calibration = self._calibrations.first
+            if pose_frame is not None:
+                lidar_mount(pose_frame, self.calibration)  # raises where it is not known
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -127,7 +178,49 @@ class FolderSource(Source):
             self._left_out[f"{Sensor.DEPTH}: {Outcome.NO_IMAGE}"] = len(without_image)
             without_image = set()
         names = sorted(images.keys() | without_image, key=natural_order)
+        if self._is_timed:
+            return self._list_timed(names, images, depths, limit)
         return pair_up(names, images, depths, limit=limit)
+
+    def _list_timed(
+        self,
+        names: list[str],
+        images: dict[str, Path],
+        depths: dict[str, Path] | None,
+        limit: int | None,
+    ) -> tuple[ListedFrame, ...]:
+        """The frames with their times; an image without depth takes an older one."""
+        if self._timestamps is None:
+            stamps_ns = [number * _APART_NS for number in range(len(names))]
+            self._notes.append("guessed: the images are 100 ms apart; --timestamps says when")
+        else:
+            stamps_ns = read_timestamps(self._timestamps)
+            if len(stamps_ns) != len(names):
+                raise InputError(
+                    f"{self._timestamps} has {len(stamps_ns)} lines, there are {len(names)} "
+                    "images: it must have a line for each image, in natural order"
+                )
+        if self._poses_file is not None and self._pose_frame is not None:
+            of_clock = self._timestamps is not None
+            poses_ns, poses = read_poses(self._poses_file, stamps_ns, of_clock=of_clock)
+            self._poses = RecordedPoses(PoseTrack.of(poses, poses_ns), self._pose_frame)
+
+        def messages() -> Iterator[tuple[Sensor, int, Path]]:
+            for name, stamp_ns in zip(names, stamps_ns, strict=True):
+                if name in (depths or {}):
+                    yield Sensor.DEPTH, stamp_ns, (depths or {})[name]
+                yield Sensor.IMAGE, stamp_ns, images[name]
+
+        return match_frames(
+            messages(),
+            max_skew_ms=0,
+            reuse_depth_ms=self._reuse_depth_ms,
+            scan_stamp=self._scan_stamp,
+            left_out=self._left_out,
+            name=lambda pair: names[bisect_left(stamps_ns, pair.image.stamp_ns)],
+            limit=limit,
+            camera_only=depths is None,
+        )
 
     def _list_images(self) -> dict[str, Path]:
         return list_files(self._rgb)
@@ -179,14 +272,29 @@ class FolderSource(Source):
         rgb = read_rgb(frame.image)
         calibration = None if self._calibrations is None else self._calibrations.of(frame.name)
         if frame.depth is None:
-            depth = no_depth(rgb)
-        elif not self._has_scans:
-            depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
-        else:
-            assert calibration is not None  # see __init__
-            scan = read_scan(frame.depth, columns=self._point_columns)
-            depth = calibration.project(scan, (rgb.shape[0], rgb.shape[1]))
-        return Frame(rgb, depth, frame.image_stamp_ns, frame.depth_stamp_ns, calibration)
+            return frame_of(frame, rgb, no_depth(rgb), calibration)
+        if not self._has_scans:
+            sparse_depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
+            depth = keep_map(sparse_depth, apart=False, has_poses=False, reused=frame.reused)
+            return frame_of(frame, rgb, depth, calibration)
+        assert calibration is not None  # see __init__
+        scan, size = self._read_scan(frame.depth), (rgb.shape[0], rgb.shape[1])
+        times = None
+        if self._point_time_column is not None and frame.depth_stamp_ns is not None:
+            column = scan[:, self._point_time_column]
+            times, _, _ = point_times(column, len(scan), frame.depth_stamp_ns)
+        depth = project_listed(frame, calibration, scan, times, self._poses, size)
+        return frame_of(frame, rgb, depth, calibration)
+
+    def _read_scan(self, path: Path) -> NDArray[np.float32]:
+        scan = read_scan(path, columns=self._point_columns)
+        column = self._point_time_column
+        if column is not None and column >= scan.shape[1]:
+            raise InputError(
+                f"{path} has {scan.shape[1]} columns, counted from 0, and --point-time-column is "
+                f"{column}: columns beyond x, y and z are read of .bin and .npy alone"
+            )
+        return scan
 
     @property
     def inputs(self) -> dict[str, Any]:
@@ -196,6 +304,15 @@ class FolderSource(Source):
         scans = {"points": depth, "point_columns": self._point_columns, "calibration": calibration}
         maps = {"depth": depth, "depth_scale": self._depth_scale}
         inputs = {"rgb": str(self._rgb), **(scans if self._has_scans else maps)}
+        if self._is_timed:
+            inputs["timestamps"] = None if self._timestamps is None else str(self._timestamps)
+            inputs["reuse_depth_ms"] = self._reuse_depth_ms
+        if self._poses_file is not None:
+            inputs |= {"poses": str(self._poses_file), "pose_frame": str(self._pose_frame)}
+            inputs |= {
+                "scan_stamp": self._scan_stamp,
+                "point_time_column": self._point_time_column,
+            }
         if self._unused_scans:
             inputs["unused_scans"] = self._unused_scans
         return inputs | ({"left_out": dict(self._left_out)} if self.camera_alone else {})

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.io.calibration import Calibration
+from runtime.sync.depth_in_time import DepthMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +21,9 @@ class Frame:
         calibration: of the camera and the LiDAR, None if unknown.
         name: of the frame in its stream; a run sets it.
         health: what `runtime.health` found in the frame; a run sets it.
+        depth_reused: whether the depth is an older scan's.
+        depth_motion: as of `DepthInTime`; None without depth.
+        degraded: reasons that reading found, as of `Prediction.degraded`.
 
     Raises:
         InputError: if the calibration is of images of another size.
@@ -32,6 +36,9 @@ class Frame:
     calibration: Calibration | None = None
     name: str = ""
     health: tuple[str, ...] = ()
+    depth_reused: bool = False
+    depth_motion: DepthMotion | None = None
+    degraded: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the size, which would silently falsify clouds and the focal length."""

@@ -1,22 +1,27 @@
 """A drive of KITTI raw data (Geiger et al. 2013), its scans projected into the camera."""
 
 import os
-from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from runtime.checks import shown
+import numpy as np
+
 from runtime.errors import InputError
 from runtime.io.calibration import RAW_CAMERAS, RAW_SCANNER, Calibration, find_raw_calibration
 from runtime.io.images import RGB_SUFFIXES, list_files
+from runtime.io.kitti_calibration import NumbersFile
+from runtime.io.poses import read_oxts_poses
+from runtime.io.timestamps import parse_date
 from runtime.read_input import read_text
 from runtime.sources.folders import FolderSource
-from runtime.sources.source import ListedFrame, by_number, up_to
+from runtime.sources.recorded_motion import RecordedPoses, match_frames, track_of
+from runtime.sources.source import ListedFrame, by_number
+from runtime.sync.depth_in_time import ScanStamp
 from runtime.sync.outcome import Sensor
-from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS
-from runtime.sync.stamp_matching import match_by_stamp
+from runtime.sync.poses import PoseFrame, check_pose
+from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
+RAW_IMU = "calib_imu_to_velo.txt"
 _SCANS = (".bin",)
 
 
@@ -24,8 +29,9 @@ class KittiRawSource(FolderSource):
     """``image_0<camera>/data/*.png`` and ``velodyne_points/data/*.bin`` of a drive.
 
     Images and scans are matched by the time stamps in timestamps.txt, or by their numbers where a
-    sensor has no such file. An image without a scan is a frame of the camera alone; a scan without
-    an image is left out.
+    sensor has no such file. An image without a scan takes an older one, or is a frame of the camera
+    alone; a scan without an image is left out. Scans are moved to the time of the image by the
+    poses in ``oxts/``, of the IMU that calib_imu_to_velo.txt places, if both are there.
 
     Args:
         drive: folder like 2011_09_26_drive_0001_sync.
@@ -33,14 +39,16 @@ class KittiRawSource(FolderSource):
         calibration: as `Calibration.from_file`; None: KITTI's files in the drive's folder or the
             one above.
         max_skew_ms: largest difference of the time stamps of an image and its scan; None: match by
-            number.
+            number, without poses.
+        reuse_depth_ms: largest age of a scan that an image without one of its own takes.
+        scan_stamp: what instant of a scan its time stamp is; "middle" of KITTI's.
 
     Raises:
         InputError: if a folder, the calibration or a time stamp is missing or damaged.
     """
 
     accepted = "a drive of KITTI raw data (holds velodyne_points/data/)"
-    options = ("camera", "calibration", "max_skew_ms")
+    options = ("camera", "calibration", "max_skew_ms", "reuse_depth_ms", "scan_stamp")
     camera_alone = True
     calibration: Calibration
 
@@ -51,6 +59,8 @@ class KittiRawSource(FolderSource):
         camera: int = 2,
         calibration: Path | None = None,
         max_skew_ms: float | None = DEFAULT_MAX_SKEW_MS,
+        reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS,
+        scan_stamp: ScanStamp = "middle",
     ) -> None:
         images, scans = drive / f"image_{camera:02d}", drive / "velodyne_points"
         for folder in (images / "data", scans / "data"):
@@ -67,7 +77,7 @@ class KittiRawSource(FolderSource):
                     f"{RAW_CAMERAS} and {RAW_SCANNER}: put the day's there, or give --calibration"
                 )
         super().__init__(images / "data", points=scans / "data", calibration=calibration)
-        self._drive, self._camera = drive, camera
+        self._drive, self._camera, self._drive_calibration = drive, camera, calibration
         self._stamped: list[tuple[Sensor, int, Path]] = []
         if max_skew_ms is not None:
             pictures = _read_stamps(Sensor.IMAGE, images, RGB_SUFFIXES)
@@ -75,6 +85,10 @@ class KittiRawSource(FolderSource):
             if pictures and returns:
                 self._stamped = sorted(pictures + returns, key=lambda message: message[1])
         self._max_skew_ms = max_skew_ms if self._stamped else None
+        self._reuse_depth_ms, self._scan_stamp = reuse_depth_ms, scan_stamp
+        self._unused_poses = ""
+        if self._stamped:
+            self._read_oxts(drive / "oxts")
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -86,15 +100,46 @@ class KittiRawSource(FolderSource):
         if self._max_skew_ms is None:
             return super().list_frames(limit=limit)
         self._left_out.clear()
-        return up_to(self._match(self._max_skew_ms), limit)
+        return match_frames(
+            self._stamped,
+            max_skew_ms=self._max_skew_ms,
+            reuse_depth_ms=self._reuse_depth_ms,
+            scan_stamp=self._scan_stamp,
+            left_out=self._left_out,
+            name=lambda pair: str(pair.image.data.stem),
+            limit=limit,
+        )
+
+    def _read_oxts(self, folder: Path) -> None:
+        """Read the poses of the car, where there are any. Raises InputError if they are damaged."""
+        if not os.path.isdir(folder / "data"):
+            self._unused_poses = f"no poses: {folder} is missing"
+            return
+        mount = self._drive_calibration / RAW_IMU
+        if not os.path.exists(mount):
+            self._unused_poses = f"the poses in {folder} are not used: {mount} is missing"
+            return
+        numbers = NumbersFile(mount)
+        lidar_from_body = np.eye(4)
+        lidar_from_body[:3, :3] = numbers.matrix("R", 3, 3)
+        lidar_from_body[:3, 3] = numbers.matrix("T", 3, 1)[:, 0]
+        lidar_from_body = check_pose(lidar_from_body, str(mount))
+        stamped = sorted(_read_stamps(Sensor.POSE, folder, (".txt",)), key=lambda each: each[1])
+        if not stamped:
+            self._unused_poses = f"the poses in {folder} are not used: they have no timestamps.txt"
+            return
+        poses = read_oxts_poses(path for _, _, path in stamped)
+        track = track_of(zip((stamp_ns for _, stamp_ns, _ in stamped), poses, strict=True))
+        body_from_lidar = np.linalg.inv(lidar_from_body).astype(np.float64)
+        self._poses = RecordedPoses(track, PoseFrame.BODY, body_from_lidar)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """See `Source.notes`."""
+        return super().notes + ((self._unused_poses,) if self._unused_poses else ())
 
     def _list_depths(self, folder: Path) -> dict[str, Path]:
         return list_files(folder, _SCANS)
-
-    def _match(self, max_skew_ms: float) -> Iterator[ListedFrame]:
-        pairs = match_by_stamp(self._stamped, max_skew_ms=max_skew_ms, left_out=self._left_out)
-        for sequence, pair in enumerate(pairs):
-            yield ListedFrame.of_pair(sequence, pair.image.data.stem, pair)
 
     @property
     def inputs(self) -> dict[str, Any]:
@@ -104,6 +149,8 @@ class KittiRawSource(FolderSource):
             "camera": self._camera,
             "calibration": str(self._calibration),
             "max_skew_ms": self._max_skew_ms,
+            "reuse_depth_ms": self._reuse_depth_ms,
+            "poses": None if self._poses is None else str(self._drive / "oxts"),
             "left_out": dict(self._left_out),
         }
 
@@ -128,20 +175,6 @@ def _read_stamps(
             "0: the file is truncated or of another drive"
         )
     return [
-        (sensor, _nanoseconds(lines[number], f"line {number + 1} of {path}"), file)
+        (sensor, parse_date(lines[number], f"line {number + 1} of {path}"), file)
         for number, file in numbers.items()
     ]
-
-
-def _nanoseconds(text: str, where: str) -> int:
-    """Nanoseconds since 1970 of "2011-09-26 13:02:25.964389445", taken as UTC."""
-    whole, _, fraction = text.strip().partition(".")
-    try:
-        if not (fraction or "0").isdecimal():  # int() takes signs and underscores
-            raise ValueError(fraction)
-        seconds = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
-        return int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0"))
-    except ValueError as error:
-        raise InputError(
-            f"{where} is {shown(text)}, expected a time like 2011-09-26 13:02:25.964389445"
-        ) from error

@@ -203,3 +203,8 @@ def message_counts(message: Any, *names: str) -> tuple[int, ...]:
         )
         for name in names
     )
+
+
+def frame_name(frame: Any) -> str:
+    """Without the slash that ROS 1 wrote in front of some frames."""
+    return str(frame).removeprefix("/")

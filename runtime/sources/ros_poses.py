@@ -1,5 +1,6 @@
 """Poses and times of points from deserialised ROS messages."""
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.poses import pose_of
-from runtime.sources.ros_messages import message_counts, message_rows
+from runtime.sources.ros_messages import frame_name, message_counts, message_rows
 
 #: Field of a PointCloud2 with the time of each point, as drivers name it; the first that is there.
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
@@ -19,6 +20,7 @@ _TIMES: dict[int, tuple[str, float]] = {
     8: ("f8", 1e9),
 }
 _LONGEST_SCAN_NS = 1e9
+_FIXED = ("odom", "map", "earth")  # REP 105
 
 
 def odometry_pose(message: Any) -> NDArray[np.float64]:
@@ -93,6 +95,64 @@ def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
         )
         return absolute
     return stamp_ns + np.rint(values).astype(np.int64)
+
+
+def odometry_poses(
+    messages: Iterable[Any],
+) -> tuple[str, list[tuple[int, NDArray[np.float64]]]]:
+    """Return the frame that moves, and the poses of nav_msgs/Odometry with their stamps [ns].
+
+    Raises:
+        InputError: as `odometry_pose`, for several frames, and without messages.
+    """
+    frames: set[str] = set()
+    poses = []
+    for message in messages:
+        frames.add(frame_name(message.child_frame_id))
+        poses.append((_stamp_ns(message.header), odometry_pose(message)))
+    if len(frames) != 1:
+        raise InputError(
+            f"an Odometry must be of one child_frame_id, got {', '.join(sorted(frames)) or 'none'}"
+        )
+    return frames.pop(), poses
+
+
+def transform_poses(
+    messages: Iterable[Any], carriers: Sequence[str]
+) -> tuple[str, list[tuple[int, NDArray[np.float64]]]]:
+    """Return the frame that moves, and its poses of /tf with their stamps [ns].
+
+    Args:
+        messages: tf2_msgs/TFMessage.
+        carriers: the LiDAR's frame and those that it is fixed to.
+
+    Raises:
+        InputError: as `transform_pose`; if none of the carriers moves, and if it moves in a frame
+            that moves itself: odom, map and earth (REP 105) are fixed.
+    """
+    moving: dict[str, list[tuple[int, NDArray[np.float64]]]] = {}
+    parents: dict[str, str] = {}
+    for message in messages:
+        for stamped in message.transforms:
+            child = frame_name(stamped.child_frame_id)
+            parents[child] = frame_name(stamped.header.frame_id)
+            if child in carriers:
+                pose = transform_pose(stamped)
+                moving.setdefault(child, []).append((_stamp_ns(stamped.header), pose))
+    carrier = next((frame for frame in carriers if frame in moving), None)
+    if carrier is None:
+        raise InputError(f"/tf moves none of the frames {', '.join(carriers):.300}")
+    fixed = parents[carrier]
+    if fixed in parents and fixed.rpartition("/")[2] not in _FIXED:
+        raise InputError(
+            f"/tf moves {carrier!r:.80} in {fixed!r:.80}, which moves itself in "
+            f"{parents[fixed]!r:.80}: expected one of {', '.join(_FIXED)}"
+        )
+    return carrier, moving[carrier]
+
+
+def _stamp_ns(header: Any) -> int:
+    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
 
 
 def _pose(position: Any, quaternion: Any, name: str) -> NDArray[np.float64]:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.checks import cut, shown
 from runtime.errors import InputError
+from runtime.sources.ros_messages import frame_name
 from runtime.sources.ros_poses import transform_pose
 
 
@@ -25,7 +26,10 @@ class TransformTree:
         self._parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
         for message in messages:
             for stamped in message.transforms:
-                child, parent = _name(stamped.child_frame_id), _name(stamped.header.frame_id)
+                child, parent = (
+                    frame_name(stamped.child_frame_id),
+                    frame_name(stamped.header.frame_id),
+                )
                 self._parents[child] = (parent, transform_pose(stamped))
 
     def between(self, source: str, target: str) -> NDArray[np.float64]:
@@ -34,7 +38,10 @@ class TransformTree:
         Raises:
             InputError: if the two are not connected.
         """
-        from_source, from_target = self._ancestors(_name(source)), self._ancestors(_name(target))
+        from_source, from_target = (
+            self._ancestors(frame_name(source)),
+            self._ancestors(frame_name(target)),
+        )
         common = next((frame for frame in from_source if frame in from_target), None)
         if common is None:
             frames = {*self._parents, *(parent for parent, _ in self._parents.values())}
@@ -45,6 +52,10 @@ class TransformTree:
         matrix: NDArray[np.float64] = np.linalg.inv(from_target[common]) @ from_source[common]
         matrix[3] = (0, 0, 0, 1)  # to the last bit
         return matrix
+
+    def carriers(self, frame: str) -> list[str]:
+        """A frame and those that it is fixed to, the nearest first."""
+        return list(self._ancestors(frame_name(frame)))
 
     def _ancestors(self, frame: str) -> dict[str, NDArray[np.float64]]:
         """Each ancestor and the matrix from `frame` to it, the nearest first."""
@@ -57,8 +68,3 @@ class TransformTree:
             matrix = to_parent @ matrix
             matrices[frame] = matrix
         return matrices
-
-
-def _name(frame: Any) -> str:
-    """Without the slash that ROS 1 wrote in front of some frames."""
-    return str(frame).removeprefix("/")

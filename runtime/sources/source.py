@@ -27,7 +27,9 @@ class ListedFrame:
         depth: the same of the depth.
         image_stamp_ns: time of the image by its sensor's clock [ns], None if unknown.
         depth_stamp_ns: the same of the depth.
-        complete: whether it has both, or all that the source is to read.
+        complete: whether it has both, the depth of its own, or all that the source is to read.
+        reused: whether the depth is an older scan, because the image has none of its own.
+        scan_time_ns: time of the middle of the scan, None if unknown.
     """
 
     sequence: int
@@ -37,6 +39,8 @@ class ListedFrame:
     image_stamp_ns: int | None = None
     depth_stamp_ns: int | None = None
     complete: bool = True
+    reused: bool = False
+    scan_time_ns: int | None = None
 
     @classmethod
     def of_pair(cls, sequence: int, name: str, pair: Pair, *, alone: bool = False) -> "ListedFrame":

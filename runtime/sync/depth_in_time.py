@@ -1,10 +1,11 @@
 """The depth of a picture: its returns at the picture's time, or what is wrong with them."""
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.prediction import DEPTH_REUSED, DEPTH_UNCOMPENSATED
 from runtime.sync.motion import project_moved
@@ -18,6 +19,7 @@ ScanStamp = Literal["start", "middle", "end"]
 MIDDLE_AFTER: dict[ScanStamp, float] = {"start": 0.5, "middle": 0.0, "end": -0.5}
 #: Duration of a scan until the LiDAR's period is known: that of 10 Hz.
 FIRST_SCAN_NS = 100 * NS_PER_MS
+_LONGEST_SCAN_NS = 1_000 * NS_PER_MS
 
 
 class DepthInTime(NamedTuple):
@@ -86,3 +88,41 @@ def keep_map(
     if reused or (has_poses and apart):
         reasons += (DEPTH_UNCOMPENSATED,)
     return DepthInTime(sparse_depth, "none", reasons)
+
+
+def point_times(times: Any, count: int, stamp_ns: int) -> tuple[NDArray[np.int64], int, int]:
+    """Return when the points of a scan were measured, with the first and the last of them [ns].
+
+    Args:
+        times: (N,), seconds after the stamp as floats, or nanoseconds of its clock as integers.
+        count: N.
+        stamp_ns: of the scan.
+
+    Raises:
+        InputError: for another type or shape, and for times that are more than 1 s from the stamp.
+    """
+    kind = times.dtype.kind if isinstance(times, np.ndarray) else None
+    if kind not in ("f", "i", "u") or times.shape != (count,):
+        got = f"{times.dtype} {times.shape}" if kind else type(times).__name__
+        raise InputError(
+            f"times must have the shape ({count},), seconds after the stamp as floats or "
+            f"nanoseconds of its clock as integers, got {got}"
+        )
+    if not count:
+        return np.zeros(0, np.int64), stamp_ns, stamp_ns
+    if kind == "f":
+        after_ns = times.astype(np.float64) * 1e9
+    else:  # by extremes first: an unsigned time may be beyond int64
+        least, most = int(times.min()) - stamp_ns, int(times.max()) - stamp_ns
+        after_ns = np.array([least, most], np.float64)
+    if not (np.abs(after_ns) <= _LONGEST_SCAN_NS).all():  # nor NaN
+        far_s = np.abs(after_ns).max() / 1e9
+        raise InputError(
+            f"times must be within {_LONGEST_SCAN_NS / 1e9:g} s of the stamp, got {far_s:g} s: are "
+            "they of another unit or clock?"
+        )
+    if kind == "f":
+        absolute = stamp_ns + np.rint(after_ns).astype(np.int64)
+    else:
+        absolute = times.astype(np.int64)
+    return absolute, int(absolute.min()), int(absolute.max())

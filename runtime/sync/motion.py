@@ -1,6 +1,6 @@
 """Move the returns of a LiDAR on a moving car to one time."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,11 @@ from runtime.io.calibration import Calibration
 from runtime.projection import project_points
 from runtime.sync.poses import PoseFrame, PoseTrack, check_pose
 
-#: Poses are computed at so many times of a scan; between them, in 0.4 ms, matrices are linear.
-_KNOTS = 257
+#: Poses are computed at so many times of a scan; between them, in 1.6 ms of 100, matrices are
+#: linear: off by 0.01 mm at 100 m in a turn of 0.5 rad/s.
+_KNOTS = 65
 #: Steps from one to the next, to which times are rounded: 24 µs of 100 ms, 1 mm at 40 m/s.
-_STEPS = 16
+_STEPS = 64
 
 
 def move_points(
@@ -39,40 +40,58 @@ def move_points(
         NoPoseError: if there is no pose for one of the times.
         InputError: for arrays of another type or shape.
     """
+    _check_points(points)
+    xyz = np.ascontiguousarray(points[:, :3].T)
+    moved = points.copy()
+    if isinstance(times, np.ndarray) and times.ndim:
+        _check_times(times, len(points))
+        if len(points):
+            moved[:, :3] = _move(xyz, times, _table(times, poses, to)).T
+    else:
+        (matrix,) = relative_poses(poses, np.array([times], np.int64), to)
+        table = _Table(matrix[:3].reshape(12, 1).astype(np.float32), int(times), 0.0)
+        moved[:, :3] = _move(xyz, None, table).T
+    return moved
+
+
+class _Table(NamedTuple):
+    """The 12 entries of matrices to one time, float32 (12, M), at even steps from `first_ns` on."""
+
+    entries: NDArray[np.float32]
+    first_ns: int
+    steps_a_ns: float
+
+
+def _check_points(points: Any) -> None:
     if not isinstance(points, np.ndarray) or points.dtype != np.float32 or points.ndim != 2:
         got = getattr(points, "dtype", type(points).__name__)
         raise InputError(f"points must be float32 (N, 3) or wider, got {got}")
     if points.shape[1] < 3:
         raise InputError(f"points must have the shape (N, 3) or wider, got {points.shape}")
-    if isinstance(times, np.ndarray) and times.ndim:
-        if times.dtype != np.int64 or times.shape != points.shape[:1]:
-            raise InputError(
-                f"times must be int64 ({len(points)},), nanoseconds, got {times.dtype} "
-                f"{times.shape}"
-            )
-        if not len(points):
-            return points.copy()
-        first_ns, last_ns = int(times.min()), int(times.max())
-    else:
-        first_ns = last_ns = int(times)
-    poses.at(np.array([first_ns, last_ns], np.int64))  # an error before anything is computed
+
+
+def _check_times(times: NDArray[Any], count: int) -> None:
+    if times.dtype != np.int64 or times.shape != (count,):
+        raise InputError(
+            f"times must be int64 ({count},), nanoseconds, got {times.dtype} {times.shape}"
+        )
+
+
+def _move(
+    xyz: NDArray[np.float32], times: NDArray[np.int64] | None, table: _Table
+) -> NDArray[np.float32]:
+    """Points, float32 (3, N), each by the matrix of its time; None = all by the first one."""
     index: Any = None
-    if isinstance(times, np.ndarray) and last_ns > first_ns:
-        table = _matrices(poses, first_ns, last_ns, to)
-        place = (times - first_ns).astype(np.float32)
-        place *= np.float32((table.shape[1] - 1) / (last_ns - first_ns))
+    if times is not None:
+        place = (times - table.first_ns).astype(np.float32)
+        place *= np.float32(table.steps_a_ns)
         place += np.float32(0.5)
         index = place.astype(np.intp)
-    else:
-        moved_as_one = relative_poses(poses, np.array([first_ns], np.int64), to)
-        table = moved_as_one[0, :3].reshape(12, 1).astype(np.float32)
-    moved = points.copy()
-    x, y, z = np.ascontiguousarray(points[:, :3].T)
-    factor, total = np.empty_like(x), np.empty_like(x)
+    moved, factor = np.empty_like(xyz), np.empty_like(xyz[0])
     with np.errstate(over="ignore", invalid="ignore"):  # returns that are not finite stay so
-        for row in range(3):
-            for column, axis in enumerate((None, x, y, z)):
-                entry = table[4 * row + (column - 1) % 4]
+        for row, total in enumerate(moved):
+            for column, axis in enumerate((None, *xyz)):
+                entry = table.entries[4 * row + (column - 1) % 4]
                 into = total if axis is None else factor
                 if index is None:
                     into[:] = entry[0]
@@ -81,20 +100,42 @@ def move_points(
                 if axis is not None:
                     factor *= axis
                     total += factor
-            moved[:, row] = total
     return moved
 
 
-def _matrices(poses: PoseTrack, first_ns: int, last_ns: int, to_ns: int) -> NDArray[np.float32]:
-    """The 12 entries of the matrices to `to_ns` at even steps from the first to the last time."""
+def _table(times: NDArray[np.int64], poses: PoseTrack, to_ns: int) -> _Table:
+    """The matrices for the times of a scan. Raises NoPoseError."""
+    first_ns, last_ns = int(times.min()), int(times.max())
+    poses.at(np.array([first_ns, last_ns], np.int64))  # an error before anything is computed
     knots_ns = np.linspace(0, last_ns - first_ns, _KNOTS).round().astype(np.int64) + first_ns
     knots = relative_poses(poses, knots_ns, to_ns)[:, :3].reshape(_KNOTS, 12).T
-    table = np.empty((12, (_KNOTS - 1) * _STEPS + 1), np.float32)
+    entries = np.empty((12, (_KNOTS - 1) * _STEPS + 1), np.float32)
     share = np.arange(_STEPS) / _STEPS
     between = knots[:, :-1, None] + np.diff(knots)[:, :, None] * share
-    table[:, :-1] = between.reshape(12, -1)
-    table[:, -1] = knots[:, -1]
-    return table
+    entries[:, :-1] = between.reshape(12, -1)
+    entries[:, -1] = knots[:, -1]
+    return _Table(entries, first_ns, (entries.shape[1] - 1) / max(last_ns - first_ns, 1))
+
+
+def _in_front(
+    xyz: NDArray[np.float32], table: _Table, extrinsics: NDArray[np.float64]
+) -> NDArray[np.intp]:
+    """The points that one of the matrices may bring before the camera, and maybe others."""
+    moves = table.entries[:, ::_STEPS].T.reshape(-1, 3, 4).astype(np.float64)
+    ahead = extrinsics[2, :3] @ moves
+    middle = ahead.mean(axis=0)
+    spread = np.abs(ahead - middle).max(axis=0)
+    farthest = max(float(np.fmax.reduce(xyz, axis=None)), -float(np.fmin.reduce(xyz, axis=None)))
+    nearest = -(middle[3] + extrinsics[2, 3]) - spread[3] - 1e-3
+    with np.errstate(over="ignore", invalid="ignore"):
+        nearest -= (spread[:3].sum() + 1e-6) * farthest
+        depth, factor = xyz[0] * np.float32(middle[0]), np.empty_like(xyz[0])
+        for axis, along in zip(xyz[1:], middle[1:3], strict=True):
+            np.multiply(axis, np.float32(along), out=factor)
+            depth += factor
+        if not np.isfinite(nearest):  # a return is not: all stay
+            return np.arange(len(depth))
+        return np.flatnonzero(depth >= np.float32(nearest))
 
 
 def project_moved(
@@ -125,7 +166,12 @@ def project_moved(
     calibration.require_size(size)
     extrinsics = calibration.extrinsics
     if isinstance(times, np.ndarray):
-        points = move_points(points, times, poses, to)
+        _check_points(points)
+        _check_times(times, len(points))
+        if len(points):
+            table, xyz = _table(times, poses, to), np.ascontiguousarray(points[:, :3].T)
+            rows = _in_front(xyz, table, extrinsics)
+            points = _move(xyz.take(rows, axis=1), times.take(rows), table).T
     else:
         (moved,) = relative_poses(poses, np.array([times], np.int64), to)
         extrinsics = extrinsics @ moved

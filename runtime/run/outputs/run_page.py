@@ -93,6 +93,7 @@ def _run_facts(report: RunReport, started: datetime) -> dict[str, Any]:
         "scenario": report.scenario + (f", {rate_hz:g} Hz" if rate_hz else ""),
         **{name.replace("_", " "): value for name, value in report.inputs.items()},
         "network ran at": ", ".join(f"{size} ({count})" for size, count in sizes),
+        "depth": ", ".join(f"{kind} ({count})" for kind, count in report.depth_sources.items()),
         "implausible depth": report.implausible_depth,
         "output": report.out,
         "saved": ", ".join(report.saved) or "nothing",

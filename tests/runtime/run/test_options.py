@@ -46,7 +46,8 @@ def test_help_groups_the_options():
     lines = CliRunner().invoke(cli.app, ["--help"]).stdout.splitlines()
     titles = [line for line in lines if re.fullmatch(r"[A-Z][a-z ]+:", line)]
     assert titles == [
-        *("Arguments:", "Input:", "Outputs:", "Model:", "Timing:", "Topics of a bag:", "Other:")
+        *("Arguments:", "Input:", "Motion:", "Outputs:", "Model:", "Timing:"),
+        *("Topics of a bag:", "Other:"),
     ]
     for option, title in (("--rgb", "Input:"), ("--video", "Outputs:"), ("--rate", "Timing:")):
         (at,) = (number for number, line in enumerate(lines) if line.startswith(f"  {option} "))

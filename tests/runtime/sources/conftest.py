@@ -186,11 +186,35 @@ class BagMaker:
         )
         self.add(topic, message, 1)
 
+    def odometry(self, topic, position, stamp_ns, *, frame="odom", child="base", turn=(0, 0, 0, 1)):
+        kinds = "geometry_msgs/msg/"
+        x, y, z = position
+        zero = self.make(f"{kinds}Vector3", x=0.0, y=0.0, z=0.0)
+        pose = self.make(
+            f"{kinds}Pose",
+            position=self.make(f"{kinds}Point", x=x, y=y, z=z),
+            orientation=self.make(
+                f"{kinds}Quaternion", **dict(zip("xyzw", map(float, turn), strict=True))
+            ),
+        )
+        twist = self.make(f"{kinds}Twist", linear=zero, angular=zero)
+        message = self.make(
+            "nav_msgs/msg/Odometry",
+            header=self.header(stamp_ns, frame),
+            child_frame_id=child,
+            pose=self.make(f"{kinds}PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+            twist=self.make(f"{kinds}TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+        )
+        self.add(topic, message, stamp_ns)
+
     def static_transform(self, parent, child, quaternion, shift):
+        self.transform(parent, child, quaternion, shift, 1, topic="/tf_static")
+
+    def transform(self, parent, child, quaternion, shift, stamp_ns, *, topic="/tf"):
         x, y, z, w = quaternion
         stamped = self.make(
             "geometry_msgs/msg/TransformStamped",
-            header=self.header(1, parent),
+            header=self.header(stamp_ns, parent),
             child_frame_id=child,
             transform=self.make(
                 "geometry_msgs/msg/Transform",
@@ -200,7 +224,7 @@ class BagMaker:
                 rotation=self.make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
             ),
         )
-        self.add("/tf_static", self.make("tf2_msgs/msg/TFMessage", transforms=[stamped]), 1)
+        self.add(topic, self.make("tf2_msgs/msg/TFMessage", transforms=[stamped]), stamp_ns)
 
     def write(self, name="drive", *, compression=None):
         """Write the bag and give back what --source takes.

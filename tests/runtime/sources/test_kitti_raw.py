@@ -83,7 +83,7 @@ def test_a_drive_from_end_to_end(drive, run, make_scan, camera, shift_m):
 def test_a_scan_that_is_missing_is_a_frame_of_the_camera_alone(drive, run):
     (drive / "velodyne_points/data/0000000002.bin").unlink()
     (drive / "image_02/data/0000000004.png").unlink()
-    answers = run("--source", f"kitti-raw:{drive}")
+    answers = run("--source", f"kitti-raw:{drive}", "--reuse-depth-ms", 0)
     assert answers.exit_code == 0, answers.text
     assert answers.names == [f"{number:010d}" for number in (0, 1, 2, 3, 5)]
     assert answers.column("degraded")[2] == "no_depth"
@@ -115,7 +115,7 @@ def test_without_a_skew_numbers_decide_and_no_stamp_is_read(drive):
 
 
 def test_a_skew_that_is_too_small_leaves_the_camera_alone(drive, run):
-    answers = run("--source", f"kitti-raw:{drive}", "--max-skew-ms", 12)
+    answers = run("--source", f"kitti-raw:{drive}", "--max-skew-ms", 12, "--reuse-depth-ms", 0)
     assert set(answers.column("degraded")) == {"no_depth"}
     assert answers.report["inputs"]["left_out"] == {"depth: no_image": 6}
 

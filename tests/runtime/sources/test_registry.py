@@ -56,7 +56,8 @@ def test_options_of_another_kind_are_refused_by_name(kind):
 def test_options_of_another_kind_are_wrong_usage_of_the_command(run, tmp_path):
     answers = run("--source", f"kitti-raw:{tmp_path}", "--depth", tmp_path)
     assert answers.exit_code == 2
-    assert "takes --camera, --calibration, --max-skew-ms, not --depth" in answers.text
+    assert "takes --camera, --calibration, --max-skew-ms, --reuse-depth-ms" in answers.text
+    assert "--scan-stamp, not --depth" in answers.text
     assert run("--source", "nothing:here").exit_code == 2
     assert not (tmp_path / "out").exists()
 

@@ -155,6 +155,25 @@ def test_a_scan_is_projected_where_the_picture_sees_it():
         project_moved(CALIBRATION, points, 0, track, 0, (40, 81))
 
 
+@pytest.mark.parametrize("odd", [None, np.nan, np.inf])
+def test_only_what_no_time_brings_before_the_camera_is_left_out(odd):
+    """While the car turns around: many returns come before the camera by moving them alone."""
+    rng = np.random.default_rng(0)
+    poses, stamps = drive(200, turn=1.5)
+    track = PoseTrack.of(poses, stamps)
+    points = rng.uniform(-40, 40, (20_000, 3)).astype(np.float32)
+    points[:, 2] /= 10
+    if odd is not None:
+        points[::7, 1] = odd
+    times = rng.integers(0, 1900 * MS, len(points))
+    for to in (50 * MS, 500 * MS):
+        moved = move_points(points, times, track, to)
+        whole = CALIBRATION.project(moved, (40, 80))
+        depth = project_moved(CALIBRATION, points, times, track, to, (40, 80))
+        assert np.count_nonzero(whole) > 1000
+        np.testing.assert_array_equal(depth, whole)
+
+
 def test_the_calibrations_occlusion_filter_is_applied_after_moving():
     filtered = Calibration(INTRINSICS, TO_CAMERA, occlusion=OcclusionFilter(window=(3, 9)))
     track = PoseTrack.of(*drive(30, turn=1e-9))

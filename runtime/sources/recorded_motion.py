@@ -1,0 +1,170 @@
+"""What the sources of moving cars share: frames matched by stamps, and poses of the recording."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import InputError
+from runtime.io.calibration import Calibration
+from runtime.sources.frames import Frame
+from runtime.sources.source import ListedFrame, up_to
+from runtime.sync.depth_in_time import (
+    FIRST_SCAN_NS,
+    MIDDLE_AFTER,
+    DepthInTime,
+    ScanStamp,
+    project_in_time,
+)
+from runtime.sync.motion import lidar_mount
+from runtime.sync.outcome import Sensor
+from runtime.sync.poses import PoseFrame, PoseTrack
+from runtime.sync.stamp_matching import match_by_stamp
+from runtime.sync.synchronizer import Pair
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedPoses:
+    """The poses of a recording.
+
+    Attributes:
+        track: poses of `frame`.
+        frame: of which poses are given.
+        body_from_lidar: as of `Calibration`, where the calibration has none.
+    """
+
+    track: PoseTrack
+    frame: PoseFrame
+    body_from_lidar: NDArray[np.float64] | None = None
+
+    def of_lidar(self, calibration: Calibration) -> PoseTrack:
+        """The poses of the LiDAR. Raises InputError if the calibration does not have its place."""
+        if calibration.body_from_lidar is None:
+            calibration = replace(calibration, body_from_lidar=self.body_from_lidar)
+        return self.track.mounted(lidar_mount(self.frame, calibration))
+
+
+def track_of(stamped: Iterable[tuple[int, NDArray[np.float64]]]) -> PoseTrack:
+    """The track of poses in any order; of equal stamps the first. Raises InputError."""
+    first: dict[int, NDArray[np.float64]] = {}
+    for stamp_ns, pose in stamped:
+        first.setdefault(stamp_ns, pose)
+    stamps_ns = sorted(first)
+    return PoseTrack.of([first[stamp_ns] for stamp_ns in stamps_ns], stamps_ns)
+
+
+def match_frames(
+    messages: Iterable[tuple[Sensor, int, Any]],
+    *,
+    max_skew_ms: float,
+    reuse_depth_ms: float,
+    scan_stamp: ScanStamp,
+    left_out: Counter[str],
+    name: Callable[[Pair], str],
+    limit: int | None,
+    camera_only: bool = False,
+) -> tuple[ListedFrame, ...]:
+    """List the frames of messages, as `match_by_stamp`.
+
+    Args:
+        messages: as of `match_by_stamp`; their data are `ListedFrame.image` and `depth`.
+        max_skew_ms: as of `match_by_stamp`.
+        reuse_depth_ms: as of `match_by_stamp`.
+        scan_stamp: what instant of a scan its stamp is.
+        left_out: as of `match_by_stamp`.
+        name: of a frame.
+        limit: as of `Source.list_frames`.
+        camera_only: whether the recording has no depth, so that images alone are complete.
+
+    Raises:
+        InputError: as `match_by_stamp`, and for an unknown `scan_stamp`.
+    """
+    if scan_stamp not in MIDDLE_AFTER:
+        raise InputError(
+            f"scan_stamp must be one of {', '.join(MIDDLE_AFTER)}, got {scan_stamp!r:.40}"
+        )
+    pairs = match_by_stamp(
+        messages, max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, left_out=left_out
+    )
+    frames = up_to(
+        (
+            ListedFrame(
+                sequence,
+                name(pair),
+                pair.image.data,
+                None if pair.depth is None else pair.depth.data,
+                pair.image.stamp_ns,
+                None if pair.depth is None else pair.depth.stamp_ns,
+                complete=pair.own_depth is not None or camera_only,
+                reused=pair.reused,
+            )
+            for sequence, pair in enumerate(pairs)
+        ),
+        limit,
+    )
+    scans_ns = sorted({each.depth_stamp_ns for each in frames if each.depth_stamp_ns is not None})
+    period_ns = np.median(np.diff(scans_ns)) if len(scans_ns) > 1 else FIRST_SCAN_NS
+    later_ns = round(MIDDLE_AFTER[scan_stamp] * float(period_ns))
+    return tuple(
+        each
+        if each.depth_stamp_ns is None
+        else replace(each, scan_time_ns=each.depth_stamp_ns + later_ns)
+        for each in frames
+    )
+
+
+def project_listed(
+    listed: ListedFrame,
+    calibration: Calibration,
+    points: NDArray[np.float32],
+    times: NDArray[np.int64] | None,
+    poses: RecordedPoses | None,
+    size: tuple[int, int],
+) -> DepthInTime:
+    """Project the scan of a frame into its image, see `project_in_time`.
+
+    Args:
+        listed: the frame.
+        calibration: of camera and LiDAR.
+        points: as of `move_points`.
+        times: of the points, None = not known.
+        poses: of the recording, None = it has none.
+        size: (height, width) of the image.
+    """
+    to_ns, at_ns = listed.image_stamp_ns, listed.scan_time_ns
+    if poses is None or to_ns is None or at_ns is None:
+        return project_in_time(calibration, points, 0, None, 0, size, reused=listed.reused)
+    track = poses.of_lidar(calibration)
+    return project_in_time(
+        calibration,
+        points,
+        at_ns if times is None else times,
+        track,
+        to_ns,
+        size,
+        reused=listed.reused,
+    )
+
+
+def frame_of(
+    listed: ListedFrame,
+    rgb: NDArray[np.uint8],
+    depth: DepthInTime | NDArray[np.float32],
+    calibration: Calibration | None,
+) -> Frame:
+    """The frame that was read; `depth` is an array where there is none."""
+    if not isinstance(depth, DepthInTime):
+        return Frame(rgb, depth, listed.image_stamp_ns, listed.depth_stamp_ns, calibration)
+    return Frame(
+        rgb,
+        depth.sparse_depth,
+        listed.image_stamp_ns,
+        listed.depth_stamp_ns,
+        calibration,
+        depth_reused=listed.reused,
+        depth_motion=depth.motion,
+        degraded=depth.degraded,
+    )
