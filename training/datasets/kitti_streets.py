@@ -84,7 +84,8 @@ class KittiStreets:
         ]
         if not self._images:
             raise DatasetError(
-                f"{images}: {len(found)} frames, none of them numbered {first}..{last}."
+                f"{images}: {len(found)} frames, none of them numbered {first} to "
+                f"{'the last' if last is None else last}. Correct `first` and `last`."
             )
         for folder, suffix in (("velodyne_fov", ".bin"), ("disp_occ_0", ".png")):
             files = [f"{path.stem}{suffix}" for path in self._images]
