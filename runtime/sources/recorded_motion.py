@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.sources.frames import Frame
@@ -84,23 +85,14 @@ def match_frames(
     """
     if scan_stamp not in MIDDLE_AFTER:
         raise InputError(
-            f"scan_stamp must be one of {', '.join(MIDDLE_AFTER)}, got {scan_stamp!r:.40}"
+            f"scan_stamp must be one of {', '.join(MIDDLE_AFTER)}, got {shown(scan_stamp)}"
         )
     pairs = match_by_stamp(
         messages, max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, left_out=left_out
     )
     frames = up_to(
         (
-            ListedFrame(
-                sequence,
-                name(pair),
-                pair.image.data,
-                None if pair.depth is None else pair.depth.data,
-                pair.image.stamp_ns,
-                None if pair.depth is None else pair.depth.stamp_ns,
-                complete=pair.own_depth is not None or camera_only,
-                reused=pair.reused,
-            )
+            ListedFrame.of_pair(sequence, name(pair), pair, alone=camera_only)
             for sequence, pair in enumerate(pairs)
         ),
         limit,

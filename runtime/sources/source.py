@@ -45,10 +45,12 @@ class ListedFrame:
     @classmethod
     def of_pair(cls, sequence: int, name: str, pair: Pair, *, alone: bool = False) -> "ListedFrame":
         """List two matched messages; alone: an image without depth is complete."""
-        image, depth, _ = pair
+        image, depth, reused = pair
         if depth is None:
             return cls(sequence, name, image.data, None, image.stamp_ns, complete=alone)
-        return cls(sequence, name, image.data, depth.data, image.stamp_ns, depth.stamp_ns)
+        stamps = image.stamp_ns, depth.stamp_ns
+        complete = alone or not reused
+        return cls(sequence, name, image.data, depth.data, *stamps, complete, reused)
 
 
 class Source(ABC):
