@@ -222,7 +222,8 @@ def run_stream(
 
     def read_checked(listed: ListedFrame) -> TimedFrame:
         frame, read_ms = reader.take(listed)
-        found = health.check(frame.rgb, frame.sparse_depth)
+        scale = predictor.camera_scale((frame.rgb.shape[0], frame.rgb.shape[1]))
+        found = health.check(frame.rgb, frame.sparse_depth, range_m=scale.range_m)
         return replace(frame, health=found), read_ms
 
     def read_next() -> None:
