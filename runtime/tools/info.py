@@ -10,8 +10,8 @@ import typer
 from runtime.bundled_models import list_bundled_models
 from runtime.command import ERROR, print_result, reported_errors
 from runtime.command_options import Version
-from runtime.io.model_table import describe_bundled_models
 from runtime.predictor import Predictor
+from runtime.run.model_table import describe_bundled_models
 
 INFO_FORMAT, INFO_VERSION = "ssdnet-info", "1.0"
 
