@@ -56,7 +56,7 @@ class UsageError(InputError):
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What `ssdnet-run` is asked for; the fields are its options, see `ssdnet-run --help`.
+    """The options of `ssdnet-run`, see `ssdnet-run --help`.
 
     Raises:
         UsageError: if an option is out of range, or options contradict each other.
@@ -315,18 +315,20 @@ class RunOptions:
     @cached_property
     def kinds(self) -> tuple[str, ...]:
         """The files of a frame that --save names."""
-        asked = [kind.strip() for text in self.save or ["all"] for kind in text.split(",")]
-        if asked in (["all"], ["none"]):
-            return KINDS if asked == ["all"] else ()
-        if len(asked) > 1 and (alone := [kind for kind in ("none", "all") if kind in asked]):
-            others = [kind for kind in asked if kind not in alone] or alone[1:] or alone
+        requested = [kind.strip() for text in self.save or ["all"] for kind in text.split(",")]
+        if requested in (["all"], ["none"]):
+            return KINDS if requested == ["all"] else ()
+        if len(requested) > 1 and (
+            alone := [kind for kind in ("none", "all") if kind in requested]
+        ):
+            others = [kind for kind in requested if kind not in alone] or alone[1:] or alone
             raise UsageError(
-                f"--save {alone[0]} stands alone, and {', '.join(others)} is asked for, too: leave "
-                f"one of them out"
+                f"--save {alone[0]} cannot be combined with {', '.join(others)}: leave one of them "
+                "out"
             )
-        if unknown := [kind for kind in asked if kind not in SUFFIXES]:
+        if unknown := [kind for kind in requested if kind not in SUFFIXES]:
             raise UsageError(f"--save knows {', '.join(SUFFIXES)}, all and none, not {unknown}")
-        return tuple(kind for kind in SUFFIXES if kind in asked)
+        return tuple(kind for kind in SUFFIXES if kind in requested)
 
     @cached_property
     def folder(self) -> Path:

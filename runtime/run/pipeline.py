@@ -209,7 +209,7 @@ def run_stream(
         record: called with each answer as the predictor gave it, valid or not, in the calling
             thread, while nothing is predicted; None = nothing is recorded.
         on_record: called with each record when its frame is done.
-        stop: asked before each frame; True ends the stream.
+        stop: called before each frame; True ends the stream.
 
     Raises:
         Exception: what `write` and `record` raise ends the stream.

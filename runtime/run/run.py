@@ -1,4 +1,4 @@
-"""Run a model over a stream of frames, and write what was asked for."""
+"""Run a model over a stream of frames, and write the requested outputs."""
 
 import contextlib
 import importlib.util
@@ -120,7 +120,7 @@ def _open_predictor(options: RunOptions, source: Source) -> Predictor:
 
 
 def _answered_kinds(options: RunOptions, predictor: Predictor) -> tuple[str, ...]:
-    """The kinds of files that the model answers. Raises InputError if one was asked for by name."""
+    """The kinds of files that the model answers. Raises InputError if one was requested by name."""
     heads = {**{kind: head for kind, (head, _) in SAVED_HEADS.items()}, CLOUD: "depth"}
     missing = [
         kind for kind in options.kinds if kind in heads and heads[kind] not in predictor.heads
@@ -229,11 +229,11 @@ def _require_outputs(options: RunOptions, source: Source) -> None:
 
 @contextlib.contextmanager
 def _open_outputs(run: OpenRun) -> Iterator[tuple[WriteFrame | None, WriteFrame | None]]:
-    """Open the outputs that were asked for; yields `write` and `record` of `run_stream`."""
+    """Open the requested outputs; yields `write` and `record` of `run_stream`."""
 
     def open_all(table: dict[str, OpenOutput], stack: contextlib.ExitStack) -> list[Output]:
-        asked = [name for name in table if name == "out" or getattr(run.options, name)]
-        opened = [stack.enter_context(table[name](run)) for name in asked]
+        requested = [name for name in table if name == "out" or getattr(run.options, name)]
+        opened = [stack.enter_context(table[name](run)) for name in requested]
         return [output for output in opened if output is not None]
 
     # Recordings are opened first, and closed first.
