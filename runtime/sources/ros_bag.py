@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from runtime.checks import cut
 from runtime.errors import InputError, SSDNetError, import_remedy
 from runtime.read_input import MAX_TEXT_BYTES, require_regular
 
@@ -201,4 +202,4 @@ def _importing() -> Iterator[None]:
 
 
 def _describe(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"[:200]
+    return cut(f"{type(error).__name__}: {error}", 200)
