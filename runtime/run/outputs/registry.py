@@ -11,6 +11,16 @@ from runtime.run.outputs.run_page import open_page
 from runtime.run.outputs.run_recording import open_recording
 from runtime.run.outputs.video import open_video
 
+#: Opens an output.
+#:
+#: Args:
+#:     run: the options, and what the outputs share; its report is set before they are closed.
+#:
+#: Yields:
+#:     The output; None if it takes no frames.
+#:
+#: Raises:
+#:     OutputError: if it cannot be opened, and, when the block ends, if it is not whole.
 OpenOutput = Callable[[OpenRun], AbstractContextManager[Output | None]]
 
 #: Option -> what opens its output, in the order of opening. They are closed in reverse: report.json
