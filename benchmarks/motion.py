@@ -39,7 +39,7 @@ from runtime.sync.motion import move_points
 from runtime.sync.poses import PoseTrack
 from stability import Frame as Followed
 from stability import optical_flow, probe_flicker
-from training.evaluation.scoring import Answer
+from training.evaluation.scoring import HeadMaps
 from training.lidar.scan import project_lines, scan_line_of
 from training.scenes.classes import SceneClass
 from training.scenes.scene_job import SceneJob, render_frames
@@ -133,17 +133,17 @@ def score_drops(
     errors: dict[str, dict[str, list[NDArray[np.float32]]]] = {
         way: defaultdict(list) for way in WAYS
     }
-    answers: dict[str, list[Answer]] = {way: [] for way in WAYS}
+    answers: dict[str, list[HeadMaps]] = {way: [] for way in WAYS}
     for number, frame in enumerate(frames):
         size = frame.rgb.shape[:2]
 
-        def answer(points: NDArray[np.float32] | None, frame: DriveFrame = frame) -> Answer:
+        def answer(points: NDArray[np.float32] | None, frame: DriveFrame = frame) -> HeadMaps:
             sparse = np.zeros(frame.rgb.shape[:2], np.float32)
             if points is not None:
                 sparse = frame.calibration.project(points, frame.rgb.shape[:2])
             focal_length_px = frame.calibration.focal_length_px
             made = predictor.predict(frame.rgb, sparse, focal_length_px=focal_length_px)
-            return Answer(made.semantic, made.depth, made.boundary)
+            return HeadMaps(made.semantic, made.depth, made.boundary)
 
         own = answer(frame.points[scan_line_of(frame.points) % (64 // lines) == 0])
         if number % 2 == 0 or number < age:

@@ -145,7 +145,7 @@ class Contract:
         major = SCHEMA_VERSION.split(".")[0]
         if version.split(".")[0] != major:
             raise ContractError(
-                f"the model's metadata has schema version {version!r}, this engine reads "
+                f"the model's metadata has schema version {shown(version)}, this engine reads "
                 f"{major}.x: update ssdnet, or export the model again with this version"
             )
         try:

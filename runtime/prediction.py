@@ -46,7 +46,7 @@ class Cleaned:
     nan: int = 0
     infinite: int = 0
     negative: int = 0
-    too_far: int = 0  # beyond the range: clipped to it; also beyond 250 m: none
+    too_far: int = 0  # beyond the range: clipped; beyond `farthest_return`: none
 
     @property
     def total(self) -> int:

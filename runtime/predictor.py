@@ -271,7 +271,7 @@ class Predictor:
 
         Raises:
             ContractError: if the file is no longer the one that was opened.
-            ProviderError: if the provider cannot run it any more.
+            ProviderError: if the provider can no longer run it.
             InferenceError: after `close`.
         """
         self._open()

@@ -111,7 +111,7 @@ def preprocess(
 
 def check_rgb(rgb: Any) -> NDArray[np.uint8]:
     """Return `rgb`, contiguous; InputError unless it is uint8 (H, W, 3), each side >= MIN_SIDE."""
-    _check_plain("rgb", rgb)
+    _check_plain("rgb", rgb, "np.asarray(rgb)")
     if rgb.ndim != 3 or rgb.shape[2] != 3:
         hint = ""
         if rgb.ndim == 2 or (rgb.ndim == 3 and rgb.shape[2] == 1):
@@ -133,7 +133,7 @@ def check_rgb(rgb: Any) -> NDArray[np.uint8]:
 
 def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[np.float32]:
     """Return `sparse_depth`, contiguous; InputError unless it is float32 (H, W) of `size`."""
-    _check_plain("sparse_depth", sparse_depth)
+    _check_plain("sparse_depth", sparse_depth, "np.asarray(sparse_depth, np.float32)")
     if sparse_depth.dtype != np.float32:
         if sparse_depth.dtype.kind in "iu":
             hint = (
@@ -150,16 +150,14 @@ def check_sparse_depth(sparse_depth: Any, *, size: tuple[int, int]) -> NDArray[n
     return np.ascontiguousarray(sparse_depth)
 
 
-def _check_plain(name: str, array: Any) -> None:
+def _check_plain(name: str, array: Any, remedy: str) -> None:
     """Raise InputError unless an input is an array without a mask."""
     if isinstance(array, np.ma.MaskedArray):
         raise InputError(
             f"{name} must be a plain numpy array, got a masked one: use {name}.filled(0)"
         )
     if not isinstance(array, np.ndarray):
-        raise InputError(
-            f"{name} must be a numpy array, got {type(array).__name__}: use np.asarray({name})"
-        )
+        raise InputError(f"{name} must be a numpy array, got {type(array).__name__}: use {remedy}")
 
 
 def clean_sparse_depth(

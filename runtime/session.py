@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+from runtime.checks import shown
 from runtime.errors import ContractError, ProviderError, import_remedy, install_command
 
 PROVIDERS: Mapping[str, str] = MappingProxyType(
@@ -48,7 +49,9 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
         ContractError: if the model cannot be loaded.
     """
     if not isinstance(provider, str) or provider not in PROVIDERS:
-        raise ProviderError(f"unknown provider {provider!r}: expected one of {sorted(PROVIDERS)}")
+        raise ProviderError(
+            f"unknown provider {shown(provider)}: expected one of {sorted(PROVIDERS)}"
+        )
     ort = import_onnxruntime()
     name = PROVIDERS[provider]
     _require_available(ort, provider, name)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.contract import MAX_RETURN_M
+from runtime.contract import MAX_RETURN_M, farthest_return
 
 LIDAR_SECTOR_LOST = "lidar_sector_lost"
 LIDAR_LINES_LOST = "lidar_lines_lost"
@@ -33,9 +33,12 @@ class LidarHealth:
         self._means: list[NDArray[np.float64]] | None = None
         self._frames = 0
 
-    def check(self, sparse_depth: NDArray[np.float32]) -> tuple[str, ...]:
+    def check(
+        self, sparse_depth: NDArray[np.float32], *, range_m: float = MAX_RETURN_M
+    ) -> tuple[str, ...]:
         """Return what is wrong with a depth map; one without any return is not checked."""
-        mask = ((sparse_depth > 0) & (sparse_depth <= MAX_RETURN_M)).view(np.uint8)
+        farthest_m = farthest_return(range_m)
+        mask = ((sparse_depth > 0) & (sparse_depth <= farthest_m)).view(np.uint8)
         returns = [
             _cells(cv2.reduce(mask, 0, cv2.REDUCE_SUM, dtype=cv2.CV_32S).ravel(), _COLUMNS),
             _cells(cv2.reduce(mask, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S).ravel(), _ROWS),

@@ -221,7 +221,7 @@ class FrameCalibrations:
         first: of all frames, or of the first file of the folder.
 
     Raises:
-        InputError: if it cannot be read; of the other files when they are asked for.
+        InputError: if it cannot be read; of the other files when they are read.
     """
 
     def __init__(self, path: Path, *, camera: int = 2) -> None:

@@ -31,7 +31,7 @@ class ModelFacts:
         path: of the file.
         sha256: digest of the file, hexadecimal.
         precision: "fp32", "fp16", ...
-        input_size: (height, width) of a fixed model; None = any.
+        fixed_size: (height, width) of a fixed model; None = any.
         size_asked: as given to `Predictor`.
         trained_height: rows of the training frames; None = not known.
         canonical_focal_px: pixels; None = the model answers plain metres.
@@ -43,7 +43,7 @@ class ModelFacts:
     path: str
     sha256: str
     precision: str
-    input_size: tuple[int, int] | None
+    fixed_size: tuple[int, int] | None
     size_asked: NetworkSize
     trained_height: int | None
     canonical_focal_px: float | None
@@ -115,7 +115,7 @@ def engine_facts(predictor: "Predictor") -> EngineFacts:
             path=predictor.model,
             sha256=predictor.digest,
             precision=contract.precision,
-            input_size=(
+            fixed_size=(
                 None if predictor.free_size else predictor.network_size(contract.native_size)
             ),
             size_asked=predictor.size if predictor.free_size else None,

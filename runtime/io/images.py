@@ -47,7 +47,7 @@ def decode_rgb(content: bytes, *, name: str) -> NDArray[np.uint8]:
     if image.dtype != np.uint8:
         raise InputError(
             f"{name} must hold 8 bits a channel, got {image.dtype.itemsize * 8} bits: "
-            "is it a depth map, are the image and depth folders swapped?"
+            "are the image and depth folders swapped?"
         )
     return image
 

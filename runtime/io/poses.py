@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.timestamps import parse_seconds
 from runtime.read_input import read_text
@@ -161,7 +162,7 @@ def _numbers(path: Path, count: int) -> NDArray[np.float64]:
             row = []
         if len(row) != count or not np.isfinite(row).all():
             raise InputError(
-                f"line {number} of {path} must have {count} finite numbers, got {line!r:.80}"
+                f"line {number} of {path} must have {count} finite numbers, got {shown(line)}"
             )
         rows.append(row)
     return np.array(rows).reshape(-1, count)

@@ -204,7 +204,7 @@ def record(path: Path, settings: Settings, *, overwrite: bool = False) -> Iterat
 
 
 def _recorded_entries(path: Path) -> list[Path]:
-    """The files and folders of an earlier recording. Raises OutputError if it is none."""
+    """The entries of an earlier recording. Raises OutputError if it is not a recording."""
     try:
         if path.is_symlink():
             raise InputError(f"{path} is a link")

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.canonical_focal import camera_scale
+from runtime.contract import MAX_RETURN_M
 from runtime.errors import SSDNetError
 from runtime.health.consistency import Consistency, ConsistencyCheck
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
@@ -37,7 +39,7 @@ class FramePredictor(Protocol):
 
 
 class Answer(NamedTuple):
-    """Part of a `FrameResult`."""
+    """What `Answerer` adds to a `FrameResult`: the fields of the same names there."""
 
     prediction: Prediction
     health: tuple[str, ...]
@@ -90,7 +92,9 @@ class Answerer:
                 reasons = (IMPLAUSIBLE_DEPTH, *reasons)
         if reasons:
             prediction = replace(prediction, degraded=(*prediction.degraded, *reasons))
-        health = self._health.check(rgb, sparse_depth)  # predict has checked that they fit
+        range_m = self._range_m(prediction)
+        # `predict` has checked that they fit.
+        health = self._health.check(rgb, sparse_depth, range_m=range_m)
         return Answer(prediction, health, consistency, motion)
 
     def _sparse_depth(
@@ -135,9 +139,26 @@ class Answerer:
     def _predict(
         self, rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], pair: Pair
     ) -> Prediction:
-        focal_length_px = None
-        if self._calibration is not None and self._predictor.focal_length_px is None:
-            focal_length_px = self._calibration.focal_length_px
         return self._predictor.predict(
-            rgb, sparse_depth, focal_length_px=focal_length_px, stamp=pair.image.stamp
+            rgb, sparse_depth, focal_length_px=self._own_focal_px, stamp=pair.image.stamp
         )
+
+    @property
+    def _own_focal_px(self) -> float | None:
+        """The focal length of the calibration, if the predictor has none."""
+        if self._calibration is None or self._predictor.focal_length_px is not None:
+            return None
+        return self._calibration.focal_length_px
+
+    def _range_m(self, prediction: Prediction) -> float:
+        """The depth range of a frame."""
+        if (contract := prediction.contract) is None:  # of a stand-in for `Predictor`
+            return MAX_RETURN_M
+        scale = camera_scale(
+            contract.max_depth_m,
+            contract.canonical_focal_px,
+            self._predictor.focal_length_px or self._own_focal_px,
+            frame_size=prediction.frame_size,
+            network_size=prediction.network_size,
+        )
+        return scale.range_m

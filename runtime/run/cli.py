@@ -13,7 +13,7 @@ from typer.core import TyperCommand
 
 from runtime.command import ERROR, print_result, reported_errors
 from runtime.command_options import NoDevice, Version
-from runtime.io.model_table import describe_bundled_models
+from runtime.run.model_table import describe_bundled_models
 from runtime.run.options import RunOptions, UsageError
 from runtime.run.report_files import describe_run, list_results, report_json
 from runtime.run.run import OnRecord, run

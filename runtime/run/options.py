@@ -1,18 +1,19 @@
 """The options of `ssdnet-run`: written once, and checked before anything is opened."""
 
 import contextlib
+import dataclasses
 import itertools
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar, get_args
 
 import typer
 
 from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
-from runtime.checks import check_number, shown
+from runtime.checks import check_integer, check_number, shown
 from runtime.command import Provider
 from runtime.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.errors import InputError
@@ -41,15 +42,6 @@ FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap", "rerun": "
 DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
 RERUN_LIVE = "live"  # --rerun: the viewer on this machine
 _OUT = Path("ssdnet-run")
-#: Option that is a number -> its least and largest value.
-_RANGES = {
-    "depth_scale": (1e-3, 1e6),
-    "deadline_ms": (1e-6, 1e9),
-    "rate": (1e-3, 1e6),
-    "focal_length": (MIN_FOCAL_PX, MAX_FOCAL_PX),
-    "max_skew_ms": (0, 1e6),
-    "reuse_depth_ms": (0, 1e6),
-}
 
 Item = TypeVar("Item")
 
@@ -66,7 +58,7 @@ class UsageError(InputError):
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What `ssdnet-run` is asked for; the fields are its options, see `ssdnet-run --help`.
+    """The options of `ssdnet-run`, see `ssdnet-run --help`.
 
     Raises:
         UsageError: if an option is out of range, or options contradict each other.
@@ -115,6 +107,8 @@ class RunOptions:
     focal_length: Annotated[
         float | None,
         _INPUT(
+            min=MIN_FOCAL_PX,
+            max=MAX_FOCAL_PX,
             help="Focal length of the camera (fx) in pixels of the images. A model with a "
             "canonical focal length then fits any camera; other models ignore it. "
             "[default: from the calibration of the source, else unknown]",
@@ -123,8 +117,10 @@ class RunOptions:
     depth_scale: Annotated[
         float | None,
         _INPUT(
+            min=1e-3,
+            max=1e6,
             help="Units per metre of 16-bit depth maps: KITTI 256, Virtual KITTI 100. "
-            f"[default: {KITTI_DEPTH_SCALE:g}]"
+            f"[default: {KITTI_DEPTH_SCALE:g}]",
         ),
     ] = None
     point_columns: Annotated[
@@ -145,8 +141,10 @@ class RunOptions:
     reuse_depth_ms: Annotated[
         float | None,
         _MOTION(
+            min=0,
+            max=1e6,
             help="Largest age of the depth that an image without depth of its own takes; 0 = none. "
-            f"[default: {DEFAULT_REUSE_DEPTH_MS:g}, in folders with --timestamps or --poses]"
+            f"[default: {DEFAULT_REUSE_DEPTH_MS:g}, in folders with --timestamps or --poses]",
         ),
     ] = None
     poses: Annotated[
@@ -297,16 +295,20 @@ class RunOptions:
     deadline_ms: Annotated[
         float | None,
         _TIMING(
+            min=1e-6,
+            max=1e9,
             help="Deadline of a prediction, without reading and writing; with --rate it counts "
-            "from when the frame is due."
+            "from when the frame is due.",
         ),
     ] = None
     rate: Annotated[
         float | None,
         _TIMING(
+            min=1e-3,
+            max=1e6,
             help="Frames per second: frames are due at fixed times as from a sensor "
             "(constant-stream), and age and jitter are reported. [default: each when the one "
-            "before is done (single-stream)]"
+            "before is done (single-stream)]",
         ),
     ] = None
     warmup: Annotated[
@@ -315,8 +317,10 @@ class RunOptions:
     max_skew_ms: Annotated[
         float | None,
         _TIMING(
+            min=0,
+            max=1e6,
             help="Largest difference of the stamps of an image and its depth, for sources with "
-            f"stamps of both. [default: {DEFAULT_MAX_SKEW_MS:g}]"
+            f"stamps of both. [default: {DEFAULT_MAX_SKEW_MS:g}]",
         ),
     ] = None
     image_topic: Annotated[
@@ -348,10 +352,8 @@ class RunOptions:
             raise UsageError(
                 "give one of PATH, --demo, --rgb (with --depth or --points) and --source"
             )
-        for field, (least, most) in _RANGES.items():
-            if (value := getattr(self, field)) is not None:
-                option = f"--{field.replace('_', '-')}"
-                check_number(option, value, least, most, error=UsageError)
+        for field in dataclasses.fields(self):
+            _check_range(field.name, field.type, getattr(self, field.name))
         if (self.poses is None) != (self.pose_frame is None):
             raise UsageError("give --poses and --pose-frame together")
         if self.scan_stamp not in (None, *MIDDLE_AFTER):
@@ -373,18 +375,20 @@ class RunOptions:
     @cached_property
     def kinds(self) -> tuple[str, ...]:
         """The files of a frame that --save names."""
-        asked = [kind.strip() for text in self.save or ["all"] for kind in text.split(",")]
-        if asked in (["all"], ["none"]):
-            return KINDS if asked == ["all"] else ()
-        if len(asked) > 1 and (alone := [kind for kind in ("none", "all") if kind in asked]):
-            others = [kind for kind in asked if kind not in alone] or alone[1:] or alone
+        requested = [kind.strip() for text in self.save or ["all"] for kind in text.split(",")]
+        if requested in (["all"], ["none"]):
+            return KINDS if requested == ["all"] else ()
+        if len(requested) > 1 and (
+            alone := [kind for kind in ("none", "all") if kind in requested]
+        ):
+            others = [kind for kind in requested if kind not in alone] or alone[1:] or alone
             raise UsageError(
-                f"--save {alone[0]} stands alone, and {', '.join(others)} is asked for, too: leave "
-                f"one of them out"
+                f"--save {alone[0]} cannot be combined with {', '.join(others)}: leave one of them "
+                "out"
             )
-        if unknown := [kind for kind in asked if kind not in SUFFIXES]:
+        if unknown := [kind for kind in requested if kind not in SUFFIXES]:
             raise UsageError(f"--save knows {', '.join(SUFFIXES)}, all and none, not {unknown}")
-        return tuple(kind for kind in SUFFIXES if kind in asked)
+        return tuple(kind for kind in SUFFIXES if kind in requested)
 
     @cached_property
     def folder(self) -> Path:
@@ -475,6 +479,18 @@ class RunOptions:
                 f"{shown(self.shard)}"
             )
         return int(part), int(parts)
+
+
+def _check_range(name: str, of_type: Any, value: Any) -> None:
+    """Raise UsageError for a number outside the `min` and `max` of its option."""
+    kind, *described = get_args(of_type) or (of_type,)
+    least = getattr(described[0], "min", None) if described else None
+    if least is None or value is None:
+        return
+    check: Callable[..., float] = check_number if float in get_args(kind) else check_integer
+    most = described[0].max
+    limits = (least,) if most is None else (least, most)
+    check(f"--{name.replace('_', '-')}", value, *limits, error=UsageError)
 
 
 def is_rerun_file(target: str) -> bool:

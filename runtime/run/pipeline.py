@@ -228,7 +228,7 @@ def run_stream(
         record: called with each answer as the predictor gave it, valid or not, in the calling
             thread, while nothing is predicted; None = nothing is recorded.
         on_record: called with each record when its frame is done.
-        stop: asked before each frame; True ends the stream.
+        stop: called before each frame; True ends the stream.
 
     Raises:
         Exception: what `write` and `record` raise ends the stream.
@@ -241,7 +241,8 @@ def run_stream(
 
     def read_checked(listed: ListedFrame) -> TimedFrame:
         frame, read_ms = reader.take(listed)
-        found = health.check(frame.rgb, frame.sparse_depth)
+        scale = predictor.camera_scale((frame.rgb.shape[0], frame.rgb.shape[1]))
+        found = health.check(frame.rgb, frame.sparse_depth, range_m=scale.range_m)
         return replace(frame, health=found), read_ms
 
     def read_next() -> None:

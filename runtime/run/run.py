@@ -1,4 +1,4 @@
-"""Run a model over a stream of frames, and write what was asked for."""
+"""Run a model over a stream of frames, and write the requested outputs."""
 
 import contextlib
 import importlib.util
@@ -18,7 +18,7 @@ from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.run.options import RunOptions
 from runtime.run.outputs.output import OpenRun, Output, require_free
-from runtime.run.outputs.registry import OUTPUTS, RECORDERS, OpenOutput
+from runtime.run.outputs.registry import requested_outputs
 from runtime.run.pipeline import FrameReader, FrameRecord, StreamResult, WriteFrame, run_stream
 from runtime.run.process import dedicate_process
 from runtime.run.report_files import describe_predictor, group_reasons
@@ -28,8 +28,6 @@ from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source
 from runtime.sync.outcome import Sensor
 
-#: Option -> the package that it needs, and the extra that installs it.
-_PACKAGES = {"rerun": ("rerun", "rerun"), "mcap": ("rosbags", "bag")}
 _NO_RETURNS = (
     "no scan or depth map of the first frames has a return in the image: check that scans are in "
     "metres, and that the extrinsics of the calibration lead from the LiDAR to the camera"
@@ -120,7 +118,7 @@ def _open_predictor(options: RunOptions, source: Source) -> Predictor:
 
 
 def _answered_kinds(options: RunOptions, predictor: Predictor) -> tuple[str, ...]:
-    """The kinds of files that the model answers. Raises InputError if one was asked for by name."""
+    """The kinds of files that the model answers. Raises InputError if one was requested by name."""
     heads = {**{kind: head for kind, (head, _) in SAVED_HEADS.items()}, CLOUD: "depth"}
     missing = [
         kind for kind in options.kinds if kind in heads and heads[kind] not in predictor.heads
@@ -217,11 +215,11 @@ def _require_apart(out: Path, inputs: Sequence[Path]) -> None:
 
 def _require_outputs(options: RunOptions, source: Source) -> None:
     """Raise OutputError for an output that cannot be made, before anything is written."""
-    for option, (package, extra) in _PACKAGES.items():
-        if getattr(options, option) is not None and importlib.util.find_spec(package) is None:
+    for option, row in requested_outputs(options).items():
+        if row.package is not None and importlib.util.find_spec(row.package) is None:
             raise OutputError(
-                f"--{option} needs the package {package}, which is not installed: "
-                f"{install_command(extra)}"
+                f"--{option} needs the package {row.package}, which is not installed: "
+                f"{install_command(row.extra)}"
             )
     for path in options.named_files.values():
         require_free(path, overwrite=options.overwrite, inputs=source.recordings)
@@ -229,17 +227,17 @@ def _require_outputs(options: RunOptions, source: Source) -> None:
 
 @contextlib.contextmanager
 def _open_outputs(run: OpenRun) -> Iterator[tuple[WriteFrame | None, WriteFrame | None]]:
-    """Open the outputs that were asked for; yields `write` and `record` of `run_stream`."""
+    """Open the requested outputs; yields `write` and `record` of `run_stream`."""
 
-    def open_all(table: dict[str, OpenOutput], stack: contextlib.ExitStack) -> list[Output]:
-        asked = [name for name in table if name == "out" or getattr(run.options, name)]
-        opened = [stack.enter_context(table[name](run)) for name in asked]
+    def open_all(stack: contextlib.ExitStack, *, raw: bool) -> list[Output]:
+        rows = [row for row in requested_outputs(run.options).values() if row.raw is raw]
+        opened = [stack.enter_context(row.open(run)) for row in rows]
         return [output for output in opened if output is not None]
 
     # Recordings are opened first, and closed first.
     with contextlib.ExitStack() as others, contextlib.ExitStack() as recordings:
-        recorders = open_all(RECORDERS, recordings)
-        outputs = open_all(OUTPUTS, others)
+        recorders = open_all(recordings, raw=True)
+        outputs = open_all(others, raw=False)
         yield _write_to(outputs), _write_to(recorders)
 
 

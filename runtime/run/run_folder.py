@@ -20,7 +20,7 @@ SAVED_HEADS = {
 }
 #: Kind of a frame's file, also the name of its subfolder -> suffix.
 SUFFIXES = {**dict.fromkeys(SAVED_HEADS, ".png"), OVERLAY: ".jpg", CLOUD: ".ply"}
-#: What is written unless something else is asked for; the others are large.
+#: What is written unless something else is requested; the others are large.
 KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
 FRAMES_FILE, REPORT_FILE, LATENCY_FILE = "frames.csv", "report.json", "latency.png"
 _MARKER = ".ssdnet-run"
@@ -93,7 +93,7 @@ class RunFolder:
             os.write(self._names, (json.dumps(name) + "\n").encode())
 
     def close(self) -> None:
-        """Close the list of names; nothing is written any more."""
+        """Close the list of names; nothing is written after it."""
         os.close(self._names)
 
     def _remove_run(self, names: Collection[str]) -> None:

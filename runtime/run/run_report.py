@@ -17,7 +17,7 @@ from runtime.sync.latency import (
     latency_statistics,
 )
 
-REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "1.9"
+REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
 FRAMES_SKIPPED, DEADLINE_MISSED = 3, 4  # exit codes
 
 # "predict" is Predictor.predict from end to end; "age" and "jitter" are of constant streams, "skew"

@@ -332,7 +332,7 @@ def require_pair(frame: ListedFrame, what: str = "depth map") -> None:
 
 
 def list_entries(path: Path) -> list[Path]:
-    """What a folder holds, without hidden files; nothing if it is none."""
+    """What a folder holds, without hidden files; nothing if it is not a folder."""
     try:
         return [entry for entry in path.iterdir() if not entry.name.startswith(".")]
     except OSError:

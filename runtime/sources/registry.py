@@ -114,7 +114,7 @@ def open_source(kind: str, path: str | Path, **options: Any) -> Source:
 def _require_kind(kind: str) -> None:
     """Raise InputError for an unknown kind, with the right spelling where there is one."""
     if kind in _REMOVED:
-        raise InputError(f"there is no source {kind} any more: {_REMOVED[kind]}")
+        raise InputError(f"the source {kind} was removed: {_REMOVED[kind]}")
     if kind not in SOURCES:
         right = kind.lower().replace("_", "-")
         remedy = f"write {right}" if right in SOURCES else f"give {_kinds()}"

@@ -11,7 +11,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from runtime.errors import InputError, SSDNetError, install_command
+from runtime.checks import cut
+from runtime.errors import InputError, SSDNetError, import_remedy
 from runtime.read_input import MAX_TEXT_BYTES, require_regular
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ class RosBag:
         lost: topic -> messages that the bag's index has and the last complete reading did not.
 
     Raises:
-        InputError: if `rosbags` is not installed, or the bag is damaged; so does every method.
+        InputError: if `rosbags` cannot be imported, or the bag is damaged; so does every method.
     """
 
     def __init__(self, path: Path) -> None:
@@ -106,13 +107,9 @@ class RosBag:
 
 def _open(path: Path) -> "tuple[AnyReader, Typestore]":
     """The open bag, and ROS's own message definitions: those in the bag may be damaged."""
-    try:
+    with _importing():
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ImportError as error:
-        raise InputError(
-            f"rosbags, which reads bags, is not installed ({error}): {install_command('bag')}"
-        ) from error
     files = [path]
     if os.path.isdir(path):
         files = [file for file in path.iterdir() if file.suffix in _BAG_SUFFIXES]
@@ -137,10 +134,10 @@ def _bounded_reader(path: Path, *, is_ros1: bool) -> Any:
     Those of rosbags have no limit and no place to give one. They are made anew from its files, so
     that rosbags itself stays as it is.
     """
-    import bz2
+    with _importing():
+        import bz2
 
-    import lz4.frame  # type: ignore[import-untyped]
-
+        import lz4.frame  # type: ignore[import-untyped]
     if is_ros1:
         ros1 = _load_anew("rosbags.rosbag1.reader")
         ros1.decompressors |= {"bz2": bounded(bz2.open), "lz4": bounded(lz4.frame.open)}
@@ -192,5 +189,17 @@ def reading(path: Path) -> Iterator[None]:
         ) from error
 
 
+@contextlib.contextmanager
+def _importing() -> Iterator[None]:
+    """Raise as InputError that a package of the extra cannot be imported."""
+    try:
+        yield
+    except ImportError as error:
+        raise InputError(
+            f"rosbags, which reads bags, cannot be imported ({error}): "
+            f"{import_remedy(error, 'bag')}"
+        ) from error
+
+
 def _describe(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}"[:200]
+    return cut(f"{type(error).__name__}: {error}", 200)

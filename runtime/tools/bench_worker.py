@@ -1,4 +1,4 @@
-"""A model in a process of its own: opened once, and run as often as it is asked."""
+"""A model in a process of its own: opened once, and run as often as requested."""
 
 import contextlib
 import json

@@ -10,10 +10,10 @@ import typer
 from runtime.bundled_models import list_bundled_models
 from runtime.command import ERROR, print_result, reported_errors
 from runtime.command_options import Version
-from runtime.io.model_table import describe_bundled_models
 from runtime.predictor import Predictor
+from runtime.run.model_table import describe_bundled_models
 
-INFO_FORMAT, INFO_VERSION = "ssdnet-info", "1.0"
+INFO_FORMAT, INFO_VERSION = "ssdnet-info", "2.0"
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -55,7 +55,7 @@ def describe_model(predictor: Predictor) -> dict[str, Any]:
         "bytes": Path(predictor.model).stat().st_size,
         "sha256": predictor.digest,
         "heads": predictor.heads,
-        "input_size": None if predictor.free_size else predictor.size,
+        "fixed_size": None if predictor.free_size else predictor.size,
         "free_batch": predictor.free_batch,
         "metadata": asdict(predictor.contract),
     }
@@ -75,7 +75,7 @@ def model_table(described: dict[str, Any]) -> str:
         ("sha256", described["sha256"]),
         ("schema", metadata["schema_version"]),
         ("heads", ", ".join(described["heads"])),
-        ("input size", _size(described["input_size"])),
+        ("fixed size", _size(described["fixed_size"])),
         ("verified at", _size(metadata["native_size"])),
         ("trained for", "not known" if rows is None else f"{rows} rows"),
         ("frames a run", batch),
@@ -112,7 +112,7 @@ def _facts(document: dict[str, Any] | None) -> list[tuple[str, str]]:
 
 
 def _size(size: tuple[int, int] | None) -> str:
-    return "any" if size is None else f"{size[0]} x {size[1]}"
+    return "none" if size is None else f"{size[0]} x {size[1]}"
 
 
 def _plain(value: Any) -> str:

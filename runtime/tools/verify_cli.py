@@ -1,4 +1,4 @@
-"""`ssdnet-verify`: compare the answers of now with those of a recording."""
+"""`ssdnet-verify`: compare the present answers with those of a recording."""
 
 import json
 import math

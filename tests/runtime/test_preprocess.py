@@ -44,7 +44,7 @@ def test_views_become_contiguous():
         (np.zeros((1, 40, 50, 3), np.uint8), r"got \(1, 40, 50, 3\)"),
         (np.zeros((31, 50, 3), np.uint8), "at least 32 x 32"),
         (np.zeros((0, 0, 3), np.uint8), "at least 32 x 32"),
-        ([[1]], "numpy array, got list"),
+        ([[1]], r"numpy array, got list: use np.asarray\(rgb\)$"),
         (None, "numpy array, got NoneType"),
     ],
 )
@@ -61,7 +61,7 @@ def test_other_pictures_are_refused(rgb, text):
         (np.zeros((40, 50), np.float16), "float32 metres, got float16"),
         (np.zeros((40, 50, 1), np.float32), r"\(40, 50\), got \(40, 50, 1\)"),
         (np.zeros((50, 40), np.float32), r"\(40, 50\), got \(50, 40\)"),
-        ([[1]], "numpy array, got list"),
+        ([[1]], r"got list: use np.asarray\(sparse_depth, np.float32\)$"),
     ],
 )
 def test_other_depth_maps_are_refused(depth, text):

@@ -1,4 +1,4 @@
-"""What was asked for is what runs, or an error says what is missing: with a stand-in runtime."""
+"""The requested provider is used, or an error says what is missing: with a stand-in runtime."""
 
 import builtins
 import sys

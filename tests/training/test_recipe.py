@@ -13,6 +13,7 @@ from training.datasets.rendered_scenes import RenderedOnTheFlyRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.former_keys import FORMER_KEYS
 from training.recipe import AnySource, ValidationRecipe, build, read_recipe
+from training.stages import read_stages
 
 MINIMAL = """
 [model]
@@ -108,9 +109,9 @@ def test_missing_file(tmp_path):
     ids=lambda path: f"{path.parent.name}/{path.stem}",
 )
 def test_shipped_recipes_are_valid(path):
-    recipe = read_recipe(path)
-    assert recipe.schedule.steps > 0
-    assert recipe.model.name in list_models()
+    for stage in read_stages(path):
+        assert stage.recipe.schedule.steps > 0
+        assert stage.recipe.model.name in list_models()
 
 
 BASE = """

@@ -32,7 +32,7 @@ def collect_facts(
         },
         heading: more,
         "Engine": {
-            "asked for": provider.asked,
+            "requested": provider.asked,
             "runs on": ", ".join(running),
             "threads": provider.threads,
             "load": f"{engine.load_ms:.0f} ms",

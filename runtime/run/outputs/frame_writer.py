@@ -19,7 +19,12 @@ from runtime.sources.frames import Frame
 
 
 class FrameWriter:
-    """Write the answers to each frame, one subfolder a kind; see `open_frame_files`."""
+    """Write the answers to each frame, one subfolder a kind; see `open_frame_files`.
+
+    Args:
+        folder: open, with a subfolder for each kind that is written.
+        run: draws the overlays, and knows the classes and the focal length of clouds.
+    """
 
     def __init__(self, folder: RunFolder, run: OpenRun) -> None:
         self._folder, self._run = folder, run

@@ -35,6 +35,16 @@ def test_a_lost_sector(nothing_m):
     assert health.check(scan(10)) == ()
 
 
+@pytest.mark.parametrize("range_m", [400, 80])
+def test_returns_count_up_to_the_farthest_one_of_the_range(range_m):
+    far = np.where(scan() > 0, np.float32(300), np.float32(0))
+    health = LidarHealth()
+    assert [health.check(far, range_m=range_m) for _ in range(8)] == [()] * 8
+    far[:, 100:160] = 0
+    lost = ("lidar_sector_lost",) if range_m == 400 else ()
+    assert health.check(far, range_m=range_m) == lost
+
+
 def test_lost_lines_at_an_edge_and_between_others():
     depth = scan(9)
     depth[100:] = 0

@@ -53,6 +53,7 @@ def test_oxts_are_metres_from_the_first_frame(tmp_path):
     (read_kitti_poses, "1 2 3\n", "line 1 .*12 finite numbers"),
     (read_kitti_poses, "1 0 0 0 0 1 0 0 0 0 1 nan\n", "12 finite numbers"),
     (read_kitti_poses, "1 0 0 x 0 1 0 0 0 0 1 0\n", "12 finite numbers"),
+    (read_kitti_poses, "1" * 500, "got '1{79}…$"),
     (read_tum_poses, "0 0 0 0 0 0 0\n", "8 finite numbers"),
     (read_tum_poses, "0 0 0 0 0 0 0 0\n", "unit quaternion"),
     (read_tum_poses, "1e300 0 0 0 0 0 0 1\n", "seconds"),

@@ -273,3 +273,20 @@ def test_a_live_stream_checks_later_frames_when_none_waits():
     assert frame(idle=True)
     assert not any(frame(idle=True) for _ in range(99))
     assert frame(idle=True)
+
+
+def test_the_checks_of_the_lidar_know_the_range(model_file, contract):
+    """Returns at 300 m, of a model of 400 m: a lost sector among them is found."""
+    model = model_file(contract=replace(contract, max_depth_m=400.0))
+    random = np.random.default_rng(0)
+    far = np.full((48, 64), 300, np.float32)
+    lost = far.copy()
+    lost[:, 16:32] = 0
+    found = []
+    with Predictor(model, threads=1) as predictor:
+        answerer = Answerer(predictor, None, None)
+        for sparse_depth in [far] * 8 + [lost]:
+            rgb = random.integers(1, 256, (48, 64, 3), dtype=np.uint8)
+            pair = Pair(Message(0.0, 0, 0, rgb), Message(0.0, 0, 0, sparse_depth))
+            found.append(answerer.answer(pair, None).health)
+    assert found == [()] * 8 + [("lidar_sector_lost",)]

@@ -72,6 +72,28 @@ def test_wrong_options_are_usage_errors(options):
         RunOptions(**options)
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "text"),
+    [
+        ("limit", 0, "--limit must be a whole number of 1 to"),
+        ("threads", -3, "--threads must be a whole number of 1 to"),
+        ("warmup", -1, "--warmup must be a whole number of 0 to"),
+        ("overlay_width", 1, "--overlay-width must be a whole number of 16 to 8192, got 1"),
+        ("overlay_width", 20.5, "--overlay-width must be a whole number"),
+        ("point_columns", 0, "--point-columns must be a whole number of 3 to"),
+        ("camera", 4, "--camera must be a whole number of 0 to 3, got 4"),
+        ("rate", 0, "--rate must be 0.001 to 1e+06, got 0"),
+        ("deadline_ms", float("inf"), "--deadline-ms must be"),
+        ("depth_scale", 0, "--depth-scale must be"),
+        ("max_skew_ms", -1, "--max-skew-ms must be"),
+        ("focal_length", 0.5, "--focal-length must be 1 to 1e+06, got 0.5"),
+    ],
+)
+def test_numbers_out_of_range_are_usage_errors_from_python_also(option, value, text):
+    with pytest.raises(UsageError, match=f"^{re.escape(text)}"):
+        RunOptions(demo=True, **{option: value})
+
+
 def test_options_are_parsed_once(tmp_path):
     options = RunOptions(rgb=tmp_path, save=["cloud, depth", "boundary"], shard="2/3", size="40x56")
     assert options.kinds == ("depth", "boundary", "cloud")

@@ -4,6 +4,7 @@ import os
 import re
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ import runtime.run.pipeline
 from runtime import OutputError, Predictor
 from runtime.run.pipeline import FrameReader, run_stream
 from runtime.sources.folders import FolderSource
+from runtime.sources.frames import Frame
 
 
 @pytest.fixture
@@ -370,3 +372,19 @@ def test_a_single_stream_has_no_age(predictor, stream_of):
     assert result.rate_hz is None
     assert [record.age_ms for record in result.records] == [None, None]
     assert all(record.response_ms == record.latency.total_ms for record in result.records)
+
+
+def test_the_checks_of_the_lidar_know_the_range(stream_of, model_file, make_frame, contract):
+    """Returns at 300 m, of a model of 400 m: a lost sector among them is found."""
+    model = model_file(contract=replace(contract, max_depth_m=400.0))
+    depth = np.full((48, 64), 300, np.float32)
+
+    def read(listed):
+        lost = depth.copy()
+        lost[:, 16:32] = 0
+        rgb, _ = make_frame(seed=listed.sequence)
+        return Frame(rgb, lost if listed.sequence == 8 else depth)
+
+    with Predictor(model, threads=1) as predictor:
+        result = run(predictor, stream_of(9), read=read)
+    assert [record.health for record in result.records] == [()] * 8 + [("lidar_sector_lost",)]

@@ -1,5 +1,6 @@
 """Bags of ROS 1 and ROS 2 and MCAP files, written by rosbags, through ssdnet-run."""
 
+import builtins
 import os
 import re
 import struct
@@ -513,6 +514,34 @@ def test_a_pipe_in_a_bag_is_not_waited_for(make_bag, make_frame, name):
     (path / name).unlink()
     os.mkfifo(path / name)
     with pytest.raises(InputError, match="not a regular file"):
+        BagSource(path)
+
+
+@pytest.mark.parametrize("module", ["rosbags.highlevel", "bz2", "lz4.frame"])
+def test_a_package_that_cannot_be_loaded_is_not_a_damaged_bag(
+    make_bag, make_frame, monkeypatch, module
+):
+    bag = make_bag("mcap")
+    add_camera(bag, make_frame, n=2)
+    path = bag.write()
+    real = builtins.__import__
+
+    def broken(name, *arguments):
+        if name == module:
+            raise ImportError(f"{module}: undefined symbol")
+        return real(name, *arguments)
+
+    monkeypatch.setattr(builtins, "__import__", broken)
+    with pytest.raises(InputError, match=f"{module}: undefined.*installed but cannot be loaded"):
+        BagSource(path)
+
+    def missing(name, *arguments):
+        if name == module:
+            raise ModuleNotFoundError(f"No module named {module!r}")
+        return real(name, *arguments)
+
+    monkeypatch.setattr(builtins, "__import__", missing)
+    with pytest.raises(InputError, match="pip install"):
         BagSource(path)
 
 

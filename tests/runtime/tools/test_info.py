@@ -36,7 +36,7 @@ def test_the_lines_hold_what_the_metadata_and_the_tensors_say(model_file, contra
     shown = {line[:24].strip(): line[24:].strip() for line in lines}
     assert shown["model"] == "by-hand"
     assert shown["heads"] == "semantic, depth, boundary"
-    assert shown["input size"] == "48 x 64"
+    assert shown["fixed size"] == "48 x 64"
     assert shown["trained for"] == "400 rows"
     assert shown["frames a run"] == "any number"
     assert shown["canonical focal length"] == "721.5 px"
@@ -54,7 +54,7 @@ def test_the_lines_hold_what_the_metadata_and_the_tensors_say(model_file, contra
 
 def test_the_json_holds_the_contract_and_the_digest(model_file, contract):
     document = json.loads(run(str(model_file()), "--json").output)
-    assert document["input_size"] is None
+    assert document["fixed_size"] is None
     assert len(document["sha256"]) == 64
     metadata = document["metadata"]
     assert metadata["max_depth_m"] == contract.max_depth_m

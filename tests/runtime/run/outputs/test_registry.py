@@ -4,6 +4,9 @@ import contextlib
 import dataclasses
 from pathlib import Path
 
+import pytest
+
+from runtime import OutputError
 from runtime.run.options import RunOptions
 from runtime.run.outputs import registry
 from runtime.run.run import run
@@ -24,7 +27,9 @@ def test_another_output_is_a_row_and_an_option(tmp_path, stream, all_heads, monk
         lines.append(f"{len(run.report.records)} frames")
         run.options.nearest.write_text("\n".join(lines))
 
-    monkeypatch.setitem(registry.OUTPUTS, "nearest", open_nearest)  # ... its row, ...
+    monkeypatch.setitem(  # ... its row, ...
+        registry.OUTPUTS, "nearest", registry.OutputRow(open_nearest)
+    )
 
     @dataclasses.dataclass(frozen=True)
     class Options(RunOptions):  # ... and its option
@@ -43,3 +48,8 @@ def test_another_output_is_a_row_and_an_option(tmp_path, stream, all_heads, monk
     lines = (tmp_path / "nearest.txt").read_text().splitlines()
     assert [line.split()[0] for line in lines[:3]] == [record.name for record in report.records]
     assert lines[3] == "3 frames"
+
+    row = registry.OutputRow(open_nearest, package="no_such_package", extra="nearest")
+    monkeypatch.setitem(registry.OUTPUTS, "nearest", row)
+    with pytest.raises(OutputError, match=r"--nearest needs the package no_such_package.*nearest"):
+        run(dataclasses.replace(options, overwrite=True))

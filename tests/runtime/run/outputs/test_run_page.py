@@ -64,7 +64,7 @@ def test_the_page_shows_the_run(tmp_path, page_of, stream):
     assert page.after("name") == "by-hand"
     assert len(page.after("SHA-256")) == 64
     assert page.after("answers") == "semantic, depth, boundary, depth_uncertainty"
-    assert page.after("asked for") == "cpu"
+    assert page.after("requested") == "cpu"
     for library in ("ONNX Runtime", "OpenCV", "NumPy", "Python"):
         assert re.match(r"\d+\.\d+", page.after(library))
     assert text.count("<polyline") == 3, "the line is broken twice"
