@@ -1,15 +1,12 @@
 """The network of a recipe: built, and started from other weights."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from models import Network, NetworkConfig, SSDNetLite, create_model, load_checkpoint
+from models import Network, SSDNetLite, create_model, load_checkpoint
 from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite
 from models.lite_encoder import EfficientNetEncoder
-from models.registry import NETWORKS
 from runtime.errors import InputError
-from training.datasets.class_mapping import list_classes
 from training.imagenet_weights import load_imagenet
 from training.initial_weights import start_from
 from training.prune import prune_trunk
@@ -49,11 +46,9 @@ def build_with_weights(
     if recipe.pretrained == "imagenet":
         changes |= _IMAGENET_COLORS
     try:
-        if recipe.name in NETWORKS:
-            config = _configuration(NETWORKS[recipe.name].config, recipe.config)
-            changes |= {key: getattr(config, key) for key in recipe.config}
-            changes["classes"] = list_classes(recipe.class_table) if config.classes else ()
-        network = create_model(recipe.name, **changes)
+        config = recipe.network_config()
+        stated = {key: getattr(config, key) for key in (*recipe.config, "classes")}
+        network = create_model(recipe.name, **(changes | stated))
     except ValueError as error:
         raise InputError(f"the recipe's model cannot be built: {error}.") from error
     has_trunk = source is not None and _has_trunk(source)
@@ -96,14 +91,6 @@ def _require_pretrainable(network: Network) -> EfficientNetLite:
                 f"{list(wanted)}. Leave it out."
             )
     return encoder.trunk
-
-
-def _configuration(config: NetworkConfig, changes: Mapping[str, Any]) -> NetworkConfig:
-    """Change fields of a configuration; without a semantic head there are no classes."""
-    values = {**config.to_dict(), **changes}
-    if changes.get("semantic_head") is False:
-        values["classes"] = ()
-    return type(config).from_dict(values)
 
 
 def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...] = ()) -> None:

@@ -11,7 +11,7 @@ from models.efficientnet_lite import InvertedResidual
 from runtime.errors import CheckpointError, InputError
 from training.network import build_network, build_with_weights, train_parts
 from training.prune import prune_trunk
-from training.recipe import ModelRecipe
+from training.recipe import ModelRecipe, build
 
 
 def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
@@ -151,7 +151,7 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
 )
 def test_an_invalid_configuration_is_refused(name, config, text):
     with pytest.raises(InputError, match=text):
-        build_network(ModelRecipe(name, config=config), None)
+        build(ModelRecipe, {"name": name, "config": config})
 
 
 IMAGENET = ModelRecipe(
