@@ -117,7 +117,12 @@ def open_task(
     initial = {name: value.clone() for name, value in network.state_dict().items() if name in taken}
     release = Release(recipe.release, weights, initial)
     sky = recipe.model.class_id("sky") if recipe.data.sky_depth_m else None
-    depth = DepthTarget(network.config.canonical_focal_px, sky, recipe.data.sky_depth_m)
+    depth = DepthTarget(
+        network.config.canonical_focal_px,
+        sky,
+        recipe.data.sky_depth_m,
+        max_depth_m=network.config.max_depth_m,
+    )
     task = Task(recipe, sources, validation, network, criterion, depth, release)
     if 0 < recipe.data.augment.pair_shift < task.pair_step:
         raise InputError(
