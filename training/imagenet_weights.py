@@ -63,7 +63,7 @@ def _read_package() -> dict[str, Tensor]:
     except (PackageNotFoundError, OSError) as error:
         raise CheckpointError(
             f"ImageNet's weights are in the package {PACKAGE}, which is not installed: "
-            f"{install_command('train')}"
+            f"{install_command('train')}."
         ) from error
     digest = hashlib.sha256(content).hexdigest()
     if digest != _SHA256:
