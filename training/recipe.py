@@ -439,7 +439,7 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
     text = shown(value, 200)
     match error["type"]:
         case "unexpected_keyword_argument" if (former := _without_indices(place)) in FORMER_KEYS:
-            return f"{key} is no key any more: {FORMER_KEYS[former]}."
+            return f"{key} was {FORMER_KEYS[former]}."
         case "unexpected_keyword_argument":
             known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
             return f"unknown key {key}; known here: {known}. Correct its name."
