@@ -213,7 +213,7 @@ def heads_of(entry: Entry, plan: Plan) -> tuple[str, ...]:
     if entry.onnx is not None:
         with Predictor(find_model(entry.onnx)) as predictor:
             return predictor.heads
-    return build_network(recipe_of(entry, plan).model, None).heads
+    return build_network(recipe_of(entry, plan).model, None)[0].heads
 
 
 def train_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
@@ -365,7 +365,7 @@ def find_file(entry: Entry, plan: Plan, runs: Path, folder: Path) -> str:
     if entry.network is not None:
         network = create_model(entry.network)
     else:
-        network = build_network(recipe_of(entry, plan).model, None)
+        network = build_network(recipe_of(entry, plan).model, None)[0]
     path = folder / f"{entry.folder}.onnx"
     path.write_bytes(export_graph(DeployGraph(network.eval())))
     return str(path)

@@ -236,7 +236,7 @@ def _finish(
     precision: Precision | Int8Options,
     validate: Sequence[str],
 ) -> tuple[onnx.ModelProto, Contract]:
-    """The graph in the precision asked for, and its contract with what was measured of it."""
+    """The graph in the precision requested, and its contract with what was measured of it."""
 
     def write(graph: onnx.ModelProto, path: Path) -> None:
         with path.open("wb") as file:

@@ -11,7 +11,7 @@ from models.checkpoint import VERSION, read_document, restore, write_document
 from runtime.checks import shown
 from runtime.errors import CheckpointError, OutputError
 
-#: Network of today -> the fields of version 1 that it no longer has, with the values that are it.
+#: Network -> fields that only version 1 had, with the values that select this network.
 _FIXED: Mapping[str, Mapping[str, object]] = {
     "SSDNet": {
         "encoder_block": "plain",

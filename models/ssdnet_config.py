@@ -159,6 +159,13 @@ class SSDNetLiteConfig(EncoderDecoderConfig):
             check_max_depth(self.regressed_depth_m, "regressed_depth_m")
         if self.encoder_widths and self.encoder == "residual":
             raise ValueError("encoder_widths are those of encoder = 'efficientnet-lite0'")
+        if self.encoder != "residual":
+            for key in ("stem_channels", "encoder_channels", "encoder_blocks"):
+                # Nobody chose the values of the named networks.
+                if getattr(self, key) not in (getattr(SSDNET_LITE, key), getattr(SSDNET_NANO, key)):
+                    raise ValueError(
+                        f"{key} are those of encoder = 'residual', and this is {self.encoder!r}"
+                    )
 
     def counts(self) -> dict[str, tuple[int, int, int]]:
         """See `EncoderDecoderConfig`."""

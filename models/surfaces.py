@@ -134,7 +134,7 @@ def measure(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Measured:
     cells = cell_maxima(inverse, COARSE_CELL)
     seen = (cells > 0).to(cells.dtype)
     count = 25.0 * means_around(seen, 5) - seen
-    # Inverse depth beyond which a return stands alone in its cell.
+    # Inverse depth beyond which a return is isolated.
     most = torch.where(
         count > ISOLATED_CELLS - 0.5,
         (ISOLATED_RATIO * maxima_beside(cells)).clamp(min=max_depth_m / ISOLATED_M),

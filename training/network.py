@@ -1,15 +1,12 @@
 """The network of a recipe: built, and started from other weights."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
-from models import Network, NetworkConfig, SSDNetLite, create_model, load_checkpoint
+from models import Network, SSDNetLite, create_model, load_checkpoint
 from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite
 from models.lite_encoder import EfficientNetEncoder
-from models.registry import NETWORKS
 from runtime.errors import InputError
-from training.datasets.class_mapping import list_classes
 from training.imagenet_weights import load_imagenet
 from training.initial_weights import start_from
 from training.prune import prune_trunk
@@ -19,12 +16,7 @@ from training.recipe import ModelRecipe
 _IMAGENET_COLORS = {"rgb_mean": (RGB_MEAN,) * 3, "rgb_std": (RGB_STD,) * 3}
 
 
-def build_network(recipe: ModelRecipe, init: Path | None) -> Network:
-    """Return the network of `build_with_weights`."""
-    return build_with_weights(recipe, init)[0]
-
-
-def build_with_weights(
+def build_network(
     recipe: ModelRecipe, init: Path | None, *, resumed: bool = False
 ) -> tuple[Network, frozenset[str]]:
     """Build a recipe's network, with the weights of the checkpoint ``init`` as far as they fit.
@@ -49,33 +41,28 @@ def build_with_weights(
     if recipe.pretrained == "imagenet":
         changes |= _IMAGENET_COLORS
     try:
-        if recipe.name in NETWORKS:
-            config = _configuration(NETWORKS[recipe.name].config, recipe.config)
-            changes |= {key: getattr(config, key) for key in recipe.config}
-            changes["classes"] = list_classes(recipe.class_table) if config.classes else ()
-        network = create_model(recipe.name, **changes)
+        config = recipe.network_config()
+        stated = {key: getattr(config, key) for key in (*recipe.config, "classes")}
+        network = create_model(recipe.name, **(changes | stated))
     except ValueError as error:
         raise InputError(f"the recipe's model cannot be built: {error}.") from error
-    has_trunk = source is not None and _has_trunk(source)
     if recipe.pretrained == "imagenet":
         trunk = _require_pretrainable(network)
-        if not (resumed or has_trunk):
+        if not (resumed or _has_trunk(source)):
             load_imagenet(trunk)
     if init is None or source is None:
         return network, frozenset()
-    if has_trunk and _has_trunk(network):
+    if _has_trunk(source) and _has_trunk(network):
         source = _with_widths(source, network)
     return network, start_from(network, source, init)
 
 
-def _has_trunk(network: Network) -> bool:
+def _has_trunk(network: Network | None) -> TypeGuard[SSDNetLite]:
     return isinstance(network, SSDNetLite) and network.config.encoder == "efficientnet-lite0"
 
 
-def _with_widths(source: Network, network: Network) -> Network:
+def _with_widths(source: SSDNetLite, network: SSDNetLite) -> SSDNetLite:
     """Prune the trunk of ``source`` to the widths of a network, if they differ."""
-    assert isinstance(source, SSDNetLite)
-    assert isinstance(network, SSDNetLite)
     widths = network.config.encoder_widths
     return source if source.config.encoder_widths == widths else prune_trunk(source, widths)
 
@@ -96,14 +83,6 @@ def _require_pretrainable(network: Network) -> EfficientNetLite:
                 f"{list(wanted)}. Leave it out."
             )
     return encoder.trunk
-
-
-def _configuration(config: NetworkConfig, changes: Mapping[str, Any]) -> NetworkConfig:
-    """Change fields of a configuration; without a semantic head there are no classes."""
-    values = {**config.to_dict(), **changes}
-    if changes.get("semantic_head") is False:
-        values["classes"] = ()
-    return type(config).from_dict(values)
 
 
 def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...] = ()) -> None:

@@ -4,13 +4,15 @@ import json
 import os
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import field, fields
+from dataclasses import field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from models import NetworkConfig
+from models.registry import NETWORKS
 from runtime.checks import shown
 from runtime.contract import MAX_CLASSES, MAX_NAME_LENGTH, MIN_SIDE, ClassInfo
 from runtime.errors import InputError
@@ -96,7 +98,7 @@ class ModelRecipe:
     config: Annotated[dict[str, Any], Field(max_length=100)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check that no key is given twice."""
+        """Check that no key is given twice, and that there is a network of this configuration."""
         doubled = sorted({item.name for item in fields(self)} & set(self.config))
         if doubled:
             raise ValueError(f"config has {doubled[0]!r}, which is a key of its own: {doubled[0]}")
@@ -104,6 +106,24 @@ class ModelRecipe:
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"classes has {twice[0]!r} twice")
+        if self.name not in NETWORKS:
+            raise ValueError(f"name: unknown model {self.name!r}; known: {', '.join(NETWORKS)}")
+        try:
+            self.network_config()
+        except ValueError as error:
+            raise ValueError(f"config: {error}") from error
+
+    def network_config(self) -> NetworkConfig:
+        """Return the network's configuration; ValueError if it cannot be built.
+
+        The normalisation of colours may still change to that of the weights it begins with.
+        """
+        default = NETWORKS[self.name].config
+        values = {**default.to_dict(), **self.config}
+        if self.config.get("semantic_head") is False:
+            values["classes"] = ()
+        config = type(default).from_dict(values)
+        return replace(config, classes=list_classes(self.class_table)) if config.classes else config
 
     def class_id(self, name: str) -> int | None:
         """Return the id of the class of this name, ignoring case; None = no such class."""
@@ -419,7 +439,7 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
     text = shown(value, 200)
     match error["type"]:
         case "unexpected_keyword_argument" if (former := _without_indices(place)) in FORMER_KEYS:
-            return f"{key} is no key any more: {FORMER_KEYS[former]}."
+            return f"{key} was {FORMER_KEYS[former]}."
         case "unexpected_keyword_argument":
             known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
             return f"unknown key {key}; known here: {known}. Correct its name."

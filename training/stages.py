@@ -9,6 +9,7 @@ from typing import Any
 from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
+from training.distributed import join_processes
 from training.loop import train
 from training.recipe import Recipe, build, merge, parse_changes, read_table
 from training.run_folder import FINAL, RECIPE, folder_errors
@@ -91,7 +92,8 @@ def train_stages(
         stop: called between two steps; True stops.
 
     Returns:
-        ``out``/model.pt, or the last.pt of the stage that was stopped.
+        ``out``/model.pt, or the last.pt of the stage that was stopped; stopped exactly between two
+        stages, the model.pt of the first of them.
 
     Raises:
         InputError: if ``out`` belongs to other stages, and as of `train`, like all others.
@@ -99,7 +101,6 @@ def train_stages(
     _require_same_stages(stages, out)
     path = out
     for stage in stages:
-        steps = stage.recipe.schedule.steps
         path = train(
             stage.recipe,
             data=data,
@@ -112,14 +113,17 @@ def train_stages(
         if path.name != FINAL:
             return path
         init = path
-        if stop_after is not None and (stop_after := stop_after - steps) < 1:
-            break
-    else:
-        if path.parent != out:
-            with folder_errors(out):
-                atomic_write(out / FINAL, path.read_bytes())
-        return out / FINAL
-    return path
+        if stop_after is not None:
+            stop_after -= stage.recipe.schedule.steps
+            if stop_after < 1 and stage is not stages[-1]:
+                return path
+    if path.parent != out:
+        with join_processes(device) as processes:
+            if processes.is_first:
+                with folder_errors(out):
+                    atomic_write(out / FINAL, path.read_bytes())
+            processes.wait()  # until the file is written
+    return out / FINAL
 
 
 def next_stage(

@@ -22,7 +22,7 @@ from training.loading.crop import with_crop
 from training.loading.mixture import DepthTarget
 from training.loading.open_dataset import count_pixels, open_dataset
 from training.losses import SSDNetLoss, class_weights
-from training.network import build_with_weights, train_parts
+from training.network import build_network, train_parts
 from training.optimizer import require_encoder
 from training.recipe import Recipe
 from training.release import Release, class_offsets
@@ -91,7 +91,7 @@ def open_task(
             "release.trained_share mixes the trained weights with those of --init: give --init, or "
             "set it to 1"
         )
-    network, taken = build_with_weights(recipe.model, init, resumed=resumed)
+    network, taken = build_network(recipe.model, init, resumed=resumed)
     train_parts(network, recipe.optimizer.only, recipe.optimizer.frozen)
     if recipe.optimizer.encoder_rate is not None:
         require_encoder(network)
@@ -117,7 +117,12 @@ def open_task(
     initial = {name: value.clone() for name, value in network.state_dict().items() if name in taken}
     release = Release(recipe.release, weights, initial)
     sky = recipe.model.class_id("sky") if recipe.data.sky_depth_m else None
-    depth = DepthTarget(network.config.canonical_focal_px, sky, recipe.data.sky_depth_m)
+    depth = DepthTarget(
+        network.config.canonical_focal_px,
+        sky,
+        recipe.data.sky_depth_m,
+        max_depth_m=network.config.max_depth_m,
+    )
     task = Task(recipe, sources, validation, network, criterion, depth, release)
     if 0 < recipe.data.augment.pair_shift < task.pair_step:
         raise InputError(

@@ -22,7 +22,7 @@ from models import (
 from models.blocks import ConvBNReLU, pad_to_multiple
 from models.registry import NETWORKS, Entry
 from runtime import Predictor
-from runtime.errors import CheckpointError, InputError
+from runtime.errors import CheckpointError
 from training import cli
 from training.evaluation import cli as evaluation_cli
 from training.network import build_network
@@ -169,8 +169,8 @@ def test_weights_of_another_network_are_not_taken_over(tmp_path, monkeypatch):
 def test_settings_that_a_network_lacks_are_named():
     with pytest.raises(ValueError, match="network 'tiny-semantic': boundary_gating"):
         create_model("tiny-semantic", boundary_gating=False)
-    with pytest.raises(InputError, match="network 'tiny-semantic': sparse_depth_gain"):
-        build_network(ModelRecipe("tiny-semantic", config={"sparse_depth_gain": 2.0}), None)
+    with pytest.raises(ValueError, match="network 'tiny-semantic': sparse_depth_gain"):
+        ModelRecipe("tiny-semantic", config={"sparse_depth_gain": 2.0})
     with pytest.raises(ValueError, match="exactly when there is a semantic head"):
         create_model("tiny-depth", num_classes=4)
     assert create_model("tiny-depth", max_depth_m=60).config.max_depth_m == 60

@@ -92,3 +92,17 @@ def test_the_trunk_of_an_efficientnet_encoder_has_the_widths_of_the_configuratio
         create_model("ssdnet-lite", encoder="efficientnet-lite0", encoder_widths=(16,))
     with pytest.raises(ValueError, match="encoder_widths 0: 1 to"):
         create_model("ssdnet-lite", encoder="efficientnet-lite0", encoder_widths=(0,) * 16)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("stem_channels", (16, 24)),
+        ("encoder_channels", (32, 64, 128, 512)),
+        ("encoder_blocks", (1, 2, 2, 3)),
+    ],
+)
+def test_what_describes_residual_stages_is_refused_with_the_other_trunk(key, value):
+    create_model("ssdnet-lite", **{key: value})
+    with pytest.raises(ValueError, match=f"{key} are those of encoder = 'residual'"):
+        create_model("ssdnet-lite", encoder="efficientnet-lite0", **{key: value})

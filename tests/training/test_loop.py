@@ -667,7 +667,7 @@ def test_the_weights_that_are_saved_are_those_that_were_validated(data, tmp_path
 @pytest.mark.parametrize(
     ("changes", "device", "text"),
     [
-        ({"model": ModelRecipe("foo")}, "cpu", "unknown model 'foo'"),
+        ({"optimizer": OptimizerRecipe(only=("foo",))}, "cpu", "begins with 'foo'"),
         ({}, "nowhere", "device 'nowhere' is not available"),
     ],
 )

@@ -9,9 +9,9 @@ from models import CLASS_TABLES, SSDNetLiteConfig, create_model, load_checkpoint
 from models.efficientnet_lite import WIDTHS as EFFICIENTNET_WIDTHS
 from models.efficientnet_lite import InvertedResidual
 from runtime.errors import CheckpointError, InputError
-from training.network import build_network, build_with_weights, train_parts
+from training.network import build_network, train_parts
 from training.prune import prune_trunk
-from training.recipe import ModelRecipe
+from training.recipe import ModelRecipe, build
 
 
 def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
@@ -20,7 +20,7 @@ def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
     with torch.no_grad():
         network.semantic_head.bias.fill_(77.0)
     save_checkpoint(other, network)
-    built = build_network(ModelRecipe("ssdnet-lite"), other)
+    built = build_network(ModelRecipe("ssdnet-lite"), other)[0]
     assert "with random weights: semantic_head\n" in capsys.readouterr().err
     assert not (built.semantic_head.bias == 77.0).any()
     assert torch.equal(built.state_dict()["depth_heads.0.weight"], network.depth_heads[0].weight)
@@ -45,12 +45,12 @@ def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys, c
 def test_images_are_normalised_as_init_does_unless_the_recipe_says_otherwise(tmp_path, capsys):
     other = tmp_path / "other.pt"
     save_checkpoint(other, create_model("ssdnet-lite", rgb_mean=(1.0, 2.0, 3.0)))
-    built = build_network(ModelRecipe("ssdnet-lite"), other)
+    built = build_network(ModelRecipe("ssdnet-lite"), other)[0]
     assert built.config.rgb_mean == (1.0, 2.0, 3.0)
     assert built.rgb_mean.flatten().tolist() == [1.0, 2.0, 3.0]
     assert capsys.readouterr().err == ""
     stated = ModelRecipe("ssdnet-lite", config={"rgb_mean": [4.0, 5.0, 6.0]})
-    built = build_network(stated, other)
+    built = build_network(stated, other)[0]
     assert built.config.rgb_mean == (4.0, 5.0, 6.0)
     assert built.rgb_mean.flatten().tolist() == [4.0, 5.0, 6.0]
     text = "the mean of RGB was (1.0, 2.0, 3.0) and is (4.0, 5.0, 6.0) here"
@@ -95,11 +95,11 @@ def test_frozen_layers_keep_weights_and_statistics_and_have_no_backward_pass():
 
 def test_canonical_focal_length_goes_from_the_recipe_into_the_checkpoint(tmp_path):
     recipe = ModelRecipe("ssdnet-lite", config={"canonical_focal_px": 721.5})
-    network = build_network(recipe, None)
+    network = build_network(recipe, None)[0]
     assert network.config.canonical_focal_px == 721.5
     save_checkpoint(tmp_path / "a.pt", network)
     assert load_checkpoint(tmp_path / "a.pt").model.config == network.config
-    plain = build_network(ModelRecipe("nconv"), None)
+    plain = build_network(ModelRecipe("nconv"), None)[0]
     assert plain.config.canonical_focal_px is None
     save_checkpoint(tmp_path / "b.pt", plain)
     assert load_checkpoint(tmp_path / "b.pt").model.config == plain.config
@@ -114,13 +114,13 @@ def test_a_network_refuses_a_focal_length_that_no_camera_has(focal):
 
 def test_a_recipe_changes_fields_of_the_networks_configuration():
     config = {"encoder_blocks": [1, 1, 1, 1], "boundary_channels": 4, "global_context": False}
-    network = build_network(ModelRecipe("ssdnet-lite", config=config), None)
+    network = build_network(ModelRecipe("ssdnet-lite", config=config), None)[0]
     expected = replace(create_model("ssdnet-lite").config, encoder_blocks=(1, 1, 1, 1))
     assert network.config == replace(expected, boundary_channels=4, global_context=False)
     alone = build_network(
         ModelRecipe("ssdnet-lite", config={"semantic_head": False}),
         None,
-    )
+    )[0]
     assert "semantic" not in alone.heads
     assert alone.config.classes == ()
 
@@ -151,7 +151,7 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
 )
 def test_an_invalid_configuration_is_refused(name, config, text):
     with pytest.raises(InputError, match=text):
-        build_network(ModelRecipe(name, config=config), None)
+        build(ModelRecipe, {"name": name, "config": config})
 
 
 IMAGENET = ModelRecipe(
@@ -175,7 +175,7 @@ def loaded(monkeypatch):
 
 
 def test_a_pretrained_encoder_is_loaded_with_its_normalisation(loaded):
-    network = build_network(IMAGENET, None)
+    network = build_network(IMAGENET, None)[0]
     assert loaded == [network.encoder.trunk]
     assert network.config.rgb_mean == (127.0,) * 3
     assert network.rgb_std.flatten().tolist() == [128.0] * 3
@@ -183,18 +183,18 @@ def test_a_pretrained_encoder_is_loaded_with_its_normalisation(loaded):
 
 
 def test_a_resumed_run_does_not_read_pretrained_weights_again(loaded):
-    build_with_weights(IMAGENET, None, resumed=True)
+    build_network(IMAGENET, None, resumed=True)
     assert loaded == []
 
 
 def test_init_comes_after_the_pretrained_weights(loaded, tmp_path, capsys):
     """A trunk of --init replaces them; from another network the rest is taken."""
-    save_checkpoint(tmp_path / "same.pt", build_network(IMAGENET, None))
+    save_checkpoint(tmp_path / "same.pt", build_network(IMAGENET, None)[0])
     save_checkpoint(tmp_path / "other.pt", create_model("ssdnet-lite"))
     loaded.clear()
     build_network(IMAGENET, tmp_path / "same.pt")
     assert loaded == []
-    built = build_network(IMAGENET, tmp_path / "other.pt")
+    built = build_network(IMAGENET, tmp_path / "other.pt")[0]
     assert loaded == [built.encoder.trunk]
     assert built.config.rgb_mean == (127.0,) * 3
 
@@ -225,7 +225,7 @@ def test_init_of_a_wider_trunk_is_pruned(tmp_path, capsys):
     wide = create_model("ssdnet-lite", **config)
     save_checkpoint(tmp_path / "wide.pt", wide)
     narrow = ModelRecipe("ssdnet-lite", config={**config, "encoder_widths": list(WIDTHS)})
-    network, taken = build_with_weights(narrow, tmp_path / "wide.pt")
+    network, taken = build_network(narrow, tmp_path / "wide.pt")
     assert network.config.encoder_widths == WIDTHS
     assert capsys.readouterr().err == "the trunk was pruned from 8960 to 4488 channels\n"
     assert taken == network.state_dict().keys() - {"rgb_mean", "rgb_std"}

@@ -45,12 +45,39 @@ def test_defaults_and_conversions(tmp_path):
 
 
 def test_fields_of_the_networks_configuration(tmp_path):
-    text = MINIMAL.replace("[data]", "[model.config]\nencoder_blocks = [1, 2]\n[data]", 1)
-    assert read(tmp_path, text).model.config == {"encoder_blocks": [1, 2]}
+    text = MINIMAL.replace("[data]", "[model.config]\nencoder_blocks = [1, 2, 1, 1]\n[data]", 1)
+    assert read(tmp_path, text).model.config == {"encoder_blocks": [1, 2, 1, 1]}
     changed = read_recipe(tmp_path / "r.toml", ["model.config.boundary_channels = 8"])
-    assert changed.model.config == {"encoder_blocks": [1, 2], "boundary_channels": 8}
+    assert changed.model.config == {"encoder_blocks": [1, 2, 1, 1], "boundary_channels": 8}
     with pytest.raises(InputError, match=r"model\.config has 'classes', which is a key of its own"):
         read_recipe(tmp_path / "r.toml", ["model.config.classes = []"])
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ('name = "foo"', "model.name: unknown model 'foo'; known: ssdnet, .*"),
+        ("config.max_depth_m = -1", "model.config: max_depth_m .*metres.*"),
+        (
+            "config.nonsense = 1",
+            "model.config: no configuration field of the network .*: nonsense",
+        ),
+        *(
+            (f"config.canonical_focal_px = {focal}", "model.config: canonical_focal_px .*pixels.*")
+            for focal in ("0", "0.5", "-700.0", "2e6")
+        ),
+        ("config.canonical_focal_px = inf", "model.config: canonical_focal_px .*"),
+        ("config.canonical_focal_px = nan", "model.config: canonical_focal_px .*"),
+        ("config.canonical_focal_px = '721'", "model.config: canonical_focal_px .*"),
+        ("config.canonical_focal_px = true", "model.config: canonical_focal_px .*"),
+    ],
+)
+def test_a_network_that_cannot_be_built_is_refused_as_it_is_read(tmp_path, change, text):
+    assert read(tmp_path, MINIMAL).model.config == {}
+    with pytest.raises(InputError, match=text):
+        read_recipe(tmp_path / "r.toml", [f"model.{change}"])
+    focal = read_recipe(tmp_path / "r.toml", ["model.config.canonical_focal_px = 721.5"])
+    assert focal.model.network_config().canonical_focal_px == 721.5
 
 
 @pytest.mark.parametrize(
@@ -438,7 +465,8 @@ def test_a_key_of_an_earlier_release_is_answered_with_what_replaces_it(base, key
     with pytest.raises(InputError) as error:
         read_recipe(base / "base.toml", [change])
     former = FORMER_KEYS[key.replace("[0]", "")]
-    assert f"{key} is no key any more: {former}." in str(error.value)
+    assert f"{key} was {former}." in str(error.value)
+    assert former.startswith(("renamed: ", "removed: "))
 
 
 @pytest.mark.parametrize(

@@ -172,7 +172,7 @@ def test_shipped_recipe_trains(path, data, tmp_path):
 def check_training(recipe, data, out, init):
     """Train a step; the checkpoint has all that the recipe says. Returns its path."""
     torch.manual_seed(recipe.data.seed)
-    start = build_network(recipe.model, init).state_dict()
+    start = build_network(recipe.model, init)[0].state_dict()
     trained = train(recipe, data=[data], out=out, init=init)
     checkpoint = load_checkpoint(trained)
 

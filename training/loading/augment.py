@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from runtime.contract import MAX_RETURN_M
+from runtime.contract import MAX_RETURN_M, farthest_return
 from runtime.resize import move_returns, move_scan_lines, resize_image, resize_nearest
 from training.datasets.sample import Sample, nothing_known, target_kind
 from training.lidar.faults import add_false_returns, drop_sectors, misalign
@@ -117,6 +117,7 @@ def augment(
     rng: Generator,
     *,
     canonical_focal_px: float | None = None,
+    max_depth_m: float = MAX_RETURN_M,
     rare: Sequence[int] = (),
 ) -> Sample:
     """Return a randomly changed sample; a pure function of its arguments.
@@ -126,6 +127,7 @@ def augment(
         config: ranges and probabilities.
         rng: source of all random numbers.
         canonical_focal_px: makes the depth canonical, see `canonical_depth`; None = metres.
+        max_depth_m: the network's range, for canonical depth.
         rare: ids of the classes that ``config.rare_crops`` of the crops are chosen for.
 
     Returns:
@@ -138,7 +140,7 @@ def augment(
         sample = flip(sample)
     sample = draw_lidar(sample, config, rng)
     if canonical_focal_px is not None:
-        sample = canonical_depth(sample, canonical_focal_px)
+        sample = canonical_depth(sample, canonical_focal_px, max_depth_m)
     return replace(sample, rgb=change_colors(sample.rgb, config, rng))
 
 
@@ -209,19 +211,22 @@ def approach(sample: Sample, factor: float) -> Sample:
     return replace(nearer, intrinsics=intrinsics)
 
 
-def canonical_depth(sample: Sample, focal_px: float) -> Sample:
+def canonical_depth(sample: Sample, focal_px: float, max_depth_m: float) -> Sample:
     """Multiply all depth by ``focal_px`` / fx, the depth for a camera of this focal length [px].
 
     Things of the same size in the image then have the same depth, whatever the camera (Yin et al.
-    2023, Metric3D, Sec. 3.2, "CSTM label"). The intrinsics do not change; without intrinsics
-    nothing does.
+    2023, Metric3D, Sec. 3.2, "CSTM label"). Returns beyond ``max_depth_m``, the network's range in
+    canonical metres, are clipped to it or dropped as by the engine, see `farthest_return`. The
+    intrinsics do not change; without intrinsics nothing does.
     """
     focal = sample.focal_length_px
     if focal is None:
         return sample
     factor = np.float32(focal_px / focal)
     if (fed := sample.sparse_depth) is not None:  # the limit of returns counts in metres
-        sample = replace(sample, sparse_depth=masked(fed, fed <= MAX_RETURN_M))
+        range_m = np.float32(max_depth_m / factor)
+        fed = masked(fed, fed <= farthest_return(float(range_m)))
+        sample = replace(sample, sparse_depth=np.minimum(fed, range_m))
     return _change_depth(sample, lambda depth: depth * factor)
 
 

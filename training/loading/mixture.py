@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from torch.utils.data import Dataset
 
+from runtime.contract import MAX_RETURN_M
 from training.batch import Drawn
 from training.datasets.sample import SampleSource
 from training.limits import PAIR_STEP_PX
@@ -29,6 +30,8 @@ class DepthTarget:
     #: Class whose unmeasured pixels get the depth ``sky_depth_m``; None = no class.
     sky: int | None = None
     sky_depth_m: float = 100.0
+    #: The network's range.
+    max_depth_m: float = MAX_RETURN_M
 
 
 class Mixture(Dataset[Drawn]):
@@ -80,6 +83,7 @@ class Mixture(Dataset[Drawn]):
             with_margin(part.augment),
             rng,
             canonical_focal_px=target.canonical_focal_px,
+            max_depth_m=target.max_depth_m,
             rare=self._rare,
         )
         if target.sky is not None:

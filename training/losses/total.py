@@ -80,7 +80,7 @@ class LossConfig:
     `semantic_depth_weight` 0.
 
     Raises:
-        ValueError: for a negative number, or if all weights are 0.
+        ValueError: for a negative number, for a weight of an unknown head, or if all weights are 0.
     """
 
     #: One weight a term of Eq. 12: Eq. 4, 5, 6, 8, 11.
@@ -106,8 +106,9 @@ class LossConfig:
     #: Weight of the loss of each head in `training.losses.heads`; 1 where none is here.
     head_weights: Mapping[str, NotNegative] = field(default_factory=dict)
 
-    #: "fixed": the weights above, as in the paper. "uncertainty": each is multiplied by a learned
-    #: factor (Kendall et al. 2018, the paper's reference 35).
+    #: "fixed": the weights above, as in the paper. "uncertainty": each but that of
+    #: "depth_uncertainty" is multiplied by a learned factor (Kendall et al. 2018, the paper's
+    #: reference 35).
     weighting: Literal["fixed", "uncertainty"] = "fixed"
 
     #: Where the semantic loss is computed: at the image's size, or on the head's own grid against
@@ -164,8 +165,13 @@ class LossConfig:
         for key, value in numbers.items():
             if not 0 <= value < float("inf"):
                 raise ValueError(f"{key} = {value}; it must be 0 or a positive number")
-        weights = [value for key, value in numbers.items() if key.endswith("_weight")]
-        if not any([*weights, *self.head_weights.values()]):
+        if unknown := sorted(self.head_weights.keys() - HEAD_LOSSES.keys()):
+            known = ", ".join(sorted(HEAD_LOSSES)) or "none"
+            raise ValueError(
+                f"head_weights.{unknown[0]}: no head with a loss in training.losses.heads; heads "
+                f"there: {known}"
+            )
+        if not any(self.weight(name) for name in (*TERMS, *HEAD_LOSSES)):
             raise ValueError("semantic_weight and all other weights are 0; nothing would learn")
 
 
@@ -200,10 +206,10 @@ class SSDNetLoss(nn.Module):
         self.target_depth_m = target_depth_m or max_depth_m
         self.register_buffer("class_weights", class_weights, persistent=False)
         # A likelihood may be negative, and its best weight would then be infinite.
-        weighted = [name for name in TERMS if config.weight(name) and name != "depth_uncertainty"]
-        learned = weighted if config.weighting == "uncertainty" else []
+        names = [name for name in (*TERMS, *HEAD_LOSSES) if name != "depth_uncertainty"]
+        learned = names if config.weighting == "uncertainty" else []
         self.log_variances = nn.ParameterDict(
-            {name: nn.Parameter(torch.zeros(())) for name in learned}
+            {name: nn.Parameter(torch.zeros(())) for name in learned if config.weight(name)}
         )
 
     def forward(self, output: NetworkOutput, batch: Batch) -> dict[str, Tensor]:

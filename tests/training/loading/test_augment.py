@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from runtime.preprocess import clean_sparse_depth
 from runtime.resize import move_returns, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample
 from training.loading import augment as augmenting
@@ -340,7 +341,7 @@ def test_what_is_magnified_has_its_canonical_depth_divided():
     sample = recorded_beside_its_target()
     large = resize(sample, (96, 128))
     assert large.intrinsics[0, 0] == 2 * sample.intrinsics[0, 0]
-    now, then = canonical_depth(sample, 100.0), canonical_depth(large, 100.0)
+    now, then = (canonical_depth(item, 100.0, 250.0) for item in (sample, large))
     np.testing.assert_array_equal(now.depth, sample.depth * 2)  # f = 50
     np.testing.assert_array_equal(then.depth, move_returns(now.depth, (96, 128)) / 2)
     np.testing.assert_array_equal(then.sparse_depth, move_returns(now.sparse_depth, (96, 128)) / 2)
@@ -350,10 +351,10 @@ def test_what_is_magnified_has_its_canonical_depth_divided():
 def test_the_focal_length_is_fx_as_in_the_engine():
     sample = replace(plane(), intrinsics=np.diag([60.0, 90.0, 1.0]))
     assert sample.focal_length_px == 60
-    np.testing.assert_allclose(canonical_depth(sample, 30.0).depth, sample.depth / 2)
+    np.testing.assert_allclose(canonical_depth(sample, 30.0, 250.0).depth, sample.depth / 2)
     unknown = replace(sample, intrinsics=None)
     assert unknown.focal_length_px is None
-    assert canonical_depth(unknown, 30.0) is unknown
+    assert canonical_depth(unknown, 30.0, 250.0) is unknown
 
 
 def test_the_mark_of_no_return_is_none_in_canonical_depth():
@@ -361,7 +362,19 @@ def test_the_mark_of_no_return_is_none_in_canonical_depth():
     fed = np.zeros((48, 64), np.float32)
     fed[0, :3] = 40, 250, 655.35
     sample = replace(plane(), intrinsics=np.diag([200.0, 200.0, 1.0]), sparse_depth=fed)
-    np.testing.assert_allclose(canonical_depth(sample, 50.0).sparse_depth[0, :3], [10, 62.5, 0])
+    out = canonical_depth(sample, 50.0, 62.5)
+    np.testing.assert_allclose(out.sparse_depth[0, :3], [10, 62.5, 0])
+
+
+@pytest.mark.parametrize("max_depth_m", [30.0, 80.0, 300.0])
+def test_canonical_returns_beyond_the_range_are_those_of_the_engine(max_depth_m):
+    fed = np.zeros((48, 64), np.float32)
+    fed[0, :5] = 40, 240, 260, 500, 655.35
+    sample = replace(plane(), intrinsics=np.diag([200.0, 200.0, 1.0]), sparse_depth=fed)
+    out = canonical_depth(sample, 100.0, max_depth_m).sparse_depth
+    engine, *_ = clean_sparse_depth(fed, max_depth_m=2 * max_depth_m)
+    np.testing.assert_allclose(out, engine / 2)
+    assert np.count_nonzero(out) == (4 if max_depth_m == 300 else 2)
 
 
 @pytest.mark.parametrize(("known", "factor"), [(True, 200 / (50 * 2)), (False, 1 / 2)])

@@ -11,6 +11,7 @@ from models import NetworkOutput
 from training.losses import LossConfig, SSDNetLoss, class_weights
 from training.losses.boundary import balanced_cross_entropy, boundary_target
 from training.losses.depth import depth_at_scale, normalise_depth, paper_depth_loss
+from training.losses.heads import HEAD_LOSSES
 from training.losses.joint import (
     hard_disagreement,
     semantic_boundary_loss,
@@ -274,6 +275,21 @@ def test_wrong_sizes_and_configurations_are_refused():
         LossConfig(**ALL_OFF)
 
 
+def test_weights_of_heads_without_a_loss_are_refused(monkeypatch):
+    with pytest.raises(ValueError, match=r"head_weights\.nonsense: .*heads there: none"):
+        LossConfig(head_weights={"nonsense": 3.0})
+    monkeypatch.setitem(HEAD_LOSSES, "other", lambda *_: torch.ones(()))
+    with pytest.raises(ValueError, match=r"head_weights\.nonsense: .*heads there: other"):
+        LossConfig(head_weights={"nonsense": 3.0, "other": 1.0})
+
+
+def test_another_head_alone_can_learn(monkeypatch):
+    monkeypatch.setitem(HEAD_LOSSES, "other", lambda *_: torch.ones(()))
+    assert LossConfig(**ALL_OFF).terms_for(["semantic", "other"]) == ["other"]
+    with pytest.raises(ValueError, match="all other weights"):
+        LossConfig(**ALL_OFF, head_weights={"other": 0.0})
+
+
 def test_soft_iou_is_a_term_of_its_own():
     parts = leaves()
     semantic, depth = targets()
@@ -324,6 +340,27 @@ def test_learned_weighting_by_hand():
         weighted = getattr(fixed, f"{name}_weight") * plain[name].item()
         expected += share * weighted / math.exp(value) + value / 2
     assert terms["total"].item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_learned_weighting_counts_other_heads(monkeypatch):
+    monkeypatch.setitem(HEAD_LOSSES, "other", lambda *_: torch.tensor(5.0))
+    monkeypatch.setitem(HEAD_LOSSES, "unweighted", lambda *_: torch.tensor(5.0))
+    config = LossConfig(
+        **ALL_OFF, head_weights={"other": 2.0, "unweighted": 0.0}, weighting="uncertainty"
+    )
+    criterion = SSDNetLoss(config, max_depth_m=100.0)
+    assert set(criterion.log_variances) == {"other"}
+    criterion.log_variances["other"].data.fill_(0.5)
+    labels, weights = torch.zeros(2, 16, 24), torch.ones(2)
+    batch = replace(
+        batch_of(*targets()),
+        targets={"other": labels, "unweighted": labels},
+        weights={"other": weights, "unweighted": weights},
+    )
+    logits = torch.zeros(2, 1, 16, 24)
+    terms = criterion(NetworkOutput(others={"other": logits, "unweighted": logits}), batch)
+    assert set(terms) == {"other", "total"}
+    assert terms["total"].item() == pytest.approx(2 * 5 / math.exp(0.5) + 0.25)
 
 
 def test_learned_weighting_settles_where_sigma_squared_is_twice_the_loss():

@@ -25,5 +25,9 @@ class CompletionMethod(Protocol):
 
 
 def is_measured(sparse_depth: Depth) -> NDArray[np.bool_]:
-    """Return where `sparse_depth` holds a measurement, bool (H, W)."""
+    """Return where `sparse_depth` holds a measurement, bool (H, W).
+
+    There is no upper limit here: `ssdnet-eval` drops returns beyond 100 m, the range in which
+    classical methods are scored, before it calls a method.
+    """
     return np.asarray((sparse_depth > 0) & np.isfinite(sparse_depth))

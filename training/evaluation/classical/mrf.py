@@ -14,7 +14,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import InferenceError, ProviderError, install_command
+from runtime.errors import InferenceError, ProviderError, import_remedy
 from training.evaluation.classical.method import Depth, is_measured
 
 #: Least weight of neighbours: exp() of two different colours would cut a region off.
@@ -34,7 +34,7 @@ class MRF:
         edge_sharpness: c of the paper; 1000 halves a weight at 7 grey values of one colour.
 
     Raises:
-        ProviderError: if SciPy is not installed.
+        ProviderError: if SciPy cannot be imported.
     """
 
     data_weight: float = 10.0
@@ -91,7 +91,7 @@ def _import_sparse() -> ModuleType:
         import scipy.sparse.linalg
     except ImportError as error:
         raise ProviderError(
-            f"SciPy is not installed ({error}), which mrf needs: {install_command('train')}"
+            f"cannot import SciPy ({error}), which mrf needs: {import_remedy(error, 'train')}"
         ) from error
     sparse: ModuleType = scipy.sparse
     return sparse

@@ -1,5 +1,6 @@
 """The Markov random field against a dense solution of its energy, written out in loops."""
 
+import builtins
 import sys
 
 import numpy as np
@@ -78,6 +79,19 @@ def test_too_little_memory_is_an_error_that_says_so(monkeypatch, failure):
     monkeypatch.setattr("scipy.sparse.linalg.spsolve", spsolve)
     with pytest.raises(InferenceError, match=r"40 x 50 pixels at once \(SUPERLU.* smaller"):
         MRF().complete(*scene(40, 50))
+
+
+def test_a_scipy_that_cannot_be_loaded_is_not_called_missing(monkeypatch):
+    def fail(name, *rest):
+        if name.startswith("scipy"):
+            raise ImportError("undefined symbol: dgemm_")
+        return load(name, *rest)
+
+    load = builtins.__import__
+    monkeypatch.setattr(builtins, "__import__", fail)
+    with pytest.raises(ProviderError, match=r"\(undefined symbol.* ssdnet-doctor") as error:
+        create_method("mrf")
+    assert "pip install" not in str(error.value)
 
 
 def test_without_scipy_it_says_what_to_install(monkeypatch):
