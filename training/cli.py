@@ -51,8 +51,8 @@ def train(
     init: Annotated[
         str | None,
         typer.Option(
-            help="Initial weights: a name of installed ones (ssdnet-lite), or a path that ends in "
-            ".pt or holds a slash."
+            help="Initial weights: the name of installed weights (ssdnet-lite), or a path that "
+            "ends in .pt or holds a slash."
         ),
     ] = None,
     change: Annotated[
@@ -85,7 +85,7 @@ def train(
             metavar="OLD NEW",
             callback=_convert,
             is_eager=True,
-            help="Write a checkpoint of version 1, of an earlier release, anew for this one.",
+            help="Convert a version 1 checkpoint of an earlier release to the current format.",
         ),
     ] = None,
     _provider: NoProvider = None,

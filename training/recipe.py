@@ -245,8 +245,8 @@ class ValidationRecipe:
         twice = sorted({title for title in titles if titles.count(title) > 1})
         if twice:
             raise ValueError(
-                f"source has two sets called {twice[0]!r}, as their scores would be; give each its "
-                "own `name`"
+                f"source has two sets with the title {twice[0]!r}, so their scores could not be "
+                "told apart; give each its own `name`"
             )
         if self.best and self.best.rpartition("/")[0] not in titles:
             raise ValueError(
@@ -292,7 +292,7 @@ class Recipe:
         if samples > MAX_SAMPLES:
             raise ValueError(
                 f"schedule.steps = {self.schedule.steps}: with data.batch_size and "
-                f"loop.accumulate these are {samples} samples; at most {MAX_SAMPLES} are drawn"
+                f"loop.accumulate this draws {samples} samples; expected at most {MAX_SAMPLES}"
             )
 
     @property

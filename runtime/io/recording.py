@@ -293,8 +293,8 @@ def _first_limits(limits: Any) -> dict[str, dict[str, float]]:
         value = _check(head, limits.get(head, most))
         if value < most if head == "semantic" else value > most:
             raise ValueError(
-                f"the limit of {head}, {value:g}, is of an 8-bit model and of an older version, "
-                "and passes nearly any answer"
+                f"the limit of {head}, {value:g}, comes from an 8-bit model recorded by an older "
+                "version, and accepts nearly any answer"
             )
     return {head: {first_figure(_head(head)): value} for head, value in limits.items()}
 

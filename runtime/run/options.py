@@ -96,7 +96,7 @@ class RunOptions:
     points: Annotated[
         Path | None,
         _INPUT(
-            help="Folder of LiDAR scans, or the one of one image, in place of --depth: "
+            help="Folder of LiDAR scans, or the scan of a single image, instead of --depth: "
             f"{', '.join(SCAN_SUFFIXES)}. Needs --calibration.",
         ),
     ] = None
@@ -135,7 +135,7 @@ class RunOptions:
         str | None,
         _INPUT(
             metavar="KIND:PATH",
-            help=f"A path whose kind is named: {', '.join(SOURCES)}. --rgb DIR is folders:DIR. See "
+            help=f"A path with its kind: {', '.join(SOURCES)}. --rgb DIR equals folders:DIR. See "
             "docs/streams.md.",
         ),
     ] = None
@@ -233,7 +233,7 @@ class RunOptions:
             f"[default: {DEFAULT_MODEL}]",
         ),
     ] = None
-    provider: Annotated[Provider, _MODEL(help="Where the model runs.")] = Provider.cpu
+    provider: Annotated[Provider, _MODEL(help="Execution provider of the model.")] = Provider.cpu
     size: Annotated[
         str,
         _MODEL(
@@ -259,18 +259,19 @@ class RunOptions:
         float | None,
         _TIMING(
             help="Frames per second: frames are due at fixed times as from a sensor "
-            "(constant-stream), and age and jitter are reported. [default: each when the one "
-            "before is done (single-stream)]"
+            "(constant-stream), and age and jitter are reported. [default: each frame follows "
+            "the previous one immediately (single-stream)]"
         ),
     ] = None
     warmup: Annotated[
-        int, _TIMING(min=0, help="Predictions before the first frame, not in the statistics.")
+        int,
+        _TIMING(min=0, help="Predictions before the first frame, excluded from the statistics."),
     ] = 3
     max_skew_ms: Annotated[
         float | None,
         _TIMING(
-            help="Largest difference of the stamps of an image and its depth, for sources with "
-            f"stamps of both. [default: {DEFAULT_MAX_SKEW_MS:g}]"
+            help="Largest difference between the time stamps of an image and its depth, for "
+            f"sources with time stamps of both. [default: {DEFAULT_MAX_SKEW_MS:g}]"
         ),
     ] = None
     image_topic: Annotated[
@@ -320,7 +321,7 @@ class RunOptions:
         if len(asked) > 1 and (alone := [kind for kind in ("none", "all") if kind in asked]):
             others = [kind for kind in asked if kind not in alone] or alone[1:] or alone
             raise UsageError(
-                f"--save {alone[0]} stands alone, and {', '.join(others)} is asked for, too: leave "
+                f"--save {alone[0]} cannot be combined with {', '.join(others)}: leave "
                 f"one of them out"
             )
         if unknown := [kind for kind in asked if kind not in SUFFIXES]:

@@ -35,8 +35,8 @@ _NO_RETURNS = (
     "metres, and that the extrinsics of the calibration lead from the LiDAR to the camera"
 )
 _NO_MATCH = (
-    "no image has a scan or depth map of its time: check that the time stamps of both are of one "
-    "recording and one clock, or give a larger --max-skew-ms"
+    "no image matches the time of a scan or depth map: check that both have time stamps of the "
+    "same recording and clock, or give a larger --max-skew-ms"
 )
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
 

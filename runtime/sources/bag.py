@@ -228,7 +228,7 @@ class BagSource(Source):
                     yield sensor, stamp_ns or message.recorded_ns, place
             for topic, count in self._bag.lost.items():
                 sensor = Sensor.IMAGE if topic == self._image_topic else Sensor.DEPTH
-                self._left_out[f"{sensor}: in the index, but lost"] += count
+                self._left_out[f"{sensor}: listed in the index, but missing"] += count
 
         names: Counter[str] = Counter()
         pairs = match_by_stamp(stamped(), max_skew_ms=self._max_skew_ms, left_out=self._left_out)

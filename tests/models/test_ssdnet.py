@@ -269,5 +269,5 @@ def test_depth_gain_multiplies_the_sparse_depth_only():
     assert not torch.equal(plain(rgb, depth).depths[0], answer)
     plain.stem[0][0].weight.data[:, 3] *= 20.0  # the depth is the fourth channel
     torch.testing.assert_close(plain(rgb, depth).depths[0], answer)
-    with pytest.raises(ValueError, match=r"no configuration field of .*: sparse_depth_gain"):
+    with pytest.raises(ValueError, match=r"not configuration fields of .*: sparse_depth_gain"):
         create_model("ssdnet-lite", sparse_depth_gain=2.0)

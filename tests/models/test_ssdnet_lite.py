@@ -41,7 +41,7 @@ def test_a_network_answers_as_if_an_isolated_return_were_not_there():
     ("changes", "message"),
     [
         ({"stem_channels": (16, 32, 32)}, "stem layers: 2 to 2"),
-        ({"depth_surfaces": False}, r"surfaces where they have a depth head"),
+        ({"depth_surfaces": False}, r"surfaces whenever they have a depth head"),
         ({"valid_mask_input": False}, "valid_mask_input .removed: ssdnet-lite and"),
         ({"sparse_depth_gain": 2.0}, "field of the network 'ssdnet-lite': sparse_depth_gain"),
         ({"use_sparse_depth": False}, "field of the network 'ssdnet-lite': use_sparse_depth"),
@@ -86,7 +86,7 @@ def test_the_trunk_of_an_efficientnet_encoder_has_the_widths_of_the_configuratio
     blocks = [m for m in network.modules() if isinstance(m, InvertedResidual)]
     assert tuple(block.depthwise[0].out_channels for block in blocks) == widths
     assert SSDNetLiteConfig.from_dict(network.config.to_dict()) == network.config
-    with pytest.raises(ValueError, match="encoder_widths are those of encoder = 'efficientnet-"):
+    with pytest.raises(ValueError, match="encoder_widths needs encoder = 'efficientnet-"):
         create_model("ssdnet-lite", encoder_widths=widths)
     with pytest.raises(ValueError, match="expected 16 positive widths"):
         create_model("ssdnet-lite", encoder="efficientnet-lite0", encoder_widths=(16,))

@@ -133,7 +133,7 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
         (
             "ssdnet-lite",
             {"layers": 3},
-            "no configuration field of the network 'ssdnet-lite': layers",
+            "not configuration fields of the network 'ssdnet-lite': layers",
         ),
         ("ssdnet-lite", {"encoder_blocks": [1]}, "must have the same length"),
         (

@@ -326,7 +326,7 @@ def test_output_follows_the_number_of_steps_unless_stated(tmp_path, steps, every
 
 def test_two_validation_sets_of_one_path_are_refused():
     source = CamVidRecipe(path="camvid", split="val")
-    with pytest.raises(ValueError, match="two sets called 'camvid'"):
+    with pytest.raises(ValueError, match="two sets with the title 'camvid'"):
         ValidationRecipe(source=(source, source))
     with pytest.raises(ValueError, match="every"):
         ValidationRecipe(every=0)
@@ -397,7 +397,7 @@ def test_losses_of_consistency_need_two_views(base):
         read_recipe(base / "base.toml", [weight])
     shift = "data.augment.pair_shift = 32"
     assert read_recipe(base / "base.toml", [weight, shift]).data.augment.pair_shift == 32
-    with pytest.raises(InputError, match="would share nothing within their borders"):
+    with pytest.raises(InputError, match="would not overlap inside their borders"):
         read_recipe(base / "base.toml", [shift, "data.augment.crop = [96, 320]"])
 
 

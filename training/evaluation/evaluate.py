@@ -54,7 +54,9 @@ class DepthFolder:
         Raises InputError where there is no depth, OutputError for what cannot be written.
         """
         if depth is None:
-            raise InputError(f"{parts[0]} answers no depth, which --save writes; leave it out.")
+            raise InputError(
+                f"{parts[0]} predicts no depth to write with --save; leave that model out."
+            )
         names = [re.sub(r"[^\w.-]+", "_", part).lstrip(".") or "_" for part in parts]
         path = self.folder.joinpath(*names[:-1], f"{names[-1]}.png")
         try:
@@ -123,9 +125,9 @@ def evaluate(
                 rows += _score_all(name, model, title, source, lidars, faults, limit, save)
     if not rows:
         raise InputError(
-            "nothing could be scored: these sets give none of the LiDARs asked for. Lines need "
-            "the set's intrinsics, or a recorded scan, of which every second line stays the "
-            "target; ask for random:0.05 or none, which every set gives."
+            "nothing could be scored: these sets provide none of the requested --lidar inputs. "
+            "Lines need intrinsics, or a recorded scan, every second line of which remains the "
+            "target; use random:0.05 or none, which every set provides."
         )
     return rows
 

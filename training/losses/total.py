@@ -166,7 +166,7 @@ class LossConfig:
                 raise ValueError(f"{key} = {value}; it must be 0 or a positive number")
         weights = [value for key, value in numbers.items() if key.endswith("_weight")]
         if not any([*weights, *self.head_weights.values()]):
-            raise ValueError("semantic_weight and all other weights are 0; nothing would learn")
+            raise ValueError("all loss weights are 0, so nothing would be trained; set one above 0")
 
 
 class SSDNetLoss(nn.Module):

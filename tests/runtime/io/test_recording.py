@@ -123,7 +123,9 @@ def test_a_recording_of_version_1_is_read_unless_its_limits_pass_anything(record
     }
     for limits in ({"depth": 80.8}, {"semantic": 0.706}, {"boundary": 0.109}):
         edit(recording, limits=limits)
-        with pytest.raises(InputError, match=r"8-bit model and of an older version.*record again"):
+        with pytest.raises(
+            InputError, match=r"8-bit model recorded by an older version.*record again"
+        ):
             read_recording(recording)
 
 

@@ -145,8 +145,8 @@ BILLION = 10**9
 HOSTILE = {
     "cut.bin": (bytes(1602), r"1602 bytes are not points of 4 float32.*--point-columns"),
     "cut.pcd.bin": (bytes(1604), "points of 5 float32"),
-    "empty.pcd": (b"", "header does not end"),
-    "endless.ply": (b"ply\n" * 10**5 + b"end_header\n", "header does not end"),
+    "empty.pcd": (b"", "header has no end"),
+    "endless.ply": (b"ply\n" * 10**5 + b"end_header\n", "header has no end"),
     "cut.pcd": (FILES["binary.pcd"][:-1], "50 points take 750 bytes, it has 749"),
     "cut-ascii.pcd": (FILES["ascii.pcd"].rstrip().rpartition(b"\n")[0], "49 of 50 points"),
     "cut-line.pcd": (FILES["ascii.pcd"].rpartition(b" ")[0], "column"),

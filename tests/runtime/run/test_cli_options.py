@@ -194,9 +194,9 @@ def test_a_focal_length_that_is_not_known_or_not_used_is_reported(run):
 @pytest.mark.parametrize(
     ("kinds", "text"),
     [
-        (["overlay", "none"], "--save none stands alone, and overlay is asked for, too"),
-        (["depth,all"], "--save all stands alone, and depth is asked for, too"),
-        (["all", "none"], "--save none stands alone, and all is asked for, too"),
+        (["overlay", "none"], "--save none cannot be combined with overlay"),
+        (["depth,all"], "--save all cannot be combined with depth"),
+        (["all", "none"], "--save none cannot be combined with all"),
     ],
 )
 def test_a_conflict_of_what_to_save_is_named(run, kinds, text):

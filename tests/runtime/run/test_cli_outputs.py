@@ -63,7 +63,7 @@ def test_overwrite_never_replaces_a_foreign_file(tmp_path, run):
     before = files_in(tmp_path / "out")
     result = run("--overwrite")
     assert result.exit_code == 1
-    assert "out/depth/f3.png is not of the earlier run" in result.stderr
+    assert "out/depth/f3.png does not belong to the earlier run" in result.stderr
     assert files_in(tmp_path / "out") == before
     assert run("--limit", 3, "--overwrite").exit_code == 0
     assert (tmp_path / "out/depth/f3.png").read_text() == "mine"

@@ -592,7 +592,7 @@ def test_messages_that_the_index_promises_and_the_bag_has_lost_are_counted(
     content[start : start + length] = bytes(length)
     path.write_bytes(content)
     answers = run("--source", f"bag:{path}", "--depth-topic", "none")
-    lost = answers.report["inputs"]["left_out"]["image: in the index, but lost"]
+    lost = answers.report["inputs"]["left_out"]["image: listed in the index, but missing"]
     assert lost == 9
     assert len(answers.names) + lost == 200
-    assert f"image: in the index, but lost {lost}" in answers.text
+    assert f"image: listed in the index, but missing {lost}" in answers.text

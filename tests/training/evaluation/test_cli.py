@@ -268,7 +268,7 @@ def test_depth_is_saved_of_no_model_without_it(tmp_path):
     data, save = write_folders(tmp_path, 1), tmp_path / "depth"
     result = run(tmp_path / "semantic.pt", "--data", data, "--save", save)
     assert result.exit_code == 1
-    assert "semantic.pt answers no depth, which --save writes" in result.output
+    assert "semantic.pt predicts no depth to write with --save" in result.output
     assert not save.exists()
 
 
