@@ -115,7 +115,7 @@ _REPLACED = {
 
 
 def check_fields(config: type[NetworkConfig], names: Iterable[object], network: str) -> None:
-    """Raise ValueError for names that are no fields, with what replaces them."""
+    """Raise ValueError for names that are not fields; the message names the replacements."""
     unknown = sorted({str(name) for name in names} - {field.name for field in fields(config)})
     if unknown:
         hints = (f" (removed: {_REPLACED[key]})" if key in _REPLACED else "" for key in unknown)

@@ -1,4 +1,4 @@
-"""Objects whose threads a fork does not copy: of use in the process that made them alone."""
+"""Objects whose threads do not survive a fork: usable only in the process that created them."""
 
 import os
 

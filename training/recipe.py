@@ -99,7 +99,7 @@ class ModelRecipe:
         """Check that no key is given twice."""
         doubled = sorted({item.name for item in fields(self)} & set(self.config))
         if doubled:
-            raise ValueError(f"config has {doubled[0]!r}, which is a key of its own: {doubled[0]}")
+            raise ValueError(f"config has {doubled[0]!r}, which is a separate key: {doubled[0]}")
         names = [] if isinstance(self.classes, str) else [info.name for info in self.classes]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
@@ -277,7 +277,7 @@ class Recipe:
         """Check the classes that the loss needs and the number of samples."""
         for name in self.data.rare_classes:
             if self.model.class_id(name.lower()) is None:
-                raise ValueError(f"data.rare_classes: {name!r} is no class of model.classes")
+                raise ValueError(f"data.rare_classes: {name!r} is not a class of model.classes")
         if self.data.sky_depth_m and self.model.class_id("sky") is None:
             raise ValueError("data.sky_depth_m needs a class called 'sky' in model.classes")
         if self.loss.road_weight and self.model.class_id("road") is None:
@@ -351,7 +351,9 @@ def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:
     """
     table = read_table(Path(path))
     if "stage" in table:
-        raise InputError(f"{path}: has stages, which ssdnet-train runs; here one run is expected.")
+        raise InputError(
+            f"{path}: has stages, which only ssdnet-train runs; expected a recipe without stages."
+        )
     try:
         return build(Recipe, merge(table, parse_changes(changes)))
     except InputError as error:
@@ -419,7 +421,7 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
     text = shown(value, 200)
     match error["type"]:
         case "unexpected_keyword_argument" if (former := _without_indices(place)) in FORMER_KEYS:
-            return f"{key} is no key any more: {FORMER_KEYS[former]}."
+            return f"{key} was removed: {FORMER_KEYS[former]}."
         case "unexpected_keyword_argument":
             known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
             return f"unknown key {key}; known here: {known}. Correct its name."

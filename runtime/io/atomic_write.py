@@ -24,7 +24,7 @@ _NAME_LENGTH = 40  # of the target's name in the temporary's, which may not grow
 def atomic_write(
     path: Path, content: bytes | memoryview, *, overwrite: bool = True, durable: bool = False
 ) -> None:
-    """Write a file whole or not at all; arguments and errors as of `atomic_file`."""
+    """Write a file whole or not at all; arguments and errors as in `atomic_file`."""
     with atomic_file(path, overwrite=overwrite, durable=durable) as file:
         file.write(content)
 
@@ -95,7 +95,7 @@ def atomic_path(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
 
     Args:
         path: the file's name; its folder is made.
-        overwrite: as of `atomic_file`.
+        overwrite: see `atomic_file`.
 
     Yields:
         A path of the same name in a hidden folder beside it.

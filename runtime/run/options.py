@@ -63,11 +63,11 @@ class UsageError(InputError):
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What `ssdnet-run` is asked for; the fields are its options, see `ssdnet-run --help`.
+    """Options of `ssdnet-run`; each field is one option, see `ssdnet-run --help`.
 
     Raises:
         UsageError: if an option is out of range, or options contradict each other.
-        InputError: if `path` is no source, or `demo` is set and the bundled stream is missing.
+        InputError: if `path` is not a source, or `demo` is set and the bundled stream is missing.
     """
 
     path: Annotated[
@@ -167,8 +167,8 @@ class RunOptions:
         list[str] | None,
         _OUTPUTS(
             metavar="KIND,...",
-            help=f"Files to write of each frame: {', '.join(SUFFIXES)}; all = everything that the "
-            "model answers, except clouds; or none. May be repeated. Depth and uncertainty are "
+            help=f"Files to write of each frame: {', '.join(SUFFIXES)}; all = all kinds that "
+            "the model answers, except clouds; or none. May be repeated. Depth and uncertainty are "
             f"16-bit PNGs, metres x {METRES_PNG_SCALE}. A cloud is a PLY file with colours and "
             "class ids, 16 bytes per pixel, and needs --calibration or --focal-length. "
             "[default: all]",
@@ -325,7 +325,7 @@ class RunOptions:
                 f"one of them out"
             )
         if unknown := [kind for kind in asked if kind not in SUFFIXES]:
-            raise UsageError(f"--save knows {', '.join(SUFFIXES)}, all and none, not {unknown}")
+            raise UsageError(f"--save must be {', '.join(SUFFIXES)}, all or none, got {unknown}")
         return tuple(kind for kind in SUFFIXES if kind in asked)
 
     @cached_property
@@ -377,7 +377,7 @@ class RunOptions:
 
     @property
     def named_files(self) -> dict[str, Path]:
-        """Option -> the file that it names, without those that were not given."""
+        """Option -> its file, for the options that were given."""
         named = {option: getattr(self, option) for option in FILE_SUFFIXES}
         return {
             option: Path(name)

@@ -1,4 +1,4 @@
-"""Run a model over a stream of frames, and write what was asked for."""
+"""Run a model over a stream of frames, and write the requested outputs."""
 
 import contextlib
 import importlib.util
@@ -120,19 +120,19 @@ def _open_predictor(options: RunOptions, source: Source) -> Predictor:
 
 
 def _answered_kinds(options: RunOptions, predictor: Predictor) -> tuple[str, ...]:
-    """The kinds of files that the model answers. Raises InputError if one was asked for by name."""
+    """The kinds of files that the model answers. Raises InputError if one is missing."""
     heads = {**{kind: head for kind, (head, _) in SAVED_HEADS.items()}, CLOUD: "depth"}
     missing = [
         kind for kind in options.kinds if kind in heads and heads[kind] not in predictor.heads
     ]
     if missing and options.kinds is not KINDS:
         raise InputError(
-            f"--save asks for {', '.join(missing)}, the model {predictor.contract.model_name} "
+            f"--save requests {', '.join(missing)}, but the model {predictor.contract.model_name} "
             f"answers {', '.join(predictor.heads)}: leave it out, or choose another --model"
         )
     if CLOUD in options.kinds and predictor.focal_length_px is None:
         raise InputError(
-            "--save cloud needs to know the camera: give --calibration, or --focal-length"
+            "--save cloud needs the camera's intrinsics: give --calibration, or --focal-length"
         )
     return tuple(kind for kind in options.kinds if kind not in missing)
 
@@ -229,7 +229,7 @@ def _require_outputs(options: RunOptions, source: Source) -> None:
 
 @contextlib.contextmanager
 def _open_outputs(run: OpenRun) -> Iterator[tuple[WriteFrame | None, WriteFrame | None]]:
-    """Open the outputs that were asked for; yields `write` and `record` of `run_stream`."""
+    """Open the requested outputs; yields `write` and `record` of `run_stream`."""
 
     def open_all(table: dict[str, OpenOutput], stack: contextlib.ExitStack) -> list[Output]:
         asked = [name for name in table if name == "out" or getattr(run.options, name)]

@@ -126,7 +126,7 @@ class BagSource(Source):
         what = "images" if name == "image_topic" else "point clouds or depth images"
         option, path = f"--{name.replace('_', '-')}", self._bag.path
         if requested is not None:
-            problem = f"{option} {requested} is no topic of {what} in {path}"
+            problem = f"{option} {requested} is not a topic of {what} in {path}"
         elif candidates:
             problem = f"{path} has {len(candidates)} topics of {what}, choose one by {option}"
         else:
@@ -142,7 +142,7 @@ class BagSource(Source):
         if requested is not None:
             if requested not in infos:
                 raise InputError(
-                    f"--info-topic {requested} is no topic of CameraInfo in {self._bag.path}, "
+                    f"--info-topic {requested} is not a topic of CameraInfo in {self._bag.path}, "
                     f"it has {', '.join(infos) or 'none'}"
                 )
             return requested

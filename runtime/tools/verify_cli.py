@@ -110,7 +110,7 @@ def _json(document: dict[str, Any]) -> str:
 
 
 def _table(report: VerifyReport) -> str:
-    """A line a head with the worst of all frames, then a line for each difference."""
+    """One line per head with its worst value over all frames, then one line per difference."""
     settings, checks = report.recording.settings, report.checks
     same = "the recorded one" if report.same_model else "NOT the recorded one"
     lines = [

@@ -202,12 +202,12 @@ def test_init_comes_after_the_pretrained_weights(loaded, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("name", "config", "text"),
     [
-        ("ssdnet-lite", {}, "'ssdnet-lite' has no encoder with weights of ImageNet. Set"),
-        ("enet", {}, "'enet' has no encoder with weights of ImageNet"),
+        ("ssdnet-lite", {}, "'ssdnet-lite' has no encoder with ImageNet weights. Set"),
+        ("enet", {}, "'enet' has no encoder with ImageNet weights"),
         (
             "ssdnet-lite",
             {"encoder": "efficientnet-lite0", "rgb_mean": [123.675, 116.28, 103.53]},
-            r"rgb_mean = \[123.675, 116.28, 103.53\], but weights of ImageNet were trained with",
+            r"rgb_mean = \[123.675, 116.28, 103.53\], but the ImageNet weights were trained with",
         ),
     ],
 )

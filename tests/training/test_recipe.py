@@ -48,7 +48,7 @@ def test_fields_of_the_networks_configuration(tmp_path):
     assert read(tmp_path, text).model.config == {"encoder_blocks": [1, 2]}
     changed = read_recipe(tmp_path / "r.toml", ["model.config.boundary_channels = 8"])
     assert changed.model.config == {"encoder_blocks": [1, 2], "boundary_channels": 8}
-    with pytest.raises(InputError, match=r"model\.config has 'classes', which is a key of its own"):
+    with pytest.raises(InputError, match=r"model\.config has 'classes', which is a separate key"):
         read_recipe(tmp_path / "r.toml", ["model.config.classes = []"])
 
 
@@ -437,7 +437,7 @@ def test_a_key_of_an_earlier_release_is_answered_with_what_replaces_it(base, key
     with pytest.raises(InputError) as error:
         read_recipe(base / "base.toml", [change])
     former = FORMER_KEYS[key.replace("[0]", "")]
-    assert f"{key} is no key any more: {former}." in str(error.value)
+    assert f"{key} was removed: {former}." in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -473,7 +473,7 @@ def test_rare_classes_are_classes_of_the_model(tmp_path):
     text = MINIMAL.replace("batch_size = 4", "batch_size = 4\nrare_classes = ['pole', 'Sign']")
     assert read(tmp_path, text).rare_ids == (2, 6)
     with pytest.raises(
-        InputError, match=r"data\.rare_classes: 'sing' is no class of model.classes"
+        InputError, match=r"data\.rare_classes: 'sing' is not a class of model.classes"
     ):
         read(tmp_path, text.replace("Sign", "sing"))
     with pytest.raises(InputError, match=r"augment\.rare_crops needs rare_classes"):

@@ -41,7 +41,7 @@ class DepthFolder:
     def require_free(self) -> None:
         """Raise an OutputError if the folder holds anything that may not be replaced."""
         if self.folder.exists() and not self.folder.is_dir():
-            raise OutputError(f"{self.folder} is no folder: choose another --save")
+            raise OutputError(f"{self.folder} is not a folder: choose another --save")
         if not self.overwrite and self.folder.is_dir() and any(self.folder.iterdir()):
             raise OutputError(
                 f"{self.folder} is not empty: choose another --save, or replace depth of the same "
@@ -51,7 +51,7 @@ class DepthFolder:
     def write(self, parts: Sequence[str], depth: NDArray[np.float32] | None) -> None:
         """Write a depth, float32 (H, W) [m], to the file of these folders and this name.
 
-        Raises InputError where there is no depth, OutputError for what cannot be written.
+        Raises InputError if there is no depth, OutputError if the file cannot be written.
         """
         if depth is None:
             raise InputError(
@@ -97,7 +97,7 @@ def evaluate(
         save: where the depth of every answer is written; None = nowhere.
 
     Returns:
-        A row a model, set, LiDAR and fault; without figures where a set has no ground truth.
+        One row per model, set, LiDAR and fault; without figures where a set has no ground truth.
 
     Raises:
         DatasetError, CheckpointError, ContractError, ProviderError: for what cannot be opened.

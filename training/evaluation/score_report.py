@@ -171,7 +171,7 @@ def _without_nan(value: Any) -> Any:
 
 
 def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:
-    """Draw accuracy against the LiDAR as a PNG, a line a model, set and fault.
+    """Draw accuracy against the LiDAR as a PNG, one line per model, set and fault.
 
     Colours are models, markers sets and dashes faults, the same in every panel.
 

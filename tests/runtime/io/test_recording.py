@@ -110,7 +110,7 @@ def edit(folder, **changes):
 )
 def test_a_document_that_was_changed_is_refused(recording, changes):
     edit(recording, **changes)
-    with pytest.raises(InputError, match="is not the document of a recording"):
+    with pytest.raises(InputError, match="is not a valid recording"):
         read_recording(recording)
 
 

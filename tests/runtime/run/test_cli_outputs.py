@@ -34,7 +34,7 @@ def test_what_the_model_does_not_answer_cannot_be_saved(tmp_path, stream, model_
     given = arguments(stream, model_file(heads=("semantic", "depth")), tmp_path)
     result = CliRunner().invoke(app, [*given, "--save", "depth,uncertainty"])
     assert result.exit_code == 1
-    assert "asks for uncertainty, the model by-hand answers semantic, depth" in result.stderr
+    assert "requests uncertainty, but the model by-hand answers semantic, depth" in result.stderr
     assert not (tmp_path / "out").exists()
 
 

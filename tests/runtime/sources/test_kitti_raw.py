@@ -203,7 +203,7 @@ def cut_stamps(drive):
         ),
         (
             lambda d: (d / "image_02").rename(d / "images"),
-            "is no drive of KITTI raw data.* --camera",
+            "is not a drive of KITTI raw data.* --camera",
         ),
         (
             lambda d: (d / "image_02/data/left.png").write_bytes(b""),

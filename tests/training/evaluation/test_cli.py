@@ -135,7 +135,7 @@ def test_a_file_of_fixed_size_is_scored_at_no_other(folder, model_file):
     data = ["--data", f"camvid:{folder}/camvid,split=val"]
     result = run(model_file(size=(48, 64)), *data, "--size", "frame")
     assert result.exit_code == 1
-    assert "the model is of fixed size" in result.output
+    assert "the model has a fixed size" in result.output
     result = run(folder / "lite.pt", *data, "--size", "large")
     assert result.exit_code == 1
     assert "--size 'large'" in result.output
@@ -258,7 +258,7 @@ def test_saved_depth_is_replaced_only_when_asked(tmp_path):
     assert (save / "notes.txt").read_text() == "mine"
     result = run("nearest", "--data", data, "--save", path)
     assert result.exit_code == 1
-    assert "is no folder" in result.output
+    assert "is not a folder" in result.output
 
 
 def test_depth_is_saved_of_no_model_without_it(tmp_path):

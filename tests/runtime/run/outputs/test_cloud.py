@@ -78,7 +78,7 @@ def test_the_command_writes_clouds(tmp_path, run, stream, model_file, toml, read
 def test_without_a_camera_the_command_fails_before_anything_is_written(tmp_path, run):
     result = run("--save", "depth,cloud")
     assert result.exit_code == 1
-    assert "--save cloud needs to know the camera: give --calibration" in result.stderr
+    assert "--save cloud needs the camera's intrinsics: give --calibration" in result.stderr
     assert not (tmp_path / "out").exists()
 
 
