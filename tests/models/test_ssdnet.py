@@ -225,7 +225,7 @@ def test_upsampling_by_factor_equals_by_size():
         ({"semantic_head": False, "classes": (), "depth_head": False}, "a semantic head, a depth"),
         ({"use_rgb": False, "use_sparse_depth": False}, "rgb, sparse depth or both"),
         ({"classes": ()}, "exactly when"),
-        ({"decoder_channels": (8, 8)}, "5 skips"),
+        ({"decoder_channels": (8, 8)}, "per skip \\(5\\)"),
         ({"encoder_blocks": (1, 1)}, "same length"),
         ({"max_depth_m": 0.0}, "max_depth_m must be 1 to 10000"),
         ({"max_depth_m": 1e39}, "max_depth_m must be 1 to 10000"),

@@ -182,7 +182,7 @@ def test_an_error_in_the_block_leaves_no_trace_and_the_old_file(tmp_path, error)
 def test_a_full_disk_leaves_the_old_file_and_no_trace(mount_disk, content):
     path = mount_disk(64) / "a.bin"
     atomic_write(path, b"old")
-    with pytest.raises(OutputError, match=r"No space left on device.*is kept"):
+    with pytest.raises(OutputError, match=r"No space left on device.*are kept"):
         atomic_write(path, content)
     assert path.read_bytes() == b"old"
     assert names_in(path.parent) == ["a.bin"]

@@ -314,7 +314,9 @@ def test_a_recording_with_a_foreign_file_is_not_replaced(recording, model_file, 
     (recording / name).parent.mkdir(exist_ok=True)
     (recording / name).write_text("mine")
     before = {path: path.read_bytes() for path in recording.rglob("*") if path.is_file()}
-    with pytest.raises(OutputError, match=r"(thesis|mine|000002|deep)[.a-z]* is not of the"):
+    with pytest.raises(
+        OutputError, match=r"(thesis|mine|000002|deep)[.a-z]* does not belong to the"
+    ):
         overwrite(recording, model_file())
     assert before == {path: path.read_bytes() for path in recording.rglob("*") if path.is_file()}
 

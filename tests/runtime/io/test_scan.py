@@ -143,8 +143,8 @@ def cut_literal() -> bytes:
 
 BILLION = 10**9
 HOSTILE = {
-    "cut.bin": (bytes(1602), r"1602 bytes are not points of 4 float32.*--point-columns"),
-    "cut.pcd.bin": (bytes(1604), "points of 5 float32"),
+    "cut.bin": (bytes(1602), r"1602 bytes are not a multiple of 4 float32.*--point-columns"),
+    "cut.pcd.bin": (bytes(1604), "a multiple of 5 float32"),
     "empty.pcd": (b"", "header has no end"),
     "endless.ply": (b"ply\n" * 10**5 + b"end_header\n", "header has no end"),
     "cut.pcd": (FILES["binary.pcd"][:-1], "50 points take 750 bytes, it has 749"),
@@ -263,7 +263,7 @@ def test_several_numbers_of_columns_that_fit_are_all_named(tmp_path):
 
 def test_a_number_that_does_not_divide_the_file_names_the_one_that_fits(tmp_path):
     sweep(5, points=16 * 17).tofile(tmp_path / "a.bin")
-    with pytest.raises(InputError, match=r"not points of 6 float32.*: give --point-columns 5"):
+    with pytest.raises(InputError, match=r"not a multiple of 6 float32.*: give --point-columns 5"):
         read_scan(tmp_path / "a.bin", columns=6)
 
 

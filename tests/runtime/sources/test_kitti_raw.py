@@ -164,7 +164,7 @@ def test_a_broken_frame_is_counted_and_the_others_answered(drive, run):
     assert answers.exit_code == 3
     assert answers.column("status") == ["ok", "skipped", "ok", "skipped", "ok", "ok"]
     assert "truncated" in answers.column("reason")[1]
-    assert "are not points of 4 float32: it is truncated" in answers.column("reason")[3]
+    assert "are not a multiple of 4 float32: it is truncated" in answers.column("reason")[3]
 
 
 def test_an_image_of_another_size_than_the_calibration_is_skipped(

@@ -153,7 +153,7 @@ def test_depth_without_intrinsics_is_fed_at_random_alone(folder, tmp_path):
         result = run(folder / "lite.pt", "--data", data, "--lidar", lidar)
         assert result.exit_code == 1
         assert "intrinsics" in result.stderr
-        assert "ask for random:0.05 or none" in result.stderr
+        assert "use random:0.05 or none" in result.stderr
     for lidar in ("random:0.05", "none"):
         assert run(folder / "lite.pt", "--data", data, "--lidar", lidar).exit_code == 0
 
@@ -336,7 +336,7 @@ def test_data_without_ground_truth_says_what_to_give(tmp_path):
     rgb, label = np.full((40, 64, 3), 90, np.uint8), np.full((40, 64), 3, np.uint8)
     camvid.write_frame(tmp_path, rgb, label)
     data = f"folders:{tmp_path},rgb=train"
-    lacks = "none of the 1 frames has {0} to score by; .*folders:DIR,{0}=FOLDER"
+    lacks = "none of the 1 frames has {0} as ground truth; .*folders:DIR,{0}=FOLDER"
     result = run("ssdnet-nano", "--data", data, "--limit", 1)
     assert result.exit_code == 0, result.output
     assert re.search(lacks.format("labels"), result.output)

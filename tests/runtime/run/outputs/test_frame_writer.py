@@ -199,7 +199,7 @@ def test_a_frame_that_fails_half_way_leaves_none_of_its_files(tmp_path, make_wri
     before = files_in(out)
     (out / KINDS[-1]).rename(tmp_path / "away")
     (out / KINDS[-1]).touch()  # in the place of its folder
-    with pytest.raises(OutputError, match=r"Not a directory.*is kept"):
+    with pytest.raises(OutputError, match=r"Not a directory.*are kept"):
         writer.write(*named(answered, "bad"))
     (out / KINDS[-1]).unlink()
     (tmp_path / "away").rename(out / KINDS[-1])
