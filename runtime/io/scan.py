@@ -108,7 +108,7 @@ def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
             f"do with {' or '.join(others)}{remedy}"
         )
     raise ValueError(
-        f"its {len(content)} bytes are not a multiple of {columns} float32: it is truncated, of "
+        f"its {len(content)} bytes are not whole points of {columns} float32: it is truncated, of "
         f"another format, or has other columns (--point-columns, with --points){remedy}"
     )
 

@@ -132,7 +132,7 @@ def _answered_kinds(options: RunOptions, predictor: Predictor) -> tuple[str, ...
         )
     if CLOUD in options.kinds and predictor.focal_length_px is None:
         raise InputError(
-            "--save cloud needs the camera's intrinsics: give --calibration, or --focal-length"
+            "--save cloud needs the camera's intrinsics: give --calibration or --focal-length"
         )
     return tuple(kind for kind in options.kinds if kind not in missing)
 

@@ -121,7 +121,7 @@ def test_toml_with_a_byte_order_mark(tmp_path):
 def test_a_size_of_width_and_height_is_to_be_swapped(tmp_path):
     path = tmp_path / "camera.toml"
     path.write_text(f'intrinsics = {K.tolist()}\npoints_in = "camera"\nsize = [640, 240]\n')
-    with pytest.raises(InputError, match=r"of \(640, 240\) .*, got one of \(240, 640\): swap"):
+    with pytest.raises(InputError, match=r"of \(640, 240\) .*, got an image of \(240, 640\): swap"):
         Calibration.from_toml(path).require_size(SIZE)
 
 

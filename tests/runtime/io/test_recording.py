@@ -65,7 +65,10 @@ def test_nothing_but_an_older_recording_is_replaced(recording, tmp_path, model_f
     others = tmp_path / "others"
     others.mkdir()
     (others / "keep.txt").touch()
-    with pytest.raises(OutputError, match="no recording"), record(others, SETTINGS, overwrite=True):
+    with (
+        pytest.raises(OutputError, match="not a recording"),
+        record(others, SETTINGS, overwrite=True),
+    ):
         pass
     assert (others / "keep.txt").exists()
     with record(recording, SETTINGS, overwrite=True) as recorder:
@@ -341,7 +344,7 @@ def test_a_folder_with_another_document_of_that_name_is_not_replaced(tmp_path, m
     folder = tmp_path / "results"
     folder.mkdir()
     (folder / "recording.json").write_text(content)
-    with pytest.raises(OutputError, match="no recording"):
+    with pytest.raises(OutputError, match="not a recording"):
         overwrite(folder, model_file())
     assert (folder / "recording.json").read_text() == content
 

@@ -188,7 +188,7 @@ def test_an_image_and_its_scan_are_one_frame(folders, scans, run, make_scan):
     rows[1:].tofile(scans[0] / "0.bin")
     cut = run(*given, "--overwrite")
     assert cut.column("status") == ["skipped"]
-    assert "0.bin: its 7176 bytes are not a multiple of 4 float32" in cut.column("reason")[0]
+    assert "0.bin: its 7176 bytes are not whole points of 4 float32" in cut.column("reason")[0]
 
 
 def test_a_folder_may_hold_images_scans_and_their_calibration(folders, scans, run, tmp_path):

@@ -116,7 +116,7 @@ def test_without_scans_the_camera_alone_is_answered(training, run):
 
 
 def test_what_is_missing_is_named(training, run):
-    with pytest.raises(InputError, match=r"image_1 is missing: give a folder .* --camera"):
+    with pytest.raises(InputError, match=r"image_1 is missing; give a folder .* --camera"):
         KittiObjectSource(training, camera=1)
     (training / "calib/000002.txt").unlink()
     (training / "calib/000003.txt").write_text("P2: 1 2 3\n")

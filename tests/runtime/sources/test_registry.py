@@ -21,7 +21,7 @@ def test_what_is_no_kind_and_path_is_an_error_with_the_kinds(text):
 
 
 def test_a_kind_with_an_underscore_is_answered_with_the_right_spelling(run):
-    with pytest.raises(InputError, match="no kind of source 'kitti_raw': write kitti-raw"):
+    with pytest.raises(InputError, match="unknown kind of source 'kitti_raw': write kitti-raw"):
         open_source("kitti_raw", "drive")
     with pytest.raises(InputError, match="'Kitti-Object': write kitti-object"):
         open_source("Kitti-Object", "training")

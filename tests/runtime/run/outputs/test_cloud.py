@@ -25,7 +25,7 @@ def test_a_frames_own_calibration_comes_first():
     frame = Frame(np.zeros((60, 80, 3), np.uint8), np.zeros((60, 80), np.float32))
     centred = intrinsics_of(frame, 50.0)
     np.testing.assert_array_equal(centred, [[50, 0, 39.5], [0, 50, 29.5], [0, 0, 1]])
-    with pytest.raises(InputError, match="give --calibration, or --focal-length"):
+    with pytest.raises(InputError, match="give --calibration or --focal-length"):
         intrinsics_of(frame, None)
     for size in (None, (60, 80)):
         calibrated = Frame(
@@ -33,7 +33,9 @@ def test_a_frames_own_calibration_comes_first():
         )
         np.testing.assert_array_equal(intrinsics_of(calibrated, 50.0), K)
     other = Calibration(K, np.eye(4), (60, 81))
-    with pytest.raises(InputError, match=r"of \(60, 81\) \(height, width\), got one of \(60, 80\)"):
+    with pytest.raises(
+        InputError, match=r"of \(60, 81\) \(height, width\), got an image of \(60, 80\)"
+    ):
         Frame(frame.rgb, frame.sparse_depth, calibration=other)
 
 
