@@ -22,7 +22,7 @@ LEAST_CLASS_PIXELS, LEAST_CLASS_FRAMES = 20_000, 10
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Accuracy on one set with one LiDAR; None = the set or the model cannot tell.
+    """Accuracy on one set with one LiDAR; None = not available for the set or the model.
 
     Attributes:
         data: the set, as `ssdnet-eval` names it.
@@ -64,7 +64,7 @@ def measure_accuracy(
     if all(item.miou is None and item.mae_m is None for item in found):
         raise InputError(
             "--validate: these sets hold neither labels of the model's classes nor depth, so the "
-            "accuracy cannot be measured; give a set that does"
+            "accuracy cannot be measured; add a set that has one of them"
         )
     return found
 

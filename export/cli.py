@@ -63,7 +63,7 @@ def export(
     precision: Annotated[
         Precision,
         typer.Option(
-            help="Of the trunk's arithmetic: fp16 for GPUs, int8 for processors (needs "
+            help="Precision of the trunk: fp16 for GPUs, int8 for processors (needs "
             "--calibrate and --validate)."
         ),
     ] = Precision.FP32,
@@ -71,23 +71,24 @@ def export(
         list[str] | None,
         typer.Option(
             metavar="DATA",
-            help="KIND:FOLDER[,KEY=VALUE...] as for ssdnet-eval: frames whose ranges of values "
-            "int8 covers, 100 or more with and without LiDAR; may be repeated.",
+            help="KIND:FOLDER[,KEY=VALUE...] as for ssdnet-eval: frames from which the value "
+            "ranges of int8 are calibrated, 100 or more, with and without LiDAR; may be repeated.",
         ),
     ] = None,
     validate: Annotated[
         list[str] | None,
         typer.Option(
             metavar="DATA",
-            help="KIND:FOLDER[,KEY=VALUE...]: frames with labels or depth, not those of training "
-            "and --calibrate, on which accuracy is measured for the metadata; may be repeated.",
+            help="KIND:FOLDER[,KEY=VALUE...]: frames with labels or depth, used neither for "
+            "training nor --calibrate, on which the accuracy in the metadata is measured; may be "
+            "repeated.",
         ),
     ] = None,
     max_drop_miou: Annotated[
-        float, typer.Option(min=0, help="Largest loss of mIoU of int8 on any set [points].")
+        float, typer.Option(min=0, help="Largest loss of mIoU by int8 on any set [points].")
     ] = 0.5,
     max_rise_mae: Annotated[
-        float, typer.Option(min=0, help="Largest rise of the depth's MAE of int8 on any set [%].")
+        float, typer.Option(min=0, help="Largest rise of the depth's MAE by int8 on any set [%].")
     ] = 2.0,
     overwrite: Annotated[
         bool,
@@ -166,7 +167,7 @@ def _print_accuracy(contract: Contract) -> None:
         if frames < _LEAST_FRAMES:
             typer.echo(
                 f"{data} has {frames} frames, fewer than {_LEAST_FRAMES}: small differences on it "
-                "may be chance"
+                "may not be significant"
             )
     for fact in quantization.get("not_gated", ()):
         typer.echo(f"not gated: {fact}")

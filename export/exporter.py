@@ -102,7 +102,9 @@ def export_checkpoint(
         DatasetError: for data that cannot be read.
     """
     if precision is Precision.INT8 or (isinstance(precision, Int8Options) and not validate):
-        raise InputError("int8 needs data: give Int8Options, and validate, its sets with truth")
+        raise InputError(
+            "int8 needs data: give Int8Options, and validate, data sets with ground truth"
+        )
     dynamic = dynamic or size is None
     size = size or DEFAULT_SIZE
     try:
@@ -177,7 +179,7 @@ def _require_finite(model: nn.Module) -> None:
         raise ExportError(
             f"the checkpoint holds NaN or Inf in {', '.join(bad[:5])}"
             + (f" and {len(bad) - 5} more" if len(bad) > 5 else "")
-            + ": its training went wrong, so nothing was written; take an earlier checkpoint"
+            + ": the training diverged, so nothing was written; use an earlier checkpoint"
         )
 
 

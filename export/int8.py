@@ -198,16 +198,16 @@ def _losses(
         yield "depth", rise, options.max_rise_mae, f"depth's MAE rises by {rise:.2f} %"
     if before.coverage_1 is not None and after.coverage_1 is not None:
         change = 100 * abs(before.coverage_1 - after.coverage_1)
-        words = f"depth_uncertainty covers {change:.2f} points more or fewer of the errors"
+        words = f"the share of errors within depth_uncertainty changes by {change:.2f} points"
         yield "depth_uncertainty", change, MAX_CHANGE_COVERAGE, words
 
 
 def _require_rows(heads: Collection[str], rows: Sequence[Accuracy]) -> None:
-    """Raise InputError for a head that no set can tell the accuracy of."""
+    """Raise InputError for a head whose accuracy no set can measure."""
     for head, (truth, sets) in _NEEDED.items():
         if head in heads and not _measured(head, rows):
             raise InputError(
-                f"--validate: no set has {truth}, so what int8 costs the {head} head cannot be "
+                f"--validate: no set has {truth}, so the loss of the {head} head by int8 cannot be "
                 f"measured, and nothing was written; add one of {sets}"
             )
 
@@ -217,8 +217,10 @@ def _measured(head: str, rows: Sequence[Accuracy]) -> bool:
 
 
 def _not_gated(heads: Sequence[str], classes: Sequence[str], rows: Sequence[Accuracy]) -> list[str]:
-    """What these sets cannot tell, in words."""
-    found = [f"{head}: no set has its figure" for head in heads if not _measured(head, rows)]
+    """Describe what cannot be measured on these sets."""
+    found = [
+        f"{head}: no set has ground truth for it" for head in heads if not _measured(head, rows)
+    ]
     compared = {name for row in rows for name in row.class_iou}
     if rare := [name for name in classes if "semantic" in heads and name not in compared]:
         found.append(

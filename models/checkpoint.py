@@ -172,14 +172,14 @@ def restore(document: Mapping[str, Any], path: Path) -> Checkpoint:
     except (ValueError, TypeError, KeyError, RuntimeError) as error:
         raise CheckpointError(
             f"{path}: its configuration cannot be built here: {_first_line(error)}. "
-            "It comes from another release."
+            "Use it with the release that wrote it."
         ) from error
     try:
         check_weights(document["weights"], expected)
     except ValueError as error:
         raise CheckpointError(
             f"{path}: its weights do not fit its own configuration {config.name!r}: {error}. "
-            "The file was changed, or is of another release: use it with that one, or train again."
+            "The file was changed, or comes from another release: use that release, or train again."
         ) from error
     model = kinds[kind].network(config)
     model.load_state_dict(document["weights"], strict=True)

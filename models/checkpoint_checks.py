@@ -34,9 +34,7 @@ def check_archive(path: Path) -> None:
     with path.open("rb") as stream:
         start = stream.read(len(_ZIP_START))
     if not _ZIP_START.startswith(start):
-        raise ValueError(
-            "not a checkpoint but a file of another kind. Give a file that ssdnet-train wrote."
-        )
+        raise ValueError("not an ssdnet checkpoint. Give a file that ssdnet-train wrote.")
     if not zipfile.is_zipfile(path):  # its directory comes last
         raise ValueError(f"truncated ({size} bytes). Copy it again.")
     if size > MAX_BYTES:
@@ -46,8 +44,8 @@ def check_archive(path: Path) -> None:
         unpacked = sum(entry.file_size for entry in entries)
         if unpacked > size:
             raise ValueError(
-                f"it would unpack from {size} to {unpacked} bytes, which no checkpoint does. "
-                "Give a file that ssdnet-train wrote."
+                f"it would unpack from {size} to {unpacked} bytes; a checkpoint is "
+                "stored uncompressed. Give a file that ssdnet-train wrote."
             )
         for entry in entries:
             if entry.filename.endswith(_PICKLE):
@@ -63,7 +61,7 @@ def check_weights(weights: Mapping[str, object], expected: Mapping[str, Tensor])
     """
     missing = sorted(expected.keys() - weights.keys())
     unknown = sorted(map(str, weights.keys() - expected.keys()))
-    for problem, names in (("lacks", missing), ("has in addition", unknown)):
+    for problem, names in (("lacks the tensors", missing), ("has the unknown tensors", unknown)):
         if names:
             more = f" and {len(names) - 3} more" if len(names) > 3 else ""
             raise ValueError(f"it {problem} {', '.join(names[:3])}{more}")
@@ -72,7 +70,7 @@ def check_weights(weights: Mapping[str, object], expected: Mapping[str, Tensor])
     for name, value in expected.items():
         weight = weights[name]
         if not isinstance(weight, Tensor) or weight.layout != torch.strided:
-            raise ValueError(f"{name} is no plain tensor")
+            raise ValueError(f"{name} is not a dense tensor")
         if weight.shape != value.shape:
             raise ValueError(
                 f"{name} has the shape {tuple(weight.shape)}, expected {tuple(value.shape)}"
@@ -85,7 +83,7 @@ def check_weights(weights: Mapping[str, object], expected: Mapping[str, Tensor])
         held[storage.data_ptr()] = storage.nbytes()
         wanted += weight.numel() * weight.element_size()
     if sum(held.values()) < wanted:
-        raise ValueError("some of its tensors repeat values that they do not hold")
+        raise ValueError("some of its tensors are larger than the data stored for them")
 
 
 def _check_pickle(content: bytes) -> None:
@@ -94,6 +92,6 @@ def _check_pickle(content: bytes) -> None:
         if foreign or opcode.name in ("STACK_GLOBAL", "INST"):
             # The message does not say how to load it anyway.
             raise ValueError(
-                "it holds something else than tensors and plain values, which could run code when "
-                "loaded. Give a file that ssdnet-train wrote."
+                "it contains objects other than tensors and plain values, which could run code "
+                "when loaded. Give a file that ssdnet-train wrote."
             )

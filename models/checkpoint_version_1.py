@@ -45,7 +45,7 @@ _RENAMED = {
 
 
 def convert_checkpoint(old: Path, new: Path) -> None:
-    """Write the weights, configuration and training facts of a checkpoint of version 1 anew.
+    """Convert a version 1 checkpoint: its weights, configuration and training facts.
 
     Every value of the weights stays as it is.
 
@@ -63,13 +63,13 @@ def convert_checkpoint(old: Path, new: Path) -> None:
     document = read_document(old)
     if not _is_same(document.get("version"), 1):
         raise CheckpointError(
-            f"{old}: checkpoint version {shown(document.get('version'))}; only version 1 is "
+            f"{old}: checkpoint version {shown(document.get('version'))}; only version 1 can be "
             "converted. Use the file as it is."
         )
     if document["trainer"]:
         raise CheckpointError(
-            f"{old}: the state of an unfinished run, which only the release that began it resumes. "
-            "Finish the run with that release and convert its model.pt, or train again."
+            f"{old}: the state of an unfinished run, which only the release that started it can "
+            "resume. Finish the run with that release and convert its model.pt, or train again."
         )
     # The first files do not name their network: there was only one.
     converted = {**document, "version": VERSION, "network": document.get("network", "SSDNet")}
@@ -87,7 +87,7 @@ def _split_family(document: Mapping[str, Any], path: Path) -> dict[str, Any]:
     other = [key for key, value in fixed.items() if not _is_same(config.get(key, value), value)]
     if other:
         raise CheckpointError(
-            f"{path}: no network of this release has {', '.join(other)} as its configuration. Use "
+            f"{path}: no network of this release supports its values of {', '.join(other)}. Use "
             "it with the release that wrote it, or train again."
         )
     kept = {key: value for key, value in config.items() if key not in fixed}

@@ -107,20 +107,20 @@ class NetworkConfig:
 
 #: Fields of earlier releases, and what replaces them.
 _REPLACED = {
-    "encoder_block": "ssdnet-lite and ssdnet-nano have residual stages, the others VGG's",
-    "skip_fusion": "ssdnet-lite and ssdnet-nano add their skips, the others concatenate them",
-    "depth_surfaces": "ssdnet-lite and ssdnet-nano have surfaces where they have a depth head",
-    "valid_mask_input": "ssdnet-lite and ssdnet-nano read the mask, the others do not",
+    "encoder_block": "ssdnet-lite and ssdnet-nano have residual stages; the others, VGG stages",
+    "skip_fusion": "ssdnet-lite and ssdnet-nano add skip connections; the others concatenate them",
+    "depth_surfaces": "ssdnet-lite and ssdnet-nano use surfaces whenever they have a depth head",
+    "valid_mask_input": "ssdnet-lite and ssdnet-nano have the mask as an input; the others do not",
 }
 
 
 def check_fields(config: type[NetworkConfig], names: Iterable[object], network: str) -> None:
-    """Raise ValueError for names that are no fields, with what replaces them."""
+    """Raise ValueError for names that are not fields; the message names the replacements."""
     unknown = sorted({str(name) for name in names} - {field.name for field in fields(config)})
     if unknown:
         hints = (f" (removed: {_REPLACED[key]})" if key in _REPLACED else "" for key in unknown)
         listed = ", ".join(key + hint for key, hint in zip(unknown, hints, strict=True))
-        raise ValueError(f"no configuration field of the network {shown(network)}: {listed}")
+        raise ValueError(f"not configuration fields of the network {shown(network)}: {listed}")
 
 
 class Network(nn.Module):

@@ -39,13 +39,13 @@ class EncoderDecoderConfig(NetworkConfig):
             raise ValueError("a network needs a semantic head, a depth head or both")
         for what, (count, least, most) in self.counts().items():
             if not least <= count <= most:
-                raise ValueError(f"{what}: {least} to {most} can be built, got {count}")
+                raise ValueError(f"{what}: expected {least} to {most}, got {count}")
         super().__post_init__()
         if len(self.encoder_channels) != len(self.encoder_blocks):
             raise ValueError("encoder_channels and encoder_blocks must have the same length")
         if len(self.decoder_channels) != self.num_skips:
             raise ValueError(
-                f"decoder_channels needs a number for each of the {self.num_skips} skips, "
+                f"decoder_channels must have one entry per skip ({self.num_skips}), "
                 f"got {len(self.decoder_channels)}"
             )
 

@@ -121,7 +121,7 @@ HEAD_CHANNELS = sum(_HEAD_SPLIT)
 
 
 def measure(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Measured:
-    """Return what was measured, without near returns that no other confirms: rain, snow, dust.
+    """Drop near returns that no other return confirms: rain, snow, dust.
 
     A return within ISOLATED_M is dropped if at least ISOLATED_CELLS of the 24 cells of
     COARSE_CELL pixels around its own have returns, and all these are more than ISOLATED_RATIO times

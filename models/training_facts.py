@@ -31,10 +31,10 @@ class TrainingFacts:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Read the facts of a file of any release; what it lacks has its default.
+        """Read the facts of a file of any release; missing fields get their defaults.
 
         Raises:
-            ValueError: if the height is none of an image.
+            ValueError: if the height is not a valid image height.
         """
         facts = {key: values[key] for key in cls.__dataclass_fields__ if key in values}
         if facts.get("trained_height") is not None:

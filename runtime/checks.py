@@ -40,7 +40,7 @@ def check_integer(
     *,
     error: type[Exception] = ValueError,
 ) -> int:
-    """Return a whole number of any library; `error` as of `check_number`, also for booleans."""
+    """Return a whole number of any library; `error` as in `check_number`, also for booleans."""
     try:
         number = operator.index(value)
     except TypeError:

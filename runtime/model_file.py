@@ -86,16 +86,18 @@ def parse_model_file(content: bytes) -> ModelFile:
     digest = hashlib.sha256(view[: -len(entry)])
     if contract.content is None:  # a later one would hide the digests of another
         if (entries := content.count(_KEY + _VALUE)) > 1:
-            raise _damaged(f"it holds the metadata {METADATA_KEY!r} {entries} times")
+            raise _damaged(f"it contains the metadata {METADATA_KEY!r} {entries} times")
     else:
         if view[-len(entry) :] != entry:
-            raise _damaged("its metadata is not the last thing in it, or is written another way")
+            raise _damaged(
+                "its metadata is not the last entry of the file, or is encoded differently"
+            )
         found = Content(bytes=len(view) - len(entry), sha256=digest.hexdigest())
         if found != contract.content:
             known = contract.content
             raise _damaged(
-                f"the model has {found.bytes} bytes of SHA-256 {found.sha256[:12]}, its metadata "
-                f"describes {known.bytes} bytes of SHA-256 {known.sha256[:12]}"
+                f"the model has {found.bytes} bytes (SHA-256 {found.sha256[:12]}), but its "
+                f"metadata describes {known.bytes} bytes (SHA-256 {known.sha256[:12]})"
             )
     digest.update(view[-len(entry) :])  # one pass over the bytes for both digests
     return ModelFile(content, digest.hexdigest(), contract)
@@ -130,12 +132,12 @@ def _document(content: bytes) -> str:
         )
     length = _LENGTH.match(content, key + len(_KEY + _VALUE))
     if length is None:
-        raise _damaged("the length of its metadata is no number")
+        raise _damaged("the length of its metadata is not a number")
     size = sum((byte & 0x7F) << 7 * place for place, byte in enumerate(length[0]))
     if size > MAX_DOCUMENT_BYTES:
         raise _damaged(f"its metadata has {size} bytes, more than {MAX_DOCUMENT_BYTES}")
     if size > len(content) - length.end():
-        raise _damaged("its metadata ends after the file")
+        raise _damaged("its metadata extends beyond the end of the file")
     try:
         return content[length.end() : length.end() + size].decode()
     except UnicodeDecodeError as error:

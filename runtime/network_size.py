@@ -28,7 +28,7 @@ def check_network_size(requested: Any, *, fixed: bool) -> NetworkSize:
         return None
     if fixed:
         raise InputError(
-            f"size = {shown(requested)}, but the model is of fixed size: leave size out, or export "
+            f"size = {shown(requested)}, but the model has a fixed size: leave size out, or export "
             "the model without --height and --width"
         )
     if isinstance(requested, str) and requested == "frame":
@@ -49,7 +49,7 @@ def parse_network_size(text: str) -> NetworkSize:
     sides = text.lower().split("x")
     try:
         if not all(side.isdecimal() for side in sides) or len(sides) > 2:
-            raise ValueError("neither a word nor pixels")
+            raise ValueError("neither a keyword nor a number of pixels")
         numbers = [int(side[:9]) for side in sides]  # longer ones are out of range as well
         return _in_range(numbers[0] if len(numbers) == 1 else numbers)
     except ValueError as error:
@@ -87,7 +87,8 @@ def network_size(
     if size[1] > MAX_SIDE or size[0] * size[1] > MAX_PIXELS:
         raise InputError(
             f"size = {rows} rows would be {size[0]} x {size[1]} pixels for a frame of {height} x "
-            f"{width}; at most {MAX_SIDE} a side and {MAX_PIXELS} in all: ask for fewer rows"
+            f"{width}; expected at most {MAX_SIDE} per side and {MAX_PIXELS} in total: use fewer "
+            "rows"
         )
     return size
 

@@ -115,7 +115,7 @@ def check_rgb(rgb: Any) -> NDArray[np.uint8]:
     if rgb.ndim != 3 or rgb.shape[2] != 3:
         hint = ""
         if rgb.ndim == 2 or (rgb.ndim == 3 and rgb.shape[2] == 1):
-            hint = ": it is grey, use cv2.cvtColor(rgb, cv2.COLOR_GRAY2RGB)"
+            hint = ": it is a grey image, use cv2.cvtColor(rgb, cv2.COLOR_GRAY2RGB)"
         elif rgb.ndim == 3 and rgb.shape[2] == 4:
             hint = ": it has an alpha channel, use rgb[..., :3]"
         elif rgb.ndim == 3 and rgb.shape[0] == 3:

@@ -1,4 +1,4 @@
-"""Objects whose threads a fork does not copy: of use in the process that made them alone."""
+"""Objects whose threads do not survive a fork: usable only in the process that created them."""
 
 import os
 
@@ -20,6 +20,6 @@ class ProcessGuard:
         """Raise InferenceError in a child."""
         if self.is_forked:
             raise InferenceError(
-                f"the {self._what} was made before this process was forked, and its threads are "
-                f"not here: make a {self._what} in each process"
+                f"the {self._what} was created before this process was forked, and threads do "
+                f"not survive a fork: create a {self._what} in each process"
             )

@@ -59,7 +59,7 @@ def read_input(path: Path, *, max_bytes: int | None = None) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """Read a UTF-8 file of at most `MAX_TEXT_BYTES`; errors as of `read_input`."""
+    """Read a UTF-8 file of at most `MAX_TEXT_BYTES`; errors as in `read_input`."""
     try:  # editors of Windows begin a text with a byte order mark
         return read_input(path, max_bytes=MAX_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -67,7 +67,7 @@ def read_text(path: Path) -> str:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file of at most `MAX_TEXT_BYTES`; errors as of `read_input`."""
+    """Read a TOML file of at most `MAX_TEXT_BYTES`; errors as in `read_input`."""
     text = read_text(path)
     try:
         return tomllib.loads(text)

@@ -29,8 +29,8 @@ def import_onnxruntime() -> Any:
         import onnxruntime
     except ImportError as error:
         raise ProviderError(
-            f"no ONNX Runtime ({error}): {import_remedy(error, 'cpu')} (for an NVIDIA GPU gpu in "
-            "the place of cpu: they exclude each other)"
+            f"no ONNX Runtime ({error}): {import_remedy(error, 'cpu')} (for an NVIDIA GPU use the "
+            "extra gpu instead of cpu; both cannot be installed together)"
         ) from error
     return onnxruntime
 
@@ -176,7 +176,7 @@ def _unloadable(error: Exception) -> ContractError:
             "ssdnet-export"
         )
     if "IR version" in text or "opset" in text.lower():
-        fault = "it is of a newer version than this ONNX Runtime; update onnxruntime"
+        fault = "it uses a newer ONNX version than this ONNX Runtime supports; update onnxruntime"
     elif "protobuf" in text.lower():
         fault = "the file is truncated or damaged; get it again"
     else:

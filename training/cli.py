@@ -51,8 +51,8 @@ def train(
     init: Annotated[
         str | None,
         typer.Option(
-            help="Initial weights: a name of installed ones (ssdnet-lite), or a path that ends in "
-            ".pt or holds a slash."
+            help="Initial weights: the name of installed weights (ssdnet-lite), or a path that "
+            "ends in .pt or holds a slash."
         ),
     ] = None,
     change: Annotated[

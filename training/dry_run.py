@@ -36,7 +36,7 @@ class DryRun(NamedTuple):
 def dry_run(
     recipe: Recipe, *, data: Sequence[Path], out: Path, init: Path | None = None, device: str
 ) -> DryRun:
-    """Open all that a training needs and draw its first batch; arguments and errors as of `train`.
+    """Open all that a training needs and draw its first batch; arguments and errors as in `train`.
 
     Returns:
         batch.png, the only file that is written (``out`` does not become a run's folder), and the

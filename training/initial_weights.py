@@ -88,7 +88,7 @@ def start_from(network: Network, source: Network, init: Path) -> frozenset[str]:
         before, now = getattr(source.config, key, None), getattr(network.config, key, None)
         if before != now:
             tqdm.write(
-                f"{init}: {meaning} was {before} and is {now} here; the weights have to adapt",
+                f"{init}: {meaning} changed from {before} to {now}; the weights have to adapt",
                 file=sys.stderr,
             )
     return frozenset(taken)

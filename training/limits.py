@@ -63,6 +63,6 @@ def require_window(key: str, crop: tuple[int, int], scale: tuple[float, float]) 
     pixels = crop[0] * crop[1] / scale[0] ** 2
     if pixels > MAX_WINDOW_PIXELS:
         raise ValueError(
-            f"{key} = {list(scale)}: a crop of {crop[0]}x{crop[1]} would be cut from a window of "
-            f"{pixels:.0f} pixels; at most {MAX_WINDOW_PIXELS} are taken"
+            f"{key} = {list(scale)}: a crop of {crop[0]}x{crop[1]} needs a window of "
+            f"{pixels:.0f} pixels; expected at most {MAX_WINDOW_PIXELS}"
         )

@@ -72,14 +72,14 @@ def _require_pretrainable(network: Network) -> EfficientNetLite:
     encoder = getattr(network, "encoder", None)
     if not isinstance(encoder, EfficientNetEncoder):
         raise InputError(
-            f"model.pretrained: {network.config.name!r} has no encoder with weights of ImageNet. "
+            f"model.pretrained: {network.config.name!r} has no encoder with ImageNet weights. "
             "Set model.config.encoder = 'efficientnet-lite0', a field of ssdnet-lite and "
             "ssdnet-nano, or leave model.pretrained out."
         )
     for key, wanted in _IMAGENET_COLORS.items():
         if (found := getattr(network.config, key)) != wanted:
             raise InputError(
-                f"model.config.{key} = {list(found)}, but weights of ImageNet were trained with "
+                f"model.config.{key} = {list(found)}, but the ImageNet weights were trained with "
                 f"{list(wanted)}. Leave it out."
             )
     return encoder.trunk

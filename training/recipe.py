@@ -101,7 +101,7 @@ class ModelRecipe:
         """Check that no key is given twice, and that there is a network of this configuration."""
         doubled = sorted({item.name for item in fields(self)} & set(self.config))
         if doubled:
-            raise ValueError(f"config has {doubled[0]!r}, which is a key of its own: {doubled[0]}")
+            raise ValueError(f"config has {doubled[0]!r}, which is a separate key: {doubled[0]}")
         names = [] if isinstance(self.classes, str) else [info.name for info in self.classes]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
@@ -265,8 +265,8 @@ class ValidationRecipe:
         twice = sorted({title for title in titles if titles.count(title) > 1})
         if twice:
             raise ValueError(
-                f"source has two sets called {twice[0]!r}, as their scores would be; give each its "
-                "own `name`"
+                f"source has two sets with the title {twice[0]!r}, so their scores could not be "
+                "told apart; give each its own `name`"
             )
         if self.best and self.best.rpartition("/")[0] not in titles:
             raise ValueError(
@@ -297,7 +297,7 @@ class Recipe:
         """Check the classes that the loss needs and the number of samples."""
         for name in self.data.rare_classes:
             if self.model.class_id(name.lower()) is None:
-                raise ValueError(f"data.rare_classes: {name!r} is no class of model.classes")
+                raise ValueError(f"data.rare_classes: {name!r} is not a class of model.classes")
         if self.data.sky_depth_m and self.model.class_id("sky") is None:
             raise ValueError("data.sky_depth_m needs a class called 'sky' in model.classes")
         if self.loss.road_weight and self.model.class_id("road") is None:
@@ -312,7 +312,7 @@ class Recipe:
         if samples > MAX_SAMPLES:
             raise ValueError(
                 f"schedule.steps = {self.schedule.steps}: with data.batch_size and "
-                f"loop.accumulate these are {samples} samples; at most {MAX_SAMPLES} are drawn"
+                f"loop.accumulate this draws {samples} samples; expected at most {MAX_SAMPLES}"
             )
 
     @property
@@ -371,7 +371,9 @@ def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:
     """
     table = read_table(Path(path))
     if "stage" in table:
-        raise InputError(f"{path}: has stages, which ssdnet-train runs; here one run is expected.")
+        raise InputError(
+            f"{path}: has stages, which only ssdnet-train runs; expected a recipe without stages."
+        )
     try:
         return build(Recipe, merge(table, parse_changes(changes)))
     except InputError as error:

@@ -72,8 +72,8 @@ def class_offsets(network: Network, offsets: Sequence[tuple[str, float]]) -> Ten
     for index, (name, offset) in enumerate(offsets):
         if name not in names or name in dict(offsets[:index]):
             raise InputError(
-                f"release.logit_offsets: {shown(name)} is named twice or no class of the network; "
-                f"it has {', '.join(names) or 'none'}."
+                f"release.logit_offsets: {shown(name)} is listed twice or is not a class of the "
+                f"network; its classes are {', '.join(names) or 'none'}."
             )
         values[names.index(name)] = offset
     return values

@@ -73,8 +73,8 @@ def require_same(before: Mapping[str, Any], now: Mapping[str, Any], path: Path) 
         recipe = asdict(build(Recipe, before.get("recipe")))
     except InputError as error:
         raise InputError(
-            f"{path}: belongs to a training with a recipe that is invalid here: {error} Choose "
-            "another --out."
+            f"{path}: belongs to a training whose recipe this release does not accept: {error} "
+            "Choose another --out."
         ) from error
     old = _flatten({**{key: before.get(key) for key in now}, "recipe": recipe})
     new = _flatten(now)
@@ -104,7 +104,7 @@ def _read_json(path: Path) -> Mapping[str, Any]:
     except ValueError as error:
         raise InputError(f"{path}: is not JSON ({error}). Choose another --out.") from error
     if not isinstance(document, dict):
-        raise InputError(f"{path}: holds no recipe. Choose another --out.")
+        raise InputError(f"{path}: contains no recipe. Choose another --out.")
     return document
 
 

@@ -16,7 +16,7 @@ _ERRORS = ("mae", "rmse", "imae", "irmse")
 
 
 class ScoreTable:
-    """A CSV file with a row a step and set: "step", "set", and a column a score.
+    """A CSV file with one row per step and set: "step", "set", and one column per score.
 
     Rows of steps after ``step`` are dropped: an interrupted run computes them again. InputError for
     a file of another kind.

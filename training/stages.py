@@ -35,7 +35,7 @@ def read_stages(path: Path, changes: Sequence[str] = ()) -> tuple[Stage, ...]:
         changes: further changes of all stages, see `read_recipe`.
 
     Raises:
-        InputError: as of `read_recipe`, and for stages without a name of their own.
+        InputError: see `read_recipe`, and for stages without a name of their own.
     """
     table, further = read_table(path), parse_changes(changes)
     tables = table.pop("stage", None)
@@ -84,7 +84,7 @@ def train_stages(
 
     Args:
         stages: see `read_stages`.
-        data: as of `train`, like what follows.
+        data: see `train`, like what follows.
         out: folder of all stages.
         init: a checkpoint that the first stage starts from.
         device: "cpu", "cuda" or "cuda:N".
@@ -96,7 +96,7 @@ def train_stages(
         stages, the model.pt of the first of them.
 
     Raises:
-        InputError: if ``out`` belongs to other stages, and as of `train`, like all others.
+        InputError: if ``out`` belongs to other stages, and as in `train`, like all others.
     """
     _require_same_stages(stages, out)
     path = out

@@ -98,8 +98,8 @@ def open_task(
     heads = network.heads
     if not recipe.loss.terms_for(heads):
         raise InputError(
-            f"no term of the loss has a weight for the heads of {network.config.name!r} "
-            f"({', '.join(heads)}). Set the weight of one that needs these heads."
+            f"no loss term with a weight above 0 applies to the heads of {network.config.name!r} "
+            f"({', '.join(heads)}). Set the weight of a term for these heads."
         )
     weights = None
     if "semantic" in heads and recipe.loss.weighs_classes:

@@ -1,1 +1,1 @@
-"""What is wrong with what the sensors send, found before the answer is believed."""
+"""Checks of the sensor data, to detect faults before an answer is used."""

@@ -67,10 +67,11 @@ class CalibrationSize:
         if not self._gains or np.median(self._gains) < _LEAST_GAIN:
             return None
         return (
-            f"the calibration seems to be of images of another size: {self._suspect}, and the "
-            f"returns fit them better at {self._scale:.2g} times its scale. Use images of the size "
-            f"that was calibrated, or multiply the first two rows of the intrinsics by the width "
-            f"now / the width then, about {self._scale:.2g}, in a TOML file for --calibration"
+            f"the calibration seems to be for images of another size: {self._suspect}, and the "
+            f"returns fit them better at {self._scale:.2g} times its scale. Use images of the "
+            f"calibrated size, or multiply the first two rows of the intrinsics by the ratio of "
+            f"the image width to the calibrated width, about {self._scale:.2g}, in a TOML file "
+            "for --calibration"
         )
 
 

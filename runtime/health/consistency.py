@@ -101,7 +101,7 @@ class ConsistencyCheck:
             prediction: from the remaining returns.
             camera_only: prediction without any return; None unless `scale_is_due`.
             sparse_depth: float32 (H, W), metres, all returns.
-            held_out: bool (H, W), as of `hold_out`.
+            held_out: bool (H, W), as in `hold_out`.
             stamp_ns: of the image.
         """
         self._frames += 1

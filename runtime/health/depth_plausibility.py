@@ -91,17 +91,20 @@ class DepthPlausibility:
         log_ratio, overall, alike, mirrored = np.median(self._figures, axis=0)
         if max(overall, alike) <= -_ALIKE:
             return Implausible(
-                "the returns are far where the camera alone sees near: they may be inverse depth "
-                "or disparity"
+                "the returns are far where the depth predicted from the image is near: they may be "
+                "inverse depth or disparity"
             )
         if mirrored >= max(_ALIKE, alike + _MIRRORED_MARGIN):
             return Implausible(
-                "the returns fit the mirrored image: left and right are swapped in one of them"
+                "the returns fit the mirrored image: the image or the depth is flipped left to "
+                "right"
             )
         ratio = float(np.exp(log_ratio))
         if min(overall, alike) >= _ALIKE and not _NEAREST <= ratio <= _FARTHEST:
             return Implausible(
-                f"the returns are {_rounded(ratio)} times as far as the camera alone sees", ratio
+                f"the returns are {_rounded(ratio)} times as far as the depth predicted from the "
+                "image",
+                ratio,
             )
         return None
 

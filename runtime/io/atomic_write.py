@@ -24,7 +24,7 @@ _NAME_LENGTH = 40  # of the target's name in the temporary's, which may not grow
 def atomic_write(
     path: Path, content: bytes | memoryview, *, overwrite: bool = True, durable: bool = False
 ) -> None:
-    """Write a file whole or not at all; arguments and errors as of `atomic_file`."""
+    """Write a file whole or not at all; arguments and errors as in `atomic_file`."""
     with atomic_file(path, overwrite=overwrite, durable=durable) as file:
         file.write(content)
 
@@ -95,7 +95,7 @@ def atomic_path(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
 
     Args:
         path: the file's name; its folder is made.
-        overwrite: as of `atomic_file`.
+        overwrite: see `atomic_file`.
 
     Yields:
         A path of the same name in a hidden folder beside it.
@@ -143,8 +143,8 @@ def _temporary(path: Path, *, folder: bool) -> Iterator[tuple[Path, int]]:
             os.close(handle)
     except OSError as error:
         raise OutputError(
-            f"cannot write {path} ({error.strerror or error}): make room or choose another place; "
-            "what was finished before is kept"
+            f"cannot write {path} ({error.strerror or error}): free some space or choose another "
+            "location; files that were already complete are kept"
         ) from error
 
 
@@ -157,7 +157,7 @@ def _create(temporary: Path, *, folder: bool) -> int:
             try:
                 _remove_leftover(temporary)
             except OSError as error:
-                reason = f"{temporary} is in the way: {error.strerror}"
+                reason = f"the temporary file {temporary} cannot be replaced: {error.strerror}"
                 raise OSError(error.errno, reason) from error
             continue
         if _lock(handle) and _is_at(handle, temporary):
@@ -260,8 +260,8 @@ def _earlier_entries(path: Path, own: Callable[[], Iterable[Path]] | None) -> li
     for entry in found:
         if entry.is_symlink() or entry not in known:
             raise OutputError(
-                f"{entry} is not of the result that would be replaced: move it away, or choose "
-                "another folder"
+                f"{entry} does not belong to the result that would be replaced: move it away, or "
+                "choose another folder"
             )
     files = [entry for entry in expected if entry.parent == path and entry.is_file()]
     return files + [entry for entry in found if entry.parent != path or entry.is_dir()]

@@ -77,8 +77,8 @@ class Calibration:
             swapped = self.size == size[::-1]
             remedy = "swap the two" if swapped else "scale the intrinsics with the image"
             raise InputError(
-                f"the calibration is of images of {self.size} (height, width), got one of {size}: "
-                f"{remedy}"
+                f"the calibration is for images of {self.size} (height, width), got an image of "
+                f"{size}: {remedy}"
             )
 
     def check(self, points: Any) -> None:
@@ -126,7 +126,8 @@ class Calibration:
             size = (int(height), int(width))
         elif path.name in (RAW_CAMERAS, RAW_SCANNER):
             raise InputError(
-                f"{path} is one of two, {RAW_CAMERAS} and {RAW_SCANNER}: give their folder"
+                f"{path} is one of the two files {RAW_CAMERAS} and {RAW_SCANNER}: give the folder "
+                "that contains both"
             )
         else:
             numbers = NumbersFile(path)
@@ -211,7 +212,7 @@ def find_raw_calibration(drive: Path) -> Path | None:
 
 
 class FrameCalibrations:
-    """The calibration of each frame: one for all, or a folder with a file a frame.
+    """The calibration of each frame: one for all, or a folder with one file per frame.
 
     Args:
         path: as `Calibration.from_file`, or a folder with a file of the name of each frame.

@@ -70,7 +70,7 @@ def read_sparse_depth(path: Path, *, depth_scale: float = KITTI_DEPTH_SCALE) -> 
     kind = depth.dtype.str[1:]
     if depth.ndim != 2 or not (kind == "u2" or kind.startswith("f")):
         is_picture = depth.dtype == np.uint8
-        remedy = "an image for display holds no metres" if is_picture else "convert it to one"
+        remedy = "an 8-bit image does not contain metres" if is_picture else "convert it to one"
         raise InputError(
             f"{path} must be a depth map of one channel of 16 bits (PNG, TIFF or .npy) or of "
             f"floats in metres (TIFF or .npy), got {depth.dtype} {depth.shape}: {remedy}"
@@ -100,7 +100,7 @@ def decode(path: Path, flags: int) -> NDArray[Any]:
 def decode_content(content: bytes, flags: int, *, name: str) -> NDArray[Any]:
     """Decode the content of such a file as `decode` does; `name` is for the errors."""
     damaged = (
-        f"{name} is empty, truncated or damaged, or no PNG, JPEG or TIFF ({len(content)} bytes)"
+        f"{name} is empty, truncated or damaged, or not a PNG, JPEG or TIFF ({len(content)} bytes)"
     )
     size = image_size(content)
     if size is None:

@@ -43,7 +43,7 @@ class NumbersFile:
             numbers = np.array(self._entries[name].split(), dtype=np.float64)
         except ValueError as error:
             raise InputError(
-                f"{self.path}: '{name}' holds something that is not a number"
+                f"{self.path}: '{name}' contains a value that is not a number"
             ) from error
         if numbers.size != count:
             raise InputError(f"{self.path}: '{name}' has {numbers.size} numbers, expected {count}")

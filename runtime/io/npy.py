@@ -31,5 +31,5 @@ def read_npy(path: Path) -> NDArray[Any]:
         return array.reshape(shape, order="F" if is_fortran else "C")
     except Exception as error:  # the header is an expression of Python: anything can be wrong
         raise InputError(
-            f"{path} is no .npy file of numbers, or it is truncated ({cut(str(error), 200)})"
+            f"{path} is not a .npy file of numbers, or is truncated ({cut(str(error), 200)})"
         ) from error

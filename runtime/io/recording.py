@@ -4,9 +4,9 @@ A folder that needs nothing else:
 
 | file | |
 |---|---|
-| `recording.json` | what made it, settings, limits a head, and a line a frame; see `Recording` |
+| `recording.json` | origin, settings, limits per head, and one line per frame; see `Recording` |
 | `model.onnx` | the model that answered, byte for byte |
-| `frames/000000.npz` ... | a frame's `rgb`, `sparse_depth` and its answers, an array a head |
+| `frames/000000.npz` ... | a frame's `rgb`, `sparse_depth` and its answers, one array per head |
 
 Arrays are stored as they are, not packed (about 17 bytes a pixel with three heads): a recording
 run keeps its pace, and numpy's archive has a checksum of every array.
@@ -119,7 +119,7 @@ class Recording:
                 with np.load(file, allow_pickle=False) as archive:
                     arrays = {name: archive[name] for name in names}
             if no_arrays := [name for name in names if not isinstance(arrays[name], np.ndarray)]:
-                raise ValueError(f"{no_arrays[0]} is no array")
+                raise ValueError(f"{no_arrays[0]} is not an array")
             return arrays
         except InputError:
             raise
@@ -211,7 +211,7 @@ def _recorded_entries(path: Path) -> list[Path]:
         count = len(read_recording(path).frames)
     except InputError as error:
         raise OutputError(
-            f"{path} is no recording, and only recordings are replaced: choose another folder"
+            f"{path} is not a recording, and only recordings are replaced: choose another folder"
         ) from error
     frames = [_frame_path(path, index) for index in range(count)]
     entries = [path / RECORDING_FILE, path / MODEL_FILE, path / _FRAMES, *frames]
@@ -237,8 +237,8 @@ def read_recording(folder: Path) -> Recording:
         return _parse(folder, document)
     except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
         raise InputError(
-            f"{path} is not the document of a recording ({type(error).__name__}: {error}): it was "
-            "changed, or is of another version; record again"
+            f"{path} is not a valid recording.json ({type(error).__name__}: {error}): it was "
+            "changed, or comes from another version; record again"
         ) from error
 
 
@@ -293,8 +293,8 @@ def _first_limits(limits: Any) -> dict[str, dict[str, float]]:
         value = _check(head, limits.get(head, most))
         if value < most if head == "semantic" else value > most:
             raise ValueError(
-                f"the limit of {head}, {value:g}, is of an 8-bit model and of an older version, "
-                "and passes nearly any answer"
+                f"the limit of {head}, {value:g}, comes from an 8-bit model recorded by an older "
+                "version, and accepts nearly any answer"
             )
     return {head: {first_figure(_head(head)): value} for head, value in limits.items()}
 

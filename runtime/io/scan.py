@@ -104,11 +104,11 @@ def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
     remedy = f": give --point-columns {' or '.join(others)}" if others else ""
     if fits:
         raise ValueError(
-            f"its points are not in the order of a scanner if each has {columns} float32, but they "
-            f"are if each has {' or '.join(others)}{remedy}"
+            f"with {columns} float32 per point, its points do not follow scan lines, but they "
+            f"do with {' or '.join(others)}{remedy}"
         )
     raise ValueError(
-        f"its {len(content)} bytes are not points of {columns} float32: it is truncated, of "
+        f"its {len(content)} bytes are not whole points of {columns} float32: it is truncated, of "
         f"another format, or has other columns (--point-columns, with --points){remedy}"
     )
 
@@ -132,7 +132,7 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
     """x, y and z of a file with a header. Raises ValueError."""
     last = _LAST_LINE.search(content, 0, _MAX_HEADER_BYTES)
     if last is None:
-        raise ValueError("its header does not end: it is truncated or of another format")
+        raise ValueError("its header has no end: it is truncated or of another format")
     if not is_pcd and not content.startswith(b"ply"):
         raise ValueError("its first line is not 'ply': it is damaged or of another format")
     header, body = content[: last.end()].decode("latin-1"), content[last.end() :]

@@ -71,7 +71,7 @@ class MessageCounter:
         self._outcomes[sensor][outcome] += 1
 
     def record_frame(self, outcome: Outcome, *, with_depth: bool, reused: bool = False) -> None:
-        """Count the outcome of an image and of its depth map, if it has one of its own."""
+        """Count the outcome of an image and of its depth map, if it is counted separately."""
         self.record(Sensor.IMAGE, outcome)
         if with_depth:
             self.record(Sensor.DEPTH, outcome)

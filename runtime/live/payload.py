@@ -26,7 +26,7 @@ class Points(NamedTuple):
     last_ns: int = 0
 
     def copy(self) -> "Points":
-        """A copy with an array of its own."""
+        """Return a copy that owns its array."""
         return self._replace(points=self.points.copy())
 
     def measured_at(self, time_ns: int) -> "Points":

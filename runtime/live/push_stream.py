@@ -226,7 +226,7 @@ class PushStream:
         Args:
             sparse_depth: float32 (H, W) of the image's size, metres along the optical axis, 0 = no
                 return.
-            stamp: as of `push_image`.
+            stamp: see `push_image`.
 
         Raises:
             InputError: as `push_image`.
@@ -244,7 +244,7 @@ class PushStream:
 
         Args:
             points: float32 (N, 3) or wider: x, y, z in metres in the LiDAR's frame.
-            stamp: as of `push_image`.
+            stamp: see `push_image`.
             times: (N,), when each point was measured: floats are seconds after the stamp, integers
                 nanoseconds of its clock. None = unknown, see `scan_stamp`.
 
@@ -267,7 +267,7 @@ class PushStream:
         Args:
             pose: float (4, 4), rigid, from the stream's `pose_frame` to a frame that is fixed over
                 seconds, as that of an odometry [m].
-            stamp: as of `push_image`.
+            stamp: see `push_image`.
 
         Raises:
             InputError: as `push_image`, if the pose is not rigid or the stream has no `pose_frame`.

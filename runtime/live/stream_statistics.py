@@ -58,7 +58,7 @@ class StreamStatistics:
         }
 
     def table(self) -> str:
-        """Return a text table, a line a figure."""
+        """Return a text table with one line per statistic."""
         lines = [latency_table(self.stages)]
         if self.missed is not None:
             lines.append(

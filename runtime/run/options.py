@@ -62,7 +62,7 @@ class RunOptions:
 
     Raises:
         UsageError: if an option is out of range, or options contradict each other.
-        InputError: if `path` is no source, or `demo` is set and the bundled stream is missing.
+        InputError: if `path` is not a source, or `demo` is set and the bundled stream is missing.
     """
 
     path: Annotated[
@@ -91,7 +91,7 @@ class RunOptions:
     points: Annotated[
         Path | None,
         _INPUT(
-            help="Folder of LiDAR scans, or the one of one image, in place of --depth: "
+            help="Folder of LiDAR scans, or the scan of a single image, instead of --depth: "
             f"{', '.join(SCAN_SUFFIXES)}. Needs --calibration.",
         ),
     ] = None
@@ -179,7 +179,7 @@ class RunOptions:
         str | None,
         _INPUT(
             metavar="KIND:PATH",
-            help=f"A path whose kind is named: {', '.join(SOURCES)}. --rgb DIR is folders:DIR. See "
+            help=f"A path with its kind: {', '.join(SOURCES)}. --rgb DIR equals folders:DIR. See "
             "docs/streams.md.",
         ),
     ] = None
@@ -211,8 +211,8 @@ class RunOptions:
         list[str] | None,
         _OUTPUTS(
             metavar="KIND,...",
-            help=f"Files to write of each frame: {', '.join(SUFFIXES)}; all = everything that the "
-            "model answers, except clouds; or none. May be repeated. Depth and uncertainty are "
+            help=f"Files to write of each frame: {', '.join(SUFFIXES)}; all = all kinds that "
+            "the model answers, except clouds; or none. May be repeated. Depth and uncertainty are "
             f"16-bit PNGs, metres x {METRES_PNG_SCALE}. A cloud is a PLY file with colours and "
             "class ids, 16 bytes per pixel, and needs --calibration or --focal-length. "
             "[default: all]",
@@ -277,7 +277,7 @@ class RunOptions:
             f"[default: {DEFAULT_MODEL}]",
         ),
     ] = None
-    provider: Annotated[Provider, _MODEL(help="Where the model runs.")] = Provider.cpu
+    provider: Annotated[Provider, _MODEL(help="Execution provider of the model.")] = Provider.cpu
     size: Annotated[
         str,
         _MODEL(
@@ -312,7 +312,8 @@ class RunOptions:
         ),
     ] = None
     warmup: Annotated[
-        int, _TIMING(min=0, help="Predictions before the first frame, not in the statistics.")
+        int,
+        _TIMING(min=0, help="Predictions before the first frame, excluded from the statistics."),
     ] = 3
     max_skew_ms: Annotated[
         float | None,
@@ -439,7 +440,7 @@ class RunOptions:
 
     @property
     def named_files(self) -> dict[str, Path]:
-        """Option -> the file that it names, without those that were not given."""
+        """Option -> its file, for the options that were given."""
         named = {option: getattr(self, option) for option in FILE_SUFFIXES}
         return {
             option: Path(name)

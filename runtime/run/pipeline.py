@@ -42,10 +42,10 @@ class FrameRecord:
         read_ms: time of reading and decoding.
         latency: of the prediction.
         write_ms: time of writing to all outputs.
-        degraded: as of `Prediction`.
+        degraded: see `Prediction`.
         health: what `runtime.health` found in the frame.
-        cleaned: as of `Prediction`.
-        depth_returns: as of `Prediction`.
+        cleaned: see `Prediction`.
+        depth_returns: see `Prediction`.
         image_stamp_ns: clock of the sensor; None = not known.
         depth_stamp_ns: clock of the sensor; None = not known.
         depth_reused: as of `Frame`.

@@ -40,7 +40,7 @@ def report_json(report: RunReport) -> str:
 
 
 def frames_csv(report: RunReport) -> str:
-    """A row a frame; times in ms; cells that do not apply are empty."""
+    """One row per frame; times in ms; cells that do not apply are empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(

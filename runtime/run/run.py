@@ -33,8 +33,8 @@ _NO_RETURNS = (
     "metres, and that the extrinsics of the calibration lead from the LiDAR to the camera"
 )
 _NO_MATCH = (
-    "no image has a scan or depth map of its time: check that the time stamps of both are of one "
-    "recording and one clock, or give a larger --max-skew-ms"
+    "no image matches the time of a scan or depth map: check that both have time stamps of the "
+    "same recording and clock, or give a larger --max-skew-ms"
 )
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
 
@@ -125,12 +125,12 @@ def _answered_kinds(options: RunOptions, predictor: Predictor) -> tuple[str, ...
     ]
     if missing and options.kinds is not KINDS:
         raise InputError(
-            f"--save asks for {', '.join(missing)}, the model {predictor.contract.model_name} "
+            f"--save requests {', '.join(missing)}, but the model {predictor.contract.model_name} "
             f"answers {', '.join(predictor.heads)}: leave it out, or choose another --model"
         )
     if CLOUD in options.kinds and predictor.focal_length_px is None:
         raise InputError(
-            "--save cloud needs to know the camera: give --calibration, or --focal-length"
+            "--save cloud needs the camera's intrinsics: give --calibration or --focal-length"
         )
     return tuple(kind for kind in options.kinds if kind not in missing)
 

@@ -87,7 +87,7 @@ class RunFolder:
         """Add a frame to the list on disk, before its files are written. Raises OutputError."""
         with _reported(
             f"cannot write {self._marker}",
-            "make room or choose another --out; what was finished before is kept",
+            "free some space or choose another --out; files that were already complete are kept",
         ):
             # As JSON, since a name may contain line feeds.
             os.write(self._names, (json.dumps(name) + "\n").encode())
@@ -135,8 +135,8 @@ def _require_free(folder: Path, suffix: str, names: Collection[str], ours: Colle
         file = folder / (name + suffix)
         if os.path.lexists(file) and (name not in ours or not _removable(file)):
             raise OutputError(
-                f"{file} is not of the earlier run, and would be replaced: move it away, or choose "
-                "another --out"
+                f"{file} does not belong to the earlier run, but would be replaced: move it away, "
+                "or choose another --out"
             )
 
 

@@ -1,1 +1,1 @@
-"""Sources of frames, a file a kind; `registry` names them all."""
+"""Sources of frames, one file per kind; `registry` lists all of them."""

@@ -161,7 +161,7 @@ class BagSource(Source):
         what = "images" if name == "image_topic" else "point clouds or depth images"
         option, path = f"--{name.replace('_', '-')}", self._bag.path
         if requested is not None:
-            problem = f"{option} {requested} is no topic of {what} in {path}"
+            problem = f"{option} {requested} is not a topic of {what} in {path}"
         elif candidates:
             problem = f"{path} has {len(candidates)} topics of {what}, choose one by {option}"
         else:
@@ -177,7 +177,7 @@ class BagSource(Source):
         if requested is not None:
             if requested not in infos:
                 raise InputError(
-                    f"--info-topic {requested} is no topic of CameraInfo in {self._bag.path}, "
+                    f"--info-topic {requested} is not a topic of CameraInfo in {self._bag.path}, "
                     f"it has {', '.join(infos) or 'none'}"
                 )
             return requested
@@ -311,7 +311,7 @@ class BagSource(Source):
                     yield sensor, stamp_ns or message.recorded_ns, place
             for topic, count in self._bag.lost.items():
                 sensor = Sensor.IMAGE if topic == self._image_topic else Sensor.DEPTH
-                self._left_out[f"{sensor}: in the index, but lost"] += count
+                self._left_out[f"{sensor}: listed in the index, but missing"] += count
 
         names: Counter[str] = Counter()
 

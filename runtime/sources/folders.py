@@ -351,9 +351,9 @@ def _require_option(path: Path, *, has_scans: bool) -> None:
         for suffixes in (SCAN_SUFFIXES, DEPTH_SUFFIXES)
     )
     if scans and not maps and not has_scans:
-        raise InputError(f"{path} is of scans, not of depth maps: give --points, and --calibration")
+        raise InputError(f"{path} contains scans, not depth maps: give --points, and --calibration")
     if maps and not scans and has_scans:
-        raise InputError(f"{path} is of depth maps, not of scans: give --depth")
+        raise InputError(f"{path} contains depth maps, not scans: give --depth")
 
 
 def _numbers(stem: str) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ class KittiObjectSource(FolderSource):
         camera: 2 = left, 3 = right.
         points: folder of the scans; None: velodyne, or the only velodyne* folder.
         point_columns: numbers per point of .bin scans; None: as `read_scan`.
-        calibration: as of `FolderSource`; None: calib.
+        calibration: see `FolderSource`; None: calib.
 
     Raises:
         InputError: if the images are missing, if there are several velodyne* folders, and if a
@@ -42,7 +42,7 @@ class KittiObjectSource(FolderSource):
         images = path / f"image_{camera}"
         if not os.path.isdir(images):
             raise InputError(
-                f"{path} is not in KITTI's object layout, {images} is missing: give a folder like "
+                f"{path} is not in KITTI's object layout: {images} is missing; give a folder like "
                 "training, or another --camera"
             )
         super().__init__(
@@ -60,7 +60,7 @@ class KittiObjectSource(FolderSource):
     @property
     def notes(self) -> tuple[str, ...]:
         """See `Source.notes`."""
-        alone = ("no velodyne folder: the camera alone; name the scans by --points",)
+        alone = ("no velodyne folder, so only the camera is used; give --points to name the scans",)
         return super().notes + (alone if self._depth is None else ())
 
 

@@ -66,7 +66,7 @@ class KittiRawSource(FolderSource):
         for folder in (images / "data", scans / "data"):
             if not os.path.isdir(folder):
                 raise InputError(
-                    f"{drive} is no drive of KITTI raw data, {folder} is missing: give a folder "
+                    f"{drive} is not a drive of KITTI raw data: {folder} is missing; give a folder "
                     "like 2011_09_26/2011_09_26_drive_0001_sync, or another --camera"
                 )
         if calibration is None:
@@ -74,7 +74,8 @@ class KittiRawSource(FolderSource):
             if calibration is None:
                 raise InputError(
                     f"neither {drive} nor {Path(os.path.realpath(drive)).parent} has KITTI's "
-                    f"{RAW_CAMERAS} and {RAW_SCANNER}: put the day's there, or give --calibration"
+                    f"{RAW_CAMERAS} and {RAW_SCANNER}: copy the calibration files of that day "
+                    "there, or give --calibration"
                 )
         super().__init__(images / "data", points=scans / "data", calibration=calibration)
         self._drive, self._camera, self._drive_calibration = drive, camera, calibration

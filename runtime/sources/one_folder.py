@@ -29,7 +29,7 @@ class OneFolderSource(FolderSource):
 
     Args:
         path: the folder.
-        **options: as of `FolderSource`; with `depth` or `points` the images are those in `path`.
+        **options: see `FolderSource`; with `depth` or `points` the images are those in `path`.
 
     Raises:
         InputError: if it holds several folders of a kind, or images beside such folders; else as

@@ -44,14 +44,14 @@ class SourcePath(NamedTuple):
 
 
 def detect_source(path: Path) -> SourcePath:
-    """Return the kind of source that a path is. Raises InputError with what is accepted."""
+    """Detect the kind of source of a path. Raises InputError with the accepted kinds."""
     for kind, source in SOURCES.items():
         if source.accepts(path):
             return SourcePath(kind, path)
     try:
         os.stat(path)
         if (near := _source_near(path)) is not None:
-            raise InputError(f"{path} is no recording, {near} is one: give that")
+            raise InputError(f"{path} is not a recording, but {near} is: use that path")
         fault = "is none of these"
     except FileNotFoundError:
         fault = "does not exist; give one of these"
@@ -62,7 +62,7 @@ def detect_source(path: Path) -> SourcePath:
 
 
 def _source_near(path: Path) -> Path | None:
-    """A recording in a folder, or the folder that it is a part of; None: there is none."""
+    """Find a recording in a folder, or the recording that contains the path; None if none."""
     for near in (*sorted(list_entries(path))[:_LOOKED_AT], path.absolute().parent):
         with contextlib.suppress(InputError):
             if os.path.isdir(near) and any(source.accepts(near) for source in SOURCES.values()):
@@ -107,7 +107,7 @@ def choose_source(kind: str, path: str | Path, **options: Any) -> Callable[[], S
 
 
 def open_source(kind: str, path: str | Path, **options: Any) -> Source:
-    """Open a source; arguments and errors as of `choose_source`."""
+    """Open a source; arguments and errors as in `choose_source`."""
     return choose_source(kind, path, **options)()
 
 
@@ -118,7 +118,7 @@ def _require_kind(kind: str) -> None:
     if kind not in SOURCES:
         right = kind.lower().replace("_", "-")
         remedy = f"write {right}" if right in SOURCES else f"give {_kinds()}"
-        raise InputError(f"there is no kind of source {shown(kind)}: {remedy}")
+        raise InputError(f"unknown kind of source {shown(kind)}: {remedy}")
 
 
 def _kinds() -> str:

@@ -153,7 +153,7 @@ def _bounded_reader(path: Path, *, is_ros1: bool) -> Any:
 
 
 def _load_anew(name: str) -> Any:
-    """A new copy of a module, which no other code imports."""
+    """Load a private copy of a module."""
     spec = importlib.util.find_spec(name)
     assert spec is not None
     assert spec.loader is not None

@@ -109,11 +109,11 @@ class Source(ABC):
     @property
     @abstractmethod
     def inputs(self) -> dict[str, Any]:
-        """The inputs as in report.json; after listing with what was left out."""
+        """The inputs as in report.json; after listing, also the counts of skipped messages."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Lines for the terminal: what was guessed and, after listing, what was left out."""
+        """Lines for the terminal: guesses and, after listing, the skipped messages."""
         return ()
 
     def close(self) -> None:  # noqa: B027 - most hold nothing open

@@ -29,7 +29,7 @@ class DepthInTime(NamedTuple):
         sparse_depth: float32 (H, W), metres, 0 = no return.
         motion: "each" where each return was moved by its own time, "scan" where the scan was moved
             as one, "none" where it is as it was measured.
-        degraded: reasons as of `Prediction.degraded`.
+        degraded: reasons as in `Prediction.degraded`.
     """
 
     sparse_depth: NDArray[np.float32]
@@ -51,8 +51,8 @@ def project_in_time(
 
     Args:
         calibration: of camera and LiDAR.
-        points: as of `move_points`.
-        times: as of `move_points`.
+        points: see `move_points`.
+        times: see `move_points`.
         poses: of the LiDAR; None = of a car without poses.
         to: nanoseconds, the time of the picture.
         size: its (height, width).

@@ -34,7 +34,7 @@ class DurationHistogram:
         self._max_ms = max(self._max_ms, duration_ms)
 
     def statistics(self) -> LatencyStatistics | None:
-        """Statistics as of `latency_statistics`; None if nothing was recorded."""
+        """Statistics as in `latency_statistics`; None if nothing was recorded."""
         cumulative = np.cumsum(self._counts)
 
         def at_rank(rank: int) -> float:

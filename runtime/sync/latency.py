@@ -106,7 +106,7 @@ class Jitter:
 
 
 def latency_table(stages: dict[str, LatencyStatistics | None]) -> str:
-    """A text table, a line a stage; "n/a" where there is nothing or n is too small [ms]."""
+    """A text table with one line per stage; "n/a" where there is nothing or n is too small [ms]."""
     columns = ("n", "mean", "median", "p90", "p99", "p99.9", "max")
     width = max(len(stage) for stage in (*stages, "stage [ms]"))
     lines = ["stage [ms]".ljust(width) + "".join(f"{column:>9}" for column in columns)]

@@ -150,9 +150,9 @@ def project_moved(
 
     Args:
         calibration: of camera and LiDAR.
-        points: as of `move_points`.
-        times: as of `move_points`.
-        poses: as of `move_points`.
+        points: see `move_points`.
+        times: see `move_points`.
+        poses: see `move_points`.
         to: nanoseconds, the time of the picture.
         size: its (height, width).
 

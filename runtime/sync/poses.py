@@ -88,7 +88,9 @@ class PoseTrack:
         buffer = PoseBuffer(capacity=max(1, len(poses)))
         for pose, stamp_ns in zip(poses, stamps_ns, strict=True):
             if buffer.add(pose, int(stamp_ns)) is not Outcome.ANSWERED or buffer.resets:
-                raise InputError(f"the stamps of poses must rise, got {stamp_ns} after a later one")
+                raise InputError(
+                    f"the stamps of poses must increase, got {stamp_ns} after a later one"
+                )
         return buffer.whole()
 
     def mounted(self, mount: NDArray[np.float64]) -> "PoseTrack":
@@ -116,8 +118,8 @@ class PoseTrack:
             reason = POSE_CLOCK if beyond_ns > _OTHER_CLOCK_NS else NO_POSE
             raise NoPoseError(
                 reason,
-                f"{beyond_ns / NS_PER_MS:g} ms beyond the poses and their "
-                f"{MAX_EXTRAPOLATION_MS:g} ms of extrapolation",
+                f"{beyond_ns / NS_PER_MS:g} ms beyond the poses and the "
+                f"{MAX_EXTRAPOLATION_MS:g} ms for which they are extrapolated",
             )
         # The segment that ends at pose `end`; a time that is exactly a pose's needs no second one.
         end = np.searchsorted(stamps_ns, times_ns, side="left")

@@ -194,7 +194,7 @@ class _Worker:
             code = self._process.exitcode
             answer = f"its process ended with exit code {code}"
             if code == -signal.SIGKILL:
-                answer = "its process was killed, most likely since it ran out of memory"
+                answer = "its process was killed, most likely because it ran out of memory"
         if not isinstance(answer, str):
             return answer
         self.row.error = answer

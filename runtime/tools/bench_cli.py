@@ -28,26 +28,28 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 @app.command(
     "bench",
     epilog="Exit codes: 0 done; 1 a model could not run, its row says why; 2 usage; "
-    "130 interrupted, with a table of what was measured.",
+    "130 interrupted, after printing the results so far.",
 )
 def main(
     models: Annotated[
         list[str],
-        typer.Argument(metavar="MODEL", help="Names of bundled models, and any ONNX files."),
+        typer.Argument(metavar="MODEL", help="Names of bundled models, or paths of ONNX files."),
     ],
     size: Annotated[
         list[str],
-        typer.Option(metavar="HxW", help="Of models that take any; may be repeated."),
+        typer.Option(
+            metavar="HxW", help="Image size, for models with a free size; may be repeated."
+        ),
     ] = ["375x1242"],  # noqa: B006 - typer copies it
     threads: Annotated[
         list[int] | None,
-        typer.Option(min=1, help="May be repeated. [default: the physical cores]"),
+        typer.Option(
+            min=1, help="Threads of inference; may be repeated. [default: physical cores]"
+        ),
     ] = None,
     batch: Annotated[
         list[int],
-        typer.Option(
-            min=1, help="Frames of a run, of models that take any number; may be repeated."
-        ),
+        typer.Option(min=1, help="Batch size, for models with a free batch size; may be repeated."),
     ] = [1],  # noqa: B006
     rounds: Annotated[
         int, typer.Option(min=1, help="Measured runs of each model; p99 needs 100.")
@@ -56,16 +58,19 @@ def main(
         float | None,
         typer.Option(
             metavar="HZ",
-            help="Frames come at this rate, for each model for a second in turn; the latency is "
-            "from when a frame is due. [default: one run in turn]",
+            help="Frames arrive at this rate; the models take turns of one second, and the "
+            "latency is measured from when a frame is due. [default: turns of one run]",
         ),
     ] = None,
-    provider: Annotated[Provider, typer.Option(help="Where the models run.")] = Provider.cpu,
+    provider: Annotated[
+        Provider, typer.Option(help="Execution provider of the models.")
+    ] = Provider.cpu,
     json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write all times and figures.")
+        Path | None, typer.Option("--json", metavar="FILE", help="Write all times and statistics.")
     ] = None,
     md_file: Annotated[
-        Path | None, typer.Option("--md", metavar="FILE", help="Write what is printed, Markdown.")
+        Path | None,
+        typer.Option("--md", metavar="FILE", help="Write the printed report as Markdown."),
     ] = None,
     plot_file: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Write latencies as a PNG.")

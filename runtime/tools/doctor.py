@@ -214,7 +214,7 @@ def _predict_bundled(model: str, provider: str, seconds: float) -> tuple[list[fl
     worst = max(errors)
     if not worst <= _MOST_DEPTH_ERROR:
         raise _WrongAnswerError(
-            f"the depth is {worst:.0%} off the returns at the median, expected at most "
-            f"{_MOST_DEPTH_ERROR:.0%}: the model or what runs it is broken"
+            f"the median depth error is {worst:.0%} of the distance, expected at most "
+            f"{_MOST_DEPTH_ERROR:.0%}: the model or the installation is broken"
         )
     return times_ms, worst

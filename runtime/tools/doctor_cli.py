@@ -20,7 +20,7 @@ app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 def doctor(
     provider: Annotated[
         Provider,
-        typer.Option(help="Where the self-test runs; with cuda a missing GPU is a fault."),
+        typer.Option(help="Provider of the self-test; with cuda, a missing GPU is a fault."),
     ] = Provider.cpu,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print a JSON document instead of the lines.")
@@ -59,7 +59,7 @@ def _line(check: Check) -> str:
 def _verdict(faults: int, provider: str) -> str:
     if faults:
         return (
-            f"{faults} fault{'s' * (faults > 1)}: run the commands behind the arrows in a clone of "
+            f"{faults} fault{'s' * (faults > 1)}: run the commands after the arrows in a clone of "
             "ssdnet, in this order"
         )
     return f"the engine works on {provider}"

@@ -198,7 +198,7 @@ def _check_frame(
         return FrameCheck(frame, {}, faults=(str(error),))
     faults = _other_flags(prediction, frame)
     if prediction.heads.keys() != limits.keys():
-        faults.append(f"answered {_named(prediction.heads)}, recorded was {_named(limits)}")
+        faults.append(f"the heads are {_named(prediction.heads)}, expected {_named(limits)}")
     figures: dict[str, dict[str, float]] = {}
     for head, expected in arrays.items():
         answer = prediction.heads.get(head)
@@ -206,7 +206,7 @@ def _check_frame(
             continue
         if answer.shape != expected.shape or expected.dtype.kind not in "uif":
             faults.append(
-                f"{head} is {answer.dtype} {answer.shape}, recorded was {expected.dtype} "
+                f"{head} is {answer.dtype} {answer.shape}, expected {expected.dtype} "
                 f"{expected.shape}"
             )
         else:
@@ -231,10 +231,10 @@ def _check_size(predictor: Predictor, frame_size: tuple[int, ...]) -> None:
 def _other_flags(prediction: Prediction, frame: RecordedFrame) -> list[str]:
     faults = []
     if prediction.valid != frame.valid:
-        faults.append(f"valid is {prediction.valid}, recorded was {frame.valid}")
+        faults.append(f"valid is {prediction.valid}, expected {frame.valid}")
     if frame.degraded is not None and prediction.degraded != frame.degraded:
         faults.append(
-            f"degraded is {_named(prediction.degraded)}, recorded was {_named(frame.degraded)}"
+            f"degraded is {_named(prediction.degraded)}, expected {_named(frame.degraded)}"
         )
     return faults
 

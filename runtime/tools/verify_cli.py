@@ -39,7 +39,9 @@ def main(
             help="Model to compare with the recorded answers. [default: the recorded model]",
         ),
     ] = None,
-    provider: Annotated[Provider, typer.Option(help="Where the model runs.")] = Provider.cpu,
+    provider: Annotated[
+        Provider, typer.Option(help="Execution provider of the model.")
+    ] = Provider.cpu,
     threads: Annotated[
         int | None, typer.Option(min=1, help="Threads of inference. [default: physical cores]")
     ] = None,
@@ -47,8 +49,8 @@ def main(
         list[str] | None,
         typer.Option(
             metavar="HEAD=LIMIT",
-            help="Limit of a head in place of the recorded limits; can be repeated. semantic: "
-            "least share of equal pixels; boundary: mean difference; others: largest difference "
+            help="Limit of a head, instead of the recorded one; may be repeated. semantic: "
+            "minimum share of equal pixels; boundary: mean difference; others: largest difference "
             "(metres; for semantic_logits relative to the largest score).",
         ),
     ] = None,
@@ -108,7 +110,7 @@ def _json(document: dict[str, Any]) -> str:
 
 
 def _table(report: VerifyReport) -> str:
-    """A line a head with the worst of all frames, then a line for each difference."""
+    """One line per head with its worst value over all frames, then one line per difference."""
     settings, checks = report.recording.settings, report.checks
     same = "the recorded one" if report.same_model else "NOT the recorded one"
     lines = [
@@ -136,7 +138,7 @@ def _table(report: VerifyReport) -> str:
         lines.append("the same answers")
     if report.slow:
         lines.append(
-            f"predictions take {report.slowdown:.3f} times what was recorded, at most "
+            f"predictions take {report.slowdown:.3f} times the recorded time, expected at most "
             f"{report.max_slowdown:g}"
         )
     return "\n".join(lines)

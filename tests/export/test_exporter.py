@@ -273,7 +273,7 @@ def test_a_name_without_its_suffix_is_refused_with_the_right_one(tmp_path, name)
 
 
 @pytest.mark.parametrize(
-    ("content", "text"), [(b"not a checkpoint", "of another kind"), (None, "no such")]
+    ("content", "text"), [(b"not a checkpoint", "not an ssdnet checkpoint"), (None, "no such")]
 )
 def test_foreign_checkpoint_is_an_error_with_text(tmp_path, content, text):
     path = tmp_path / "c.pt"

@@ -117,7 +117,7 @@ def test_nothing_but_an_older_model_is_replaced(tmp_path):
     write(overwrite=True)
     assert other.is_dir()
     (folder / "labels.txt").write_text("mine")
-    with pytest.raises(OutputError, match=r"labels\.txt is not of the result"):
+    with pytest.raises(OutputError, match=r"labels\.txt does not belong to the result"):
         write(overwrite=True)
     (folder / "labels.txt").unlink()
     (folder / "config.pbtxt").unlink()

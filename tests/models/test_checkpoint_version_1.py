@@ -129,10 +129,10 @@ def test_every_other_command_names_the_conversion(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"depth_surfaces": False}, "depth_surfaces as its configuration"),
+        ({"depth_surfaces": False}, "values of depth_surfaces"),
         ({"encoder_block": "plain"}, "skip_fusion, "),
         ({"wings": 2}, "wings"),
-        ({"sparse_depth_gain": torch.zeros(2)}, "sparse_depth_gain as its"),
+        ({"sparse_depth_gain": torch.zeros(2)}, "values of sparse_depth_gain"),
     ],
 )
 def test_a_configuration_that_no_network_has_is_named(tmp_path, changes, text):
@@ -150,7 +150,7 @@ def test_an_unfinished_run_is_refused(tmp_path):
 
 def test_only_version_1_is_converted_and_no_file_replaced(tmp_path):
     save_checkpoint(tmp_path / "new.pt", small("ssdnet-nano"))
-    with pytest.raises(CheckpointError, match="version 2; only version 1 is converted"):
+    with pytest.raises(CheckpointError, match="version 2; only version 1 can be converted"):
         convert_checkpoint(tmp_path / "new.pt", tmp_path / "other.pt")
     with pytest.raises(OutputError, match=r"new\.pt exists"):
         convert_checkpoint(tmp_path / "new.pt", tmp_path / "new.pt")

@@ -40,11 +40,11 @@ def test_a_network_answers_as_if_an_isolated_return_were_not_there():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"stem_channels": (16, 32, 32)}, "stem layers: 2 to 2"),
-        ({"depth_surfaces": False}, r"surfaces where they have a depth head"),
+        ({"stem_channels": (16, 32, 32)}, "stem layers: expected 2 to 2"),
+        ({"depth_surfaces": False}, r"surfaces whenever they have a depth head"),
         ({"valid_mask_input": False}, "valid_mask_input .removed: ssdnet-lite and"),
-        ({"sparse_depth_gain": 2.0}, "field of the network 'ssdnet-lite': sparse_depth_gain"),
-        ({"use_sparse_depth": False}, "field of the network 'ssdnet-lite': use_sparse_depth"),
+        ({"sparse_depth_gain": 2.0}, "fields of the network 'ssdnet-lite': sparse_depth_gain"),
+        ({"use_sparse_depth": False}, "fields of the network 'ssdnet-lite': use_sparse_depth"),
     ],
 )
 def test_the_lite_network_has_unscaled_sparse_depth_and_a_stem_of_a_quarter(changes, message):
@@ -86,11 +86,11 @@ def test_the_trunk_of_an_efficientnet_encoder_has_the_widths_of_the_configuratio
     blocks = [m for m in network.modules() if isinstance(m, InvertedResidual)]
     assert tuple(block.depthwise[0].out_channels for block in blocks) == widths
     assert SSDNetLiteConfig.from_dict(network.config.to_dict()) == network.config
-    with pytest.raises(ValueError, match="encoder_widths are those of encoder = 'efficientnet-"):
+    with pytest.raises(ValueError, match="encoder_widths needs encoder = 'efficientnet-"):
         create_model("ssdnet-lite", encoder_widths=widths)
     with pytest.raises(ValueError, match="expected 16 positive widths"):
         create_model("ssdnet-lite", encoder="efficientnet-lite0", encoder_widths=(16,))
-    with pytest.raises(ValueError, match="encoder_widths 0: 1 to"):
+    with pytest.raises(ValueError, match="encoder_widths 0: expected 1 to"):
         create_model("ssdnet-lite", encoder="efficientnet-lite0", encoder_widths=(0,) * 16)
 
 

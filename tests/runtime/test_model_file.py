@@ -86,7 +86,7 @@ def test_bytes_that_differ_are_refused_with_both_digests(model_file):
     whole = model_file().read_bytes()
     damaged = whole[:20] + bytes([whole[20] ^ 1]) + whole[21:]
     with pytest.raises(
-        ContractError, match=r"the model has \d+ bytes of SHA-256 [0-9a-f]{12}, its"
+        ContractError, match=r"the model has \d+ bytes \(SHA-256 [0-9a-f]{12}\), but its"
     ):
         parse_model_file(damaged)
 

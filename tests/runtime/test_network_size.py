@@ -56,7 +56,7 @@ def test_nonsense_is_refused(asked):
 @pytest.mark.parametrize("asked", ["frame", 400, (48, 64), True])
 def test_a_model_of_fixed_size_takes_none_but_its_own(asked):
     assert check_network_size(None, fixed=True) is None
-    with pytest.raises(InputError, match="the model is of fixed size"):
+    with pytest.raises(InputError, match="the model has a fixed size"):
         check_network_size(asked, fixed=True)
 
 

@@ -218,7 +218,7 @@ def test_a_model_of_free_size_runs_at_the_size_asked_for(
 def test_a_model_of_fixed_size_takes_no_other(model_file, make_frame):
     path = model_file(size=(48, 64))
     for size in ("frame", 48, (48, 64)):
-        with pytest.raises(InputError, match="of fixed size"):
+        with pytest.raises(InputError, match="a fixed size"):
             Predictor(path, size=size)
     with Predictor(path) as predictor:
         assert predictor.network_size((375, 1242)) == (48, 64)
@@ -229,7 +229,7 @@ def test_a_size_that_makes_no_sense_is_refused(model_file, make_frame):
     with pytest.raises(InputError, match="number of rows"):
         Predictor(model_file(), size=True)
     predictor = Predictor(model_file(), size=16_000, warmup=0)
-    with pytest.raises(InputError, match="ask for fewer rows"):
+    with pytest.raises(InputError, match="use fewer rows"):
         predictor.predict(*make_frame(48, 640))
 
 

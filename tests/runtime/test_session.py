@@ -81,7 +81,7 @@ def test_without_onnxruntime_the_two_commands_are_named(monkeypatch, model_file)
     with pytest.raises(ProviderError) as error:
         Predictor(model_file())
     assert install_command("cpu") in str(error.value)
-    assert "gpu in the place of cpu" in str(error.value)
+    assert "gpu instead of cpu" in str(error.value)
 
 
 def test_an_onnxruntime_that_cannot_be_loaded_is_not_called_missing(monkeypatch):

@@ -125,7 +125,7 @@ def test_validation_sets_are_scored_under_their_names(run, tmp_path):
         result = run(recipe=RECIPE + twice)
         assert result.exit_code == 1
         title = "a" if "name" in twice else "camvid"
-        assert f"source has two sets called '{title}'" in result.output
+        assert f"source has two sets with the title '{title}'" in result.output
         assert "`name`" in result.output
 
 

@@ -29,8 +29,8 @@ def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("changed", "text"),
     [
-        ({"max_depth_m": 80.0}, "the depth range [m] was 200.0 and is 80.0 here"),
-        ({"boundary_gating": False}, "the gating by boundaries was True and is False here"),
+        ({"max_depth_m": 80.0}, "the depth range [m] changed from 200.0 to 80.0"),
+        ({"boundary_gating": False}, "the gating by boundaries changed from True to False"),
     ],
 )
 def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys, changed, text):
@@ -53,7 +53,7 @@ def test_images_are_normalised_as_init_does_unless_the_recipe_says_otherwise(tmp
     built = build_network(stated, other)[0]
     assert built.config.rgb_mean == (4.0, 5.0, 6.0)
     assert built.rgb_mean.flatten().tolist() == [4.0, 5.0, 6.0]
-    text = "the mean of RGB was (1.0, 2.0, 3.0) and is (4.0, 5.0, 6.0) here"
+    text = "the mean of RGB changed from (1.0, 2.0, 3.0) to (4.0, 5.0, 6.0)"
     assert text in capsys.readouterr().err
 
 
@@ -133,13 +133,13 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
         (
             "ssdnet-lite",
             {"layers": 3},
-            "no configuration field of the network 'ssdnet-lite': layers",
+            "not configuration fields of the network 'ssdnet-lite': layers",
         ),
         ("ssdnet-lite", {"encoder_blocks": [1]}, "must have the same length"),
         (
             "fast-scnn",
             {"boundary_channels": 8},
-            "field of the network 'fast-scnn': boundary_channels",
+            "fields of the network 'fast-scnn': boundary_channels",
         ),
         ("ssdnet-lite", {"max_depth_m": -1.0}, "max_depth_m"),
         ("ssdnet-lite", {"max_depth_m": 1e39}, "max_depth_m"),
@@ -202,12 +202,12 @@ def test_init_comes_after_the_pretrained_weights(loaded, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("name", "config", "text"),
     [
-        ("ssdnet-lite", {}, "'ssdnet-lite' has no encoder with weights of ImageNet. Set"),
-        ("enet", {}, "'enet' has no encoder with weights of ImageNet"),
+        ("ssdnet-lite", {}, "'ssdnet-lite' has no encoder with ImageNet weights. Set"),
+        ("enet", {}, "'enet' has no encoder with ImageNet weights"),
         (
             "ssdnet-lite",
             {"encoder": "efficientnet-lite0", "rgb_mean": [123.675, 116.28, 103.53]},
-            r"rgb_mean = \[123.675, 116.28, 103.53\], but weights of ImageNet were trained with",
+            r"rgb_mean = \[123.675, 116.28, 103.53\], but the ImageNet weights were trained with",
         ),
     ],
 )

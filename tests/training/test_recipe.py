@@ -354,7 +354,7 @@ def test_output_follows_the_number_of_steps_unless_stated(tmp_path, steps, every
 
 def test_two_validation_sets_of_one_path_are_refused():
     source = CamVidRecipe(path="camvid", split="val")
-    with pytest.raises(ValueError, match="two sets called 'camvid'"):
+    with pytest.raises(ValueError, match="two sets with the title 'camvid'"):
         ValidationRecipe(source=(source, source))
     with pytest.raises(ValueError, match="every"):
         ValidationRecipe(every=0)
@@ -375,7 +375,7 @@ def test_two_validation_sets_of_one_path_are_refused():
         ("data.seed = 1" + "0" * 30, "data.seed = 10+: "),
         ("data.cache_gib = 1e300", "data.cache_gib = 1e"),
         ("data.augment.scale = [1e-9, 1.0]", r"augment.scale\[0\] = 1e-09: "),
-        ("data.augment.scale = [0.02, 1.0]", "augment.scale = .* from a window of 384000000"),
+        ("data.augment.scale = [0.02, 1.0]", "augment.scale = .* needs a window of 384000000"),
         ("data.augment.hue_deg = 1e9", "augment.hue_deg"),
         ("data.augment.brightness = nan", "augment.brightness = nan: .*finite"),
         ("schedule.steps = 1000000000000", "schedule.steps = 1000000000000: "),
@@ -392,7 +392,7 @@ def test_two_validation_sets_of_one_path_are_refused():
         ("data.source = [{kind = 'camvid', path = 'a', size = [100000, 64]}]", r"size\[0\] = 1000"),
         (
             "data.source = [{kind = 'camvid', path = 'a', scale = [0.02, 1.0]}]",
-            r"data\.source\[0\]\.scale = .* from a window",
+            r"data\.source\[0\]\.scale = .* needs a window",
         ),
         (
             "data.source = [{kind = 'rendered-on-the-fly', num_scenes = 1000000000}]",
@@ -425,7 +425,7 @@ def test_losses_of_consistency_need_two_views(base):
         read_recipe(base / "base.toml", [weight])
     shift = "data.augment.pair_shift = 32"
     assert read_recipe(base / "base.toml", [weight, shift]).data.augment.pair_shift == 32
-    with pytest.raises(InputError, match="would share nothing within their borders"):
+    with pytest.raises(InputError, match="would not overlap inside their borders"):
         read_recipe(base / "base.toml", [shift, "data.augment.crop = [96, 320]"])
 
 
@@ -502,7 +502,7 @@ def test_rare_classes_are_classes_of_the_model(tmp_path):
     text = MINIMAL.replace("batch_size = 4", "batch_size = 4\nrare_classes = ['pole', 'Sign']")
     assert read(tmp_path, text).rare_ids == (2, 6)
     with pytest.raises(
-        InputError, match=r"data\.rare_classes: 'sing' is no class of model.classes"
+        InputError, match=r"data\.rare_classes: 'sing' is not a class of model.classes"
     ):
         read(tmp_path, text.replace("Sign", "sing"))
     with pytest.raises(InputError, match=r"augment\.rare_crops needs rare_classes"):

@@ -247,7 +247,7 @@ def test_invalid_stages_are_refused(path, old, new, text):
 
 
 def test_a_recipe_with_stages_is_no_single_run(path):
-    with pytest.raises(InputError, match="has stages, which ssdnet-train runs"):
+    with pytest.raises(InputError, match="has stages, which only ssdnet-train runs"):
         read_recipe(path)
 
 

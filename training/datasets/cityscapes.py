@@ -85,7 +85,7 @@ class Cityscapes:
     ) -> None:
         self._root, self._split = Path(root), split
         images = require_folder(
-            self._root / "leftImg8bit" / split, "Cityscapes' images, a folder a city"
+            self._root / "leftImg8bit" / split, "Cityscapes' images, one folder per city"
         )
         self._lookup = id_lookup("cityscapes", classes, _LABELS)
         self._with_depth = (self._root / "disparity").is_dir()

@@ -46,7 +46,7 @@ class KittiStream:
     It has ``image_02`` (PNG or JPEG), ``velodyne_fov``, ``calib_cam_to_cam.txt`` and
     ``calib_velo_to_cam.txt`` as in KITTI raw and, optionally, ``pseudo_semantic`` (Cityscapes
     trainIds made by a network). A folder with ``calib`` is in the layout of KITTI's object data:
-    ``image_2``, a calibration a frame, and returns for some of the frames. The depth target is
+    ``image_2``, one calibration per frame, and returns for some of the frames. The depth target is
     every return in view, with its scan line, so that some lines can be the input and the others the
     target.
 
@@ -72,7 +72,7 @@ class KittiStream:
     ) -> None:
         self._lookup = id_lookup("cityscapes", classes, TRAIN_LABELS)
         self._root = Path(root)
-        self._calibration = None  # a file a frame
+        self._calibration = None  # one file per frame
         if not (self._root / "calib").is_dir():
             images = require_folder(self._root / "image_02", "the stream's images")
             require_folder(self._root / "velodyne_fov", "the stream's .bin LiDAR returns")

@@ -39,7 +39,7 @@ class VirtualKittiVariant:
         for folder in self._folders:
             if not os.path.isdir(folder):
                 raise InputError(
-                    f"{variant} is no variant of a Virtual KITTI 2 scene, {folder} is missing"
+                    f"{variant} is not a variant of a Virtual KITTI 2 scene: {folder} is missing"
                 )
         intrinsics = variant / "intrinsic.txt"
         if not os.path.lexists(intrinsics):

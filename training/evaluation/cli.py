@@ -37,13 +37,18 @@ def evaluate(
     ],
     lidar: Annotated[
         str,
-        typer.Option(help="Of own,64,32,16,8,4,2,1,random:SHARE,none; comma-separated."),
+        typer.Option(
+            help="LiDAR inputs to score: own,64,32,16,8,4,2,1,random:SHARE,none; comma-separated."
+        ),
     ] = "own",
     faults: Annotated[
-        str, typer.Option(help="Also with the LiDAR damaged: nan,shift,dropout.")
+        str,
+        typer.Option(
+            help="Also score with simulated LiDAR faults: nan,shift,dropout; comma-separated."
+        ),
     ] = "",
     device: Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")] = "cpu",
-    threads: Annotated[int, typer.Option(min=1, help="Threads of the processor.")] = 2,
+    threads: Annotated[int, typer.Option(min=1, help="CPU threads.")] = 2,
     size: Annotated[
         str,
         typer.Option(
@@ -56,11 +61,11 @@ def evaluate(
         int | None, typer.Option(min=1, help="Frames of each set, evenly spread.")
     ] = None,
     all_columns: Annotated[
-        bool, typer.Option("--all", help="Print every figure, not the main ones alone.")
+        bool, typer.Option("--all", help="Print all metrics instead of the main ones.")
     ] = False,
-    json: Annotated[Path | None, typer.Option(help="Write every figure here.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write all metrics to this file.")] = None,
     plot: Annotated[
-        Path | None, typer.Option(help="Draw accuracy against the LiDAR here (PNG).")
+        Path | None, typer.Option(help="Plot accuracy over LiDAR density to this file (PNG).")
     ] = None,
     save: Annotated[
         Path | None,

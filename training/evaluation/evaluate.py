@@ -41,7 +41,7 @@ class DepthFolder:
     def require_free(self) -> None:
         """Raise an OutputError if the folder holds anything that may not be replaced."""
         if self.folder.exists() and not self.folder.is_dir():
-            raise OutputError(f"{self.folder} is no folder: choose another --save")
+            raise OutputError(f"{self.folder} is not a folder: choose another --save")
         if not self.overwrite and self.folder.is_dir() and any(self.folder.iterdir()):
             raise OutputError(
                 f"{self.folder} is not empty: choose another --save, or replace depth of the same "
@@ -51,10 +51,12 @@ class DepthFolder:
     def write(self, parts: Sequence[str], depth: NDArray[np.float32] | None) -> None:
         """Write a depth, float32 (H, W) [m], to the file of these folders and this name.
 
-        Raises InputError where there is no depth, OutputError for what cannot be written.
+        Raises InputError if there is no depth, OutputError if the file cannot be written.
         """
         if depth is None:
-            raise InputError(f"{parts[0]} answers no depth, which --save writes; leave it out.")
+            raise InputError(
+                f"{parts[0]} predicts no depth to write with --save; leave that model out."
+            )
         names = [re.sub(r"[^\w.-]+", "_", part).lstrip(".") or "_" for part in parts]
         path = self.folder.joinpath(*names[:-1], f"{names[-1]}.png")
         try:
@@ -95,7 +97,7 @@ def evaluate(
         save: where the depth of every answer is written; None = nowhere.
 
     Returns:
-        A row a model, set, LiDAR and fault; without figures where a set has no ground truth.
+        One row per model, set, LiDAR and fault; without figures where a set has no ground truth.
 
     Raises:
         DatasetError, CheckpointError, ContractError, ProviderError: for what cannot be opened.
@@ -123,9 +125,9 @@ def evaluate(
                 rows += _score_all(name, model, title, source, lidars, faults, limit, save)
     if not rows:
         raise InputError(
-            "nothing could be scored: these sets give none of the LiDARs asked for. Lines need "
-            "the set's intrinsics, or a recorded scan, of which every second line stays the "
-            "target; ask for random:0.05 or none, which every set gives."
+            "nothing could be scored: these sets provide none of the requested --lidar inputs. "
+            "Lines need intrinsics, or a recorded scan, every second line of which remains the "
+            "target; use random:0.05 or none, which every set provides."
         )
     return rows
 

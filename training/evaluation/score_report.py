@@ -101,7 +101,7 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
     columns = [column for column in known if all_columns or column[0] in _MAIN]
     notes = []
     if len(columns) < len(known):
-        notes.append(f"{len(known) - len(columns)} more figures: --all, or --json")
+        notes.append(f"{len(known) - len(columns)} more metrics with --all or --json")
     titles = ["model", "data", "frames", "LiDAR"]
     titles += ["engine"] if all_columns else []
     titles += ["fault"] if all_columns or any(row.fault != "none" for row in rows) else []
@@ -110,8 +110,8 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
         for head, (figure, truth) in _TRUTH.items():
             if head in row.heads and figure not in row.figures:
                 notes.append(
-                    f"{row.data}: none of the {row.frames} frames has {truth} to score by; give a "
-                    f"set that has, for example folders:DIR,{truth}=FOLDER"
+                    f"{row.data}: none of the {row.frames} frames has {truth} as ground truth; "
+                    f"use a set with it, for example folders:DIR,{truth}=FOLDER"
                 )
         if not row.figures:
             notes.append(f"{row.model} on {row.data}, LiDAR {row.lidar}: nothing to score")
@@ -144,7 +144,7 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
 def require_writable(path: Path, option: str, *, suffix: str = "") -> None:
     """Raise an OutputError for a path that cannot be written, before any work is done."""
     if not path.name.endswith(suffix):
-        raise OutputError(f"{path}: {option} writes a {suffix} file; give it that ending")
+        raise OutputError(f"{path}: {option} writes a {suffix} file; give a path with that suffix")
     if path.is_dir():
         raise OutputError(f"{path} is a folder: choose a file for {option}")
     if not path.parent.is_dir():
@@ -171,7 +171,7 @@ def _without_nan(value: Any) -> Any:
 
 
 def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:
-    """Draw accuracy against the LiDAR as a PNG, a line a model, set and fault.
+    """Draw accuracy against the LiDAR as a PNG, one line per model, set and fault.
 
     Colours are models, markers sets and dashes faults, the same in every panel.
 

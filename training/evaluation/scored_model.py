@@ -86,7 +86,7 @@ def open_model(
             network = network.to(device)
         except (RuntimeError, AssertionError) as error:
             raise InputError(
-                f"device {device!r} is not there: {error}. Give another --device."
+                f"device {device!r} is not available: {error}. Choose another --device."
             ) from error
         asked = check_network_size(size, fixed=False)
         yield ScoredModel(

@@ -101,8 +101,8 @@ class AugmentConfig:
         require_window("scale", self.size, self.scale)
         if self.pair_shift and min(self.size) <= self.pair_shift + 2 * PAIR_BORDER_PX:
             raise ValueError(
-                f"pair_shift = {self.pair_shift}: views of {self.size[0]}x{self.size[1]} would "
-                f"share nothing within their borders of {PAIR_BORDER_PX} px"
+                f"pair_shift = {self.pair_shift}: two views of {self.size[0]}x{self.size[1]} would "
+                f"not overlap inside their borders of {PAIR_BORDER_PX} px"
             )
 
     @property

@@ -35,7 +35,7 @@ class CheckedSource:
             expected = f"{dtype} {sample.size}"
             if found != expected:
                 text = f"{target} = {found}; expected {expected}, {unlabelled:g} = unknown"
-                raise self._error(sample, f"{text}. A set without it leaves it out")
+                raise self._error(sample, f"{text}. A set without this target must omit it")
         return sample if self._size is None else resize(sample, self._size)
 
     def _error(self, sample: Sample, text: str) -> DatasetError:

@@ -32,8 +32,9 @@ def with_crop(recipe: Recipe, sources: Sequence[SampleSource]) -> Recipe:
         return replace(recipe, data=replace(recipe.data, augment=replace(augment, crop=crop)))
     except ValueError as error:
         raise InputError(
-            f"data.augment.crop was chosen by the size of the data, {list(crop)}; with "
-            f"pair_shift = {augment.pair_shift} its views would share nothing. Set it."
+            f"data.augment.crop was set to {list(crop)} from the size of the data; with "
+            f"pair_shift = {augment.pair_shift} the two views would not overlap. Set it to a "
+            "larger size."
         ) from error
 
 

@@ -29,8 +29,8 @@ def overlap(
     height, width = first.shape[-2] - rows - 2 * border, first.shape[-1] - columns - 2 * border
     if height <= 0 or width <= 0:
         raise ValueError(
-            f"views of {tuple(first.shape[-2:])} cells of {side} px, {offset} px apart, share "
-            f"nothing within their borders of {PAIR_BORDER_PX} px"
+            f"views of {tuple(first.shape[-2:])} cells of {side} px, {offset} px apart, do "
+            f"not overlap inside their borders of {PAIR_BORDER_PX} px"
         )
     top, left = rows + border, columns + border
     return (

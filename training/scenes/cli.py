@@ -28,7 +28,10 @@ def render(
         str, typer.Option(help="Comma-separated: clone, morning, sunset, overcast, fog, rain.")
     ] = "clone,morning,sunset,overcast,fog,rain",
     every_variant: Annotated[
-        bool, typer.Option(help="Render each scene in every variant; by default in one, in turn.")
+        bool,
+        typer.Option(
+            help="Render each scene in every variant instead of one variant per scene, in turn."
+        ),
     ] = False,
     size: Annotated[
         str, typer.Option(help="HEIGHTxWIDTH in pixels; ignored by varied cameras.")
@@ -36,15 +39,16 @@ def render(
     camera: Annotated[
         str,
         typer.Option(
-            help="Field of view: kitti, camvid, or varied (random view and size a scene)."
+            help="Field of view: kitti, camvid, or varied (random field of view and size per "
+            "scene)."
         ),
     ] = "kitti",
     street: Annotated[
-        str, typer.Option(help="town, residential, avenue, highway or square; by default random.")
+        str, typer.Option(help="town, residential, avenue, highway or square; random by default.")
     ] = "",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first scene.")] = 0,
     fps: Annotated[float, typer.Option(min=0.1, help="Frame rate of the simulated drive.")] = 10.0,
-    stride: Annotated[int, typer.Option(min=1, help="Render every n-th frame of it.")] = 1,
+    stride: Annotated[int, typer.Option(min=1, help="Render every n-th frame of the drive.")] = 1,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
     overwrite: Annotated[bool, typer.Option(help="Replace existing scenes.")] = False,
     _version: Version = False,

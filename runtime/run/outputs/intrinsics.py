@@ -16,7 +16,9 @@ def intrinsics_of(frame: Frame, focal_length_px: float | None) -> NDArray[np.flo
     if frame.calibration is not None:
         return frame.calibration.intrinsics
     if focal_length_px is None:
-        raise InputError("a cloud needs the camera: give --calibration, or --focal-length")
+        raise InputError(
+            "a cloud needs the camera's intrinsics: give --calibration or --focal-length"
+        )
     height, width = frame.rgb.shape[:2]
     intrinsics: NDArray[np.float64] = np.diag([focal_length_px, focal_length_px, 1.0])
     intrinsics[:2, 2] = (width - 1) / 2, (height - 1) / 2

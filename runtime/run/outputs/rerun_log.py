@@ -27,7 +27,7 @@ FRAME_TIME, SENSOR_TIME = "frame", "sensor"
 _STAGES = ("preprocess_ms", "inference_ms", "postprocess_ms", "total_ms")
 _PATIENCE_S = 20.0  # for a disk or a viewer to take what is logged
 _FOOTER = b"RRF2FOOT"
-_REMEDY = "make room, choose another place, or see that the viewer is open"
+_REMEDY = "free some space, choose another location, or check that the viewer is running"
 
 
 class RerunLogger:
@@ -85,7 +85,7 @@ class RerunLogger:
             log.flush(timeout_sec=_PATIENCE_S)  # what is queued takes memory
         except RuntimeError as error:
             raise OutputError(
-                f"{self._target} does not take {frame.name} ({error}): {_REMEDY}"
+                f"cannot log {frame.name} to {self._target} ({error}): {_REMEDY}"
             ) from error
 
 
@@ -119,7 +119,7 @@ def open_rerun(run: OpenRun) -> Iterator[RerunLogger]:
         finally:
             closed = _close(log)
         if not closed or (temporary is not None and not _is_whole(temporary)):
-            raise OutputError(f"{target} did not take all frames: {_REMEDY}")
+            raise OutputError(f"not all frames could be logged to {target}: {_REMEDY}")
 
 
 @contextlib.contextmanager

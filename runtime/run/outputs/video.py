@@ -51,8 +51,8 @@ class VideoWriter:
         written.release()
         if frames != self._frames:
             raise OutputError(
-                f"{self._path.name} holds {frames} of {self._frames} frames: make room or choose "
-                "another place"
+                f"{self._path.name} holds {frames} of {self._frames} frames: free some space or "
+                "choose another location"
             )
 
     def _open(self) -> cv2.VideoWriter:
@@ -64,7 +64,7 @@ class VideoWriter:
         if not file.isOpened():
             raise OutputError(
                 f"cannot encode {self._path.name} of {height} x {width} at {self._rate_hz:g} Hz: "
-                "this OpenCV has no such encoder, or there is no room"
+                "this OpenCV has no such encoder, or the disk is full"
             )
         return file
 

@@ -130,7 +130,7 @@ def test_a_run_warns_reports_and_degrades(bundled, tmp_path, scale):
     result = CliRunner().invoke(app, [str(each) for each in arguments])
     report = json.loads((tmp_path / "out/report.json").read_text())
     is_wrong = scale > 1
-    assert ("warning: the calibration seems to be of images of another size" in result.output) == (
+    assert ("warning: the calibration seems to be for images of another size" in result.output) == (
         is_wrong
     ), result.output
     assert ("another size" in str(report["frames"]["implausible_depth"])) == is_wrong

@@ -8,8 +8,8 @@ from runtime.prediction import IMAGE_CONSTANT, NO_DEPTH, Latency, Prediction
 from runtime.sources.bundled_stream import bundled_stream
 
 SIZE = (96, 160)
-FAR = "far where the camera alone sees near"
-MIRRORED = "left and right are swapped"
+FAR = "far where the depth predicted from the image is near"
+MIRRORED = "flipped left to right"
 
 
 def scene(seed=0):
@@ -45,7 +45,7 @@ def test_right_returns_are_plausible_also_where_the_focal_length_is_not_known(fa
 def test_a_wrong_unit_is_found_with_its_factor(factor):
     found = find(returns(scene() * np.float32(factor)))
     assert found.ratio == pytest.approx(factor, rel=0.05)
-    assert "times as far as the camera alone sees" in found.cause
+    assert "times as far as the depth predicted from the image" in found.cause
 
 
 @pytest.mark.parametrize("unit", [1, 384])

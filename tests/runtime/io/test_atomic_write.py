@@ -144,7 +144,7 @@ def test_a_link_in_the_temporarys_place_is_not_followed(tmp_path):
     temporary = temporary_of(path)
     (tmp_path / "elsewhere").write_bytes(b"foreign")
     temporary.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(OutputError, match=r"\.part is in the way"):
+    with pytest.raises(OutputError, match=r"\.part cannot be replaced"):
         atomic_write(path, b"content")
     assert (tmp_path / "elsewhere").read_bytes() == b"foreign"
     assert not path.exists()
@@ -182,7 +182,7 @@ def test_an_error_in_the_block_leaves_no_trace_and_the_old_file(tmp_path, error)
 def test_a_full_disk_leaves_the_old_file_and_no_trace(mount_disk, content):
     path = mount_disk(64) / "a.bin"
     atomic_write(path, b"old")
-    with pytest.raises(OutputError, match=r"No space left on device.*is kept"):
+    with pytest.raises(OutputError, match=r"No space left on device.*are kept"):
         atomic_write(path, content)
     assert path.read_bytes() == b"old"
     assert names_in(path.parent) == ["a.bin"]
@@ -409,7 +409,7 @@ def test_a_folder_with_a_foreign_entry_is_not_replaced(tmp_path, foreign):
             (folder / "new").touch()
 
     before = names_in(path)
-    with pytest.raises(OutputError, match="is not of the result that would be replaced"):
+    with pytest.raises(OutputError, match="does not belong to the result that would be replaced"):
         write()
     assert names_in(path) == before
     assert (path / "old").read_text() == "old"

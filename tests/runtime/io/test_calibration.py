@@ -61,7 +61,7 @@ def test_kitti_raw(raw):
 
 @pytest.mark.parametrize("name", ["calib_cam_to_cam.txt", "calib_velo_to_cam.txt"])
 def test_one_of_the_two_files_of_kitti_raw_is_refused(raw, name):
-    with pytest.raises(InputError, match=f"{name} is one of two, .*: give their folder"):
+    with pytest.raises(InputError, match=f"{name} is one of the two files .*: give the folder"):
         Calibration.from_file(raw / name)
 
 
@@ -121,7 +121,7 @@ def test_toml_with_a_byte_order_mark(tmp_path):
 def test_a_size_of_width_and_height_is_to_be_swapped(tmp_path):
     path = tmp_path / "camera.toml"
     path.write_text(f'intrinsics = {K.tolist()}\npoints_in = "camera"\nsize = [640, 240]\n')
-    with pytest.raises(InputError, match=r"of \(640, 240\) .*, got one of \(240, 640\): swap"):
+    with pytest.raises(InputError, match=r"of \(640, 240\) .*, got an image of \(240, 640\): swap"):
         Calibration.from_toml(path).require_size(SIZE)
 
 
@@ -172,7 +172,7 @@ def test_damaged_toml(tmp_path, text, message):
         (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("T: 1 2 3"), "no line 'R:'"),
         (
             lambda raw: (raw / "calib_velo_to_cam.txt").write_text("R: a"),
-            "holds something that is not",
+            "contains a value that is not",
         ),
         (lambda raw: (raw / "calib_velo_to_cam.txt").write_text("R: nan" + " 0" * 8), "holds NaN"),
         (lambda raw: (raw / "calib_velo_to_cam.txt").write_bytes(b"\xff"), "cannot read"),

@@ -102,7 +102,7 @@ def test_an_array_of_objects_or_of_more_than_its_file_is_refused(tmp_path):
     whole = path.read_bytes()
     for content in (whole[:-1], whole.replace(b"(40, 50), ", b"(40000000000, 50), "), b"", b"no"):
         path.write_bytes(content)
-        with pytest.raises(InputError, match=r"d\.npy is no .npy file of numbers, or it is trunc"):
+        with pytest.raises(InputError, match=r"d\.npy is not a .npy file of numbers, or is trunc"):
             read_sparse_depth(path)
     np.save(path, np.zeros((40, 50), object), allow_pickle=True)
     with pytest.raises(InputError, match="OBJECT"):

@@ -65,7 +65,10 @@ def test_nothing_but_an_older_recording_is_replaced(recording, tmp_path, model_f
     others = tmp_path / "others"
     others.mkdir()
     (others / "keep.txt").touch()
-    with pytest.raises(OutputError, match="no recording"), record(others, SETTINGS, overwrite=True):
+    with (
+        pytest.raises(OutputError, match="not a recording"),
+        record(others, SETTINGS, overwrite=True),
+    ):
         pass
     assert (others / "keep.txt").exists()
     with record(recording, SETTINGS, overwrite=True) as recorder:
@@ -110,7 +113,7 @@ def edit(folder, **changes):
 )
 def test_a_document_that_was_changed_is_refused(recording, changes):
     edit(recording, **changes)
-    with pytest.raises(InputError, match="is not the document of a recording"):
+    with pytest.raises(InputError, match="is not a valid recording"):
         read_recording(recording)
 
 
@@ -123,7 +126,9 @@ def test_a_recording_of_version_1_is_read_unless_its_limits_pass_anything(record
     }
     for limits in ({"depth": 80.8}, {"semantic": 0.706}, {"boundary": 0.109}):
         edit(recording, limits=limits)
-        with pytest.raises(InputError, match=r"8-bit model and of an older version.*record again"):
+        with pytest.raises(
+            InputError, match=r"8-bit model recorded by an older version.*record again"
+        ):
             read_recording(recording)
 
 
@@ -312,7 +317,9 @@ def test_a_recording_with_a_foreign_file_is_not_replaced(recording, model_file, 
     (recording / name).parent.mkdir(exist_ok=True)
     (recording / name).write_text("mine")
     before = {path: path.read_bytes() for path in recording.rglob("*") if path.is_file()}
-    with pytest.raises(OutputError, match=r"(thesis|mine|000002|deep)[.a-z]* is not of the"):
+    with pytest.raises(
+        OutputError, match=r"(thesis|mine|000002|deep)[.a-z]* does not belong to the"
+    ):
         overwrite(recording, model_file())
     assert before == {path: path.read_bytes() for path in recording.rglob("*") if path.is_file()}
 
@@ -337,7 +344,7 @@ def test_a_folder_with_another_document_of_that_name_is_not_replaced(tmp_path, m
     folder = tmp_path / "results"
     folder.mkdir()
     (folder / "recording.json").write_text(content)
-    with pytest.raises(OutputError, match="no recording"):
+    with pytest.raises(OutputError, match="not a recording"):
         overwrite(folder, model_file())
     assert (folder / "recording.json").read_text() == content
 

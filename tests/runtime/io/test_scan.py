@@ -143,10 +143,10 @@ def cut_literal() -> bytes:
 
 BILLION = 10**9
 HOSTILE = {
-    "cut.bin": (bytes(1602), r"1602 bytes are not points of 4 float32.*--point-columns"),
-    "cut.pcd.bin": (bytes(1604), "points of 5 float32"),
-    "empty.pcd": (b"", "header does not end"),
-    "endless.ply": (b"ply\n" * 10**5 + b"end_header\n", "header does not end"),
+    "cut.bin": (bytes(1602), r"1602 bytes are not whole points of 4 float32.*--point-columns"),
+    "cut.pcd.bin": (bytes(1604), "whole points of 5 float32"),
+    "empty.pcd": (b"", "header has no end"),
+    "endless.ply": (b"ply\n" * 10**5 + b"end_header\n", "header has no end"),
     "cut.pcd": (FILES["binary.pcd"][:-1], "50 points take 750 bytes, it has 749"),
     "cut-ascii.pcd": (FILES["ascii.pcd"].rstrip().rpartition(b"\n")[0], "49 of 50 points"),
     "cut-line.pcd": (FILES["ascii.pcd"].rpartition(b" ")[0], "column"),
@@ -186,11 +186,11 @@ HOSTILE = {
     "flat.npy": (saved(POINTS.ravel()), r"\(N, 3\) or wider, got float32 \(150,\)"),
     "narrow.npy": (saved(POINTS[:, :2]), r"\(N, 3\) or wider"),
     "int.npy": (saved(np.zeros((50, 3), np.int32)), "expected floats"),
-    "objects.npy": (saved(POINTS.astype(object)), "no .npy file of numbers"),
+    "objects.npy": (saved(POINTS.astype(object)), "not a .npy file of numbers"),
     "cut.npy": (saved(POINTS)[:-1], "truncated"),
     "back.npy": (saved(POINTS).replace(b"(50, 3), ", b"(-1, 3), "), "its shape is .-1, 3"),
     "huge.npy": (saved(POINTS).replace(b"(50, 3), ", b"(50000000000, 3), "), "truncated"),
-    "text.npy": (b"x y z", "no .npy file of numbers"),
+    "text.npy": (b"x y z", "not a .npy file of numbers"),
 }
 
 
@@ -263,7 +263,9 @@ def test_several_numbers_of_columns_that_fit_are_all_named(tmp_path):
 
 def test_a_number_that_does_not_divide_the_file_names_the_one_that_fits(tmp_path):
     sweep(5, points=16 * 17).tofile(tmp_path / "a.bin")
-    with pytest.raises(InputError, match=r"not points of 6 float32.*: give --point-columns 5"):
+    with pytest.raises(
+        InputError, match=r"not whole points of 6 float32.*: give --point-columns 5"
+    ):
         read_scan(tmp_path / "a.bin", columns=6)
 
 

@@ -59,15 +59,19 @@ def run_metres(tmp_path, model_file, contract):
 @pytest.mark.parametrize(
     ("to_units", "scale", "warning"),
     [
-        (lambda m: m * 1000, 256, "the returns are 3.9 times as far as the camera alone sees: "
+        (lambda m: m * 1000, 256, "the returns are 3.9 times as far as the "
+         "depth predicted from the image: "
          "try --depth-scale 1000"),
-        (lambda m: m * 256, 2560, "the returns are 0.1 times as far as the camera alone sees: "
+        (lambda m: m * 256, 2560, "the returns are 0.1 times as far as the "
+         "depth predicted from the image: "
          "try --depth-scale 256"),
-        (lambda m: m * 25.6, 256, "the returns are 0.1 times as far as the camera alone sees: "
+        (lambda m: m * 25.6, 256, "the returns are 0.1 times as far as the "
+         "depth predicted from the image: "
          "try --depth-scale of about 26"),
-        (lambda m: m[:, ::-1] * 256, 256, "the returns fit the mirrored image: left and right are "
-         "swapped in one of them"),
-        (lambda m: 65535 / m, 256, "the returns are far where the camera alone sees near: they may "
+        (lambda m: m[:, ::-1] * 256, 256, "the returns fit the mirrored image: the image or the "
+         "depth is flipped left to right"),
+        (lambda m: 65535 / m, 256, "the returns are far where the "
+         "depth predicted from the image is near: they may "
          "be inverse depth or disparity"),
         (lambda m: m * 1000, 1000, None),
     ],
@@ -92,12 +96,16 @@ def test_depth_that_contradicts_the_image_is_reported(
 @pytest.mark.parametrize(
     ("units_a_metre", "floats", "given", "advice"),
     [
-        (1000, True, (), "1000 times as far as the camera alone sees: check their unit"),
-        (1000, True, ("--focal-length", 100), "1000 times as far as the camera alone sees: check "
+        (1000, True, (), "1000 times as far as the "
+         "depth predicted from the image: check their unit"),
+        (1000, True, ("--focal-length", 100), "1000 times as far as the "
+         "depth predicted from the image: check "
          "their unit"),
-        (1, True, ("--focal-length", 25), "4 times as far as the camera alone sees: check their "
+        (1, True, ("--focal-length", 25), "4 times as far as the "
+         "depth predicted from the image: check their "
          "unit, or check the focal length of 25 px: about 100 would fit"),
-        (256, False, ("--focal-length", 25), "4 times as far as the camera alone sees: try "
+        (256, False, ("--focal-length", 25), "4 times as far as the "
+         "depth predicted from the image: try "
          "--depth-scale 1000, or check the focal length of 25 px: about 100 would fit"),
     ],
 )  # fmt: skip

@@ -34,7 +34,7 @@ def test_what_the_model_does_not_answer_cannot_be_saved(tmp_path, stream, model_
     given = arguments(stream, model_file(heads=("semantic", "depth")), tmp_path)
     result = CliRunner().invoke(app, [*given, "--save", "depth,uncertainty"])
     assert result.exit_code == 1
-    assert "asks for uncertainty, the model by-hand answers semantic, depth" in result.stderr
+    assert "requests uncertainty, but the model by-hand answers semantic, depth" in result.stderr
     assert not (tmp_path / "out").exists()
 
 
@@ -63,7 +63,7 @@ def test_overwrite_never_replaces_a_foreign_file(tmp_path, run):
     before = files_in(tmp_path / "out")
     result = run("--overwrite")
     assert result.exit_code == 1
-    assert "out/depth/f3.png is not of the earlier run" in result.stderr
+    assert "out/depth/f3.png does not belong to the earlier run" in result.stderr
     assert files_in(tmp_path / "out") == before
     assert run("--limit", 3, "--overwrite").exit_code == 0
     assert (tmp_path / "out/depth/f3.png").read_text() == "mine"

@@ -283,13 +283,13 @@ def test_topics_that_cannot_be_guessed_are_listed(make_bag, make_frame, make_sca
     assert "/rear/image_rect (sensor_msgs/msg/Image)" in text
     assert run("--source", f"bag:{path}", "--image-topic", "/cam/image_rect").exit_code == 0
     answers = run("--source", f"bag:{path}", "--image-topic", "/nowhere")
-    assert "--image-topic /nowhere is no topic of images" in answers.text.replace("\n", " ")
+    assert "--image-topic /nowhere is not a topic of images" in answers.text.replace("\n", " ")
     answers = run("--source", f"bag:{path}", "--image-topic", "/rear/image_rect")
     assert "no CameraInfo beside /rear/image_rect" in answers.text.replace("\n", " ")
     given = ["--image-topic", "/rear/image_rect", "--info-topic", "/cam/camera_info"]
     assert run("--source", f"bag:{path}", *given, out="rear").exit_code == 0
     answers = run("--source", f"bag:{path}", *given[:3], "/none")
-    assert "--info-topic /none is no topic of CameraInfo" in answers.text.replace("\n", " ")
+    assert "--info-topic /none is not a topic of CameraInfo" in answers.text.replace("\n", " ")
 
 
 def test_a_bag_without_pictures_or_depth_says_what_it_has(make_bag, make_frame, make_scan, run):
@@ -622,7 +622,7 @@ def test_messages_that_the_index_promises_and_the_bag_has_lost_are_counted(
     content[start : start + length] = bytes(length)
     path.write_bytes(content)
     answers = run("--source", f"bag:{path}", "--depth-topic", "none")
-    lost = answers.report["inputs"]["left_out"]["image: in the index, but lost"]
+    lost = answers.report["inputs"]["left_out"]["image: listed in the index, but missing"]
     assert lost == 9
     assert len(answers.names) + lost == 200
-    assert f"image: in the index, but lost {lost}" in answers.text
+    assert f"image: listed in the index, but missing {lost}" in answers.text

@@ -188,7 +188,7 @@ def test_an_image_and_its_scan_are_one_frame(folders, scans, run, make_scan):
     rows[1:].tofile(scans[0] / "0.bin")
     cut = run(*given, "--overwrite")
     assert cut.column("status") == ["skipped"]
-    assert "0.bin: its 7176 bytes are not points of 4 float32" in cut.column("reason")[0]
+    assert "0.bin: its 7176 bytes are not whole points of 4 float32" in cut.column("reason")[0]
 
 
 def test_a_folder_may_hold_images_scans_and_their_calibration(folders, scans, run, tmp_path):
@@ -217,7 +217,7 @@ def test_scans_take_the_place_of_depth_maps(folders, scans, run, tmp_path):
     assert (video.exit_code, "not --points" in video.text) == (2, True)
     maps = run("--rgb", rgb, "--points", depth, "--calibration", scans[1])
     assert maps.exit_code == 1
-    assert f"{depth.name} is of depth maps, not of scans: give --depth" in maps.text
+    assert f"{depth.name} contains depth maps, not scans: give --depth" in maps.text
 
 
 # --- listing ----------------------------------------------------------------------------------
@@ -315,4 +315,4 @@ def test_scans_given_as_depth_maps_name_the_right_option(tmp_path, folders, run,
     for rgb, scans in ((folders[0], "scans"), (folders[0] / "0.png", "scans/0.bin")):
         answers = run("--rgb", rgb, "--depth", tmp_path / scans)
         assert answers.exit_code == 1
-        assert "is of scans, not of depth maps: give --points" in answers.text.replace("\n", " ")
+        assert "contains scans, not depth maps: give --points" in answers.text.replace("\n", " ")

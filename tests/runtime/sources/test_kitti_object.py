@@ -111,12 +111,12 @@ def test_without_scans_the_camera_alone_is_answered(training, run):
     (training / "velodyne").rename(training / "scans")
     answers = run(training)
     assert (answers.exit_code, set(answers.column("degraded"))) == (0, {"no_depth"})
-    assert "no velodyne folder: the camera alone; name the scans by --points" in answers.text
+    assert "no velodyne folder, so only the camera is used; give --points" in answers.text
     assert answers.report["inputs"]["focal_length_px"] == 60
 
 
 def test_what_is_missing_is_named(training, run):
-    with pytest.raises(InputError, match=r"image_1 is missing: give a folder .* --camera"):
+    with pytest.raises(InputError, match=r"image_1 is missing; give a folder .* --camera"):
         KittiObjectSource(training, camera=1)
     (training / "calib/000002.txt").unlink()
     (training / "calib/000003.txt").write_text("P2: 1 2 3\n")

@@ -164,7 +164,7 @@ def test_a_broken_frame_is_counted_and_the_others_answered(drive, run):
     assert answers.exit_code == 3
     assert answers.column("status") == ["ok", "skipped", "ok", "skipped", "ok", "ok"]
     assert "truncated" in answers.column("reason")[1]
-    assert "are not points of 4 float32: it is truncated" in answers.column("reason")[3]
+    assert "are not whole points of 4 float32: it is truncated" in answers.column("reason")[3]
 
 
 def test_an_image_of_another_size_than_the_calibration_is_skipped(
@@ -172,7 +172,7 @@ def test_an_image_of_another_size_than_the_calibration_is_skipped(
 ):
     write_rgb(drive / "image_02/data/0000000000.png", make_frame(50, 64)[0])
     answers = run("--source", f"kitti-raw:{drive}")
-    assert re.search(r"calibration is of images of \(48, 64\)", answers.column("reason")[0])
+    assert re.search(r"calibration is for images of \(48, 64\)", answers.column("reason")[0])
 
 
 def spoil_stamps(drive):
@@ -203,7 +203,7 @@ def cut_stamps(drive):
         ),
         (
             lambda d: (d / "image_02").rename(d / "images"),
-            "is no drive of KITTI raw data.* --camera",
+            "is not a drive of KITTI raw data.* --camera",
         ),
         (
             lambda d: (d / "image_02/data/left.png").write_bytes(b""),
@@ -270,6 +270,6 @@ def test_scans_of_another_time_are_reported(drive, run):
     (drive / "velodyne_points/timestamps.txt").write_text(stamps(range(20_000, 20_600, 100)))
     answers = run(drive)
     assert answers.exit_code == 3, answers.text
-    assert "warning: no image has a scan or depth map of its time" in answers.text
+    assert "warning: no image matches the time of a scan or depth map" in answers.text
     assert "--max-skew-ms" in answers.report["frames"]["implausible_depth"]
     assert set(answers.column("degraded")) == {"no_depth"}

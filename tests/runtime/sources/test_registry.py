@@ -21,7 +21,7 @@ def test_what_is_no_kind_and_path_is_an_error_with_the_kinds(text):
 
 
 def test_a_kind_with_an_underscore_is_answered_with_the_right_spelling(run):
-    with pytest.raises(InputError, match="no kind of source 'kitti_raw': write kitti-raw"):
+    with pytest.raises(InputError, match="unknown kind of source 'kitti_raw': write kitti-raw"):
         open_source("kitti_raw", "drive")
     with pytest.raises(InputError, match="'Kitti-Object': write kitti-object"):
         open_source("Kitti-Object", "training")
@@ -69,7 +69,7 @@ def test_a_recording_inside_or_above_is_named(run, tmp_path, given):
     answers = run(tmp_path / given)
     assert answers.exit_code == 1
     text = answers.text.replace("\n", " ")
-    assert f"{given} is no recording, {tmp_path / 'day/drive'} is one: give that" in text
+    assert f"{given} is not a recording, but {tmp_path / 'day/drive'} is: use that path" in text
 
 
 @pytest.mark.parametrize("name", ["", "notes.txt", "none", "none.mp4"])
@@ -88,7 +88,7 @@ def test_a_named_kind_overrides_what_the_path_looks_like(run, tmp_path, make_fra
     (tmp_path / "drive/velodyne_points/data").mkdir(parents=True)
     answers = run(tmp_path / "drive")
     assert answers.exit_code == 1
-    assert "is no drive of KITTI raw data" in answers.text
+    assert "is not a drive of KITTI raw data" in answers.text
     assert run("--source", f"folders:{tmp_path / 'drive'}").names == ["0"]
 
 

@@ -100,7 +100,7 @@ def test_json_reports_the_same(recording):
         ("semantic", lambda values: 1 - values, "semantic: agreement 0 "),
         ("semantic_logits", lambda values: values * np.float32(0.5), "max_relative 1"),
         ("depth", lambda values: values * np.nan, "depth: max_abs_m nan"),
-        ("depth", lambda values: values[:-1], "recorded was float32 (47, 64)"),
+        ("depth", lambda values: values[:-1], "expected float32 (47, 64)"),
     ],
 )
 def test_what_differs_is_reported_by_its_frame(recording, head, change, reported):
@@ -151,7 +151,7 @@ def test_other_flags_than_recorded_are_reported(recording):
     edit_frames(recording, degraded=["no_depth"])
     result = verify(recording)
     assert result.exit_code == 4
-    assert "  00000: degraded is nothing, recorded was no_depth" in result.output.splitlines()
+    assert "  00000: degraded is nothing, expected no_depth" in result.output.splitlines()
     edit_frames(recording, degraded=None)  # not known
     assert verify(recording).exit_code == 0
 
@@ -165,7 +165,7 @@ def test_an_answer_that_is_no_longer_unusable_is_reported(recording):
     edit_frames(recording, valid=False, degraded=None)
     result = verify(recording)
     assert result.exit_code == 4
-    assert "  00002: valid is True, recorded was False" in result.output.splitlines()
+    assert "  00002: valid is True, expected False" in result.output.splitlines()
 
 
 def test_another_model_is_held_against_the_recorded_answers(recording, model_file):
@@ -181,7 +181,7 @@ def test_another_model_is_held_against_the_recorded_answers(recording, model_fil
     assert "  00002: depth: max_abs_m 0.5" in result.output
     fewer = model_file("fewer.onnx", heads=("depth",))
     assert (
-        "00000: answered depth, recorded was semantic, depth"
+        "00000: the heads are depth, expected semantic, depth"
         in verify(recording, "--model", fewer).output
     )
 

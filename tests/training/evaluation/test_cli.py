@@ -135,7 +135,7 @@ def test_a_file_of_fixed_size_is_scored_at_no_other(folder, model_file):
     data = ["--data", f"camvid:{folder}/camvid,split=val"]
     result = run(model_file(size=(48, 64)), *data, "--size", "frame")
     assert result.exit_code == 1
-    assert "the model is of fixed size" in result.output
+    assert "the model has a fixed size" in result.output
     result = run(folder / "lite.pt", *data, "--size", "large")
     assert result.exit_code == 1
     assert "--size 'large'" in result.output
@@ -153,7 +153,7 @@ def test_depth_without_intrinsics_is_fed_at_random_alone(folder, tmp_path):
         result = run(folder / "lite.pt", "--data", data, "--lidar", lidar)
         assert result.exit_code == 1
         assert "intrinsics" in result.stderr
-        assert "ask for random:0.05 or none" in result.stderr
+        assert "use random:0.05 or none" in result.stderr
     for lidar in ("random:0.05", "none"):
         assert run(folder / "lite.pt", "--data", data, "--lidar", lidar).exit_code == 0
 
@@ -258,7 +258,7 @@ def test_saved_depth_is_replaced_only_when_asked(tmp_path):
     assert (save / "notes.txt").read_text() == "mine"
     result = run("nearest", "--data", data, "--save", path)
     assert result.exit_code == 1
-    assert "is no folder" in result.output
+    assert "is not a folder" in result.output
 
 
 def test_depth_is_saved_of_no_model_without_it(tmp_path):
@@ -268,7 +268,7 @@ def test_depth_is_saved_of_no_model_without_it(tmp_path):
     data, save = write_folders(tmp_path, 1), tmp_path / "depth"
     result = run(tmp_path / "semantic.pt", "--data", data, "--save", save)
     assert result.exit_code == 1
-    assert "semantic.pt answers no depth, which --save writes" in result.output
+    assert "semantic.pt predicts no depth to write with --save" in result.output
     assert not save.exists()
 
 
@@ -336,7 +336,7 @@ def test_data_without_ground_truth_says_what_to_give(tmp_path):
     rgb, label = np.full((40, 64, 3), 90, np.uint8), np.full((40, 64), 3, np.uint8)
     camvid.write_frame(tmp_path, rgb, label)
     data = f"folders:{tmp_path},rgb=train"
-    lacks = "none of the 1 frames has {0} to score by; .*folders:DIR,{0}=FOLDER"
+    lacks = "none of the 1 frames has {0} as ground truth; .*folders:DIR,{0}=FOLDER"
     result = run("ssdnet-nano", "--data", data, "--limit", 1)
     assert result.exit_code == 0, result.output
     assert re.search(lacks.format("labels"), result.output)

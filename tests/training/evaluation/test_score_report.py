@@ -25,7 +25,7 @@ def test_about_ten_columns_are_printed_unless_all_are_asked_for():
     assert {"boundary F %", "MAE [m]", "RMSE [m]"} <= set(titles)
     assert len(titles) == len(set(titles)) <= 12
     assert cells.count("|") == header.count("|")
-    assert note == f"{len(figures) - len(titles) + 4} more figures: --all, or --json"
+    assert note == f"{len(figures) - len(titles) + 4} more metrics with --all or --json"
     header, *_ = format_table([row], all_columns=True).splitlines()
     every = [title.strip() for title in header.split("|")[1:-1]]
     assert len(every) == len(set(every)) == 6 + len(figures)
@@ -50,8 +50,8 @@ def test_truth_that_a_set_lacks_is_named_once():
     rows = [row("x", depth, *heads), row("x", depth, *heads), row("y", labels, *heads)]
     rows += [row("x", depth, "depth"), row("z", depth | labels, *heads)]
     notes = [line for line in format_table(rows).splitlines() if not line.startswith("|")]
-    example = "; give a set that has, for example folders:DIR,"
+    example = "; use a set with it, for example folders:DIR,"
     assert notes == [
-        f"x: none of the 3 frames has labels to score by{example}labels=FOLDER",
-        f"y: none of the 3 frames has depth to score by{example}depth=FOLDER",
+        f"x: none of the 3 frames has labels as ground truth{example}labels=FOLDER",
+        f"y: none of the 3 frames has depth as ground truth{example}depth=FOLDER",
     ]

@@ -42,7 +42,7 @@ def test_a_crop_that_the_recipe_has_is_kept():
 
 
 def test_a_crop_that_is_too_small_for_two_views_is_refused():
-    with pytest.raises(InputError, match=r"crop was chosen .* \[96, 144\]; with pair_shift = 32"):
+    with pytest.raises(InputError, match=r"crop was set to \[96, 144\] .*; with pair_shift = 32"):
         with_crop(recipe(pair_shift=32), sources((125, 414)))
 
 

@@ -271,7 +271,7 @@ def test_wrong_sizes_and_configurations_are_refused():
         LossConfig(metric_l2=-1.0)
     with pytest.raises(ValueError, match="depth_weight = -1"):
         LossConfig(depth_weight=-1)
-    with pytest.raises(ValueError, match="all other weights"):
+    with pytest.raises(ValueError, match="all loss weights"):
         LossConfig(**ALL_OFF)
 
 

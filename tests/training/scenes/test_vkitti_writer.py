@@ -68,7 +68,7 @@ def test_an_existing_variant_is_kept_unless_overwriting_is_asked_for(tmp_path):
 def test_a_variant_with_a_foreign_file_is_not_replaced(tmp_path):
     folder = write_variant(tmp_path, "Scene01", "clone", [frame(0)])
     (folder / "frames" / "thesis.txt").write_text("mine")
-    with pytest.raises(OutputError, match=r"thesis\.txt is not of the result"):
+    with pytest.raises(OutputError, match=r"thesis\.txt does not belong to the result"):
         write_variant(tmp_path, "Scene01", "clone", [frame(0)], overwrite=True)
     assert (folder / "frames" / "thesis.txt").read_text() == "mine"
     assert len(VirtualKitti(tmp_path)) == 1

@@ -74,7 +74,7 @@ class IPBasicMultiscale:
     thin far things keep their width: 7 px to 15 m, 5 px to 30 m, 3 px beyond. The median that
     follows drops a return far from all others as noise; a frame of such returns has no depth. Then
     holes are filled, step by step, by up to 16 px. Nothing but `extrapolate` reaches above a
-    column's topmost depth. Fields and range as of `IPBasic`.
+    column's topmost depth. Fields and range as in `IPBasic`.
     """
 
     max_depth_m: float = 100.0

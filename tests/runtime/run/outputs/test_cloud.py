@@ -25,7 +25,7 @@ def test_a_frames_own_calibration_comes_first():
     frame = Frame(np.zeros((60, 80, 3), np.uint8), np.zeros((60, 80), np.float32))
     centred = intrinsics_of(frame, 50.0)
     np.testing.assert_array_equal(centred, [[50, 0, 39.5], [0, 50, 29.5], [0, 0, 1]])
-    with pytest.raises(InputError, match="give --calibration, or --focal-length"):
+    with pytest.raises(InputError, match="give --calibration or --focal-length"):
         intrinsics_of(frame, None)
     for size in (None, (60, 80)):
         calibrated = Frame(
@@ -33,7 +33,9 @@ def test_a_frames_own_calibration_comes_first():
         )
         np.testing.assert_array_equal(intrinsics_of(calibrated, 50.0), K)
     other = Calibration(K, np.eye(4), (60, 81))
-    with pytest.raises(InputError, match=r"of \(60, 81\) \(height, width\), got one of \(60, 80\)"):
+    with pytest.raises(
+        InputError, match=r"of \(60, 81\) \(height, width\), got an image of \(60, 80\)"
+    ):
         Frame(frame.rgb, frame.sparse_depth, calibration=other)
 
 
@@ -78,7 +80,7 @@ def test_the_command_writes_clouds(tmp_path, run, stream, model_file, toml, read
 def test_without_a_camera_the_command_fails_before_anything_is_written(tmp_path, run):
     result = run("--save", "depth,cloud")
     assert result.exit_code == 1
-    assert "--save cloud needs to know the camera: give --calibration" in result.stderr
+    assert "--save cloud needs the camera's intrinsics: give --calibration" in result.stderr
     assert not (tmp_path / "out").exists()
 
 

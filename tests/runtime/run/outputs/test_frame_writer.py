@@ -135,7 +135,7 @@ def test_overwrite_writes_nothing_through_a_link(tmp_path, make_writer, earlier_
 def test_overwrite_replaces_no_file_of_another(tmp_path, make_writer, earlier_run, answered):
     foreign = earlier_run / "depth" / "b.png"
     foreign.write_text("mine")
-    text = r"out/depth/b\.png is not of the earlier run"
+    text = r"out/depth/b\.png does not belong to the earlier run"
     refuse_to_overwrite(earlier_run, make_writer, text, names=("a", "b"))
     foreign.unlink()
     foreign.symlink_to(tmp_path / "none")
@@ -147,7 +147,7 @@ def test_overwrite_replaces_no_file_of_another(tmp_path, make_writer, earlier_ru
 def test_overwrite_replaces_no_folder_of_another(make_writer, earlier_run):
     (earlier_run / "depth" / "a.png").unlink()
     (earlier_run / "depth" / "a.png").mkdir()
-    text = r"out/depth/a\.png is not of the earlier run"
+    text = r"out/depth/a\.png does not belong to the earlier run"
     refuse_to_overwrite(earlier_run, make_writer, text, names=("a",))
 
 
@@ -199,7 +199,7 @@ def test_a_frame_that_fails_half_way_leaves_none_of_its_files(tmp_path, make_wri
     before = files_in(out)
     (out / KINDS[-1]).rename(tmp_path / "away")
     (out / KINDS[-1]).touch()  # in the place of its folder
-    with pytest.raises(OutputError, match=r"Not a directory.*is kept"):
+    with pytest.raises(OutputError, match=r"Not a directory.*are kept"):
         writer.write(*named(answered, "bad"))
     (out / KINDS[-1]).unlink()
     (tmp_path / "away").rename(out / KINDS[-1])

@@ -163,7 +163,7 @@ def test_a_place_that_cannot_be_written_is_reported_before_the_run(tmp_path, run
     result = run("--report", tmp_path / "file" / "report.html")
     assert result.exit_code == 1
     assert "report.html" in result.stderr
-    assert "choose another place" in result.stderr
+    assert "choose another location" in result.stderr
     assert not (tmp_path / "out").exists()
 
 

@@ -119,7 +119,7 @@ def test_a_full_disk_is_an_output_error(mount_disk, answered, open_run):
                 rgb = noise.integers(0, 255, answered[0].rgb.shape, dtype=np.uint8)
                 video.write(Frame(rgb, answered[0].sparse_depth), answered[1])
 
-    with pytest.raises(OutputError, match="make room or choose another place"):
+    with pytest.raises(OutputError, match="free some space or choose another location"):
         fill()
     assert not list(folder.iterdir())
 
