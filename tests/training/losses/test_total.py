@@ -8,6 +8,7 @@ import torch
 
 from layouts.batch import batch_of
 from models import NetworkOutput
+from training.batch import Pair
 from training.losses import LossConfig, SSDNetLoss, class_weights
 from training.losses.boundary import balanced_cross_entropy, boundary_target
 from training.losses.depth import depth_at_scale, normalise_depth, paper_depth_loss
@@ -27,6 +28,7 @@ from training.losses.semantic import (
     soft_iou_loss,
     soft_overlap,
 )
+from training.losses.total import TERMS
 from training.losses.uncertainty import laplace_loss
 
 
@@ -273,6 +275,30 @@ def test_wrong_sizes_and_configurations_are_refused():
         LossConfig(depth_weight=-1)
     with pytest.raises(ValueError, match="all loss weights"):
         LossConfig(**ALL_OFF)
+
+
+def test_each_weight_has_a_term_and_each_term_a_weight():
+    weights = {key.removesuffix("_weight") for key in vars(LossConfig()) if key.endswith("_weight")}
+    assert weights == set(TERMS)
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_each_term_is_computed_by_its_weight_alone(name):
+    """Of a network with every head and of a batch with every target and two views."""
+    semantic, depth = targets(size=(80, 88))
+    lidar = torch.zeros(1, 1, 80, 88)
+    batch = batch_of(
+        semantic,
+        depth,
+        road_mask=torch.ones(semantic.shape, dtype=torch.uint8),
+        pair=Pair(torch.zeros(1, 2, dtype=torch.int64), lidar, lidar),
+    )
+    output = answer(leaves(size=(80, 88)))
+    output = output._replace(depth_uncertainty=torch.ones_like(output.depths[0]))
+    config = LossConfig(**{f"{term}_weight": 2.0 * (term == name) for term in TERMS})
+    terms = SSDNetLoss(config, max_depth_m=100.0, road=1)(output, batch)
+    assert set(terms) == {name, "total"}
+    torch.testing.assert_close(terms["total"], 2 * terms[name])
 
 
 def test_weights_of_heads_without_a_loss_are_refused(monkeypatch):
