@@ -1,5 +1,6 @@
 """Recipes of several stages: runs one after the other, each from the weights of the one before."""
 
+import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,7 +10,6 @@ from typing import Any
 from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
-from training.distributed import join_processes
 from training.loop import train
 from training.recipe import Recipe, build, merge, parse_changes, read_table
 from training.run_folder import FINAL, RECIPE, folder_errors
@@ -117,12 +117,9 @@ def train_stages(
             stop_after -= stage.recipe.schedule.steps
             if stop_after < 1 and stage is not stages[-1]:
                 return path
-    if path.parent != out:
-        with join_processes(device) as processes:
-            if processes.is_first:
-                with folder_errors(out):
-                    atomic_write(out / FINAL, path.read_bytes())
-            processes.wait()  # until the file is written
+    if path.parent != out and os.environ.get("RANK", "0") == "0":  # of torchrun's, the first alone
+        with folder_errors(out):
+            atomic_write(out / FINAL, path.read_bytes())
     return out / FINAL
 
 
