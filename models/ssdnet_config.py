@@ -158,7 +158,7 @@ class SSDNetLiteConfig(EncoderDecoderConfig):
         if self.regressed_depth_m is not None:
             check_max_depth(self.regressed_depth_m, "regressed_depth_m")
         if self.encoder_widths and self.encoder == "residual":
-            raise ValueError("encoder_widths are those of encoder = 'efficientnet-lite0'")
+            raise ValueError("encoder_widths needs encoder = 'efficientnet-lite0'")
         if self.encoder != "residual":
             for key in ("stem_channels", "encoder_channels", "encoder_blocks"):
                 # Nobody chose the values of the named networks.

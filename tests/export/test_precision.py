@@ -115,6 +115,7 @@ def test_8_bit_products_do_not_saturate_in_16_bits():
             assert np.abs(numpy_helper.to_array(weight).astype(int)).max() <= 64
 
 
+@pytest.mark.slow
 def test_a_trunk_of_relu6_is_quantised_with_its_activations_and_depthwise_convolutions():
     """A Clip in float between two 8-bit convolutions would cost more than they gain."""
     torch.manual_seed(0)

@@ -77,6 +77,7 @@ def test_every_weight_and_what_is_added_at_stride_4_get_a_gradient():
     assert parts == {"stem", *(f"stride{stride}" for stride in CHANNELS)}
 
 
+@pytest.mark.slow
 def test_the_exported_trunk_is_convolutions_clips_and_sums(trunk):
     """The padding of strided convolutions is theirs; only that of the picture remains."""
     free = torch.export.Dim.DYNAMIC

@@ -151,7 +151,10 @@ def test_a_loss_of_which_no_term_has_a_head_is_refused(tmp_path):
     arguments += ["--set", "loss.depth_weight = 0.0"]
     result = CliRunner().invoke(cli.app, [str(tmp_path / "tiny.toml"), *arguments])
     assert result.exit_code == 1
-    assert "no term of the loss has a weight for the heads of 'tiny-depth' (depth)" in result.output
+    assert (
+        "no loss term with a weight above 0 applies to the heads of 'tiny-depth' (depth)"
+        in result.output
+    )
     assert not (tmp_path / "run").exists()
 
 

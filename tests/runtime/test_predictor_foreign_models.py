@@ -107,7 +107,7 @@ def test_a_model_of_a_future_version(model_file, contract):
 
 
 def test_a_graph_of_a_future_opset(model_file):
-    with pytest.raises(ContractError, match="newer version"):
+    with pytest.raises(ContractError, match="newer ONNX version"):
         Predictor(model_file(opset=999))
 
 

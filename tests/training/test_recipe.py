@@ -49,7 +49,7 @@ def test_fields_of_the_networks_configuration(tmp_path):
     assert read(tmp_path, text).model.config == {"encoder_blocks": [1, 2, 1, 1]}
     changed = read_recipe(tmp_path / "r.toml", ["model.config.boundary_channels = 8"])
     assert changed.model.config == {"encoder_blocks": [1, 2, 1, 1], "boundary_channels": 8}
-    with pytest.raises(InputError, match=r"model\.config has 'classes', which is a key of its own"):
+    with pytest.raises(InputError, match=r"model\.config has 'classes', which is a separate key"):
         read_recipe(tmp_path / "r.toml", ["model.config.classes = []"])
 
 
@@ -60,7 +60,7 @@ def test_fields_of_the_networks_configuration(tmp_path):
         ("config.max_depth_m = -1", "model.config: max_depth_m .*metres.*"),
         (
             "config.nonsense = 1",
-            "model.config: no configuration field of the network .*: nonsense",
+            "model.config: not configuration fields of the network .*: nonsense",
         ),
         *(
             (f"config.canonical_focal_px = {focal}", "model.config: canonical_focal_px .*pixels.*")

@@ -50,6 +50,6 @@ def test_offsets_are_added_to_the_logits_of_their_classes():
 
 @pytest.mark.parametrize("offsets", [[("roads", 1.0)], [("road", 1.0), ("road", 2.0)]])
 def test_offsets_of_what_is_no_class_or_named_twice_are_refused(offsets):
-    text = r"release\.logit_offsets: 'roads?' .* it has sky, building"
+    text = r"release\.logit_offsets: 'roads?' .* its classes are sky, building"
     with pytest.raises(InputError, match=text):
         class_offsets(create_model("ssdnet-lite"), offsets)

@@ -242,7 +242,7 @@ def test_a_picture_of_another_size_than_the_calibrations_is_skipped(tmp_path, ru
     assert result.exit_code == 3, result.output
     skipped = [row for row in rows_of(tmp_path / "out") if row["status"] == "skipped"]
     assert [row["name"] for row in skipped] == ["f3"]
-    assert "of images of (48, 64)" in skipped[0]["reason"]
+    assert "for images of (48, 64)" in skipped[0]["reason"]
     assert len(list((tmp_path / "out/cloud").iterdir())) == N - 1
 
 

@@ -407,7 +407,7 @@ def test_without_rosbags_the_error_names_the_install_command(recorded, run, monk
 
     def without_rosbags(name, *arguments, **options):
         if name.startswith("rosbags"):
-            raise ImportError("No module named 'rosbags'")
+            raise ModuleNotFoundError("No module named 'rosbags'")
         return import_module(name, *arguments, **options)
 
     monkeypatch.setattr(builtins, "__import__", without_rosbags)

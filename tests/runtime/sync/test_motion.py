@@ -151,7 +151,7 @@ def test_a_scan_is_projected_where_the_picture_sees_it():
         depth = project_moved(CALIBRATION, points, times, track, 100 * MS, (40, 80))
         assert np.count_nonzero(depth) == 1
         assert depth[20, 40] == pytest.approx(8.5, abs=1e-3)
-    with pytest.raises(InputError, match="the calibration is of images"):
+    with pytest.raises(InputError, match="the calibration is for images"):
         project_moved(CALIBRATION, points, 0, track, 0, (40, 81))
 
 

@@ -179,7 +179,7 @@ def test_a_recording_must_have_rising_stamps():
     poses, stamps = drive(5)
     assert len(PoseTrack.of(poses, stamps).stamps_ns) == 7, "with both extrapolations"
     for wrong in (stamps[::-1], [0] * 5, [10**12, *stamps[1:]]):
-        with pytest.raises(InputError, match="rise"):
+        with pytest.raises(InputError, match="must increase"):
             PoseTrack.of(poses, wrong)
 
 

@@ -155,7 +155,9 @@ def test_a_library_in_nvidias_wheels_is_found(tmp_path, monkeypatch):
     assert cuda_libraries.find_library("libnobody_has_this.so.13") is None
 
 
-@pytest.mark.parametrize(("spoiled", "told"), [(1.3, "30% off"), (np.nan, "nan% off")])
+@pytest.mark.parametrize(
+    ("spoiled", "told"), [(1.3, "30% of the distance"), (np.nan, "nan% of the distance")]
+)
 def test_an_engine_that_answers_nonsense_is_a_fault(monkeypatch, spoiled, told):
     class Broken:
         def __init__(self, model, **options):

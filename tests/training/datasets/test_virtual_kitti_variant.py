@@ -55,7 +55,7 @@ def test_intrinsics_without_the_camera_are_an_error(variant, content):
 
 
 def test_a_whole_scene_is_no_variant(variant):
-    with pytest.raises(InputError, match="is no variant of a Virtual KITTI 2 scene"):
+    with pytest.raises(InputError, match="is not a variant of a Virtual KITTI 2 scene"):
         VirtualKittiVariant(variant.parent)
 
 

@@ -60,7 +60,7 @@ def test_the_views_of_one_scene_overlap_in_equal_maps(side):
 
 
 def test_views_that_share_nothing_are_refused():
-    with pytest.raises(ValueError, match="share nothing"):
+    with pytest.raises(ValueError, match="do not overlap"):
         overlap(torch.zeros(1, 64, 200), torch.zeros(1, 64, 200), OFFSET)
 
 

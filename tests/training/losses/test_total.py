@@ -273,7 +273,7 @@ def test_wrong_sizes_and_configurations_are_refused():
         LossConfig(metric_l2=-1.0)
     with pytest.raises(ValueError, match="depth_weight = -1"):
         LossConfig(depth_weight=-1)
-    with pytest.raises(ValueError, match="all loss weights"):
+    with pytest.raises(ValueError, match="all other weights are 0"):
         LossConfig(**ALL_OFF)
 
 
