@@ -72,6 +72,8 @@ class Processes:
 def join_processes(device: str) -> Iterator[Processes]:
     """Join the processes that torchrun started, or be the only one.
 
+    Inside a block of its own it joins nothing anew: runs that follow one another share the group.
+
     Args:
         device: "cpu" (gloo), "cuda" (nccl; each process of a machine takes its own GPU), or
             "cuda:N" for a single process.
@@ -91,6 +93,9 @@ def join_processes(device: str) -> Iterator[Processes]:
         ) from error
     if count == 1:
         yield Processes(0, 1, place)
+        return
+    if dist.is_initialized():
+        yield Processes(dist.get_rank(), count, place)
         return
     if place.type == "cuda":
         torch.cuda.set_device(place)

@@ -1,6 +1,5 @@
 """Recipes of several stages: runs one after the other, each from the weights of the one before."""
 
-import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from typing import Any
 from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
+from training.distributed import join_processes
 from training.loop import train
 from training.recipe import Recipe, build, merge, parse_changes, read_table
 from training.run_folder import FINAL, RECIPE, folder_errors
@@ -100,26 +100,28 @@ def train_stages(
     """
     _require_same_stages(stages, out)
     path = out
-    for stage in stages:
-        path = train(
-            stage.recipe,
-            data=data,
-            out=out / stage.folder,
-            init=init,
-            device=device,
-            stop_after=stop_after,
-            stop=stop,
-        )
-        if path.name != FINAL:
-            return path
-        init = path
-        if stop_after is not None:
-            stop_after -= stage.recipe.schedule.steps
-            if stop_after < 1 and stage is not stages[-1]:
+    with join_processes(device) as processes:
+        for stage in stages:
+            path = train(
+                stage.recipe,
+                data=data,
+                out=out / stage.folder,
+                init=init,
+                device=device,
+                stop_after=stop_after,
+                stop=stop,
+            )
+            if path.name != FINAL:
                 return path
-    if path.parent != out and os.environ.get("RANK", "0") == "0":  # of torchrun's, the first alone
-        with folder_errors(out):
-            atomic_write(out / FINAL, path.read_bytes())
+            init = path
+            if stop_after is not None:
+                stop_after -= stage.recipe.schedule.steps
+                if stop_after < 1 and stage is not stages[-1]:
+                    return path
+        if path.parent != out and processes.is_first:
+            with folder_errors(out):
+                atomic_write(out / FINAL, path.read_bytes())
+        processes.wait()  # until the file is written
     return out / FINAL
 
 

@@ -262,7 +262,7 @@ def consistency_of_process(rank, folder, values):
     dist.destroy_process_group()
 
 
-def test_consistency_of_views_is_a_mean_over_the_frames_of_all_processes(tmp_path):
+def test_consistency_of_views_is_a_mean_over_the_frames_of_all_processes(tmp_path, monkeypatch):
     """The first process has two frames, of which no depth counts, the second four."""
     generator = torch.Generator().manual_seed(0)
     first, second = torch.rand(2, 6, 1, 80, 96, generator=generator) + 0.1
@@ -271,6 +271,7 @@ def test_consistency_of_views_is_a_mean_over_the_frames_of_all_processes(tmp_pat
     lidar[1, :2] = 9.0  # just one of the views has returns
     values = (first, second, [(4 * index, 8) for index in range(3)] * 2, lidar)
     expected, gradient = consistency(*values)
+    monkeypatch.syspath_prepend(Path(__file__).parents[2])  # the processes import this module
     torch.multiprocessing.spawn(consistency_of_process, (tmp_path, values), nprocs=2)
     for rank in range(2):
         loss, part = torch.load(tmp_path / f"{rank}.pt")

@@ -1,5 +1,8 @@
 """Recipes of several stages: each begins with the weights of the one before, wherever one stops."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import cv2
@@ -100,14 +103,17 @@ def test_model_pt_is_written_when_the_last_stage_is_finished(
     assert (out / "2-depth").exists() == (stop_after > 3)
 
 
-def test_of_several_processes_the_first_writes_model_pt(path, data, tmp_path, monkeypatch):
-    wanted, out = read_stages(path), tmp_path / "run"
-    train_stages(wanted, data=[data], out=out)
-    for rank, written in (("1", False), ("0", True)):
-        (out / "model.pt").unlink(missing_ok=True)
-        monkeypatch.setenv("RANK", rank)
-        train_stages(wanted, data=[data], out=out)
-        assert (out / "model.pt").exists() == written
+@pytest.mark.slow
+def test_several_processes_run_all_stages_in_one_group(path, data, tmp_path):
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+    command += ["-m", "training", str(path)]
+    command += ["--data", str(data), "--out", str(tmp_path / "run")]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=90, env=environment)
+    assert done.returncode == 0, done.stderr
+    first, last = (tmp_path / "run" / name for name in ("model.pt", "2-depth/model.pt"))
+    assert first.read_bytes() == last.read_bytes()
+    assert done.stdout.split() == [str(tmp_path / "run/model.pt")] * 2
 
 
 class Killed(BaseException):
