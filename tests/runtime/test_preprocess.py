@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-import torch
 
-from models import create_model
 from runtime import Cleaned, InputError
 from runtime.prediction import SPARSE_DEPTH_LOW
 from runtime.preprocess import (
@@ -101,6 +99,9 @@ def test_a_return_beyond_the_range_is_fed_as_its_end(range_m, fed):
 
 @pytest.mark.parametrize("range_m", [80.0, 200.0, 400.0])
 def test_the_networks_have_the_same_rule(range_m):
+    torch = pytest.importorskip("torch", reason="the engine alone is installed")
+    from models import create_model
+
     values = [0, -1, -0.0, 1e-3, 79, 81, 200, 201, 250, 251, 399, 401, 655.35, np.nan, np.inf]
     depth = np.array([[*values, -np.inf]], np.float32)
     kept, _, _ = clean_sparse_depth(depth, max_depth_m=range_m)
