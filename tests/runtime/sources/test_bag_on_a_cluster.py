@@ -18,10 +18,10 @@ def test_rows_are_the_answers_to_the_bag(predict_source, make_bag, make_frame):
         if index != 4:
             bag.image("/depth/image_rect", depth, "32FC1", START_NS + index * PERIOD_NS)
     path = bag.write()
-    rows = predict_source(choose_source("bag", path), actors=2).iter_rows()
+    rows = predict_source(choose_source("bag", path, reuse_depth_ms=0), actors=2).iter_rows()
     rows = sorted(rows, key=lambda row: row["index"])
     assert [row["index"] for row in rows] == list(range(N))
-    with open_source("bag", path) as source:
+    with open_source("bag", path, reuse_depth_ms=0) as source:
         assert source.calibration.focal_length_px == 60
         with Predictor(threads=1, focal_length_px=60) as predictor:
             for row, listed in zip(rows, source.list_frames(), strict=True):
