@@ -9,7 +9,7 @@ from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.live.payload import Points
-from runtime.sync.depth_in_time import FIRST_SCAN_NS, MIDDLE_AFTER, ScanStamp
+from runtime.sync.depth_in_time import FIRST_SCAN_NS, MIDDLE_AFTER, check_scan_stamp
 from runtime.sync.motion import lidar_mount
 from runtime.sync.outcome import Outcome
 from runtime.sync.poses import CAPACITY, PoseBuffer, PoseFrame, PoseTrack, check_pose
@@ -31,11 +31,7 @@ class PoseFeed:
     """
 
     def __init__(self, pose_frame: Any, scan_stamp: Any, calibration: Calibration | None) -> None:
-        if scan_stamp not in MIDDLE_AFTER:
-            raise InputError(
-                f"scan_stamp must be one of {', '.join(MIDDLE_AFTER)}, got {shown(scan_stamp)}"
-            )
-        self._scan_stamp: ScanStamp = scan_stamp
+        self._scan_stamp = check_scan_stamp(scan_stamp)
         self.buffer = PoseBuffer()
         self._mount: NDArray[np.float64] | None = None
         if pose_frame is not None:

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import shown
-from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, up_to
@@ -18,6 +16,7 @@ from runtime.sync.depth_in_time import (
     MIDDLE_AFTER,
     DepthInTime,
     ScanStamp,
+    check_scan_stamp,
     project_in_time,
 )
 from runtime.sync.motion import lidar_mount
@@ -83,10 +82,7 @@ def match_frames(
     Raises:
         InputError: as `match_by_stamp`, and for an unknown `scan_stamp`.
     """
-    if scan_stamp not in MIDDLE_AFTER:
-        raise InputError(
-            f"scan_stamp must be one of {', '.join(MIDDLE_AFTER)}, got {shown(scan_stamp)}"
-        )
+    check_scan_stamp(scan_stamp)
     pairs = match_by_stamp(
         messages, max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, left_out=left_out
     )

@@ -5,6 +5,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.prediction import DEPTH_REUSED, DEPTH_UNCOMPENSATED
@@ -20,6 +21,14 @@ MIDDLE_AFTER: dict[ScanStamp, float] = {"start": 0.5, "middle": 0.0, "end": -0.5
 #: Duration of a scan until the LiDAR's period is known: that of 10 Hz.
 FIRST_SCAN_NS = 100 * NS_PER_MS
 _LONGEST_SCAN_NS = 1_000 * NS_PER_MS
+
+
+def check_scan_stamp(value: Any) -> ScanStamp:
+    """Return the instant of a scan that its stamp is; InputError for another word."""
+    if value not in MIDDLE_AFTER:
+        raise InputError(f"scan_stamp must be one of {', '.join(MIDDLE_AFTER)}, got {shown(value)}")
+    known: ScanStamp = value
+    return known
 
 
 class DepthInTime(NamedTuple):
