@@ -41,7 +41,7 @@ _DENSE_SHARE = 0.3
 #: labels of a network.
 SKY_MARGIN_PX, PSEUDO_SKY_MARGIN_PX = 2, 10
 #: Range of the share of recorded returns that are fed where a random share is drawn.
-_RECORDED_SHARE = (0.3, 0.8)
+_RECORDED_SHARE = (0.05, 0.8)
 #: Largest rotation [degrees] about each axis and shift [m] along it of a misaligned LiDAR.
 MISALIGNMENT_DEG, MISALIGNMENT_M = 0.5, 0.05
 #: Range of the share of the image's width of a missing sector.
@@ -78,7 +78,8 @@ class AugmentConfig:
     lidar_missing: Share = 0.1
     #: Probability that the input is a random share of the measurements instead of scan lines.
     lidar_random: Share = 0.3
-    #: Range of that share of the pixels for dense depth; `_RECORDED_SHARE` of recorded returns.
+    #: Range of that share, drawn evenly by its logarithm: of the pixels for dense depth, while
+    #: `_RECORDED_SHARE` is that of recorded returns.
     random_share: ShareRange = (0.01, 0.08)
     #: Scan-line counts to choose from; a recorded scan keeps every 64/n-th line. 128 are simulated
     #: from dense depth; without dense depth they are treated as 64.
@@ -400,8 +401,9 @@ def _choose_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Lida
     if missing:
         return LidarInput("none")
     if random or not (is_recorded or sample.intrinsics is not None):
-        share = rng.uniform(*(_RECORDED_SHARE if is_recorded else config.random_share))
-        return LidarInput("random", share=float(share))
+        low, high = _RECORDED_SHARE if is_recorded else config.random_share
+        share = low * (high / low) ** rng.random()  # log-uniform: few returns as often as many
+        return LidarInput("random", share=share)
     if is_recorded and sample.scan_line is None and lines <= SENSOR_LINES:
         return LidarInput("own")
     if sample.sparse_depth is None and sample.scan_line is not None:

@@ -2,6 +2,7 @@
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from models.pooling import maxima_around
 from training.batch import Pair
@@ -12,6 +13,8 @@ from training.losses.depth import log_ratio
 #: Weights of the depth's ratio farther than NEAR_PX from a return, and nearer.
 FAR_WEIGHT, NEAR_WEIGHT = 1.2, 0.2
 NEAR_PX = 6
+#: Columns over which the scan's upper edge is the highest return, and rows of a step upwards.
+EDGE_COLUMNS, STEP_ROWS = 17, 8
 
 
 def overlap(
@@ -53,10 +56,37 @@ def depth_consistency_loss(first: Tensor, second: Tensor, pair: Pair) -> Tensor:
         if bool(maps[0].any()) != bool(maps[1].any()):
             continue
         lidar, other = overlap(*maps, offset)
-        ratio = log_ratio(*overlap(first[index], second[index], offset))
+        ratio = log_ratio(*overlap(first[index], second[index], offset)).abs()
         close = overlap(near[index], near[index], offset)[0] * (NEAR_WEIGHT - FAR_WEIGHT)
         weight = FAR_WEIGHT + close * float(torch.equal(lidar, other))
         losses.append((ratio * weight).mean())
+    return _mean_over_frames(losses, first)
+
+
+def depth_seam_loss(first: Tensor, second: Tensor, pair: Pair) -> Tensor:
+    """Mean |difference of the steps of log depth| above the scan, with returns and without, ().
+
+    Nothing is measured above the highest return, and an answer that follows the returns jumps
+    there; that of the camera alone shows no seam. In frames of whose views just one has returns,
+    the log depth of that view changes over STEP_ROWS upwards as the other view's does, which gets
+    no gradient. Counted are the steps to a row above the scan, in columns with a return.
+
+    first, second: as in `depth_consistency_loss`.
+    """
+    losses = []
+    for index, offset in enumerate(pair.offset.tolist()):
+        lidars = overlap(pair.first_lidar[index], pair.second_lidar[index], offset)
+        answers = overlap(first[index], second[index], offset)
+        if bool(lidars[0].any()) == bool(lidars[1].any()):
+            continue
+        fused = 0 if lidars[0].any() else 1
+        ratio = log_ratio(answers[fused], answers[1 - fused].detach())
+        window, padding = (1, EDGE_COLUMNS), (0, EDGE_COLUMNS // 2)
+        returns = F.max_pool2d((lidars[fused] > 0).to(ratio.dtype), window, 1, padding)
+        scanned = returns.cummax(dim=1).values  # from the scan's upper edge downwards
+        counted = (1 - scanned[:, :-STEP_ROWS]) * scanned[:, -1:]
+        jumps = (ratio[:, :-STEP_ROWS] - ratio[:, STEP_ROWS:]).abs() * counted
+        losses.append(jumps.sum() / counted.sum().clamp(min=1))
     return _mean_over_frames(losses, first)
 
 

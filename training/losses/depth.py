@@ -81,13 +81,13 @@ def metric_depth_loss(
     error = (prediction - target) * max_depth_m
     loss = error.abs() + l2 * error.square()
     if log:
-        loss = loss + log * log_ratio(prediction, torch.where(valid, target, 1.0))
+        loss = loss + log * log_ratio(prediction, torch.where(valid, target, 1.0)).abs()
     return masked_mean(loss, valid)
 
 
 def log_ratio(depth: Tensor, other: Tensor) -> Tensor:
-    """|log ratio| of two maps of normalised depth, those nearer than _NEAREST taken as so near."""
-    return (depth.clamp(min=_NEAREST) / other.clamp(min=_NEAREST)).log().abs()
+    """Log ratio of two maps of normalised depth, those nearer than _NEAREST taken as so near."""
+    return (depth.clamp(min=_NEAREST) / other.clamp(min=_NEAREST)).log()
 
 
 def multi_scale_depth_loss(

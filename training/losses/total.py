@@ -16,7 +16,11 @@ from models.pooling import cell_means
 from training.batch import Batch, Pair
 from training.limits import STRICT, NotNegative
 from training.losses.boundary import balanced_cross_entropy, boundary_at_scale, boundary_target
-from training.losses.consistency import depth_consistency_loss, semantic_consistency_loss
+from training.losses.consistency import (
+    depth_consistency_loss,
+    depth_seam_loss,
+    semantic_consistency_loss,
+)
 from training.losses.depth import (
     DepthCriterion,
     metric_depth_loss,
@@ -66,10 +70,11 @@ TERMS: Mapping[str, Term] = {
     "semantic_boundary": Term(frozenset({"semantic", "boundary"}), "semantic"),
     "semantic_depth": Term(frozenset({"semantic", "depth"}), "semantic"),
     "depth_consistency": Term(frozenset({"depth"})),
+    "depth_seam": Term(frozenset({"depth"})),
     "semantic_consistency": Term(frozenset({"semantic"})),
 }
 #: Terms that compare two views of each frame.
-PAIR_TERMS = frozenset({"depth_consistency", "semantic_consistency"})
+PAIR_TERMS = frozenset({"depth_consistency", "depth_seam", "semantic_consistency"})
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -101,6 +106,7 @@ class LossConfig:
     depth_uncertainty_weight: float = 0.1
     #: Agreement of two shifted views of each frame, see `training.losses.consistency`.
     depth_consistency_weight: float = 0.0
+    depth_seam_weight: float = 0.0
     semantic_consistency_weight: float = 0.0
 
     #: Weight of the loss of each head in `training.losses.heads`; 1 where none is here.
@@ -316,9 +322,12 @@ class SSDNetLoss(nn.Module):
     ) -> dict[str, Tensor]:
         config = self.config
         terms: dict[str, Tensor] = {}
-        if config.depth_consistency_weight and output.depths is not None:
+        if output.depths is not None:
             first, second = output.depths[0].float().chunk(2)
-            terms["depth_consistency"] = depth_consistency_loss(first, second, pair)
+            if config.depth_consistency_weight:
+                terms["depth_consistency"] = depth_consistency_loss(first, second, pair)
+            if config.depth_seam_weight:
+                terms["depth_seam"] = depth_seam_loss(first, second, pair)
         if config.semantic_consistency_weight and output.semantic_logits is not None:
             logits = output.semantic_logits.float()
             side = cell_side(size, (logits.shape[-2], logits.shape[-1]))

@@ -118,6 +118,14 @@ def test_random_share_of_dense_depth():
     np.testing.assert_array_equal(out.sparse_depth[seen], out.depth[seen])
 
 
+def test_few_returns_are_drawn_as_often_as_many():
+    config = AugmentConfig(lidar_missing=0, lidar_random=1, random_share=(0.002, 0.08))
+    rng = np.random.default_rng(0)
+    shares = [np.mean(draw_lidar(plane(), config, rng).sparse_depth > 0) for _ in range(200)]
+    assert min(shares) < 0.003
+    assert np.median(shares) == pytest.approx((0.002 * 0.08) ** 0.5, rel=0.3)
+
+
 def test_input_and_target_recorded_apart_stay_apart_when_enlarged():
     sample = recorded_beside_its_target()
     large = resize(sample, (144, 192))

@@ -13,7 +13,9 @@ from training.losses import LossConfig, SSDNetLoss
 from training.losses.consistency import (
     FAR_WEIGHT,
     NEAR_WEIGHT,
+    STEP_ROWS,
     depth_consistency_loss,
+    depth_seam_loss,
     overlap,
     semantic_consistency_loss,
 )
@@ -97,6 +99,55 @@ def test_a_view_without_lidar_may_have_another_depth():
     assert not first.grad.any()
 
 
+def scan_below(row):
+    """LiDAR of both views whose highest return is in this row of the scene."""
+    lidar = torch.zeros(1, SIZE[0] + 32, SIZE[1] + 32)
+    lidar[:, row:] = 9.0
+    return views(lidar)
+
+
+@pytest.mark.parametrize("fused_first", [True, False])
+def test_a_seam_above_the_scan_costs_its_step_and_only_the_fused_view_learns(fused_first):
+    scene = scene_of() + 0.5
+    seam, edge = scene.clone(), 52
+    seam[:, :edge] /= 3.0  # above the scan all is three times as near as without the LiDAR
+    seam *= 1.5  # a factor over the whole picture is no seam
+    fused, camera = (seam, scene) if fused_first else (scene, seam)
+    first = views(fused)[0][None].requires_grad_()
+    second = views(camera)[1][None].requires_grad_()
+    lidars = scan_below(edge)
+    none = torch.zeros(1, *SIZE)
+    pair = pair_of(lidars[0], none) if fused_first else pair_of(none, lidars[1])
+    loss = depth_seam_loss(first, second, pair)
+    # Rows above the edge in the overlap; STEP_ROWS of them lie one step from the scan.
+    above = edge - OFFSET[0] - PAIR_BORDER_PX
+    assert loss.item() == pytest.approx(math.log(3.0) * STEP_ROWS / above, rel=1e-4)
+    loss.backward()
+    learning, other = (first, second) if fused_first else (second, first)
+    assert learning.grad.any()
+    assert other.grad is None
+
+
+def test_views_that_both_have_returns_or_none_show_no_seam():
+    first, second = (view[None] + 0.1 for view in views(scene_of()))
+    lidars, none = scan_below(52), torch.zeros(1, *SIZE)
+    assert depth_seam_loss(first, second * 2, pair_of(*lidars)) == 0
+    assert depth_seam_loss(first, second * 2, pair_of(none, none)) == 0
+
+
+def test_columns_without_a_return_show_no_seam():
+    scene = scene_of() + 0.5
+    first, second = views(scene * scene)[0][None], views(scene)[1][None]
+    lidar = torch.zeros(1, *SIZE)
+    lidar[:, 55, 60] = 9.0
+    loss = depth_seam_loss(first, second, pair_of(lidar, torch.zeros(1, *SIZE)))
+    around = first.clone()
+    around[..., : 60 - 8] = around[..., 60 + 9 :] = 0.7  # beyond EDGE_COLUMNS
+    pair = pair_of(lidar, torch.zeros(1, *SIZE))
+    assert depth_seam_loss(around, second, pair) == loss
+    assert loss > 0
+
+
 def test_classes_that_agree_cost_nothing_and_others_their_divergence():
     scene = scene_of(5, side=2)
     first, second = (view[None] for view in views(scene, side=2))
@@ -108,8 +159,10 @@ def test_classes_that_agree_cost_nothing_and_others_their_divergence():
     assert loss.item() == pytest.approx(math.log(3.0))
 
 
-def test_the_whole_loss_has_both_terms_of_pairs_alone():
-    config = LossConfig(depth_consistency_weight=2.0, semantic_consistency_weight=0.5)
+def test_the_whole_loss_has_the_terms_of_pairs_alone():
+    config = LossConfig(
+        depth_consistency_weight=2.0, depth_seam_weight=3.0, semantic_consistency_weight=0.5
+    )
     generator = torch.Generator().manual_seed(0)
     output = NetworkOutput(
         semantic_logits=torch.rand(2, 5, SIZE[0] // 2, SIZE[1] // 2, generator=generator),
@@ -123,5 +176,6 @@ def test_the_whole_loss_has_both_terms_of_pairs_alone():
     pair = pair_of(depth[0], depth[1])
     terms = criterion(output, batch_of(labels, depth, pair=pair))
     added = 2.0 * terms["depth_consistency"] + 0.5 * terms["semantic_consistency"]
-    assert set(terms) - set(alone) == {"depth_consistency", "semantic_consistency"}
+    added += 3.0 * terms["depth_seam"]
+    assert set(terms) - set(alone) == {"depth_consistency", "depth_seam", "semantic_consistency"}
     assert terms["total"].item() == pytest.approx((alone["total"] + added).item(), rel=1e-5)
