@@ -46,11 +46,11 @@ def move_points(
     if isinstance(times, np.ndarray) and times.ndim:
         _check_times(times, len(points))
         if len(points):
-            moved[:, :3] = _move(xyz, times, _table(times, poses, to)).T
+            _move(xyz, times, _table(times, poses, to), moved)
     else:
         (matrix,) = relative_poses(poses, np.array([times], np.int64), to)
         table = _Table(matrix[:3].reshape(12, 1).astype(np.float32), int(times), 0.0)
-        moved[:, :3] = _move(xyz, None, table).T
+        _move(xyz, None, table, moved)
     return moved
 
 
@@ -78,18 +78,24 @@ def _check_times(times: NDArray[Any], count: int) -> None:
 
 
 def _move(
-    xyz: NDArray[np.float32], times: NDArray[np.int64] | None, table: _Table
-) -> NDArray[np.float32]:
-    """Points, float32 (3, N), each by the matrix of its time; None = all by the first one."""
+    xyz: NDArray[np.float32],
+    times: NDArray[np.int64] | None,
+    table: _Table,
+    moved: NDArray[np.float32],
+) -> None:
+    """Move points, float32 (3, N), into (N, 3): each by its time's matrix; None = all by the first.
+
+    Columns after the third are left as they are.
+    """
     index: Any = None
     if times is not None:
         place = (times - table.first_ns).astype(np.float32)
         place *= np.float32(table.steps_a_ns)
         place += np.float32(0.5)
         index = place.astype(np.intp)
-    moved, factor = np.empty_like(xyz), np.empty_like(xyz[0])
+    total, factor = np.empty_like(xyz[0]), np.empty_like(xyz[0])
     with np.errstate(over="ignore", invalid="ignore"):  # returns that are not finite stay so
-        for row, total in enumerate(moved):
+        for row in range(3):
             for column, axis in enumerate((None, *xyz)):
                 entry = table.entries[4 * row + (column - 1) % 4]
                 into = total if axis is None else factor
@@ -100,7 +106,7 @@ def _move(
                 if axis is not None:
                     factor *= axis
                     total += factor
-    return moved
+            moved[:, row] = total
 
 
 def _table(times: NDArray[np.int64], poses: PoseTrack, to_ns: int) -> _Table:
@@ -171,7 +177,8 @@ def project_moved(
         if len(points):
             table, xyz = _table(times, poses, to), np.ascontiguousarray(points[:, :3].T)
             rows = _in_front(xyz, table, extrinsics)
-            points = _move(xyz.take(rows, axis=1), times.take(rows), table).T
+            points = np.empty((3, len(rows)), np.float32).T  # as the projection reads them
+            _move(xyz.take(rows, axis=1), times.take(rows), table, points)
     else:
         (moved,) = relative_poses(poses, np.array([times], np.int64), to)
         extrinsics = extrinsics @ moved
