@@ -17,6 +17,7 @@ class TrainingFacts:
         trained_height: height [px] of the images that it was trained for; None = unknown.
         recipe: the resolved recipe, as plain values.
         init: the weights that it started from; None = random ones.
+        teacher: the weights whose answers it learned; None = there were none.
         processes: that trained together.
         step: of these weights; None = unknown.
     """
@@ -26,6 +27,7 @@ class TrainingFacts:
     trained_height: int | None = None
     recipe: Mapping[str, Any] = field(default_factory=dict)
     init: str | None = None
+    teacher: str | None = None
     processes: int = 1
     step: int | None = None
 

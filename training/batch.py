@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from models import NetworkOutput
 from training.datasets.sample import Sample
 
 
@@ -45,6 +46,8 @@ class Batch:
     names: Sequence[str]
     #: None = no frame has two views.
     pair: Pair | None = None
+    #: The answers of the network that another one learns from, None = there is none.
+    teacher: NetworkOutput | None = None
 
     @classmethod
     def collate(cls, drawn: Sequence[Drawn], targets: Collection[str]) -> Self:

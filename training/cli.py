@@ -55,6 +55,12 @@ def train(
             "ends in .pt or holds a slash."
         ),
     ] = None,
+    teacher: Annotated[
+        str | None,
+        typer.Option(
+            help="Weights whose answers are learned beside the labels: a name or path as in --init."
+        ),
+    ] = None,
     change: Annotated[
         list[str] | None,
         typer.Option(
@@ -101,11 +107,18 @@ def train(
 
         with StopSignal() as stop:
             stages = read_stages(find_recipe(recipe), change or ())
-            weights = None if init is None else find_weights(init)
+            weights, taught_by = (
+                None if text is None else find_weights(text) for text in (init, teacher)
+            )
             if dry_run:
                 stage, folder, weights = next_stage(stages, out, weights)
                 path, lines = draw_first_batch(
-                    stage.recipe, data=data, out=folder, init=weights, device=device
+                    stage.recipe,
+                    data=data,
+                    out=folder,
+                    init=weights,
+                    teacher=taught_by,
+                    device=device,
                 )
                 for line in lines:
                     typer.echo(line)
@@ -115,6 +128,7 @@ def train(
                     data=data,
                     out=out,
                     init=weights,
+                    teacher=taught_by,
                     device=device,
                     stop_after=stop_after,
                     stop=stop,

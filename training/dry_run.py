@@ -34,7 +34,13 @@ class DryRun(NamedTuple):
 
 
 def dry_run(
-    recipe: Recipe, *, data: Sequence[Path], out: Path, init: Path | None = None, device: str
+    recipe: Recipe,
+    *,
+    data: Sequence[Path],
+    out: Path,
+    init: Path | None = None,
+    teacher: Path | None = None,
+    device: str,
 ) -> DryRun:
     """Open all that a training needs and draw its first batch; arguments and errors as in `train`.
 
@@ -43,7 +49,7 @@ def dry_run(
         description of the data.
     """
     with join_processes(device) as processes:
-        task = open_task(recipe, processes, data, init)
+        task = open_task(recipe, processes, data, init, teacher)
         recipe = task.recipe
         with read_batches(recipe, task, processes, step=0) as batches:
             batch = next(batches)

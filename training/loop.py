@@ -26,6 +26,7 @@ def train(
     data: Sequence[Path],
     out: Path,
     init: Path | None = None,
+    teacher: Path | None = None,
     device: str = "cpu",
     stop_after: int | None = None,
     stop: Callable[[], bool] = lambda: False,
@@ -43,6 +44,7 @@ def train(
         data: folders with the recipe's data sets.
         out: folder of the run.
         init: a checkpoint to start from; weights that do not fit are initialised as usual.
+        teacher: a checkpoint whose answers are learned, too, see `training.losses.distillation`.
         device: "cpu", "cuda" or "cuda:N".
         stop_after: stop at this step; the run can be resumed.
         stop: called between two steps; True stops the run, which can be resumed.
@@ -58,7 +60,7 @@ def train(
         NonFiniteLossError: if the loss or its gradient is NaN or infinite.
     """
     with join_processes(device) as processes:
-        return _train(recipe, processes, data, out, init, stop_after, stop)
+        return _train(recipe, processes, data, out, init, teacher, stop_after, stop)
 
 
 def _train(
@@ -67,14 +69,16 @@ def _train(
     data: Sequence[Path],
     out: Path,
     init: Path | None,
+    teacher: Path | None,
     stop_after: int | None,
     stop: Callable[[], bool],
 ) -> Path:
-    task = open_task(recipe, processes, data, init, resumed=(out / LAST).is_file())
+    task = open_task(recipe, processes, data, init, teacher, resumed=(out / LAST).is_file())
     recipe = task.recipe  # with what the data decide
     resolved: dict[str, Any] = {
         "recipe": asdict(recipe),
         "init": None if init is None else name_weights(init),
+        "teacher": None if teacher is None else name_weights(teacher),
         "processes": processes.count,
     }
     if processes.is_first:

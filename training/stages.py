@@ -72,6 +72,7 @@ def train_stages(
     data: Sequence[Path],
     out: Path,
     init: Path | None = None,
+    teacher: Path | None = None,
     device: str = "cpu",
     stop_after: int | None = None,
     stop: Callable[[], bool] = lambda: False,
@@ -87,6 +88,7 @@ def train_stages(
         data: see `train`, like what follows.
         out: folder of all stages.
         init: a checkpoint that the first stage starts from.
+        teacher: a checkpoint whose answers all stages learn.
         device: "cpu", "cuda" or "cuda:N".
         stop_after: stop at this step, counted over all stages.
         stop: called between two steps; True stops.
@@ -107,6 +109,7 @@ def train_stages(
                 data=data,
                 out=out / stage.folder,
                 init=init,
+                teacher=teacher,
                 device=device,
                 stop_after=stop_after,
                 stop=stop,

@@ -1,6 +1,7 @@
 """The state of a training: all that a step changes, and that last.pt keeps."""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,7 +48,7 @@ class TrainingState:
     def __init__(self, recipe: Recipe, task: Task, processes: Processes, out: Path) -> None:
         self.step = 0
         self._recipe, self._processes, self._out = recipe, processes, out
-        self._network, self.criterion = task.network, task.criterion
+        self._network, self.criterion, self._teacher = task.network, task.criterion, task.teacher
         self._optimizer = build_optimizer(recipe.optimizer, task.network, task.criterion)
         self._peaks = [group["lr"] for group in self._optimizer.param_groups]
         is_fp16 = recipe.loop.autocast == "fp16"
@@ -114,6 +115,10 @@ class TrainingState:
         for _ in range(loop.accumulate):
             batch = next(batches).to(self._processes.device)
             names += batch.names
+            if self._teacher is not None:
+                with torch.no_grad():
+                    taught = _answer(self._teacher, self.criterion, batch, loop)
+                batch = replace(batch, teacher=taught)
             terms = _compute_loss(self._forward, self.criterion, batch, loop)
             self._require_finite(terms, terms["total"], names)
             scaler.scale(terms["total"] / loop.accumulate).backward()  # type: ignore[no-untyped-call]
@@ -139,12 +144,17 @@ class TrainingState:
 def _compute_loss(
     forward: Forward, criterion: SSDNetLoss, batch: Batch, loop: LoopRecipe
 ) -> dict[str, Tensor]:
+    terms: dict[str, Tensor] = criterion(_answer(forward, criterion, batch, loop), batch)
+    return terms
+
+
+def _answer(
+    network: Forward, criterion: SSDNetLoss, batch: Batch, loop: LoopRecipe
+) -> NetworkOutput:
     kind = _AUTOCAST.get(loop.autocast)
     with torch.autocast(batch.rgb.device.type, dtype=kind, enabled=kind is not None):
-        output = forward(
+        return network(
             batch.rgb.float().to(memory_format=torch.channels_last),
             batch.sparse_depth,
             upsample_semantic=criterion.config.semantic_grid == "image",
         )
-    terms: dict[str, Tensor] = criterion(output, batch)
-    return terms

@@ -26,6 +26,7 @@ from training.network import build_network, train_parts
 from training.optimizer import require_encoder
 from training.recipe import Recipe
 from training.release import Release, class_offsets
+from training.teacher import load_teacher
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class Task:
         network: on the device of the process; only the parts that are trained have gradients.
         criterion: the loss, there too.
         depth_target: unit of the depth target, and the depth of the sky.
+        teacher: the network whose answers are learned, on the device too; None = there is none.
         release: how the released weights differ from the averaged ones.
     """
 
@@ -49,6 +51,7 @@ class Task:
     criterion: SSDNetLoss
     depth_target: DepthTarget
     release: Release
+    teacher: Network | None = None
 
     @property
     def targets(self) -> tuple[str, ...]:
@@ -66,6 +69,7 @@ def open_task(
     processes: Processes,
     data: Sequence[Path],
     init: Path | None,
+    teacher: Path | None = None,
     *,
     resumed: bool = False,
 ) -> Task:
@@ -101,6 +105,7 @@ def open_task(
             f"no loss term with a weight above 0 applies to the heads of {network.config.name!r} "
             f"({', '.join(heads)}). Set the weight of a term for these heads."
         )
+    taught_by = load_teacher(teacher, recipe.loss, network)
     weights = None
     if "semantic" in heads and recipe.loss.weighs_classes:
         weights = _weigh_classes(recipe, sources, network.config.num_classes)
@@ -123,7 +128,9 @@ def open_task(
         recipe.data.sky_depth_m,
         max_depth_m=network.config.max_depth_m,
     )
-    task = Task(recipe, sources, validation, network, criterion, depth, release)
+    if taught_by is not None:
+        taught_by = taught_by.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    task = Task(recipe, sources, validation, network, criterion, depth, release, taught_by)
     if 0 < recipe.data.augment.pair_shift < task.pair_step:
         raise InputError(
             f"data.augment.pair_shift = {recipe.data.augment.pair_shift}; the classes of "

@@ -12,7 +12,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from layouts import camvid, cityscapes, kitti_depth, kitti_stream, kitti_streets, virtual_kitti
 from layouts.pictures import write
-from models import CLASS_TABLES, SSDNetLiteConfig, load_checkpoint
+from models import CLASS_TABLES, SSDNetLiteConfig, load_checkpoint, save_checkpoint
 from models.registry import NETWORKS, Entry
 from models.ssdnet_config import EncoderDecoderConfig
 from training import recipes
@@ -176,7 +176,12 @@ def check_training(recipe, data, out, init):
     """Train a step; the checkpoint has all that the recipe says. Returns its path."""
     torch.manual_seed(recipe.data.seed)
     start = build_network(recipe.model, init)[0].state_dict()
-    trained = train(recipe, data=[data], out=out, init=init)
+    teacher = None
+    if recipe.loss.taught_heads(("semantic", "depth", "boundary")):
+        teacher = out.with_suffix(".pt")
+        teacher.parent.mkdir(parents=True, exist_ok=True)
+        save_checkpoint(teacher, build_network(recipe.model, None)[0])
+    trained = train(recipe, data=[data], out=out, init=init, teacher=teacher)
     checkpoint = load_checkpoint(trained)
 
     config = checkpoint.model.config

@@ -1,8 +1,10 @@
-"""Means over known pixels, and targets on coarser grids."""
+"""Means over known pixels, and maps on other grids."""
 
 import torch.nn.functional as F
 from torch import Tensor
 
+from models.blocks import extend_to_multiple
+from models.pooling import cell_means
 from training.distributed import sum_over_processes
 
 
@@ -39,3 +41,11 @@ def cell_side(size: tuple[int, int], grid: tuple[int, int]) -> int:
     while side * grid[0] < size[0] or side * grid[1] < size[1]:
         side *= 2
     return side
+
+
+def on_grid(x: Tensor, grid: tuple[int, int]) -> Tensor:
+    """Resize (N, C, H, W) to a coarser grid by means, or to a finer one bilinearly."""
+    if x.shape[-2] < grid[0]:
+        return F.interpolate(x, size=grid, mode="bilinear", align_corners=False)
+    side = cell_side((x.shape[-2], x.shape[-1]), grid)
+    return x if side == 1 else cell_means(extend_to_multiple(x, side), side)

@@ -11,8 +11,6 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
 from models import NetworkOutput
-from models.blocks import extend_to_multiple
-from models.pooling import cell_means
 from training.batch import Batch, Pair
 from training.limits import STRICT, NotNegative
 from training.losses.boundary import balanced_cross_entropy, boundary_at_scale, boundary_target
@@ -28,6 +26,11 @@ from training.losses.depth import (
     normalise_depth,
     paper_depth_loss,
 )
+from training.losses.distillation import (
+    distilled_boundary_loss,
+    distilled_depth_loss,
+    distilled_semantic_loss,
+)
 from training.losses.heads import HEAD_LOSSES
 from training.losses.joint import (
     NeighbourMaps,
@@ -37,7 +40,7 @@ from training.losses.joint import (
     soft_disagreement,
 )
 from training.losses.lovasz import lovasz_softmax_loss, picture_mean
-from training.losses.masked import cell_side
+from training.losses.masked import cell_side, on_grid
 from training.losses.road import road_loss
 from training.losses.semantic import (
     IGNORE,
@@ -72,6 +75,9 @@ TERMS: Mapping[str, Term] = {
     "depth_consistency": Term(frozenset({"depth"})),
     "depth_seam": Term(frozenset({"depth"})),
     "semantic_consistency": Term(frozenset({"semantic"})),
+    "distilled_semantic": Term(frozenset({"semantic"})),
+    "distilled_depth": Term(frozenset({"depth"})),
+    "distilled_boundary": Term(frozenset({"boundary"})),
 }
 #: Terms that compare two views of each frame.
 PAIR_TERMS = frozenset({"depth_consistency", "depth_seam", "semantic_consistency"})
@@ -108,6 +114,10 @@ class LossConfig:
     depth_consistency_weight: float = 0.0
     depth_seam_weight: float = 0.0
     semantic_consistency_weight: float = 0.0
+    #: Agreement with the answers of a teacher, see `training.losses.distillation`.
+    distilled_semantic_weight: float = 0.0
+    distilled_depth_weight: float = 0.0
+    distilled_boundary_weight: float = 0.0
 
     #: Weight of the loss of each head in `training.losses.heads`; 1 where none is here.
     head_weights: Mapping[str, NotNegative] = field(default_factory=dict)
@@ -155,6 +165,11 @@ class LossConfig:
         """Return the names of the targets that the terms of these heads need."""
         needed = [TERMS[name].target if name in TERMS else name for name in self.terms_for(heads)]
         return tuple(sorted({name for name in needed if name}))
+
+    def taught_heads(self, heads: Collection[str]) -> list[str]:
+        """Return those of the heads whose answers are compared with a teacher's."""
+        names = self.terms_for(heads)
+        return [head for head in heads if f"distilled_{head}" in names]
 
     def weight(self, name: str) -> float:
         """Return the weight of a term or of another head's loss."""
@@ -257,6 +272,8 @@ class SSDNetLoss(nn.Module):
         terms |= self._road_terms(output, batch.targets.get("road_mask"))
         if batch.pair is not None:
             terms |= self._pair_terms(output, batch.pair, (height, width))
+        if batch.teacher is not None:
+            terms |= self._distilled_terms(output, batch.teacher)
         for head in output.others.keys() & HEAD_LOSSES.keys() & batch.targets.keys():
             if self.config.weight(head):
                 answers = output.others[head].float()
@@ -336,6 +353,22 @@ class SSDNetLoss(nn.Module):
             terms["semantic_consistency"] = loss
         return terms
 
+    def _distilled_terms(self, output: NetworkOutput, teacher: NetworkOutput) -> dict[str, Tensor]:
+        config = self.config
+        terms: dict[str, Tensor] = {}
+        classes, wanted = output.semantic_logits, teacher.semantic_logits
+        if config.distilled_semantic_weight and classes is not None and wanted is not None:
+            terms["distilled_semantic"] = distilled_semantic_loss(classes.float(), wanted.float())
+        if config.distilled_depth_weight and output.depths is not None and teacher.depths:
+            depth, wanted = output.depths[0].float(), teacher.depths[0].float()
+            terms["distilled_depth"] = distilled_depth_loss(
+                depth, wanted, teacher.depth_uncertainty
+            )
+        boundary, wanted = output.boundary_logits, teacher.boundary_logits
+        if config.distilled_boundary_weight and boundary is not None and wanted is not None:
+            terms["distilled_boundary"] = distilled_boundary_loss(boundary.float(), wanted.float())
+        return terms
+
     def _road_terms(self, output: NetworkOutput, road_mask: Tensor | None) -> dict[str, Tensor]:
         logits = output.semantic_logits
         if logits is None or road_mask is None or self.road is None or not self.config.road_weight:
@@ -368,10 +401,10 @@ class SSDNetLoss(nn.Module):
         grid = (logits.shape[-2], logits.shape[-1])
         side = cell_side((semantic.shape[-2], semantic.shape[-1]), grid)
         if boundary_logits is not None:
-            boundary = _on_grid(torch.sigmoid(boundary_logits.float()), grid)
+            boundary = on_grid(torch.sigmoid(boundary_logits.float()), grid)
             terms["semantic_boundary"] = semantic_boundary_loss(disagreement, boundary, side=side)
         if with_depth and output.depths is not None:
-            depth = _on_grid(output.depths[0].float(), grid)
+            depth = on_grid(output.depths[0].float(), grid)
             terms["semantic_depth"] = semantic_depth_loss(disagreement, depth, side=side)
         return terms
 
@@ -417,14 +450,6 @@ class SSDNetLoss(nn.Module):
             if disagreements
             else None,
         )
-
-
-def _on_grid(x: Tensor, grid: tuple[int, int]) -> Tensor:
-    """Resize (N, 1, H, W) to a coarser grid by means, or to a finer one bilinearly."""
-    if x.shape[-2] < grid[0]:
-        return F.interpolate(x, size=grid, mode="bilinear", align_corners=False)
-    side = cell_side((x.shape[-2], x.shape[-1]), grid)
-    return x if side == 1 else cell_means(extend_to_multiple(x, side), side)
 
 
 def _any_answer(output: NetworkOutput) -> Tensor:

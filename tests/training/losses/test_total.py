@@ -292,6 +292,7 @@ def test_each_term_is_computed_by_its_weight_alone(name):
         depth,
         road_mask=torch.ones(semantic.shape, dtype=torch.uint8),
         pair=Pair(torch.zeros(1, 2, dtype=torch.int64), lidar, lidar),
+        teacher=answer(leaves(size=(80, 88))),
     )
     output = answer(leaves(size=(80, 88)))
     output = output._replace(depth_uncertainty=torch.ones_like(output.depths[0]))
