@@ -117,7 +117,7 @@ def test_a_scan_that_stays_away_is_no_depth_after_the_limit(folders, run):
     assert reasons[2:10] == ["", *["depth_reused"] * 3, *["no_depth"] * 4]
 
 
-def test_a_jump_of_the_odometry_and_a_gap_are_named(folders, run):
+def test_a_jump_of_the_odometry_is_named(folders, run):
     ahead = 0.05 * SPEED * np.arange(2 * N)
     ahead[5:] += 30
     write_poses(folders / "poses.txt", ahead)
@@ -136,6 +136,15 @@ def test_tums_poses_have_their_own_times(folders, run, make_scan):
     (folders / "tum.txt").write_text("\n".join(line.replace("100.", "9900.") for line in lines))
     other = run(*arguments(folders, poses="tum.txt"), out="other")
     assert set(other.column("degraded")[2:]) >= {"depth_uncompensated;pose_clock"}
+
+
+def test_a_gap_between_poses_is_named(folders, run):
+    lines = [f"{100 + 0.01 * n:.2f} {0.01 * n * SPEED:.6f} 0 0 0 0 0 1" for n in range(60)]
+    (folders / "tum.txt").write_text("\n".join(lines[:12] + lines[42:]))  # 300 ms without
+    reasons = run(*arguments(folders, poses="tum.txt")).column("degraded")
+    assert reasons[:3] == ["", "depth_reused", ""]
+    assert reasons[3] == reasons[7] == "depth_reused;depth_uncompensated;pose_gap"
+    assert reasons[10:] == ["", "depth_reused"]
 
 
 def test_each_return_is_moved_by_the_column_of_its_time(folders, run, make_scan):
