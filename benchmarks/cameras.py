@@ -5,6 +5,7 @@
 - large: the frames of DIR/pandaset_front, 1920 x 1080 pixels with fx 1970. One LiDAR is fed, 64
   lines all around, and the returns of the other one, which looks ahead, are the truth where no
   fed return is.
+- few: the same, fed with a random FEW_SHARE of the pixels.
 - wide: the frames of DIR/rendered/wide (`ssdnet-render DIR/rendered/wide --camera varied --frames 1
   --scenes 24 --seed 910000`) whose image is over 80 degrees wide, with the rendered LiDAR.
 
@@ -35,6 +36,7 @@ from training.loading.open_dataset import open_dataset
 WIDE_DEG = 80.0
 FARTHEST_M = (100.0, 200.0)
 FED_DEVICE, TRUE_DEVICE = 0, 1
+FEW_SHARE = 0.002
 
 
 class Frame(NamedTuple):
@@ -54,8 +56,9 @@ def main() -> None:
     parser.add_argument("--size", nargs="+", default=["auto"])
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
-    readers = {"large": read_large, "wide": read_wide}
-    cameras = {name: read(arguments.data) for name, read in readers.items()}
+    large = read_large(arguments.data)
+    few = [thin(frame, number) for number, frame in enumerate(large)]
+    cameras = {"large": large, "few": few, "wide": read_wide(arguments.data)}
     columns = [f"{name}, to {farthest:g} m" for name in cameras for farthest in FARTHEST_M]
     print("| model | size | focal length | " + " | ".join(columns) + " |")
     print("|---|---|---|" + "---|" * len(columns))
@@ -93,6 +96,16 @@ def read_large(folders: Sequence[Path]) -> list[Frame]:
         )
         frames.append(Frame(rgb, fed, np.where(fed > 0, np.float32(0), other), camera["fx"]))
     return frames
+
+
+def thin(frame: Frame, seed: int) -> Frame:
+    """Feed returns of FEW_SHARE of the pixels, or all if there are fewer; the truth stays."""
+    fed = np.flatnonzero(frame.fed)
+    count = min(len(fed), round(FEW_SHARE * frame.fed.size))
+    kept = np.random.default_rng(seed).choice(fed, count, replace=False)
+    few = np.zeros_like(frame.fed)
+    few.flat[kept] = frame.fed.flat[kept]
+    return frame._replace(fed=few)
 
 
 def read_wide(folders: Sequence[Path]) -> list[Frame]:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cameras import Frame, read_large, score
+from cameras import FEW_SHARE, Frame, read_large, score, thin
 from training.evaluation.scoring import HeadMaps
 
 
@@ -48,3 +48,16 @@ def test_scores_are_means_over_frames_of_what_is_known_up_to_100_and_200_m():
     assert far == pytest.approx([(144 / 3 + 0.5) / 2, (whole + math.sqrt(0.5)) / 2])
     score(predict, frames, focal=False)
     assert seen == [700.0, 700.0, None, None]
+
+
+def test_few_returns_are_some_of_those_that_were_fed():
+    fed = np.random.default_rng(0).uniform(1, 80, (100, 200)).astype(np.float32)
+    frame = Frame(np.zeros((100, 200, 3), np.uint8), fed, fed + 1, 700.0)
+    few = thin(frame, 3)
+    kept = few.fed > 0
+    assert kept.sum() == FEW_SHARE * fed.size
+    np.testing.assert_array_equal(few.fed[kept], fed[kept])
+    np.testing.assert_array_equal(few.truth, frame.truth)
+    np.testing.assert_array_equal(thin(frame, 3).fed, few.fed)
+    assert not np.array_equal(thin(frame, 4).fed, few.fed)
+    assert (thin(few, 5).fed > 0).sum() == kept.sum()
