@@ -8,6 +8,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from runtime.projection import project_points
+from training.datasets.sample import IGNORE
 
 Depth = NDArray[np.float32]
 Fault = Literal["none", "nan", "shift", "dropout"]
@@ -18,6 +19,8 @@ NAN_SHARE = 0.3
 SHIFT = (0.01, 0.004)
 #: Share of the width, in the middle, without measurements by the fault "dropout".
 DROPOUT_SHARE = 1 / 3
+#: Largest share of an image that `absorb` takes for a thing.
+THING_SHARE = 0.25
 
 
 def add_fault(fed: Depth, fault: Fault, rng: Generator) -> Depth:
@@ -79,6 +82,29 @@ def drop_sectors(fed: Depth, share: tuple[float, float], rng: Generator) -> Dept
         columns = round(rng.uniform(*share) * width)
         start = int(rng.integers(0, width - columns + 1))
         kept[:, start : start + columns] = 0
+    return kept
+
+
+def absorb(fed: Depth, semantic: NDArray[np.uint8], rng: Generator) -> Depth:
+    """Return a copy without the returns of one thing, or of its upper part: dark paint, glass.
+
+    The thing is the region of one class around a random return; one of more than `THING_SHARE` of
+    the image, as the road, keeps its returns. semantic: (H, W), IGNORE belongs to no thing.
+    """
+    kept = fed.copy()
+    rows, columns = np.nonzero((fed > 0) & (semantic != IGNORE))
+    if len(rows):
+        index = int(rng.integers(len(rows)))
+        region = np.zeros((fed.shape[0] + 2, fed.shape[1] + 2), np.uint8)
+        flags = 4 | cv2.FLOODFILL_MASK_ONLY | 1 << 8
+        seed = (int(columns[index]), int(rows[index]))
+        _, _, _, (_, top, _, height) = cv2.floodFill(
+            np.ascontiguousarray(semantic), region, seed, 0, flags=flags
+        )
+        thing = region[1:-1, 1:-1] > 0
+        if thing.mean() <= THING_SHARE:
+            lowest = top + height * rng.uniform(0.4, 1.6)  # half of the time all of it
+            kept[: round(lowest)][thing[: round(lowest)]] = 0
     return kept
 
 

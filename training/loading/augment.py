@@ -14,7 +14,7 @@ from pydantic.dataclasses import dataclass
 from runtime.contract import MAX_RETURN_M, farthest_return
 from runtime.resize import move_returns, move_scan_lines, resize_image, resize_nearest
 from training.datasets.sample import Sample, nothing_known, target_kind
-from training.lidar.faults import add_false_returns, drop_sectors, misalign
+from training.lidar.faults import absorb, add_false_returns, drop_sectors, misalign
 from training.lidar.simulate import SENSOR_LINES
 from training.lidar.split import LidarInput, masked, split_lidar
 from training.limits import (
@@ -90,6 +90,8 @@ class AugmentConfig:
     lidar_misaligned: Share = 0.0
     #: Probability that one to three sectors of the LiDAR are missing.
     lidar_dropout: Share = 0.0
+    #: Probability that one labelled thing, as a car, or its upper part returns nothing.
+    lidar_absorbed: Share = 0.0
     #: Largest shift [px] of a second view of each frame, for the losses of consistency: rows and
     #: columns by which it begins later fit the grid of the semantic head. 0 = one view.
     pair_shift: PairShift = 0
@@ -373,13 +375,15 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
 def _disturb(
     fed: NDArray[np.float32], sample: Sample, config: AugmentConfig, rng: Generator
 ) -> NDArray[np.float32]:
-    """Misalign the LiDAR or drop sectors of it by their probabilities."""
+    """Misalign the LiDAR, drop sectors of it or a thing's returns by their probabilities."""
     intrinsics = sample.intrinsics
     is_misaligned = config.lidar_misaligned and rng.random() < config.lidar_misaligned
     if is_misaligned and intrinsics is not None and fed.any():
         fed = misalign(fed, intrinsics, rng, rotation_deg=MISALIGNMENT_DEG, shift_m=MISALIGNMENT_M)
     if config.lidar_dropout and rng.random() < config.lidar_dropout:
         fed = drop_sectors(fed, SECTOR_SHARE, rng)
+    if config.lidar_absorbed and rng.random() < config.lidar_absorbed:
+        fed = absorb(fed, sample.semantic, rng)
     return fed
 
 

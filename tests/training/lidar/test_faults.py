@@ -5,6 +5,7 @@ import pytest
 
 from training.lidar.faults import (
     DROPOUT_SHARE,
+    absorb,
     add_false_returns,
     add_fault,
     drop_sectors,
@@ -101,6 +102,44 @@ def test_sectors_are_lost_from_top_to_bottom():
         counts.add(np.count_nonzero(np.diff(lost[0].astype(int), prepend=0) == 1))
     assert counts == {1, 2, 3}
     assert (fed == 20).all()
+
+
+def test_a_thing_or_its_upper_part_returns_nothing():
+    fed = np.full((60, 100), 20.0, np.float32)
+    semantic = np.full((60, 100), 3, np.uint8)
+    semantic[20:40, 30:60] = 8
+    semantic[45:50, 10:20] = 8  # another thing of the class
+    semantic[50:] = 255
+    cars = [semantic == 8, np.zeros((60, 100), bool)]
+    cars[0][45:] = False
+    cars[1][45:50, 10:20] = True
+    wholes, parts, none = 0, 0, 0
+    for seed in range(200):
+        lost = absorb(fed, semantic, np.random.default_rng(seed)) == 0
+        if not lost.any():
+            none += 1  # the road around is no thing
+            continue
+        (car,) = (car for car in cars if (lost & car).any())
+        assert not lost[~car].any()
+        rows = np.flatnonzero(car.any(axis=1))
+        lost_rows = np.flatnonzero(lost.any(axis=1))
+        assert lost_rows[0] == rows[0]  # from the top
+        np.testing.assert_array_equal(
+            lost[rows[0] : lost_rows[-1] + 1], car[rows[0] : lost_rows[-1] + 1]
+        )
+        wholes += len(lost_rows) == len(rows)
+        parts += len(lost_rows) < len(rows)
+    assert none > 100
+    assert wholes > 5
+    assert parts > 5
+    assert (fed == 20).all()
+
+
+def test_a_scan_without_labels_loses_nothing():
+    fed = np.full((60, 100), 20.0, np.float32)
+    unknown = np.full((60, 100), 255, np.uint8)
+    assert np.array_equal(absorb(fed, unknown, np.random.default_rng(0)), fed)
+    assert not absorb(0 * fed, 0 * unknown, np.random.default_rng(0)).any()
 
 
 def test_false_returns_are_near_or_behind_and_few():

@@ -502,6 +502,21 @@ def test_sectors_drop_out_of_the_input_and_not_of_the_target(monkeypatch):
     np.testing.assert_array_equal(out.depth, sample.depth)
 
 
+def test_a_thing_drops_out_of_the_input_and_not_of_the_target():
+    config = replace(ALWAYS, lidar_absorbed=1.0)
+    sample = rendered()
+    things = np.full(sample.size, 255, np.uint8)
+    things[:, 20:30] = 8
+    sample = sample.with_targets(semantic=things)
+    out = draw_lidar(sample, config, np.random.default_rng(2))
+    whole = draw_lidar(sample, ALWAYS, np.random.default_rng(2)).sparse_depth
+    lost = (whole > 0) & (out.sparse_depth == 0)
+    assert lost[:, 20:30].any()
+    assert not lost[things == 255].any()
+    np.testing.assert_array_equal(out.sparse_depth[~lost], whole[~lost])
+    np.testing.assert_array_equal(out.depth, sample.depth)
+
+
 def test_what_is_off_draws_no_random_number():
     """New keys at their defaults draw nothing: a run begun without them resumes unchanged."""
     ours, expected = np.random.default_rng(5), np.random.default_rng(5)
