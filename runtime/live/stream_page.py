@@ -6,7 +6,6 @@ from os import PathLike
 from pathlib import Path
 
 from runtime.drawing.report_page.charts import INVALID, LATE
-from runtime.drawing.report_page.facts import collect_facts
 from runtime.drawing.report_page.page import PageContent, render_page
 from runtime.drawing.report_page.samples import SampleKeeper
 from runtime.drawing.report_page.timeline import Moment, Timeline
@@ -42,7 +41,6 @@ class StreamPage:
         self._lock = threading.Lock()
         self._timeline = Timeline()
         self._samples = SampleKeeper(predictor.contract)
-        self._invalid = 0
 
     def add(self, result: FrameResult) -> None:
         """Add the next result."""
@@ -60,7 +58,6 @@ class StreamPage:
         )
         with self._lock:
             self._timeline.add(moment)
-            self._invalid += not prediction.valid
             self._samples.add(moment.name, result.rgb, prediction, result.health)
 
     def write(self, path: str | PathLike[str], stream: PushStream) -> None:
@@ -74,7 +71,7 @@ class StreamPage:
             OutputError: if the file cannot be written.
         """
         statistics, counts, state = stream.statistics, stream.counts, stream.state
-        about = {
+        facts = {
             "started": f"{self._started:%Y-%m-%d %H:%M:%S} UTC",
             "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC",
             "state": ", ".join([state.level, *state.reasons]),
@@ -87,23 +84,18 @@ class StreamPage:
             "stamps that jumped back": counts.jumps_back,
         }
         with self._lock:
-            valid = self._timeline.frames - self._invalid
             content = PageContent(
-                title=f"Stream of {self._predictor.contract.model_name}",
-                command="",
-                interrupted=False,
+                kind="Stream",
                 contract=self._predictor.contract,
+                engine=engine_facts(self._predictor),
                 timeline=self._timeline,
                 response="latency",
                 responses=statistics.stages["latency"],
                 stages=statistics.stages,
                 deadline_ms=statistics.deadline_ms,
                 missed=statistics.missed,
-                frames={"ok": valid, **({INVALID: self._invalid} if self._invalid else {})},
-                frames_per_second=None,
-                problems=(),
                 samples=self._samples.samples(),
-                facts=collect_facts(engine_facts(self._predictor), "Stream", about),
+                facts=facts,
             )
             page = render_page(content)
         with atomic_path(Path(path)) as made:

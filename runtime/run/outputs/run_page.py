@@ -10,7 +10,6 @@ from typing import Any
 
 from runtime.contract import Contract
 from runtime.drawing.report_page.charts import LATE
-from runtime.drawing.report_page.facts import collect_facts
 from runtime.drawing.report_page.samples import SampleKeeper
 from runtime.drawing.report_page.timeline import Moment, Timeline
 from runtime.io.atomic_write import atomic_write
@@ -41,21 +40,21 @@ class RunPage:
         for record in report.records:
             timeline.add(_moment(record, report))
         content = PageContent(
-            title=f"Run of {self._contract.model_name}",
+            kind="Run",
             command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
             interrupted=report.stream.interrupted,
             contract=self._contract,
+            engine=report.engine,
             timeline=timeline,
             response="prediction" if report.stream.rate_hz is None else "age",
             responses=report.responses,
             stages=report.stages,
             deadline_ms=report.deadline_ms,
             missed=report.missed,
-            frames=report.by_status,
             frames_per_second=report.frames_per_second,
             problems=[(each.name, each.status, each.reason) for each in report.not_ok],
             samples=self._samples.samples(),
-            facts=collect_facts(report.engine, "Run", _run_facts(report, self._started)),
+            facts=_run_facts(report, self._started),
         )
         return render_page(content)
 
