@@ -6,7 +6,7 @@ import inspect
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
@@ -14,7 +14,7 @@ from typer.core import TyperCommand
 from runtime.command import ERROR, print_result, reported_errors
 from runtime.command_options import NoDevice, Version
 from runtime.run.model_table import describe_bundled_models
-from runtime.run.options import RunOptions, UsageError
+from runtime.run.options import OPTION, RunOptions, UsageError
 from runtime.run.report_files import describe_run, list_results, report_json
 from runtime.run.run import OnRecord, run
 
@@ -40,13 +40,14 @@ def with_fields_of(options: type) -> Callable[[Callable[..., None]], Callable[..
     """Let typer see a parameter for each field of a dataclass; the function takes **given."""
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        hints = get_type_hints(options, include_extras=True)
         shown = [
             inspect.Parameter(
-                field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hint
+                field.name,
+                inspect.Parameter.KEYWORD_ONLY,
+                default=field.default,
+                annotation=Annotated[field.type, field.metadata[OPTION]],
             )
             for field in dataclasses.fields(options)
-            for hint in [hints[field.name]]
         ]
         shown += list(inspect.signature(command).parameters.values())[:-1]
         command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
