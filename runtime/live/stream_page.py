@@ -50,15 +50,10 @@ class StreamPage:
             marks.append(INVALID)
         if result.deadline_met is False:
             marks.append(LATE)
-        moment = Moment(
-            f"answer {result.sequence}",
-            response_ms=result.latency_ms,
-            marks=tuple(marks),
-            returns=prediction.depth_returns,
-        )
+        name, returns = f"answer {result.sequence}", prediction.depth_returns
         with self._lock:
-            self._timeline.add(moment)
-            self._samples.add(moment.name, result.rgb, prediction, result.health)
+            self._timeline.add(Moment(name, result.latency_ms, tuple(marks), returns))
+            self._samples.add(name, result.rgb, prediction, result.health)
 
     def write(self, path: str | PathLike[str], stream: PushStream) -> None:
         """Write the page of the results so far; an existing file is replaced.

@@ -15,7 +15,7 @@ from runtime.drawing.report_page.timeline import Moment, Timeline
 from runtime.io.atomic_write import atomic_write
 from runtime.prediction import Prediction
 from runtime.run.outputs.output import OpenRun
-from runtime.run.pipeline import OK, FrameRecord
+from runtime.run.pipeline import OK
 from runtime.run.run_report import RunReport
 from runtime.sources.frames import Frame
 
@@ -38,7 +38,10 @@ class RunPage:
 
         timeline = Timeline()
         for record in report.records:
-            timeline.add(_moment(record, report))
+            marks = [] if record.status == OK else [record.status]
+            marks += [*record.degraded, *record.health, *[LATE] * report.is_late(record)]
+            returns = None if record.latency is None else record.depth_returns
+            timeline.add(Moment(record.name, record.response_ms, tuple(marks), returns))
         content = PageContent(
             kind="Run",
             command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
@@ -68,20 +71,6 @@ def open_page(run: OpenRun) -> Iterator[RunPage]:
     if run.report is not None:
         content = page.render(run.report)
         atomic_write(run.options.report, content, overwrite=run.options.overwrite)
-
-
-def _moment(record: FrameRecord, report: RunReport) -> Moment:
-    marks = [*record.degraded, *record.health]
-    if record.status != OK:
-        marks.insert(0, record.status)
-    if report.is_late(record):
-        marks.append(LATE)
-    return Moment(
-        record.name,
-        response_ms=record.response_ms,
-        marks=tuple(marks),
-        returns=None if record.latency is None else record.depth_returns,
-    )
 
 
 def _run_facts(report: RunReport, started: datetime) -> dict[str, Any]:
