@@ -554,7 +554,7 @@ class PushStream:
             self._recorder.reset_jitter()
 
     def _add_pose(self, pose: NDArray[np.float64], nanoseconds: int, now_ns: int) -> None:
-        self._counter.record(Sensor.POSE, self._poses.add(pose, nanoseconds))
+        self._counter.record(Sensor.POSE, self._poses.buffer.add(pose, nanoseconds))
         if not self._live:
             newest_ns = self._poses.buffer.newest_ns
             self._queue(self._synchronizer.poses_reach(newest_ns, now_ns))

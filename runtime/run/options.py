@@ -25,13 +25,7 @@ from runtime.io.scan import SCAN_SUFFIXES
 from runtime.network_size import NetworkSize, parse_network_size
 from runtime.run.run_folder import KINDS, SUFFIXES
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.registry import (
-    SOURCES,
-    SourcePath,
-    choose_source,
-    detect_source,
-    parse_source,
-)
+from runtime.sources.registry import SOURCES, SourcePath, choose_source, detect_source, parse_source
 from runtime.sources.source import Source
 from runtime.sync.depth_in_time import MIDDLE_AFTER
 from runtime.sync.poses import PoseFrame

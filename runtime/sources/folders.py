@@ -26,12 +26,7 @@ from runtime.io.poses import read_poses
 from runtime.io.scan import SCAN_SUFFIXES, read_scan
 from runtime.io.timestamps import read_timestamps
 from runtime.sources.frames import Frame
-from runtime.sources.recorded_motion import (
-    RecordedPoses,
-    frame_of,
-    match_frames,
-    project_listed,
-)
+from runtime.sources.recorded_motion import RecordedPoses, frame_of, match_frames, project_listed
 from runtime.sources.source import ListedFrame, Source, pair_up
 from runtime.sync.depth_in_time import ScanStamp, point_times
 from runtime.sync.motion import lidar_mount
@@ -295,10 +290,7 @@ class FolderSource(Source):
             inputs["reuse_depth_ms"] = self._reuse_depth_ms
         if self._poses_file is not None:
             inputs |= {"poses": str(self._poses_file), "pose_frame": str(self._pose_frame)}
-            inputs |= {
-                "scan_stamp": self._scan_stamp,
-                "point_time_column": self._point_time_column,
-            }
+            inputs |= {"scan_stamp": self._scan_stamp, "point_time_column": self._point_time_column}
         if self._unused_scans:
             inputs["unused_scans"] = self._unused_scans
         return inputs | ({"left_out": dict(self._left_out)} if self.camera_alone else {})
