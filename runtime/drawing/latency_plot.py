@@ -61,9 +61,7 @@ def draw_latency(
     return picture
 
 
-def draw_bars(
-    bars: Sequence[tuple[str, tuple[float, float, float]]],
-) -> NDArray[np.uint8]:
+def draw_bars(bars: Sequence[tuple[str, tuple[float, float, float]]]) -> NDArray[np.uint8]:
     """Draw a bar to the median of each label, with a line from the least to the most.
 
     Args:

@@ -79,7 +79,7 @@ def read_oxts_poses(paths: Iterable[Path]) -> NDArray[np.float64]:
             raise InputError(f"{path} must begin with latitude and longitude in degrees")
         scale = scale or np.cos(np.radians(latitude))
         pose = np.eye(4)
-        pose[:3, :3] = _about_z(yaw) @ _about_y(pitch) @ _about_x(roll)
+        pose[:3, :3] = _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
         pose[:3, 3] = (
             scale * _EARTH_RADIUS_M * np.radians(longitude),
             scale * _EARTH_RADIUS_M * np.log(np.tan(np.radians(90 + latitude) / 2)),
@@ -168,16 +168,10 @@ def _numbers(path: Path, count: int) -> NDArray[np.float64]:
     return np.array(rows).reshape(-1, count)
 
 
-def _about_x(angle: float) -> NDArray[np.float64]:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-
-
-def _about_y(angle: float) -> NDArray[np.float64]:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
-
-
-def _about_z(angle: float) -> NDArray[np.float64]:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+def _about(axis: int, angle: float) -> NDArray[np.float64]:
+    """The rotation (3, 3) about an axis, 0 = x."""
+    rotation, first, second = np.eye(3), (axis + 1) % 3, (axis + 2) % 3
+    rotation[first, first] = rotation[second, second] = np.cos(angle)
+    rotation[second, first] = np.sin(angle)
+    rotation[first, second] = -np.sin(angle)
+    return rotation

@@ -38,11 +38,9 @@ class Points(NamedTuple):
 
 def check_depth(sparse_depth: Any) -> NDArray[np.float32]:
     """Return a depth map of any size, contiguous; raises InputError."""
-    if isinstance(sparse_depth, np.ndarray) and sparse_depth.ndim == 2:
-        size = sparse_depth.shape
-    else:
-        size = (0, 0)  # which no array has
-    return check_sparse_depth(sparse_depth, size=size)
+    is_map = isinstance(sparse_depth, np.ndarray) and sparse_depth.ndim == 2
+    # No array that gets there has the size (0, 0).
+    return check_sparse_depth(sparse_depth, size=sparse_depth.shape if is_map else (0, 0))
 
 
 def check_points(

@@ -11,7 +11,6 @@ from runtime.io.calibration import Calibration
 from runtime.live.payload import Points
 from runtime.sync.depth_in_time import FIRST_SCAN_NS, MIDDLE_AFTER, check_scan_stamp
 from runtime.sync.motion import lidar_mount
-from runtime.sync.outcome import Outcome
 from runtime.sync.poses import CAPACITY, PoseBuffer, PoseFrame, PoseTrack, check_pose
 from runtime.sync.synchronizer import Pair
 
@@ -58,9 +57,8 @@ class PoseFeed:
 
     def full(self, decided_ns: int | None) -> bool:
         """Whether poses are far ahead of the images, the last of which was decided then."""
-        if decided_ns is None:
-            return len(self.buffer) >= _AHEAD
-        return self.buffer.count_after(decided_ns) >= _AHEAD
+        buffer = self.buffer
+        return (len(buffer) if decided_ns is None else buffer.count_after(decided_ns)) >= _AHEAD
 
     def instant(self, scan: Points, stamp_ns: int, period_ns: int | None) -> Points:
         """A scan with its time; without times of its points, that of its middle."""
@@ -76,7 +74,3 @@ class PoseFeed:
             first_ns = min(first_ns, pair.depth.data.first_ns)
             last_ns = max(last_ns, pair.depth.data.last_ns)
         return self.buffer.between(first_ns, last_ns).mounted(self._mount)
-
-    def add(self, pose: NDArray[np.float64], stamp_ns: int) -> Outcome:
-        """Take a checked pose; its outcome is ANSWERED where it is used."""
-        return self.buffer.add(pose, stamp_ns)

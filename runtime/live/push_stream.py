@@ -517,15 +517,12 @@ class PushStream:
         return FrameResult(
             sequence=self._answers,
             rgb=image.data,
-            prediction=answer.prediction,
-            health=answer.health,
-            consistency=answer.consistency,
+            **answer._asdict(),
             image_stamp=image.stamp,
             depth_stamp=None if depth is None else depth.stamp,
             skew_ms=skew_ms,
             depth_age_ms=None if skew_ms is None else 0.0 - skew_ms,  # no -0.0
             depth_reused=reused,
-            depth_motion=answer.depth_motion,
             latency_ms=latency_ms,
             age_ms=age_ms,
             deadline_met=None if self.deadline_ms is None else latency_ms <= self.deadline_ms,
@@ -557,7 +554,7 @@ class PushStream:
             self._recorder.reset_jitter()
 
     def _add_pose(self, pose: NDArray[np.float64], nanoseconds: int, now_ns: int) -> None:
-        self._counter.record(Sensor.POSE, self._poses.add(pose, nanoseconds))
+        self._counter.record(Sensor.POSE, self._poses.buffer.add(pose, nanoseconds))
         if not self._live:
             newest_ns = self._poses.buffer.newest_ns
             self._queue(self._synchronizer.poses_reach(newest_ns, now_ns))

@@ -6,7 +6,6 @@ from os import PathLike
 from pathlib import Path
 
 from runtime.drawing.report_page.charts import INVALID, LATE
-from runtime.drawing.report_page.facts import collect_facts
 from runtime.drawing.report_page.page import PageContent, render_page
 from runtime.drawing.report_page.samples import SampleKeeper
 from runtime.drawing.report_page.timeline import Moment, Timeline
@@ -42,7 +41,6 @@ class StreamPage:
         self._lock = threading.Lock()
         self._timeline = Timeline()
         self._samples = SampleKeeper(predictor.contract)
-        self._invalid = 0
 
     def add(self, result: FrameResult) -> None:
         """Add the next result."""
@@ -52,16 +50,10 @@ class StreamPage:
             marks.append(INVALID)
         if result.deadline_met is False:
             marks.append(LATE)
-        moment = Moment(
-            f"answer {result.sequence}",
-            response_ms=result.latency_ms,
-            marks=tuple(marks),
-            returns=prediction.depth_returns,
-        )
+        name, returns = f"answer {result.sequence}", prediction.depth_returns
         with self._lock:
-            self._timeline.add(moment)
-            self._invalid += not prediction.valid
-            self._samples.add(moment.name, result.rgb, prediction, result.health)
+            self._timeline.add(Moment(name, result.latency_ms, tuple(marks), returns))
+            self._samples.add(name, result.rgb, prediction, result.health)
 
     def write(self, path: str | PathLike[str], stream: PushStream) -> None:
         """Write the page of the results so far; an existing file is replaced.
@@ -74,7 +66,7 @@ class StreamPage:
             OutputError: if the file cannot be written.
         """
         statistics, counts, state = stream.statistics, stream.counts, stream.state
-        about = {
+        facts = {
             "started": f"{self._started:%Y-%m-%d %H:%M:%S} UTC",
             "written": f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC",
             "state": ", ".join([state.level, *state.reasons]),
@@ -87,23 +79,18 @@ class StreamPage:
             "stamps that jumped back": counts.jumps_back,
         }
         with self._lock:
-            valid = self._timeline.frames - self._invalid
             content = PageContent(
-                title=f"Stream of {self._predictor.contract.model_name}",
-                command="",
-                interrupted=False,
+                kind="Stream",
                 contract=self._predictor.contract,
+                engine=engine_facts(self._predictor),
                 timeline=self._timeline,
                 response="latency",
                 responses=statistics.stages["latency"],
                 stages=statistics.stages,
                 deadline_ms=statistics.deadline_ms,
                 missed=statistics.missed,
-                frames={"ok": valid, **({INVALID: self._invalid} if self._invalid else {})},
-                frames_per_second=None,
-                problems=(),
                 samples=self._samples.samples(),
-                facts=collect_facts(engine_facts(self._predictor), "Stream", about),
+                facts=facts,
             )
             page = render_page(content)
         with atomic_path(Path(path)) as made:

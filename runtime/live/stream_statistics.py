@@ -59,13 +59,8 @@ class StreamStatistics:
 
     def table(self) -> str:
         """Return a text table with one line per statistic."""
-        lines = [latency_table(self.stages)]
-        if self.missed is not None:
-            lines.append(
-                f"missed deadlines of {self.deadline_ms:g} ms: {self.missed.count}, "
-                f"longest run {self.missed.longest_run}"
-            )
-        return "\n".join(lines)
+        missed = [] if self.missed is None else [self.missed.line(self.deadline_ms)]
+        return "\n".join([latency_table(self.stages), *missed])
 
 
 class StatisticsRecorder:

@@ -85,14 +85,11 @@ class Watchdog:
     ) -> None:
         """A frame was answered."""
         self._last_ns = now_ns
-        self._count("late", late)
-        self._count("degraded", degraded)
-        self._count("reused", reused)
-        self._count("failed", not valid)
+        self._count(late=late, degraded=degraded, reused=reused, failed=not valid)
 
     def failed(self) -> None:
         """A frame was an error: there is no answer."""
-        self._count("failed", True)
+        self._count(failed=True)
 
     def state(self, now_ns: int) -> WatchdogState:
         """The state at this moment."""
@@ -123,5 +120,6 @@ class Watchdog:
         ]
         return min((limit_ns for limit_ns in limits_ns if limit_ns > now_ns), default=None)
 
-    def _count(self, name: str, wrong: bool) -> None:
-        self._runs[name] = self._runs[name] + 1 if wrong else 0
+    def _count(self, **wrong: bool) -> None:
+        for name, is_wrong in wrong.items():
+            self._runs[name] = self._runs[name] + 1 if is_wrong else 0

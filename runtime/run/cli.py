@@ -6,7 +6,7 @@ import inspect
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
@@ -14,7 +14,7 @@ from typer.core import TyperCommand
 from runtime.command import ERROR, print_result, reported_errors
 from runtime.command_options import NoDevice, Version
 from runtime.run.model_table import describe_bundled_models
-from runtime.run.options import RunOptions, UsageError
+from runtime.run.options import OPTION, RunOptions, UsageError
 from runtime.run.report_files import describe_run, list_results, report_json
 from runtime.run.run import OnRecord, run
 
@@ -36,24 +36,21 @@ class GroupedCommand(TyperCommand):
                 formatter.write_dl(rows)
 
 
-def with_fields_of(options: type) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Let typer see a parameter for each field of a dataclass; the function takes **given."""
-
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        hints = get_type_hints(options, include_extras=True)
-        shown = [
-            inspect.Parameter(
-                field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hint
-            )
-            for field in dataclasses.fields(options)
-            for hint in [hints[field.name]]
-        ]
-        shown += list(inspect.signature(command).parameters.values())[:-1]
-        command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
-        command.__annotations__ = {each.name: each.annotation for each in shown}
-        return command
-
-    return decorate
+def with_run_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Let typer see a parameter for each field of `RunOptions`; the command takes **given."""
+    shown = [
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=field.default,
+            annotation=Annotated[field.type, field.metadata[OPTION]],
+        )
+        for field in dataclasses.fields(RunOptions)
+    ]
+    shown += list(inspect.signature(command).parameters.values())[:-1]
+    command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
+    command.__annotations__ = {each.name: each.annotation for each in shown}
+    return command
 
 
 def _print_models(wanted: bool) -> None:
@@ -70,7 +67,7 @@ def _print_models(wanted: bool) -> None:
     "4 a frame missed --deadline-ms, also if others were skipped; 130 stopped by "
     "Ctrl-C or SIGTERM before the first frame.",
 )
-@with_fields_of(RunOptions)
+@with_run_options
 def main(
     *,
     as_json: Annotated[

@@ -1,14 +1,16 @@
 """The options of `ssdnet-run`: written once, and checked before anything is opened."""
 
+# ruff: noqa: RUF009 - what is called in `RunOptions` returns a field
+
 import contextlib
 import dataclasses
 import itertools
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 import typer
 
@@ -23,13 +25,7 @@ from runtime.io.scan import SCAN_SUFFIXES
 from runtime.network_size import NetworkSize, parse_network_size
 from runtime.run.run_folder import KINDS, SUFFIXES
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.registry import (
-    SOURCES,
-    SourcePath,
-    choose_source,
-    detect_source,
-    parse_source,
-)
+from runtime.sources.registry import SOURCES, SourcePath, choose_source, detect_source, parse_source
 from runtime.sources.source import Source
 from runtime.sync.depth_in_time import MIDDLE_AFTER
 from runtime.sync.poses import PoseFrame
@@ -40,15 +36,34 @@ MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG
 #: Option that names a file -> its suffix.
 FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap", "rerun": ".rrd"}
 DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
+OPTION = "option"  # of the metadata of a field: the option of the command
 RERUN_LIVE = "live"  # --rerun: the viewer on this machine
 _OUT = Path("ssdnet-run")
 
 Item = TypeVar("Item")
 
-# The groups of --help, in their order there.
-_INPUT, _MOTION, _OUTPUTS, _MODEL, _TIMING, _TOPICS = (
-    partial(typer.Option, rich_help_panel=title)
-    for title in ("Input", "Motion", "Outputs", "Model", "Timing", "Topics of a bag")
+
+def _group(title: str) -> Callable[..., Any]:
+    """Return a function that makes a field of an option of this group of --help."""
+
+    def option(text: str, *, default: Any = None, flag: str | None = None, **settings: Any) -> Any:
+        names = (flag,) if flag else ()
+        info = typer.Option(*names, help=text, rich_help_panel=title, **settings)
+        return dataclasses.field(default=default, metadata={OPTION: info})
+
+    return option
+
+
+# In their order there.
+_input, _motion, _outputs, _model, _timing, _topics = map(
+    _group, ("Input", "Motion", "Outputs", "Model", "Timing", "Topics of a bag")
+)
+
+
+_PATH = typer.Argument(
+    metavar="[PATH]",
+    help=f"Frames to predict: {'; '.join(kind.accepted for kind in SOURCES.values())}. Its kind "
+    "follows from the path.",
 )
 
 
@@ -65,286 +80,172 @@ class RunOptions:
         InputError: if `path` is not a source, or `demo` is set and the bundled stream is missing.
     """
 
-    path: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="[PATH]",
-            help="Frames to predict: "
-            + "; ".join(kind.accepted for kind in SOURCES.values())
-            + ". Its kind follows from the path.",
-        ),
-    ] = None
-    rgb: Annotated[
-        Path | None,
-        _INPUT(
-            help=f"Folder of the images (PNG or JPEG, at most {MAX_PIXELS // 10**6} megapixels)."
-        ),
-    ] = None
-    depth: Annotated[
-        Path | None,
-        _INPUT(
-            help="Folder of the sparse depth maps, or the one of one image: PNG, TIFF or .npy of "
-            "16 bits (see --depth-scale), TIFF or .npy of floats in metres. "
-            "[default: camera only]",
-        ),
-    ] = None
-    points: Annotated[
-        Path | None,
-        _INPUT(
-            help="Folder of LiDAR scans, or the scan of a single image, instead of --depth: "
-            f"{', '.join(SCAN_SUFFIXES)}. Needs --calibration.",
-        ),
-    ] = None
-    calibration: Annotated[
-        Path | None,
-        _INPUT(
-            help="Calibration of camera and LiDAR: a TOML file, or a file or folder of KITTI. "
-            "[default: from the source]"
-        ),
-    ] = None
-    demo: Annotated[bool, _INPUT("--demo", help="Run the bundled stream.")] = False
-    limit: Annotated[int | None, _INPUT(min=1, help="Stop after N complete frames.")] = None
-    focal_length: Annotated[
-        float | None,
-        _INPUT(
-            min=MIN_FOCAL_PX,
-            max=MAX_FOCAL_PX,
-            help="Focal length of the camera (fx) in pixels of the images. A model with a "
-            "canonical focal length then fits any camera; other models ignore it. "
-            "[default: from the calibration of the source, else unknown]",
-        ),
-    ] = None
-    depth_scale: Annotated[
-        float | None,
-        _INPUT(
-            min=1e-3,
-            max=1e6,
-            help="Units per metre of 16-bit depth maps: KITTI 256, Virtual KITTI 100. "
-            f"[default: {KITTI_DEPTH_SCALE:g}]",
-        ),
-    ] = None
-    point_columns: Annotated[
-        int | None,
-        _INPUT(
-            min=3,
-            help="float32 per point of .bin scans, x, y, z first. [default: 4, of .pcd.bin 5]",
-        ),
-    ] = None
-    timestamps: Annotated[
-        Path | None,
-        _MOTION(
-            metavar="FILE",
-            help="Times of the images of a folder, a line each in natural order: seconds, or dates "
-            "as of KITTI's raw data. [default: 100 ms apart]",
-        ),
-    ] = None
-    reuse_depth_ms: Annotated[
-        float | None,
-        _MOTION(
-            min=0,
-            max=1e6,
-            help="Largest age of the depth that an image without depth of its own takes; 0 = none. "
-            f"[default: {DEFAULT_REUSE_DEPTH_MS:g}, in folders with --timestamps or --poses]",
-        ),
-    ] = None
-    poses: Annotated[
-        Path | None,
-        _MOTION(
-            metavar="FILE",
-            help="Poses by which scans in a folder are moved to the time of the image: KITTI's "
-            "format, a line for each image in natural order, or TUM's with --timestamps. Drives of "
-            "KITTI and bags bring their own.",
-        ),
-    ] = None
-    pose_frame: Annotated[
-        PoseFrame | None,
-        _MOTION(help="What --poses are of; body needs body_from_lidar in --calibration."),
-    ] = None
-    scan_stamp: Annotated[
-        str | None,
-        _MOTION(
-            metavar="|".join(MIDDLE_AFTER),
-            help="What instant of a scan its stamp is. [default: middle]",
-        ),
-    ] = None
-    point_time_column: Annotated[
-        int | None,
-        _MOTION(
-            min=3,
-            help="Column of .bin and .npy scans, x being 0, with the time of each point in seconds "
-            "after the stamp. [default: a scan is moved as one]",
-        ),
-    ] = None
-    source: Annotated[
-        str | None,
-        _INPUT(
-            metavar="KIND:PATH",
-            help=f"A path with its kind: {', '.join(SOURCES)}. --rgb DIR equals folders:DIR. See "
-            "docs/streams.md.",
-        ),
-    ] = None
-    camera: Annotated[
-        int | None,
-        _INPUT(min=0, max=3, help="Camera of KITTI: 2 left, 3 right. [default: left]"),
-    ] = None
-    shard: Annotated[
-        str | None,
-        _INPUT(
-            metavar="I/N",
-            help="Run part I of N of the stream, from 1/N to N/N: every N-th frame (of --limit "
-            "frames if given). All parts together give the results of one run.",
-        ),
-    ] = None
-    out: Annotated[
-        Path | None,
-        _OUTPUTS(help="Folder of the results. [default: ssdnet-run, or ssdnet-run-2, ...]"),
-    ] = None
-    overwrite: Annotated[
-        bool,
-        _OUTPUTS(
-            "--overwrite",
-            help="Replace the files of an earlier run in --out, and existing files of the options "
-            "below. Files of others are never replaced.",
-        ),
-    ] = False
-    save: Annotated[
-        list[str] | None,
-        _OUTPUTS(
-            metavar="KIND,...",
-            help=f"Files to write of each frame: {', '.join(SUFFIXES)}; all = all kinds that "
-            "the model answers, except clouds; or none. May be repeated. Depth and uncertainty are "
-            f"16-bit PNGs, metres x {METRES_PNG_SCALE}. A cloud is a PLY file with colours and "
-            "class ids, 16 bytes per pixel, and needs --calibration or --focal-length. "
-            "[default: all]",
-        ),
-    ] = None
-    overlay_width: Annotated[
-        int | None,
-        _OUTPUTS(
-            min=16,
-            max=MAX_OVERLAY_WIDTH,
-            help="Largest width in pixels of a panel of the overlays and the video; a frame is "
-            "shrunk by a whole number. [default: 640, panels one above the other 960; of the "
-            "video the frame's width]",
-        ),
-    ] = None
-    report: Annotated[
-        Path | None,
-        _OUTPUTS(
-            metavar=f"FILE{FILE_SUFFIXES['report']}",
-            help="Write an HTML page: latency over time, stages, health, sample images, and facts "
-            "of the run.",
-        ),
-    ] = None
-    video: Annotated[
-        Path | None,
-        _OUTPUTS(
-            metavar=f"FILE{FILE_SUFFIXES['video']}",
-            help=f"Write the overlays as a video, at --rate or {DEFAULT_RATE_HZ:g} Hz.",
-        ),
-    ] = None
-    rerun: Annotated[
-        str | None,
-        _OUTPUTS(
-            metavar=f"FILE{FILE_SUFFIXES['rerun']}|{RERUN_LIVE}|URL",
-            help="Log the run for the viewer Rerun (extra rerun): to a file, to the viewer on this "
-            "machine, or to rerun+http://HOST:PORT/proxy. The cloud needs --calibration or "
-            "--focal-length.",
-        ),
-    ] = None
-    mcap: Annotated[
-        Path | None,
-        _OUTPUTS(
-            metavar=f"FILE{FILE_SUFFIXES['mcap']}",
-            help="Write the results as standard ROS 2 messages (extra bag), with the stamps of the "
-            "camera, or at --rate where there are none.",
-        ),
-    ] = None
-    record: Annotated[
-        Path | None,
-        _OUTPUTS(
-            metavar="DIR",
-            help="Record frames, results and model for ssdnet-verify; about 17 bytes per pixel and "
-            "frame.",
-        ),
-    ] = None
-    model: Annotated[
-        str | None,
-        _MODEL(
-            metavar="NAME|PATH",
-            help=f"Name of a bundled model ({', '.join(list_bundled_models())}), or path of an "
-            f"ONNX file made by ssdnet-export (ends in .onnx or contains a /). "
-            f"[default: {DEFAULT_MODEL}]",
-        ),
-    ] = None
-    provider: Annotated[Provider, _MODEL(help="Execution provider of the model.")] = Provider.cpu
-    size: Annotated[
-        str,
-        _MODEL(
-            help="Size at which the network runs: auto (about the height it was trained for, if "
-            "the frame is much larger), frame (size of the frame), ROWS, or HEIGHTxWIDTH. Results "
-            "have the size of the frame."
-        ),
-    ] = "auto"
-    threads: Annotated[
-        int | None, _MODEL(min=1, help="Threads of inference. [default: physical cores]")
-    ] = None
-    sha256: Annotated[
-        str | None, _MODEL(help="Required SHA-256 of the model file. [default: any]")
-    ] = None
-    deadline_ms: Annotated[
-        float | None,
-        _TIMING(
-            min=1e-6,
-            max=1e9,
-            help="Deadline of a prediction, without reading and writing; with --rate it counts "
-            "from when the frame is due.",
-        ),
-    ] = None
-    rate: Annotated[
-        float | None,
-        _TIMING(
-            min=1e-3,
-            max=1e6,
-            help="Frames per second: frames are due at fixed times as from a sensor "
-            "(constant-stream), and age and jitter are reported. [default: each when the one "
-            "before is done (single-stream)]",
-        ),
-    ] = None
-    warmup: Annotated[
-        int,
-        _TIMING(min=0, help="Predictions before the first frame, excluded from the statistics."),
-    ] = 3
-    max_skew_ms: Annotated[
-        float | None,
-        _TIMING(
-            min=0,
-            max=1e6,
-            help="Largest difference of the stamps of an image and its depth, for sources with "
-            f"stamps of both. [default: {DEFAULT_MAX_SKEW_MS:g}]",
-        ),
-    ] = None
-    image_topic: Annotated[
-        str | None, _TOPICS(help="Topic of the images. [default: the only one]")
-    ] = None
-    depth_topic: Annotated[
-        str | None,
-        _TOPICS(
-            help="Topic of the point clouds or depth images; none = camera only. "
-            "[default: the only one]"
-        ),
-    ] = None
-    info_topic: Annotated[
-        str | None,
-        _TOPICS(help="Topic of the CameraInfo. [default: the one beside the images]"),
-    ] = None
-    pose_topic: Annotated[
-        str | None,
-        _TOPICS(
-            help="Topic of the car's Odometry, or of transforms (/tf); none = scans are not moved. "
-            "[default: the only Odometry, else /tf]"
-        ),
-    ] = None
+    path: Path | None = dataclasses.field(default=None, metadata={OPTION: _PATH})
+    rgb: Path | None = _input(
+        f"Folder of the images (PNG or JPEG, at most {MAX_PIXELS // 10**6} megapixels)."
+    )
+    depth: Path | None = _input(
+        "Folder of the sparse depth maps, or the one of one image: PNG, TIFF or .npy of 16 bits "
+        "(see --depth-scale), TIFF or .npy of floats in metres. [default: camera only]"
+    )
+    points: Path | None = _input(
+        "Folder of LiDAR scans, or the scan of a single image, instead of --depth: "
+        f"{', '.join(SCAN_SUFFIXES)}. Needs --calibration."
+    )
+    calibration: Path | None = _input(
+        "Calibration of camera and LiDAR: a TOML file, or a file or folder of KITTI. [default: "
+        "from the source]"
+    )
+    demo: bool = _input("Run the bundled stream.", flag="--demo", default=False)
+    limit: int | None = _input("Stop after N complete frames.", min=1)
+    focal_length: float | None = _input(
+        "Focal length of the camera (fx) in pixels of the images. A model with a canonical focal "
+        "length then fits any camera; other models ignore it. [default: from the calibration of "
+        "the source, else unknown]",
+        min=MIN_FOCAL_PX,
+        max=MAX_FOCAL_PX,
+    )
+    depth_scale: float | None = _input(
+        "Units per metre of 16-bit depth maps: KITTI 256, Virtual KITTI 100. [default: "
+        f"{KITTI_DEPTH_SCALE:g}]",
+        min=1e-3,
+        max=1e6,
+    )
+    point_columns: int | None = _input(
+        "float32 per point of .bin scans, x, y, z first. [default: 4, of .pcd.bin 5]", min=3
+    )
+    timestamps: Path | None = _motion(
+        "Times of the images of a folder, a line each in natural order: seconds, or dates as of "
+        "KITTI's raw data. [default: 100 ms apart]",
+        metavar="FILE",
+    )
+    reuse_depth_ms: float | None = _motion(
+        "Largest age of the depth that an image without depth of its own takes; 0 = none. "
+        f"[default: {DEFAULT_REUSE_DEPTH_MS:g}, in folders with --timestamps or --poses]",
+        min=0,
+        max=1e6,
+    )
+    poses: Path | None = _motion(
+        "Poses by which scans in a folder are moved to the time of the image: KITTI's format, a "
+        "line for each image in natural order, or TUM's with --timestamps. Drives of KITTI and "
+        "bags bring their own.",
+        metavar="FILE",
+    )
+    pose_frame: PoseFrame | None = _motion(
+        "What --poses are of; body needs body_from_lidar in --calibration."
+    )
+    scan_stamp: str | None = _motion(
+        "What instant of a scan its stamp is. [default: middle]", metavar="|".join(MIDDLE_AFTER)
+    )
+    point_time_column: int | None = _motion(
+        "Column of .bin and .npy scans, x being 0, with the time of each point in seconds after "
+        "the stamp. [default: a scan is moved as one]",
+        min=3,
+    )
+    source: str | None = _input(
+        f"A path with its kind: {', '.join(SOURCES)}. --rgb DIR equals folders:DIR. See "
+        "docs/streams.md.",
+        metavar="KIND:PATH",
+    )
+    camera: int | None = _input("Camera of KITTI: 2 left, 3 right. [default: left]", min=0, max=3)
+    shard: str | None = _input(
+        "Run part I of N of the stream, from 1/N to N/N: every N-th frame (of --limit frames if "
+        "given). All parts together give the results of one run.",
+        metavar="I/N",
+    )
+    out: Path | None = _outputs(
+        "Folder of the results. [default: ssdnet-run, or ssdnet-run-2, ...]"
+    )
+    overwrite: bool = _outputs(
+        "Replace the files of an earlier run in --out, and existing files of the options below. "
+        "Files of others are never replaced.",
+        flag="--overwrite",
+        default=False,
+    )
+    save: list[str] | None = _outputs(
+        f"Files to write of each frame: {', '.join(SUFFIXES)}; all = all kinds that the model "
+        "answers, except clouds; or none. May be repeated. Depth and uncertainty are 16-bit PNGs, "
+        f"metres x {METRES_PNG_SCALE}. A cloud is a PLY file with colours and class ids, 16 bytes "
+        "per pixel, and needs --calibration or --focal-length. [default: all]",
+        metavar="KIND,...",
+    )
+    overlay_width: int | None = _outputs(
+        "Largest width in pixels of a panel of the overlays and the video; a frame is shrunk by a "
+        "whole number. [default: 640, panels one above the other 960; of the video the frame's "
+        "width]",
+        min=16,
+        max=MAX_OVERLAY_WIDTH,
+    )
+    report: Path | None = _outputs(
+        "Write an HTML page: latency over time, stages, health, sample images, and facts of the "
+        "run.",
+        metavar=f"FILE{FILE_SUFFIXES['report']}",
+    )
+    video: Path | None = _outputs(
+        f"Write the overlays as a video, at --rate or {DEFAULT_RATE_HZ:g} Hz.",
+        metavar=f"FILE{FILE_SUFFIXES['video']}",
+    )
+    rerun: str | None = _outputs(
+        "Log the run for the viewer Rerun (extra rerun): to a file, to the viewer on this "
+        "machine, or to rerun+http://HOST:PORT/proxy. The cloud needs --calibration or "
+        "--focal-length.",
+        metavar=f"FILE{FILE_SUFFIXES['rerun']}|{RERUN_LIVE}|URL",
+    )
+    mcap: Path | None = _outputs(
+        "Write the results as standard ROS 2 messages (extra bag), with the stamps of the camera, "
+        "or at --rate where there are none.",
+        metavar=f"FILE{FILE_SUFFIXES['mcap']}",
+    )
+    record: Path | None = _outputs(
+        "Record frames, results and model for ssdnet-verify; about 17 bytes per pixel and frame.",
+        metavar="DIR",
+    )
+    model: str | None = _model(
+        f"Name of a bundled model ({', '.join(list_bundled_models())}), or path of an ONNX file "
+        f"made by ssdnet-export (ends in .onnx or contains a /). [default: {DEFAULT_MODEL}]",
+        metavar="NAME|PATH",
+    )
+    provider: Provider = _model("Execution provider of the model.", default=Provider.cpu)
+    size: str = _model(
+        "Size at which the network runs: auto (about the height it was trained for, if the frame "
+        "is much larger), frame (size of the frame), ROWS, or HEIGHTxWIDTH. Results have the size "
+        "of the frame.",
+        default="auto",
+    )
+    threads: int | None = _model("Threads of inference. [default: physical cores]", min=1)
+    sha256: str | None = _model("Required SHA-256 of the model file. [default: any]")
+    deadline_ms: float | None = _timing(
+        "Deadline of a prediction, without reading and writing; with --rate it counts from when "
+        "the frame is due.",
+        min=1e-6,
+        max=1e9,
+    )
+    rate: float | None = _timing(
+        "Frames per second: frames are due at fixed times as from a sensor (constant-stream), and "
+        "age and jitter are reported. [default: each when the one before is done (single-stream)]",
+        min=1e-3,
+        max=1e6,
+    )
+    warmup: int = _timing(
+        "Predictions before the first frame, excluded from the statistics.", default=3, min=0
+    )
+    max_skew_ms: float | None = _timing(
+        "Largest difference of the stamps of an image and its depth, for sources with stamps of "
+        f"both. [default: {DEFAULT_MAX_SKEW_MS:g}]",
+        min=0,
+        max=1e6,
+    )
+    image_topic: str | None = _topics("Topic of the images. [default: the only one]")
+    depth_topic: str | None = _topics(
+        "Topic of the point clouds or depth images; none = camera only. [default: the only one]"
+    )
+    info_topic: str | None = _topics(
+        "Topic of the CameraInfo. [default: the one beside the images]"
+    )
+    pose_topic: str | None = _topics(
+        "Topic of the car's Odometry, or of transforms (/tf); none = scans are not moved. "
+        "[default: the only Odometry, else /tf]"
+    )
 
     def __post_init__(self) -> None:
         """Check every option."""
@@ -354,7 +255,7 @@ class RunOptions:
                 "give one of PATH, --demo, --rgb (with --depth or --points) and --source"
             )
         for field in dataclasses.fields(self):
-            _check_range(field.name, field.type, getattr(self, field.name))
+            _check_range(field, getattr(self, field.name))
         if (self.poses is None) != (self.pose_frame is None):
             raise UsageError("give --poses and --pose-frame together")
         if self.scan_stamp not in (None, *MIDDLE_AFTER):
@@ -482,16 +383,14 @@ class RunOptions:
         return int(part), int(parts)
 
 
-def _check_range(name: str, of_type: Any, value: Any) -> None:
+def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
     """Raise UsageError for a number outside the `min` and `max` of its option."""
-    kind, *described = get_args(of_type) or (of_type,)
-    least = getattr(described[0], "min", None) if described else None
-    if least is None or value is None:
+    option = field.metadata[OPTION]
+    if option.min is None or value is None:
         return
-    check: Callable[..., float] = check_number if float in get_args(kind) else check_integer
-    most = described[0].max
-    limits = (least,) if most is None else (least, most)
-    check(f"--{name.replace('_', '-')}", value, *limits, error=UsageError)
+    check: Callable[..., float] = check_number if float in get_args(field.type) else check_integer
+    limits = (option.min,) if option.max is None else (option.min, option.max)
+    check(f"--{field.name.replace('_', '-')}", value, *limits, error=UsageError)
 
 
 def is_rerun_file(target: str) -> bool:

@@ -103,15 +103,6 @@ class FrameRecord:
 
 
 @dataclass(frozen=True)
-class FrameOutcome:
-    """The outcome of one frame with its arrays, which are None where it was skipped."""
-
-    record: FrameRecord
-    frame: Frame | None = None
-    prediction: Prediction | None = None
-
-
-@dataclass(frozen=True)
 class StreamResult:
     """The outcome of a stream.
 
@@ -165,8 +156,8 @@ class FrameReader:
 
 def answer_frame(
     predictor: Predictor, index: int, name: str, read: Callable[[], TimedFrame]
-) -> FrameOutcome:
-    """Read and predict one frame.
+) -> tuple[FrameRecord, tuple[Frame, Prediction] | None]:
+    """Read and predict one frame; return its outcome and, unless it was skipped, the answer.
 
     Args:
         predictor: predicts it.
@@ -178,7 +169,7 @@ def answer_frame(
         frame, read_ms = read()
         prediction = predictor.predict(frame.rgb, frame.sparse_depth)
     except SSDNetError as error:
-        return FrameOutcome(FrameRecord(index, name, SKIPPED, reason=str(error)))
+        return FrameRecord(index, name, SKIPPED, reason=str(error)), None
     record = FrameRecord(
         index,
         name,
@@ -197,7 +188,7 @@ def answer_frame(
         depth_reused=frame.depth_reused,
         depth_motion=frame.depth_motion,
     )
-    return FrameOutcome(record, frame, prediction)
+    return record, (frame, prediction)
 
 
 def run_stream(
@@ -268,21 +259,21 @@ def run_stream(
             if due is not None and not _wait_until(due, stop):
                 break
             reads.popleft()
-            answer = answer_frame(predictor, index, name, reading.result)
-            done, written = answer.record, None
-            if answer.frame is not None and answer.prediction is not None:
-                prediction = answer.prediction
+            done, answered = answer_frame(predictor, index, name, reading.result)
+            written = None
+            if answered is not None:
+                frame, prediction = answered
                 if due is not None:
                     age_ms = (time.perf_counter() - due) * 1e3
                     jitter_ms = jitter.record(round(age_ms * NS_PER_MS))
                     done = replace(done, age_ms=age_ms, jitter_ms=jitter_ms)
                 if record is not None:
-                    record(answer.frame, prediction)
-                if reasons := answer.frame.degraded + degraded:
+                    record(frame, prediction)
+                if reasons := frame.degraded + degraded:
                     prediction = replace(prediction, degraded=prediction.degraded + reasons)
                     done = replace(done, degraded=prediction.degraded)
                 if write is not None and prediction.valid:
-                    written = writer.submit(_timed_write, write, answer.frame, prediction)
+                    written = writer.submit(_timed_write, write, frame, prediction)
             writes.append((done, written))
             read_next()
             while len(writes) > _WRITE_BEHIND:

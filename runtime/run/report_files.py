@@ -114,11 +114,8 @@ def describe_run(report: RunReport) -> str:
         + ("n/a" if first_ms is None else f"{first_ms:.1f} ms")
         + " (not in the table)"
     )
-    if (missed := report.missed) is not None:
-        lines.append(
-            f"missed deadlines of {report.deadline_ms:g} ms: {missed.count}, "
-            f"longest run {missed.longest_run}"
-        )
+    if report.missed is not None:
+        lines.append(report.missed.line(report.deadline_ms))
     range_m = report.engine.model.max_depth_m
     if "depth" in report.saved and range_m > METRES_PNG_MAX_M:
         lines.append(

@@ -10,12 +10,7 @@ from typing import Any
 from runtime.io.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.io.engine_facts import EngineFacts
 from runtime.run.pipeline import OK, SKIPPED, FrameRecord, StreamResult
-from runtime.sync.latency import (
-    LatencyStatistics,
-    MissCounter,
-    MissedDeadlines,
-    latency_statistics,
-)
+from runtime.sync.latency import LatencyStatistics, MissCounter, MissedDeadlines, latency_statistics
 
 REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
 FRAMES_SKIPPED, DEADLINE_MISSED = 3, 4  # exit codes

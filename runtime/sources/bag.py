@@ -30,8 +30,8 @@ from runtime.sources.ros_messages import (
 )
 from runtime.sources.ros_poses import odometry_poses, point_times_ns, transform_poses
 from runtime.sources.ros_transforms import TransformTree
-from runtime.sources.source import ListedFrame, Source, no_depth
-from runtime.sync.depth_in_time import ScanStamp, keep_map
+from runtime.sources.source import ListedFrame, Source
+from runtime.sync.depth_in_time import ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseFrame
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
@@ -78,16 +78,6 @@ class BagSource(Source):
     """
 
     accepted = f"a bag ({', '.join(_SUFFIXES)}, or a folder that holds metadata.yaml)"
-    options = (
-        "image_topic",
-        "depth_topic",
-        "info_topic",
-        "calibration",
-        "max_skew_ms",
-        "reuse_depth_ms",
-        "scan_stamp",
-        "pose_topic",
-    )
 
     def __init__(
         self,
@@ -343,17 +333,11 @@ class BagSource(Source):
         is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE
         rgb = decode_compressed_image(image) if is_compressed else decode_image(image)
         if frame.depth is None:
-            return frame_of(frame, rgb, no_depth(rgb), self.calibration)
+            return frame_of(frame, rgb, None, self.calibration)
         recorded = messages[frame.depth]
         message, size = self._bag.decode(recorded), (rgb.shape[0], rgb.shape[1])
         if self._bag.types[recorded.topic] != POINT_CLOUD:
-            depth = decode_depth_image(message)
-            return frame_of(
-                frame,
-                rgb,
-                keep_map(depth, apart=False, has_poses=False, reused=frame.reused),
-                self.calibration,
-            )
+            return frame_of(frame, rgb, decode_depth_image(message), self.calibration)
         assert self.calibration is not None  # see `_calibrate`
         times = None
         if self._poses is not None and frame.depth_stamp_ns is not None:

@@ -6,7 +6,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +26,9 @@ from runtime.io.poses import read_poses
 from runtime.io.scan import SCAN_SUFFIXES, read_scan
 from runtime.io.timestamps import read_timestamps
 from runtime.sources.frames import Frame
-from runtime.sources.recorded_motion import (
-    RecordedPoses,
-    frame_of,
-    match_frames,
-    project_listed,
-)
-from runtime.sources.source import ListedFrame, Source, no_depth, pair_up
-from runtime.sync.depth_in_time import ScanStamp, keep_map, point_times
+from runtime.sources.recorded_motion import RecordedPoses, frame_of, match_frames, project_listed
+from runtime.sources.source import ListedFrame, Source, pair_up
+from runtime.sync.depth_in_time import ScanStamp, point_times
 from runtime.sync.motion import lidar_mount
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseFrame, PoseTrack
@@ -76,19 +71,6 @@ class FolderSource(Source):
     """
 
     accepted = "a folder of images, or one image"
-    options: ClassVar[tuple[str, ...]] = (
-        "depth",
-        "points",
-        "depth_scale",
-        "point_columns",
-        "calibration",
-        "timestamps",
-        "reuse_depth_ms",
-        "poses",
-        "pose_frame",
-        "scan_stamp",
-        "point_time_column",
-    )
     #: Whether an image without depth is a frame of the camera alone, and depth without an image
     #: left out. Otherwise both are frames that cannot be read.
     camera_alone = False
@@ -272,11 +254,10 @@ class FolderSource(Source):
         rgb = read_rgb(frame.image)
         calibration = None if self._calibrations is None else self._calibrations.of(frame.name)
         if frame.depth is None:
-            return frame_of(frame, rgb, no_depth(rgb), calibration)
+            return frame_of(frame, rgb, None, calibration)
         if not self._has_scans:
             sparse_depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
-            depth = keep_map(sparse_depth, apart=False, has_poses=False, reused=frame.reused)
-            return frame_of(frame, rgb, depth, calibration)
+            return frame_of(frame, rgb, sparse_depth, calibration)
         assert calibration is not None  # see __init__
         scan, size = self._read_scan(frame.depth), (rgb.shape[0], rgb.shape[1])
         times = None
@@ -309,10 +290,7 @@ class FolderSource(Source):
             inputs["reuse_depth_ms"] = self._reuse_depth_ms
         if self._poses_file is not None:
             inputs |= {"poses": str(self._poses_file), "pose_frame": str(self._pose_frame)}
-            inputs |= {
-                "scan_stamp": self._scan_stamp,
-                "point_time_column": self._point_time_column,
-            }
+            inputs |= {"scan_stamp": self._scan_stamp, "point_time_column": self._point_time_column}
         if self._unused_scans:
             inputs["unused_scans"] = self._unused_scans
         return inputs | ({"left_out": dict(self._left_out)} if self.camera_alone else {})

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from runtime.io.calibration import Calibration
 from runtime.sources.frames import Frame
-from runtime.sources.source import ListedFrame, up_to
+from runtime.sources.source import ListedFrame, no_depth, up_to
 from runtime.sync.depth_in_time import (
     FIRST_SCAN_NS,
     MIDDLE_AFTER,
     DepthInTime,
     ScanStamp,
     check_scan_stamp,
+    keep_map,
     project_in_time,
 )
 from runtime.sync.motion import lidar_mount
@@ -125,34 +126,27 @@ def project_listed(
     to_ns, at_ns = listed.image_stamp_ns, listed.scan_time_ns
     if poses is None or to_ns is None or at_ns is None:
         return project_in_time(calibration, points, 0, None, 0, size, reused=listed.reused)
-    track = poses.of_lidar(calibration)
-    return project_in_time(
-        calibration,
-        points,
-        at_ns if times is None else times,
-        track,
-        to_ns,
-        size,
-        reused=listed.reused,
-    )
+    track, times_ns = poses.of_lidar(calibration), at_ns if times is None else times
+    return project_in_time(calibration, points, times_ns, track, to_ns, size, reused=listed.reused)
 
 
 def frame_of(
     listed: ListedFrame,
     rgb: NDArray[np.uint8],
-    depth: DepthInTime | NDArray[np.float32],
+    depth: DepthInTime | NDArray[np.float32] | None,
     calibration: Calibration | None,
 ) -> Frame:
-    """The frame that was read; `depth` is an array where there is none."""
-    if not isinstance(depth, DepthInTime):
-        return Frame(rgb, depth, listed.image_stamp_ns, listed.depth_stamp_ns, calibration)
+    """The frame that was read; `depth` is a scan in the image, a depth map as recorded, or None."""
+    if isinstance(depth, np.ndarray):
+        depth = keep_map(depth, apart=False, has_poses=False, reused=listed.reused)
+    sparse_depth, motion, degraded = depth or (no_depth(rgb), None, ())
     return Frame(
         rgb,
-        depth.sparse_depth,
+        sparse_depth,
         listed.image_stamp_ns,
         listed.depth_stamp_ns,
         calibration,
         depth_reused=listed.reused,
-        depth_motion=depth.motion,
-        degraded=depth.degraded,
+        depth_motion=motion,
+        degraded=degraded,
     )

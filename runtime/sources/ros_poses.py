@@ -97,9 +97,7 @@ def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
     return stamp_ns + np.rint(values).astype(np.int64)
 
 
-def odometry_poses(
-    messages: Iterable[Any],
-) -> tuple[str, list[tuple[int, NDArray[np.float64]]]]:
+def odometry_poses(messages: Iterable[Any]) -> tuple[str, list[tuple[int, NDArray[np.float64]]]]:
     """Return the frame that moves, and the poses of nav_msgs/Odometry with their stamps [ns].
 
     Raises:

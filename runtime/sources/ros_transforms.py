@@ -26,11 +26,8 @@ class TransformTree:
         self._parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
         for message in messages:
             for stamped in message.transforms:
-                child, parent = (
-                    frame_name(stamped.child_frame_id),
-                    frame_name(stamped.header.frame_id),
-                )
-                self._parents[child] = (parent, transform_pose(stamped))
+                parent = frame_name(stamped.header.frame_id)
+                self._parents[frame_name(stamped.child_frame_id)] = parent, transform_pose(stamped)
 
     def between(self, source: str, target: str) -> NDArray[np.float64]:
         """Return the matrix, float64 (4, 4), from the frame `source` to the frame `target` [m].
@@ -38,10 +35,8 @@ class TransformTree:
         Raises:
             InputError: if the two are not connected.
         """
-        from_source, from_target = (
-            self._ancestors(frame_name(source)),
-            self._ancestors(frame_name(target)),
-        )
+        from_source = self._ancestors(frame_name(source))
+        from_target = self._ancestors(frame_name(target))
         common = next((frame for frame in from_source if frame in from_target), None)
         if common is None:
             frames = {*self._parents, *(parent for parent, _ in self._parents.values())}

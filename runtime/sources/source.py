@@ -1,5 +1,6 @@
 """The interface of every source of frames: it lists its frames and reads each of them."""
 
+import inspect
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
@@ -58,7 +59,7 @@ class Source(ABC):
 
     Attributes:
         accepted: the paths that are of this kind, in words.
-        options: names of its options, each a keyword of its constructor.
+        options: names of its options, the keywords of its constructor.
         calibration: of the camera and, where there is one, the LiDAR; None if unknown.
         folders: folders that frames are read from; predictions must not be written there.
         recordings: files or whole folders that outputs must not replace or write into.
@@ -69,6 +70,11 @@ class Source(ABC):
     calibration: Calibration | None = None
     folders: tuple[Path, ...] = ()
     recordings: tuple[Path, ...] = ()
+
+    def __init_subclass__(cls) -> None:
+        parameters = inspect.signature(cls.__init__).parameters.values()
+        keywords = tuple(each.name for each in parameters if each.kind is each.KEYWORD_ONLY)
+        cls.options = keywords or cls.options
 
     @abstractmethod
     def __init__(self, path: Path, **options: Any) -> None:

@@ -42,7 +42,6 @@ class VideoSource(Source):
     """
 
     accepted = f"a video ({', '.join(_SUFFIXES)})"
-    options = ("depth", "depth_scale", "calibration")
 
     def __init__(
         self,

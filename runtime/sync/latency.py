@@ -38,6 +38,11 @@ class MissedDeadlines:
     count: int
     longest_run: int
 
+    def line(self, deadline_ms: float | None) -> str:
+        """A line of text on them."""
+        run = self.longest_run
+        return f"missed deadlines of {deadline_ms:g} ms: {self.count}, longest run {run}"
+
 
 def latency_statistics(durations_ms: Iterable[float]) -> LatencyStatistics | None:
     """Return the exact statistics of some durations in milliseconds; None if there are none."""

@@ -8,7 +8,8 @@ positions linearly. Beyond the first and the last pose the motion goes on evenly
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +27,11 @@ MAX_GAP_MS = 250.0
 #: Poses that a `PoseBuffer` holds: 80 s at 100 Hz.
 CAPACITY = 8192
 _OTHER_CLOCK_NS = 10_000 * NS_PER_MS  # no pose within this time of a picture
+_REACH_NS = round(MAX_EXTRAPOLATION_MS * NS_PER_MS)
 _VELOCITY_NS = 100 * NS_PER_MS  # velocities are averaged over this time
 _RIGID_TOLERANCE = 1e-3  # float32 poses that were multiplied often
 _LARGEST_M = 1e7
+_stamp_ns = attrgetter("stamp_ns")
 # What a car can do between two poses; beyond it, the odometry jumped.
 _SPEED_M_S, _ACCELERATION_M_S2, _JUMP_M = 100.0, 10.0, 0.5
 _TURN_DEG_S, _TURN_DEG_S2, _JUMP_DEG = 180.0, 400.0, 5.0
@@ -145,6 +148,13 @@ class PoseTrack:
         return np.asarray(poses @ self.mount)
 
 
+class _Pose(NamedTuple):
+    stamp_ns: int
+    quaternion: NDArray[np.float64]
+    position: NDArray[np.float64]
+    jumped: bool = False
+
+
 class PoseBuffer:
     """Keeps the newest poses of one moving frame.
 
@@ -163,23 +173,20 @@ class PoseBuffer:
 
     def __init__(self, *, capacity: int = CAPACITY, max_gap_ms: float = MAX_GAP_MS) -> None:
         self._capacity, self._max_gap_ns = capacity, round(max_gap_ms * NS_PER_MS)
-        self._stamps_ns: list[int] = []
-        self._quaternions: list[NDArray[np.float64]] = []
-        self._positions: list[NDArray[np.float64]] = []
-        self._jumped: list[bool] = []
+        self._poses: list[_Pose] = []
         self.out_of_order = self.resets = self.jumps = 0
 
     def __len__(self) -> int:
-        return len(self._stamps_ns)
+        return len(self._poses)
 
     @property
     def newest_ns(self) -> int | None:
         """The stamp of the newest pose."""
-        return self._stamps_ns[-1] if self._stamps_ns else None
+        return self._poses[-1].stamp_ns if self._poses else None
 
     def count_after(self, stamp_ns: int) -> int:
         """How many poses are newer than this."""
-        return len(self._stamps_ns) - bisect_right(self._stamps_ns, stamp_ns)
+        return len(self._poses) - bisect_right(self._poses, stamp_ns, key=_stamp_ns)
 
     def add(self, pose: Any, stamp_ns: int) -> Outcome:
         """Take a pose.
@@ -195,118 +202,101 @@ class PoseBuffer:
             InputError: if it is not rigid.
         """
         pose = check_pose(pose)
-        if self._stamps_ns and stamp_ns <= self._stamps_ns[-1]:
-            if stamp_ns == self._stamps_ns[-1]:
+        newest_ns = self.newest_ns
+        if newest_ns is not None and stamp_ns <= newest_ns:
+            if stamp_ns == newest_ns:
                 return Outcome.DUPLICATE
             self.out_of_order += 1
-            if stamp_ns >= self._stamps_ns[-1] - JUMP_BACK_NS:
+            if stamp_ns >= newest_ns - JUMP_BACK_NS:
                 return Outcome.LATE
             self.resets += 1
-            self._drop(len(self._stamps_ns))
-        quaternion, position = _quaternion(pose[:3, :3]), pose[:3, 3].copy()
-        jumped = bool(self._stamps_ns) and self._is_jump(stamp_ns, quaternion, position)
+            self._poses.clear()
+        taken = _Pose(stamp_ns, _quaternion(pose[:3, :3]), pose[:3, 3].copy())
+        jumped = bool(self._poses) and self._is_jump(taken)
         self.jumps += jumped
-        self._stamps_ns.append(stamp_ns)
-        self._quaternions.append(quaternion)
-        self._positions.append(position)
-        self._jumped.append(jumped)
-        if len(self._stamps_ns) >= 2 * self._capacity:  # seldom: it moves the lists
-            self._drop(len(self._stamps_ns) - self._capacity)
+        self._poses.append(taken._replace(jumped=jumped))
+        if len(self._poses) >= 2 * self._capacity:  # seldom: it moves the list
+            del self._poses[: -self._capacity]
         return Outcome.ANSWERED
 
     def whole(self) -> PoseTrack:
         """All poses, with the extrapolation at both ends."""
-        if not self._stamps_ns:
+        if not self._poses:
             return self.between(0, 0)
-        reach_ns = round(MAX_EXTRAPOLATION_MS * NS_PER_MS)
-        return self.between(self._stamps_ns[0] - reach_ns, self._stamps_ns[-1] + reach_ns)
+        return self.between(
+            self._poses[0].stamp_ns - _REACH_NS, self._poses[-1].stamp_ns + _REACH_NS
+        )
 
     def between(self, first_ns: int, last_ns: int) -> PoseTrack:
         """Copy the poses for the times from `first_ns` to `last_ns`, and one on each side."""
-        stamps_ns = self._stamps_ns
-        start = max(bisect_right(stamps_ns, first_ns) - 1, 0)
-        stop = min(bisect_left(stamps_ns, last_ns) + 1, len(stamps_ns))
+        newest = len(self._poses) - 1
+        start = max(bisect_right(self._poses, first_ns, key=_stamp_ns) - 1, 0)
+        stop = bisect_left(self._poses, last_ns, key=_stamp_ns) + 1
         # At least the nearest pose, which says how far away it is.
-        start = min(start, max(len(stamps_ns) - 1, 0))
-        stop = max(stop, min(start + 1, len(stamps_ns)))
-        stamps = stamps_ns[start:stop]
-        quaternions, positions = self._quaternions[start:stop], self._positions[start:stop]
-        jumped = self._jumped[start:stop]
-        if stamps:
-            reach_ns = round(MAX_EXTRAPOLATION_MS * NS_PER_MS)
-            newest, oldest = stamps_ns[-1], stamps_ns[0]
-            if last_ns > newest and (base := self._base(len(stamps_ns) - 1)) is not None:
-                end_ns = min(last_ns, newest + reach_ns)
-                quaternion, position = self._beyond(base, len(stamps_ns) - 1, end_ns)
-                stamps, jumped = [*stamps, end_ns], [*jumped, False]
-                quaternions, positions = [*quaternions, quaternion], [*positions, position]
-            if first_ns < oldest and (base := self._base_after(0)) is not None:
-                end_ns = max(first_ns, oldest - reach_ns)
-                quaternion, position = self._beyond(base, 0, end_ns)
-                stamps, jumped = [end_ns, *stamps], [False, *jumped]
-                quaternions, positions = [quaternion, *quaternions], [position, *positions]
+        start = min(start, max(newest, 0))
+        poses = self._poses[start : max(stop, start + 1)]
+        if poses:
+            if last_ns > self._poses[newest].stamp_ns:
+                poses = poses + self._extrapolated(newest, -1, last_ns)
+            if first_ns < self._poses[0].stamp_ns:
+                poses = self._extrapolated(0, 1, first_ns) + poses
         return PoseTrack(
-            np.array(stamps, np.int64),
-            np.array(quaternions, np.float64).reshape(-1, 4),
-            np.array(positions, np.float64).reshape(-1, 3),
-            np.array(jumped, bool),
+            np.array([pose.stamp_ns for pose in poses], np.int64),
+            np.array([pose.quaternion for pose in poses], np.float64).reshape(-1, 4),
+            np.array([pose.position for pose in poses], np.float64).reshape(-1, 3),
+            np.array([pose.jumped for pose in poses], bool),
             np.eye(4),
             self._max_gap_ns,
         )
 
-    def _drop(self, count: int) -> None:
-        for column in (self._stamps_ns, self._quaternions, self._positions, self._jumped):
-            del column[:count]
+    def _base(self, end: int, step: int) -> int | None:
+        """The pose from which the velocity at pose `end` is taken; None = there is none.
 
-    def _base(self, last: int) -> int | None:
-        """The pose from which the velocity at pose `last` is taken; None = there is none."""
-        earliest_ns = self._stamps_ns[last] - _VELOCITY_NS
-        base = last
-        while base > 0 and not self._jumped[base]:
-            if base < last and self._stamps_ns[base - 1] < earliest_ns:
+        step: -1 = a pose before it, 1 = one after it.
+        """
+        poses, base = self._poses, end
+
+        def apart_ns(other: int) -> int:
+            return abs(poses[other].stamp_ns - poses[end].stamp_ns)
+
+        while 0 <= base + step < len(poses) and not poses[max(base, base + step)].jumped:
+            if base != end and apart_ns(base + step) > _VELOCITY_NS:
                 break
-            base -= 1
-        gap_ns = self._stamps_ns[last] - self._stamps_ns[base]
-        return base if 0 < gap_ns <= max(self._max_gap_ns, _VELOCITY_NS) else None
+            base += step
+        return base if 0 < apart_ns(base) <= max(self._max_gap_ns, _VELOCITY_NS) else None
 
-    def _base_after(self, first: int) -> int | None:
-        latest_ns = self._stamps_ns[first] + _VELOCITY_NS
-        base = first
-        while base + 1 < len(self._stamps_ns) and not self._jumped[base + 1]:
-            if base > first and self._stamps_ns[base + 1] > latest_ns:
-                break
-            base += 1
-        gap_ns = self._stamps_ns[base] - self._stamps_ns[first]
-        return base if 0 < gap_ns <= max(self._max_gap_ns, _VELOCITY_NS) else None
-
-    def _beyond(
-        self, base: int, end: int, stamp_ns: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the motion from pose `base` to pose `end` leads at a time beyond `end`."""
-        length_ns = self._stamps_ns[end] - self._stamps_ns[base]
-        weight = np.array([(stamp_ns - self._stamps_ns[base]) / length_ns])
-        step = self._positions[end] - self._positions[base]
-        (quaternion,) = _slerp(self._quaternions[base][None], self._quaternions[end][None], weight)
-        return quaternion, self._positions[base] + weight * step
-
-    def _is_jump(
-        self, stamp_ns: int, quaternion: NDArray[np.float64], position: NDArray[np.float64]
-    ) -> bool:
-        """Whether the next pose is one that a car cannot reach from the poses before it."""
-        last = len(self._stamps_ns) - 1
-        after_s = (stamp_ns - self._stamps_ns[last]) / 1e9
-        base = self._base(last)
+    def _extrapolated(self, end: int, step: int, stamp_ns: int) -> list[_Pose]:
+        """The pose at a time beyond pose `end`, at most `_REACH_NS`; none without a velocity."""
+        base = self._base(end, step)
         if base is None:
-            from_quaternion, from_position = self._quaternions[last], self._positions[last]
+            return []
+        end_ns = self._poses[end].stamp_ns
+        return [self._beyond(base, end, min(max(stamp_ns, end_ns - _REACH_NS), end_ns + _REACH_NS))]
+
+    def _beyond(self, base: int, end: int, stamp_ns: int) -> _Pose:
+        """Where the motion from pose `base` to pose `end` leads at a time beyond `end`."""
+        first, last = self._poses[base], self._poses[end]
+        weight = np.array([(stamp_ns - first.stamp_ns) / (last.stamp_ns - first.stamp_ns)])
+        (quaternion,) = _slerp(first.quaternion[None], last.quaternion[None], weight)
+        position = first.position + weight * (last.position - first.position)
+        return _Pose(stamp_ns, quaternion, position)
+
+    def _is_jump(self, pose: _Pose) -> bool:
+        """Whether the next pose is one that a car cannot reach from the poses before it."""
+        newest = len(self._poses) - 1
+        last = expected = self._poses[newest]
+        after_s = (pose.stamp_ns - last.stamp_ns) / 1e9
+        base = self._base(newest, -1)
+        if base is None:
             far_m, far_deg = _SPEED_M_S * after_s, _TURN_DEG_S * after_s
         else:
-            from_quaternion, from_position = self._beyond(base, last, stamp_ns)
-            base_s = (self._stamps_ns[last] - self._stamps_ns[base]) / 1e9
+            expected = self._beyond(base, newest, pose.stamp_ns)
+            base_s = (last.stamp_ns - self._poses[base].stamp_ns) / 1e9
             square_s2 = after_s * (after_s + base_s)
             far_m, far_deg = _ACCELERATION_M_S2 * square_s2, _TURN_DEG_S2 * square_s2
-        cosine = min(1.0, abs(float(from_quaternion @ quaternion)))
+        cosine = min(1.0, abs(float(expected.quaternion @ pose.quaternion)))
         return bool(
-            np.linalg.norm(position - from_position) > _JUMP_M + far_m
+            np.linalg.norm(pose.position - expected.position) > _JUMP_M + far_m
             or np.degrees(2 * np.arccos(cosine)) > _JUMP_DEG + far_deg
         )
 

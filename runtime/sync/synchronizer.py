@@ -110,14 +110,9 @@ class Synchronizer:
         self._sensors = {sensor: _Waiting() for sensor in MATCHED}
         self._kept: list[_Kept] = []  # by stamp
         self._poses_ns: int | None = None  # the newest pose; None = they are not waited for
-        self._decided_ns: int | None = None  # the newest image that was decided
+        self.decided_ns: int | None = None  # the newest image that was decided
         self.out_of_order = 0
         self.jumps_back = 0
-
-    @property
-    def decided_ns(self) -> int | None:
-        """The newest image that was decided."""
-        return self._decided_ns
 
     def period_ns(self, sensor: Sensor) -> int | None:
         """The median interval of a sensor; None if it is not known yet."""
@@ -145,9 +140,10 @@ class Synchronizer:
                 self.jumps_back += 1
                 self._flush(decided, Outcome.CLOCK_JUMP)
                 self._sensors = {sensor: _Waiting() for sensor in MATCHED}
-                self._decided_ns = None
+                self.decided_ns = None
                 waiting = self._sensors[sensor]
-        if sensor is Sensor.IMAGE and self._is_late(message):
+        decided_ns = self.decided_ns
+        if sensor is Sensor.IMAGE and decided_ns is not None and message.stamp_ns <= decided_ns:
             decided.discarded.append(Discarded(sensor, message, Outcome.LATE))
             return decided
         waiting.add(message)
@@ -201,9 +197,6 @@ class Synchronizer:
     def _depths(self) -> list[Message]:
         return self._sensors[Sensor.DEPTH].messages
 
-    def _is_late(self, image: Message) -> bool:
-        return self._decided_ns is not None and image.stamp_ns <= self._decided_ns
-
     def _decide(self, decided: Decided, now_ns: int) -> None:
         while (image := self._next_decidable(now_ns)) is not None:
             self._decide_image(decided, image)
@@ -213,9 +206,9 @@ class Synchronizer:
 
     def _next_decidable(self, now_ns: int) -> Message | None:
         """The image to decide next: live the newest of those that can be, else only the oldest."""
+        oldest = next(iter(self._images), None)
         if not self._live:
-            image = next(iter(self._images), None)
-            return image if image is not None and self._is_decidable(image, now_ns) else None
+            return oldest if oldest is not None and self._is_decidable(oldest, now_ns) else None
         for image in reversed(self._images):
             depth = self._partner(image)
             if depth is not None and self._is_certain(image, depth):
@@ -223,7 +216,6 @@ class Synchronizer:
             if self._is_over(image, Sensor.DEPTH, now_ns):
                 return image
         # One that no depth is due for: unless an older one waits, which would be dropped.
-        oldest = next(iter(self._images), None)
         if oldest is None or self._partner(oldest) is not None or self._is_due(oldest):
             return None
         return oldest
@@ -269,7 +261,7 @@ class Synchronizer:
     def _decide_image(self, decided: Decided, image: Message) -> None:
         depth = self._partner(image)
         older_depth = self._older_depth(image) if depth is None else None
-        self._decided_ns = image.stamp_ns
+        self.decided_ns = image.stamp_ns
         for older in list(self._images):
             if older.stamp_ns < image.stamp_ns:  # live alone
                 self._images.remove(older)

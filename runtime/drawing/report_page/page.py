@@ -1,37 +1,31 @@
 """The report page: HTML with inline charts and pictures, without external resources."""
 
 import base64
+import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
+from typing import Any
 
 from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
-from runtime.drawing.report_page.charts import (
-    INVALID,
-    LATE,
-    MOST_SPANS,
-    SKIPPED,
-    latency_chart,
-    mark_strip,
-    range_strip,
-    returns_strip,
-)
-from runtime.drawing.report_page.html import Html, fill, read_resource
+from runtime.drawing.report_page import charts
 from runtime.drawing.report_page.samples import Sample
-from runtime.drawing.report_page.timeline import Timeline
+from runtime.drawing.report_page.template import render
+from runtime.drawing.report_page.timeline import Span, Timeline
 from runtime.io.encode import encode_png
+from runtime.io.engine_facts import EngineFacts, ProviderFacts
 from runtime.sync.latency import LatencyStatistics, MissedDeadlines
 
 _PARTS = ("preprocess", "inference", "postprocess")  # of a prediction
-_BAD = (SKIPPED, INVALID, LATE)
+_BAD = (*charts.DROPS, charts.LATE)
 _FEW_PROBLEMS, _MOST_PROBLEMS = 10, 200
 _BAR_WIDTH = 640
-_TILE = ("label", "value", "note", "kind")
+_LIBRARIES = {"onnxruntime": "ONNX Runtime", "cv2": "OpenCV", "numpy": "NumPy"}
 #: Mark -> its meaning.
 _MEANINGS = {
-    SKIPPED: "could not be read or predicted",
-    INVALID: "the answer cannot be used",
-    LATE: "later than the deadline",
+    charts.SKIPPED: "could not be read or predicted",
+    charts.INVALID: "the answer cannot be used",
+    charts.LATE: "later than the deadline",
     "no_depth": "no LiDAR return: camera only",
     "sparse_depth_low": "LiDAR returns in too few places",
     "depth_reused": "returns of an older scan",
@@ -50,221 +44,136 @@ _MEANINGS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PageContent:
     """The content of a page.
 
     Attributes:
-        title: heading.
+        kind: "Run" or "Stream".
         command: command line of the run; "" = none.
         interrupted: whether the run was stopped before its end.
         contract: of the model.
+        engine: facts of model, provider and machine.
         timeline: outcomes of the frames.
         response: name of the latency that the chart shows and the deadline limits.
         responses: its statistics; None = no answer.
         stages: stage -> statistics.
         deadline_ms: None = there was none.
         missed: None = there was no deadline.
-        frames: status -> frames.
         frames_per_second: None = not known.
         problems: name, status and reason of frames without a usable answer.
         samples: pictures.
-        facts: heading -> name -> value.
+        facts: name -> value; those that are None or empty are not shown.
     """
 
-    title: str
-    command: str
-    interrupted: bool
+    kind: str
+    command: str = ""
+    interrupted: bool = False
     contract: Contract
+    engine: EngineFacts
     timeline: Timeline
     response: str
     responses: LatencyStatistics | None
     stages: Mapping[str, LatencyStatistics | None]
     deadline_ms: float | None
     missed: MissedDeadlines | None
-    frames: Mapping[str, int]
-    frames_per_second: float | None
-    problems: Sequence[tuple[str, str, str]]
+    frames_per_second: float | None = None
+    problems: Sequence[tuple[str, str, str]] = ()
     samples: Sequence[Sample]
-    facts: Mapping[str, Mapping[str, str]]
+    facts: Mapping[str, Any]
 
 
 def render_page(content: PageContent) -> bytes:
     """Return the page, HTML in UTF-8 without external resources."""
-    sections = {
-        "Latency over time": _latency(content),
-        "Percentiles and stages": _stages(content),
-        "Health over time": _health(content),
-        "Frames without an answer": _problems(content.problems),
-        "Samples": _samples(content),
-        "Facts": _facts(content.facts),
-    }
-    page = fill(
-        "page",
-        title=content.title,
-        style=Html(read_resource("page.css")),
-        badges=fill("badge", kind="warn", text="interrupted") if content.interrupted else "",
-        command=fill("command", command=content.command) if content.command else "",
-        tiles=_tiles(content),
-        sections=[
-            fill("section", title=title, content=part) for title, part in sections.items() if part
-        ],
-    )
-    return (page + "\n").encode(errors="backslashreplace")  # file names need not be valid text
-
-
-def _tiles(content: PageContent) -> list[Html]:
-    counts = ", ".join(f"{count:,} {status}" for status, count in content.frames.items())
-    tiles = [("frames", f"{content.timeline.frames:,}", counts or "none", "")]
-    if (times := content.responses) is not None:
-        tiles.append((f"median {content.response}", f"{_ms(times.median_ms)} ms", "", ""))
-        name, value = _highest_percentile(times)
-        tiles.append((f"{name} {content.response}", f"{_ms(value)} ms", f"n = {times.n:,}", ""))
-    if (missed := content.missed) is not None:
-        note = f"deadline {content.deadline_ms:g} ms, longest run {missed.longest_run}"
-        kind = "bad" if missed.count else "good"
-        tiles.append(("missed deadlines", f"{missed.count:,}", note, kind))
-    if content.frames_per_second is not None:
-        rate = f"{content.frames_per_second:.1f}"
-        tiles.append(("frames per second", rate, "reading and writing included", ""))
-    flagged = content.timeline.flagged
-    kind = "warn" if flagged else "good"
-    tiles.append(("flagged frames", f"{flagged:,}", "late, unanswered or degraded", kind))
-    return [fill("tile", **dict(zip(_TILE, tile, strict=True))) for tile in tiles]
-
-
-def _latency(content: PageContent) -> list[Html]:
-    timeline, deadline_ms = content.timeline, content.deadline_ms
-    spans = timeline.spans(MOST_SPANS)
-    chart = latency_chart(spans, deadline_ms=deadline_ms, title=content.response)
-    if not chart:
-        return [fill("note", kind="soft", text="No frame was answered.")]
-    keys = {"dot": content.response}
-    if len(spans) < timeline.frames:
-        keys["range"] = "smallest to largest of the frames there"
-    if deadline_ms is not None:
-        keys["dash"] = f"deadline {deadline_ms:g} ms"
-    if late := timeline.marks[LATE]:
-        keys["dot red"] = f"late ({late:,})"
-    if dropped := timeline.marks[SKIPPED] + timeline.marks[INVALID]:
-        keys["dot warn"] = f"no usable answer ({dropped:,})"
-    return [chart, fill("legend", keys=_keys(keys))]
-
-
-def _stages(content: PageContent) -> list[Html]:
-    stages = {name: each for name, each in content.stages.items() if each is not None}
-    if not stages:
-        return []
-    means = {name: stages[name].mean_ms for name in _PARTS if name in stages}
-    shares = {name: mean / (sum(means.values()) or 1) for name, mean in means.items()}
-    keys = {f"square {name}": f"{name} {_ms(means[name])} ms, {shares[name]:.0%}" for name in means}
-    bars = [fill("part", kind=name, share=f"{share:.2%}") for name, share in shares.items()]
-    parts = [fill("parts", bars=bars, keys=_keys(keys))] if means else []
-    most_ms = max(each.max_ms for each in stages.values()) or 1.0
-    rows = [
-        _row(name, *_cells(each), last=fill("wide", strip=range_strip(each, most_ms)))
-        for name, each in stages.items()
-    ]
-    return [*parts, fill("stages", rows=rows)]
-
-
-def _health(content: PageContent) -> list[Html]:
     timeline = content.timeline
-    spans = timeline.spans(MOST_SPANS)
-    lanes = [
-        fill(
-            "lane",
-            kind="bad" if mark in _BAD else "warn",
-            name=mark,
-            count=f"{count:,} of {timeline.frames:,}",
-            meaning=_MEANINGS.get(mark, ""),
-            strip=mark_strip(spans, mark),
-        )
-        for mark, count in sorted(timeline.marks.items(), key=lambda item: _rank(*item))
-    ]
-    if not lanes and timeline.frames:
-        text = "All frames were answered, none is flagged."
-        lanes.append(fill("note", kind="good", text=text))
+    spans = timeline.spans(charts.MOST_SPANS)
+    dropped = {status: timeline.marks[status] for status in charts.DROPS}
+    by_status = {"ok": timeline.frames - sum(dropped.values()), **dropped}
+    values = {
+        **vars(content),
+        "by_status": ", ".join(f"{n:,} {status}" for status, n in by_status.items() if n) or "none",
+        "highest": _highest_percentile(content.responses),
+        "chart": charts.latency_chart(spans, deadline_ms=content.deadline_ms),
+        "dropped": sum(dropped.values()),
+        "stages": _stages(content.stages),
+        "lanes": _lanes(timeline, spans),
+        "last": timeline.frames - 1,
+        "problems": _problems(content.problems),
+        "samples": _samples(content),
+        "facts": {name: fact for name, fact in content.facts.items() if fact not in (None, "")},
+        "running": _running(content.engine.provider),
+        "libraries": {
+            name: library.__version__
+            for module, name in _LIBRARIES.items()
+            if (library := sys.modules.get(module))  # this process has loaded it
+        },
+    }
+    # File names need not be valid text.
+    return render("page.html", values).encode(errors="backslashreplace")
+
+
+def _highest_percentile(times: LatencyStatistics | None) -> tuple[str, float] | None:
+    """The highest percentile up to p99 that the number of frames supports, else the maximum."""
+    if times is None:
+        return None
+    values = {"p99": times.p99_ms, "p90": times.p90_ms, "slowest": times.max_ms}
+    return next((name, value) for name, value in values.items() if value is not None)
+
+
+def _stages(statistics: Mapping[str, LatencyStatistics | None]) -> dict[str, Any]:
+    stages = {name: each for name, each in statistics.items() if each is not None}
+    most_ms = max((each.max_ms for each in stages.values()), default=0) or 1.0
+    means = {name: stages[name].mean_ms for name in _PARTS if name in stages}
+    sum_ms = sum(means.values()) or 1.0
+    return {
+        "parts": [(name, mean_ms, mean_ms / sum_ms) for name, mean_ms in means.items()],
+        "rows": [(name, each, charts.range_strip(each, most_ms)) for name, each in stages.items()],
+    }
+
+
+def _lanes(timeline: Timeline, spans: Sequence[Span]) -> list[tuple[Any, ...]]:
+    """Class, name, count, meaning and bars, the worst marks first, then the most frequent."""
+
+    def rank(mark: str) -> tuple[int, int, str]:
+        return (_BAD.index(mark) if mark in _BAD else len(_BAD)), -timeline.marks[mark], mark
+
+    lanes = []
+    for mark in sorted(timeline.marks, key=rank):
+        kind = "bad" if mark in _BAD else "warn"
+        count = f"{timeline.marks[mark]:,} of {timeline.frames:,}"
+        bars = charts.mark_strip(spans, mark)
+        lanes.append((kind, mark, count, _MEANINGS.get(mark, ""), bars))
     known = [span.mean_returns for span in spans if span.mean_returns is not None]
     if known:
         count = f"{min(known):,.0f} to {max(known):,.0f}"
-        lane = {"name": "LiDAR returns", "count": count, "meaning": "used per frame"}
-        lanes.append(fill("lane", kind="tall", strip=returns_strip(spans), **lane))
-    if lanes:
-        text = f"From frame 0 (left) to {timeline.frames - 1:,} (right)."
-        lanes.append(fill("note", kind="note", text=text))
+        bars = charts.returns_strip(spans)
+        lanes.append(("tall", "LiDAR returns", count, "used per frame", bars))
     return lanes
 
 
-def _problems(problems: Sequence[tuple[str, str, str]]) -> list[Html]:
-    def table(shown: Sequence[tuple[str, str, str]]) -> Html:
-        return fill("problems", rows=[_row(*each) for each in shown])
-
-    parts = [table(problems[:_FEW_PROBLEMS])] if problems else []
-    if rest := problems[_FEW_PROBLEMS:_MOST_PROBLEMS]:
-        parts.append(fill("more", count=len(rest), table=table(rest)))
-    if (beyond := len(problems) - _MOST_PROBLEMS) > 0:
-        parts.append(fill("note", kind="note", text=f"and {beyond:,} more, see frames.csv"))
-    return parts
+def _problems(problems: Sequence[tuple[str, str, str]]) -> dict[str, Any]:
+    first, rest = problems[:_FEW_PROBLEMS], problems[_FEW_PROBLEMS:_MOST_PROBLEMS]
+    beyond = max(len(problems) - _MOST_PROBLEMS, 0)
+    return {"first": first, "rest": rest, "more": len(rest), "beyond": beyond}
 
 
-def _samples(content: PageContent) -> list[Html]:
-    parts = []
-    for sample in content.samples:
-        badges = [fill("badge", kind="", text="slowest")] if sample.slowest else []
-        badges += [fill("badge", kind="warn", text=mark) for mark in sample.marks]
-        panels = [
-            fill("panel", title=title, name=sample.name, image=_data("image/jpeg", jpeg))
-            for title, jpeg in sample.panels
-        ]
-        time = _ms(sample.predict_ms)
-        parts.append(fill("sample", name=sample.name, time=time, badges=badges, panels=panels))
-    contract = content.contract
-    if parts and contract.classes:
-        keys = [fill("swatch", color=info.color, name=info.name) for info in contract.classes]
-        parts.append(fill("legend", keys=keys))
-    if any("depth" in title for sample in content.samples for title, _ in sample.panels):
+def _samples(content: PageContent) -> dict[str, Any]:
+    contract, samples, scale = content.contract, content.samples, ""
+    if any("depth" in title for sample in samples for title, _ in sample.panels):
         bar = Overlay(contract.classes, contract.max_depth_m).draw_depth_bar(_BAR_WIDTH)
-        parts.append(fill("scale", image=_data("image/png", bytes(encode_png(bar)))))
-    return parts
+        scale = _data("image/png", bytes(encode_png(bar)))
+    figures = [
+        (sample, [(title, _data("image/jpeg", jpeg)) for title, jpeg in sample.panels])
+        for sample in samples
+    ]
+    return {"figures": figures, "scale": scale}
 
 
-def _facts(facts: Mapping[str, Mapping[str, str]]) -> Html:
-    groups = []
-    for title, group in facts.items():
-        rows = [fill("fact", name=name, value=value) for name, value in group.items()]
-        groups.append(fill("group", title=title, facts=rows))
-    return fill("facts", groups=groups)
-
-
-def _row(*cells: str, last: Html | None = None) -> Html:
-    return fill("row", cells=[*(fill("cell", text=cell) for cell in cells), last or Html()])
-
-
-def _keys(keys: Mapping[str, str]) -> list[Html]:
-    return [fill("key", kind=kind, text=text) for kind, text in keys.items()]
-
-
-def _rank(mark: str, count: int) -> tuple[int, int, str]:
-    """Sort key: the worst marks first, then the most frequent."""
-    return (_BAD.index(mark) if mark in _BAD else len(_BAD)), -count, mark
-
-
-def _highest_percentile(times: LatencyStatistics) -> tuple[str, float]:
-    """The highest percentile up to p99 that the number of frames supports, else the maximum."""
-    for name, value in (("p99", times.p99_ms), ("p90", times.p90_ms)):
-        if value is not None:
-            return name, value
-    return "slowest", times.max_ms
-
-
-def _cells(times: LatencyStatistics) -> list[str]:
-    n, *values = astuple(times)
-    return [f"{n:,}", *("n/a" if value is None else _ms(value) for value in values)]
-
-
-def _ms(value: float) -> str:
-    return f"{value:.2f}" if value < 10 else f"{value:.1f}" if value < 1000 else f"{value:,.0f}"
+def _running(provider: ProviderFacts) -> list[str]:
+    nodes = provider.nodes or {}
+    return [
+        name + (f" ({nodes[name]} nodes)" if name in nodes else "") for name in provider.running
+    ]
 
 
 def _data(kind: str, content: bytes) -> str:

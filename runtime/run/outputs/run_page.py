@@ -10,13 +10,12 @@ from typing import Any
 
 from runtime.contract import Contract
 from runtime.drawing.report_page.charts import LATE
-from runtime.drawing.report_page.facts import collect_facts
 from runtime.drawing.report_page.samples import SampleKeeper
 from runtime.drawing.report_page.timeline import Moment, Timeline
 from runtime.io.atomic_write import atomic_write
 from runtime.prediction import Prediction
 from runtime.run.outputs.output import OpenRun
-from runtime.run.pipeline import OK, FrameRecord
+from runtime.run.pipeline import OK
 from runtime.run.run_report import RunReport
 from runtime.sources.frames import Frame
 
@@ -39,23 +38,26 @@ class RunPage:
 
         timeline = Timeline()
         for record in report.records:
-            timeline.add(_moment(record, report))
+            marks = [] if record.status == OK else [record.status]
+            marks += [*record.degraded, *record.health, *[LATE] * report.is_late(record)]
+            returns = None if record.latency is None else record.depth_returns
+            timeline.add(Moment(record.name, record.response_ms, tuple(marks), returns))
         content = PageContent(
-            title=f"Run of {self._contract.model_name}",
+            kind="Run",
             command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
             interrupted=report.stream.interrupted,
             contract=self._contract,
+            engine=report.engine,
             timeline=timeline,
             response="prediction" if report.stream.rate_hz is None else "age",
             responses=report.responses,
             stages=report.stages,
             deadline_ms=report.deadline_ms,
             missed=report.missed,
-            frames=report.by_status,
             frames_per_second=report.frames_per_second,
             problems=[(each.name, each.status, each.reason) for each in report.not_ok],
             samples=self._samples.samples(),
-            facts=collect_facts(report.engine, "Run", _run_facts(report, self._started)),
+            facts=_run_facts(report, self._started),
         )
         return render_page(content)
 
@@ -69,20 +71,6 @@ def open_page(run: OpenRun) -> Iterator[RunPage]:
     if run.report is not None:
         content = page.render(run.report)
         atomic_write(run.options.report, content, overwrite=run.options.overwrite)
-
-
-def _moment(record: FrameRecord, report: RunReport) -> Moment:
-    marks = [*record.degraded, *record.health]
-    if record.status != OK:
-        marks.insert(0, record.status)
-    if report.is_late(record):
-        marks.append(LATE)
-    return Moment(
-        record.name,
-        response_ms=record.response_ms,
-        marks=tuple(marks),
-        returns=None if record.latency is None else record.depth_returns,
-    )
 
 
 def _run_facts(report: RunReport, started: datetime) -> dict[str, Any]:

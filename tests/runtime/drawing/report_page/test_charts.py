@@ -12,6 +12,7 @@ from runtime.drawing.report_page.charts import (
     range_strip,
     returns_strip,
 )
+from runtime.drawing.report_page.template import render
 from runtime.drawing.report_page.timeline import Moment, Timeline
 from runtime.sync.latency import latency_statistics
 
@@ -24,27 +25,29 @@ def timeline_of(*moments):
 
 
 def chart(timeline, deadline_ms=None):
-    spans = timeline.spans(MOST_SPANS)
-    return ElementTree.fromstring(latency_chart(spans, deadline_ms=deadline_ms, title="prediction"))
+    drawn = latency_chart(timeline.spans(MOST_SPANS), deadline_ms=deadline_ms)
+    values = {"chart": drawn, "response": "prediction"}
+    return ElementTree.fromstring(render("chart.html", values))
 
 
 def paths(page, kind):
-    """(x, y, title) of the paths of a kind, of 1000 x 300."""
+    """(x, y, title) of the paths of a kind, as if the chart had 1000 x 300 units."""
     found = [path for path in page.iter("path") if path.get("class") == kind]
     starts = [re.match(r"M([0-9.]+) ([0-9.]+)", path.get("d")).groups() for path in found]
     return [
-        (float(x), float(y), path.findtext("title"))
+        (10 * float(x), 3 * float(y), path.findtext("title"))
         for (x, y), path in zip(starts, found, strict=True)
     ]
 
 
 def ticks(page, side):
-    """Text -> position in percent."""
-    return {
+    """Text -> position in percent, from the left or from below."""
+    places = {
         span.text: float(re.search(r":([0-9.]+)%", span.get("style"))[1])
         for span in page.iter("span")
         if span.get("class") == side
     }
+    return places if side == "x" else {text: 100 - top for text, top in places.items()}
 
 
 TIMES = (10, 20, 60, None, 30)
@@ -125,22 +128,22 @@ def test_everything_lies_within_the_picture(frames):
     for element in (*page.iter("polyline"), *page.iter("polygon")):
         for point in element.get("points").split():
             x, y = map(float, point.split(","))
-            assert 0 <= x <= 1000
-            assert 0 <= y <= 300
+            assert 0 <= x <= 100
+            assert 0 <= y <= 100
     for side in "xy":
         assert all(0 <= percent <= 100 for percent in ticks(page, side).values())
 
 
 def test_without_an_answer_there_is_no_chart():
     timeline = timeline_of(Moment("x", marks=("skipped",)))
-    assert latency_chart(timeline.spans(), deadline_ms=1, title="x") == ""
+    assert latency_chart(timeline.spans(), deadline_ms=1) == {}
 
 
-def rectangles(text):
-    return [
-        tuple(float(r.get(name)) for name in ("x", "width", "height"))
-        for r in ElementTree.fromstring(text).iter("rect")
-    ]
+def rectangles(bars):
+    """(x, width, height) of the bars of a strip, as if it had 1000 x 100 units."""
+    page = ElementTree.fromstring(render("strip.html", {"bars": bars}))
+    found = [[float(r.get(name)) for name in ("x", "width", "height")] for r in page.iter("rect")]
+    return [(10 * x, 10 * width, height) for x, width, height in found]
 
 
 def test_a_strip_shows_where_a_mark_was():

@@ -11,6 +11,7 @@ import pytest
 
 from runtime import OutputError
 from runtime.drawing.report_page.page import _problems
+from runtime.drawing.report_page.template import render
 from runtime.run.outputs.run_page import RunPage
 
 CHROMIUM = next(
@@ -115,7 +116,8 @@ def test_a_run_without_an_answer_has_a_page(page_of, stream):
     ("n", "texts"), [(10, []), (11, ["1 more"]), (205, ["190 more", "and 5 more, see frames.csv"])]
 )
 def test_many_problems_do_not_fill_the_page(n, texts, read_page):
-    text = "".join(_problems([(f"f{index}", "skipped", "why") for index in range(n)]))
+    problems = _problems([(f"f{index}", "skipped", "why") for index in range(n)])
+    text = render("problems.html", {"problems": problems})
     page = read_page(text)
     assert [each for each in page.texts if "more" in each] == texts
     assert text.count("<tr><td>f") == min(n, 200)
