@@ -47,7 +47,7 @@ def texture_paving(p: Points, _: Sequence[Stripe]) -> Surface:
     pitch = p.params[:, 0]
     long = p.footprint / np.maximum(p.slant, 0.02)
     i, j = np.floor(s / pitch), np.floor(d / pitch)
-    slab = hash01(i.astype(np.int64), j.astype(np.int64), 3) - 0.5
+    slab = hash01(i, j, 3) - 0.5
     fade = np.clip(1.2 - long / pitch, 0, 1)
     tone = 1 + 0.22 * slab * fade
     grain = fractal_noise(s, d, wavelength=0.5, octaves=4, footprint=np.sqrt(long * p.footprint))

@@ -57,8 +57,8 @@ def fractal_noise(
     return total
 
 
-def hash01(*keys: NDArray[np.int64] | int) -> Floats:
-    """Uniform 0..1 from integer keys, the same for the same keys."""
+def hash01(*keys: Floats | int) -> Floats:
+    """Uniform 0..1 from whole numbers as keys, the same for the same keys."""
     state: NDArray[np.uint32] = np.array(2166136261, dtype=np.uint32)
     with np.errstate(over="ignore"):
         for key in keys:

@@ -52,7 +52,7 @@ def texture_sign(p: Points, _: Sequence[Stripe]) -> Surface:
     edge = band(a, 0.96, f) * band(b, 0.93, f)
     out[rows] = mix(out[rows], board[rows], edge[rows])
     line = np.floor((b + 1) * 2.2)
-    word = hash01(np.floor(a * 9).astype(np.int64), line.astype(np.int64), 6) < 0.7
+    word = hash01(np.floor(a * 9), line, 6) < 0.7
     text = (
         band(np.mod((b + 1) * 2.2, 1) - 0.5, 0.24, f * 2.2)
         * band(np.mod(a * 9, 1) - 0.5, 0.34, f * 9)

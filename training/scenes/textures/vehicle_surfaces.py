@@ -48,11 +48,8 @@ def texture_car_body(p: Points, _: Sequence[Stripe]) -> Surface:
     plate = middle * band(y, 0.26, f) * band(z - np.where(tail, 0.62, 0.42), 0.06, f)
     plate_color = np.where((tail & (seed < 0.4))[:, None], (0.7, 0.5, 0.05), (0.72, 0.72, 0.7))
     albedo = mix(albedo, plate_color, plate)
-    ink = (
-        plate
-        * (hash01(np.floor(y / 0.06).astype(np.int64), 5) < 0.7)
-        * band(np.mod(y, 0.06) - 0.03, 0.02, f)
-    )
+    letter = hash01(np.floor(y / 0.06), 5) < 0.7
+    ink = plate * letter * band(np.mod(y, 0.06) - 0.03, 0.02, f)
     albedo = mix(albedo, (0.03, 0.03, 0.03), ink * 0.9)
     return Surface(albedo.astype(np.float32), gloss.astype(np.float32), glow.astype(np.float32))
 
