@@ -2,6 +2,7 @@
 
 import signal
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -114,19 +115,11 @@ def _run(jobs: list, workers: int) -> int:  # type: ignore[type-arg]
 
     from training.scenes.scene_job import run_job
 
-    bar = tqdm(total=len(jobs), unit="scene", disable=not sys.stderr.isatty(), file=sys.stderr)
-    total = 0
-    with bar:
-        if workers == 1:
-            for job in jobs:
-                total += run_job(job)
-                bar.update()
-            return total
-        with _start_pool(workers) as pool:
-            for done in pool.imap_unordered(run_job, jobs):
-                total += done
-                bar.update()
-    return total
+    with ExitStack() as stack:
+        run = map if workers == 1 else stack.enter_context(_start_pool(workers)).imap_unordered
+        done = run(run_job, jobs)
+        hidden = not sys.stderr.isatty()
+        return sum(tqdm(done, total=len(jobs), unit="scene", disable=hidden, file=sys.stderr))
 
 
 def _start_pool(workers: int) -> "Pool":
