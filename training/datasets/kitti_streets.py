@@ -13,6 +13,7 @@ from runtime.errors import DatasetError
 from runtime.io.calibration import Calibration
 from runtime.io.kitti_calibration import NumbersFile
 from training.datasets.camvid import CamVidLabels
+from training.datasets.cityscapes import disparity_to_depth
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import dataset_errors, read_gray, read_points, read_rgb, require_folder
 from training.datasets.sample import IGNORE, Sample
@@ -118,7 +119,7 @@ class KittiStreets:
         return Sample(
             rgb=rgb,
             targets={
-                "depth": _to_depth(disparity, self._focal_baseline),
+                "depth": disparity_to_depth(disparity, self._focal_baseline, zero=0),
                 **self._read_labels(path.stem, size),
                 **self._read_mask(path.stem, size),
             },
@@ -154,13 +155,6 @@ def _place(number: int) -> str | None:
     """Name the place of a validation frame by its first frame; None for the other frames."""
     index = bisect_right(_PLACES, number)
     return f"{_PLACES[index - 1]:06d}" if 0 < index < len(_PLACES) else None
-
-
-def _to_depth(stored: NDArray[np.uint16], focal_baseline: float) -> NDArray[np.float32]:
-    """Metres from disparities in 1/256 px, 0 = unknown."""
-    depth = np.zeros(stored.shape, dtype=np.float32)
-    np.divide(np.float32(256 * focal_baseline), stored, out=depth, where=stored > 0)
-    return depth
 
 
 @dataset_errors()
