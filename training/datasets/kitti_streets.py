@@ -88,14 +88,13 @@ class KittiStreets:
                 f"{images}: {len(found)} frames, none of them numbered {first} to "
                 f"{'the last' if last is None else last}. Correct `first` and `last`."
             )
-        for folder, suffix in (("velodyne_fov", ".bin"), ("disp_occ_0", ".png")):
+        self._has_masks = (self._root / "road_mask").is_dir()
+        folders = {"velodyne_fov": ".bin", "disp_occ_0": ".png"}
+        if self._has_masks:
+            folders["road_mask"] = ".png"
+        for folder, suffix in folders.items():
             files = [f"{path.stem}{suffix}" for path in self._images]
             require_folder(self._root / folder, f"{folder}'s {suffix} files", files=files)
-        masks = self._root / "road_mask"
-        self._masks = masks if masks.is_dir() else None
-        if self._masks is not None:
-            files = [f"{path.stem}.png" for path in self._images]
-            require_folder(self._masks, "masks of the road", files=files)
         self._labels: CamVidLabels | None = None
         if (self._root / "semantic").is_dir():
             with contextlib.suppress(DatasetError):  # another table: depth and road remain
@@ -138,9 +137,9 @@ class KittiStreets:
         return {"semantic": self._labels.read(path, size)}
 
     def _read_mask(self, number: str, size: tuple[int, int]) -> dict[str, NDArray[np.uint8]]:
-        if self._masks is None:
+        if not self._has_masks:
             return {}
-        path = self._masks / f"{number}.png"
+        path = self._root / "road_mask" / f"{number}.png"
         mask = read_gray(path, np.uint8, size)
         other = np.setdiff1d(mask, (0, 1, IGNORE))
         if other.size:
