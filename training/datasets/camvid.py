@@ -11,7 +11,7 @@ from models import CLASS_TABLES
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.files import read_gray, read_rgb, require_folder
-from training.datasets.sample import Sample
+from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
@@ -52,7 +52,7 @@ class CamVidRecipe(SourceRecipe):
         return CamVid(folder, split=self.split, classes=classes)
 
 
-class CamVid:
+class CamVid(FrameList):
     """Frames of ``root/<split>`` with labels of ``root/<split>annot`` (uint8 PNG, 11 = none).
 
     It has no depth and no calibration.
@@ -68,11 +68,7 @@ class CamVid:
     """
 
     def __init__(
-        self,
-        root: Path | str,
-        *,
-        split: str = "train",
-        classes: ClassTable = "camvid",
+        self, root: Path | str, *, split: str = "train", classes: ClassTable = "camvid"
     ) -> None:
         self._labels = CamVidLabels(classes)
         folder = require_folder(Path(root) / split, "CamVid's images")
@@ -83,9 +79,6 @@ class CamVid:
         labels = [f"{image.stem}.png" for image in images]
         require_folder(annotations, "CamVid's label images", files=labels)
         self._frames = [(image, annotations / f"{image.stem}.png") for image in images]
-
-    def __len__(self) -> int:
-        return len(self._frames)
 
     def __getitem__(self, index: int) -> Sample:
         image_path, label_path = self._frames[index]

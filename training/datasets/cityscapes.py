@@ -13,7 +13,7 @@ from runtime.errors import DatasetError
 from runtime.read_input import read_text
 from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.files import dataset_errors, read_gray, read_rgb, require_folder
-from training.datasets.sample import Sample
+from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
@@ -40,7 +40,7 @@ class CityscapesRecipe(SourceRecipe):
         return Cityscapes(folder, split=self.split, classes=classes)
 
 
-class Cityscapes:
+class Cityscapes(FrameList):
     """Frames of ``root/leftImg8bit/<split>/<city>/<frame>_leftImg8bit.png``.
 
     Labels are those of ``gtFine`` (``_gtFine_labelIds.png``). With the folders ``disparity`` and
@@ -78,9 +78,6 @@ class Cityscapes:
             self._frames += [(city.name, stem) for stem in stems]
         if not self._frames:
             raise DatasetError(f"{images}: no <city>/*{_IMAGE} in it.")
-
-    def __len__(self) -> int:
-        return len(self._frames)
 
     def __getitem__(self, index: int) -> Sample:
         city, stem = self._frames[index]

@@ -16,7 +16,7 @@ from training.datasets.camvid import CamVidLabels
 from training.datasets.cityscapes import disparity_to_depth
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import dataset_errors, read_gray, read_points, read_rgb, require_folder
-from training.datasets.sample import IGNORE, Sample
+from training.datasets.sample import IGNORE, FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT, Index
@@ -40,7 +40,7 @@ class KittiStreetsRecipe(SourceRecipe):
         return KittiStreets(folder, first=self.first, last=self.last, classes=classes)
 
 
-class KittiStreets:
+class KittiStreets(FrameList):
     """Frames numbered ``first`` .. ``last`` (inclusive) of ``root/image_02/<number>.jpg`` or .png.
 
     The input is the scan of the frame, ``velodyne_fov/<number>.bin``, with its scan lines. The
@@ -78,12 +78,12 @@ class KittiStreets:
             for path in images.iterdir()
             if path.suffix in {".jpg", ".png"} and path.stem.isdecimal()
         )
-        self._images = [
+        self._frames = [
             path
             for path in found
             if first <= int(path.stem) and (last is None or int(path.stem) <= last)
         ]
-        if not self._images:
+        if not self._frames:
             raise DatasetError(
                 f"{images}: {len(found)} frames, none of them numbered {first} to "
                 f"{'the last' if last is None else last}. Correct `first` and `last`."
@@ -93,7 +93,7 @@ class KittiStreets:
         if self._has_masks:
             folders["road_mask"] = ".png"
         for folder, suffix in folders.items():
-            files = [f"{path.stem}{suffix}" for path in self._images]
+            files = [f"{path.stem}{suffix}" for path in self._frames]
             require_folder(self._root / folder, f"{folder}'s {suffix} files", files=files)
         self._labels: CamVidLabels | None = None
         if (self._root / "semantic").is_dir():
@@ -103,11 +103,8 @@ class KittiStreets:
                 raise DatasetError(f"{self._root / 'semantic'}: no .png labels in it.")
         self._calibration, self._focal_baseline = _read_calibration(self._root / "calib.txt")
 
-    def __len__(self) -> int:
-        return len(self._images)
-
     def __getitem__(self, index: int) -> Sample:
-        path = self._images[index]
+        path = self._frames[index]
         rgb = read_rgb(path)
         size = (rgb.shape[0], rgb.shape[1])
         truth = self._root / "disp_occ_0" / f"{path.stem}.png"

@@ -22,12 +22,7 @@ _DOT_PX = 3
 
 
 def draw_pictures(
-    predict: Predict,
-    source: SampleSource,
-    network: Network,
-    *,
-    lidar: LidarInput,
-    count: int,
+    predict: Predict, source: SampleSource, network: Network, *, lidar: LidarInput, count: int
 ) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """Draw frames spread evenly over a set, as `runtime.drawing.overlay` draws them.
 

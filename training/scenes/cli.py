@@ -1,7 +1,6 @@
 """`ssdnet-render`: render driving scenes into the Virtual KITTI 2 layout."""
 
 import signal
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -117,9 +116,8 @@ def _run(jobs: list, workers: int) -> int:  # type: ignore[type-arg]
 
     with ExitStack() as stack:
         run = map if workers == 1 else stack.enter_context(_start_pool(workers)).imap_unordered
-        done = run(run_job, jobs)
-        hidden = not sys.stderr.isatty()
-        return sum(tqdm(done, total=len(jobs), unit="scene", disable=hidden, file=sys.stderr))
+        # None: no bar without a terminal.
+        return sum(tqdm(run(run_job, jobs), total=len(jobs), unit="scene", disable=None))
 
 
 def _start_pool(workers: int) -> "Pool":

@@ -25,9 +25,7 @@ _LAYOUT = re.compile(
     r"|frames(/(rgb|depth|classSegmentation|lidar)(/Camera_0(/(rgb|depth|classgt|lidar)_\d{5,}"
     r"\.(jpg|png|bin))?)?)?"
 )
-_EXTRINSIC = " ".join(
-    [f"r{i},{j}" if j < 4 else f"t{i}" for i in (1, 2, 3) for j in (1, 2, 3, 4)] + ["0 0 0 1"]
-)
+_EXTRINSIC = "r1,1 r1,2 r1,3 t1 r2,1 r2,2 r2,3 t2 r3,1 r3,2 r3,3 t3 0 0 0 1"
 
 
 def write_variant(

@@ -16,6 +16,8 @@ from training.scenes.things.mesh import Mesh, face_normals
 
 _GROUND = (SurfaceKind.ASPHALT, SurfaceKind.PAVING)
 _LIFT = 2e-3
+#: Reach of the rays of contact shading.
+_CONTACT_M = 2.5
 
 
 def _interpolate(corners: Floats, hits: Hits) -> Floats:
@@ -157,13 +159,7 @@ def _surroundings(
 
 
 def contact_shading(
-    caster: RayCaster,
-    points: Floats,
-    normals: Floats,
-    rng: Generator,
-    *,
-    rays: int = 3,
-    reach: float = 2.5,
+    caster: RayCaster, points: Floats, normals: Floats, rng: Generator, *, rays: int = 3
 ) -> Floats:
     """Share (n,) of short rays over the hemisphere that escape: dark under cars and in corners."""
     free = np.zeros(len(points), dtype=np.float32)
@@ -172,5 +168,5 @@ def contact_shading(
         ball /= np.linalg.norm(ball, axis=1, keepdims=True)
         # A point on the unit sphere around the normal's tip is a cosine-weighted direction.
         direction = normals + 0.98 * ball
-        free += ~caster.blocked(points, direction, reach)
+        free += ~caster.blocked(points, direction, _CONTACT_M)
     return free / rays

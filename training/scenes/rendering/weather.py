@@ -34,7 +34,7 @@ class Weather:
 
 def draw_weather(variant: Variant, seed: int) -> Weather:
     """Return the light of a variant; the seed varies sun position, clouds and exposure."""
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 2, VARIANTS.index(variant)]))
+    rng = np.random.default_rng([seed, 2, VARIANTS.index(variant)])
     azimuth = float(rng.uniform(0, 2 * np.pi))
     low, high = {"clone": (30, 60), "morning": (12, 28), "sunset": (6, 15)}.get(variant, (40, 50))
     height = np.deg2rad(rng.uniform(low, high))

@@ -10,23 +10,18 @@ from training.scenes.textures.noise import fractal_noise, hash01
 from training.scenes.textures.paint import Stripe, band
 from training.scenes.textures.surface import Points, Surface, matt, mix
 
+#: Height and width of a brick with its mortar [m].
+_TALL, _WIDE = 0.075, 0.225
 
-def _bricks(
-    u: Floats,
-    v: Floats,
-    color: Floats,
-    footprint: Floats,
-    *,
-    tall: float = 0.075,
-    wide: float = 0.225,
-) -> Floats:
-    row = np.floor(v / tall)
-    shifted = u / wide + 0.5 * np.mod(row, 2)
+
+def _bricks(u: Floats, v: Floats, color: Floats, footprint: Floats) -> Floats:
+    row = np.floor(v / _TALL)
+    shifted = u / _WIDE + 0.5 * np.mod(row, 2)
     column = np.floor(shifted)
-    fade = np.clip(1.3 - footprint / tall, 0, 1)
+    fade = np.clip(1.3 - footprint / _TALL, 0, 1)
     tone = 1 + 0.5 * (hash01(row, column, 5) - 0.5) * fade
-    mortar = 1 - band((v / tall - row - 0.5) * tall, tall * 0.43, footprint) * band(
-        (shifted - column - 0.5) * wide, wide * 0.47, footprint
+    mortar = 1 - band((v / _TALL - row - 0.5) * _TALL, _TALL * 0.43, footprint) * band(
+        (shifted - column - 0.5) * _WIDE, _WIDE * 0.47, footprint
     )
     tone += 0.12 * fractal_noise(u, v, wavelength=2.5, octaves=2)
     return mix(color * tone[:, None], (0.38, 0.35, 0.31), mortar * fade * 0.7)

@@ -30,11 +30,10 @@ def texture_asphalt(p: Points, stripes: Sequence[Stripe]) -> Surface:
     albedo = p.color * np.clip(tone, 0.3, 1.8)[:, None]
     bare = np.clip(0.85 + 0.5 * stain + 0.25 * grain, 0.35, 0.95)
     for stripe in stripes:
-        near = (
-            (s > stripe.start - 6) & (s < stripe.end + 6)
-            if stripe.along == "s"
-            else np.abs(s - stripe.centre) < stripe.half_width + 6
-        )
+        if stripe.along == "s":
+            near = (s > stripe.start - 6) & (s < stripe.end + 6)
+        else:
+            near = np.abs(s - stripe.centre) < stripe.half_width + 6
         rows = np.flatnonzero(near)
         if len(rows):
             cover = paint_cover(stripe, s[rows], d[rows], long[rows], p.footprint[rows])

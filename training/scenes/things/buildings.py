@@ -98,8 +98,7 @@ def _gable_roof(
 def make_town_house(rng: Generator, length: float, *, shop: bool) -> Mesh:
     """A house of a closed row: front wall on y = 0 facing +y, from x = 0 to length."""
     brick = rng.random() < 0.45
-    palette = _BRICK if brick else _PLASTER
-    color = _draw_tone(palette, rng)
+    color = _draw_tone(_BRICK if brick else _PLASTER, rng)
     floors = int(rng.integers(2, 6))
     floor = float(rng.uniform(2.8, 3.4))
     ground = float(rng.uniform(3.4, 4.2)) if shop else floor
@@ -212,8 +211,7 @@ def make_office(rng: Generator, length: float) -> Mesh:
 def make_house(rng: Generator, length: float) -> Mesh:
     """A detached house with a pitched roof."""
     brick = rng.random() < 0.5
-    palette = _BRICK if brick else _PLASTER
-    color = _draw_tone(palette, rng)
+    color = _draw_tone(_BRICK if brick else _PLASTER, rng)
     floors = int(rng.integers(1, 3))
     height = 2.7 * floors + 0.4
     depth = float(rng.uniform(7, 10))

@@ -112,9 +112,9 @@ def triangles(
     return Mesh(
         positions=corners,
         normals=np.asarray(normals, dtype=np.float32).reshape(-1, 3, 3),
-        texture=corners.copy()
-        if texture is None
-        else np.asarray(texture, dtype=np.float32).reshape(-1, 3, 3),
+        texture=np.array(corners if texture is None else texture, dtype=np.float32).reshape(
+            -1, 3, 3
+        ),
         color=np.tile(np.asarray(look.color, dtype=np.float32), (n, 1)),
         kind=np.full(n, look.kind, dtype=np.uint8),
         label=np.full(n, look.label, dtype=np.uint8),
@@ -143,9 +143,7 @@ def grid(
     lattice = np.asarray(points, dtype=np.float64)
     normals = None
     if smooth:
-        du = np.gradient(lattice, axis=0)
-        dv = np.gradient(lattice, axis=1)
-        n = np.cross(du, dv)
+        n = np.cross(*np.gradient(lattice, axis=(0, 1)))
         normals = _grid_corners(n / (np.linalg.norm(n, axis=2, keepdims=True) + 1e-12))
     tex = None if texture is None else _grid_corners(np.asarray(texture, dtype=np.float64))
     return triangles(_grid_corners(lattice), look, normals=normals, texture=tex)
