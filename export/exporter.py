@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import onnx
 import torch
@@ -123,32 +123,31 @@ def export_checkpoint(
         require_replaceable(Path(triton_dir) / contract.model_name, overwrite=overwrite)
     settings = Settings("ssdnet-export", "frame" if dynamic else None, provider="torch")
     with contextlib.ExitStack() as written:
-        file = written.enter_context(atomic_file(target, overwrite=overwrite, durable=True))
+        temporary = written.enter_context(atomic_file(target, overwrite=overwrite, durable=True))
+        file = Path(temporary.name)
         recorder = None
         if record_dir is not None:
             recorder = written.enter_context(
                 record(Path(record_dir), settings, overwrite=overwrite)
             )
-        _write(model, contract, file)
-        measure = partial(
-            measure_parity, checkpoint.model, Path(file.name), frames, dynamic=dynamic
-        )
+        _write(model, file, contract)
+        measure = partial(measure_parity, checkpoint.model, file, frames, dynamic=dynamic)
         parity = measure()
         _require_parity(parity)
         if precision is not Precision.FP32 or validate:
             model, contract = _finish(model, contract, precision, validate)
-            _write(model, contract, file)
+            _write(model, file, contract)
             parity = measure()
         if precision is Precision.FP16:
             _require_parity(parity)
         figures = {head: dict(measured.figures) for head, measured in parity.items()}
         contract = replace(contract, parity=figures)
-        num_bytes = _write(model, contract, file)
+        num_bytes = _write(model, file, contract)
         if recorder is not None:
             _record(checkpoint.model, graph.heads, frames, recorder)
-            recorder.finish(Path(file.name))
+            recorder.finish(file)
         if triton_dir is not None:
-            content = Path(file.name).read_bytes()
+            content = file.read_bytes()
             write_triton_model(
                 Path(triton_dir), model, content, name=contract.model_name, overwrite=overwrite
             )
@@ -239,11 +238,6 @@ def _finish(
     validate: Sequence[str],
 ) -> tuple[onnx.ModelProto, Contract]:
     """The graph in the precision requested, and its contract with what was measured of it."""
-
-    def write(graph: onnx.ModelProto, path: Path) -> None:
-        with path.open("wb") as file:
-            _write(graph, contract, file)
-
     if precision is Precision.FP16:
         model = to_half(model)
     contract = replace(
@@ -257,13 +251,14 @@ def _finish(
         from export.int8 import quantize_within
 
         names = [info.name for info in contract.classes]
+        write = partial(_write, contract=contract)
         quantized = quantize_within(model, precision, validate=validate, classes=names, write=write)
         model, accuracy = quantized.model, quantized.accuracy
         contract = replace(contract, quantization=quantized.facts)
     else:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "model.onnx"
-            write(model, path)
+            _write(model, path, contract)
             accuracy = measure_accuracy(path, validate)
     measured = {
         "repeat": repeat_command(validate, accuracy),
@@ -286,7 +281,7 @@ def _record(
         )
 
 
-def _write(model: onnx.ModelProto, contract: Contract, file: BinaryIO) -> int:
+def _write(model: onnx.ModelProto, path: Path, contract: Contract) -> int:
     """Write the model, then its metadata, which describes the bytes before it; return the size."""
     del model.metadata_props[:]
     try:
@@ -295,11 +290,7 @@ def _write(model: onnx.ModelProto, contract: Contract, file: BinaryIO) -> int:
         raise ExportError(
             f"the checkpoint's facts about its training are not plain JSON: {error}"
         ) from error
-    file.seek(0)
-    file.truncate()
-    num_bytes = file.write(content)
-    file.flush()
-    return num_bytes
+    return path.write_bytes(content)
 
 
 def _require_parity(parity: Mapping[str, HeadParity]) -> None:

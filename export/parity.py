@@ -67,7 +67,10 @@ def measure_parity(
             bare = dict(zip(predictor.heads, session.run(predictor.heads, feed), strict=True))
             for head in predictor.heads:
                 for answer in (prediction.heads[head], bare[head][0]):
-                    _require_shape(head, answer, expected[head])
+                    if answer.shape != (shape := expected[head].shape):
+                        raise ExportError(
+                            f"{head} has the shape {answer.shape}, in PyTorch {shape}"
+                        )
                     figures = compare(head, answer, expected[head])
                     measured.setdefault(head, []).append(figures)
     parity = {}
@@ -85,8 +88,3 @@ def reference(model: Network, frame: ProbeFrame) -> dict[str, NDArray[Any]]:
         output = model(rgb, torch.from_numpy(frame.sparse_depth)[None, None])
         found = answers(output, model.config.max_depth_m)
     return {head: values[0].numpy() for head, values in found.items()}
-
-
-def _require_shape(head: str, answer: NDArray[Any], expected: NDArray[Any]) -> None:
-    if answer.shape != expected.shape:
-        raise ExportError(f"{head} has the shape {answer.shape}, in PyTorch {expected.shape}")

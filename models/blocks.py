@@ -79,6 +79,15 @@ def conv_bn(
     )
 
 
+def double_bn_relu(in_channels: int, out_channels: int, *, bias: bool = True) -> nn.Sequential:
+    """A transposed 3x3 convolution to twice the size, batch normalisation, ReLU."""
+    return nn.Sequential(
+        nn.ConvTranspose2d(in_channels, out_channels, 3, 2, 1, output_padding=1, bias=bias),
+        nn.BatchNorm2d(out_channels),
+        nn.ReLU(inplace=True),
+    )
+
+
 def shortcut(in_channels: int, out_channels: int, stride: int) -> nn.Module:
     """The identity, or a 1x1 convolution where the shape changes."""
     if stride == 1 and in_channels == out_channels:

@@ -90,10 +90,9 @@ def numbered_classes(count: int) -> tuple[ClassInfo, ...]:
 
 
 def _voc_color(index: int) -> tuple[int, int, int]:
-    channels = [0, 0, 0]
     value = index + 1  # VOC's index 0 is black, the colour of unlabelled pixels
-    for bit in range(7, -1, -1):
-        for channel in range(3):
-            channels[channel] |= ((value >> channel) & 1) << bit
-        value >>= 3
-    return channels[0], channels[1], channels[2]
+    red, green, blue = (
+        sum((value >> 3 * place + channel & 1) << 7 - place for place in range(8))
+        for channel in range(3)
+    )
+    return red, green, blue

@@ -4,6 +4,8 @@ Paper: "Simultaneous Semantic Segmentation and Depth Completion with Constraint 
 Sensors 2020. One encoder, a boundary decoder and two task decoders of boundary-aware convolutions.
 """
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -26,12 +28,9 @@ class SSDNet(Network):
         self.heads = config.heads
         super().__init__(config)
         in_channels = 3 * config.use_rgb + config.use_sparse_depth
-        stem: list[nn.Module] = []
-        for channels in config.stem_channels:
-            stem.append(ConvBNReLU(in_channels, channels, stride=2))
-            in_channels = channels
-        self.stem = nn.Sequential(*stem)
-        self.encoder = PlainEncoder(config, in_channels)
+        widths = (in_channels, *config.stem_channels)
+        self.stem = nn.Sequential(*(ConvBNReLU(*pair, stride=2) for pair in pairwise(widths)))
+        self.encoder = PlainEncoder(config, widths[-1])
         skips = config.encoder_channels
         self.boundary_decoder = BoundaryDecoder(config, skips)
         if config.semantic_head:

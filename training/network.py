@@ -53,18 +53,14 @@ def build_network(
     if init is None or source is None:
         return network, frozenset()
     if _has_trunk(source) and _has_trunk(network):
-        source = _with_widths(source, network)
+        widths = network.config.encoder_widths
+        if source.config.encoder_widths != widths:
+            source = prune_trunk(source, widths)
     return network, start_from(network, source, init)
 
 
 def _has_trunk(network: Network | None) -> TypeGuard[SSDNetLite]:
     return isinstance(network, SSDNetLite) and network.config.encoder == "efficientnet-lite0"
-
-
-def _with_widths(source: SSDNetLite, network: SSDNetLite) -> SSDNetLite:
-    """Prune the trunk of ``source`` to the widths of a network, if they differ."""
-    widths = network.config.encoder_widths
-    return source if source.config.encoder_widths == widths else prune_trunk(source, widths)
 
 
 def _require_pretrainable(network: Network) -> EfficientNetLite:

@@ -34,9 +34,8 @@ def parameter_groups(
     Biases, normalisation and the parameters of the loss do not decay. The encoder may have a rate
     of its own.
     """
-    encoder: set[nn.Parameter] = set()
-    if recipe.encoder_rate is not None:
-        encoder = set(require_encoder(network).parameters())
+    separate = recipe.encoder_rate is not None
+    encoder = set(require_encoder(network).parameters()) if separate else set()
     rest = [p for p in network.parameters() if p not in encoder]
     groups = _by_decay(recipe, rest, criterion.parameters())
     if encoder:
@@ -78,9 +77,7 @@ def learning_rate(schedule: ScheduleRecipe, peak: float, step: int) -> float:
     return peak * share
 
 
-def exponential_average(
-    decay: float,
-) -> Callable[[Tensors, Tensors, Tensor | int], None]:
+def exponential_average(decay: float) -> Callable[[Tensors, Tensors, Tensor | int], None]:
     """Return AveragedModel's update rule: an exponential average.
 
     The decay grows as (1 + n) / (10 + n) up to ``decay``, so that the random initial weights do not

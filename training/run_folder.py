@@ -49,7 +49,7 @@ def prepare_folder(out: Path, resolved: Mapping[str, Any]) -> None:
         if path.is_file():
             require_same(_read_json(path), resolved, path)
         out.mkdir(parents=True, exist_ok=True)
-        atomic_write(path, to_text(resolved).encode())
+        atomic_write(path, json.dumps(resolved, indent=2, default=str).encode())
 
 
 @contextmanager
@@ -106,11 +106,6 @@ def _read_json(path: Path) -> Mapping[str, Any]:
     if not isinstance(document, dict):
         raise InputError(f"{path}: contains no recipe. Choose another --out.")
     return document
-
-
-def to_text(resolved: Mapping[str, Any]) -> str:
-    """Return a resolved recipe as the text of recipe.json."""
-    return json.dumps(resolved, indent=2, default=str)
 
 
 def name_weights(path: Path) -> str:

@@ -8,6 +8,8 @@ quarter of its input's channels, and those that go up on transposed convolutions
 authors' code has a quarter of the output's, and 3x3.
 """
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -96,15 +98,8 @@ class Bottleneck(nn.Module):
                 nn.Conv2d(narrow, narrow, (kernel, 1), padding=(kernel // 2, 0), bias=False),
                 nn.Conv2d(narrow, narrow, (1, kernel), padding=(0, kernel // 2), bias=False),
             ]
-        self.layers = nn.Sequential(
-            nn.Conv2d(channels, narrow, 1, bias=False),
-            *_normed(narrow, decodes),
-            *around,
-            *_normed(narrow, decodes),
-            nn.Conv2d(narrow, channels, 1, bias=False),
-            nn.BatchNorm2d(channels),
-            nn.Dropout2d(dropout),
-        )
+        squeeze = nn.Conv2d(channels, narrow, 1, bias=False)
+        self.layers = _bottleneck(squeeze, around, channels, dropout=dropout, decodes=decodes)
         self.activation = _activation(channels, decodes)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -120,15 +115,9 @@ class DownBottleneck(nn.Module):
         super().__init__()
         narrow = in_channels // _SHARE
         self.more_channels = out_channels - in_channels
-        self.layers = nn.Sequential(
-            nn.Conv2d(in_channels, narrow, 2, 2, bias=False),
-            *_normed(narrow),
-            nn.Conv2d(narrow, narrow, 3, padding=1, bias=False),
-            *_normed(narrow),
-            nn.Conv2d(narrow, out_channels, 1, bias=False),
-            nn.BatchNorm2d(out_channels),
-            nn.Dropout2d(dropout),
-        )
+        squeeze = nn.Conv2d(in_channels, narrow, 2, 2, bias=False)
+        around = [nn.Conv2d(narrow, narrow, 3, padding=1, bias=False)]
+        self.layers = _bottleneck(squeeze, around, out_channels, dropout=dropout)
         self.activation = nn.PReLU(out_channels)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -146,22 +135,37 @@ class UpBottleneck(nn.Module):
         self.shortcut = nn.Sequential(
             nn.Conv2d(in_channels, out_channels, 1, bias=False), nn.BatchNorm2d(out_channels)
         )
-        self.layers = nn.Sequential(
-            nn.Conv2d(in_channels, narrow, 1, bias=False),
-            *_normed(narrow, decodes=True),
-            nn.ConvTranspose2d(narrow, narrow, 2, 2, bias=False),
-            *_normed(narrow, decodes=True),
-            nn.Conv2d(narrow, out_channels, 1, bias=False),
-            nn.BatchNorm2d(out_channels),
-            nn.Dropout2d(0.1),
-        )
+        squeeze = nn.Conv2d(in_channels, narrow, 1, bias=False)
+        around = [nn.ConvTranspose2d(narrow, narrow, 2, 2, bias=False)]
+        self.layers = _bottleneck(squeeze, around, out_channels, dropout=0.1, decodes=True)
 
     def forward(self, x: Tensor, mask: Tensor) -> Tensor:
         """(N, C, H, W) -> (N, C', 2 H, 2 W); mask of the stage of C' channels."""
         return F.relu(max_unpool(self.shortcut(x), mask) + self.layers(x))
 
 
-def _normed(channels: int, decodes: bool = False) -> list[nn.Module]:
+def _bottleneck(
+    squeeze: nn.Conv2d,
+    around: Sequence[nn.Module],
+    out_channels: int,
+    *,
+    dropout: float,
+    decodes: bool = False,
+) -> nn.Sequential:
+    """To fewer channels, what looks around there, and 1x1 to the channels of the output."""
+    narrow = squeeze.out_channels
+    return nn.Sequential(
+        squeeze,
+        *_normed(narrow, decodes),
+        *around,
+        *_normed(narrow, decodes),
+        nn.Conv2d(narrow, out_channels, 1, bias=False),
+        nn.BatchNorm2d(out_channels),
+        nn.Dropout2d(dropout),
+    )
+
+
+def _normed(channels: int, decodes: bool) -> list[nn.Module]:
     return [nn.BatchNorm2d(channels), _activation(channels, decodes)]
 
 

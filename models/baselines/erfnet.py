@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.blocks import extend_to_multiple
+from models.blocks import double_bn_relu, extend_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 #: Dilations of the residual blocks at an eighth of the image.
@@ -32,10 +32,10 @@ class ERFNet(Network):
             *(Factorized(128, dilation=dilation, dropout=0.3) for dilation in _DILATIONS),
         )
         self.decoder = nn.Sequential(
-            _upsampler(128, 64),
+            double_bn_relu(128, 64),
             Factorized(64),
             Factorized(64),
-            _upsampler(64, 16),
+            double_bn_relu(64, 16),
             Factorized(16),
             Factorized(16),
         )
@@ -81,11 +81,3 @@ class Factorized(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Add what the layers find."""
         return F.relu(x + self.layers(x))
-
-
-def _upsampler(in_channels: int, out_channels: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.ConvTranspose2d(in_channels, out_channels, 3, 2, 1, output_padding=1),
-        nn.BatchNorm2d(out_channels),
-        nn.ReLU(inplace=True),
-    )

@@ -9,7 +9,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from models.blocks import ConvBNReLU, ResidualBlock, conv_bn, pad_to_multiple
+from models.blocks import ConvBNReLU, ResidualBlock, conv_bn, double_bn_relu, pad_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 #: Channels of ResNet-18's stages, of two blocks each (He et al. 2016).
@@ -39,11 +39,7 @@ class SparseToDense(Network):
         self.encoder = nn.Sequential(*layers, *conv_bn(in_channels, _DECODER[0], kernel=1))
         ups: list[nn.Module] = []
         for in_channels, channels in pairwise(_DECODER):
-            ups += [
-                nn.ConvTranspose2d(in_channels, channels, 3, 2, 1, output_padding=1, bias=False),
-                nn.BatchNorm2d(channels),
-                nn.ReLU(inplace=True),
-            ]
+            ups += double_bn_relu(in_channels, channels, bias=False)
         self.decoder = nn.Sequential(*ups)
         self.depth_head = nn.Conv2d(_DECODER[-1], 1, 3, padding=1)
         self.apply(initialise)

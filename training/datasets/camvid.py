@@ -11,7 +11,7 @@ from models import CLASS_TABLES
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.files import read_gray, read_rgb, require_folder
-from training.datasets.sample import Sample
+from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
@@ -52,7 +52,7 @@ class CamVidRecipe(SourceRecipe):
         return CamVid(folder, split=self.split, classes=classes)
 
 
-class CamVid:
+class CamVid(FrameList):
     """Frames of ``root/<split>`` with labels of ``root/<split>annot`` (uint8 PNG, 11 = none).
 
     It has no depth and no calibration.
@@ -68,25 +68,17 @@ class CamVid:
     """
 
     def __init__(
-        self,
-        root: Path | str,
-        *,
-        split: str = "train",
-        classes: ClassTable = "camvid",
+        self, root: Path | str, *, split: str = "train", classes: ClassTable = "camvid"
     ) -> None:
         self._labels = CamVidLabels(classes)
         folder = require_folder(Path(root) / split, "CamVid's images")
-        annotations = require_folder(Path(root) / f"{split}annot", "CamVid's label images")
+        annotations = Path(root) / f"{split}annot"
         images = sorted(p for p in folder.iterdir() if p.suffix in {".png", ".jpg"})
         if not images:
             raise DatasetError(f"{folder}: no .png or .jpg images in it; expected CamVid's frames.")
+        labels = [f"{image.stem}.png" for image in images]
+        require_folder(annotations, "CamVid's label images", files=labels)
         self._frames = [(image, annotations / f"{image.stem}.png") for image in images]
-        missing = [label for _, label in self._frames if not label.is_file()]
-        if missing:
-            raise DatasetError(f"{missing[0]}: missing ({len(missing)} images lack their label).")
-
-    def __len__(self) -> int:
-        return len(self._frames)
 
     def __getitem__(self, index: int) -> Sample:
         image_path, label_path = self._frames[index]

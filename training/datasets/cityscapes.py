@@ -13,39 +13,16 @@ from runtime.errors import DatasetError
 from runtime.read_input import read_text
 from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.files import dataset_errors, read_gray, read_rgb, require_folder
-from training.datasets.sample import Sample
+from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
-#: The labelIds 0..33 in order; None = ignored.
-_LABELS: tuple[str | None, ...] = (
-    *[None] * 7,
-    "road",
-    "sidewalk",
-    *[None] * 2,  # parking, rail track
-    "building",
-    "wall",
-    "fence",
-    *[None] * 3,  # guard rail, bridge, tunnel
-    "pole",
-    None,  # pole group
-    "traffic light",
-    "traffic sign",
-    "vegetation",
-    "terrain",
-    "sky",
-    "person",
-    "rider",
-    "car",
-    "truck",
-    "bus",
-    *[None] * 2,  # caravan, trailer
-    "train",
-    "motorcycle",
-    "bicycle",
-)
-#: The same classes by their trainIds 0..18.
+#: The classes by their trainIds 0..18.
 TRAIN_LABELS: tuple[str | None, ...] = tuple(info.name for info in CLASS_TABLES["cityscapes"])
+#: The labelId of each of them; the others of 0..33 are ignored.
+_LABEL_IDS = (7, 8, 11, 12, 13, 17, *range(19, 29), 31, 32, 33)
+#: The classes by their labelIds.
+_LABELS = tuple(dict(zip(_LABEL_IDS, TRAIN_LABELS, strict=True)).get(id_) for id_ in range(34))
 
 _IMAGE = "_leftImg8bit.png"
 
@@ -63,7 +40,7 @@ class CityscapesRecipe(SourceRecipe):
         return Cityscapes(folder, split=self.split, classes=classes)
 
 
-class Cityscapes:
+class Cityscapes(FrameList):
     """Frames of ``root/leftImg8bit/<split>/<city>/<frame>_leftImg8bit.png``.
 
     Labels are those of ``gtFine`` (``_gtFine_labelIds.png``). With the folders ``disparity`` and
@@ -102,9 +79,6 @@ class Cityscapes:
         if not self._frames:
             raise DatasetError(f"{images}: no <city>/*{_IMAGE} in it.")
 
-    def __len__(self) -> int:
-        return len(self._frames)
-
     def __getitem__(self, index: int) -> Sample:
         city, stem = self._frames[index]
         rgb = read_rgb(self._path("leftImg8bit", city, stem + _IMAGE))
@@ -141,18 +115,21 @@ class Cityscapes:
         return ids
 
 
-def disparity_to_depth(stored: NDArray[np.uint16], focal_baseline: float) -> NDArray[np.float32]:
-    """Convert a disparity image of Cityscapes to depth.
+def disparity_to_depth(
+    stored: NDArray[np.uint16], focal_baseline: float, *, zero: int = 1
+) -> NDArray[np.float32]:
+    """Convert a disparity image of Cityscapes, or of another ``zero``, to depth.
 
     Args:
-        stored: uint16 (H, W); p > 0 means d = (p - 1) / 256 px. A disparity of 0 is at infinity and
-            counts as none.
+        stored: uint16 (H, W); p > 0 means d = (p - zero) / 256 px. A disparity of 0 is at infinity
+            and counts as none.
         focal_baseline: fx * baseline [px m].
+        zero: the value of a disparity of 0.
 
     Returns:
         float32 (H, W), metres, 0 = none.
     """
-    disparity = (stored.astype(np.float32) - 1.0) / 256.0
+    disparity = (stored.astype(np.float32) - zero) / 256.0
     depth = np.zeros(stored.shape, dtype=np.float32)
     np.divide(np.float32(focal_baseline), disparity, out=depth, where=disparity > 0)
     return depth

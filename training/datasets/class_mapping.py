@@ -18,13 +18,6 @@ from training.datasets.sample import IGNORE
 #: A name in `models.CLASS_TABLES`, or a table.
 ClassTable = str | tuple[ClassInfo, ...]
 
-#: Virtual KITTI's categories, by the names in their files.
-_VIRTUAL_KITTI_NAMES: Mapping[str, str] = {
-    info.name.title().replace(" ", ""): info.name for info in CLASS_TABLES["virtual_kitti"]
-}
-#: Those that rendered scenes add.
-_RENDERED_ONLY = ("Pavement", "Fence", "Pedestrian", "Cyclist", "Undefined")
-
 _Names = Mapping[str, str | None]
 
 
@@ -55,8 +48,9 @@ _MAPPINGS: Mapping[tuple[str, str], _Names] = {
         }
     ),
     ("virtual_kitti", "virtual_kitti"): {
-        **_VIRTUAL_KITTI_NAMES,
-        **dict.fromkeys(_RENDERED_ONLY),
+        # By the names in its files; rendered scenes add the ignored ones.
+        **{info.name.title().replace(" ", ""): info.name for info in CLASS_TABLES["virtual_kitti"]},
+        **dict.fromkeys(("Pavement", "Fence", "Pedestrian", "Cyclist", "Undefined")),
     },
     ("virtual_kitti", "camvid"): _joined(
         {

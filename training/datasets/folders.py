@@ -21,7 +21,7 @@ from training.datasets.files import (
     require_folder,
     require_size,
 )
-from training.datasets.sample import IGNORE, Sample
+from training.datasets.sample import IGNORE, FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT, Positive, Share
 
@@ -57,7 +57,7 @@ class FoldersRecipe(SourceRecipe):
         return Folders(folder, self, classes)
 
 
-class Folders:
+class Folders(FrameList):
     """The images of ``root/<recipe.rgb>`` in the order of their names, with depth and labels.
 
     An image a.jpg has its depth in a.png of the depth folder, and so on; every folder that the
@@ -87,9 +87,6 @@ class Folders:
             if name is not None:
                 files = [f"{frame.name}.png" for frame in self._frames]
                 require_folder(self._root / name, "a PNG for every image", files=files)
-
-    def __len__(self) -> int:
-        return len(self._frames)
 
     @dataset_errors()
     def __getitem__(self, index: int) -> Sample:

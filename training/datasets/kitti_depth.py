@@ -16,7 +16,7 @@ from runtime.io.kitti_calibration import NumbersFile
 from runtime.read_input import read_text
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import dataset_errors, read_depth, read_rgb, require_folder
-from training.datasets.sample import Sample
+from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
 
@@ -46,7 +46,7 @@ class _Frame:
     camera: int
 
 
-class KittiDepth:
+class KittiDepth(FrameList):
     """LiDAR scans with semi-dense ground truth from eleven of them; no classes.
 
     Args:
@@ -73,9 +73,6 @@ class KittiDepth:
             self._frames = _list_drives(root, split, cameras)
         else:
             raise DatasetError(f"KITTI depth has no split {split!r}; known: train, val, selection.")
-
-    def __len__(self) -> int:
-        return len(self._frames)
 
     def __getitem__(self, index: int) -> Sample:
         frame = self._frames[index]

@@ -1,7 +1,6 @@
 """KITTI raw data (Geiger et al. 2013): synced drives whose LiDAR is projected here."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -22,7 +21,7 @@ from training.datasets.files import (
     require_folder,
     require_size,
 )
-from training.datasets.sample import Sample
+from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import Names, SourceRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT
@@ -48,14 +47,11 @@ class KittiRawRecipe(SourceRecipe):
     def open(self, folder: Path, classes: ClassTable) -> "KittiRaw":
         """See `SourceRecipe.open`; there are no classes."""
         return KittiRaw(
-            folder,
-            drives=self.drives,
-            cameras=self.cameras,
-            withhold_hidden=self.withhold_hidden,
+            folder, drives=self.drives, cameras=self.cameras, withhold_hidden=self.withhold_hidden
         )
 
 
-class KittiRaw:
+class KittiRaw(FrameList):
     """Frames of ``root/<date>/<drive>/image_0<camera>/data/<number>.png`` with their scans.
 
     The scan of a frame is ``<drive>/velodyne_points/data/<number>.bin``, the calibration
@@ -104,9 +100,6 @@ class KittiRaw:
         require_complete(frames, drive / "velodyne_points" / "data")
         self._frames += [(source, frame, f"{drive.name}/{camera}/{frame.name}") for frame in frames]
 
-    def __len__(self) -> int:
-        return len(self._frames)
-
     def __getitem__(self, index: int) -> Sample:
         source, listed, name = self._frames[index]
         calibration = source.calibration
@@ -117,15 +110,13 @@ class KittiRaw:
         depth, scan_line = project_lines(
             points, calibration.intrinsics, calibration.extrinsics, size
         )
-        sample = Sample(
+        if self._withhold_hidden:
+            depth = OcclusionFilter().apply(depth, depth)
+            scan_line = np.where(depth > 0, scan_line, np.int16(-1))
+        return Sample(
             rgb=rgb,
             targets={"depth": depth},
             intrinsics=calibration.intrinsics,
             name=name,
             scan_line=scan_line,
         )
-        if not self._withhold_hidden:
-            return sample
-        seen = OcclusionFilter().apply(depth, depth)
-        lines = np.where(seen > 0, scan_line, np.int16(-1)).astype(np.int16)
-        return replace(sample, targets={"depth": seen}, scan_line=lines)

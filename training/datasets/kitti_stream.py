@@ -12,7 +12,7 @@ from runtime.io.calibration import Calibration
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import ClassTable, id_lookup
 from training.datasets.files import dataset_errors, read_gray, read_points, read_rgb, require_folder
-from training.datasets.sample import Sample
+from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT, Index, Share
@@ -40,7 +40,7 @@ class KittiStreamRecipe(SourceRecipe):
         )
 
 
-class KittiStream:
+class KittiStream(FrameList):
     """Frames ``first`` .. ``last`` (inclusive) of a stream folder.
 
     It has ``image_02`` (PNG or JPEG), ``velodyne_fov``, ``calib_cam_to_cam.txt`` and
@@ -81,16 +81,13 @@ class KittiStream:
             images = require_folder(self._root / "image_2", "the object data's images")
         self._name = "kitti_object" if self._calibration is None else "kitti_stream"
         found = sorted(path for path in images.iterdir() if path.suffix in {".jpg", ".png"})
-        self._images = found[first : None if last is None else last + 1]
-        if not self._images:
+        self._frames = found[first : None if last is None else last + 1]
+        if not self._frames:
             raise DatasetError(f"{images}: {len(found)} frames, none of them in {first}..{last}.")
         self._semantic_weight = semantic_weight
 
-    def __len__(self) -> int:
-        return len(self._images)
-
     def __getitem__(self, index: int) -> Sample:
-        path = self._images[index]
+        path = self._frames[index]
         rgb = read_rgb(path)
         size = (rgb.shape[0], rgb.shape[1])
         camera = self._calibration or _read_calibration(self._root / "calib" / f"{path.stem}.txt")

@@ -13,9 +13,10 @@ from runtime.errors import DatasetError
 from runtime.io.calibration import Calibration
 from runtime.io.kitti_calibration import NumbersFile
 from training.datasets.camvid import CamVidLabels
+from training.datasets.cityscapes import disparity_to_depth
 from training.datasets.class_mapping import ClassTable
 from training.datasets.files import dataset_errors, read_gray, read_points, read_rgb, require_folder
-from training.datasets.sample import IGNORE, Sample
+from training.datasets.sample import IGNORE, FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.lidar.scan import project_lines
 from training.limits import STRICT, Index
@@ -39,7 +40,7 @@ class KittiStreetsRecipe(SourceRecipe):
         return KittiStreets(folder, first=self.first, last=self.last, classes=classes)
 
 
-class KittiStreets:
+class KittiStreets(FrameList):
     """Frames numbered ``first`` .. ``last`` (inclusive) of ``root/image_02/<number>.jpg`` or .png.
 
     The input is the scan of the frame, ``velodyne_fov/<number>.bin``, with its scan lines. The
@@ -77,24 +78,23 @@ class KittiStreets:
             for path in images.iterdir()
             if path.suffix in {".jpg", ".png"} and path.stem.isdecimal()
         )
-        self._images = [
+        self._frames = [
             path
             for path in found
             if first <= int(path.stem) and (last is None or int(path.stem) <= last)
         ]
-        if not self._images:
+        if not self._frames:
             raise DatasetError(
                 f"{images}: {len(found)} frames, none of them numbered {first} to "
                 f"{'the last' if last is None else last}. Correct `first` and `last`."
             )
-        for folder, suffix in (("velodyne_fov", ".bin"), ("disp_occ_0", ".png")):
-            files = [f"{path.stem}{suffix}" for path in self._images]
+        self._has_masks = (self._root / "road_mask").is_dir()
+        folders = {"velodyne_fov": ".bin", "disp_occ_0": ".png"}
+        if self._has_masks:
+            folders["road_mask"] = ".png"
+        for folder, suffix in folders.items():
+            files = [f"{path.stem}{suffix}" for path in self._frames]
             require_folder(self._root / folder, f"{folder}'s {suffix} files", files=files)
-        masks = self._root / "road_mask"
-        self._masks = masks if masks.is_dir() else None
-        if self._masks is not None:
-            files = [f"{path.stem}.png" for path in self._images]
-            require_folder(self._masks, "masks of the road", files=files)
         self._labels: CamVidLabels | None = None
         if (self._root / "semantic").is_dir():
             with contextlib.suppress(DatasetError):  # another table: depth and road remain
@@ -103,11 +103,8 @@ class KittiStreets:
                 raise DatasetError(f"{self._root / 'semantic'}: no .png labels in it.")
         self._calibration, self._focal_baseline = _read_calibration(self._root / "calib.txt")
 
-    def __len__(self) -> int:
-        return len(self._images)
-
     def __getitem__(self, index: int) -> Sample:
-        path = self._images[index]
+        path = self._frames[index]
         rgb = read_rgb(path)
         size = (rgb.shape[0], rgb.shape[1])
         truth = self._root / "disp_occ_0" / f"{path.stem}.png"
@@ -118,7 +115,7 @@ class KittiStreets:
         return Sample(
             rgb=rgb,
             targets={
-                "depth": _to_depth(disparity, self._focal_baseline),
+                "depth": disparity_to_depth(disparity, self._focal_baseline, zero=0),
                 **self._read_labels(path.stem, size),
                 **self._read_mask(path.stem, size),
             },
@@ -137,9 +134,9 @@ class KittiStreets:
         return {"semantic": self._labels.read(path, size)}
 
     def _read_mask(self, number: str, size: tuple[int, int]) -> dict[str, NDArray[np.uint8]]:
-        if self._masks is None:
+        if not self._has_masks:
             return {}
-        path = self._masks / f"{number}.png"
+        path = self._root / "road_mask" / f"{number}.png"
         mask = read_gray(path, np.uint8, size)
         other = np.setdiff1d(mask, (0, 1, IGNORE))
         if other.size:
@@ -154,13 +151,6 @@ def _place(number: int) -> str | None:
     """Name the place of a validation frame by its first frame; None for the other frames."""
     index = bisect_right(_PLACES, number)
     return f"{_PLACES[index - 1]:06d}" if 0 < index < len(_PLACES) else None
-
-
-def _to_depth(stored: NDArray[np.uint16], focal_baseline: float) -> NDArray[np.float32]:
-    """Metres from disparities in 1/256 px, 0 = unknown."""
-    depth = np.zeros(stored.shape, dtype=np.float32)
-    np.divide(np.float32(256 * focal_baseline), stored, out=depth, where=stored > 0)
-    return depth
 
 
 @dataset_errors()

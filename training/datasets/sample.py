@@ -1,6 +1,6 @@
 """An item of a data set: one frame with all that is known about it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, Protocol
@@ -110,6 +110,15 @@ class SampleSource(Protocol):
     def __len__(self) -> int: ...
 
     def __getitem__(self, index: int) -> Sample: ...
+
+
+class FrameList:
+    """The length of a data set that lists its frames."""
+
+    _frames: Sequence[Any]
+
+    def __len__(self) -> int:
+        return len(self._frames)
 
 
 def nothing_known(size: tuple[int, int]) -> NDArray[np.float32]:

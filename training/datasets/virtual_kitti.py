@@ -24,7 +24,7 @@ from training.datasets.files import (
     require_folder,
     require_size,
 )
-from training.datasets.sample import Sample
+from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import Names, SourceRecipe
 from training.datasets.virtual_kitti_labels import ColorTable, read_classes, read_colors
 from training.datasets.virtual_kitti_split import (
@@ -99,7 +99,7 @@ class VirtualKitti1Recipe(_SelectionRecipe):
         return VirtualKitti1(folder, selection=self.select(folder, self.split), classes=classes)
 
 
-class VirtualKitti:
+class VirtualKitti(FrameList):
     """Frames of ``root/<scene>/<variant>/frames/{rgb,depth,classSegmentation}/Camera_<n>``.
 
     Args:
@@ -169,9 +169,6 @@ class VirtualKitti:
             self._extrinsics[variant] = np.vstack([to_camera, np.eye(4)[3]])
         self._frames += [(variant, camera, reader, frame) for frame in frames]
 
-    def __len__(self) -> int:
-        return len(self._frames)
-
     @dataset_errors()
     def __getitem__(self, index: int) -> Sample:
         variant, camera, reader, listed = self._frames[index]
@@ -190,10 +187,7 @@ class VirtualKitti:
         name = f"{variant.parent.name}/{variant.name}/{listed.name}"
         return Sample(
             rgb=rgb,
-            targets={
-                "depth": depth,
-                "semantic": read_classes(label, self._colors[variant], size),
-            },
+            targets={"depth": depth, "semantic": read_classes(label, self._colors[variant], size)},
             sparse_depth=sparse_depth,
             scan_line=scan_line,
             intrinsics=intrinsics,
@@ -201,7 +195,7 @@ class VirtualKitti:
         )
 
 
-class VirtualKitti1:
+class VirtualKitti1(FrameList):
     """Frames of ``root/vkitti_1.3.1_{rgb,depthgt,scenegt}/<scene>/<variant>/<number>.png``.
 
     Colours of the classes are listed in ``vkitti_1.3.1_scenegt/<scene>_<variant>_scenegt_rgb_
@@ -250,9 +244,6 @@ class VirtualKitti1:
         names = ["/".join(frame) for frame in self._frames]
         there = [f"{folder.parent.name}/{folder.name}" for folder in folders]
         require_every_frame(selection, names, there, images)
-
-    def __len__(self) -> int:
-        return len(self._frames)
 
     @dataset_errors()
     def __getitem__(self, index: int) -> Sample:

@@ -29,14 +29,6 @@ class ColorTable:
 
 
 @dataset_errors()
-def _read_rows(path: Path) -> list[list[str]]:
-    """Rows of a text table without its header. Raises DatasetError."""
-    rows = [line.split() for line in read_text(path).splitlines()[1:] if line.strip()]
-    if not rows:
-        raise DatasetError(f"{path}: no rows under its header.")
-    return rows
-
-
 def read_colors(path: Path, classes: ClassTable) -> ColorTable:
     """Read the colours of a file and their ids in the class table `classes`.
 
@@ -45,7 +37,10 @@ def read_colors(path: Path, classes: ClassTable) -> ColorTable:
     """
     known = class_ids("virtual_kitti", classes)
     found: dict[int, int] = {}
-    for row in _read_rows(path):
+    rows = [line.split() for line in read_text(path).splitlines()[1:] if line.strip()]
+    if not rows:
+        raise DatasetError(f"{path}: no rows under its header.")
+    for row in rows:
         name, values = row[0].split(":")[0], row[-3:]
         if name not in known:
             raise DatasetError(f"{path}: unknown category {name!r}; known: {', '.join(known)}.")

@@ -284,14 +284,11 @@ class BoundaryMetrics:
     f_score: float
 
 
-class DisparityScores(Accumulator):
+class DisparityScores(ErrorSums):
     """MAE and RMSE of disparity, as the paper scores depth on Cityscapes: d = f * b / depth.
 
-    Over the same pixels as `DepthScores`.
+    Over the same pixels as `DepthScores`, in pixels of the data set's images.
     """
-
-    def __init__(self) -> None:
-        self._sums = ErrorSums()
 
     def update(
         self,
@@ -314,11 +311,7 @@ class DisparityScores(Accumulator):
             raise ValueError(f"focal_baseline_px_m must be positive, not {focal_baseline_px_m}")
         known = scored(depth)
         answer = np.maximum(prediction[known].astype(np.float64), _NEAREST_M)
-        self._sums.add(focal_baseline_px_m * (1 / answer - 1 / depth[known].astype(np.float64)))
-
-    def compute(self) -> Errors:
-        """Return the errors of all frames so far, in pixels of the data set's images."""
-        return self._sums.compute()
+        self.add(focal_baseline_px_m * (1 / answer - 1 / depth[known].astype(np.float64)))
 
 
 class BoundaryScores(Accumulator):

@@ -22,12 +22,7 @@ _DOT_PX = 3
 
 
 def draw_pictures(
-    predict: Predict,
-    source: SampleSource,
-    network: Network,
-    *,
-    lidar: LidarInput,
-    count: int,
+    predict: Predict, source: SampleSource, network: Network, *, lidar: LidarInput, count: int
 ) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """Draw frames spread evenly over a set, as `runtime.drawing.overlay` draws them.
 
@@ -50,11 +45,8 @@ def draw_pictures(
     for frame in split_frames(source, indices.tolist(), lidar):
         sample = frame.sample
         labelled = "semantic" in network.heads and (sample.semantic != IGNORE).any()
-        truth = HeadMaps(
-            sample.semantic if labelled else None,
-            frame.target if "depth" in network.heads and frame.target.any() else None,
-            None,
-        )
+        has_depth = "depth" in network.heads and frame.target.any()
+        truth = HeadMaps(sample.semantic if labelled else None, frame.target if has_depth else None)
         drawn = [
             overlay.draw(sample.rgb, answer)
             for answer in (predict(sample.rgb, frame.fed, sample.focal_length_px), truth)
@@ -88,13 +80,13 @@ def draw_batch(batch: Batch, overlay: Overlay, *, count: int) -> NDArray[np.uint
         for name, labels in batch.targets.items()
         if name in ("semantic", "depth") and (labels != target_kind(name).unlabelled).any()
     }
-    targets = HeadMaps(known.get("semantic"), known.get("depth"), None)
+    targets = HeadMaps(**known)
     # Of dots that overlap the nearest is in front.
     nearness = np.divide(1, fed, out=np.zeros_like(fed), where=fed > 0)
     nearness = cv2.dilate(nearness, np.ones((_DOT_PX, _DOT_PX), np.uint8))
     dots = np.divide(1, nearness, out=np.zeros_like(fed), where=nearness > 0)
-    (input_panel,) = overlay.panels(rgb // 3 + 85, HeadMaps(None, None, None)).values()
-    (colors,) = overlay.panels(None, HeadMaps(None, dots, None)).values()
+    (input_panel,) = overlay.panels(rgb // 3 + 85, HeadMaps()).values()
+    (colors,) = overlay.panels(None, HeadMaps(depth=dots)).values()
     np.copyto(input_panel, colors, where=(colors != NO_VALUE_COLOR).any(axis=-1, keepdims=True))
     write_text(input_panel, "LiDAR input", (6, 16))
     picture = _side_by_side([overlay.draw(rgb, targets), input_panel])

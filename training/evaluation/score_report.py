@@ -11,8 +11,8 @@ from typing import Any
 from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_file, atomic_write
 from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
+from training.evaluation.metrics import RANGES_M
 
-_RANGES_M = ((0, 20), (0, 50), (0, 10), (10, 20), (20, 40), (40, 100))
 #: What the table shows unless all is asked for.
 _MAIN = ("miou", "accuracy", "road_iou", "boundary_f", "mae_m", "rmse_m", "coverage_1", "mae_px")
 #: All that it can show, in this order, where a row has it: key, title, factor.
@@ -24,7 +24,7 @@ _COLUMNS = (
     ("fwiou", "fwIoU %", 100.0),
     ("road_iou", "road IoU %", 100.0),
     ("mae_m", "MAE [m]", 1.0),
-    *((f"mae_m_{a}_{b}", f"MAE {a}-{b} m", 1.0) for a, b in _RANGES_M),
+    *((f"mae_m_{a:g}_{b:g}", f"MAE {a:g}-{b:g} m", 1.0) for a, b in RANGES_M),
     *(
         (f"mae_m_{region}", f"MAE {title} [mm]", 1000.0)
         for region, title in zip(
@@ -34,7 +34,7 @@ _COLUMNS = (
         )
     ),
     ("rmse_m", "RMSE [m]", 1.0),
-    *((f"rmse_m_{a}_{b}", f"RMSE {a}-{b} m", 1.0) for a, b in _RANGES_M[:2]),
+    *((f"rmse_m_{a:g}_{b:g}", f"RMSE {a:g}-{b:g} m", 1.0) for a, b in RANGES_M[:2]),
     ("imae_per_km", "iMAE [1/km]", 1.0),
     ("irmse_per_km", "iRMSE [1/km]", 1.0),
     *(
@@ -184,40 +184,39 @@ def draw_lidar_quality(rows: Sequence[Row], path: Path) -> None:
     import matplotlib.pyplot as plt
 
     plotted = [item for item in _PLOTTED if any(item[0] in row.figures for row in rows)]
-    lidars = list(dict.fromkeys(row.lidar for row in rows))
-    lines = list(dict.fromkeys((row.model, row.engine, row.data, row.fault) for row in rows))
+    lines: dict[tuple[str, str, str, str], list[Row]] = {}
+    for row in rows:
+        lines.setdefault((row.model, row.engine, row.data, row.fault), []).append(row)
     models = list(dict.fromkeys((row.model, row.engine) for row in rows))
-    sets = list(dict.fromkeys(row.data for row in rows))
-    faults = list(dict.fromkeys(row.fault for row in rows))
+    lidars, sets, faults = (
+        list(dict.fromkeys(getattr(row, key) for row in rows)) for key in ("lidar", "data", "fault")
+    )
+    shown: dict[str, Any] = {}
     figure, panels = plt.subplots(
         1, max(1, len(plotted)), figsize=(5 * max(1, len(plotted)), 4), squeeze=False
     )
     for panel, (key, title, factor) in zip(panels[0], plotted, strict=False):
-        for model, engine, data, fault in lines:
+        for (model, engine, data, fault), drawn in lines.items():
             points = [
                 (lidars.index(row.lidar), row.figures[key] * factor)
-                for row in rows
-                if (row.model, row.engine, row.data, row.fault) == (model, engine, data, fault)
-                and key in row.figures
+                for row in drawn
+                if key in row.figures
             ]
             label = f"{model} ({engine}), {data}" + (f", {fault}" if fault != "none" else "")
             if points:
-                panel.plot(
+                (line,) = panel.plot(
                     *zip(*points, strict=True),
                     label=label,
                     color=f"C{models.index((model, engine)) % 10}",
                     marker=_MARKERS[sets.index(data) % len(_MARKERS)],
                     linestyle=_LINE_STYLES[faults.index(fault) % len(_LINE_STYLES)],
                 )
+                shown.setdefault(label, line)
         panel.set_xticks(range(len(lidars)), lidars)
         panel.set_xlabel("LiDAR: lines, random share, none")
         panel.set_title(title)
         panel.grid(alpha=0.3)
         panel.set_ylim(bottom=0)
-    shown: dict[str, object] = {}
-    for panel in panels[0]:
-        handles, labels = panel.get_legend_handles_labels()
-        shown = {**dict(zip(labels, handles, strict=True)), **shown}
     figure.tight_layout()
     figure.legend(
         list(shown.values()), list(shown), fontsize=7, loc="upper left", bbox_to_anchor=(1, 1)

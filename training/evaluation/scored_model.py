@@ -142,7 +142,7 @@ def method_predict(method: CompletionMethod) -> Predict:
         depth = method.complete(rgb, cleaned)
         if not np.isfinite(depth).all():
             raise SSDNetError(f"{type(method).__name__} answered with depths that are not finite.")
-        return HeadMaps(None, depth, None)
+        return HeadMaps(depth=depth)
 
     return predict
 
@@ -156,11 +156,6 @@ def engine_predict(predictor: Predictor) -> Predict:
         prediction = predictor.predict(rgb, sparse_depth, focal_length_px=focal_length_px)
         if not prediction.valid:
             raise SSDNetError(f"the model's answer is invalid: {', '.join(prediction.degraded)}.")
-        return HeadMaps(
-            prediction.semantic,
-            prediction.depth,
-            prediction.boundary,
-            prediction.depth_uncertainty,
-        )
+        return HeadMaps(*(getattr(prediction, head) for head in HeadMaps._fields))
 
     return predict

@@ -44,9 +44,9 @@ class HeadMaps(NamedTuple):
         depth_uncertainty: scale of a Laplace distribution around the depth, float32 (H, W) [m].
     """
 
-    semantic: NDArray[np.uint8] | None
-    depth: NDArray[np.float32] | None
-    boundary: NDArray[np.float32] | None
+    semantic: NDArray[np.uint8] | None = None
+    depth: NDArray[np.float32] | None = None
+    boundary: NDArray[np.float32] | None = None
     depth_uncertainty: NDArray[np.float32] | None = None
 
     @property
@@ -94,7 +94,7 @@ def torch_predict(
         )
         found = answers(output, config.max_depth_m)
         heads = {head: found[head][0].cpu().numpy() for head in HeadMaps._fields if head in found}
-        return HeadMaps(**dict.fromkeys(HeadMaps._fields) | to_frame(heads, frame))
+        return HeadMaps(**to_frame(heads, frame))
 
     return predict
 
@@ -173,26 +173,19 @@ class Scores:
         if self.road.counts.any() and ROAD in names:
             figures["road_iou"] = self.road.compute(names.index(ROAD))
         depth = self.depth.compute()
+        figures |= _error_figures(depth.metres)
+        for (above, limit), errors in depth.ranges.items():
+            figures |= _error_figures(errors, f"m_{above:g}_{limit:g}")
         if depth.metres.pixels:
-            figures |= _error_figures(depth.metres)
-            for (above, limit), errors in depth.ranges.items():
-                if errors.pixels:
-                    figures |= _error_figures(errors, f"m_{above:g}_{limit:g}")
             figures |= {"imae_per_km": depth.per_km.mae, "irmse_per_km": depth.per_km.rmse}
         for region, errors in self.regions.compute().items():
-            if errors.pixels:
-                figures |= _error_figures(errors, f"m_{region}")
+            figures |= _error_figures(errors, f"m_{region}")
         uncertainty = self.uncertainty.compute()
         if uncertainty.pixels:
             for share, mae_m in uncertainty.confident_mae_m.items():
                 figures[f"mae_m_confident_{100 * share:.0f}"] = mae_m
-            figures |= {
-                "coverage_1": uncertainty.coverage_1,
-                "coverage_2": uncertainty.coverage_2,
-            }
-        disparity = self.disparity.compute()
-        if disparity.pixels:
-            figures |= _error_figures(disparity, "px")
+            figures |= {"coverage_1": uncertainty.coverage_1, "coverage_2": uncertainty.coverage_2}
+        figures |= _error_figures(self.disparity.compute(), "px")
         boundary = self.boundary.compute(boundary_threshold)
         if not math.isnan(boundary.recall):
             figures |= {
@@ -205,7 +198,8 @@ class Scores:
 
 
 def _error_figures(errors: Errors, name: str = "m") -> dict[str, float]:
-    return {f"mae_{name}": errors.mae, f"rmse_{name}": errors.rmse}
+    """Name errors; those of no pixels are left out."""
+    return {f"mae_{name}": errors.mae, f"rmse_{name}": errors.rmse} if errors.pixels else {}
 
 
 def _category_figures(semantic: SemanticScores, class_names: Sequence[str]) -> dict[str, float]:

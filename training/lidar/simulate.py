@@ -128,31 +128,7 @@ def scan_lines(
         pitch_deg=pitch_jitter_deg * float(rng.standard_normal()),
         phase=float(rng.random()),
     )
-    return measure(
-        depth,
-        beam >= 0,
-        intrinsics,
-        rng,
-        max_range_m=max_range_m,
-        range_noise_m=range_noise_m,
-        drop_share=drop_share,
-        far_drop_share=far_drop_share,
-    )
-
-
-def measure(
-    depth: Depth,
-    looked_at: NDArray[np.bool_],
-    intrinsics: NDArray[np.float64],
-    rng: Generator,
-    *,
-    max_range_m: float = 85.0,
-    range_noise_m: float = 0.02,
-    drop_share: float = 0.08,
-    far_drop_share: float = 0.35,
-) -> Depth:
-    """Simulate the returns from the pixels ``looked_at``, bool (H, W); see `scan_lines`."""
-    row, column = np.nonzero(looked_at & (depth > 0))
+    row, column = np.nonzero((beam >= 0) & (depth > 0))
     z = depth[row, column].astype(np.float64)
     x = (column - intrinsics[0, 2]) / intrinsics[0, 0]
     y = (row - intrinsics[1, 2]) / intrinsics[1, 1]

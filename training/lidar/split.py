@@ -48,12 +48,8 @@ class LidarInput:
 
     def __str__(self) -> str:
         """The text that `parse` reads."""
-        return {
-            "own": "own",
-            "none": "none",
-            "lines": str(self.lines),
-            "random": f"random:{self.share:g}",
-        }[self.kind]
+        texts = {"lines": str(self.lines), "random": f"random:{self.share:g}"}
+        return texts.get(self.kind, self.kind)
 
 
 class LidarSplit(NamedTuple):

@@ -192,13 +192,8 @@ def scale_and_crop(
     height, width = config.size
     window = (round(height / scale), round(width / scale))  # in pixels of the sample
     chosen = rare and config.rare_crops and rng.random() < config.rare_crops
-    offsets = [
-        (
-            _random_offset(sample.size[0], window[0], rng),
-            _random_offset(sample.size[1], window[1], rng),
-        )
-        for _ in range(config.crop_candidates if chosen else 1)
-    ]
+    count = config.crop_candidates if chosen else 1
+    offsets = [_random_offset(sample.size, window, rng) for _ in range(count)]
     top, left = choose_crop(sample.semantic, window, offsets, rare)
     is_dense = _is_dense(sample)  # of the whole frame: a window may be mostly sky
     sample = resize(cut(sample, top, left, window), config.size, is_dense=is_dense)
@@ -307,12 +302,9 @@ def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = Non
     intrinsics = sample.intrinsics
     if intrinsics is not None:
         # Pixel centres are integers in K: u' = (u + 0.5) f - 0.5.
+        cx, cy = (intrinsics[0, 2] + 0.5) * fx - 0.5, (intrinsics[1, 2] + 0.5) * fy - 0.5
         intrinsics = np.array(
-            [
-                [intrinsics[0, 0] * fx, 0, (intrinsics[0, 2] + 0.5) * fx - 0.5],
-                [0, intrinsics[1, 1] * fy, (intrinsics[1, 2] + 0.5) * fy - 0.5],
-                [0, 0, 1],
-            ]
+            [[intrinsics[0, 0] * fx, 0, cx], [0, intrinsics[1, 1] * fy, cy], [0, 0, 1]]
         )
     sparse_depth, scan_line = sample.sparse_depth, sample.scan_line
     if sparse_depth is not None:
@@ -327,7 +319,12 @@ def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = Non
         depth, scan_line = move_scan_lines(sample.depth, scan_line, size)
     else:
         depth = resize_nearest(sample.depth, size)
-    targets = _resize_targets(sample, size)
+    rules = {"nearest": resize_nearest, "bilinear": resize_image}
+    targets = {
+        name: rules[target_kind(name).resize](labels, size)
+        for name, labels in sample.targets.items()
+        if name != "depth"
+    }
     if "depth" in sample.targets:
         targets["depth"] = depth
     return replace(
@@ -338,16 +335,6 @@ def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = Non
         scan_line=scan_line,
         intrinsics=intrinsics,
     )
-
-
-def _resize_targets(sample: Sample, size: tuple[int, int]) -> dict[str, NDArray[Any]]:
-    """Resize every target but the depth by its rule."""
-    rules = {"nearest": resize_nearest, "bilinear": resize_image}
-    return {
-        name: rules[target_kind(name).resize](labels, size)
-        for name, labels in sample.targets.items()
-        if name != "depth"
-    }
 
 
 def flip(sample: Sample) -> Sample:
@@ -420,23 +407,18 @@ def change_colors(
     rgb: NDArray[np.uint8], config: AugmentConfig, rng: Generator
 ) -> NDArray[np.uint8]:
     """Change brightness, contrast, saturation and hue; blur and add noise by probability."""
-    gain = 1 + rng.uniform(-config.contrast, config.contrast)
-    offset = 255 * rng.uniform(-config.brightness, config.brightness) * 0.5
-    saturation = (
-        0.0
-        if rng.random() < config.gray
-        else 1 + rng.uniform(-config.saturation, config.saturation)
-    )
-    hue = np.deg2rad(rng.uniform(-config.hue_deg, config.hue_deg))
+
+    def change(most: float) -> float:
+        return rng.uniform(-most, most)
+
+    gain = 1 + change(config.contrast)
+    offset = 255 * change(config.brightness) * 0.5
+    saturation = 0.0 if rng.random() < config.gray else 1 + change(config.saturation)
+    hue = np.deg2rad(change(config.hue_deg))
     # One affine map of the colours does all four (YIQ rotation for the hue).
     to_yiq = np.array([[0.299, 0.587, 0.114], [0.596, -0.274, -0.322], [0.211, -0.523, 0.312]])
-    turn = np.array(
-        [
-            [1, 0, 0],
-            [0, saturation * np.cos(hue), -saturation * np.sin(hue)],
-            [0, saturation * np.sin(hue), saturation * np.cos(hue)],
-        ]
-    )
+    cosine, sine = saturation * np.cos(hue), saturation * np.sin(hue)
+    turn = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
     matrix = gain * (np.linalg.inv(to_yiq) @ turn @ to_yiq)
     shift = np.full((3, 1), offset + 127.5 * (1 - gain))
     out = cv2.transform(rgb.astype(np.float32), np.hstack([matrix, shift]))
@@ -447,10 +429,15 @@ def change_colors(
     return np.clip(out, 0, 255).astype(np.uint8)
 
 
-def _random_offset(size: int, window: int, rng: Generator) -> int:
-    """Return the start of a window inside the image, or one that covers a smaller image."""
-    low, high = sorted((0, size - window))
-    return int(rng.integers(low, high + 1))
+def _random_offset(
+    size: tuple[int, int], window: tuple[int, int], rng: Generator
+) -> tuple[int, int]:
+    """Return the start of a window inside the image; on each axis one that covers a smaller one."""
+
+    def start(room: int) -> int:
+        return int(rng.integers(min(0, room), max(0, room) + 1))
+
+    return start(size[0] - window[0]), start(size[1] - window[1])
 
 
 def _take_window(

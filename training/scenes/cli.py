@@ -1,7 +1,7 @@
 """`ssdnet-render`: render driving scenes into the Virtual KITTI 2 layout."""
 
 import signal
-import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
@@ -114,19 +114,10 @@ def _run(jobs: list, workers: int) -> int:  # type: ignore[type-arg]
 
     from training.scenes.scene_job import run_job
 
-    bar = tqdm(total=len(jobs), unit="scene", disable=not sys.stderr.isatty(), file=sys.stderr)
-    total = 0
-    with bar:
-        if workers == 1:
-            for job in jobs:
-                total += run_job(job)
-                bar.update()
-            return total
-        with _start_pool(workers) as pool:
-            for done in pool.imap_unordered(run_job, jobs):
-                total += done
-                bar.update()
-    return total
+    with ExitStack() as stack:
+        run = map if workers == 1 else stack.enter_context(_start_pool(workers)).imap_unordered
+        # None: no bar without a terminal.
+        return sum(tqdm(run(run_job, jobs), total=len(jobs), unit="scene", disable=None))
 
 
 def _start_pool(workers: int) -> "Pool":

@@ -56,15 +56,14 @@ class Scene:
         """Frame ``number``; equal jobs give equal arrays."""
         key = [self.job.seed, 3, VARIANTS.index(self.variant), number]
         camera = make_camera(self.job.camera, self.job.size, self.job.seed)
-        mount_rng = np.random.default_rng(np.random.SeedSequence([self.job.seed, 6]))
         return render_frame(
             self.street,
             camera,
             self.weather,
             time=number * self.job.step_s,
             sway=self.sway,
-            rng=np.random.default_rng(np.random.SeedSequence(key)),
-            mount=draw_mount(camera, mount_rng),
+            rng=np.random.default_rng(key),
+            mount=draw_mount(camera, np.random.default_rng([self.job.seed, 6])),
         )
 
 
@@ -72,7 +71,7 @@ def open_scene(job: SceneJob, variant: Variant) -> Scene:
     """Build the street of a job, which all of its frames share."""
     # CamVid is from Britain, KITTI from Germany; a few scenes of each have the other side.
     left_hand = (job.seed % 10 != 0) if job.camera == "camvid" else (job.seed % 5 == 0)
-    sway = np.random.default_rng(np.random.SeedSequence([job.seed, 4])).uniform(0, 1000)
+    sway = np.random.default_rng([job.seed, 4]).uniform(0, 1000)
     return Scene(
         job,
         variant,

@@ -4,13 +4,14 @@ import re
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_folder
+from runtime.io.encode import encode_jpeg, encode_png
 from training.scenes.arrays import Floats
 from training.scenes.classes import CLASS_TABLE, class_colors
 from training.scenes.rendering.lidar_scan import LidarScan
@@ -24,9 +25,7 @@ _LAYOUT = re.compile(
     r"|frames(/(rgb|depth|classSegmentation|lidar)(/Camera_0(/(rgb|depth|classgt|lidar)_\d{5,}"
     r"\.(jpg|png|bin))?)?)?"
 )
-_EXTRINSIC = " ".join(
-    [f"r{i},{j}" if j < 4 else f"t{i}" for i in (1, 2, 3) for j in (1, 2, 3, 4)] + ["0 0 0 1"]
-)
+_EXTRINSIC = "r1,1 r1,2 r1,3 t1 r2,1 r2,2 r2,3 t2 r3,1 r3,2 r3,3 t3 0 0 0 1"
 
 
 def write_variant(
@@ -115,11 +114,8 @@ def _centimetres(depth: Floats) -> NDArray[np.uint16]:
     return np.where(depth > 0, rounded, np.uint16(_SKY))
 
 
-def _write_image(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+def _write_image(path: Path, image: NDArray[Any]) -> None:
     """Encode, then write: OpenCV's own writing only returns False if the disk is full."""
-    pixels = image[..., ::-1] if image.ndim == 3 else image
-    options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if path.suffix == ".jpg" else []
-    done, data = cv2.imencode(path.suffix, np.ascontiguousarray(pixels), options)
-    if not done:
-        raise OSError(f"{path.name} could not be encoded")
-    path.write_bytes(data.tobytes())
+    pixels = np.ascontiguousarray(image[..., ::-1] if image.ndim == 3 else image)
+    is_jpeg = path.suffix == ".jpg"
+    path.write_bytes(encode_jpeg(pixels, quality=_JPEG_QUALITY) if is_jpeg else encode_png(pixels))

@@ -51,6 +51,10 @@ class IPBasic:
         start = _invert(sparse_depth, self.max_depth_m)
         if not start.any():
             return start
+        return _revert(_blur(self._fill(start), self.blur), self.max_depth_m)
+
+    def _fill(self, start: Depth) -> MatLike:
+        """Fill what is unknown of an inverted depth."""
         inverted = cv2.dilate(start, _diamond(5))
         inverted = cv2.morphologyEx(inverted, cv2.MORPH_CLOSE, _full(5))
         inverted = _fill_unknown(inverted, _full(7))
@@ -58,12 +62,11 @@ class IPBasic:
             inverted = _fill_unknown(_extend_to_top(inverted), _full(31))
         # The median removes single outliers. As published it includes the zeros of unknown pixels,
         # and so does the blur: the outermost two known pixels come out too far.
-        inverted = cv2.medianBlur(inverted, 5)
-        return _revert(_blur(inverted, self.blur), self.max_depth_m)
+        return cv2.medianBlur(inverted, 5)
 
 
 @dataclass(frozen=True)
-class IPBasicMultiscale:
+class IPBasicMultiscale(IPBasic):
     """A slower variant with a dilation a range of depths and removal of noise.
 
     It follows the variant that the authors' code offers beside the paper's, with two differences:
@@ -77,15 +80,9 @@ class IPBasicMultiscale:
     column's topmost depth. Fields and range as in `IPBasic`.
     """
 
-    max_depth_m: float = 100.0
-    extrapolate: bool = True
     blur: Blur = "bilateral"
 
-    def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
-        """See `CompletionMethod.complete`."""
-        start = _invert(sparse_depth, self.max_depth_m)
-        if not start.any():
-            return start
+    def _fill(self, start: Depth) -> MatLike:
         inverted = cv2.morphologyEx(_dilate_by_range(start, self), cv2.MORPH_CLOSE, _full(5))
         inverted = _where_known(inverted, cv2.medianBlur(inverted, 5))
 
@@ -96,8 +93,7 @@ class IPBasicMultiscale:
             below_top = np.maximum.accumulate(inverted > _MEASURED_M, axis=0)
         for _ in range(6):
             inverted = _fill_unknown(inverted, _full(5), within=below_top)
-        inverted = _where_known(inverted, cv2.medianBlur(inverted, 5))
-        return _revert(_blur(inverted, self.blur), self.max_depth_m)
+        return _where_known(inverted, cv2.medianBlur(inverted, 5))
 
 
 def _invert(sparse_depth: Depth, max_depth_m: float) -> Depth:
@@ -140,12 +136,10 @@ def _cross(size: int) -> NDArray[np.uint8]:
 
 
 def _fill_unknown(
-    inverted: MatLike, kernel: NDArray[np.uint8], *, within: NDArray[np.bool_] | None = None
+    inverted: MatLike, kernel: NDArray[np.uint8], *, within: NDArray[np.bool_] | bool = True
 ) -> MatLike:
     """Fill unknown pixels from a dilation, leaving the others as they are."""
-    unknown = inverted <= _MEASURED_M
-    if within is not None:
-        unknown &= within
+    unknown = (inverted <= _MEASURED_M) & within
     return np.where(unknown, cv2.dilate(inverted, kernel), inverted)
 
 

@@ -26,10 +26,7 @@ class Nearest:
         if not measured.any():
             return np.zeros(sparse_depth.shape, dtype=np.float32)
         _, labels = cv2.distanceTransformWithLabels(
-            (~measured).astype(np.uint8),
-            cv2.DIST_L2,
-            _MASK_SIZE,
-            labelType=cv2.DIST_LABEL_PIXEL,
+            (~measured).astype(np.uint8), cv2.DIST_L2, _MASK_SIZE, labelType=cv2.DIST_LABEL_PIXEL
         )
         depth_of_label = np.zeros(int(labels.max()) + 1, dtype=np.float32)
         depth_of_label[labels[measured]] = sparse_depth[measured]

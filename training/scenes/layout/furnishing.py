@@ -34,17 +34,14 @@ def make_furniture(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
     for c in plan.crossings:
         if rng.random() < 0.55:
             phase = int(rng.integers(3))
+            gap = plan.crossing_half + 1.5
             for sign in (-1.0, 1.0):
-                gap = plan.crossing_half + 1.5
-                light = furniture.make_traffic_light(rng, phase)
-                parts.append(site.place(light, c - gap, sign * near, up))
-                back = furniture.make_traffic_light(rng, phase)
-                parts.append(site.place(back, c + gap, sign * near, up, np.pi))
+                for way, turned in ((-gap, 0.0), (gap, np.pi)):
+                    light = furniture.make_traffic_light(rng, phase)
+                    parts.append(site.place(light, c + way, sign * near, up, turned))
         else:
-            right_of_way = furniture.make_sign(rng, int(rng.choice([4, 7, 1])))
-            parts.append(
-                site.place(right_of_way, c - plan.crossing_half - 2, -plan.side * near, up)
-            )
+            mesh = furniture.make_sign(rng, int(rng.choice([4, 7, 1])))
+            parts.append(site.place(mesh, c - plan.crossing_half - 2, -plan.side * near, up))
     if plan.pavement:
         for _ in range(rng.integers(3, 10)):
             parts += _clutter(site, near, up)

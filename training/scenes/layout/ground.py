@@ -10,10 +10,13 @@ from training.scenes.layout.street_plan import END_M, KERB_M, START_M, Plan
 from training.scenes.textures.surface_kinds import SurfaceKind
 from training.scenes.things.mesh import Look, Mesh, grid
 
+Edges = list[tuple[float, float]]
 
-def _ribbon(line: Centreline, s: Floats, edges: list[tuple[float, float]], look: Look) -> Mesh:
-    """A strip along the street through points (d, up), listed from right to left."""
-    d, up = np.array(edges).T
+
+def _ribbon(line: Centreline, s: Floats, edges: Edges, look: Look, *, sign: float = 1.0) -> Mesh:
+    """A strip along the street through edges (d, up) from right to left; sign -1 mirrors them."""
+    d, up = np.array(edges if sign > 0 else edges[::-1]).T
+    d = sign * d
     points = line.at(s[:, None], d[None], up[None])
     texture = np.stack(np.broadcast_arrays(s[:, None], d[None], up[None]), axis=-1)
     return grid(points, look, texture=texture)
@@ -46,36 +49,28 @@ def make_ground(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
             grass,
         ),
     ]
+    k, p = plan.kerb, plan.back
+    inner = k + 0.15
+    strips: list[tuple[Edges, Look]]
+    if plan.kind == "highway" and not plan.pavement:
+        strips = [([(k, 0.0), (k + 4, -0.1), (60, -0.1)], grass)]
+    else:
+        strips = [([(k, -0.05), (k, KERB_M), (inner, KERB_M)], kerb)]
+        if plan.verge:
+            strips.append(([(inner, KERB_M), (inner + plan.verge, KERB_M)], grass))
+        strips.append(([(inner + plan.verge, KERB_M), (p, KERB_M)], paving))
+        behind = fore if plan.kind in ("town", "square") else grass
+        strips.append(([(p, KERB_M), (p + 8, KERB_M), (60, KERB_M - 0.05)], behind))
     for a, b in plan.blocks(END_M + 60):
         s = np.linspace(a, b, max(2, int((b - a) / 3) + 1))
         for sign in (-1.0, 1.0):
-
-            def strip(
-                points: list[tuple[float, float]], look: Look, sign: float = sign, s: Floats = s
-            ) -> Mesh:
-                edges = [(sign * d, up) for d, up in points]
-                return _ribbon(line, s, edges if sign > 0 else edges[::-1], look)
-
-            k, p = plan.kerb, plan.back
-            inner = k + 0.15
-            if plan.kind == "highway" and not plan.pavement:
-                parts.append(strip([(k, 0.0), (k + 4, -0.1), (60, -0.1)], grass))
-                continue
-            parts.append(strip([(k, -0.05), (k, KERB_M), (inner, KERB_M)], kerb))
-            if plan.verge:
-                parts.append(strip([(inner, KERB_M), (inner + plan.verge, KERB_M)], grass))
-            parts.append(strip([(inner + plan.verge, KERB_M), (p, KERB_M)], paving))
-            behind = fore if plan.kind in ("town", "square") else grass
-            parts.append(strip([(p, KERB_M), (p + 8, KERB_M), (60, KERB_M - 0.05)], behind))
+            parts += [_ribbon(line, s, edges, look, sign=sign) for edges, look in strips]
     for c in plan.crossings:
-        s = np.array([c - plan.crossing_half, c + plan.crossing_half])
-        for sign in (-1, 1):
-            d = np.linspace(plan.kerb, 110, 12) * sign
-            edges = [(float(x), 0.0) for x in (d if sign > 0 else d[::-1])]
-            parts.append(_ribbon(line, s, edges, asphalt))
-            for edge in (-1, 1):
-                wall = c + edge * plan.crossing_half
+        walls = c - plan.crossing_half, c + plan.crossing_half
+        for sign in (-1.0, 1.0):
+            edges = [(float(d), 0.0) for d in np.linspace(k, 110, 12)]
+            parts.append(_ribbon(line, np.array(walls), edges, asphalt, sign=sign))
+            for wall in walls:
                 run = np.array([wall - 0.07, wall + 0.07])
-                end = [(sign * plan.kerb, 0.13), (sign * 60.0, 0.13)]
-                parts.append(_ribbon(line, run, end if sign > 0 else end[::-1], kerb))
+                parts.append(_ribbon(line, run, [(k, 0.13), (60.0, 0.13)], kerb, sign=sign))
     return parts

@@ -42,7 +42,7 @@ def build_street(
 
     kind and left_hand are random by the seed unless given.
     """
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 1]))
+    rng = np.random.default_rng([seed, 1])
     drawn: StreetKind = STREET_KINDS[rng.choice(5, p=[0.36, 0.22, 0.18, 0.1, 0.14])]
     drawn_left = bool(rng.random() < 0.4)
     kind = drawn if kind is None else kind

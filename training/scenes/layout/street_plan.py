@@ -53,26 +53,16 @@ class Plan:
 
 
 def draw_plan(rng: Generator, kind: StreetKind, side: float) -> Plan:
-    lanes = {
-        "town": 1,
-        "residential": 1,
-        "avenue": int(rng.integers(1, 3)),
-        "highway": int(rng.integers(1, 3)),
-        "square": int(rng.integers(1, 4)),
-    }[kind]
+    avenue, highway, square = (int(rng.integers(1, end)) for end in (3, 3, 4))
+    lanes = {"avenue": avenue, "highway": highway, "square": square}.get(kind, 1)
     lane = float(rng.uniform(3.0, 3.7))
     parking = (
         2.2
         if kind in ("town", "residential") and rng.random() < 0.7
         else (0.5 if kind != "highway" else 1.5)
     )
-    verge = {
-        "town": 0.0,
-        "residential": float(rng.choice([0.0, 1.5])),
-        "avenue": float(rng.uniform(1.5, 4)),
-        "highway": 0.0,
-        "square": 0.0,
-    }[kind]
+    verges = {"residential": float(rng.choice([0.0, 1.5])), "avenue": float(rng.uniform(1.5, 4))}
+    verge = verges.get(kind, 0.0)
     pavement = 0.0 if kind == "highway" and rng.random() < 0.6 else float(rng.uniform(1.8, 4.5))
     crossings: list[float] = []
     where = float(rng.uniform(12, 70))

@@ -46,14 +46,13 @@ def make_camera(name: CameraName, size: tuple[int, int], seed: int = 0) -> Camer
     the road, tilted by up to 4 degrees, its size one of `_SIZES` whatever `size` is.
     """
     if name == "varied":
-        return _draw_camera(np.random.default_rng(np.random.SeedSequence([seed, 5])))
+        return _draw_camera(np.random.default_rng([seed, 5]))
     height, width = size
     if name == "kitti":
         # KITTI 2011_09_26, camera 2: 1242 x 375 pixels, focal length 721.54.
         scale = width / 1242.0
-        return Camera(
-            size, 721.54 * scale, 721.54 * scale, 609.56 * scale, height * 172.85 / 375.0, 1.65
-        )
+        focal = 721.54 * scale
+        return Camera(size, focal, focal, 609.56 * scale, height * 172.85 / 375.0, 1.65)
     # CamVid publishes no calibration; half a view of 26 degrees fits its pictures.
     focal = 500.0 * width / 480.0
     return Camera(size, focal, focal, width / 2, height * 0.5, 1.35, -0.5)

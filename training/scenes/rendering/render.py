@@ -15,7 +15,7 @@ from training.scenes.rendering.camera import Camera, look_along
 from training.scenes.rendering.lidar_scan import LidarMount, LidarScan, scan_street
 from training.scenes.rendering.raycast import Hits, RayCaster
 from training.scenes.rendering.sensor import expose
-from training.scenes.rendering.shading import contact_shading, shade
+from training.scenes.rendering.shading import contact_shading, facing_normals, shade
 from training.scenes.rendering.weather import Weather
 from training.scenes.things.mesh import Mesh, join
 
@@ -161,11 +161,8 @@ def _openness(
     free = np.ones(len(pick), dtype=np.float32)
     near = np.flatnonzero((hits.face[pick] >= 0) & (hits.distance[pick] < 60))
     chosen = pick[near]
-    corners = mesh.positions[hits.face[chosen]]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
     view = directions[chosen]
-    normal *= np.where((normal * view).sum(1, keepdims=True) > 0, np.float32(-1), np.float32(1))
+    normal = facing_normals(mesh, hits.face[chosen], view)
     point = view * hits.distance[chosen, None] + normal * np.float32(0.01)
     free[near] = contact_shading(caster, point, normal, rng)
     coarse = free.reshape(-(-height // 2), -(-width // 2))

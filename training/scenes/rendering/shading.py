@@ -12,10 +12,12 @@ from training.scenes.textures.paint import Stripe
 from training.scenes.textures.surface import Points
 from training.scenes.textures.surface_kinds import SurfaceKind
 from training.scenes.textures.surfaces import texture_surfaces
-from training.scenes.things.mesh import Mesh
+from training.scenes.things.mesh import Mesh, face_normals
 
 _GROUND = (SurfaceKind.ASPHALT, SurfaceKind.PAVING)
 _LIFT = 2e-3
+#: Reach of the rays of contact shading.
+_CONTACT_M = 2.5
 
 
 def _interpolate(corners: Floats, hits: Hits) -> Floats:
@@ -31,7 +33,7 @@ def points_of_hits(mesh: Mesh, hits: Hits, view: Floats, footprint: Floats) -> P
     """
     normal = _interpolate(mesh.normals, hits)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-9
-    flat = _facing(mesh, hits.face, view)
+    flat = facing_normals(mesh, hits.face, view)
     turn = ((normal * flat).sum(1) < 0) & (mesh.kind[hits.face] != SurfaceKind.FOLIAGE)
     normal[turn] = -normal[turn]
     return Points(
@@ -44,9 +46,9 @@ def points_of_hits(mesh: Mesh, hits: Hits, view: Floats, footprint: Floats) -> P
     )
 
 
-def _facing(mesh: Mesh, face: NDArray[np.int32], view: Floats) -> Floats:
+def facing_normals(mesh: Mesh, face: NDArray[np.int32], view: Floats) -> Floats:
     """Normals (n, 3) of faces, turned against the direction ``view``."""
-    flat = _face_normal(mesh.positions[face])
+    flat = face_normals(mesh.positions[face])
     toward = (flat * view).sum(1, keepdims=True)
     return np.asarray(flat * np.where(toward > 0, np.float32(-1), np.float32(1)))
 
@@ -85,7 +87,7 @@ def shade(
     point = origin + directions[rows] * hits.distance[rows, None]
     found = Hits(hits.distance[rows], face, hits.u[rows], hits.v[rows])
     points = points_of_hits(mesh, found, view, (distance * pixel_angle).astype(np.float32))
-    normal, flat = points.normal, _facing(mesh, face, view)
+    normal, flat = points.normal, facing_normals(mesh, face, view)
     kind = mesh.kind[face]
     soft = kind == SurfaceKind.FOLIAGE
     surface = texture_surfaces(kind, points, stripes)
@@ -156,19 +158,8 @@ def _surroundings(
     return seen
 
 
-def _face_normal(corners: Floats) -> Floats:
-    n = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray(n / (np.linalg.norm(n, axis=1, keepdims=True) + 1e-12))
-
-
 def contact_shading(
-    caster: RayCaster,
-    points: Floats,
-    normals: Floats,
-    rng: Generator,
-    *,
-    rays: int = 3,
-    reach: float = 2.5,
+    caster: RayCaster, points: Floats, normals: Floats, rng: Generator, *, rays: int = 3
 ) -> Floats:
     """Share (n,) of short rays over the hemisphere that escape: dark under cars and in corners."""
     free = np.zeros(len(points), dtype=np.float32)
@@ -177,5 +168,5 @@ def contact_shading(
         ball /= np.linalg.norm(ball, axis=1, keepdims=True)
         # A point on the unit sphere around the normal's tip is a cosine-weighted direction.
         direction = normals + 0.98 * ball
-        free += ~caster.blocked(points, direction, reach)
+        free += ~caster.blocked(points, direction, _CONTACT_M)
     return free / rays

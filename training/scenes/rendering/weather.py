@@ -34,7 +34,7 @@ class Weather:
 
 def draw_weather(variant: Variant, seed: int) -> Weather:
     """Return the light of a variant; the seed varies sun position, clouds and exposure."""
-    rng = np.random.default_rng(np.random.SeedSequence([seed, 2, VARIANTS.index(variant)]))
+    rng = np.random.default_rng([seed, 2, VARIANTS.index(variant)])
     azimuth = float(rng.uniform(0, 2 * np.pi))
     low, high = {"clone": (30, 60), "morning": (12, 28), "sunset": (6, 15)}.get(variant, (40, 50))
     height = np.deg2rad(rng.uniform(low, high))
@@ -71,13 +71,13 @@ def sky_color(weather: Weather, direction: Floats, *, detail: bool = True) -> Fl
     """Radiance (n, 3) of the sky along unit directions (n, 3); no clouds without `detail`."""
     up = np.clip(direction[:, 2], 0, 1)
     blend = np.power(1 - up, 4)[:, None]
-    color = (
-        np.asarray(weather.zenith, np.float32) * (1 - blend)
-        + np.asarray(weather.horizon, np.float32) * blend
+    zenith, horizon, sun = (
+        np.asarray(color, np.float32) for color in (weather.zenith, weather.horizon, weather.sun)
     )
+    color = zenith * (1 - blend) + horizon * blend
     towards_sun = np.clip(direction @ np.asarray(weather.sun_direction, np.float32), 0, 1)
     shine = 0.25 * towards_sun**8 + (6.0 * towards_sun**900 if detail else 0)
-    color = color + shine[:, None] * np.asarray(weather.sun, np.float32)
+    color = color + shine[:, None] * sun
     if not detail:
         return np.asarray(color)
     # Clouds are on a plane overhead, so they are denser towards the horizon.
@@ -86,11 +86,7 @@ def sky_color(weather: Weather, direction: Floats, *, detail: bool = True) -> Fl
     density = fractal_noise(plane[:, 0] + seed, plane[:, 1], wavelength=1.9, octaves=5)
     cover = np.clip((density + 1.15 * weather.cloud - 0.62) * 2.6, 0, 1)
     lit = 0.72 + 0.28 * np.clip(0.5 - density, 0, 1)
-    grey = (
-        0.5 * np.asarray(weather.horizon, np.float32)
-        + 0.24 * np.asarray(weather.sun, np.float32)
-        + 0.45 * np.asarray(weather.zenith, np.float32).mean()
-    )
+    grey = 0.5 * horizon + 0.24 * sun + 0.45 * zenith.mean()
     cloud = (lit + 0.1 * density)[:, None] * grey
     cover = (cover * np.clip(up * 9, 0.15, 1) * 0.9)[:, None]
     return np.asarray(color * (1 - cover) + cloud * cover)

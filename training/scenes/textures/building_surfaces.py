@@ -10,23 +10,18 @@ from training.scenes.textures.noise import fractal_noise, hash01
 from training.scenes.textures.paint import Stripe, band
 from training.scenes.textures.surface import Points, Surface, matt, mix
 
+#: Height and width of a brick with its mortar [m].
+_TALL, _WIDE = 0.075, 0.225
 
-def _bricks(
-    u: Floats,
-    v: Floats,
-    color: Floats,
-    footprint: Floats,
-    *,
-    tall: float = 0.075,
-    wide: float = 0.225,
-) -> Floats:
-    row = np.floor(v / tall)
-    shifted = u / wide + 0.5 * np.mod(row, 2)
+
+def _bricks(u: Floats, v: Floats, color: Floats, footprint: Floats) -> Floats:
+    row = np.floor(v / _TALL)
+    shifted = u / _WIDE + 0.5 * np.mod(row, 2)
     column = np.floor(shifted)
-    fade = np.clip(1.3 - footprint / tall, 0, 1)
-    tone = 1 + 0.5 * (hash01(row.astype(np.int64), column.astype(np.int64), 5) - 0.5) * fade
-    mortar = 1 - band((v / tall - row - 0.5) * tall, tall * 0.43, footprint) * band(
-        (shifted - column - 0.5) * wide, wide * 0.47, footprint
+    fade = np.clip(1.3 - footprint / _TALL, 0, 1)
+    tone = 1 + 0.5 * (hash01(row, column, 5) - 0.5) * fade
+    mortar = 1 - band((v / _TALL - row - 0.5) * _TALL, _TALL * 0.43, footprint) * band(
+        (shifted - column - 0.5) * _WIDE, _WIDE * 0.47, footprint
     )
     tone += 0.12 * fractal_noise(u, v, wavelength=2.5, octaves=2)
     return mix(color * tone[:, None], (0.38, 0.35, 0.31), mortar * fade * 0.7)
@@ -75,7 +70,6 @@ def texture_facade(p: Points, _: Sequence[Stripe]) -> Surface:
 
     # Windows of the upper floors, one a bay and floor.
     i, j = np.floor(u / bay), np.floor((v - ground) / floor)
-    i_key, j_key = i.astype(np.int64), j.astype(np.int64)
     a = (u / bay - i - 0.5) * bay
     b = ((v - ground) / floor - j - 0.47) * floor
     half_w, half_h = wide * bay / 2, tall * floor / 2
@@ -97,14 +91,14 @@ def texture_facade(p: Points, _: Sequence[Stripe]) -> Surface:
     cross = (hash01(key, 14) < 0.5) & (style < 2)
     pane *= 1 - cross * band(b - half_h * 0.25, 0.03, p.footprint)
     pane *= exists
-    lot = hash01(key, i_key, j_key)
-    curtain = np.where(lot < 0.45, 0.25 + 0.35 * hash01(key, j_key, i_key, 2), 0.0)
+    lot = hash01(key, i, j)
+    curtain = np.where(lot < 0.45, 0.25 + 0.35 * hash01(key, j, i, 2), 0.0)
     shut = np.where(
-        hash01(key, i_key, j_key, 4) < 0.25,
+        hash01(key, i, j, 4) < 0.25,
         band(b - half_h, half_h, p.footprint),
         (np.abs(a) > half_w * 0.55).astype(np.float32),
     )
-    dark = 0.012 + 0.05 * hash01(key, i_key, j_key, 3)
+    dark = 0.012 + 0.05 * hash01(key, i, j, 3)
     inside = np.maximum(dark, curtain * shut)
     # The reveal throws a shadow on the head of the pane.
     inside = inside * (1 - 0.6 * np.clip((b - half_h + 0.22) / 0.1, 0, 1))
@@ -116,7 +110,7 @@ def texture_facade(p: Points, _: Sequence[Stripe]) -> Surface:
         albedo[shop], gloss[shop], glow[shop] = _shop_front(
             u[shop], v[shop], albedo[shop], ground[shop], key[shop], foot[shop], p.footprint[shop]
         )
-    door = np.flatnonzero(house_floor & (wall_id == 0) & (np.mod(i_key, 3) == 1) & (v < 2.5))
+    door = np.flatnonzero(house_floor & (wall_id == 0) & (np.mod(i, 3) == 1) & (v < 2.5))
     if len(door):
         leaf = band(a[door], 0.52, foot[door]) * band(v[door] - 1.1, 1.1, p.footprint[door])
         tone = hash01(key[door], 21)[:, None] * (0.3, 0.12, 0.1) + np.array((0.02, 0.05, 0.05))
@@ -136,14 +130,13 @@ def _shop_front(
 ) -> tuple[Floats, Floats, Floats]:
     unit = 5.5
     shop = np.floor(u / unit)
-    shop_key = shop.astype(np.int64)
     a = (u / unit - shop - 0.5) * unit
-    pick = [hash01(key, shop_key, k)[:, None] for k in range(31, 35)]
+    pick = [hash01(key, shop, k)[:, None] for k in range(31, 35)]
     fascia_color = np.concatenate(pick[:3], 1) ** 2 * 0.6 + 0.02
     fascia = band(a, unit / 2 - 0.15, foot) * band(v - (ground - 0.45), 0.36, footprint)
     color = mix(wall, fascia_color, fascia)
     # Lettering: blocks of random width, dark on light or light on dark.
-    letter = hash01(key, shop_key, np.floor(a / 0.24).astype(np.int64), 9) < 0.75
+    letter = hash01(key, shop, np.floor(a / 0.24), 9) < 0.75
     stroke = band(np.mod(a, 0.24) - 0.12, 0.085, foot) * band(v - (ground - 0.45), 0.17, footprint)
     extent = np.abs(a) < 0.6 + 1.4 * pick[3][:, 0]
     ink = np.where(fascia_color.mean(1, keepdims=True) > 0.2, np.float32(0.03), np.float32(0.65))
@@ -157,13 +150,8 @@ def _shop_front(
         v - (ground - 0.9) / 2 - 0.25, (ground - 0.9) / 2 - 0.35, footprint
     )
     goods = fractal_noise(u * 1.3, v * 1.3, wavelength=1.0, octaves=3, footprint=footprint)
-    wares = np.clip(0.05 + 0.12 * goods, 0.012, 0.3)[:, None] * (
-        0.7
-        + 0.9
-        * np.concatenate(
-            [hash01(np.floor(u / 0.8).astype(np.int64), k, key)[:, None] for k in (1, 2, 3)], 1
-        )
-    )
+    tones = np.stack([hash01(np.floor(u / 0.8), k, key) for k in (1, 2, 3)], axis=1)
+    wares = np.clip(0.05 + 0.12 * goods, 0.012, 0.3)[:, None] * (0.7 + 0.9 * tones)
     color = mix(color, wares, glass)
     lit = (pick[3] < 0.4) * glass[:, None] * np.clip(0.5 + goods, 0, 1)[:, None]
     return color, glass * 0.07, lit * np.array((0.16, 0.13, 0.08))
@@ -174,7 +162,7 @@ def texture_roof(p: Points, _: Sequence[Stripe]) -> Surface:
     row = np.floor(v / 0.32)
     column = np.floor(u / 0.25 + 0.5 * np.mod(row, 2))
     fade = np.clip(1.2 - p.footprint / 0.25, 0, 1)
-    tone = 1 + 0.3 * (hash01(row.astype(np.int64), column.astype(np.int64)) - 0.5) * fade
+    tone = 1 + 0.3 * (hash01(row, column) - 0.5) * fade
     tone -= 0.35 * fade * np.clip(1 - np.mod(v, 0.32) / 0.07, 0, 1)
     tone += 0.2 * fractal_noise(u, v, wavelength=2.5, octaves=3, footprint=p.footprint)
     return matt(p.color * tone[:, None], 0.01)
@@ -187,7 +175,7 @@ def texture_planks(p: Points, _: Sequence[Stripe]) -> Surface:
     k = np.floor(u / pitch)
     foot = p.footprint / np.maximum(p.slant, 0.1)
     fade = np.clip(1.3 - foot / pitch, 0, 1)
-    tone = 1 + contrast * (hash01(k.astype(np.int64), 3) - 0.5) * fade
+    tone = 1 + contrast * (hash01(k, 3) - 0.5) * fade
     tone *= 1 - 0.4 * fade * (1 - band((u / pitch - k - 0.5) * pitch, 0.45 * pitch, foot))
     tone += 0.1 * fractal_noise(
         u * 3, p.texture[:, 2], wavelength=0.9, octaves=3, footprint=p.footprint

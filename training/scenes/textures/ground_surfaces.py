@@ -30,11 +30,10 @@ def texture_asphalt(p: Points, stripes: Sequence[Stripe]) -> Surface:
     albedo = p.color * np.clip(tone, 0.3, 1.8)[:, None]
     bare = np.clip(0.85 + 0.5 * stain + 0.25 * grain, 0.35, 0.95)
     for stripe in stripes:
-        near = (
-            (s > stripe.start - 6) & (s < stripe.end + 6)
-            if stripe.along == "s"
-            else np.abs(s - stripe.centre) < stripe.half_width + 6
-        )
+        if stripe.along == "s":
+            near = (s > stripe.start - 6) & (s < stripe.end + 6)
+        else:
+            near = np.abs(s - stripe.centre) < stripe.half_width + 6
         rows = np.flatnonzero(near)
         if len(rows):
             cover = paint_cover(stripe, s[rows], d[rows], long[rows], p.footprint[rows])
@@ -47,7 +46,7 @@ def texture_paving(p: Points, _: Sequence[Stripe]) -> Surface:
     pitch = p.params[:, 0]
     long = p.footprint / np.maximum(p.slant, 0.02)
     i, j = np.floor(s / pitch), np.floor(d / pitch)
-    slab = hash01(i.astype(np.int64), j.astype(np.int64), 3) - 0.5
+    slab = hash01(i, j, 3) - 0.5
     fade = np.clip(1.2 - long / pitch, 0, 1)
     tone = 1 + 0.22 * slab * fade
     grain = fractal_noise(s, d, wavelength=0.5, octaves=4, footprint=np.sqrt(long * p.footprint))

@@ -25,15 +25,13 @@ def value_noise(u: Floats, v: Floats) -> Floats:
     if not n:
         return np.zeros(u.shape, dtype=np.float32)
     rows = -(-n // _ROW)
-    x = np.zeros(rows * _ROW, dtype=np.float32)
-    y = np.zeros(rows * _ROW, dtype=np.float32)
-    x[:n] = u.ravel()
-    y[:n] = v.ravel()
-    np.mod(x, _TABLE, out=x)
-    np.mod(y, _TABLE, out=y)
-    out = cv2.remap(
-        _table(), x.reshape(rows, _ROW), y.reshape(rows, _ROW), interpolation=cv2.INTER_LINEAR
-    )
+
+    def places(values: Floats) -> Floats:
+        padded = np.zeros(rows * _ROW, dtype=np.float32)
+        padded[:n] = values.ravel()
+        return np.mod(padded, _TABLE, out=padded).reshape(rows, _ROW)
+
+    out = cv2.remap(_table(), places(u), places(v), interpolation=cv2.INTER_LINEAR)
     return out.reshape(-1)[:n].reshape(u.shape)
 
 
@@ -57,8 +55,8 @@ def fractal_noise(
     return total
 
 
-def hash01(*keys: NDArray[np.int64] | int) -> Floats:
-    """Uniform 0..1 from integer keys, the same for the same keys."""
+def hash01(*keys: Floats | int) -> Floats:
+    """Uniform 0..1 from whole numbers as keys, the same for the same keys."""
     state: NDArray[np.uint32] = np.array(2166136261, dtype=np.uint32)
     with np.errstate(over="ignore"):
         for key in keys:

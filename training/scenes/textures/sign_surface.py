@@ -43,22 +43,15 @@ def texture_sign(p: Points, _: Sequence[Stripe]) -> Surface:
     lay(kind == 3, ones, red)
     lay(kind == 3, band(a, 0.68, f) * band(b, 0.17, f), white)
     lay(kind == 4, band(np.abs(a) + np.abs(b), 0.72, f), yellow)
-    board = np.where(
-        (p.params[:, 1] < 0.4)[:, None],
-        blue,
-        np.where((p.params[:, 1] < 0.7)[:, None], green, yellow),
-    ).astype(np.float32)
+    lot = p.params[:, 1:2]
+    board = np.where(lot < 0.4, blue, np.where(lot < 0.7, green, yellow)).astype(np.float32)
     rows = np.flatnonzero(kind == 5)
     edge = band(a, 0.96, f) * band(b, 0.93, f)
     out[rows] = mix(out[rows], board[rows], edge[rows])
     line = np.floor((b + 1) * 2.2)
-    word = hash01(np.floor(a * 9).astype(np.int64), line.astype(np.int64), 6) < 0.7
-    text = (
-        band(np.mod((b + 1) * 2.2, 1) - 0.5, 0.24, f * 2.2)
-        * band(np.mod(a * 9, 1) - 0.5, 0.34, f * 9)
-        * word
-        * (np.abs(a) < 0.8)
-    )
+    word = hash01(np.floor(a * 9), line, 6) < 0.7
+    text = band(np.mod((b + 1) * 2.2, 1) - 0.5, 0.24, f * 2.2) * word * (np.abs(a) < 0.8)
+    text *= band(np.mod(a * 9, 1) - 0.5, 0.34, f * 9)
     lay((kind == 5) & (p.params[:, 1] < 0.7), text * 0.9, white)
     lay((kind == 5) & (p.params[:, 1] >= 0.7), text * 0.9, black)
     lay(kind == 6, band(a, 0.92, f) * band(b, 0.92, f), blue)

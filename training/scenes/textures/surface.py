@@ -1,7 +1,7 @@
 """Surface points, and the material that a texture gives them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +27,7 @@ class Points:
 
     def take(self, rows: NDArray[np.intp]) -> "Points":
         """Some of the points."""
-        return Points(
-            self.texture[rows],
-            self.normal[rows],
-            self.color[rows],
-            self.params[rows],
-            self.footprint[rows],
-            self.slant[rows],
-        )
+        return Points(*(getattr(self, item.name)[rows] for item in fields(self)))
 
 
 @dataclass(frozen=True)

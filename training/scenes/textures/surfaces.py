@@ -5,26 +5,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from training.scenes.textures.building_surfaces import (
-    texture_brickwork,
-    texture_facade,
-    texture_planks,
-    texture_roof,
-    texture_stone,
+from training.scenes.textures import (
+    building_surfaces,
+    ground_surfaces,
+    sign_surface,
+    vehicle_surfaces,
 )
-from training.scenes.textures.ground_surfaces import texture_asphalt, texture_grass, texture_paving
 from training.scenes.textures.noise import fractal_noise, value_noise
 from training.scenes.textures.paint import Stripe
-from training.scenes.textures.sign_surface import texture_sign
 from training.scenes.textures.surface import Points, Surface, matt
 from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.textures.vehicle_surfaces import (
-    texture_bus_side,
-    texture_car_body,
-    texture_car_glass,
-    texture_car_side_window,
-    texture_wheel,
-)
 
 
 def _foliage(p: Points, _: Sequence[Stripe]) -> Surface:
@@ -67,25 +57,25 @@ def _glow(p: Points, _: Sequence[Stripe]) -> Surface:
 
 _SHADERS: dict[SurfaceKind, Callable[[Points, Sequence[Stripe]], Surface]] = {
     SurfaceKind.PLAIN: _paint_or_plain,
-    SurfaceKind.ASPHALT: texture_asphalt,
-    SurfaceKind.PAVING: texture_paving,
-    SurfaceKind.GRASS: texture_grass,
-    SurfaceKind.FACADE: texture_facade,
-    SurfaceKind.ROOF: texture_roof,
+    SurfaceKind.ASPHALT: ground_surfaces.texture_asphalt,
+    SurfaceKind.PAVING: ground_surfaces.texture_paving,
+    SurfaceKind.GRASS: ground_surfaces.texture_grass,
+    SurfaceKind.FACADE: building_surfaces.texture_facade,
+    SurfaceKind.ROOF: building_surfaces.texture_roof,
     SurfaceKind.FOLIAGE: _foliage,
     SurfaceKind.BARK: _bark,
     SurfaceKind.METAL: _metal,
-    SurfaceKind.CAR_BODY: texture_car_body,
-    SurfaceKind.CAR_SIDE_WINDOW: texture_car_side_window,
-    SurfaceKind.CAR_GLASS: texture_car_glass,
-    SurfaceKind.WHEEL: texture_wheel,
-    SurfaceKind.SIGN: texture_sign,
+    SurfaceKind.CAR_BODY: vehicle_surfaces.texture_car_body,
+    SurfaceKind.CAR_SIDE_WINDOW: vehicle_surfaces.texture_car_side_window,
+    SurfaceKind.CAR_GLASS: vehicle_surfaces.texture_car_glass,
+    SurfaceKind.WHEEL: vehicle_surfaces.texture_wheel,
+    SurfaceKind.SIGN: sign_surface.texture_sign,
     SurfaceKind.GLOW: _glow,
-    SurfaceKind.BRICKWORK: texture_brickwork,
-    SurfaceKind.PLANKS: texture_planks,
+    SurfaceKind.BRICKWORK: building_surfaces.texture_brickwork,
+    SurfaceKind.PLANKS: building_surfaces.texture_planks,
     SurfaceKind.CLOTH: _cloth,
-    SurfaceKind.BUS_SIDE: texture_bus_side,
-    SurfaceKind.STONE: texture_stone,
+    SurfaceKind.BUS_SIDE: vehicle_surfaces.texture_bus_side,
+    SurfaceKind.STONE: building_surfaces.texture_stone,
 }
 
 

@@ -41,18 +41,14 @@ def texture_car_body(p: Points, _: Sequence[Stripe]) -> Surface:
     rear_z = belt - 0.14
     back = tail * band(np.abs(y) - half * 0.82, half * 0.13, f) * band(z - rear_z, 0.1, f)
     albedo = mix(albedo, (0.42, 0.015, 0.012), back)
-    glow += (back * np.where(np.mod(seed * 13, 1) < 0.4, 1.2, 0.08))[:, None] * np.array(
-        (1, 0.05, 0.03), np.float32
-    )
+    red = np.array((1, 0.05, 0.03), np.float32)
+    glow += (back * np.where(np.mod(seed * 13, 1) < 0.4, 1.2, 0.08))[:, None] * red
     middle = (x > length / 2 - 0.12) | (x < -length / 2 + 0.12)
     plate = middle * band(y, 0.26, f) * band(z - np.where(tail, 0.62, 0.42), 0.06, f)
     plate_color = np.where((tail & (seed < 0.4))[:, None], (0.7, 0.5, 0.05), (0.72, 0.72, 0.7))
     albedo = mix(albedo, plate_color, plate)
-    ink = (
-        plate
-        * (hash01(np.floor(y / 0.06).astype(np.int64), 5) < 0.7)
-        * band(np.mod(y, 0.06) - 0.03, 0.02, f)
-    )
+    letter = hash01(np.floor(y / 0.06), 5) < 0.7
+    ink = plate * letter * band(np.mod(y, 0.06) - 0.03, 0.02, f)
     albedo = mix(albedo, (0.03, 0.03, 0.03), ink * 0.9)
     return Surface(albedo.astype(np.float32), gloss.astype(np.float32), glow.astype(np.float32))
 

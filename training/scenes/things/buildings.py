@@ -1,5 +1,6 @@
 """Town houses, detached houses, office blocks and sheds with façades, roofs and shop fronts."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -54,36 +55,28 @@ def _gable_roof(
     eaves: float = 0.4,
 ) -> list[Mesh]:
     """A pitched roof; `across` turns the gable to the street."""
-    e = eaves
-    plain = replace(wall, params=(100.0, *wall.params[1:]))
-    if not across:
-        ridge = [(-0.1, -depth / 2, height + rise), (length + 0.1, -depth / 2, height + rise)]
-        drop = rise * e / (depth / 2)
-        front = [(-0.1, e, height - drop), (length + 0.1, e, height - drop), ridge[1], ridge[0]]
-        back = [
-            (length + 0.1, -depth - e, height - drop),
-            (-0.1, -depth - e, height - drop),
-            ridge[0],
-            ridge[1],
-        ]
-        ends = [
-            [(x, 0, height), (x, -depth, height), (x, -depth / 2, height + rise)]
-            for x in (0.0, length)
-        ]
+    # The frame of the ridge: where it and the walls begin and end, and what lies across it.
+    if across:
+        ridge_ends, wall_ends = (eaves, -depth - eaves), (0.0, -depth)
+        eaves_at, walls_at, middle = (-eaves, length + eaves), (0.0, length), length / 2
     else:
-        ridge = [(length / 2, e, height + rise), (length / 2, -depth - e, height + rise)]
-        drop = rise * e / (length / 2)
-        front = [(-e, e, height - drop), ridge[0], ridge[1], (-e, -depth - e, height - drop)]
-        back = [
-            (length + e, -depth - e, height - drop),
-            ridge[1],
-            ridge[0],
-            (length + e, e, height - drop),
-        ]
-        ends = [
-            [(0, y, height), (length, y, height), (length / 2, y, height + rise)]
-            for y in (0.0, -depth)
-        ]
+        ridge_ends, wall_ends = (-0.1, length + 0.1), (0.0, length)
+        eaves_at, walls_at, middle = (eaves, -depth - eaves), (0.0, -depth), -depth / 2
+
+    def at(along: float, beside: float, z: float) -> tuple[float, float, float]:
+        return (beside, along, z) if across else (along, beside, z)
+
+    top, low = height + rise, height - rise * eaves / abs(middle)
+    first, last = (at(end, middle, top) for end in ridge_ends)
+    front = [*(at(end, eaves_at[0], low) for end in ridge_ends), last, first]
+    back = [*(at(end, eaves_at[1], low) for end in ridge_ends[::-1]), first, last]
+    if across:  # swapped axes mirror: the corners go round the other way
+        front, back = ([side[0], *side[:0:-1]] for side in (front, back))
+    gables = [
+        [at(end, walls_at[0], height), at(end, walls_at[1], height), at(end, middle, top)]
+        for end in wall_ends
+    ]
+    plain = replace(wall, params=(100.0, *wall.params[1:]))
     parts = []
     for side in (front, back):
         points = np.asarray(side)
@@ -94,8 +87,8 @@ def _gable_roof(
         down = np.cross(normal / np.linalg.norm(normal), along)
         texture = np.stack([points @ along, points @ down, np.zeros(4)], axis=1)
         parts.append(quad(points, roof, texture=texture))
-    for end in ends:
-        points = np.asarray([*end, end[-1]])
+    for gable in gables:
+        points = np.asarray([*gable, gable[-1]])
         run = points[:, 1] if not across else points[:, 0]
         texture = np.stack([run, np.full(4, 1.0), points[:, 2] + 100.0], axis=1)
         parts.append(quad(points, plain, texture=texture))
@@ -105,24 +98,18 @@ def _gable_roof(
 def make_town_house(rng: Generator, length: float, *, shop: bool) -> Mesh:
     """A house of a closed row: front wall on y = 0 facing +y, from x = 0 to length."""
     brick = rng.random() < 0.45
-    palette = _BRICK if brick else _PLASTER
-    color = _draw_tone(palette, rng)
+    color = _draw_tone(_BRICK if brick else _PLASTER, rng)
     floors = int(rng.integers(2, 6))
     floor = float(rng.uniform(2.8, 3.4))
     ground = float(rng.uniform(3.4, 4.2)) if shop else floor
     height = ground + (floors - 1) * floor + 0.4
     depth = float(rng.uniform(8, 14))
-    look = _look(
-        SurfaceKind.FACADE,
+    look = _facade(
         color,
-        float(rng.uniform(1.9, 3.2)),
+        rng.uniform((1.9, 0.36, 0.48), (3.2, 0.55, 0.62)),
         floor,
-        float(rng.uniform(0.36, 0.55)),
-        float(rng.uniform(0.48, 0.62)),
-        BRICK if brick else PLASTER,
-        1.0 if shop else 2.0,
-        ground,
-        float(rng.random()),
+        (BRICK if brick else PLASTER, 1.0 if shop else 2.0, ground),
+        rng,
     )
     parts = _walls(length, depth, height, look)
     trim = _look(SurfaceKind.STONE, _tone((0.55, 0.53, 0.48), rng))
@@ -160,6 +147,23 @@ def _look(kind: SurfaceKind, color: Color, *params: float) -> Look:
     return Look(kind, color, SceneClass.BUILDING, params)
 
 
+def _facade(
+    color: Color,
+    windows: Iterable[float],
+    floor: float,
+    ground_floor: tuple[float, float, float],
+    rng: Generator,
+) -> Look:
+    """The wall of a house.
+
+    windows: width of a bay [m], width and height of its window as shares of bay and floor. floor:
+    its height [m]. ground_floor: façade style, 0 no openings, 1 shops or 2 doors, height [m].
+    """
+    bay, wide, tall = windows
+    params = (bay, floor, wide, tall, *ground_floor, float(rng.random()))
+    return _look(SurfaceKind.FACADE, color, *params)
+
+
 def _draw_tone(palette: tuple[Color, ...], rng: Generator) -> Color:
     return _tone(palette[rng.integers(len(palette))], rng)
 
@@ -193,18 +197,9 @@ def make_office(rng: Generator, length: float) -> Mesh:
     height = floors * floor + 0.8
     depth = float(rng.uniform(12, 18))
     color = _draw_tone(_OFFICE, rng)
-    look = _look(
-        SurfaceKind.FACADE,
-        color,
-        float(rng.uniform(1.2, 2.6)),
-        floor,
-        float(rng.uniform(0.7, 0.94)),
-        float(rng.uniform(0.45, 0.75)),
-        OFFICE,
-        1.0 if rng.random() < 0.5 else 0.0,
-        3.8,
-        float(rng.random()),
-    )
+    windows = rng.uniform((1.2, 0.7, 0.45), (2.6, 0.94, 0.75))
+    front = 1.0 if rng.random() < 0.5 else 0.0
+    look = _facade(color, windows, floor, (OFFICE, front, 3.8), rng)
     roof = _look(SurfaceKind.PLAIN, (0.25, 0.25, 0.25))
     parts = _walls(length, depth, height, look)
     parts.append(_flat_roof(length, depth, height, roof))
@@ -216,23 +211,12 @@ def make_office(rng: Generator, length: float) -> Mesh:
 def make_house(rng: Generator, length: float) -> Mesh:
     """A detached house with a pitched roof."""
     brick = rng.random() < 0.5
-    palette = _BRICK if brick else _PLASTER
-    color = _draw_tone(palette, rng)
+    color = _draw_tone(_BRICK if brick else _PLASTER, rng)
     floors = int(rng.integers(1, 3))
     height = 2.7 * floors + 0.4
     depth = float(rng.uniform(7, 10))
-    look = _look(
-        SurfaceKind.FACADE,
-        color,
-        float(rng.uniform(2.2, 3.4)),
-        2.7,
-        float(rng.uniform(0.38, 0.55)),
-        0.5,
-        BRICK if brick else PLASTER,
-        2.0,
-        2.7,
-        float(rng.random()),
-    )
+    windows = (*rng.uniform((2.2, 0.38), (3.4, 0.55)), 0.5)
+    look = _facade(color, windows, 2.7, (BRICK if brick else PLASTER, 2.0, 2.7), rng)
     roof = _look(SurfaceKind.ROOF, _draw_tone(_ROOF, rng))
     parts = _walls(length, depth, height, look)
     rise, across = float(rng.uniform(2.2, 3.6)), bool(rng.random() < 0.35)
@@ -245,17 +229,8 @@ def make_house(rng: Generator, length: float) -> Mesh:
 def make_shed(rng: Generator, length: float) -> Mesh:
     """A warehouse or supermarket of ribbed sheet."""
     height, depth = float(rng.uniform(5, 9)), float(rng.uniform(15, 25))
-    look = _look(
-        SurfaceKind.FACADE,
-        _tone((0.5, 0.52, 0.54), rng),
-        6.0,
-        height * 0.8,
-        0.8,
-        0.12,
-        SHED,
-        1.0 if rng.random() < 0.5 else 0.0,
-        3.6,
-        float(rng.random()),
-    )
+    color = _tone((0.5, 0.52, 0.54), rng)
+    front = 1.0 if rng.random() < 0.5 else 0.0
+    look = _facade(color, (6.0, 0.8, 0.12), height * 0.8, (SHED, front, 3.6), rng)
     roof = _look(SurfaceKind.PLAIN, (0.3, 0.3, 0.3))
     return join([*_walls(length, depth, height, look), _flat_roof(length, depth, height, roof)])

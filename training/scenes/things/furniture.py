@@ -65,10 +65,8 @@ def make_sign(rng: Generator, kind: int | None = None) -> Mesh:
     wide = 1.0
     if kind == 5:
         size, wide, height = 0.5, float(rng.uniform(1.4, 2.6)), 2.6
-    pole = _pole()
-    parts = [tube((0.05, 0, 0), (0.05, 0, height + size), (0.04, 0.04), pole)]
-    if kind == 5:
-        parts.append(tube((0.05, 0.7, 0), (0.05, 0.7, height + size), (0.04, 0.04), pole))
+    posts = (0.0, 0.7) if kind == 5 else (0.0,)
+    parts = [tube((0.05, y, 0), (0.05, y, height + size), (0.04, 0.04), _pole()) for y in posts]
     seed = float(rng.random())
     look = Look(SurfaceKind.SIGN, (0.7, 0.7, 0.7), SceneClass.TRAFFIC_SIGN, (float(kind), seed))
     back = Look(SurfaceKind.METAL, (0.3, 0.3, 0.3), SceneClass.TRAFFIC_SIGN)
@@ -191,8 +189,7 @@ def make_bench() -> Mesh:
         [
             box((1.7, 0.45, 0.06), (0, 0, 0.45), wood),
             box((1.7, 0.06, 0.4), (0, -0.25, 0.75), wood),
-            box((0.06, 0.45, 0.45), (-0.7, 0, 0.22), iron),
-            box((0.06, 0.45, 0.45), (0.7, 0, 0.22), iron),
+            *(box((0.06, 0.45, 0.45), (x, 0, 0.22), iron) for x in (-0.7, 0.7)),
         ]
     )
 

@@ -106,22 +106,26 @@ def triangles(
     corners = np.asarray(positions, dtype=np.float32).reshape(-1, 3, 3)
     n = len(corners)
     if normals is None:
-        flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        flat /= np.linalg.norm(flat, axis=1, keepdims=True) + 1e-12
-        normals = np.repeat(flat[:, None], 3, axis=1)
+        normals = np.repeat(face_normals(corners)[:, None], 3, axis=1)
     params = np.zeros((n, NUM_PARAMS), dtype=np.float32)
     params[:, : len(look.params)] = look.params
     return Mesh(
         positions=corners,
         normals=np.asarray(normals, dtype=np.float32).reshape(-1, 3, 3),
-        texture=corners.copy()
-        if texture is None
-        else np.asarray(texture, dtype=np.float32).reshape(-1, 3, 3),
+        texture=np.array(corners if texture is None else texture, dtype=np.float32).reshape(
+            -1, 3, 3
+        ),
         color=np.tile(np.asarray(look.color, dtype=np.float32), (n, 1)),
         kind=np.full(n, look.kind, dtype=np.uint8),
         label=np.full(n, look.label, dtype=np.uint8),
         params=params,
     )
+
+
+def face_normals(corners: Floats) -> Floats:
+    """Unit normals (n, 3) of triangles (n, 3, 3)."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(normals / (np.linalg.norm(normals, axis=1, keepdims=True) + 1e-12))
 
 
 def _grid_corners(values: Floats) -> Floats:
@@ -139,9 +143,7 @@ def grid(
     lattice = np.asarray(points, dtype=np.float64)
     normals = None
     if smooth:
-        du = np.gradient(lattice, axis=0)
-        dv = np.gradient(lattice, axis=1)
-        n = np.cross(du, dv)
+        n = np.cross(*np.gradient(lattice, axis=(0, 1)))
         normals = _grid_corners(n / (np.linalg.norm(n, axis=2, keepdims=True) + 1e-12))
     tex = None if texture is None else _grid_corners(np.asarray(texture, dtype=np.float64))
     return triangles(_grid_corners(lattice), look, normals=normals, texture=tex)
@@ -184,30 +186,22 @@ def tube(
     side /= np.linalg.norm(side)
     other = np.cross(axis, side)
     if rounded:
-        stations = [(-radii[0], 0.02), (-0.7 * radii[0], 0.7), (0.0, 1.0)]
-        rings = [(z, r * radii[0]) for z, r in stations]
-        rings += [
-            (length - z, r * radii[1])
-            for z, r in ((0.0, 1.0), (-0.7 * radii[1], 0.7), (-radii[1], 0.02))
-        ]
+        dome = ((1.0, 0.02), (0.7, 0.7), (0.0, 1.0))
+        rings = [(-z * radii[0], r * radii[0]) for z, r in dome]
+        rings += [(length + z * radii[1], r * radii[1]) for z, r in reversed(dome)]
     else:
         rings = [(0.0, 1e-3), (0.0, radii[0]), (length, radii[1]), (length, 1e-3)]
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     around = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other
     lattice = np.stack([a + axis * z + around * r for z, r in rings])
-    if rounded:
-        outward = np.broadcast_to(around, lattice.shape)
-        bulge = np.array([-1.0, -0.7, 0.0, 0.0, 0.7, 1.0])[:, None, None] * axis
-        n = outward * (1.0 - np.abs(bulge).sum(2, keepdims=True) * 0.9) + bulge
-        n = n / np.linalg.norm(n, axis=2, keepdims=True)
-    else:
-        n = np.stack([around] * 4)
-        mesh = triangles(_grid_corners(lattice), look)
-        body = triangles(_grid_corners(lattice[1:3]), look, normals=_grid_corners(n[1:3]))
-        lids = sides * 2
-        ends = np.ones(len(mesh), dtype=bool)
-        ends[lids:-lids] = False
-        return join([mesh.where(ends), body])
+    if not rounded:
+        normals = _grid_corners(np.stack([around, around]))
+        body = triangles(_grid_corners(lattice[1:3]), look, normals=normals)
+        return join([grid(lattice[:2], look), grid(lattice[2:], look), body])
+    outward = np.broadcast_to(around, lattice.shape)
+    bulge = np.array([-1.0, -0.7, 0.0, 0.0, 0.7, 1.0])[:, None, None] * axis
+    n = outward * (1.0 - np.abs(bulge).sum(2, keepdims=True) * 0.9) + bulge
+    n = n / np.linalg.norm(n, axis=2, keepdims=True)
     return triangles(_grid_corners(lattice), look, normals=_grid_corners(n))
 
 

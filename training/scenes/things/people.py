@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -53,19 +52,10 @@ def draw_dress(rng: Generator, *, cyclist: bool = False) -> Dress:
     )
 
 
-class _Clothes(NamedTuple):
-    """What is seen of a person."""
-
-    skin: Look
-    hair: Look
-    top: Look
-    bottom: Look
-    shoe: Look
-
-
-def _clothes(dress: Dress, label: SceneClass) -> _Clothes:
+def _clothes(dress: Dress, label: SceneClass) -> tuple[Look, ...]:
+    """Skin, hair, top, bottom and shoes of a person."""
     colors = (dress.skin, dress.hair, dress.top, dress.bottom, (0.03, 0.03, 0.03))
-    return _Clothes(*(Look(SurfaceKind.CLOTH, color, label) for color in colors))
+    return tuple(Look(SurfaceKind.CLOTH, color, label) for color in colors)
 
 
 def make_walker(dress: Dress, phase: float, *, standing: bool = False) -> Mesh:

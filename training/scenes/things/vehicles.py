@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
+from training.scenes.arrays import Floats
 from training.scenes.classes import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
 from training.scenes.things.mesh import Color, Look, Mesh, box, grid, join, rows, tube, vary
@@ -172,13 +173,10 @@ def _bodied(
     sizes = (*wheel_x, shape.wheel_radius, length, shape.width, shape.belt, door_x)
     body = Look(SurfaceKind.CAR_BODY, paint, label, (*sizes, seed))
     pillars = [(f - 0.5) * length for f in shape.pillars] + [99.0]
-    side = Look(SurfaceKind.CAR_SIDE_WINDOW, paint, label, (pillars[0], pillars[1], seed))
-    if label == SceneClass.VAN and seed < 0.75:
-        # Delivery vans have windows at the cab only.
-        side = Look(SurfaceKind.CAR_SIDE_WINDOW, paint, label, (pillars[0], 99.0, seed, pillars[0]))
+    # Delivery vans have windows at the cab only.
+    cab = pillars[:1] if label == SceneClass.VAN and seed < 0.75 else []
+    side = Look(SurfaceKind.CAR_SIDE_WINDOW, paint, label, (*pillars[:2], seed, *cab))
     glass = Look(SurfaceKind.CAR_GLASS, (0.02, 0.025, 0.03), label, (seed,))
-    parts: list[Mesh] = []
-    first, last = shape.rear_glass[0], shape.windscreen[1]
     sections = lattice.shape[1]
     window_texture = lattice.copy()
     window_texture[:, :, 2] = q[None, :]
@@ -189,16 +187,17 @@ def _bodied(
     station = np.repeat(np.arange(len(fx) - 1), (sections - 1))
     strip = np.tile(np.arange(sections - 1), len(fx) - 1)
     middle = (fx[station] + fx[station + 1]) / 2
-    in_cabin = (middle > first) & (middle < last)
-    in_screen = np.zeros_like(in_cabin)
-    for a, b in (shape.rear_glass, shape.windscreen):
-        in_screen |= (middle > a) & (middle < b)
-    is_side = in_cabin & np.isin(strip, (4, 11))
-    is_glass = in_screen & np.isin(strip, (6, 7, 8, 9))
+
+    def between(low: float, high: float) -> Floats:
+        return np.asarray((middle > low) & (middle < high))
+
+    is_side = between(shape.rear_glass[0], shape.windscreen[1]) & np.isin(strip, (4, 11))
+    is_glass = between(*shape.rear_glass) | between(*shape.windscreen)
+    is_glass &= np.isin(strip, (6, 7, 8, 9))
     if label == SceneClass.VAN and seed < 0.5:
         is_glass &= middle > 0.5
     pick = np.repeat(np.where(is_side, 1, np.where(is_glass, 2, 0)), 2)
-    parts += [mesh.where(pick == k) for k, mesh in enumerate((whole, sided, glazed))]
+    parts = [mesh.where(pick == k) for k, mesh in enumerate((whole, sided, glazed))]
     for end in (0, -1):
         ring = lattice[end]
         centre = np.broadcast_to(ring.mean(axis=0), ring.shape)
