@@ -1,36 +1,29 @@
-"""A template shows its values as text, in loops and under conditions."""
+"""The page's templates show values as text; a value that is missing is an error."""
 
-from types import SimpleNamespace
-
+import jinja2
 import pytest
 
-from runtime.drawing.report_page.template import _fill
+from runtime.drawing.report_page.template import _templates, render
 
 
 @pytest.mark.parametrize(
     ("template", "text"),
     [
-        ("{{name}}: {{count:,}}", "&lt;b&gt; {{count}}: 1,234"),
-        ("{{frame.size}} {{rows[a]}}", "2, 3 1"),
-        ("{{#each in pair}}({{each}}){{/each}}", "(x)(y)"),
-        (
-            "{{#key, n in rows}}{{#each in pair}}{{key}}{{each}}{{n}} {{/each}}{{/key, n}}",
-            "ax1 ay1 ",
-        ),
-        ("{{?count}}some{{/count}}{{!count}}none{{/count}}", "some"),
-        ("{{?nothing}}some{{/nothing}}{{!nothing}}none{{/nothing}}", "none"),
-        ("{{small:ms}} {{large:ms}} {{count:ms}} {{nothing:ms}}", "1.50 15.0 1,234 n/a"),
+        ("{{ name }}: {{ count|number(',') }}", "&lt;b&gt; {{ count }}: 1,234"),
+        ("{{ small|ms }} {{ large|ms }} {{ count|ms }} {{ nothing|ms }}", "1.50 15.0 1,234 n/a"),
     ],
 )
-def test_a_template_is_filled_in(template, text):
+def test_values_are_escaped_and_formatted(template, text):
     values = {
-        "name": "<b> {{count}}",
+        "name": "<b> {{ count }}",
         "count": 1234,
-        "frame": SimpleNamespace(size=(2, 3)),
-        "rows": {"a": 1},
-        "pair": ["x", "y"],
         "nothing": None,
         "small": 1.5,
         "large": 15.0,
     }
-    assert _fill(template, values) == text
+    assert _templates().from_string(template).render(values) == text
+
+
+def test_a_missing_value_is_an_error():
+    with pytest.raises(jinja2.UndefinedError, match="bars"):
+        render("strip.html", {})
