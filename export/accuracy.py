@@ -78,7 +78,10 @@ def _accuracy(row: Row) -> Accuracy:
     ]
     return Accuracy(
         *(row.data, row.lidar, row.frames),
-        **{key: known.get(key) for key in ("miou", "mae_m", "boundary_f", "coverage_1")},
+        miou=known.get("miou"),
+        mae_m=known.get("mae_m"),
+        boundary_f=known.get("boundary_f"),
+        coverage_1=known.get("coverage_1"),
         class_iou={name: known[f"iou_{name}"] for name in often if f"iou_{name}" in known},
     )
 

@@ -91,8 +91,7 @@ def export(
         float, typer.Option(min=0, help="Largest rise of the depth's MAE by int8 on any set [%].")
     ] = 2.0,
     overwrite: Annotated[
-        bool,
-        typer.Option("--overwrite", help="Replace an older file, recording and Triton model."),
+        bool, typer.Option("--overwrite", help="Replace an older file, recording and Triton model.")
     ] = False,
     _version: Version = False,
 ) -> None:
@@ -111,9 +110,7 @@ def export(
         from export.exporter import export_checkpoint  # here: --help does not wait for PyTorch
 
         options = Int8Options(
-            tuple(calibrate or ()),
-            max_drop_miou=max_drop_miou,
-            max_rise_mae=max_rise_mae,
+            tuple(calibrate or ()), max_drop_miou=max_drop_miou, max_rise_mae=max_rise_mae
         )
 
         with interruptible():
@@ -130,9 +127,8 @@ def export(
                 validate=tuple(validate or ()),
                 overwrite=overwrite,
             )
-    shape = f"{report.size[0]} x {report.size[1]}" + (
-        ", any size accepted" if report.dynamic else ""
-    )
+    free = ", any size accepted" if report.dynamic else ""
+    shape = f"{report.size[0]} x {report.size[1]}{free}"
     typer.echo(f"{report.path}: {report.num_bytes / 1e6:.1f} MB, {shape}, opset {opset}")
     typer.echo(f"largest difference to PyTorch on {report.num_frames} frames:")
     for head, measured in report.parity.items():

@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import onnx
 import torch
@@ -186,7 +185,6 @@ def _contract(
     checkpoint: Checkpoint, digest: str, *, size: tuple[int, int], opset: int
 ) -> Contract:
     config = checkpoint.model.config
-    training: dict[str, Any] = dict(checkpoint.training)
     return Contract(
         schema_version=SCHEMA_VERSION,
         model_name=config.name,
@@ -195,7 +193,7 @@ def _contract(
         native_size=size,
         stride=checkpoint.model.stride,
         precision="fp32",
-        training=training,
+        training=dict(checkpoint.training),
         versions={
             "ssdnet": __version__,
             "torch": str(torch.__version__),

@@ -276,8 +276,7 @@ def _checked(value: Any, hint: Any, key: str) -> Any:
     if kind is ClassInfo and isinstance(value, Mapping) and value.keys() == {"name", "color"}:
         hints = get_type_hints(ClassInfo)
         return ClassInfo(
-            _checked(value["name"], hints["name"], f"{key}.name"),
-            _checked(value["color"], hints["color"], f"{key}.color"),
+            **{k: _checked(value[k], hints[k], f"{key}.{k}") for k in ("name", "color")}
         )
     if kind is float and type(value) is int:
         return value

@@ -66,7 +66,10 @@ class SSDNetLite(Network):
             logits = self.semantic_head(self.semantic_refine(semantics, at_2))
         if candidates is not None:
             features = self.depth_decoder(bottom, skips, gates)
-            depths = self._regress(features)
+            # Without the surfaces, finest first.
+            pairs = zip(self.depth_heads, features, strict=True)
+            share = self.config.target_share
+            depths = tuple(share * torch.sigmoid(head(feature)) for head, feature in pairs)
             depth, scale, boundary_logits = self.surface_depth(
                 candidates, features[0], semantics, at_2, depths[0], boundary_logits
             )
@@ -83,10 +86,3 @@ class SSDNetLite(Network):
         candidates = self.surface_depth.propagate(depth, mask)
         at_2, at_4 = self.encoder.early(rgb, candidates.measured.depth, candidates.measured.mask)
         return at_2, at_4 + self.surface_depth.embed(candidates.features), candidates
-
-    def _regress(self, features: list[Tensor]) -> tuple[Tensor, ...]:
-        """The normalised depths without the surfaces, finest first."""
-        pairs = zip(self.depth_heads, features, strict=True)
-        return tuple(
-            self.config.target_share * torch.sigmoid(head(feature)) for head, feature in pairs
-        )
