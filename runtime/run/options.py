@@ -385,8 +385,8 @@ class RunOptions:
 
 def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
     """Raise UsageError for a number outside the `min` and `max` of its option."""
-    option = field.metadata[OPTION]
-    if option.min is None or value is None:
+    option = field.metadata.get(OPTION)  # a field of a subclass need not be one of the command
+    if option is None or option.min is None or value is None:
         return
     check: Callable[..., float] = check_number if float in get_args(field.type) else check_integer
     limits = (option.min,) if option.max is None else (option.min, option.max)
