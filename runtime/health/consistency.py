@@ -1,6 +1,6 @@
 """Whether camera and LiDAR are still calibrated and in sync: figures of a stream, off by default.
 
-Which figure changes depends on the fault (measured in docs/streams.md): edge agreement and hold-out
+Which figure changes depends on the fault (measured in docs/results.md): edge agreement and hold-out
 error with a rotated calibration or shifted stamps, the scale error with wrong depths. Returns are
 held out in squares, because between the remaining returns the network interpolates them, whatever
 is in the image. There are no limits: the usual values depend on model, sensors and roads, so each
