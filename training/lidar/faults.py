@@ -8,7 +8,6 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from runtime.projection import project_points
-from training.datasets.sample import IGNORE
 
 Depth = NDArray[np.float32]
 Fault = Literal["none", "nan", "shift", "dropout"]
@@ -85,14 +84,14 @@ def drop_sectors(fed: Depth, share: tuple[float, float], rng: Generator) -> Dept
     return kept
 
 
-def absorb(fed: Depth, semantic: NDArray[np.uint8], rng: Generator) -> Depth:
+def absorb(fed: Depth, semantic: NDArray[np.uint8], rng: Generator, *, ignore: int) -> Depth:
     """Return a copy without the returns of one thing, or of its upper part: dark paint, glass.
 
     The thing is the region of one class around a random return; one of more than `THING_SHARE` of
-    the image, as the road, keeps its returns. semantic: (H, W), IGNORE belongs to no thing.
+    the image, as the road, keeps its returns. semantic: (H, W), ``ignore`` belongs to no thing.
     """
     kept = fed.copy()
-    rows, columns = np.nonzero((fed > 0) & (semantic != IGNORE))
+    rows, columns = np.nonzero((fed > 0) & (semantic != ignore))
     if len(rows):
         index = int(rng.integers(len(rows)))
         region = np.zeros((fed.shape[0] + 2, fed.shape[1] + 2), np.uint8)

@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass
 
 from runtime.contract import MAX_RETURN_M, farthest_return
 from runtime.resize import move_returns, move_scan_lines, resize_image, resize_nearest
-from training.datasets.sample import Sample, nothing_known, target_kind
+from training.datasets.sample import IGNORE, Sample, nothing_known, target_kind
 from training.lidar.faults import absorb, add_false_returns, drop_sectors, misalign
 from training.lidar.simulate import SENSOR_LINES
 from training.lidar.split import LidarInput, masked, split_lidar
@@ -370,7 +370,7 @@ def _disturb(
     if config.lidar_dropout and rng.random() < config.lidar_dropout:
         fed = drop_sectors(fed, SECTOR_SHARE, rng)
     if config.lidar_absorbed and rng.random() < config.lidar_absorbed:
-        fed = absorb(fed, sample.semantic, rng)
+        fed = absorb(fed, sample.semantic, rng, ignore=IGNORE)
     return fed
 
 

@@ -115,7 +115,7 @@ def test_a_thing_or_its_upper_part_returns_nothing():
     cars[1][45:50, 10:20] = True
     wholes, parts, none = 0, 0, 0
     for seed in range(200):
-        lost = absorb(fed, semantic, np.random.default_rng(seed)) == 0
+        lost = absorb(fed, semantic, np.random.default_rng(seed), ignore=255) == 0
         if not lost.any():
             none += 1  # the road around is no thing
             continue
@@ -138,8 +138,8 @@ def test_a_thing_or_its_upper_part_returns_nothing():
 def test_a_scan_without_labels_loses_nothing():
     fed = np.full((60, 100), 20.0, np.float32)
     unknown = np.full((60, 100), 255, np.uint8)
-    assert np.array_equal(absorb(fed, unknown, np.random.default_rng(0)), fed)
-    assert not absorb(0 * fed, 0 * unknown, np.random.default_rng(0)).any()
+    assert np.array_equal(absorb(fed, unknown, np.random.default_rng(0), ignore=255), fed)
+    assert not absorb(0 * fed, 0 * unknown, np.random.default_rng(0), ignore=255).any()
 
 
 def test_false_returns_are_near_or_behind_and_few():
