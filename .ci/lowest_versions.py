@@ -7,15 +7,20 @@ import tomllib
 from pathlib import Path
 
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 project = tomllib.loads(Path("pyproject.toml").read_text())["project"]
 needs = [*project["dependencies"], *project["optional-dependencies"]["cpu"]]
 lowest = {}
 for need in map(Requirement, needs):
     (bound,) = [spec.version for spec in need.specifier if spec.operator == ">="]
-    lowest[need.name] = bound
-known = dict(
-    line.split("==") for line in Path("constraints.txt").read_text().splitlines() if "==" in line
-)
+    lowest[canonicalize_name(need.name)] = bound
+known = {
+    canonicalize_name(name): version
+    for name, _, version in (
+        line.partition("==") for line in Path("constraints.txt").read_text().splitlines()
+    )
+    if version
+}
 for name, version in {**known, **lowest}.items():
     print(f"{name}=={version}")
