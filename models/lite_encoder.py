@@ -16,10 +16,12 @@ class LiteEncoder(nn.Module):
     Attributes:
         early_channels: of the features of `early`, at strides 2 and 4.
         late_channels: of the features of `late`, at strides 4, 8, ...
+        linear: no activation bounds the features, which differ in size by stride.
     """
 
     early_channels: tuple[int, int]
     late_channels: tuple[int, ...]
+    linear = False
 
     def early(self, rgb: Tensor, depth: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
         """Return the features at strides 2 and 4 of normalised inputs, each (N, C, H, W)."""
@@ -70,6 +72,8 @@ class ResidualEncoder(LiteEncoder):
 
 class EfficientNetEncoder(LiteEncoder):
     """EfficientNet-Lite0's trunk, which reads the colours alone."""
+
+    linear = True
 
     def __init__(self, config: SSDNetLiteConfig) -> None:
         super().__init__()

@@ -7,7 +7,7 @@ A strided encoder, decoders that add their skips, and what LiDAR returns show ar
 import torch
 from torch import Tensor, nn
 
-from models.blocks import GlobalContext, pad_to_multiple
+from models.blocks import GlobalContext, pad_to_multiple, upsample
 from models.boundary_decoder import BoundaryDecoder
 from models.lite_encoder import ENCODERS
 from models.network import Network, NetworkOutput, initialise
@@ -37,18 +37,21 @@ class SSDNetLite(Network):
         skips = tuple(skip_list)
         self.context = GlobalContext(bottom) if config.global_context else nn.Identity()
         self.boundary_decoder = BoundaryDecoder(config, skips)
-        finest = config.decoder_channels[-1]
+        finest, linear = config.decoder_channels[-1], self.encoder.linear
+        self.semantic_coarse_head = None
         if config.semantic_head:
-            self.semantic_decoder = TaskDecoder(config, skips, bottom, "add")
+            self.semantic_decoder = TaskDecoder(config, skips, bottom, "add", linear=linear)
             refined = config.semantic_refine_channels
-            self.semantic_refine = refinement(finest, at_2, refined)
+            self.semantic_refine = refinement(finest, at_2, refined, linear=linear)
             self.semantic_head = nn.Conv2d(refined or finest, config.num_classes, 1)
+            if refined and config.additive_refinement:
+                self.semantic_coarse_head = nn.Conv2d(finest, config.num_classes, 1)
         if config.depth_head:
-            self.depth_decoder = TaskDecoder(config, skips, bottom, "add")
+            self.depth_decoder = TaskDecoder(config, skips, bottom, "add", linear=linear)
             self.depth_heads = nn.ModuleList(
                 nn.Conv2d(channels, 1, 1) for channels in reversed(config.decoder_channels)
             )
-            self.surface_depth = SurfaceDepthHead(config, at_2, at_4)
+            self.surface_depth = SurfaceDepthHead(config, at_2, at_4, linear=linear)
         self.apply(initialise)
         if config.depth_head:
             self.surface_depth.ignore_semantics()
@@ -64,6 +67,8 @@ class SSDNetLite(Network):
         if self.config.semantic_head:
             semantics = self.semantic_decoder(bottom, skips, gates)[0]
             logits = self.semantic_head(self.semantic_refine(semantics, at_2))
+            if self.semantic_coarse_head is not None:
+                logits = logits + upsample(self.semantic_coarse_head(semantics))
         if candidates is not None:
             features = self.depth_decoder(bottom, skips, gates)
             # Without the surfaces, finest first.

@@ -294,9 +294,17 @@ class SurfaceDepthHead(nn.Module):
         config: of the network.
         at_2_channels: of the encoder's features at stride 2.
         at_4_channels: of those at stride 4.
+        linear: see `models.lite_encoder`.
     """
 
-    def __init__(self, config: SSDNetLiteConfig, at_2_channels: int, at_4_channels: int) -> None:
+    def __init__(
+        self,
+        config: SSDNetLiteConfig,
+        at_2_channels: int,
+        at_4_channels: int,
+        *,
+        linear: bool = False,
+    ) -> None:
         super().__init__()
         self.config = config
         channels, refined = config.decoder_channels[-1], config.depth_refine_channels
@@ -304,9 +312,11 @@ class SurfaceDepthHead(nn.Module):
         self.project = nn.Conv2d(FEATURE_CHANNELS, channels, 1)
         # Classes imply surfaces without returns: a car has a roof and windows.
         self.semantics = nn.Conv2d(channels, channels, 1) if config.semantic_head else None
-        self.refinement = refinement(channels, at_2_channels, refined)
+        self.refinement = refinement(channels, at_2_channels, refined, linear=linear)
         self.cell = FINE_CELL if refined else COARSE_CELL
         self.head = nn.Conv2d(refined or channels, HEAD_CHANNELS, 1)
+        adds = refined and config.additive_refinement
+        self.coarse_head = nn.Conv2d(channels, HEAD_CHANNELS, 1) if adds else None
 
     def ignore_semantics(self) -> None:
         """Zero the layer of the semantics: weights trained without it give the same depth."""
@@ -336,7 +346,10 @@ class SurfaceDepthHead(nn.Module):
         features = features + self.project(candidates.features)
         if self.semantics is not None:
             features = features + self.semantics(semantics)
-        head = HeadChannels.split(self.head(self.refinement(features, at_2)).float())
+        found = self.head(self.refinement(features, at_2))
+        if self.coarse_head is not None:
+            found = found + upsample(self.coarse_head(features))
+        head = HeadChannels.split(found.float())
         regressed, boundary_logits = regressed.float(), boundary_logits.float()
         surfaces = candidates.surfaces
         if self.cell == FINE_CELL:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.blocks import BaConv, ConvBNReLU, upsample
+from models.blocks import BaConv, ConvBNReLU, conv_bn, upsample
 from models.ssdnet_config import EncoderDecoderConfig
 
 #: How an UpBlock joins a skip.
@@ -19,7 +19,8 @@ class UpBlock(nn.Module):
 
     "concat" is the paper's: concat(up(x), S_i), BaConv 3x3, BN, ReLU, conv 3x3, BN, ReLU.
     "add" is the lite form: up(x) + 1x1(S_i), BaConv 3x3, BN, ReLU; S_i has twice the size of x,
-    as with "concat" where ``padded``.
+    as with "concat" where ``padded``. Features of a ``linear`` encoder, which no activation bounds,
+    are normalised before they are added: the larger would hide the other.
     """
 
     def __init__(
@@ -30,6 +31,7 @@ class UpBlock(nn.Module):
         fusion: Fusion,
         *,
         padded: bool = True,
+        linear: bool = False,
     ) -> None:
         super().__init__()
         self.fusion, self.padded = fusion, padded
@@ -37,12 +39,10 @@ class UpBlock(nn.Module):
             self.baconv = BaConv(in_channels + skip_channels, channels)
             self.conv: nn.Module = ConvBNReLU(channels, channels)
         else:
-            self.reduce = (
-                nn.Conv2d(in_channels, channels, 1, bias=False)
-                if in_channels != channels
-                else nn.Identity()
-            )
-            self.project = nn.Conv2d(skip_channels, channels, 1)
+            self.reduce: nn.Module = nn.Identity()
+            if in_channels != channels:
+                self.reduce = _pointwise(in_channels, channels, bias=False, normalised=linear)
+            self.project = _pointwise(skip_channels, channels, bias=True, normalised=linear)
             self.baconv = BaConv(channels, channels)
             self.conv = nn.Identity()
         self.norm = nn.BatchNorm2d(channels)
@@ -58,14 +58,24 @@ class UpBlock(nn.Module):
         return out
 
 
+def _pointwise(in_channels: int, channels: int, *, bias: bool, normalised: bool) -> nn.Module:
+    if normalised:
+        return conv_bn(in_channels, channels, kernel=1)
+    return nn.Conv2d(in_channels, channels, 1, bias=bias)
+
+
 class _Unrefined(nn.Module):
     def forward(self, x: Tensor, skip: Tensor, boundary: Tensor | None = None) -> Tensor:
         return x
 
 
-def refinement(in_channels: int, skip_channels: int, channels: int) -> nn.Module:
+def refinement(
+    in_channels: int, skip_channels: int, channels: int, *, linear: bool = False
+) -> nn.Module:
     """Return one more UpBlock, to features of twice the size; without channels, nothing."""
-    return UpBlock(in_channels, skip_channels, channels, "add") if channels else _Unrefined()
+    if not channels:
+        return _Unrefined()
+    return UpBlock(in_channels, skip_channels, channels, "add", linear=linear)
 
 
 class TaskDecoder(nn.Module):
@@ -77,12 +87,16 @@ class TaskDecoder(nn.Module):
         skip_channels: tuple[int, ...],
         bottom_channels: int,
         fusion: Fusion,
+        *,
+        linear: bool = False,
     ) -> None:
         super().__init__()
         channels = config.decoder_channels
         below = (bottom_channels, *channels[:-1])
         sides = zip(below, reversed(skip_channels), channels, strict=True)
-        self.blocks = nn.ModuleList(UpBlock(*side, fusion, padded=config.padded) for side in sides)
+        self.blocks = nn.ModuleList(
+            UpBlock(*side, fusion, padded=config.padded, linear=linear) for side in sides
+        )
 
     def forward(
         self, bottom: Tensor, skips: list[Tensor], boundaries: Sequence[Tensor | None]

@@ -10,7 +10,7 @@ from models import Network
 from runtime.errors import CheckpointError, InputError
 
 #: Layers with weights a class.
-_CLASS_LAYERS = ("semantic_head.",)
+_CLASS_LAYERS = ("semantic_head.", "semantic_coarse_head.")
 #: Buffers that hold settings of the configuration.
 _SETTINGS = ("rgb_mean", "rgb_std")
 #: Settings that change what weights of the same shape compute.

@@ -6,6 +6,7 @@ import torch
 from models import SSDNetLiteConfig, create_model
 from models.efficientnet_lite import InvertedResidual
 from models.surfaces import NEAREST
+from models.task_decoder import UpBlock
 
 
 @pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])
@@ -78,6 +79,45 @@ def test_an_efficientnet_encoder_reads_colours_and_returns_enter_at_stride_4():
     assert found.semantic_logits.shape == (1, 11, 70, 101)
     assert not torch.equal(found.semantic_logits, none.semantic_logits)
     assert 3.2e6 < sum(p.numel() for p in network.parameters()) < 3.4e6
+
+
+def test_features_that_no_activation_bounds_do_not_drown_what_they_are_added_to():
+    """Ten times the features leave the same batch the same, where they are normalised."""
+    torch.manual_seed(0)
+    below, skip = torch.randn(2, 24, 4, 6), torch.randn(2, 40, 8, 12)
+    for linear in (True, False):
+        block = UpBlock(24, 40, 16, "add", linear=linear).train()
+        plain = block(below, skip)
+        for scaled in (block(below, 10 * skip), block(10 * below, skip)):
+            assert torch.allclose(scaled, plain, atol=1e-3) == linear
+    encoders = {False: {}, True: {"encoder": "efficientnet-lite0"}}
+    for linear, changes in encoders.items():
+        network = create_model("ssdnet-lite", **changes)
+        blocks = [m for m in network.modules() if isinstance(m, UpBlock)]
+        assert len(blocks) == 3 + 3 + 1 + 1  # two decoders, and a refinement of each
+        assert all(isinstance(b.project, torch.nn.Sequential) == linear for b in blocks)
+
+
+def test_an_additive_refinement_adds_to_what_both_heads_answer_at_stride_4():
+    torch.manual_seed(0)
+    network = create_model("ssdnet-lite", additive_refinement=True).eval()
+    rgb, sparse = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
+    sparse[..., ::4, ::4] = 12.0
+    both = network.predict_coarse(rgb, sparse)
+    both.depths[0].sum().backward()
+    assert network.surface_depth.coarse_head.weight.grad.abs().max() > 0
+    assert network.surface_depth.head.weight.grad.abs().max() > 0
+    parts = []
+    for silent in (network.semantic_head, network.semantic_coarse_head):
+        kept = {name: value.clone() for name, value in silent.state_dict().items()}
+        with torch.no_grad():
+            silent.weight.zero_()
+            silent.bias.zero_()
+            parts.append(network.predict_coarse(rgb, sparse).semantic_logits)
+        silent.load_state_dict(kept)
+    coarse, fine = parts
+    assert torch.allclose(coarse + fine, both.semantic_logits, atol=1e-5)
+    assert min(coarse.std(), fine.std()) > 0
 
 
 def test_the_trunk_of_an_efficientnet_encoder_has_the_widths_of_the_configuration():

@@ -15,14 +15,19 @@ from training.recipe import ModelRecipe, build
 
 
 def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
-    network = create_model("ssdnet-lite", classes=tuple(reversed(CLASS_TABLES["camvid"])))
+    config = {"additive_refinement": True}
+    classes = tuple(reversed(CLASS_TABLES["camvid"]))
+    network = create_model("ssdnet-lite", classes=classes, **config)
+    heads = ("semantic_coarse_head", "semantic_head")
     other = tmp_path / "other.pt"
     with torch.no_grad():
-        network.semantic_head.bias.fill_(77.0)
+        for head in heads:
+            getattr(network, head).bias.fill_(77.0)
     save_checkpoint(other, network)
-    built = build_network(ModelRecipe("ssdnet-lite"), other)[0]
-    assert "with random weights: semantic_head\n" in capsys.readouterr().err
-    assert not (built.semantic_head.bias == 77.0).any()
+    built = build_network(ModelRecipe("ssdnet-lite", config=config), other)[0]
+    assert f"with random weights: {', '.join(heads)}\n" in capsys.readouterr().err
+    for head in heads:
+        assert not (getattr(built, head).bias == 77.0).any()
     assert torch.equal(built.state_dict()["depth_heads.0.weight"], network.depth_heads[0].weight)
 
 
