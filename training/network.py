@@ -1,11 +1,14 @@
 """The network of a recipe: built, and started from other weights."""
 
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeGuard
 
+from torch import Tensor
+
 from models import Network, SSDNetLite, create_model, load_checkpoint
 from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite
-from models.lite_encoder import EfficientNetEncoder
 from runtime.errors import InputError
 from training.imagenet_weights import load_imagenet
 from training.initial_weights import start_from
@@ -17,14 +20,18 @@ _IMAGENET_COLORS = {"rgb_mean": (RGB_MEAN,) * 3, "rgb_std": (RGB_STD,) * 3}
 
 
 def build_network(
-    recipe: ModelRecipe, init: Path | None, *, resumed: bool = False
+    recipe: ModelRecipe,
+    init: Path | None,
+    *,
+    resumed: bool = False,
+    pictures: Iterable[Tensor] = (),
 ) -> tuple[Network, frozenset[str]]:
     """Build a recipe's network, with the weights of the checkpoint ``init`` as far as they fit.
 
     Images are normalised as ``init``'s network does, or as ``pretrained`` weights want, unless the
-    recipe says otherwise: the weights know no other values. A wider trunk of ``init`` is pruned.
-    Pretrained weights are loaded before ``init``'s, unless these replace the whole trunk, or the
-    run is ``resumed``.
+    recipe says otherwise: the weights know no other values. Pretrained weights are loaded before
+    ``init``'s, unless these replace the whole trunk, or the run is ``resumed``. A trunk that is
+    wider than the recipe's is pruned by what it sees in ``pictures``, see `prune_trunk`.
 
     Returns:
         The network, and the names of the tensors that ``init`` gave.
@@ -47,15 +54,15 @@ def build_network(
     except ValueError as error:
         raise InputError(f"the recipe's model cannot be built: {error}.") from error
     if recipe.pretrained == "imagenet":
-        trunk = _require_pretrainable(network)
-        if not (resumed or _has_trunk(source)):
-            load_imagenet(trunk)
+        _require_pretrainable(network)
+        if _has_trunk(network) and not (resumed or _has_trunk(source)):
+            network = _load_pretrained(network, pictures)
     if init is None or source is None:
         return network, frozenset()
     if _has_trunk(source) and _has_trunk(network):
         widths = network.config.encoder_widths
         if source.config.encoder_widths != widths:
-            source = prune_trunk(source, widths)
+            source = prune_trunk(source, widths, pictures)
     return network, start_from(network, source, init)
 
 
@@ -63,10 +70,19 @@ def _has_trunk(network: Network | None) -> TypeGuard[SSDNetLite]:
     return isinstance(network, SSDNetLite) and network.config.encoder == "efficientnet-lite0"
 
 
-def _require_pretrainable(network: Network) -> EfficientNetLite:
-    """Return the trunk; InputError for a network that weights of ImageNet do not fit."""
-    encoder = getattr(network, "encoder", None)
-    if not isinstance(encoder, EfficientNetEncoder):
+def _load_pretrained(network: SSDNetLite, pictures: Iterable[Tensor]) -> SSDNetLite:
+    """Return the network with weights of ImageNet, pruned for a narrower trunk."""
+    widths = network.config.encoder_widths
+    wide = SSDNetLite(replace(network.config, encoder_widths=())) if widths else network
+    trunk = wide.encoder.trunk
+    assert isinstance(trunk, EfficientNetLite)
+    load_imagenet(trunk)
+    return prune_trunk(wide, widths, pictures) if widths else wide
+
+
+def _require_pretrainable(network: Network) -> None:
+    """Raise InputError for a network that weights of ImageNet do not fit."""
+    if not _has_trunk(network):
         raise InputError(
             f"model.pretrained: {network.config.name!r} has no encoder with ImageNet weights. "
             "Set model.config.encoder = 'efficientnet-lite0', a field of ssdnet-lite and "
@@ -78,7 +94,6 @@ def _require_pretrainable(network: Network) -> EfficientNetLite:
                 f"model.config.{key} = {list(found)}, but the ImageNet weights were trained with "
                 f"{list(wanted)}. Leave it out."
             )
-    return encoder.trunk
 
 
 def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...] = ()) -> None:

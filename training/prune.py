@@ -1,29 +1,64 @@
-"""Pruning of EfficientNet-Lite0's trunk: each block loses the channels of the smallest weights."""
+"""Pruning of EfficientNet-Lite0's trunk: each block loses the channels that it misses least."""
 
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
+import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
 from models import SSDNetLite
+from models.blocks import pad_to_multiple
 from models.efficientnet_lite import WIDTHS, EfficientNetLite, InvertedResidual, SameConv
 from runtime.errors import CheckpointError
 
+#: Pixels of each picture that a block's channels are observed at.
+_PIXELS = 6000
+#: Share of the mean variance that is added to each, so that the covariance has an inverse.
+_DAMPING = 1e-3
 
-def prune_trunk(network: SSDNetLite, widths: Sequence[int]) -> SSDNetLite:
+
+@dataclass
+class _Moments:
+    """Of the channels that a block's projection reads: their count, sum and outer products."""
+
+    count: int = 0
+    total: Tensor | float = 0.0
+    squares: Tensor | float = 0.0
+
+    def add(self, features: Tensor) -> None:
+        """Add features, (N, C, H, W)."""
+        pixels = features.permute(0, 2, 3, 1).flatten(0, 2)
+        chosen = torch.linspace(0, len(pixels) - 1, min(len(pixels), _PIXELS)).long()
+        pixels = pixels[chosen].double()
+        self.count += len(pixels)
+        self.total = self.total + pixels.sum(dim=0)
+        self.squares = self.squares + pixels.T @ pixels
+
+    def mean_and_covariance(self) -> tuple[Tensor, Tensor]:
+        """Return them, (C,) and (C, C)."""
+        mean = torch.as_tensor(self.total) / self.count
+        return mean, torch.as_tensor(self.squares) / self.count - torch.outer(mean, mean)
+
+
+def prune_trunk(
+    network: SSDNetLite, widths: Sequence[int], pictures: Iterable[Tensor]
+) -> SSDNetLite:
     """Return a copy of a network whose trunk has fewer channels within its blocks.
 
-    Those are kept, in their order, whose depthwise kernel, as batch normalisation scales it, and
-    whose projection have the largest L1 norms (Li et al. 2017).
+    Of each block that channel goes, again and again, whose loss changes the block's answers to the
+    pictures least, while the projection of the others is changed to make up for it: both in closed
+    form by least squares (Hassibi and Stork 1993; Frantar and Alistarh 2022).
 
     Args:
         network: with the encoder "efficientnet-lite0"; not changed.
         widths: of the stem and of each block, see `EfficientNetLite`; () = all.
+        pictures: float (N, 3, H, W), RGB in 0..255, at least one.
 
     Raises:
         CheckpointError: if a width is larger than the network's.
+        ValueError: without a picture.
     """
     before = network.config.encoder_widths or WIDTHS
     widths = tuple(widths) or WIDTHS
@@ -33,42 +68,91 @@ def prune_trunk(network: SSDNetLite, widths: Sequence[int]) -> SSDNetLite:
             f"{list(before)}. Give --init with the wider trunk."
         )
     pruned = SSDNetLite(replace(network.config, encoder_widths=widths))
-    pruned.load_state_dict(_without_channels(network, widths))
+    pruned.load_state_dict(_without_channels(network, widths, pictures))
     tqdm.write(
         f"the trunk was pruned from {sum(before)} to {sum(widths)} channels", file=sys.stderr
     )
     return pruned.train(network.training)
 
 
-def _without_channels(network: SSDNetLite, widths: Sequence[int]) -> dict[str, Tensor]:
+def _without_channels(
+    network: SSDNetLite, widths: Sequence[int], pictures: Iterable[Tensor]
+) -> dict[str, Tensor]:
     """Return the weights of a network without the channels that are pruned."""
     state = dict(network.state_dict())
     trunk = network.encoder.trunk
     assert isinstance(trunk, EfficientNetLite)
-    blocks = [
-        (name, part) for name, part in trunk.named_modules() if isinstance(part, InvertedResidual)
-    ]
+    blocks = {
+        name: part for name, part in trunk.named_modules() if isinstance(part, InvertedResidual)
+    }
+    moments = _observe(network, blocks, pictures)
     # The first block has no expansion: its channels are the stem's.
-    makers = ["stem.0", *(f"{name}.expand" for name, _ in blocks[1:])]
-    for (name, block), maker, width in zip(blocks, makers, widths, strict=True):
-        kept = _largest(block, width)
+    makers = ["stem.0", *(f"{name}.expand" for name in list(blocks)[1:])]
+    for (name, block), maker, width in zip(blocks.items(), makers, widths, strict=True):
+        if width == block.depthwise[0].out_channels:
+            continue
+        kept, weight, shift = _least_missed(block, width, *moments[name].mean_and_covariance())
         for layer in (maker, f"{name}.depthwise"):
             for part in ("0.weight", "1.weight", "1.bias", "1.running_mean", "1.running_var"):
                 key = f"encoder.trunk.{layer}.{part}"
                 state[key] = state[key][kept]
-        key = f"encoder.trunk.{name}.project.0.weight"
-        state[key] = state[key][:, kept]
+        key = f"encoder.trunk.{name}.project"
+        state[f"{key}.0.weight"] = weight.to(state[f"{key}.0.weight"])[:, :, None, None]
+        state[f"{key}.1.running_mean"] = state[f"{key}.1.running_mean"] + shift.float()
     return state
 
 
-def _largest(block: InvertedResidual, width: int) -> Tensor:
-    """Return the indices of the channels with the largest norms, in their order."""
-    conv, norm, project = block.depthwise[0], block.depthwise[1], block.project[0]
+@torch.no_grad()
+def _observe(
+    network: SSDNetLite, blocks: Mapping[str, InvertedResidual], pictures: Iterable[Tensor]
+) -> dict[str, _Moments]:
+    """Return the moments of what the projection of each block reads, without LiDAR."""
+    moments = {name: _Moments() for name in blocks}
+    hooks = [
+        block.project.register_forward_pre_hook(
+            lambda _, inputs, name=name: moments[name].add(inputs[0])
+        )
+        for name, block in blocks.items()
+    ]
+    training = network.training
+    network.eval()
+    try:
+        for picture in pictures:
+            rgb = pad_to_multiple(picture, network.stride)
+            network(rgb, rgb.new_zeros(rgb[:, :1].shape))
+    finally:
+        network.train(training)
+        for hook in hooks:
+            hook.remove()
+    if not all(each.count for each in moments.values()):
+        raise ValueError("pruning needs pictures to see which channels are missed")
+    return moments
+
+
+def _least_missed(
+    block: InvertedResidual, width: int, mean: Tensor, covariance: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Choose the channels that stay.
+
+    Returns:
+        Their indices, in their order, (width,); the weights of the projection, (C', width); and by
+        how much its answers are larger in the mean, (C',).
+    """
+    conv, norm = block.project[0], block.project[1]
     assert isinstance(conv, SameConv)
-    assert isinstance(project, SameConv)
     assert isinstance(norm, nn.BatchNorm2d)
     assert norm.running_var is not None
-    scale = (norm.weight / (norm.running_var + norm.eps).sqrt()).abs()
-    inwards = scale * conv.weight.abs().sum(dim=(1, 2, 3))
-    outwards = project.weight.abs().sum(dim=(0, 2, 3))
-    return (inwards * outwards).topk(width).indices.sort().values
+    scale = (norm.weight / (norm.running_var + norm.eps).sqrt()).detach().double()[:, None]
+    whole = conv.weight.detach()[:, :, 0, 0].double()
+    damping = _DAMPING * covariance.diagonal().mean() + torch.finfo(covariance.dtype).tiny
+    inverse = torch.linalg.inv(covariance + damping * torch.eye(len(mean), dtype=mean.dtype))
+    weight, gone = whole.clone(), torch.zeros(len(mean), dtype=torch.bool)
+    for _ in range(len(mean) - width):
+        cost = (weight * scale).square().sum(dim=0) / inverse.diagonal()
+        least = int(cost.masked_fill(gone, torch.inf).argmin())
+        step = inverse[least] / inverse[least, least]
+        for each in (weight, inverse):  # their columns of this channel become 0
+            each.addr_(each[:, least].clone(), step, alpha=-1)
+        gone[least] = True
+    kept = gone.logical_not().nonzero().flatten()
+    return kept, weight[:, kept], weight[:, kept] @ mean[kept] - whole @ mean

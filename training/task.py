@@ -2,7 +2,7 @@
 
 import math
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +27,9 @@ from training.optimizer import require_encoder
 from training.recipe import Recipe
 from training.release import Release, class_offsets
 from training.teacher import load_teacher
+
+#: Frames of the training whose pictures decide what pruning takes from a trunk, at least.
+_PICTURES = 32
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,9 @@ def open_task(
             "release.trained_share mixes the trained weights with those of --init: give --init, or "
             "set it to 1"
         )
-    network, taken = build_network(recipe.model, init, resumed=resumed)
+    network, taken = build_network(
+        recipe.model, init, resumed=resumed, pictures=_spread_pictures(sources)
+    )
     train_parts(network, recipe.optimizer.only, recipe.optimizer.frozen)
     if recipe.optimizer.encoder_rate is not None:
         require_encoder(network)
@@ -138,6 +143,14 @@ def open_task(
             f"would never be shifted. Set at least {task.pair_step}, or 0 for one view."
         )
     return task
+
+
+def _spread_pictures(sources: Sequence[SampleSource]) -> Iterator[Tensor]:
+    """Yield RGB of frames from all sets, evenly spread, each float (1, 3, H, W) in 0..255."""
+    for source in sources:
+        count = min(len(source), -(-_PICTURES // len(sources)))
+        for index in np.linspace(0, len(source) - 1, count).astype(int):
+            yield torch.from_numpy(source[int(index)].rgb).permute(2, 0, 1)[None].float()
 
 
 def _weigh_classes(recipe: Recipe, sources: Sequence[SampleSource], num_classes: int) -> Tensor:

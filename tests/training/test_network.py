@@ -7,7 +7,6 @@ import torch
 
 from models import CLASS_TABLES, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
 from models.efficientnet_lite import WIDTHS as EFFICIENTNET_WIDTHS
-from models.efficientnet_lite import InvertedResidual
 from runtime.errors import CheckpointError, InputError
 from training.network import build_network, train_parts
 from training.prune import prune_trunk
@@ -187,6 +186,17 @@ def test_a_pretrained_encoder_is_loaded_with_its_normalisation(loaded):
     assert (network.encoder.trunk.stem[0][0].weight == 1).all()
 
 
+def test_pretrained_weights_are_pruned_for_a_narrower_trunk(loaded, capsys):
+    config = {**IMAGENET.config, "encoder_widths": list(WIDTHS)}
+    recipe = replace(IMAGENET, config=config)
+    network = build_network(recipe, None, pictures=PICTURES)[0]
+    assert network.config.encoder_widths == WIDTHS
+    assert network.config.rgb_mean == (127.0,) * 3
+    assert loaded[0] is not network.encoder.trunk
+    assert capsys.readouterr().err == "the trunk was pruned from 8960 to 8904 channels\n"
+    assert (network.encoder.trunk.stride32[-1].expand[0].weight == 1).all()
+
+
 def test_a_resumed_run_does_not_read_pretrained_weights_again(loaded):
     build_network(IMAGENET, None, resumed=True)
     assert loaded == []
@@ -222,7 +232,8 @@ def test_pretrained_weights_that_a_network_cannot_take_are_refused(loaded, name,
     assert loaded == []
 
 
-WIDTHS = (24, 48, *[72] * 2, *[120] * 2, *[240] * 3, *[336] * 3, *[576] * 4)
+PICTURES = [torch.full((1, 3, 64, 96), 100.0)]
+WIDTHS = (24, 48, *EFFICIENTNET_WIDTHS[2:])
 
 
 def test_init_of_a_wider_trunk_is_pruned(tmp_path, capsys):
@@ -230,29 +241,58 @@ def test_init_of_a_wider_trunk_is_pruned(tmp_path, capsys):
     wide = create_model("ssdnet-lite", **config)
     save_checkpoint(tmp_path / "wide.pt", wide)
     narrow = ModelRecipe("ssdnet-lite", config={**config, "encoder_widths": list(WIDTHS)})
-    network, taken = build_network(narrow, tmp_path / "wide.pt")
+    network, taken = build_network(narrow, tmp_path / "wide.pt", pictures=PICTURES)
     assert network.config.encoder_widths == WIDTHS
-    assert capsys.readouterr().err == "the trunk was pruned from 8960 to 4488 channels\n"
+    assert capsys.readouterr().err == "the trunk was pruned from 8960 to 8904 channels\n"
     assert taken == network.state_dict().keys() - {"rgb_mean", "rgb_std"}
     save_checkpoint(tmp_path / "narrow.pt", network)
     with pytest.raises(CheckpointError, match="pruning only narrows a trunk"):
-        build_network(ModelRecipe("ssdnet-lite", config=config), tmp_path / "narrow.pt")
+        build_network(
+            ModelRecipe("ssdnet-lite", config=config), tmp_path / "narrow.pt", pictures=PICTURES
+        )
 
 
-def test_pruning_keeps_the_channels_of_the_largest_weights(capsys):
+def idle(block):
+    """Nothing reads every second channel."""
+    block.project[0].weight[:, ::2] = 0.0
+
+
+def constant(block):
+    """Every second channel says the same everywhere, which a bias can say, too."""
+    block.depthwise[1].weight[::2] = 0.0
+    block.depthwise[1].bias[::2] = 3.0
+
+
+def repeated(block):
+    """Every second channel says what the next one says, and is read differently."""
+    for value in (*block.expand.parameters(), *block.depthwise.parameters()):
+        value[::2] = value[1::2]
+
+
+@pytest.mark.parametrize("spare", [idle, constant, repeated])
+def test_pruning_takes_channels_that_others_make_up_for(spare, capsys):
     torch.manual_seed(0)
     wide = create_model("ssdnet-lite", encoder="efficientnet-lite0").eval()
-    block = wide.encoder.trunk.stride4[0]
-    with torch.no_grad():  # every second channel is all but idle
-        for part in [m for m in wide.modules() if isinstance(m, InvertedResidual)]:
-            part.project[0].weight[:, ::2] *= 1e-6
-    narrow = prune_trunk(wide, [width // 2 for width in EFFICIENTNET_WIDTHS])
-    pruned = narrow.encoder.trunk.stride4[0]
-    assert torch.equal(pruned.depthwise[0].weight, block.depthwise[0].weight[1::2])
-    assert torch.equal(pruned.expand[0].weight, block.expand[0].weight[1::2])
-    assert torch.equal(pruned.project[0].weight, block.project[0].weight[:, 1::2])
-    rgb, returns = torch.rand(1, 3, 64, 96) * 255, torch.full((1, 1, 64, 96), 20.0)
+    trunk = wide.encoder.trunk
     with torch.no_grad():
-        found, expected = narrow(rgb, returns), wide(rgb, returns)
-    torch.testing.assert_close(found.semantic_logits, expected.semantic_logits, atol=1e-3, rtol=0)
-    torch.testing.assert_close(found.depths[0], expected.depths[0], atol=1e-4, rtol=0)
+        spare(trunk.stride4[0])
+    widths = (EFFICIENTNET_WIDTHS[0], EFFICIENTNET_WIDTHS[1] // 2, *EFFICIENTNET_WIDTHS[2:])
+    narrow = prune_trunk(wide, widths, [torch.rand(1, 3, 128, 160) * 255 for _ in range(3)])
+    block, pruned = trunk.stride4[0], narrow.encoder.trunk.stride4[0]
+    kept = [pruned.expand[0].weight, pruned.depthwise[0].weight, pruned.depthwise[1].bias]
+    whole = [block.expand[0].weight, block.depthwise[0].weight, block.depthwise[1].bias]
+    assert [len(each) for each in kept] == [48] * 3
+    if spare is not repeated:
+        assert all(torch.equal(one, all_[1::2]) for one, all_ in zip(kept, whole, strict=True))
+    rgb = torch.rand(2, 3, 64, 96) * 2 - 1
+    with torch.no_grad():
+        found, expected = narrow.encoder.early(rgb, rgb, rgb), wide.encoder.early(rgb, rgb, rgb)
+    assert torch.equal(found[0], expected[0])
+    assert (found[1] - expected[1]).abs().max() < 0.1 * expected[1].std()
+
+
+def test_pruning_without_a_picture_is_refused():
+    network = create_model("ssdnet-lite", encoder="efficientnet-lite0")
+    with pytest.raises(ValueError, match="pruning needs pictures"):
+        prune_trunk(network, WIDTHS, [])
+    assert network.training
