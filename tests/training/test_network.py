@@ -282,7 +282,7 @@ def test_pruning_takes_channels_that_others_make_up_for(spare, capsys):
     kept = [pruned.expand[0].weight, pruned.depthwise[0].weight, pruned.depthwise[1].bias]
     whole = [block.expand[0].weight, block.depthwise[0].weight, block.depthwise[1].bias]
     assert [len(each) for each in kept] == [48] * 3
-    if spare is not repeated:
+    if spare is idle:
         assert all(torch.equal(one, all_[1::2]) for one, all_ in zip(kept, whole, strict=True))
     rgb = torch.rand(2, 3, 64, 96) * 2 - 1
     with torch.no_grad():
