@@ -16,7 +16,7 @@ class LiteEncoder(nn.Module):
     Attributes:
         early_channels: of the features of `early`, at strides 2 and 4.
         late_channels: of the features of `late`, at strides 4, 8, ...
-        linear: no activation bounds the features, which differ in size by stride.
+        linear: whether the features have no activation; their magnitudes then differ by stride.
     """
 
     early_channels: tuple[int, int]

@@ -146,8 +146,9 @@ class SSDNetLiteConfig(EncoderDecoderConfig):
     #: Channels of one more UpBlock of the depth decoder, at stride 2, for the choice among
     #: surfaces; 0 = none, the choice is made at stride 4.
     depth_refine_channels: int = 16
-    #: Both heads answer at stride 4, too, and what they find at stride 2 is added. Otherwise the
-    #: few channels at stride 2 have to hold the whole answer, which takes longer to learn.
+    #: Both heads also predict at stride 4, and the prediction at stride 2 is added to it. Without
+    #: this the few channels at stride 2 hold the whole prediction, which takes longer to learn.
+    #: Ignored by a head without refinement.
     additive_refinement: bool = False
     #: Depth [m] that the regression reaches at most, without the surfaces that returns show; None =
     #: `max_depth_m`.

@@ -294,7 +294,7 @@ class SurfaceDepthHead(nn.Module):
         config: of the network.
         at_2_channels: of the encoder's features at stride 2.
         at_4_channels: of those at stride 4.
-        linear: see `models.lite_encoder`.
+        linear: see `models.lite_encoder.LiteEncoder`.
     """
 
     def __init__(

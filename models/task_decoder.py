@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.blocks import BaConv, ConvBNReLU, conv_bn, upsample
+from models.blocks import BaConv, ConvBNReLU, conv_bn, shortcut, upsample
 from models.ssdnet_config import EncoderDecoderConfig
 
 #: How an UpBlock joins a skip.
@@ -19,8 +19,8 @@ class UpBlock(nn.Module):
 
     "concat" is the paper's: concat(up(x), S_i), BaConv 3x3, BN, ReLU, conv 3x3, BN, ReLU.
     "add" is the lite form: up(x) + 1x1(S_i), BaConv 3x3, BN, ReLU; S_i has twice the size of x,
-    as with "concat" where ``padded``. Features of a ``linear`` encoder, which no activation bounds,
-    are normalised before they are added: the larger would hide the other.
+    as with "concat" where ``padded``. With a ``linear`` encoder, whose features have no activation
+    and differ in magnitude, both are normalised before they are added.
     """
 
     def __init__(
@@ -39,10 +39,18 @@ class UpBlock(nn.Module):
             self.baconv = BaConv(in_channels + skip_channels, channels)
             self.conv: nn.Module = ConvBNReLU(channels, channels)
         else:
-            self.reduce: nn.Module = nn.Identity()
-            if in_channels != channels:
-                self.reduce = _pointwise(in_channels, channels, bias=False, normalised=linear)
-            self.project = _pointwise(skip_channels, channels, bias=True, normalised=linear)
+            self.reduce: nn.Module
+            self.project: nn.Module
+            if linear:
+                self.reduce = shortcut(in_channels, channels, stride=1)
+                self.project = conv_bn(skip_channels, channels, kernel=1)
+            else:
+                self.reduce = (
+                    nn.Conv2d(in_channels, channels, 1, bias=False)
+                    if in_channels != channels
+                    else nn.Identity()
+                )
+                self.project = nn.Conv2d(skip_channels, channels, 1)
             self.baconv = BaConv(channels, channels)
             self.conv = nn.Identity()
         self.norm = nn.BatchNorm2d(channels)
@@ -56,12 +64,6 @@ class UpBlock(nn.Module):
             x = upsample(self.reduce(x)) + self.project(skip)
         out: Tensor = self.conv(F.relu(self.norm(self.baconv(x, boundary))))
         return out
-
-
-def _pointwise(in_channels: int, channels: int, *, bias: bool, normalised: bool) -> nn.Module:
-    if normalised:
-        return conv_bn(in_channels, channels, kernel=1)
-    return nn.Conv2d(in_channels, channels, 1, bias=bias)
 
 
 class _Unrefined(nn.Module):

@@ -16,6 +16,7 @@ from training.evaluation.pictures import draw_batch
 from training.loading.augment import AugmentConfig
 from training.loading.batches import read_batches
 from training.loading.crop import padding_share
+from training.loading.open_dataset import spread_indices
 from training.recipe import Recipe
 from training.run_folder import BATCH, folder_errors
 from training.task import open_task
@@ -79,9 +80,8 @@ def _describe_set(
 ) -> Iterator[str]:
     counts = np.zeros(256, dtype=np.int64)
     depths, pixels, padding = [], 0, []
-    indices = np.unique(np.linspace(0, len(source) - 1, _DESCRIBED).astype(int))
-    for index in indices:
-        sample = source[int(index)]
+    for index in spread_indices(source, _DESCRIBED):
+        sample = source[index]
         counts += np.bincount(sample.semantic.ravel(), minlength=256)
         depths.append(sample.depth[sample.depth > 0])
         pixels += sample.semantic.size

@@ -31,7 +31,7 @@ def build_network(
     Images are normalised as ``init``'s network does, or as ``pretrained`` weights want, unless the
     recipe says otherwise: the weights know no other values. Pretrained weights are loaded before
     ``init``'s, unless these replace the whole trunk, or the run is ``resumed``. A trunk that is
-    wider than the recipe's is pruned by what it sees in ``pictures``, see `prune_trunk`.
+    wider than the recipe's is pruned, by its features of ``pictures``, see `prune_trunk`.
 
     Returns:
         The network, and the names of the tensors that ``init`` gave.
@@ -54,15 +54,13 @@ def build_network(
     except ValueError as error:
         raise InputError(f"the recipe's model cannot be built: {error}.") from error
     if recipe.pretrained == "imagenet":
-        _require_pretrainable(network)
-        if _has_trunk(network) and not (resumed or _has_trunk(source)):
-            network = _load_pretrained(network, pictures)
+        pretrainable = _require_pretrainable(network)
+        if not (resumed or _has_trunk(source)):
+            network = _load_pretrained(pretrainable, pictures)
     if init is None or source is None:
         return network, frozenset()
     if _has_trunk(source) and _has_trunk(network):
-        widths = network.config.encoder_widths
-        if source.config.encoder_widths != widths:
-            source = prune_trunk(source, widths, pictures)
+        source = prune_trunk(source, network.config.encoder_widths, pictures)
     return network, start_from(network, source, init)
 
 
@@ -77,11 +75,11 @@ def _load_pretrained(network: SSDNetLite, pictures: Iterable[Tensor]) -> SSDNetL
     trunk = wide.encoder.trunk
     assert isinstance(trunk, EfficientNetLite)
     load_imagenet(trunk)
-    return prune_trunk(wide, widths, pictures) if widths else wide
+    return prune_trunk(wide, widths, pictures)
 
 
-def _require_pretrainable(network: Network) -> None:
-    """Raise InputError for a network that weights of ImageNet do not fit."""
+def _require_pretrainable(network: Network) -> SSDNetLite:
+    """Return the network; InputError for one that weights of ImageNet do not fit."""
     if not _has_trunk(network):
         raise InputError(
             f"model.pretrained: {network.config.name!r} has no encoder with ImageNet weights. "
@@ -94,6 +92,7 @@ def _require_pretrainable(network: Network) -> None:
                 f"model.config.{key} = {list(found)}, but the ImageNet weights were trained with "
                 f"{list(wanted)}. Leave it out."
             )
+    return network
 
 
 def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...] = ()) -> None:

@@ -1,4 +1,4 @@
-"""Pruning of EfficientNet-Lite0's trunk: each block loses the channels that it misses least."""
+"""Structured pruning of EfficientNet-Lite0's trunk: fewer channels within its blocks."""
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,7 +13,7 @@ from models.blocks import pad_to_multiple
 from models.efficientnet_lite import WIDTHS, EfficientNetLite, InvertedResidual, SameConv
 from runtime.errors import CheckpointError
 
-#: Pixels of each picture that a block's channels are observed at.
+#: Pixels of each picture whose features are counted.
 _PIXELS = 6000
 #: Share of the mean variance that is added to each, so that the covariance has an inverse.
 _DAMPING = 1e-3
@@ -21,7 +21,7 @@ _DAMPING = 1e-3
 
 @dataclass
 class _Moments:
-    """Of the channels that a block's projection reads: their count, sum and outer products."""
+    """Count, sum and sum of outer products of the features that a projection reads."""
 
     count: int = 0
     total: Tensor | float = 0.0
@@ -45,20 +45,21 @@ class _Moments:
 def prune_trunk(
     network: SSDNetLite, widths: Sequence[int], pictures: Iterable[Tensor]
 ) -> SSDNetLite:
-    """Return a copy of a network whose trunk has fewer channels within its blocks.
+    """Return a copy of a network with fewer channels within the trunk's blocks.
 
-    Of each block that channel goes, again and again, whose loss changes the block's answers to the
-    pictures least, while the projection of the others is changed to make up for it: both in closed
-    form by least squares (Hassibi and Stork 1993; Frantar and Alistarh 2022).
+    Channels are removed one by one: the one whose removal changes the output of its block least, in
+    the mean square over the pictures, while the projection of the other channels is updated to
+    compensate. Both have a closed form (Optimal Brain Surgeon, Hassibi and Stork 1993; Frantar and
+    Alistarh 2022). Where nothing is to be removed, the network itself is returned.
 
     Args:
         network: with the encoder "efficientnet-lite0"; not changed.
         widths: of the stem and of each block, see `EfficientNetLite`; () = all.
-        pictures: float (N, 3, H, W), RGB in 0..255, at least one.
+        pictures: float (N, 3, H, W), RGB in 0..255, at least one; not read if nothing is removed.
 
     Raises:
         CheckpointError: if a width is larger than the network's.
-        ValueError: without a picture.
+        ValueError: if there is no picture.
     """
     before = network.config.encoder_widths or WIDTHS
     widths = tuple(widths) or WIDTHS
@@ -67,6 +68,8 @@ def prune_trunk(
             f"encoder_widths = {list(widths)}: pruning only narrows a trunk, and this one has "
             f"{list(before)}. Give --init with the wider trunk."
         )
+    if widths == before:
+        return network
     pruned = SSDNetLite(replace(network.config, encoder_widths=widths))
     pruned.load_state_dict(_without_channels(network, widths, pictures))
     tqdm.write(
@@ -78,20 +81,26 @@ def prune_trunk(
 def _without_channels(
     network: SSDNetLite, widths: Sequence[int], pictures: Iterable[Tensor]
 ) -> dict[str, Tensor]:
-    """Return the weights of a network without the channels that are pruned."""
+    """Return the weights of a network without the pruned channels."""
     state = dict(network.state_dict())
     trunk = network.encoder.trunk
     assert isinstance(trunk, EfficientNetLite)
     blocks = {
         name: part for name, part in trunk.named_modules() if isinstance(part, InvertedResidual)
     }
-    moments = _observe(network, blocks, pictures)
+    before = network.config.encoder_widths or WIDTHS
+    narrowed = {
+        name: block
+        for (name, block), old, new in zip(blocks.items(), before, widths, strict=True)
+        if new < old
+    }
+    moments = _observe(network, narrowed, pictures)
     # The first block has no expansion: its channels are the stem's.
     makers = ["stem.0", *(f"{name}.expand" for name in list(blocks)[1:])]
     for (name, block), maker, width in zip(blocks.items(), makers, widths, strict=True):
-        if width == block.depthwise[0].out_channels:
+        if name not in moments:
             continue
-        kept, weight, shift = _least_missed(block, width, *moments[name].mean_and_covariance())
+        kept, weight, shift = _choose_channels(block, width, *moments[name].mean_and_covariance())
         for layer in (maker, f"{name}.depthwise"):
             for part in ("0.weight", "1.weight", "1.bias", "1.running_mean", "1.running_var"):
                 key = f"encoder.trunk.{layer}.{part}"
@@ -106,7 +115,7 @@ def _without_channels(
 def _observe(
     network: SSDNetLite, blocks: Mapping[str, InvertedResidual], pictures: Iterable[Tensor]
 ) -> dict[str, _Moments]:
-    """Return the moments of what the projection of each block reads, without LiDAR."""
+    """Return the moments of the features that each block's projection reads, without LiDAR."""
     moments = {name: _Moments() for name in blocks}
     hooks = [
         block.project.register_forward_pre_hook(
@@ -125,18 +134,18 @@ def _observe(
         for hook in hooks:
             hook.remove()
     if not all(each.count for each in moments.values()):
-        raise ValueError("pruning needs pictures to see which channels are missed")
+        raise ValueError("pruning needs pictures, at least one; got none")
     return moments
 
 
-def _least_missed(
+def _choose_channels(
     block: InvertedResidual, width: int, mean: Tensor, covariance: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Choose the channels that stay.
+    """Choose the channels that are kept.
 
     Returns:
-        Their indices, in their order, (width,); the weights of the projection, (C', width); and by
-        how much its answers are larger in the mean, (C',).
+        Their indices, ascending, (width,); the weights of the projection, (C', width); and by how
+        much the mean of its output increases, (C',).
     """
     conv, norm = block.project[0], block.project[1]
     assert isinstance(conv, SameConv)

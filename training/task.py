@@ -20,7 +20,7 @@ from training.lidar.split import LidarInput
 from training.limits import PAIR_STEP_PX
 from training.loading.crop import with_crop
 from training.loading.mixture import DepthTarget
-from training.loading.open_dataset import count_pixels, open_dataset
+from training.loading.open_dataset import count_pixels, open_dataset, spread_indices
 from training.losses import SSDNetLoss, class_weights
 from training.network import build_network, train_parts
 from training.optimizer import require_encoder
@@ -28,7 +28,7 @@ from training.recipe import Recipe
 from training.release import Release, class_offsets
 from training.teacher import load_teacher
 
-#: Frames of the training whose pictures decide what pruning takes from a trunk, at least.
+#: Frames of the training that pruning is based on, at least.
 _PICTURES = 32
 
 
@@ -146,11 +146,10 @@ def open_task(
 
 
 def _spread_pictures(sources: Sequence[SampleSource]) -> Iterator[Tensor]:
-    """Yield RGB of frames from all sets, evenly spread, each float (1, 3, H, W) in 0..255."""
+    """Yield the images of frames of all sets, each float (1, 3, H, W), RGB in 0..255."""
     for source in sources:
-        count = min(len(source), -(-_PICTURES // len(sources)))
-        for index in np.linspace(0, len(source) - 1, count).astype(int):
-            yield torch.from_numpy(source[int(index)].rgb).permute(2, 0, 1)[None].float()
+        for index in spread_indices(source, -(-_PICTURES // len(sources))):
+            yield torch.from_numpy(source[index].rgb).permute(2, 0, 1)[None].float()
 
 
 def _weigh_classes(recipe: Recipe, sources: Sequence[SampleSource], num_classes: int) -> Tensor:

@@ -296,3 +296,4 @@ def test_pruning_without_a_picture_is_refused():
     with pytest.raises(ValueError, match="pruning needs pictures"):
         prune_trunk(network, WIDTHS, [])
     assert network.training
+    assert prune_trunk(network, EFFICIENTNET_WIDTHS, []) is network  # nothing is removed

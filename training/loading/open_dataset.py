@@ -71,6 +71,14 @@ def open_mixture(
     )
 
 
+def spread_indices(source: SampleSource, count: int) -> list[int]:
+    """Return ``count`` indices at equal distances, or all of a smaller set."""
+    indices: list[int] = (
+        np.linspace(0, len(source) - 1, min(count, len(source))).astype(int).tolist()
+    )
+    return indices
+
+
 def count_pixels(
     recipe: DataRecipe, sources: Sequence[SampleSource], num_classes: int
 ) -> NDArray[np.int64]:
@@ -83,9 +91,9 @@ def count_pixels(
     total = sum(item.weight for item in recipe.source)
     for item, source in zip(recipe.source, sources, strict=True):
         wanted = max(1, round(FREQUENCY_SAMPLES * item.weight / total))
-        frames = np.unique(np.linspace(0, len(source) - 1, min(wanted, len(source))).astype(int))
+        frames = spread_indices(source, wanted)
         for index in frames:
-            sample = source[int(index)]
+            sample = source[index]
             seen = np.bincount(sample.semantic.ravel(), minlength=256)[:num_classes]
             weight = sample.weights.get("semantic", 1.0) * wanted / len(frames)
             counts += seen * weight / sample.semantic.size
