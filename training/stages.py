@@ -28,14 +28,16 @@ class Stage:
 def read_stages(path: Path, changes: Sequence[str] = ()) -> tuple[Stage, ...]:
     """Read a recipe with its stages; one without ``[[stage]]`` has a single stage.
 
-    Each ``[[stage]]`` has a name and keys that it changes of the recipe, as ``base`` does.
+    Each ``[[stage]]`` has a name and keys that it changes of the recipe; ``base`` in it names an
+    earlier stage whose changes come first.
 
     Args:
         path: the TOML file.
         changes: further changes of all stages, see `read_recipe`.
 
     Raises:
-        InputError: see `read_recipe`, and for stages without a name of their own.
+        InputError: see `read_recipe`, and for stages without a name of their own or whose base is
+            not an earlier stage.
     """
     table, further = read_table(path), parse_changes(changes)
     tables = table.pop("stage", None)
@@ -44,25 +46,32 @@ def read_stages(path: Path, changes: Sequence[str] = ()) -> tuple[Stage, ...]:
             return (Stage("", build(Recipe, merge(table, further))),)
         return tuple(
             Stage(f"{number}-{name}", build(Recipe, merge(merge(table, stage), further)))
-            for number, (name, stage) in enumerate(_name_stages(tables), start=1)
+            for number, (name, stage) in enumerate(_name_stages(tables).items(), start=1)
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def _name_stages(tables: object) -> list[tuple[str, dict[str, Any]]]:
-    """Return the name of each stage and what it changes."""
+def _name_stages(tables: object) -> dict[str, dict[str, Any]]:
+    """Return what each stage changes, by its name; the changes of its base come first."""
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise InputError("stage: expected tables [[stage]].")
-    stages = [(table.get("name"), {**table}) for table in tables]
-    for index, (name, changed) in enumerate(stages):
+    stages: dict[str, dict[str, Any]] = {}
+    for index, table in enumerate(tables):
+        changed = {**table}
+        name, base = changed.pop("name", None), changed.pop("base", None)
         if not isinstance(name, str) or not _NAME.fullmatch(name):
             raise InputError(
                 f"stage[{index}].name = {shown(name)}; expected small letters, digits and hyphens."
             )
-        if name in [other for other, _ in stages[:index]]:
+        if name in stages:
             raise InputError(f"stage[{index}].name = {name!r}: another stage has this name.")
-        del changed["name"]
+        if base is not None and (not isinstance(base, str) or base not in stages):
+            raise InputError(
+                f"stage[{index}].base = {shown(base)}; expected the name of an earlier stage: "
+                f"{', '.join(stages) or 'there is none'}."
+            )
+        stages[name] = merge(stages[base], changed) if base is not None else changed
     return stages
 
 

@@ -158,6 +158,30 @@ def test_each_stage_begins_with_the_weights_of_the_one_before(path, data, tmp_pa
     assert [group["lr"] / rates[0]["lr"] for group in rates] == [1, 1, 0.5, 0.5]  # one schedule
 
 
+def test_a_stage_changes_what_an_earlier_one_changed(path):
+    path.write_text(
+        RECIPE
+        + """
+[[stage]]
+name = "longer"
+base = "depth"
+schedule.steps = 7
+data.batch_size = 1
+[[stage]]
+name = "slower"
+base = "longer"
+optimizer.learning_rate = 1e-4
+"""
+    )
+    first, second, third, last = (stage.recipe for stage in read_stages(path))
+    changed = {"frozen": ("encoder.",), "learning_rate": 1e-4}
+    assert third == replace(
+        second, schedule=replace(second.schedule, steps=7), data=replace(second.data, batch_size=1)
+    )
+    assert last == replace(third, optimizer=replace(third.optimizer, **changed))
+    assert first.optimizer.frozen == ()
+
+
 def test_killed_at_any_step_it_resumes_to_the_same_weights(path, data, tmp_path, monkeypatch):
     wanted = read_stages(path)
     train_stages(wanted, data=[data], out=tmp_path / "whole")
@@ -219,6 +243,17 @@ def test_a_finished_stage_of_another_recipe_is_refused_by_its_name(path, data, t
         ('name = "depth"', 'name = "all"', r"stage\[1\]\.name = 'all': another stage has this"),
         ('name = "depth"', "", r"stage\[1\]\.name = None; expected small letters"),
         ('name = "depth"', 'name = "a/b"', r"stage\[1\]\.name = 'a/b'; expected small letters"),
+        (
+            'name = "all"',
+            'name = "all"\nbase = "depth"',
+            r"stage\[0\]\.base = 'depth'; expected the name of an earlier stage: there is none",
+        ),
+        (
+            'name = "depth"',
+            'name = "depth"\nbase = "al"',
+            r"stage\[1\]\.base = 'al'; expected the name of an earlier stage: all\.",
+        ),
+        ('name = "depth"', 'name = "depth"\nbase = 1', r"stage\[1\]\.base = 1; expected"),
         ("frozen = ", "frozn = ", "unknown key optimizer.frozn"),
         ("[stage.schedule]", "[stage.stage]", "unknown key stage"),
     ],
