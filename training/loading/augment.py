@@ -92,6 +92,9 @@ class AugmentConfig:
     lidar_dropout: Share = 0.0
     #: Probability that one labelled thing, as a car, or its upper part returns nothing.
     lidar_absorbed: Share = 0.0
+    #: Range of a random factor of all depth where returns are fed: a world of twice the size looks
+    #: the same, so that only returns tell how far it is. (1, 1) = none.
+    world_scale: FactorRange = (1.0, 1.0)
     #: Largest shift [px] of a second view of each frame, for the losses of consistency: rows and
     #: columns by which it begins later fit the grid of the semantic head. 0 = one view.
     pair_shift: PairShift = 0
@@ -172,6 +175,33 @@ def take_views(
         elif draw < config.pair_lidar_missing + config.pair_lidar_false:
             second = replace(sample, sparse_depth=add_false_returns(sample.sparse_depth, rng))
     return cut(sample, 0, 0, config.size), cut(second, top, left, config.size), (top, left)
+
+
+def scale_world(
+    views: Sequence[Sample], config: AugmentConfig, rng: Generator, *, max_depth_m: float
+) -> tuple[Sample, ...]:
+    """Multiply all depth of a frame's views by one random factor of ``config.world_scale``.
+
+    Nothing changes if a view has no return: its depth is what the image tells. Returns
+    beyond ``max_depth_m``, in the unit of the samples, are clipped to it.
+    """
+    low, high = config.world_scale
+    if low == high == 1 or not all(_is_fed(view) for view in views):
+        return tuple(views)
+    factor = np.float32(np.exp(rng.uniform(*np.log((low, high)))))
+    scaled = []
+    for view in views:
+        scaled_view = _change_depth(view, lambda depth: depth * factor)
+        if (fed := scaled_view.sparse_depth) is not None:
+            scaled_view = replace(
+                scaled_view, sparse_depth=np.minimum(fed, np.float32(max_depth_m))
+            )
+        scaled.append(scaled_view)
+    return tuple(scaled)
+
+
+def _is_fed(sample: Sample) -> bool:
+    return sample.sparse_depth is not None and bool(sample.sparse_depth.any())
 
 
 def scale_and_crop(

@@ -8,9 +8,16 @@ from torch.utils.data import Dataset
 
 from runtime.contract import MAX_RETURN_M
 from training.batch import Drawn
-from training.datasets.sample import SampleSource
+from training.datasets.sample import Sample, SampleSource
 from training.limits import PAIR_STEP_PX
-from training.loading.augment import AugmentConfig, augment, far_sky, take_views, with_margin
+from training.loading.augment import (
+    AugmentConfig,
+    augment,
+    far_sky,
+    scale_world,
+    take_views,
+    with_margin,
+)
 
 
 @dataclass(frozen=True)
@@ -86,9 +93,12 @@ class Mixture(Dataset[Drawn]):
             max_depth_m=target.max_depth_m,
             rare=self._rare,
         )
+        views: tuple[Sample, ...] = (sample,)
+        offset = (0, 0)
+        if part.augment.pair_shift:
+            first, second, offset = take_views(sample, part.augment, rng, step=self._pair_step)
+            views = first, second
+        views = scale_world(views, part.augment, rng, max_depth_m=target.max_depth_m)
         if target.sky is not None:
-            sample = far_sky(sample, target.sky, target.sky_depth_m)
-        if not part.augment.pair_shift:
-            return Drawn((sample,))
-        *views, offset = take_views(sample, part.augment, rng, step=self._pair_step)
-        return Drawn(tuple(views), offset)
+            views = tuple(far_sky(view, target.sky, target.sky_depth_m) for view in views)
+        return Drawn(views, offset)

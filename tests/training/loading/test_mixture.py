@@ -222,6 +222,52 @@ def test_the_lidar_of_the_second_view_is_missing_or_has_false_returns(missing, f
             assert 0 < int(changed.sum()) < 20
 
 
+def test_a_world_of_another_scale_looks_the_same_and_is_farther():
+    plain, scaled = pairs(), pairs(world_scale=(1.5, 1.5))
+    for index in range(6):
+        for before, after in zip(plain[index].views, scaled[index].views, strict=True):
+            assert before.sparse_depth.any()
+            assert np.array_equal(after.rgb, before.rgb)
+            assert np.array_equal(after.semantic, before.semantic)
+            assert np.allclose(after.depth, 1.5 * before.depth)
+            assert np.allclose(after.sparse_depth, 1.5 * before.sparse_depth)
+    factors = [
+        drawn.views[0].depth.max() / before.views[0].depth.max()
+        for drawn, before in zip(pairs(world_scale=(0.5, 2.0)), plain, strict=True)
+    ]
+    assert 0.5 <= min(factors) < 0.8
+    assert 1.25 < max(factors) <= 2
+
+
+def test_without_returns_the_image_tells_the_scale():
+    """So does a pair whose second view has none: both views have the same depth."""
+    plain = pairs(pair_lidar_missing=1.0)[0].views
+    for before, after in zip(
+        plain, pairs(pair_lidar_missing=1.0, world_scale=(1.5, 1.5))[0].views, strict=True
+    ):
+        assert np.array_equal(after.depth, before.depth)
+
+
+def test_a_scaled_world_keeps_the_range_of_returns_and_the_sky():
+    class Skies(Streets):
+        def __getitem__(self, index):
+            street = super().__getitem__(index)
+            above = (np.arange(300) < 150)[:, None]
+            labels = np.where(above, np.uint8(0), np.uint8(1) + street.semantic % 10)
+            depth = np.where(above, np.float32(0), street.depth)
+            return street.with_targets(semantic=labels, depth=depth)
+
+    config = AugmentConfig(
+        crop=(128, 160), scale=(0.5, 0.5), lidar_missing=0, world_scale=(2.0, 2.0)
+    )
+    depth = DepthTarget(sky=0, sky_depth_m=100.0, max_depth_m=90.0)
+    (view,) = Mixture([MixturePart(Skies(), 1.0, config)], length=1, seed=3, depth=depth)[0].views
+    assert view.sparse_depth.max() == 90
+    assert view.depth.max() > 110
+    inner = view.semantic[2:-2] == 0
+    assert np.median(view.depth[2:-2][inner]) == 100
+
+
 def test_one_view_is_the_default():
     assert sample(0).rgb.shape == (32, 32, 3)
 
