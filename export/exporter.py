@@ -202,7 +202,7 @@ def _contract(
         },
         parity={},
         checkpoint_sha256=digest,
-        trained_height=checkpoint.trained_height,
+        trained_height=checkpoint.facts.trained_height,
         canonical_focal_px=config.canonical_focal_px,
         giga_macs=_giga_macs(checkpoint.model, size),
     )

@@ -31,14 +31,14 @@ class Checkpoint:
     trainer: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def trained_height(self) -> int | None:
-        """Height [px] of the images that the recipe trained it for; None = unknown.
+    def facts(self) -> TrainingFacts:
+        """What it says about its training.
 
         Raises:
-            CheckpointError: if it is no height of an image.
+            CheckpointError: if the height of its images is none.
         """
         try:
-            return TrainingFacts.from_dict(self.training).trained_height
+            return TrainingFacts.from_dict(self.training)
         except ValueError as error:
             raise CheckpointError(f"the checkpoint's {error}. Train again.") from error
 

@@ -11,6 +11,7 @@ from models.training_facts import TrainingFacts
 from training.distributed import Processes, join_processes
 from training.loading.batches import read_batches
 from training.progress import Progress
+from training.provenance import state_provenance
 from training.recipe import Recipe
 from training.release import release_weights
 from training.run_folder import BEST, FINAL, LAST, SCORES, TENSORBOARD, name_weights, prepare_folder
@@ -84,6 +85,7 @@ def _train(
     if processes.is_first:
         prepare_folder(out, resolved)  # only now: a training that cannot start leaves no folder
     processes.wait()
+    known_data, terms = state_provenance(recipe, init, teacher)
     state = TrainingState(recipe, task, processes, out)
     state.resume(out / LAST, resolved)
     steps = recipe.schedule.steps
@@ -92,8 +94,8 @@ def _train(
 
     def facts() -> dict[str, Any]:
         return TrainingFacts(
-            data=recipe.data_titles,
-            terms=recipe.all_terms,
+            data=known_data,
+            terms=terms,
             trained_height=recipe.model.trained_height,
             step=state.step,
             **resolved,

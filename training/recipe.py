@@ -52,11 +52,6 @@ else:
     ]
 
 
-#: Of weights that `ModelRecipe.pretrained` gives.
-IMAGENET_TERMS = (
-    "ImageNet: research, non-commercial (its weights, EfficientNet-Lite0's, are Apache-2.0)"
-)
-
 #: Tags of the two forms of ``model.classes``.
 _NAMED, _OWN = "(named)", "(own)"
 _Channel = Annotated[int, Field(ge=0, le=255)]
@@ -320,18 +315,6 @@ class Recipe:
         """The ids of `DataRecipe.rare_classes`."""
         ids = (self.model.class_id(name.lower()) for name in self.data.rare_classes)
         return tuple(index for index in ids if index is not None)
-
-    @property
-    def data_titles(self) -> tuple[str, ...]:
-        """The sets that the weights know, as files name them."""
-        titles = tuple(item.title for item in self.data.source)
-        return (*titles, "ImageNet") if self.model.pretrained == "imagenet" else titles
-
-    @property
-    def all_terms(self) -> str:
-        """``terms``, with those of the pretrained weights."""
-        pretrained = IMAGENET_TERMS if self.model.pretrained == "imagenet" else ""
-        return "; ".join(filter(None, (self.terms, pretrained)))
 
     @property
     def log_every(self) -> int:

@@ -171,12 +171,12 @@ def test_configuration_that_cannot_be_built_is_named(tmp_path):
 
 def test_the_trained_height_is_a_valid_image_height():
     network = torch.nn.Identity()
-    assert Checkpoint(network, {}).trained_height is None
-    assert Checkpoint(network, {"trained_height": None}).trained_height is None
-    assert Checkpoint(network, {"trained_height": 400}).trained_height == 400
+    assert Checkpoint(network, {}).facts.trained_height is None
+    assert Checkpoint(network, {"trained_height": None}).facts.trained_height is None
+    assert Checkpoint(network, {"trained_height": 400}).facts.trained_height == 400
     for bad in (-5, 0, True, 400.0, "400", 10**9):
         with pytest.raises(CheckpointError, match="trained_height must be"):
-            _ = Checkpoint(network, {"trained_height": bad}).trained_height
+            _ = Checkpoint(network, {"trained_height": bad}).facts.trained_height
 
 
 def test_the_network_is_named(tmp_path):

@@ -88,7 +88,7 @@ def test_the_installed_weights_state_their_terms(name):
     assert "non-commercial" in training["terms"]
     assert "camvid" in training["data"]
     recipe = read_recipe(find_recipe("residual-lite"))
-    assert load_checkpoint(path).trained_height == recipe.model.trained_height == 400
+    assert load_checkpoint(path).facts.trained_height == recipe.model.trained_height == 400
     assert path.stat().st_size < 7e6  # half precision
 
 

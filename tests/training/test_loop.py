@@ -511,7 +511,7 @@ def test_final_checkpoint_carries_data_and_terms(data, tmp_path):
     checkpoint = load_checkpoint(train(run, data=[data], out=tmp_path / "run"))
     assert checkpoint.training["terms"] == "for tests"
     assert checkpoint.training["data"] == ["camvid"]
-    assert checkpoint.trained_height == 375
+    assert checkpoint.facts.trained_height == 375
     assert not checkpoint.trainer
 
 

@@ -93,7 +93,7 @@ def open_model(
             torch_predict(
                 network,
                 size_for=lambda frame_size: network_size(
-                    asked, frame_size, trained_height=checkpoint.trained_height
+                    asked, frame_size, trained_height=checkpoint.facts.trained_height
                 ),
             ),
             network.config.classes,

@@ -1,0 +1,42 @@
+"""What the weights of a training come from: the data that they know, and the terms of these."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from models import load_checkpoint
+from training.recipe import Recipe
+
+#: Stated beside the recipe's own terms where weights of ImageNet are read.
+IMAGENET_TERMS = (
+    "ImageNet: research, non-commercial (its weights, EfficientNet-Lite0's, are Apache-2.0)"
+)
+_SEPARATOR = "; "
+
+
+def state_provenance(recipe: Recipe, *checkpoints: Path | None) -> tuple[tuple[str, ...], str]:
+    """Return the data that trained weights know, and their terms, each once.
+
+    Args:
+        recipe: of the training.
+        checkpoints: what it begins with and whose answers it learns; None = there is none. What
+            these state of their own training holds for the new weights, too.
+
+    Raises:
+        CheckpointError: if one cannot be read.
+    """
+    data = [item.title for item in recipe.data.source]
+    terms = [recipe.terms]
+    if recipe.model.pretrained == "imagenet":
+        data.append("ImageNet")
+        terms.append(IMAGENET_TERMS)
+    for path in checkpoints:
+        if path is not None:
+            facts = load_checkpoint(path).facts
+            data += facts.data
+            terms.append(facts.terms)
+    parts = (part for text in terms for part in text.split(_SEPARATOR))
+    return _unique(data), _SEPARATOR.join(_unique(filter(None, parts)))
+
+
+def _unique(items: Iterable[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(items))
