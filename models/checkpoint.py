@@ -35,7 +35,7 @@ class Checkpoint:
         """What it says about its training.
 
         Raises:
-            CheckpointError: if the height of its images is none.
+            CheckpointError: if the height of its images is not a valid one.
         """
         try:
             return TrainingFacts.from_dict(self.training)

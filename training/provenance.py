@@ -18,8 +18,8 @@ def state_provenance(recipe: Recipe, *checkpoints: Path | None) -> tuple[tuple[s
 
     Args:
         recipe: of the training.
-        checkpoints: what it begins with and whose answers it learns; None = there is none. What
-            these state of their own training holds for the new weights, too.
+        checkpoints: those that it begins with or learns the answers of; None = there is none. The
+            new weights know their data, too.
 
     Raises:
         CheckpointError: if one cannot be read.

@@ -182,8 +182,8 @@ def scale_world(
 ) -> tuple[Sample, ...]:
     """Multiply all depth of a frame's views by one random factor of ``config.world_scale``.
 
-    Nothing changes if a view has no return: its depth is what the image tells. Returns
-    beyond ``max_depth_m``, in the unit of the samples, are clipped to it.
+    Nothing changes if a view has no return: its depth is what the image tells. Returns beyond
+    ``max_depth_m``, in the unit of the samples, are clipped to it.
     """
     low, high = config.world_scale
     if low == high == 1 or not all(_is_fed(view) for view in views):
