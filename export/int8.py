@@ -36,6 +36,8 @@ from training.loading.open_dataset import open_dataset
 #: What a calibration frame is fed, in turn: a range that no calibration frame reaches is clipped.
 CALIBRATION_LIDARS = ("own", "none", "16", "4")
 _SENSITIVITY_FRAMES = 4
+#: Convolutions that are tried in float before any is ranked: the trunk's first two blocks.
+_FIRST = 4
 #: The gate beside `Int8Options`: points of a class's IoU, of the boundary's F (0..1), and points of
 #: the share of errors within one scale of the uncertainty, up or down.
 MAX_DROP_CLASS_IOU, MAX_DROP_BOUNDARY_F, MAX_CHANGE_COVERAGE = 3.0, 0.01, 3.0
@@ -82,9 +84,9 @@ def quantize_within(
 ) -> Quantized:
     """Quantise a graph; convolutions that cost too much accuracy stay in single precision.
 
-    If the whole trunk in 8 bits misses the gate, each convolution is quantised alone; those that
-    change the head that missed most are left in float, 1, 2, 4, ... of them, until the gate is
-    passed.
+    While the gate is missed, more of them are left in float: the first ones, which see the finest
+    detail and follow a layer in float anyway, then those that, quantised alone, change the head
+    that misses most. One at first, then each time half as many again.
 
     Args:
         model: a traced graph.
@@ -102,7 +104,7 @@ def quantize_within(
     names = trunk(model)
     convolutions = [n.name for n in model.graph.node if n.op_type == "Conv" and n.name in names]
     in_float: list[str] = []
-    ranked: list[str] = []
+    ranked: dict[str, list[str]] = {}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.onnx"
         write(model, path)
@@ -128,10 +130,15 @@ def quantize_within(
                     "Calibrate on data like those of --validate, or raise --max-drop-miou or "
                     "--max-rise-mae"
                 )
-            if not ranked:
-                head = next(iter(missed))
-                ranked = _rank(model, partial(quantize, model, ranges), convolutions, feeds, head)
-            in_float = ranked[: max(1, 2 * len(in_float))]
+            head = next(iter(missed))
+            order = convolutions[:_FIRST]
+            if len(in_float) >= len(order):
+                if head not in ranked:
+                    alone = partial(quantize, model, ranges)
+                    ranked[head] = _rank(model, alone, convolutions, feeds, head)
+                order = ranked[head]
+            others = [name for name in order if name not in in_float]
+            in_float += others[: max(1, len(in_float) // 2)]
     facts = {
         "calibration": [without_folders(text) for text in options.calibrate],
         "calibration_frames": len(feeds),

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import onnx
 
-#: Convolutions of fewer channels read pixels, returns or boundary maps: exact, and cheap.
+#: Convolutions that read fewer channels read pixels, returns or boundary maps, those that write
+#: fewer compute an answer: exact, and cheap.
 _LEAST_CHANNELS = 16
 _BETWEEN = ("Add", "Clip", "Mul", "Relu", "Resize")
 _ACTIVATIONS = ("Clip", "Relu")
@@ -26,7 +27,7 @@ def trunk(model: onnx.ModelProto) -> list[str]:
             shape = shapes.get(node.input[1], ())
             # Of a depthwise convolution each group has one channel.
             groups = next((item.i for item in node.attribute if item.name == "group"), 1)
-            inside = len(shape) == 4 and groups * shape[1] >= _LEAST_CHANNELS
+            inside = len(shape) == 4 and min(groups * shape[1], shape[0]) >= _LEAST_CHANNELS
         else:
             inputs = [name for name in node.input if name and name not in shapes]
             inside = node.op_type in _BETWEEN and (any if node.op_type == "Mul" else all)(

@@ -41,8 +41,18 @@ def test_the_trunk_is_what_lies_between_the_sensors_and_the_answers(dynamic_mode
     inside = [node for node in graph.node if node.name in names]
     widths = {weight.name: weight.dims for weight in graph.initializer}
     convolutions = [node for node in graph.node if node.op_type == "Conv"]
-    wide = {node.name for node in convolutions if widths[node.input[1]][1] >= 16}
-    assert 0 < len(wide) < len(convolutions)
+
+    def is_wide(node):
+        """Whether it reads and writes 16 channels or more: no sensor, no answer."""
+        groups = next((item.i for item in node.attribute if item.name == "group"), 1)
+        written, read = widths[node.input[1]][:2]
+        return min(written, groups * read) >= 16
+
+    wide = {node.name for node in convolutions if is_wide(node)}
+    heads = {node.name for node in convolutions if widths[node.input[1]][0] < 16}
+    assert wide
+    assert heads
+    assert not heads & names
     assert {node.name for node in inside if node.op_type == "Conv"} == wide
     assert {node.op_type for node in inside} == {"Conv", "Relu", "Add", "Mul", "Resize"}
     read = {name for node in inside for name in node.input}
