@@ -121,7 +121,7 @@ class SSDNetConfig(EncoderDecoderConfig):
 
 @dataclass(frozen=True)
 class SSDNetLiteConfig(EncoderDecoderConfig):
-    """The configuration of an `SSDNetLite`; the defaults are ssdnet-lite.
+    """The configuration of an `SSDNetLite`; the defaults have a residual encoder.
 
     Raises:
         ValueError: if a value is outside its range, or a combination cannot be built.
@@ -165,8 +165,7 @@ class SSDNetLiteConfig(EncoderDecoderConfig):
             raise ValueError("encoder_widths needs encoder = 'efficientnet-lite0'")
         if self.encoder != "residual":
             for key in ("stem_channels", "encoder_channels", "encoder_blocks"):
-                # Nobody chose the values of the named networks.
-                if getattr(self, key) not in (getattr(SSDNET_LITE, key), getattr(SSDNET_NANO, key)):
+                if getattr(self, key) != getattr(type(self), key):
                     raise ValueError(
                         f"{key} are those of encoder = 'residual', and this is {self.encoder!r}"
                     )
@@ -222,15 +221,18 @@ SSDNETS = (
     ),
 )
 
-SSDNET_LITE = SSDNetLiteConfig()
+SSDNET_LITE = SSDNetLiteConfig(
+    encoder="efficientnet-lite0",
+    encoder_widths=(32, 48, 80, 80, 160, 160, *[320] * 3, *[480] * 3, *[896] * 3, 640),
+    additive_refinement=True,
+)
 
 SSDNET_NANO = replace(
     SSDNET_LITE,
     name="ssdnet-nano",
-    stem_channels=(16, 16),
-    encoder_channels=(16, 48, 96, 160),
-    encoder_blocks=(1, 1, 2, 2),
+    encoder_widths=(16, 24, 32, 32, 72, 72, *[144] * 3, *[208] * 3, *[352] * 4),
     decoder_channels=(32, 16, 16),
     semantic_refine_channels=0,
     depth_refine_channels=0,
+    additive_refinement=False,
 )

@@ -11,7 +11,7 @@ from export.deploy import DeployGraph
 from export.exporter import export_checkpoint
 from export.probe_frames import probe_frames
 from export.trace import trace
-from models import Network, NetworkConfig, save_checkpoint
+from models import Network, NetworkConfig, SSDNetLiteConfig, save_checkpoint
 from models.registry import NETWORKS
 
 SIZE = (64, 96)
@@ -21,8 +21,7 @@ def small_config(name: str) -> NetworkConfig:
     """The named variant with few channels and one block a stage."""
     config = NETWORKS[name].config
     if name == "ssdnet-lite":
-        return replace(
-            config,
+        return SSDNetLiteConfig(
             stem_channels=(16, 16),
             encoder_channels=(16, 32),
             encoder_blocks=(1, 1),

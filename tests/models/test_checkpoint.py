@@ -15,7 +15,9 @@ from models.registry import NETWORKS
 from runtime.errors import CheckpointError
 
 SMALL = replace(
-    NETWORKS["ssdnet-lite"].config,
+    NETWORKS["ssdnet-nano"].config,
+    encoder="residual",
+    encoder_widths=(),
     encoder_channels=(8, 8, 8, 8),
     encoder_blocks=(1, 1, 1, 1),
     decoder_channels=(8, 8, 8),

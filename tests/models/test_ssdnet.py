@@ -45,9 +45,12 @@ def macs(model, height, width):
 def small(name, **changes):
     """The same structure with few channels, so that tests are quick."""
     config = NETWORKS[name].config
+    if widths := getattr(config, "encoder_widths", ()):
+        changes |= {"encoder_widths": (8,) * len(widths)}
+    else:
+        changes |= {"encoder_channels": tuple(width // 8 for width in config.encoder_channels)}
     return replace(
         config,
-        encoder_channels=tuple(width // 8 for width in config.encoder_channels),
         decoder_channels=tuple(max(width // 8, 4) for width in config.decoder_channels),
         boundary_channels=4,
         **changes,

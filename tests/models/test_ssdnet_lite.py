@@ -8,6 +8,8 @@ from models.efficientnet_lite import InvertedResidual
 from models.surfaces import NEAREST
 from models.task_decoder import UpBlock
 
+RESIDUAL = {"encoder": "residual", "encoder_widths": (), "additive_refinement": False}
+
 
 @pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])
 def test_a_network_with_it_predicts_at_full_size_and_keeps_the_coarser_depths(name):
@@ -68,7 +70,7 @@ def test_the_choice_reads_the_features_of_the_semantic_decoder():
 
 
 def test_an_efficientnet_encoder_reads_colours_and_returns_enter_at_stride_4():
-    network = create_model("ssdnet-lite", encoder="efficientnet-lite0").eval()
+    network = create_model("ssdnet-lite").eval()
     torch.manual_seed(0)
     rgb = torch.rand(1, 3, 70, 101) * 255
     with torch.no_grad():
@@ -78,7 +80,7 @@ def test_an_efficientnet_encoder_reads_colours_and_returns_enter_at_stride_4():
     assert sizes == [(70, 101), (24, 32), (12, 16), (6, 8)]
     assert found.semantic_logits.shape == (1, 11, 70, 101)
     assert not torch.equal(found.semantic_logits, none.semantic_logits)
-    assert 3.2e6 < sum(p.numel() for p in network.parameters()) < 3.4e6
+    assert 2.3e6 < sum(p.numel() for p in network.parameters()) < 2.5e6
 
 
 def test_features_that_no_activation_bounds_do_not_drown_what_they_are_added_to():
@@ -90,9 +92,9 @@ def test_features_that_no_activation_bounds_do_not_drown_what_they_are_added_to(
         plain = block(below, skip)
         for scaled in (block(below, 10 * skip), block(10 * below, skip)):
             assert torch.allclose(scaled, plain, atol=1e-3) == linear
-    encoders = {False: {}, True: {"encoder": "efficientnet-lite0"}}
-    for linear, changes in encoders.items():
-        network = create_model("ssdnet-lite", **changes)
+    refined = {"semantic_refine_channels": 16, "depth_refine_channels": 16}
+    for linear, changes in ((False, RESIDUAL), (True, {})):
+        network = create_model("ssdnet-lite", **refined, **changes)
         blocks = [m for m in network.modules() if isinstance(m, UpBlock)]
         assert len(blocks) == 3 + 3 + 1 + 1  # two decoders, and a refinement of each
         assert all(isinstance(b.project, torch.nn.Sequential) == linear for b in blocks)
@@ -100,7 +102,7 @@ def test_features_that_no_activation_bounds_do_not_drown_what_they_are_added_to(
 
 def test_an_additive_refinement_adds_to_what_both_heads_answer_at_stride_4():
     torch.manual_seed(0)
-    network = create_model("ssdnet-lite", additive_refinement=True).eval()
+    network = create_model("ssdnet-lite").eval()
     rgb, sparse = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
     sparse[..., ::4, ::4] = 12.0
     both = network.predict_coarse(rgb, sparse)
@@ -122,16 +124,16 @@ def test_an_additive_refinement_adds_to_what_both_heads_answer_at_stride_4():
 
 def test_the_trunk_of_an_efficientnet_encoder_has_the_widths_of_the_configuration():
     widths = (16, 48, *[72] * 2, *[120] * 2, *[240] * 3, *[336] * 3, *[576] * 4)
-    network = create_model("ssdnet-nano", encoder="efficientnet-lite0", encoder_widths=widths)
+    network = create_model("ssdnet-nano", encoder_widths=widths)
     blocks = [m for m in network.modules() if isinstance(m, InvertedResidual)]
     assert tuple(block.depthwise[0].out_channels for block in blocks) == widths
     assert SSDNetLiteConfig.from_dict(network.config.to_dict()) == network.config
     with pytest.raises(ValueError, match="encoder_widths needs encoder = 'efficientnet-"):
-        create_model("ssdnet-lite", encoder_widths=widths)
+        create_model("ssdnet-lite", encoder="residual", encoder_widths=widths)
     with pytest.raises(ValueError, match="expected 16 positive widths"):
-        create_model("ssdnet-lite", encoder="efficientnet-lite0", encoder_widths=(16,))
+        create_model("ssdnet-lite", encoder_widths=(16,))
     with pytest.raises(ValueError, match="encoder_widths 0: expected 1 to"):
-        create_model("ssdnet-lite", encoder="efficientnet-lite0", encoder_widths=(0,) * 16)
+        create_model("ssdnet-lite", encoder_widths=(0,) * 16)
 
 
 @pytest.mark.parametrize(
@@ -143,6 +145,6 @@ def test_the_trunk_of_an_efficientnet_encoder_has_the_widths_of_the_configuratio
     ],
 )
 def test_what_describes_residual_stages_is_refused_with_the_other_trunk(key, value):
-    create_model("ssdnet-lite", **{key: value})
+    create_model("ssdnet-lite", **RESIDUAL, **{key: value})
     with pytest.raises(ValueError, match=f"{key} are those of encoder = 'residual'"):
-        create_model("ssdnet-lite", encoder="efficientnet-lite0", **{key: value})
+        create_model("ssdnet-lite", **{key: value})

@@ -4,7 +4,6 @@ import csv
 import io
 import re
 import sys
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -15,7 +14,7 @@ from typer.testing import CliRunner
 
 from layouts import camvid
 from layouts.virtual_kitti import write_second_edition
-from models import SSDNetLite
+from models import SSDNetLite, SSDNetLiteConfig
 from models.registry import NETWORKS, Entry
 from training import progress
 from training.cli import app
@@ -37,8 +36,7 @@ VALIDATION = '\n[[validation.source]]\nkind = "camvid"\npath = "camvid"\n'
 
 @pytest.fixture(autouse=True)
 def tiny_network(monkeypatch):
-    config = replace(
-        NETWORKS["ssdnet-lite"].config,
+    config = SSDNetLiteConfig(
         stem_channels=(8, 8),
         encoder_channels=(8, 8),
         encoder_blocks=(1, 1),

@@ -13,14 +13,15 @@ from export.parity import reference
 from export.probe_frames import ProbeFrame
 from layouts import camvid
 from models import load_checkpoint
+from models.registry import NETWORKS
 from runtime import Predictor
 from runtime.bundled_models import list_bundled_models
 from runtime.errors import InputError
 from runtime.sources.bundled_stream import bundled_stream
 from training import cli
 from training.initial_weights import find_weights, list_weights
-from training.recipe import read_recipe
 from training.recipe_files import find_recipe
+from training.stages import read_stages
 
 RECIPE = """
 [model]
@@ -87,8 +88,10 @@ def test_the_installed_weights_state_their_terms(name):
     training = load_checkpoint(path).training
     assert "non-commercial" in training["terms"]
     assert "camvid" in training["data"]
-    recipe = read_recipe(find_recipe("residual-lite"))
-    assert load_checkpoint(path).facts.trained_height == recipe.model.trained_height == 400
+    recipe = read_stages(find_recipe(name.removeprefix("ssdnet-")))[-1].recipe
+    checkpoint = load_checkpoint(path)
+    assert checkpoint.model.config.encoder == NETWORKS[recipe.model.name].config.encoder
+    assert checkpoint.facts.trained_height == recipe.model.trained_height == 400
     assert path.stat().st_size < 7e6  # half precision
 
 

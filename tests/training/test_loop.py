@@ -19,7 +19,14 @@ from layouts.kitti_stream import write_stream
 from layouts.kitti_streets import HEIGHT, WIDTH, write_streets
 from layouts.pictures import write
 from layouts.virtual_kitti import COLORS, write_second_edition
-from models import SSDNet, SSDNetLite, create_model, load_checkpoint, save_checkpoint
+from models import (
+    SSDNet,
+    SSDNetLite,
+    SSDNetLiteConfig,
+    create_model,
+    load_checkpoint,
+    save_checkpoint,
+)
 from models.registry import NETWORKS, Entry
 from runtime.errors import CheckpointError, DatasetError, InputError
 from training import cli, state, validation
@@ -42,8 +49,7 @@ from training.recipe import (
 )
 from training.run_folder import NonFiniteLossError
 
-TINY = replace(
-    NETWORKS["ssdnet-lite"].config,
+TINY = SSDNetLiteConfig(
     stem_channels=(8, 8),
     encoder_channels=(16, 16),
     encoder_blocks=(1, 1),

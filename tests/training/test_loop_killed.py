@@ -19,13 +19,12 @@ pytestmark = pytest.mark.slow
 # line.
 TRAIN = """
 import os, sys
-from dataclasses import replace
 from pathlib import Path
 import torch, torch._dynamo
-from models import SSDNetLite
+from models import SSDNetLite, SSDNetLiteConfig
 from models.registry import NETWORKS, Entry
-NETWORKS["ssdnet-lite"] = Entry(SSDNetLite, replace(
-    NETWORKS["ssdnet-lite"].config, stem_channels=(8, 8), encoder_channels=(8, 8, 8, 8),
+NETWORKS["ssdnet-lite"] = Entry(SSDNetLite, SSDNetLiteConfig(
+    stem_channels=(8, 8), encoder_channels=(8, 8, 8, 8),
     encoder_blocks=(1, 1, 1, 1), decoder_channels=(8, 8, 8), boundary_channels=4,
 ))
 torch.set_num_threads(1)

@@ -14,16 +14,14 @@ from training.recipe import ModelRecipe, build
 
 
 def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
-    config = {"additive_refinement": True}
-    classes = tuple(reversed(CLASS_TABLES["camvid"]))
-    network = create_model("ssdnet-lite", classes=classes, **config)
+    network = create_model("ssdnet-lite", classes=tuple(reversed(CLASS_TABLES["camvid"])))
     heads = ("semantic_coarse_head", "semantic_head")
     other = tmp_path / "other.pt"
     with torch.no_grad():
         for head in heads:
             getattr(network, head).bias.fill_(77.0)
     save_checkpoint(other, network)
-    built = build_network(ModelRecipe("ssdnet-lite", config=config), other)[0]
+    built = build_network(ModelRecipe("ssdnet-lite"), other)[0]
     assert f"with random weights: {', '.join(heads)}\n" in capsys.readouterr().err
     for head in heads:
         assert not (getattr(built, head).bias == 77.0).any()
@@ -76,7 +74,7 @@ def test_only_some_parts_are_trained():
 
 
 def test_frozen_layers_keep_weights_and_statistics_and_have_no_backward_pass():
-    network = create_model("ssdnet-lite", encoder="efficientnet-lite0")
+    network = create_model("ssdnet-lite")
     early = ("encoder.trunk.stem", "encoder.trunk.stride2", "encoder.trunk.stride4")
     train_parts(network, (), early)
     before = {name: value.clone() for name, value in network.encoder.state_dict().items()}
@@ -117,9 +115,9 @@ def test_a_network_refuses_a_focal_length_that_no_camera_has(focal):
 
 
 def test_a_recipe_changes_fields_of_the_networks_configuration():
-    config = {"encoder_blocks": [1, 1, 1, 1], "boundary_channels": 4, "global_context": False}
-    network = build_network(ModelRecipe("ssdnet-lite", config=config), None)[0]
-    expected = replace(create_model("ssdnet-lite").config, encoder_blocks=(1, 1, 1, 1))
+    config = {"decoder_channels": [8, 8, 8], "boundary_channels": 4, "global_context": False}
+    network = build_network(ModelRecipe("ssdnet-nano", config=config), None)[0]
+    expected = replace(create_model("ssdnet-nano").config, decoder_channels=(8, 8, 8))
     assert network.config == replace(expected, boundary_channels=4, global_context=False)
     alone = build_network(
         ModelRecipe("ssdnet-lite", config={"semantic_head": False}),
@@ -139,7 +137,11 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
             {"layers": 3},
             "not configuration fields of the network 'ssdnet-lite': layers",
         ),
-        ("ssdnet-lite", {"encoder_blocks": [1]}, "must have the same length"),
+        (
+            "ssdnet-nano",
+            {"encoder": "residual", "encoder_widths": [], "encoder_blocks": [1]},
+            "must have the same length",
+        ),
         (
             "fast-scnn",
             {"boundary_channels": 8},
@@ -158,9 +160,7 @@ def test_an_invalid_configuration_is_refused(name, config, text):
         build(ModelRecipe, {"name": name, "config": config})
 
 
-IMAGENET = ModelRecipe(
-    "ssdnet-lite", pretrained="imagenet", config={"encoder": "efficientnet-lite0"}
-)
+IMAGENET = ModelRecipe("ssdnet-lite", pretrained="imagenet", config={"encoder_widths": []})
 
 
 @pytest.fixture
@@ -205,7 +205,8 @@ def test_a_resumed_run_does_not_read_pretrained_weights_again(loaded):
 def test_init_comes_after_the_pretrained_weights(loaded, tmp_path, capsys):
     """A trunk of --init replaces them; from another network the rest is taken."""
     save_checkpoint(tmp_path / "same.pt", build_network(IMAGENET, None)[0])
-    save_checkpoint(tmp_path / "other.pt", create_model("ssdnet-lite"))
+    residual = create_model("ssdnet-nano", encoder="residual", encoder_widths=())
+    save_checkpoint(tmp_path / "other.pt", residual)
     loaded.clear()
     build_network(IMAGENET, tmp_path / "same.pt")
     assert loaded == []
@@ -217,11 +218,15 @@ def test_init_comes_after_the_pretrained_weights(loaded, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("name", "config", "text"),
     [
-        ("ssdnet-lite", {}, "'ssdnet-lite' has no encoder with ImageNet weights. Set"),
+        (
+            "ssdnet-nano",
+            {"encoder": "residual", "encoder_widths": []},
+            "'ssdnet-nano' has no encoder with ImageNet weights. Set",
+        ),
         ("enet", {}, "'enet' has no encoder with ImageNet weights"),
         (
             "ssdnet-lite",
-            {"encoder": "efficientnet-lite0", "rgb_mean": [123.675, 116.28, 103.53]},
+            {"rgb_mean": [123.675, 116.28, 103.53]},
             r"rgb_mean = \[123.675, 116.28, 103.53\], but the ImageNet weights were trained with",
         ),
     ],
@@ -237,19 +242,16 @@ WIDTHS = (24, 48, *EFFICIENTNET_WIDTHS[2:])
 
 
 def test_init_of_a_wider_trunk_is_pruned(tmp_path, capsys):
-    config = {"encoder": "efficientnet-lite0"}
-    wide = create_model("ssdnet-lite", **config)
+    wide = create_model("ssdnet-lite", encoder_widths=())
     save_checkpoint(tmp_path / "wide.pt", wide)
-    narrow = ModelRecipe("ssdnet-lite", config={**config, "encoder_widths": list(WIDTHS)})
+    narrow = ModelRecipe("ssdnet-lite", config={"encoder_widths": list(WIDTHS)})
     network, taken = build_network(narrow, tmp_path / "wide.pt", pictures=PICTURES)
     assert network.config.encoder_widths == WIDTHS
     assert capsys.readouterr().err == "the trunk was pruned from 8960 to 8904 channels\n"
     assert taken == network.state_dict().keys() - {"rgb_mean", "rgb_std"}
     save_checkpoint(tmp_path / "narrow.pt", network)
     with pytest.raises(CheckpointError, match="pruning only narrows a trunk"):
-        build_network(
-            ModelRecipe("ssdnet-lite", config=config), tmp_path / "narrow.pt", pictures=PICTURES
-        )
+        build_network(ModelRecipe("ssdnet-lite"), tmp_path / "narrow.pt", pictures=PICTURES)
 
 
 def idle(block):
@@ -272,7 +274,7 @@ def repeated(block):
 @pytest.mark.parametrize("spare", [idle, constant, repeated])
 def test_pruning_takes_channels_that_others_make_up_for(spare, capsys):
     torch.manual_seed(0)
-    wide = create_model("ssdnet-lite", encoder="efficientnet-lite0").eval()
+    wide = create_model("ssdnet-lite", encoder_widths=()).eval()
     trunk = wide.encoder.trunk
     with torch.no_grad():
         spare(trunk.stride4[0])
@@ -292,7 +294,7 @@ def test_pruning_takes_channels_that_others_make_up_for(spare, capsys):
 
 
 def test_pruning_without_a_picture_is_refused():
-    network = create_model("ssdnet-lite", encoder="efficientnet-lite0")
+    network = create_model("ssdnet-lite", encoder_widths=())
     with pytest.raises(ValueError, match="pruning needs pictures"):
         prune_trunk(network, WIDTHS, [])
     assert network.training

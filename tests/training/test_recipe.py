@@ -45,10 +45,10 @@ def test_defaults_and_conversions(tmp_path):
 
 
 def test_fields_of_the_networks_configuration(tmp_path):
-    text = MINIMAL.replace("[data]", "[model.config]\nencoder_blocks = [1, 2, 1, 1]\n[data]", 1)
-    assert read(tmp_path, text).model.config == {"encoder_blocks": [1, 2, 1, 1]}
+    text = MINIMAL.replace("[data]", "[model.config]\ndecoder_channels = [64, 48, 16]\n[data]", 1)
+    assert read(tmp_path, text).model.config == {"decoder_channels": [64, 48, 16]}
     changed = read_recipe(tmp_path / "r.toml", ["model.config.boundary_channels = 8"])
-    assert changed.model.config == {"encoder_blocks": [1, 2, 1, 1], "boundary_channels": 8}
+    assert changed.model.config == {"decoder_channels": [64, 48, 16], "boundary_channels": 8}
     with pytest.raises(InputError, match=r"model\.config has 'classes', which is a separate key"):
         read_recipe(tmp_path / "r.toml", ["model.config.classes = []"])
 

@@ -11,15 +11,14 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from models import SSDNetLite, load_checkpoint
+from models import SSDNetLite, SSDNetLiteConfig, load_checkpoint
 from models.registry import NETWORKS, Entry
 from runtime.errors import InputError
 from training import cli, stages
 from training.recipe import read_recipe
 from training.stages import read_stages, train_stages
 
-TINY = replace(
-    NETWORKS["ssdnet-lite"].config,
+TINY = SSDNetLiteConfig(
     stem_channels=(8, 8),
     encoder_channels=(8, 8),
     encoder_blocks=(1, 1),

@@ -14,12 +14,11 @@ from training.stop_signal import StopSignal
 #: ssdnet-train with a small network; says every step, and waits there for a line if told to.
 TRAIN = """
 import os, sys
-from dataclasses import replace
 import torch
-from models import SSDNetLite
+from models import SSDNetLite, SSDNetLiteConfig
 from models.registry import NETWORKS, Entry
-NETWORKS["ssdnet-lite"] = Entry(SSDNetLite, replace(
-    NETWORKS["ssdnet-lite"].config, stem_channels=(8, 8), encoder_channels=(8, 8, 8, 8),
+NETWORKS["ssdnet-lite"] = Entry(SSDNetLite, SSDNetLiteConfig(
+    stem_channels=(8, 8), encoder_channels=(8, 8, 8, 8),
     encoder_blocks=(1, 1, 1, 1), decoder_channels=(8, 8, 8), boundary_channels=4,
 ))
 torch.set_num_threads(1)

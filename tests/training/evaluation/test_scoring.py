@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from models import NetworkOutput, SSDNetLite, create_model
-from models.registry import NETWORKS
+from models import NetworkOutput, SSDNetLite, SSDNetLiteConfig, create_model
 from runtime.errors import InputError
 from runtime.heads import HEADS
 from training.datasets.sample import AUXILIARY, Sample
@@ -202,8 +201,7 @@ def test_unlabelled_frames_do_not_count():
 
 
 def test_network_answers_at_the_frames_size_in_metres():
-    small = replace(
-        NETWORKS["ssdnet-lite"].config,
+    small = SSDNetLiteConfig(
         encoder_channels=(8, 8, 8, 8),
         decoder_channels=(8, 8, 8),
         stem_channels=(8, 8),
@@ -221,7 +219,7 @@ def test_a_network_of_canonical_depth_sees_it_and_answers_in_metres():
     """A fake network that answers what it is fed: the factor must come off again."""
 
     class Copy(torch.nn.Module):
-        config = replace(NETWORKS["ssdnet-lite"].config, canonical_focal_px=450.0)
+        config = SSDNetLiteConfig(canonical_focal_px=450.0)
         rgb_mean = torch.zeros(1)
 
         def forward(self, rgb, sparse_depth):
