@@ -8,16 +8,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from models import SSDNetLite, load_checkpoint, save_checkpoint
+from models import SSDNetLite, SSDNetLiteConfig, load_checkpoint, save_checkpoint
 from models.checkpoint import Checkpoint
 from models.classes import CAMVID_CLASSES, numbered_classes
-from models.registry import NETWORKS
 from runtime.errors import CheckpointError
 
-SMALL = replace(
-    NETWORKS["ssdnet-nano"].config,
-    encoder="residual",
-    encoder_widths=(),
+SMALL = SSDNetLiteConfig(
     encoder_channels=(8, 8, 8, 8),
     encoder_blocks=(1, 1, 1, 1),
     decoder_channels=(8, 8, 8),

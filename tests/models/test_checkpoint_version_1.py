@@ -6,7 +6,7 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from models import create_model, load_checkpoint, save_checkpoint
+from models import SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
 from models.checkpoint_version_1 import convert_checkpoint
 from models.registry import NETWORKS
 from runtime.errors import CheckpointError, OutputError
@@ -50,9 +50,8 @@ def small(name):
         key: (8,) * len(getattr(entry.config, key))
         for key in ("stem_channels", "encoder_channels", "decoder_channels")
     }
-    if "nano" in name:  # as ssdnet-lite was
-        widths |= {"encoder": "residual", "encoder_widths": ()}
-        widths |= {"semantic_refine_channels": 8, "depth_refine_channels": 8}
+    if isinstance(entry.config, SSDNetLiteConfig):  # version 1 had no other encoder
+        widths |= {"encoder": "residual", "encoder_widths": (), "additive_refinement": False}
     return entry.network(replace(entry.config, **widths)).eval()
 
 
@@ -85,7 +84,9 @@ def write_version_1(path, model, *, trainer=None, **changes):
     return weights
 
 
-@pytest.mark.parametrize("name", ["ssdnet-nano", "ssdnet-small", "ssdnet-dep-rgb", "nconv"])
+@pytest.mark.parametrize(
+    "name", ["ssdnet-lite", "ssdnet-nano", "ssdnet-small", "ssdnet-dep-rgb", "nconv"]
+)
 def test_it_keeps_every_bit_of_the_weights(tmp_path, name):
     model = create_model(name) if name == "nconv" else small(name)
     old, new = tmp_path / "old.pt", tmp_path / "new.pt"
@@ -94,7 +95,7 @@ def test_it_keeps_every_bit_of_the_weights(tmp_path, name):
     assert result.exit_code == 0, result.output
     converted = torch.load(new, weights_only=True)["weights"]
     assert {
-        name_of_version_1(each) if "nano" in name else each for each in converted
+        name_of_version_1(each) if "lite" in name or "nano" in name else each for each in converted
     } == weights.keys()
     for each, value in converted.items():
         before = weights[each] if each in weights else weights[name_of_version_1(each)]
