@@ -36,7 +36,7 @@ from training.loading.open_dataset import open_dataset
 #: What a calibration frame is fed, in turn: a range that no calibration frame reaches is clipped.
 CALIBRATION_LIDARS = ("own", "none", "16", "4")
 _SENSITIVITY_FRAMES = 4
-#: Convolutions that are tried in float before any is ranked: the trunk's first two blocks.
+#: Convolutions of the trunk, from the input on, that are tried in float before any is ranked.
 _FIRST = 4
 #: The gate beside `Int8Options`: points of a class's IoU, of the boundary's F (0..1), and points of
 #: the share of errors within one scale of the uncertainty, up or down.

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import onnx
 import pytest
 from typer.testing import CliRunner
 
@@ -123,6 +124,50 @@ def test_convolutions_that_cost_most_stay_in_float_until_the_gate_is_passed(expo
     assert facts["float_convolutions"]
     assert all(name in result.output for name in facts["float_convolutions"])
     assert 100 * (1 - _miou(tmp_path / "lite.onnx")) <= 0.8 * drop
+
+
+def test_the_first_convolutions_are_left_in_float_before_any_is_ranked(monkeypatch, tmp_path):
+    """Then those that the head that misses most depends on, half as many again each time."""
+    convolutions = [f"c{index}" for index in range(20)]
+    nodes = [onnx.helper.make_node("Conv", ["x", "w"], [name], name) for name in convolutions]
+    model = onnx.helper.make_model(onnx.helper.make_graph(nodes, "graph", [], []))
+    tried, ranked = [], []
+
+    def try_in_float(model, ranges, *, keep_float):
+        tried.append(list(keep_float))
+        return model
+
+    def missed(before, after, options):
+        if len(tried) > 6:
+            return {}
+        return {"depth" if len(tried) > 5 else "boundary": "loses too much"}
+
+    def rank(model, quantized, names, feeds, head):
+        ranked.append(head)
+        return list(reversed(names)) if head == "boundary" else ["c1", "c9", *names]
+
+    for name, value in {
+        "trunk": lambda model: convolutions,
+        "measure_ranges": lambda model, feeds: None,
+        "measure_accuracy": lambda *arguments: [],
+        "quantize": try_in_float,
+        "_feeds": lambda path, options: [],
+        "_missed": missed,
+        "_rank": rank,
+    }.items():
+        monkeypatch.setattr(int8, name, value)
+    found = int8.quantize_within(
+        model,
+        Int8Options(calibrate=("camvid:x",)),
+        validate=[],
+        classes=[],
+        write=lambda model, path: None,
+    )
+    assert tried[:5] == [[], ["c0"], ["c0", "c1"], ["c0", "c1", "c2"], ["c0", "c1", "c2", "c3"]]
+    assert tried[5] == [*tried[4], "c19", "c18"]
+    assert tried[6] == [*tried[5], "c9", "c4", "c5"]
+    assert ranked == ["boundary", "depth"]
+    assert found.facts["float_convolutions"] == tried[6]
 
 
 def _miou(path):
