@@ -5,12 +5,15 @@
 - large: the frames of DIR/pandaset_front, 1920 x 1080 pixels with fx 1970. One LiDAR is fed, 64
   lines all around, and the returns of the other one, which looks ahead, are the truth where no
   fed return is.
-- few: the same, fed with a random FEW_SHARE of the pixels.
+- half, quarter: the same, fed with that share of the returns; few: with returns of FEW_SHARE of the
+  pixels.
+- forward: the other LiDAR is fed, and the first one is the truth.
 - wide: the frames of DIR/rendered/wide (`ssdnet-render DIR/rendered/wide --camera varied --frames 1
   --scenes 24 --seed 910000`) whose image is over 80 degrees wide, with the rendered LiDAR.
 
-MODEL is a bundled name, an exported file or a checkpoint with depth. MAE and RMSE are means over
-frames, of the true depths up to 100 m and up to 200 m. Each --size is as in ssdnet-eval.
+MODEL is a bundled name, an exported file or a checkpoint with depth, or a classical method. MAE,
+RMSE and median of the absolute errors are means over frames, of the true depths up to 100 m. Each
+--size is as in ssdnet-eval.
 """
 
 import argparse
@@ -28,14 +31,16 @@ from runtime import project_points
 from runtime.bundled_models import find_model
 from runtime.network_size import parse_network_size
 from training.datasets.virtual_kitti import RenderedRecipe
+from training.evaluation.classical import METHODS
 from training.evaluation.evaluate import short_names
 from training.evaluation.scored_model import open_method, open_model
 from training.evaluation.scoring import Predict
 from training.loading.open_dataset import open_dataset
 
 WIDE_DEG = 80.0
-FARTHEST_M = (100.0, 200.0)
-FED_DEVICE, TRUE_DEVICE = 0, 1
+FARTHEST_M = 100.0
+#: All around, and forward.
+DEVICES = (0, 1)
 FEW_SHARE = 0.002
 
 
@@ -57,21 +62,32 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     arguments = parser.parse_args()
     large = read_large(arguments.data)
-    few = [thin(frame, number) for number, frame in enumerate(large)]
-    cameras = {"large": large, "few": few, "wide": read_wide(arguments.data)}
-    columns = [f"{name}, to {farthest:g} m" for name in cameras for farthest in FARTHEST_M]
-    print("| model | size | focal length | " + " | ".join(columns) + " |")
-    print("|---|---|---|" + "---|" * len(columns))
+    cameras = {
+        "large": large,
+        "half": [thin(frame, 0.5, number) for number, frame in enumerate(large)],
+        "quarter": [thin(frame, 0.25, number) for number, frame in enumerate(large)],
+        "few": [
+            thin(frame, FEW_SHARE * frame.fed.size / np.count_nonzero(frame.fed), number)
+            for number, frame in enumerate(large)
+        ],
+        "forward": read_large(arguments.data, devices=DEVICES[::-1]),
+        "wide": read_wide(arguments.data),
+    }
+    print("| model | size | focal length | " + " | ".join(cameras) + " |")
+    print("|---|---|---|" + "---|" * len(cameras))
 
     def print_row(title: str, predict: Predict, *, focal: bool) -> None:
         cells = []
         for frames in cameras.values():
-            scores = score(predict, frames, focal=focal)
-            cells += [f"{1000 * mae:.0f} / {1000 * rmse:.0f}" for mae, rmse in scores]
+            mae, rmse, median = (1000 * score(predict, frames, focal=focal)).round().astype(int)
+            cells.append(f"{mae} / {rmse}, {median}")
         print(f"| {title} | {'given' if focal else ''} | {' | '.join(cells)} |", flush=True)
 
-    print_row("nearest | ", open_method("nearest").predict, focal=False)
-    paths = [Path(name) if name.endswith(".pt") else find_model(name) for name in arguments.models]
+    methods = [name for name in arguments.models if name in METHODS]
+    for name in methods:
+        print_row(f"{name} | ", open_method(name).predict, focal=False)
+    names = [name for name in arguments.models if name not in methods]
+    paths = [Path(name) if name.endswith(".pt") else find_model(name) for name in names]
     for title, path in zip(short_names(paths), paths, strict=True):
         for size in arguments.size:
             asked = parse_network_size(size)
@@ -80,8 +96,8 @@ def main() -> None:
                     print_row(f"{title} | {size}", model.predict, focal=focal)
 
 
-def read_large(folders: Sequence[Path]) -> list[Frame]:
-    """Read the frames of `pandaset_front`."""
+def read_large(folders: Sequence[Path], devices: tuple[int, int] = DEVICES) -> list[Frame]:
+    """Read the frames of `pandaset_front`; devices: the LiDAR that is fed, and the truth."""
     (root,) = (found for folder in folders if (found := folder / "pandaset_front").is_dir())
     camera = json.loads((root / "intrinsics.json").read_text())
     rows = [[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1]]
@@ -92,16 +108,16 @@ def read_large(folders: Sequence[Path]) -> list[Frame]:
         points = np.fromfile(root / "points" / f"{path.stem}.bin", np.float32).reshape(-1, 6)
         fed, other = (
             project_points(points[points[:, 4] == device, :3], matrix, np.eye(4), rgb.shape[:2])
-            for device in (FED_DEVICE, TRUE_DEVICE)
+            for device in devices
         )
         frames.append(Frame(rgb, fed, np.where(fed > 0, np.float32(0), other), camera["fx"]))
     return frames
 
 
-def thin(frame: Frame, seed: int) -> Frame:
-    """Feed returns of FEW_SHARE of the pixels, or all if there are fewer; the truth stays."""
+def thin(frame: Frame, share: float, seed: int) -> Frame:
+    """Feed a random share of the returns; the truth stays."""
     fed = np.flatnonzero(frame.fed)
-    count = min(len(fed), round(FEW_SHARE * frame.fed.size))
+    count = round(min(share, 1.0) * len(fed))
     kept = np.random.default_rng(seed).choice(fed, count, replace=False)
     few = np.zeros_like(frame.fed)
     few.flat[kept] = frame.fed.flat[kept]
@@ -120,19 +136,15 @@ def read_wide(folders: Sequence[Path]) -> list[Frame]:
     ]
 
 
-def score(predict: Predict, frames: Sequence[Frame], *, focal: bool) -> list[list[float]]:
-    """Return MAE and RMSE [m] up to each of FARTHEST_M, means over frames."""
+def score(predict: Predict, frames: Sequence[Frame], *, focal: bool) -> NDArray[np.float64]:
+    """Return MAE, RMSE and median error [m] up to FARTHEST_M, means over frames, (3,)."""
     figures = []
     for frame in frames:
         answer = predict(frame.rgb, frame.fed, frame.focal_length_px if focal else None)
-        of_frame = []
-        for farthest in FARTHEST_M:
-            known = (frame.truth > 0) & (frame.truth <= farthest)
-            error = answer.depth[known] - frame.truth[known]
-            of_frame.append((np.abs(error).mean(), math.sqrt(np.square(error).mean())))
-        figures.append(of_frame)
-    means: list[list[float]] = np.mean(figures, axis=0).tolist()
-    return means
+        known = (frame.truth > 0) & (frame.truth <= FARTHEST_M)
+        error = np.abs(answer.depth[known] - frame.truth[known])
+        figures.append((error.mean(), math.sqrt(np.square(error).mean()), np.median(error)))
+    return np.mean(figures, axis=0)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cameras import FEW_SHARE, Frame, read_large, score, thin
+from cameras import Frame, read_large, score, thin
 from training.evaluation.scoring import HeadMaps
 
 
@@ -28,9 +28,11 @@ def test_one_lidar_is_fed_and_the_other_is_the_truth(tmp_path):
     fed[20, 30], truth[20, 31], truth[22, 30] = 10, 50, 25
     np.testing.assert_array_equal(frame.fed, fed)
     np.testing.assert_array_equal(frame.truth, truth)
+    (turned,) = read_large([tmp_path], devices=(1, 0))
+    assert (turned.fed[20, 30], turned.truth[20, 30]) == (9, 0)
 
 
-def test_scores_are_means_over_frames_of_what_is_known_up_to_100_and_200_m():
+def test_scores_are_means_over_frames_of_what_is_known_up_to_100_m():
     seen = []
 
     def predict(rgb, sparse_depth, focal_length_px):
@@ -42,10 +44,8 @@ def test_scores_are_means_over_frames_of_what_is_known_up_to_100_and_200_m():
         return Frame(np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2), np.float32), maps, 700.0)
 
     frames = [frame([[10, 250], [16, 150]]), frame([[12, 13], [0, 0]])]
-    near, far = score(predict, frames, focal=True)
-    assert near == pytest.approx([(3 + 0.5) / 2, (math.sqrt(10) + math.sqrt(0.5)) / 2])
-    whole = math.sqrt((4 + 16 + 138**2) / 3)
-    assert far == pytest.approx([(144 / 3 + 0.5) / 2, (whole + math.sqrt(0.5)) / 2])
+    wanted = [(3 + 0.5) / 2, (math.sqrt(10) + math.sqrt(0.5)) / 2, (3 + 0.5) / 2]
+    assert score(predict, frames, focal=True) == pytest.approx(wanted)
     score(predict, frames, focal=False)
     assert seen == [700.0, 700.0, None, None]
 
@@ -53,11 +53,11 @@ def test_scores_are_means_over_frames_of_what_is_known_up_to_100_and_200_m():
 def test_few_returns_are_some_of_those_that_were_fed():
     fed = np.random.default_rng(0).uniform(1, 80, (100, 200)).astype(np.float32)
     frame = Frame(np.zeros((100, 200, 3), np.uint8), fed, fed + 1, 700.0)
-    few = thin(frame, 3)
+    few = thin(frame, 0.002, 3)
     kept = few.fed > 0
-    assert kept.sum() == FEW_SHARE * fed.size
+    assert kept.sum() == 0.002 * fed.size
     np.testing.assert_array_equal(few.fed[kept], fed[kept])
     np.testing.assert_array_equal(few.truth, frame.truth)
-    np.testing.assert_array_equal(thin(frame, 3).fed, few.fed)
-    assert not np.array_equal(thin(frame, 4).fed, few.fed)
-    assert (thin(few, 5).fed > 0).sum() == kept.sum()
+    np.testing.assert_array_equal(thin(frame, 1.7, 3).fed, fed)  # there are no more
+    np.testing.assert_array_equal(thin(frame, 0.002, 3).fed, few.fed)
+    assert not np.array_equal(thin(frame, 0.002, 4).fed, few.fed)

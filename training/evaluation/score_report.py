@@ -14,7 +14,17 @@ from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
 from training.evaluation.metrics import RANGES_M
 
 #: What the table shows unless all is asked for.
-_MAIN = ("miou", "accuracy", "road_iou", "boundary_f", "mae_m", "rmse_m", "coverage_1", "mae_px")
+_MAIN = (
+    "miou",
+    "accuracy",
+    "road_iou",
+    "boundary_f",
+    "mae_m",
+    "rmse_m",
+    "median_m",
+    "coverage_1",
+    "mae_px",
+)
 #: All that it can show, in this order, where a row has it: key, title, factor.
 _COLUMNS = (
     ("miou", "mIoU %", 100.0),
@@ -34,6 +44,7 @@ _COLUMNS = (
         )
     ),
     ("rmse_m", "RMSE [m]", 1.0),
+    ("median_m", "median error [m]", 1.0),
     *((f"rmse_m_{a:g}_{b:g}", f"RMSE {a:g}-{b:g} m", 1.0) for a, b in RANGES_M[:2]),
     ("imae_per_km", "iMAE [1/km]", 1.0),
     ("irmse_per_km", "iRMSE [1/km]", 1.0),

@@ -177,6 +177,7 @@ class Scores:
         for (above, limit), errors in depth.ranges.items():
             figures |= _error_figures(errors, f"m_{above:g}_{limit:g}")
         if depth.metres.pixels:
+            figures["median_m"] = depth.median_m
             figures |= {"imae_per_km": depth.per_km.mae, "irmse_per_km": depth.per_km.rmse}
         for region, errors in self.regions.compute().items():
             figures |= _error_figures(errors, f"m_{region}")

@@ -96,6 +96,25 @@ def test_depth_metrics_by_hand():
     assert metrics.per_km.rmse == pytest.approx(math.sqrt(sum(x * x for x in inverse) / 4))
 
 
+def test_the_median_is_of_all_frames_together():
+    rng = np.random.default_rng(0)
+    depth = rng.uniform(5, 80, (2, 30, 40))
+    prediction = depth + rng.normal(0, 1.0, depth.shape) * rng.choice([0.01, 1, 30], depth.shape)
+    prediction = np.maximum(prediction, 0.0)
+    whole, parts = DepthScores(), [DepthScores(), DepthScores()]
+    for index, part in enumerate(parts):
+        whole.update(prediction[index], depth[index])
+        part.update(prediction[index], depth[index])
+    parts[0].merge(parts[1])
+    expected = np.median(np.abs(prediction - depth))
+    assert whole.compute().median_m == pytest.approx(expected, rel=0.01)
+    assert parts[0].compute().median_m == whole.compute().median_m
+    exact = DepthScores()
+    exact.update(depth[0], depth[0])
+    assert exact.compute().median_m < 2e-3
+    assert math.isnan(DepthScores().compute().median_m)
+
+
 def test_depth_scores_accumulate_over_pixels_not_frames():
     rng = np.random.default_rng(1)
     frames = [(1 + 99 * rng.random((4, n)), 1 + 99 * rng.random((4, n))) for n in (3, 8, 20)]

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from runtime.checks import shown
 from runtime.errors import InputError
 from training.evaluation.classical.ip_basic import IPBasic, IPBasicMultiscale
+from training.evaluation.classical.linear import Linear
 from training.evaluation.classical.method import CompletionMethod
 from training.evaluation.classical.mrf import MRF
 from training.evaluation.classical.nearest import Nearest
@@ -18,6 +19,7 @@ __all__ = ["METHODS", "CompletionMethod", "create_method"]
 #: Name -> what makes the method with its default settings; a new method is a line here.
 METHODS: dict[str, Callable[[], CompletionMethod]] = {
     "nearest": Nearest,
+    "linear": Linear,
     "ip-basic": IPBasic,
     "ip-basic-multiscale": IPBasicMultiscale,
     "mrf": MRF,

@@ -14,13 +14,13 @@ from training.evaluation.metrics import DepthScores
 from training.evaluation.scored_model import method_predict, open_method
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 
-FILLS_EVERYTHING = ("nearest", "mrf", "tgv")
+FILLS_EVERYTHING = ("nearest", "linear", "mrf", "tgv")
 
 
 @pytest.fixture(params=METHODS)
 def name(request):
-    if request.param == "mrf":
-        pytest.importorskip("scipy.sparse")
+    if request.param in ("linear", "mrf"):
+        pytest.importorskip("scipy")
     return request.param
 
 
@@ -113,7 +113,9 @@ def test_an_answer_that_is_not_finite_is_an_error():
 
 
 def test_an_unknown_method_names_the_known_ones():
-    with pytest.raises(InputError, match="unknown method 'magic'; known: nearest, ip-basic, "):
+    with pytest.raises(
+        InputError, match="unknown method 'magic'; known: nearest, linear, ip-basic, "
+    ):
         open_method("magic")
 
 

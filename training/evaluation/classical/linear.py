@@ -1,0 +1,51 @@
+"""Linear interpolation of inverse depth: exact on planes, the reference of what is learned."""
+
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.errors import ProviderError, import_remedy
+from training.evaluation.classical.method import Depth, is_measured
+from training.evaluation.classical.nearest import Nearest
+
+#: Returns that span a triangle.
+_FEWEST = 3
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Inverse depth is interpolated linearly on Delaunay's triangulation of the returns, by SciPy.
+
+    A plane is an affine function of the pixel in inverse depth, so planes are exact. Outside of
+    the triangles, and where all returns lie on one line, `Nearest` fills. The image is not used.
+
+    Raises:
+        ProviderError: if SciPy cannot be imported.
+    """
+
+    def __post_init__(self) -> None:
+        _import_interpolate()
+
+    def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
+        """See `CompletionMethod.complete`."""
+        depth = Nearest().complete(rgb, sparse_depth)
+        at = np.argwhere(is_measured(sparse_depth))
+        if len(at) < _FEWEST or np.linalg.matrix_rank(at - at[0]) < 2:
+            return depth
+        inverse = 1.0 / sparse_depth[at[:, 0], at[:, 1]].astype(np.float64)
+        pixels = tuple(np.indices(sparse_depth.shape))
+        found = _import_interpolate().LinearNDInterpolator(at, inverse)(pixels)
+        return np.where(np.isnan(found), depth, 1.0 / found).astype(np.float32)
+
+
+def _import_interpolate() -> ModuleType:
+    try:
+        import scipy.interpolate
+    except ImportError as error:
+        raise ProviderError(
+            f"cannot import SciPy ({error}), which linear needs: {import_remedy(error, 'train')}"
+        ) from error
+    interpolate: ModuleType = scipy.interpolate
+    return interpolate
