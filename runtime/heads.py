@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
+#: How a map is resized, see `runtime.resize`.
+ResizeRule = Literal["nearest", "bilinear", "surface"]
+
 
 class Unit(StrEnum):
     """What the values of a head are."""
@@ -56,8 +59,9 @@ class Head:
         name: of the ONNX output, and in `Prediction.heads`.
         dtype: numpy's name of the type.
         unit: what a value is.
-        resize: rule where the network runs at another size than the frame: "nearest" never mixes
-            two values, "bilinear" takes the mean of the area where a side shrinks.
+        resize: rule where the network runs at another size than the frame, see `runtime.resize`:
+            "nearest" never mixes two values, "bilinear" takes the mean of the area where a side
+            shrinks, "surface" mixes depths of one surface.
         difference: how two runtimes are compared.
         tolerance: least share of equal pixels, else the largest (mean) difference between two
             runtimes.
@@ -76,7 +80,7 @@ class Head:
     name: str
     dtype: Literal["uint8", "float32"]
     unit: Unit
-    resize: Literal["nearest", "bilinear"]
+    resize: ResizeRule
     difference: Difference
     tolerance: float
     tolerance_int8: float = 0.1
@@ -131,7 +135,7 @@ HEADS: dict[str, Head] = {
             "depth",
             "float32",
             Unit.METRES,
-            resize="nearest",
+            resize="surface",
             difference=Difference.ABSOLUTE,
             # 5 mm at 100 m: about the step of a depth PNG; rounding in fp32 is a tenth of it.
             tolerance=5e-5,

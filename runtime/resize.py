@@ -11,17 +11,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.heads import HEADS
+from runtime.heads import HEADS, ResizeRule
 
 Size = tuple[int, int]  # (height, width)
+
+#: Neighbouring depths up to this many times as far as the nearest of them are one surface.
+SAME_SURFACE = 1.15
 
 
 def resize_answer(head: str, values: NDArray[Any], size: Size) -> NDArray[Any]:
     """Resize one head of a network, (H, W) or (C, H, W), to `size` by its rule in `HEADS`."""
     if values.ndim == 3:
         return np.stack([resize_answer(head, plane, size) for plane in values])
-    resize = resize_nearest if HEADS[head].resize == "nearest" else resize_image
-    return resize(values, size)
+    return resize_by(HEADS[head].resize, values, size)
+
+
+def resize_by(rule: ResizeRule, values: NDArray[Any], size: Size) -> NDArray[Any]:
+    """Resize (H, W) to `size` by a rule of `HEADS`."""
+    return _RULES[rule](values, size)
 
 
 def resize_image(image: NDArray[Any], size: Size) -> NDArray[Any]:
@@ -45,6 +52,24 @@ def resize_nearest(values: NDArray[Any], size: Size) -> NDArray[Any]:
     height, width = size
     # Plain INTER_NEAREST would shift the map by up to half a pixel.
     return cv2.resize(values, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
+
+
+def resize_surface(depth: NDArray[np.float32], size: Size) -> NDArray[np.float32]:
+    """Resize a map of predicted depth, (H, W), to `size`; two surfaces are never mixed.
+
+    Where it grows, inverse depth is bilinear, as it is affine in the pixel on a plane, wherever the
+    3 x 3 pixels around the nearest centre are one surface, see SAME_SURFACE. Elsewhere, and where
+    a side shrinks, each pixel takes the nearest centre.
+    """
+    resized = resize_nearest(depth, size)
+    if size[0] < depth.shape[0] or size[1] < depth.shape[1]:
+        return resized
+    farthest, nearest = cv2.dilate(depth, _AROUND), cv2.erode(depth, _AROUND)
+    is_surface = (nearest > 0) & (farthest <= SAME_SURFACE * nearest)
+    # A depth of 0 is never among those of a surface: its inverse is not taken.
+    inverse = cv2.resize(cv2.divide(1.0, depth), size[::-1], interpolation=cv2.INTER_LINEAR)
+    cv2.copyTo(cv2.divide(1.0, inverse), resize_nearest(is_surface.astype(np.uint8), size), resized)
+    return resized
 
 
 def move_returns(sparse_depth: NDArray[np.float32], size: Size) -> NDArray[np.float32]:
@@ -73,6 +98,12 @@ def move_scan_lines(
         _moved(sparse_depth, source, target, size, nothing=0),
         _moved(scan_line, source, target, size, nothing=-1),
     )
+
+
+#: The pixel and its eight neighbours.
+_AROUND = np.ones((3, 3), np.uint8)
+#: `Head.resize` -> its function.
+_RULES = {"nearest": resize_nearest, "bilinear": resize_image, "surface": resize_surface}
 
 
 def _moved(

@@ -5,7 +5,14 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from runtime.resize import move_returns, move_scan_lines, resize_image, resize_nearest
+from runtime.resize import (
+    move_returns,
+    move_scan_lines,
+    resize_answer,
+    resize_image,
+    resize_nearest,
+    resize_surface,
+)
 
 SIZE = (30, 47)
 #: Shrinking, growing, whole, odd and half factors, and one side each way.
@@ -184,3 +191,54 @@ def test_labels_and_dense_depth_take_the_nearest_centre(size):
                     for source_row in nearest_sources(row, SIZE[0], size[0])
                     for source_column in nearest_sources(column, SIZE[1], size[1])
                 ]
+
+
+# --- predicted depth ---------------------------------------------------------------------------
+
+
+def enlarged_by_loops(depth, size):
+    """Each pixel from the pixels around its nearest centre."""
+    out = np.empty(size, np.float32)
+    padded = np.pad(depth, 1, mode="edge")
+    nearest = resize_nearest(np.arange(depth.size, dtype=np.int32).reshape(depth.shape), size)
+    for row, column in np.ndindex(size):
+        at = divmod(int(nearest[row, column]), depth.shape[1])
+        around = padded[at[0] : at[0] + 3, at[1] : at[1] + 3]
+        out[row, column] = depth[at]
+        if around.min() > 0 and around.max() <= 1.15 * around.min():
+            v = np.clip((row + 0.5) * depth.shape[0] / size[0] - 0.5, 0, depth.shape[0] - 1)
+            u = np.clip((column + 0.5) * depth.shape[1] / size[1] - 0.5, 0, depth.shape[1] - 1)
+            top, left = int(v), int(u)
+            bottom = min(top + 1, depth.shape[0] - 1)
+            right = min(left + 1, depth.shape[1] - 1)
+            upper = (1 - u + left) / depth[top, left] + (u - left) / depth[top, right]
+            lower = (1 - u + left) / depth[bottom, left] + (u - left) / depth[bottom, right]
+            out[row, column] = 1 / ((1 - v + top) * upper + (v - top) * lower)
+    return out
+
+
+@pytest.mark.parametrize("size", [(20, 27), (31, 40), (9, 50)])
+def test_predicted_depth_is_smooth_within_a_surface_and_never_mixed(size):
+    random = np.random.default_rng(0)
+    depth = (random.uniform(1.0, 1.04, (9, 13)) * np.linspace(5, 9, 13)).astype(np.float32)
+    depth[:, 7:] *= 4
+    depth[2, 2] = 0
+    answer = resize_surface(depth, size)
+    assert answer.dtype == np.float32
+    np.testing.assert_allclose(answer, enlarged_by_loops(depth, size), rtol=1e-4)
+    assert not ((answer > 9) & (answer < 4 * 5)).any()
+
+
+def test_a_plane_stays_one_when_it_grows():
+    v, u = np.mgrid[:30, :40]
+    inverse = 0.05 + 0.001 * v + 0.0002 * u
+    grown = 1 / resize_answer("depth", (1 / inverse).astype(np.float32), (90, 120))
+    v, u = (np.mgrid[:90, :120] + 0.5) / 3 - 0.5
+    wanted = 0.05 + 0.001 * v + 0.0002 * u
+    np.testing.assert_allclose(grown[2:-2, 2:-2], wanted[2:-2, 2:-2], rtol=1e-5)
+
+
+@pytest.mark.parametrize("size", [(5, 40), (20, 6), (5, 6)])
+def test_predicted_depth_that_shrinks_takes_the_nearest_centre(size):
+    depth = np.linspace(10, 10.5, 9 * 13, dtype=np.float32).reshape(9, 13)
+    np.testing.assert_array_equal(resize_surface(depth, size), resize_nearest(depth, size))

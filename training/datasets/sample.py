@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.heads import HEADS
+from runtime.heads import HEADS, ResizeRule
 
 IGNORE = 255
 
@@ -21,7 +21,7 @@ class TargetKind(NamedTuple):
     #: The value of a pixel without a label.
     unlabelled: float
     #: Rule where it is resized, see `runtime.heads`.
-    resize: Literal["nearest", "bilinear"]
+    resize: ResizeRule
 
 
 #: Targets that are no head's, by name. road_mask: 0 = not road, 1 = road, drawn by hand.

@@ -12,7 +12,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from runtime.contract import MAX_RETURN_M, farthest_return
-from runtime.resize import move_returns, move_scan_lines, resize_image, resize_nearest
+from runtime.resize import move_returns, move_scan_lines, resize_by, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample, nothing_known, target_kind
 from training.lidar.faults import absorb, add_false_returns, drop_sectors, misalign
 from training.lidar.simulate import SENSOR_LINES
@@ -349,9 +349,8 @@ def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = Non
         depth, scan_line = move_scan_lines(sample.depth, scan_line, size)
     else:
         depth = resize_nearest(sample.depth, size)
-    rules = {"nearest": resize_nearest, "bilinear": resize_image}
     targets = {
-        name: rules[target_kind(name).resize](labels, size)
+        name: resize_by(target_kind(name).resize, labels, size)
         for name, labels in sample.targets.items()
         if name != "depth"
     }
