@@ -56,6 +56,7 @@ class Scene:
         """Frame ``number``; equal jobs give equal arrays."""
         key = [self.job.seed, 3, VARIANTS.index(self.variant), number]
         camera = make_camera(self.job.camera, self.job.size, self.job.seed)
+        rng = np.random.default_rng([self.job.seed, 6])
         return render_frame(
             self.street,
             camera,
@@ -63,7 +64,7 @@ class Scene:
             time=number * self.job.step_s,
             sway=self.sway,
             rng=np.random.default_rng(key),
-            mount=draw_mount(camera, np.random.default_rng([self.job.seed, 6])),
+            mount=draw_mount(camera, rng, varied=self.job.camera == "varied"),
         )
 
 

@@ -16,9 +16,12 @@ from training.scenes.textures.surface_kinds import SurfaceKind
 from training.scenes.textures.surfaces import texture_surfaces
 from training.scenes.things.mesh import Mesh
 
+#: Of an HDL-64E at 10 Hz, and the range of other LiDARs [degrees].
+_HDL64_AZIMUTH_STEP_DEG, _AZIMUTH_STEPS_DEG = 0.17, (0.1, 0.35)
+#: Scan lines of other LiDARs, and the ranges of their highest and lowest elevations [degrees].
+_LINES, _HIGHEST_DEG, _LOWEST_DEG = (32, 40, 64, 128), (2.0, 15.0), (-30.0, -15.0)
 #: LiDAR axes (x forward, y left, z up) in those of a camera (x right, y down, z forward).
 _LIDAR_TO_CAMERA = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-_AZIMUTH_STEP_DEG = 0.17  # an HDL-64E at 10 Hz
 _RANGE_NOISE_M = 0.02
 _LONGEST_RANGE_M = 120.0
 _MOST_SURFACES = 4  # both panes of a car, and the surface behind it
@@ -37,10 +40,15 @@ _WINDOW_LOSES, _WINDOW_ROOM, _ROOM_M = 0.5, 0.4, 3.0
 
 @dataclass(frozen=True)
 class LidarMount:
-    """The pose of the LiDAR: ``to_camera`` float64 (4, 4) maps its frame [m] to the camera's."""
+    """A spinning LiDAR and its pose.
+
+    to_camera: float64 (4, 4), from its frame [m] to the camera's. elevations_deg: (lines,), from
+    the top. azimuth_step_deg: between two pulses of a line.
+    """
 
     to_camera: NDArray[np.float64]
     elevations_deg: NDArray[np.float64]
+    azimuth_step_deg: float
 
 
 @dataclass(frozen=True)
@@ -56,14 +64,34 @@ class LidarScan:
     to_camera: NDArray[np.float64]
 
 
-def draw_mount(camera: Camera, rng: Generator) -> LidarMount:
-    """Return an HDL-64E on the roof, about as in KITTI: behind and above the camera, level."""
+def draw_mount(camera: Camera, rng: Generator, *, varied: bool = False) -> LidarMount:
+    """Return an HDL-64E on the roof, about as in KITTI: behind and above the camera, level.
+
+    ``varied``: a LiDAR of 32 to 128 lines with random elevations, evenly spaced or denser at the
+    horizon, up to 1.5 m behind the camera and 0.6 m beside it.
+    """
     tilt = np.deg2rad(rng.normal(0.0, 0.4, 3) - [camera.pitch_deg, 0.0, 0.0])
     to_camera = np.eye(4)
     to_camera[:3, :3] = _rotation(*tilt) @ _LIDAR_TO_CAMERA
     to_camera[:3, 3] = [rng.normal(0.0, 0.08), -rng.uniform(0.03, 0.4), -rng.uniform(0.0, 0.6)]
+    if varied:
+        to_camera[:3, 3] = [rng.uniform(-0.6, 0.6), -rng.uniform(0.0, 0.8), -rng.uniform(0.0, 1.5)]
     to_camera[1, 3] -= max(0.0, 1.6 - camera.mount_height_m)  # the LiDAR stays on the roof
-    return LidarMount(to_camera, HDL64_ELEVATIONS_DEG + rng.normal(0.0, 0.03, 64))
+    elevations, step = HDL64_ELEVATIONS_DEG, _HDL64_AZIMUTH_STEP_DEG
+    if varied:
+        elevations, step = _draw_elevations(rng), rng.uniform(*_AZIMUTH_STEPS_DEG)
+    noise = rng.normal(0.0, 0.03, len(elevations))
+    return LidarMount(to_camera, elevations + noise, step)
+
+
+def _draw_elevations(rng: Generator) -> Floats:
+    """Return the elevations [degrees] of a random LiDAR, from the top."""
+    lines = int(rng.choice(_LINES))
+    highest, lowest = rng.uniform(*_HIGHEST_DEG), rng.uniform(*_LOWEST_DEG)
+    # An exponent above 1 puts more lines at the horizon.
+    exponent = rng.choice([1.0, rng.uniform(1.3, 2.0)])
+    even = np.linspace(highest ** (1 / exponent), -((-lowest) ** (1 / exponent)), lines)
+    return np.asarray(np.sign(even) * np.abs(even) ** exponent)
 
 
 def scan_street(
@@ -82,12 +110,12 @@ def scan_street(
     rotation: (3, 3), camera to world. A pulse passes through a vehicle's pane, or is lost at
     it, more often than it returns; dark, slanted and far surfaces lose pulses, too.
     """
-    step = np.deg2rad(_AZIMUTH_STEP_DEG)
+    step, lines = np.deg2rad(mount.azimuth_step_deg), len(mount.elevations_deg)
     wide = np.arctan2(camera.size[1] * 0.75, camera.fx)
     half = np.arange(0.0, wide, step)
     azimuth = np.concatenate([half, half[1:][::-1] * -1.0])
-    ring = np.repeat(np.arange(64), len(azimuth))
-    turn = np.tile(azimuth, 64) + step * rng.random(64)[ring]
+    ring = np.repeat(np.arange(lines), len(azimuth))
+    turn = np.tile(azimuth, lines) + step * rng.random(lines)[ring]
     rise = np.deg2rad(mount.elevations_deg)[ring]
     local = np.stack(
         [np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)], axis=1

@@ -11,7 +11,7 @@ from training.scenes.classes import SceneClass
 from training.scenes.layout.centreline import Centreline
 from training.scenes.layout.street import Street, build_street
 from training.scenes.rendering.camera import make_camera
-from training.scenes.rendering.lidar_scan import LidarScan, draw_mount
+from training.scenes.rendering.lidar_scan import LidarMount, LidarScan, draw_mount
 from training.scenes.rendering.render import RenderedFrame, render_frame
 from training.scenes.rendering.weather import draw_weather
 from training.scenes.textures.surface_kinds import SurfaceKind
@@ -31,7 +31,10 @@ def wall(distance_m: float, look: Look = WHITE, half_m: float = 60.0):
     return quad([(distance_m, y, z) for y, z in corners], look)
 
 
-def rendered(*meshes, seed: int = 0, lidar: bool = True) -> RenderedFrame:
+def rendered(
+    *meshes, seed: int = 0, lidar: bool = True, mount: LidarMount | None = None
+) -> RenderedFrame:
+    mount = mount or draw_mount(CAMERA, np.random.default_rng(seed))
     return render_frame(
         Street("town", LINE, join(meshes), (), (), ego_d=0.0, ego_speed=10.0),
         CAMERA,
@@ -39,7 +42,7 @@ def rendered(*meshes, seed: int = 0, lidar: bool = True) -> RenderedFrame:
         time=0.0,
         sway=0.0,
         rng=np.random.default_rng(0),
-        mount=draw_mount(CAMERA, np.random.default_rng(seed)) if lidar else None,
+        mount=mount if lidar else None,
     )
 
 
@@ -68,6 +71,37 @@ def test_every_return_falls_into_the_picture():
     u, v = CAMERA.cx + CAMERA.fx * x / z, CAMERA.cy + CAMERA.fy * y / z
     height, width = CAMERA.size
     assert ((u > -0.51) & (u < width - 0.49) & (v > -0.51) & (v < height - 0.49)).all()
+
+
+def test_a_varied_lidar_has_its_own_lines_in_order_and_is_elsewhere():
+    mounts = [draw_mount(CAMERA, np.random.default_rng(s), varied=True) for s in range(40)]
+    assert {len(mount.elevations_deg) for mount in mounts} == {32, 40, 64, 128}
+    for mount in mounts:
+        spacing = -np.diff(mount.elevations_deg)
+        assert spacing.min() > -0.2  # but for the noise
+        assert 1.5 < mount.elevations_deg[0] < 15.5
+        assert -30.5 < mount.elevations_deg[-1] < -14.5
+    # Some are denser at the horizon, some are even.
+    ratios = []
+    for mount in mounts:
+        spacing = -np.diff(mount.elevations_deg)
+        level = np.argmin(np.abs(mount.elevations_deg))
+        ratios.append(spacing[level - 2 : level + 3].mean() / spacing[-5:].mean())
+    assert min(ratios) < 0.5 < 0.8 < max(ratios)
+    behind = [-mount.to_camera[2, 3] for mount in mounts]
+    assert min(behind) < 0.4 < 1.0 < max(behind)
+
+
+def test_the_scan_of_a_varied_lidar_is_on_the_wall():
+    mount = draw_mount(CAMERA, np.random.default_rng(7), varied=True)
+    frame = rendered(wall(20.0), mount=mount)
+    seen = in_camera(frame.scan)
+    assert np.abs(seen[:, 2] - 20.0).max() < 0.15
+    points = frame.scan.points
+    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0])) % 360
+    rings = 1 + np.count_nonzero(np.diff(azimuth) < -5)
+    visible = np.abs(np.tan(np.deg2rad(mount.elevations_deg))) * 20 < 7
+    assert 0.6 * visible.sum() < rings <= len(mount.elevations_deg)
 
 
 def test_rings_come_from_the_top_each_counter_clockwise_from_straight_ahead():
