@@ -190,7 +190,10 @@ def test_a_name_of_nothing_lists_models_and_methods(folder):
     result = run("ip_basic", "--data", f"rendered:{folder}/scenes")
     assert result.exit_code == 1
     assert "ssdnet-lite" in result.output
-    assert "Classical methods: nearest, ip-basic, ip-basic-multiscale, mrf, tgv" in result.output
+    assert (
+        "Classical methods: nearest, linear, planes, ip-basic, ip-basic-multiscale, mrf, tgv"
+        in result.output
+    )
 
 
 def test_limit_takes_so_many_frames(folder, tmp_path):

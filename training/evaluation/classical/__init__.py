@@ -12,6 +12,7 @@ from training.evaluation.classical.linear import Linear
 from training.evaluation.classical.method import CompletionMethod
 from training.evaluation.classical.mrf import MRF
 from training.evaluation.classical.nearest import Nearest
+from training.evaluation.classical.planes import Planes
 from training.evaluation.classical.tgv import TGV
 
 __all__ = ["METHODS", "CompletionMethod", "create_method"]
@@ -20,6 +21,7 @@ __all__ = ["METHODS", "CompletionMethod", "create_method"]
 METHODS: dict[str, Callable[[], CompletionMethod]] = {
     "nearest": Nearest,
     "linear": Linear,
+    "planes": Planes,
     "ip-basic": IPBasic,
     "ip-basic-multiscale": IPBasicMultiscale,
     "mrf": MRF,

@@ -14,7 +14,7 @@ from training.evaluation.metrics import DepthScores
 from training.evaluation.scored_model import method_predict, open_method
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 
-FILLS_EVERYTHING = ("nearest", "linear", "mrf", "tgv")
+FILLS_EVERYTHING = ("nearest", "linear", "planes", "mrf", "tgv")
 
 
 @pytest.fixture(params=METHODS)
@@ -114,7 +114,7 @@ def test_an_answer_that_is_not_finite_is_an_error():
 
 def test_an_unknown_method_names_the_known_ones():
     with pytest.raises(
-        InputError, match="unknown method 'magic'; known: nearest, linear, ip-basic, "
+        InputError, match="unknown method 'magic'; known: nearest, linear, planes, ip-basic, "
     ):
         open_method("magic")
 

@@ -1,0 +1,43 @@
+"""Planes fitted to the returns around each cell: what the returns alone tell of depth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.evaluation.classical.method import Depth, is_measured
+
+#: Side of a cell in pixels, and how often the grid of cells is halved.
+_CELL, _LEVELS = 4, 3
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Inverse depth by local least squares, coarse to fine, see `models.planes`.
+
+    Exact on planes, whatever the pattern of the returns, and bounded by the returns around. Each
+    return keeps its depth. The image is not used; a pixel without any return within 250 px has no
+    depth.
+    """
+
+    def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
+        """See `CompletionMethod.complete`."""
+        import torch
+
+        from models.blocks import pad_to_multiple, upsample
+        from models.planes import fit_planes
+
+        measured = is_measured(sparse_depth)
+        if not measured.any():
+            return np.zeros(sparse_depth.shape, dtype=np.float32)
+        known = np.where(measured, sparse_depth, np.float32(np.inf))
+        farthest = sparse_depth[measured].max()  # the unit: no inverse depth is below 1
+        inverse = torch.from_numpy(farthest / known)[None, None]
+        mask = torch.from_numpy(measured.astype(np.float32))[None, None]
+        with torch.inference_mode():
+            padded = (pad_to_multiple(x, _CELL * 2**_LEVELS) for x in (inverse, mask))
+            cells, _ = fit_planes(*padded, cell=_CELL, levels=_LEVELS)
+            height, width = sparse_depth.shape
+            plane = upsample(cells, factor=_CELL)[0, 0, :height, :width].numpy()
+        depth = np.where(plane > 0, farthest / np.where(plane > 0, plane, 1.0), 0.0)
+        return np.where(measured, sparse_depth, depth).astype(np.float32)
