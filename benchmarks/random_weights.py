@@ -14,10 +14,9 @@ from torch import Tensor
 
 from export.deploy import DeployGraph
 from export.trace import trace
-from models import create_model
+from models import SSDNetConfig, SSDNetLiteConfig, create_model
 from models.blocks import upsample
 from models.registry import NETWORKS
-from models.ssdnet_config import EncoderDecoderConfig
 from runtime.io.atomic_write import atomic_write
 
 #: Classes of Cityscapes, for which the others' networks were published.
@@ -59,7 +58,7 @@ def random_graph(name: str) -> DeployGraph:
     """Build a network with random weights."""
     torch.manual_seed(0)
     entry = NETWORKS[name]
-    if isinstance(entry.config, EncoderDecoderConfig) or not entry.config.classes:
+    if isinstance(entry.config, SSDNetConfig | SSDNetLiteConfig) or not entry.config.classes:
         return DeployGraph(create_model(name).eval())
     return LogitsGraph(create_model(name, num_classes=NUM_CLASSES).eval())
 

@@ -7,10 +7,10 @@
 from models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from models.classes import CAMVID_CLASSES, CLASS_TABLES
 from models.network import Network, NetworkConfig, NetworkOutput
+from models.paper.config import SSDNetConfig
+from models.paper.ssdnet import SSDNet
 from models.registry import create_model, list_models
-from models.ssdnet import SSDNet
-from models.ssdnet_config import SSDNetConfig, SSDNetLiteConfig
-from models.ssdnet_lite import SSDNetLite
+from models.ssdnet_lite import SSDNetLite, SSDNetLiteConfig
 
 __all__ = [
     "CAMVID_CLASSES",

@@ -55,20 +55,6 @@ def gate(x: Tensor, boundary: Tensor) -> Tensor:
     return x * (1.0 - boundary)
 
 
-class ResidualBlock(nn.Module):
-    """Two 3x3 convolutions around an identity (He et al. 2016), for the lite encoder."""
-
-    def __init__(self, in_channels: int, out_channels: int, *, stride: int = 1) -> None:
-        super().__init__()
-        self.conv1 = ConvBNReLU(in_channels, out_channels, stride=stride)
-        self.conv2 = conv_bn(out_channels, out_channels)
-        self.shortcut = shortcut(in_channels, out_channels, stride)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """(N, C, H, W) -> (N, C', ceil(H / stride), ceil(W / stride))."""
-        return F.relu(self.conv2(self.conv1(x)) + self.shortcut(x))
-
-
 def conv_bn(
     in_channels: int, out_channels: int, *, kernel: int = 3, stride: int = 1
 ) -> nn.Sequential:
@@ -93,6 +79,11 @@ def shortcut(in_channels: int, out_channels: int, stride: int) -> nn.Module:
     if stride == 1 and in_channels == out_channels:
         return nn.Identity()
     return conv_bn(in_channels, out_channels, kernel=1, stride=stride)
+
+
+def boundary_side(in_channels: int, channels: int) -> nn.Sequential:
+    """Return a side output of a boundary decoder: (N, C, H, W) to the logits (N, 1, H, W)."""
+    return nn.Sequential(ConvBNReLU(in_channels, channels), nn.Conv2d(channels, 1, 1))
 
 
 class GlobalContext(nn.Module):

@@ -110,11 +110,6 @@ def load_checkpoint(path: Path | str) -> Checkpoint:
     path = Path(path)
     document = read_document(path)
     version = document.get("version")
-    if _is_equal(version, 1):
-        raise CheckpointError(
-            f"{path}: checkpoint version 1, of an earlier release. Convert it: "
-            f"ssdnet-train --convert {path} NEW.pt"
-        )
     if not _is_equal(version, VERSION):
         raise CheckpointError(
             f"{path}: checkpoint version {shown(version)}, but this installation reads version "

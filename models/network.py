@@ -22,6 +22,9 @@ from runtime.contract import (
     farthest_return,
 )
 
+#: Channels of a layer, far beyond any network in use.
+MAX_CHANNELS = 8192
+
 
 class NetworkOutput(NamedTuple):
     """The output of a network; a head that the network lacks is None."""
@@ -33,8 +36,6 @@ class NetworkOutput(NamedTuple):
     depths: tuple[Tensor, ...] | None = None
     #: (N, 1, H, W), the logit of P_b.
     boundary_logits: Tensor | None = None
-    #: Logits of B_i, (N, 1, h_i, w_i), finest first; () without side outputs.
-    side_boundary_logits: tuple[Tensor, ...] = ()
     #: (N, 1, H, W), normalised as the depth: the scale b of a Laplace distribution of its error,
     #: 63 % of the errors are below b, 86 % below 2 b.
     depth_uncertainty: Tensor | None = None
@@ -105,22 +106,13 @@ class NetworkConfig:
         return cls(**{key: _checked(value, hints[key], key) for key, value in values.items()})
 
 
-#: Fields of earlier releases, and what replaces them.
-_REPLACED = {
-    "encoder_block": "ssdnet-lite and ssdnet-nano have residual stages; the others, VGG stages",
-    "skip_fusion": "ssdnet-lite and ssdnet-nano add skip connections; the others concatenate them",
-    "depth_surfaces": "ssdnet-lite and ssdnet-nano use surfaces whenever they have a depth head",
-    "valid_mask_input": "ssdnet-lite and ssdnet-nano have the mask as an input; the others do not",
-}
-
-
 def check_fields(config: type[NetworkConfig], names: Iterable[object], network: str) -> None:
-    """Raise ValueError for names that are not fields; the message names the replacements."""
+    """Raise ValueError for names that are not fields."""
     unknown = sorted({str(name) for name in names} - {field.name for field in fields(config)})
     if unknown:
-        hints = (f" (removed: {_REPLACED[key]})" if key in _REPLACED else "" for key in unknown)
-        listed = ", ".join(key + hint for key, hint in zip(unknown, hints, strict=True))
-        raise ValueError(f"not configuration fields of the network {shown(network)}: {listed}")
+        raise ValueError(
+            f"not configuration fields of the network {shown(network)}: {', '.join(unknown)}"
+        )
 
 
 class Network(nn.Module):
@@ -183,7 +175,7 @@ class Network(nn.Module):
                 ceil(H / s) x ceil(W / s), s = ``semantic_stride``.
 
         Returns:
-            Every head at (H, W); the coarser depths and the side outputs on their own grids.
+            Every head at (H, W); the coarser depths on their own grids.
 
         Raises:
             ValueError: on other shapes.
@@ -206,7 +198,6 @@ class Network(nn.Module):
             logits,
             depths,
             None if boundary is None else full_size(boundary, "boundary"),
-            coarse.side_boundary_logits,
             None if scale is None else full_size(scale, "depth_uncertainty"),
             {head: full_size(values, head) for head, values in coarse.others.items()},
         )
@@ -234,6 +225,21 @@ class Network(nn.Module):
         limit = self.config.max_depth_m
         valid_mask = (sparse_depth > 0) & (sparse_depth <= farthest_return(limit))  # not for NaN
         return torch.where(valid_mask, sparse_depth.clamp(max=limit), 0.0) / limit, valid_mask
+
+
+def present_heads(*, semantic: bool, depth: bool) -> tuple[str, ...]:
+    """Return the names of the heads of a network that always has a boundary."""
+    present = {"semantic": semantic, "depth": depth, "boundary": True}
+    return tuple(head for head, there in present.items() if there)
+
+
+def check_counts(
+    what: str, counts: Iterable[int], least: int = 1, most: int = MAX_CHANNELS
+) -> None:
+    """Raise ValueError for a number of layers or channels that cannot be built."""
+    for count in counts:
+        if not least <= count <= most:
+            raise ValueError(f"{what}: expected {least} to {most}, got {count}")
 
 
 def initialise(module: nn.Module) -> None:

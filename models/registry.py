@@ -18,9 +18,9 @@ from models.baselines.sparse_conv import SparseConvNet
 from models.baselines.sparse_to_dense import SparseToDense
 from models.classes import numbered_classes
 from models.network import Network, NetworkConfig, check_fields
-from models.ssdnet import SSDNet
-from models.ssdnet_config import SSDNET_LITE, SSDNET_NANO, SSDNETS
-from models.ssdnet_lite import SSDNetLite
+from models.paper.config import SSDNETS
+from models.paper.ssdnet import SSDNet
+from models.ssdnet_lite import SSDNET_NANO, SSDNetLite, SSDNetLiteConfig
 from runtime.contract import ClassInfo
 
 
@@ -35,7 +35,7 @@ class Entry(NamedTuple):
 #: Name -> network; a new network is a line here.
 NETWORKS: dict[str, Entry] = {
     **{config.name: Entry(SSDNet, config) for config in SSDNETS},
-    "ssdnet-lite": Entry(SSDNetLite, SSDNET_LITE),
+    "ssdnet-lite": Entry(SSDNetLite, SSDNetLiteConfig()),
     "ssdnet-nano": Entry(SSDNetLite, SSDNET_NANO),
     "bacnn": Entry(BaCNN, NetworkConfig("bacnn")),
     "ddrnet-23-slim": Entry(DDRNet23Slim, NetworkConfig("ddrnet-23-slim")),

@@ -1,93 +1,168 @@
 """SSDNetLite: SSDNet for real time, with a depth head that chooses among measured surfaces.
 
-A strided encoder, decoders that add their skips, and what LiDAR returns show around each pixel
-(`models.surfaces`) beside the features and in the depth head.
+| stride | tensor | channels |
+|---|---|---|
+| 1 | RGB; depth and mask; the depth with returns at full size | 3; 2; 1 |
+| 2 | `EfficientNetLite.early`; refined features of classes and of depth, and both heads | 16; 16 |
+| 4 | `early`, to which the surfaces around are added; decoders; boundary | 24; 32; 1 |
+| 8, 16, 32 | `EfficientNetLite.late`; decoders at 8 and 16 | 40, 112, 320; 48, 64 |
+
+The order of execution: `surfaces.measure` and `propagate_surfaces`, the encoder, the boundary
+decoder, which gates both task decoders, and the heads; the depth's is `surfaces.SurfaceDepthHead`.
+`ssdnet-nano` has no features at stride 2 beside the encoder's.
 """
+
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
 from models.blocks import GlobalContext, pad_to_multiple, upsample
-from models.boundary_decoder import BoundaryDecoder
-from models.lite_encoder import ENCODERS
-from models.network import Network, NetworkOutput, initialise
-from models.ssdnet_config import SSDNetLiteConfig
-from models.surfaces import COARSE_CELL, Candidates, SurfaceDepthHead
-from models.task_decoder import TaskDecoder, refinement
+from models.efficientnet_lite import CHANNELS, WIDTHS, EfficientNetLite
+from models.lite_decoder import BoundaryDecoder, TaskDecoder, UpBlock
+from models.network import (
+    Network,
+    NetworkConfig,
+    NetworkOutput,
+    check_counts,
+    initialise,
+    present_heads,
+)
+from models.surfaces import COARSE_CELL, SurfaceDepthHead
+
+#: Depth [m] that the network predicts at most where no return shows it; the sky's.
+FARTHEST_GUESS_M = 100.0
+_LITE_WIDTHS = (32, 48, 80, 80, 160, 160, *[320] * 3, *[480] * 3, *[896] * 3, 640)
+#: Strides of the skips, and of the bottom.
+_SKIPS, _BOTTOM = (4, 8, 16), 32
+
+
+@dataclass(frozen=True)
+class SSDNetLiteConfig(NetworkConfig):
+    """The configuration of an `SSDNetLite`; the defaults are `ssdnet-lite`.
+
+    Raises:
+        ValueError: if a value is outside its range, or a combination cannot be built.
+    """
+
+    name: str = "ssdnet-lite"
+    max_depth_m: float = 200.0
+    semantic_head: bool = True
+    depth_head: bool = True
+    #: Channels of the encoder's stem and within each block, as pruning left them; () = all,
+    #: `models.efficientnet_lite.WIDTHS`.
+    encoder_widths: tuple[int, ...] = _LITE_WIDTHS
+    #: Channels of the decoders at strides 16, 8 and 4.
+    decoder_channels: tuple[int, ...] = (64, 48, 32)
+    #: Channels at stride 2 of the classes and of the depth; 0 = none, the prediction is made at
+    #: stride 4. Poles and signs are thinner than a cell of the coarser grid.
+    semantic_refine_channels: int = 16
+    depth_refine_channels: int = 16
+
+    def __post_init__(self) -> None:
+        """Check the values and their combinations."""
+        if not (self.semantic_head or self.depth_head):
+            raise ValueError("a network needs a semantic head, a depth head or both")
+        check_counts("encoder_widths", self.encoder_widths)
+        check_counts("decoder_channels", self.decoder_channels)
+        for key in ("semantic_refine_channels", "depth_refine_channels"):
+            check_counts(key, [getattr(self, key)], least=0)
+        super().__post_init__()
+        if len(self.decoder_channels) != len(_SKIPS):
+            raise ValueError(
+                f"decoder_channels must have one entry per skip ({len(_SKIPS)}), "
+                f"got {len(self.decoder_channels)}"
+            )
+
+    @property
+    def target_depth_m(self) -> float:
+        """See `NetworkConfig`."""
+        return min(FARTHEST_GUESS_M, self.max_depth_m)
+
+
+SSDNET_NANO = SSDNetLiteConfig(
+    name="ssdnet-nano",
+    encoder_widths=(16, 24, 32, 32, 72, 72, *[144] * 3, *[208] * 3, *[352] * 4),
+    decoder_channels=(32, 16, 16),
+    semantic_refine_channels=0,
+    depth_refine_channels=0,
+)
 
 
 class SSDNetLite(Network):
     """The real-time network, with both task decoders or one of them.
 
-    Without a depth head it has no candidate surfaces: the sparse depth is an input only.
+    Without a depth head the sparse depth is not read.
     """
 
     config: SSDNetLiteConfig
+    stride = _BOTTOM
 
     def __init__(self, config: SSDNetLiteConfig) -> None:
-        self.heads = (*config.heads, *(("depth_uncertainty",) if config.depth_head else ()))
-        self.stride = COARSE_CELL * 2**config.num_skips
+        heads = present_heads(semantic=config.semantic_head, depth=config.depth_head)
+        self.heads = (*heads, *(("depth_uncertainty",) if config.depth_head else ()))
         self.semantic_stride = 2 if config.semantic_refine_channels else COARSE_CELL
         # The boundary is upsampled with the depth.
         self.depth_stride = self.boundary_stride = 1 if config.depth_head else COARSE_CELL
         super().__init__(config)
-        self.encoder = ENCODERS[config.encoder](config)
-        at_2, at_4 = self.encoder.early_channels
-        *skip_list, bottom = self.encoder.late_channels
-        skips = tuple(skip_list)
-        self.context = GlobalContext(bottom) if config.global_context else nn.Identity()
-        self.boundary_decoder = BoundaryDecoder(config, skips)
-        finest, linear = config.decoder_channels[-1], self.encoder.linear
-        self.semantic_coarse_head = None
+        self.encoder = EfficientNetLite(config.encoder_widths or WIDTHS)
+        skips, bottom = [CHANNELS[stride] for stride in _SKIPS], CHANNELS[_BOTTOM]
+        self.context = GlobalContext(bottom)
+        self.boundary_decoder = BoundaryDecoder(skips)
         if config.semantic_head:
-            self.semantic_decoder = TaskDecoder(config, skips, bottom, "add", linear=linear)
-            refined = config.semantic_refine_channels
-            self.semantic_refine = refinement(finest, at_2, refined, linear=linear)
+            finest, refined = config.decoder_channels[-1], config.semantic_refine_channels
+            self.semantic_decoder = TaskDecoder(bottom, skips, config.decoder_channels)
             self.semantic_head = nn.Conv2d(refined or finest, config.num_classes, 1)
-            if refined and config.additive_refinement:
+            if refined:
+                # Without the prediction at stride 4 the few channels at stride 2 would hold all of
+                # it, which takes longer to learn.
                 self.semantic_coarse_head = nn.Conv2d(finest, config.num_classes, 1)
+                self.semantic_refine = UpBlock(finest, CHANNELS[2], refined)
         if config.depth_head:
-            self.depth_decoder = TaskDecoder(config, skips, bottom, "add", linear=linear)
-            self.depth_heads = nn.ModuleList(
-                nn.Conv2d(channels, 1, 1) for channels in reversed(config.decoder_channels)
+            self.depth_decoder = TaskDecoder(bottom, skips, config.decoder_channels)
+            self.surface_depth = SurfaceDepthHead(
+                config.decoder_channels[-1],
+                CHANNELS[2],
+                CHANNELS[4],
+                refine_channels=config.depth_refine_channels,
+                semantics=config.semantic_head,
+                max_depth_m=config.max_depth_m,
+                farthest_guess=config.target_share,
             )
-            self.surface_depth = SurfaceDepthHead(config, at_2, at_4, linear=linear)
         self.apply(initialise)
         if config.depth_head:
             self.surface_depth.ignore_semantics()
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on the heads' own grids of the padded image, see `Network.predict_coarse`."""
-        at_2, at_4, candidates = self._start(rgb, sparse_depth)
-        *skips, bottom = self.encoder.late(at_4)
+        at_2, at_4 = self.encoder.early(pad_to_multiple(self.normalise_rgb(rgb), self.stride))
+        candidates = None
+        if self.config.depth_head:
+            depth, mask = self.normalise_depth(sparse_depth)
+            padded = (pad_to_multiple(x, self.stride) for x in (depth, mask.to(depth.dtype)))
+            candidates = self.surface_depth.propagate(*padded)
+            at_4 = at_4 + self.surface_depth.embed(candidates.features)
+        *skips, bottom = at_4, *self.encoder.late(at_4)
         bottom = self.context(bottom)
         boundary_logits, sides = self.boundary_decoder(skips)
-        gates = [torch.sigmoid(side) if self.config.boundary_gating else None for side in sides]
+        gates = [torch.sigmoid(side) for side in sides]
         semantics = logits = depths = scale = None
         if self.config.semantic_head:
-            semantics = self.semantic_decoder(bottom, skips, gates)[0]
-            logits = self.semantic_head(self.semantic_refine(semantics, at_2))
-            if self.semantic_coarse_head is not None:
-                logits = logits + upsample(self.semantic_coarse_head(semantics))
+            semantics = self.semantic_decoder(bottom, skips, gates)
+            logits = self._classify(semantics, at_2)
         if candidates is not None:
             features = self.depth_decoder(bottom, skips, gates)
-            # Without the surfaces, finest first.
-            pairs = zip(self.depth_heads, features, strict=True)
-            share = self.config.target_share
-            depths = tuple(share * torch.sigmoid(head(feature)) for head, feature in pairs)
             depth, scale, boundary_logits = self.surface_depth(
-                candidates, features[0], semantics, at_2, depths[0], boundary_logits
+                candidates, features, semantics, at_2, boundary_logits
             )
-            depths = (depth, *depths)
-        return NetworkOutput(logits, depths, boundary_logits, tuple(sides), scale)
+            depths = (depth,)
+        return NetworkOutput(logits, depths, boundary_logits, scale)
 
-    def _start(self, rgb: Tensor, sparse_depth: Tensor) -> tuple[Tensor, Tensor, Candidates | None]:
-        """Return the features at strides 2 and 4, and what the returns show."""
-        depth, valid_mask = self.normalise_depth(sparse_depth)
-        inputs = (self.normalise_rgb(rgb), depth, valid_mask.to(depth.dtype))
-        rgb, depth, mask = (pad_to_multiple(x, self.stride) for x in inputs)
-        if not self.config.depth_head:
-            return *self.encoder.early(rgb, depth, mask), None
-        candidates = self.surface_depth.propagate(depth, mask)
-        at_2, at_4 = self.encoder.early(rgb, candidates.measured.depth, candidates.measured.mask)
-        return at_2, at_4 + self.surface_depth.embed(candidates.features), candidates
+    def _classify(self, semantics: Tensor, at_2: Tensor) -> Tensor:
+        """Return the class scores on the grid of `semantic_stride`."""
+        logits: Tensor
+        if self.config.semantic_refine_channels:
+            logits = self.semantic_head(self.semantic_refine(semantics, at_2))
+            return logits + upsample(self.semantic_coarse_head(semantics))
+        logits = self.semantic_head(semantics)
+        return logits

@@ -16,16 +16,17 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from models.blocks import upsample
+from models.lite_decoder import UpBlock
 from models.pooling import cell_maxima, maxima_around, maxima_beside, means_around
 from models.pull_push import pull_push
-from models.ssdnet_config import SSDNetLiteConfig
-from models.task_decoder import refinement
 
 #: Side of a cell in pixels: of the coarse grid, where surfaces are propagated, and of the fine one.
 COARSE_CELL, FINE_CELL = 4, 2
 #: Windows of the max-pools that propagate a surface into cells without any, one after the other:
 #: together they reach 10 cells.
 WINDOWS = (3, 5, 7, 9)
+#: Times that the coarse grid is halved for the mean: up to the stride of 32 of the network.
+LEVELS = 3
 #: Least normalised depth of a surface.
 NEAREST = 1e-3
 #: Difference of inverse depths [1/m] up to which a LiDAR beside the camera hardly sees past the
@@ -145,13 +146,13 @@ def measure(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Measured:
     return Measured(depth * kept, mask * kept, inverse * kept)
 
 
-def propagate_surfaces(measured: Measured, *, levels: int) -> tuple[Surfaces, Tensor]:
+def propagate_surfaces(measured: Measured) -> tuple[Surfaces, Tensor]:
     """Propagate the measured depth to a grid of cells of COARSE_CELL pixels.
 
-    Height and width are multiples of ``COARSE_CELL * 2**levels``. The nearest surface is the
+    Height and width are multiples of ``COARSE_CELL * 2**LEVELS``. The nearest surface is the
     maximum of inverse depth, smoothed over 3 x 3 cells, the farthest the maximum of depth, both as
     far as WINDOWS reach; the mean is a pull-push pyramid of inverse depth, which reaches as far as
-    its ``levels``. Returns the surfaces, and the share of measured pixels in a cell, (N, 1, h, w).
+    its LEVELS. Returns the surfaces, and the share of measured pixels in a cell, (N, 1, h, w).
     """
     depth, mask, inverse = measured
     propagated = cell_maxima(torch.cat([inverse, depth], dim=1), COARSE_CELL)
@@ -161,7 +162,7 @@ def propagate_surfaces(measured: Measured, *, levels: int) -> tuple[Surfaces, Te
     smooth = means_around(torch.cat([propagated[:, :1], support], dim=1), 3)
     nearest = smooth[:, 1:].clamp(min=1e-6) / smooth[:, :1].clamp(min=1e-6)
 
-    mean, density = pull_push(torch.cat([inverse, mask], dim=1), factor=COARSE_CELL, levels=levels)
+    mean, density = pull_push(torch.cat([inverse, mask], dim=1), factor=COARSE_CELL, levels=LEVELS)
     surfaces = Surfaces(
         nearest.clamp(NEAREST, 1.0),
         propagated[:, 1:].clamp(NEAREST, 1.0),
@@ -201,18 +202,18 @@ def refine_surfaces(upsampled: Surfaces, measured: Measured) -> Surfaces:
 
 
 def choose_surface(
-    head: HeadChannels, regressed: Tensor, surfaces: Surfaces, *, reach: float = 1.0
+    head: HeadChannels, guess: Tensor, surfaces: Surfaces, *, reach: float = 1.0
 ) -> tuple[Tensor, Tensor]:
-    """Choose among the candidates and the regressed depth: the depth, and its error's scale.
+    """Choose among the candidates and the guess: the depth, and its error's scale.
 
     Each candidate in turn replaces the depth chosen before, weighted by its confidence: nested
-    sigmoids give any weights that a soft-max can. Without support the regressed depth remains. No
-    depth is beyond ``reach``, that of the regression, unless the farthest surface is.
+    sigmoids give any weights that a soft-max can. Without support the guess remains. No
+    depth is beyond ``reach``, that of the guess, unless the farthest surface is.
 
     Returns the normalised depth, (N, 1, h, w), NEAREST..1, and the scale of its error's Laplace
     distribution.
     """
-    depth, spread = regressed, torch.zeros_like(regressed)
+    depth, spread = guess, torch.zeros_like(guess)
     candidates = (
         (surfaces.mean, surfaces.mean_support),
         (surfaces.farthest, surfaces.support),
@@ -291,32 +292,39 @@ class SurfaceDepthHead(nn.Module):
     """Depth at the image's size, and the scale of its error, from candidates and features.
 
     Args:
-        config: of the network.
+        channels: of the decoders' features, at stride 4.
         at_2_channels: of the encoder's features at stride 2.
         at_4_channels: of those at stride 4.
-        linear: see `models.lite_encoder.LiteEncoder`.
+        refine_channels: at stride 2, where the choice is made; 0 = at stride 4.
+        semantics: whether there are features of the semantic decoder.
+        max_depth_m: depth of 1.0.
+        farthest_guess: the farthest normalised depth without a return.
     """
 
     def __init__(
         self,
-        config: SSDNetLiteConfig,
+        channels: int,
         at_2_channels: int,
         at_4_channels: int,
         *,
-        linear: bool = False,
+        refine_channels: int,
+        semantics: bool,
+        max_depth_m: float,
+        farthest_guess: float,
     ) -> None:
         super().__init__()
-        self.config = config
-        channels, refined = config.decoder_channels[-1], config.depth_refine_channels
+        self.max_depth_m, self.farthest_guess = max_depth_m, farthest_guess
         self.embed = nn.Conv2d(FEATURE_CHANNELS, at_4_channels, 1)
+        self.guess = nn.Conv2d(channels, 1, 1)
         self.project = nn.Conv2d(FEATURE_CHANNELS, channels, 1)
         # Classes imply surfaces without returns: a car has a roof and windows.
-        self.semantics = nn.Conv2d(channels, channels, 1) if config.semantic_head else None
-        self.refinement = refinement(channels, at_2_channels, refined, linear=linear)
-        self.cell = FINE_CELL if refined else COARSE_CELL
-        self.head = nn.Conv2d(refined or channels, HEAD_CHANNELS, 1)
-        adds = refined and config.additive_refinement
-        self.coarse_head = nn.Conv2d(channels, HEAD_CHANNELS, 1) if adds else None
+        self.semantics = nn.Conv2d(channels, channels, 1) if semantics else None
+        self.refinement = None
+        if refine_channels:
+            self.refinement = UpBlock(channels, at_2_channels, refine_channels)
+            self.coarse_head = nn.Conv2d(channels, HEAD_CHANNELS, 1)
+        self.head = nn.Conv2d(refine_channels or channels, HEAD_CHANNELS, 1)
+        self.cell = FINE_CELL if refine_channels else COARSE_CELL
 
     def ignore_semantics(self) -> None:
         """Zero the layer of the semantics: weights trained without it give the same depth."""
@@ -325,8 +333,8 @@ class SurfaceDepthHead(nn.Module):
 
     def propagate(self, depth: Tensor, mask: Tensor) -> Candidates:
         """Return the candidates around each cell; depth and mask as `measure`."""
-        measured = measure(depth, mask, max_depth_m=self.config.max_depth_m)
-        surfaces, density = propagate_surfaces(measured, levels=self.config.num_skips)
+        measured = measure(depth, mask, max_depth_m=self.max_depth_m)
+        surfaces, density = propagate_surfaces(measured)
         return Candidates(measured, surfaces, surface_features(surfaces, density))
 
     def forward(
@@ -335,34 +343,37 @@ class SurfaceDepthHead(nn.Module):
         features: Tensor,
         semantics: Tensor | None,
         at_2: Tensor,
-        regressed: Tensor,
         boundary_logits: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return the depth, its error's scale and the boundary's logits at the image's size.
 
-        features, semantics: of the decoders, on the grid of COARSE_CELL, as the regressed depth and
-        the boundary's logits, which are upsampled with the depth; at_2: of the encoder.
+        features, semantics: of the decoders, on the grid of COARSE_CELL, as the boundary's logits,
+        which are upsampled with the depth; at_2: of the encoder.
         """
+        guess = self.farthest_guess * torch.sigmoid(self.guess(features))
         features = features + self.project(candidates.features)
         if self.semantics is not None:
             features = features + self.semantics(semantics)
-        found = self.head(self.refinement(features, at_2))
-        if self.coarse_head is not None:
-            found = found + upsample(self.coarse_head(features))
-        head = HeadChannels.split(found.float())
-        regressed, boundary_logits = regressed.float(), boundary_logits.float()
         surfaces = candidates.surfaces
-        if self.cell == FINE_CELL:
+        if self.refinement is None:
+            found = self.head(features)
+        else:
+            found = self.head(self.refinement(features, at_2)) + upsample(
+                self.coarse_head(features)
+            )
+        head = HeadChannels.split(found.float())
+        guess, boundary_logits = guess.float(), boundary_logits.float()
+        if self.refinement is not None:
             # One upsampling for all maps of a grid: ONNX Runtime splits a Resize by channels.
-            maps = torch.cat([*surfaces, regressed, boundary_logits], dim=1)
-            *fine, regressed, boundary_logits = upsample(maps).split(1, dim=1)
+            maps = torch.cat([*surfaces, guess, boundary_logits], dim=1)
+            *fine, guess, boundary_logits = upsample(maps).split(1, dim=1)
             surfaces = refine_surfaces(Surfaces(*fine), candidates.measured)
-        depth, scale = choose_surface(head, regressed, surfaces, reach=self.config.target_share)
+        depth, scale = choose_surface(head, guess, surfaces, reach=self.farthest_guess)
         maps = upsample(torch.cat([depth, scale, boundary_logits], dim=1), factor=self.cell)
         depth, scale, boundary_logits = maps.split(1, dim=1)
         # One value a cell is enough: the returns give the position of an edge.
         confidence = torch.sigmoid(head.returns)
         confidence = F.interpolate(confidence, scale_factor=float(self.cell), mode="nearest")
-        returns, limit = dilate_returns(candidates.measured), self.config.max_depth_m
+        returns, limit = dilate_returns(candidates.measured), self.max_depth_m
         depth, scale = take_returns(depth, scale, returns, confidence, max_depth_m=limit)
         return depth, scale, boundary_logits

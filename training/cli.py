@@ -21,16 +21,6 @@ def _print_recipes(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _convert(paths: tuple[Path, Path] | None) -> None:
-    if paths is not None:
-        from models.checkpoint_version_1 import convert_checkpoint
-
-        with reported_errors("train"):
-            convert_checkpoint(*paths)
-        typer.echo(str(paths[1]))
-        raise typer.Exit
-
-
 @app.command(
     epilog="Exit codes: 0 done; 1 error; 2 usage; 130 stopped by Ctrl-C or SIGTERM, after which "
     "the same command resumes."
@@ -84,16 +74,6 @@ def train(
         bool,
         typer.Option("--list", callback=_print_recipes, is_eager=True, help="List the recipes."),
     ] = False,
-    _convert: Annotated[
-        tuple[Path, Path] | None,
-        typer.Option(
-            "--convert",
-            metavar="OLD NEW",
-            callback=_convert,
-            is_eager=True,
-            help="Convert a checkpoint of version 1 (OLD) to this release's format (NEW).",
-        ),
-    ] = None,
     _provider: NoProvider = None,
     _version: Version = False,
 ) -> None:

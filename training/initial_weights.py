@@ -16,7 +16,6 @@ _SETTINGS = ("rgb_mean", "rgb_std")
 #: Settings that change what weights of the same shape compute.
 _MEANINGS = {
     "max_depth_m": "the depth range [m]",
-    "regressed_depth_m": "the depth that the regression reaches [m]",
     "canonical_focal_px": "the focal length of the canonical camera [px]",
     "sparse_depth_gain": "the factor on the sparse depth",
     "boundary_gating": "the gating by boundaries",

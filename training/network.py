@@ -3,12 +3,12 @@
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 from torch import Tensor
 
 from models import Network, SSDNetLite, create_model, load_checkpoint
-from models.efficientnet_lite import RGB_MEAN, RGB_STD, EfficientNetLite
+from models.efficientnet_lite import RGB_MEAN, RGB_STD
 from runtime.errors import InputError
 from training.imagenet_weights import load_imagenet
 from training.initial_weights import start_from
@@ -55,36 +55,29 @@ def build_network(
         raise InputError(f"the recipe's model cannot be built: {error}.") from error
     if recipe.pretrained == "imagenet":
         pretrainable = _require_pretrainable(network)
-        if not (resumed or _has_trunk(source)):
+        if not (resumed or isinstance(source, SSDNetLite)):
             network = _load_pretrained(pretrainable, pictures)
     if init is None or source is None:
         return network, frozenset()
-    if _has_trunk(source) and _has_trunk(network):
+    if isinstance(source, SSDNetLite) and isinstance(network, SSDNetLite):
         source = prune_trunk(source, network.config.encoder_widths, pictures)
     return network, start_from(network, source, init)
-
-
-def _has_trunk(network: Network | None) -> TypeGuard[SSDNetLite]:
-    return isinstance(network, SSDNetLite) and network.config.encoder == "efficientnet-lite0"
 
 
 def _load_pretrained(network: SSDNetLite, pictures: Iterable[Tensor]) -> SSDNetLite:
     """Return the network with weights of ImageNet, pruned for a narrower trunk."""
     widths = network.config.encoder_widths
     wide = SSDNetLite(replace(network.config, encoder_widths=())) if widths else network
-    trunk = wide.encoder.trunk
-    assert isinstance(trunk, EfficientNetLite)
-    load_imagenet(trunk)
+    load_imagenet(wide.encoder)
     return prune_trunk(wide, widths, pictures)
 
 
 def _require_pretrainable(network: Network) -> SSDNetLite:
     """Return the network; InputError for one that weights of ImageNet do not fit."""
-    if not _has_trunk(network):
+    if not isinstance(network, SSDNetLite):
         raise InputError(
             f"model.pretrained: {network.config.name!r} has no encoder with ImageNet weights. "
-            "Set model.config.encoder = 'efficientnet-lite0', a field of ssdnet-lite and "
-            "ssdnet-nano, or leave model.pretrained out."
+            "Choose ssdnet-lite or ssdnet-nano, or leave model.pretrained out."
         )
     for key, wanted in _IMAGENET_COLORS.items():
         if (found := getattr(network.config, key)) != wanted:

@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from models import SSDNetLite
 from models.blocks import pad_to_multiple
-from models.efficientnet_lite import WIDTHS, EfficientNetLite, InvertedResidual, SameConv
+from models.efficientnet_lite import WIDTHS, InvertedResidual, SameConv
 from runtime.errors import CheckpointError
 
 #: Pixels of each picture whose features are counted.
@@ -53,7 +53,7 @@ def prune_trunk(
     Alistarh 2022). Where nothing is to be removed, the network itself is returned.
 
     Args:
-        network: with the encoder "efficientnet-lite0"; not changed.
+        network: not changed.
         widths: of the stem and of each block, see `EfficientNetLite`; () = all.
         pictures: float (N, 3, H, W), RGB in 0..255, at least one; not read if nothing is removed.
 
@@ -83,10 +83,10 @@ def _without_channels(
 ) -> dict[str, Tensor]:
     """Return the weights of a network without the pruned channels."""
     state = dict(network.state_dict())
-    trunk = network.encoder.trunk
-    assert isinstance(trunk, EfficientNetLite)
     blocks = {
-        name: part for name, part in trunk.named_modules() if isinstance(part, InvertedResidual)
+        name: part
+        for name, part in network.encoder.named_modules()
+        if isinstance(part, InvertedResidual)
     }
     before = network.config.encoder_widths or WIDTHS
     narrowed = {
@@ -103,9 +103,9 @@ def _without_channels(
         kept, weight, shift = _choose_channels(block, width, *moments[name].mean_and_covariance())
         for layer in (maker, f"{name}.depthwise"):
             for part in ("0.weight", "1.weight", "1.bias", "1.running_mean", "1.running_var"):
-                key = f"encoder.trunk.{layer}.{part}"
+                key = f"encoder.{layer}.{part}"
                 state[key] = state[key][kept]
-        key = f"encoder.trunk.{name}.project"
+        key = f"encoder.{name}.project"
         state[f"{key}.0.weight"] = weight.to(state[f"{key}.0.weight"])[:, :, None, None]
         state[f"{key}.1.running_mean"] = state[f"{key}.1.running_mean"] + shift.float()
     return state

@@ -20,7 +20,6 @@ from runtime.read_input import read_toml
 from training.datasets.class_mapping import ClassTable, list_classes
 from training.datasets.registry import DATASETS
 from training.datasets.source_recipe import SourceRecipe
-from training.former_keys import FORMER_KEYS
 from training.lidar.split import LidarInput
 from training.limits import (
     MAX_BATCH_PIXELS,
@@ -182,7 +181,7 @@ class OptimizerRecipe:
     #: Parts of the network that are trained, by the beginning of their names ("depth_"); the others
     #: are frozen with their batch statistics. () = all.
     only: Annotated[tuple[str, ...], Field(max_length=100)] = ()
-    #: Layers that are not trained, by the beginning of their names ("encoder.trunk.stem"); their
+    #: Layers that are not trained, by the beginning of their names ("encoder.stem"); their
     #: batch statistics are constant, too.
     frozen: Annotated[tuple[str, ...], Field(max_length=100)] = ()
 
@@ -423,8 +422,6 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
     value, context = error["input"], error.get("ctx", {})
     text = shown(value, 200)
     match error["type"]:
-        case "unexpected_keyword_argument" if (former := _without_indices(place)) in FORMER_KEYS:
-            return f"{key} was {FORMER_KEYS[former]}."
         case "unexpected_keyword_argument":
             known = ", ".join(item.name for item in fields(_table_at(kind, place[:-1])))
             return f"unknown key {key}; known here: {known}. Correct its name."
@@ -447,10 +444,6 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
             return f"{key} = {text}: {context['error']}."
         case _:
             return f"{key} = {text}: {error['msg'].lower()}."
-
-
-def _without_indices(place: Sequence[str | int]) -> str:
-    return _join([part for part in place if isinstance(part, str)])
 
 
 def _table_at(kind: Any, place: Sequence[str | int]) -> Any:

@@ -29,7 +29,7 @@ class BaCNN(FCN8s):
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict boundaries at full size, classes at an eighth; see `Network.predict_coarse`."""
         x = self.normalise_rgb(rgb)
-        boundary_logits, sides = self.boundary(x)
+        boundary_logits = self.boundary(x)
         boundaries = [torch.sigmoid(boundary_logits)]
         for _ in VGG16_BLOCKS[1:]:
             boundaries.append(F.max_pool2d(boundaries[-1], 2, ceil_mode=True))
@@ -37,7 +37,6 @@ class BaCNN(FCN8s):
         return NetworkOutput(
             semantic_logits=self.score(pooled),
             boundary_logits=boundary_logits,
-            side_boundary_logits=tuple(sides),
         )
 
 
@@ -50,8 +49,8 @@ class BoundaryNetwork(nn.Module):
         self.sides = nn.ModuleList(nn.Conv2d(channels, 1, 1) for channels, _ in VGG16_BLOCKS)
         self.fuse = nn.Conv2d(len(VGG16_BLOCKS), 1, 1)
 
-    def forward(self, x: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """(N, 3, H, W) -> logits (N, 1, H, W), and those of each block, finest first."""
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, 3, H, W) -> logits (N, 1, H, W)."""
         height, width = x.shape[2], x.shape[3]
         features, _ = self.backbone(x)
         sides = [side(feature) for side, feature in zip(self.sides, features, strict=True)]
@@ -59,4 +58,5 @@ class BoundaryNetwork(nn.Module):
             upsample(logit, factor=2**index)[:, :, :height, :width]
             for index, logit in enumerate(sides)
         ]
-        return self.fuse(torch.cat(upsampled, dim=1)), sides
+        out: Tensor = self.fuse(torch.cat(upsampled, dim=1))
+        return out

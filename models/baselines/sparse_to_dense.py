@@ -9,7 +9,8 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from models.blocks import ConvBNReLU, ResidualBlock, conv_bn, double_bn_relu, pad_to_multiple
+from models.baselines.residual import BasicBlock
+from models.blocks import ConvBNReLU, conv_bn, double_bn_relu, pad_to_multiple
 from models.network import Network, NetworkConfig, NetworkOutput, initialise
 
 #: Channels of ResNet-18's stages, of two blocks each (He et al. 2016).
@@ -33,8 +34,8 @@ class SparseToDense(Network):
         in_channels = _STAGES[0]
         for channels in _STAGES:
             stride = 1 if channels == in_channels else 2
-            layers.append(ResidualBlock(in_channels, channels, stride=stride))
-            layers.append(ResidualBlock(channels, channels))
+            layers += [BasicBlock(in_channels, channels, stride=stride), nn.ReLU()]
+            layers += [BasicBlock(channels, channels), nn.ReLU()]
             in_channels = channels
         self.encoder = nn.Sequential(*layers, *conv_bn(in_channels, _DECODER[0], kernel=1))
         ups: list[nn.Module] = []

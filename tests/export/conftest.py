@@ -11,7 +11,7 @@ from export.deploy import DeployGraph
 from export.exporter import export_checkpoint
 from export.probe_frames import probe_frames
 from export.trace import trace
-from models import Network, NetworkConfig, SSDNetLiteConfig, save_checkpoint
+from models import Network, NetworkConfig, SSDNetLite, SSDNetLiteConfig, save_checkpoint
 from models.registry import NETWORKS
 
 SIZE = (64, 96)
@@ -22,10 +22,8 @@ def small_config(name: str) -> NetworkConfig:
     config = NETWORKS[name].config
     if name == "ssdnet-lite":
         return SSDNetLiteConfig(
-            stem_channels=(16, 16),
-            encoder_channels=(16, 32),
-            encoder_blocks=(1, 1),
-            decoder_channels=(16,),
+            encoder_widths=(16,) * 16,
+            decoder_channels=(16, 16, 16),
             semantic_refine_channels=0,
             depth_refine_channels=0,
         )
@@ -42,6 +40,10 @@ def build_small(name: str) -> Network:
     """A network whose batch norms have seen pictures, so that its answers vary."""
     torch.manual_seed(0)
     model = NETWORKS[name].network(small_config(name)).train()
+    if isinstance(model, SSDNetLite):  # made for a pretrained encoder, it learns slowly
+        for layer in model.modules():
+            if isinstance(layer, torch.nn.BatchNorm2d):
+                layer.momentum = 0.1
     frames = probe_frames(SIZE, max_depth_m=model.config.max_depth_m, seeds=(5, 6, 7))
     with torch.no_grad():
         for _ in range(10):

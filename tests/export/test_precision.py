@@ -54,7 +54,7 @@ def test_the_trunk_is_what_lies_between_the_sensors_and_the_answers(dynamic_mode
     assert heads
     assert not heads & names
     assert {node.name for node in inside if node.op_type == "Conv"} == wide
-    assert {node.op_type for node in inside} == {"Conv", "Relu", "Add", "Mul", "Resize"}
+    assert {node.op_type for node in inside} == {"Conv", "Relu", "Clip", "Add", "Mul", "Resize"}
     read = {name for node in inside for name in node.input}
     for node in inside:
         assert node.op_type in ("Conv", "Relu") or node.output[0] in read

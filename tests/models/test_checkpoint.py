@@ -14,10 +14,8 @@ from models.classes import CAMVID_CLASSES, numbered_classes
 from runtime.errors import CheckpointError
 
 SMALL = SSDNetLiteConfig(
-    encoder_channels=(8, 8, 8, 8),
-    encoder_blocks=(1, 1, 1, 1),
+    encoder_widths=(8,) * 16,
     decoder_channels=(8, 8, 8),
-    stem_channels=(8, 8),
     classes=CAMVID_CLASSES[:4],
     max_depth_m=77.0,
     rgb_mean=(1.0, 2.0, 3.0),
@@ -162,7 +160,7 @@ def test_damaged_bytes_are_never_another_error(tmp_path):
 def test_configuration_that_cannot_be_built_is_named(tmp_path):
     path = tmp_path / "a.pt"
     save_checkpoint(path, SSDNetLite(SMALL))
-    change(path, config={**SMALL.to_dict(), "boundary_channels": -4})
+    change(path, config={**SMALL.to_dict(), "depth_refine_channels": -4})
     with pytest.raises(CheckpointError, match="cannot be built here"):
         load_checkpoint(path)
 
@@ -203,15 +201,14 @@ def little_memory():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"encoder_blocks": (10**9, 1, 1, 1)}, "blocks of a stage: expected 1 to 100"),
-        ({"encoder_channels": (10**9, 8, 8, 8)}, "encoder_channels 1000000000: expected 1 to 8192"),
-        ({"encoder_channels": (8192, 8192, 8192, 8192)}, "it lacks the tensors depth_decoder"),
-        ({"boundary_channels": 8192}, "has the shape"),
-        ({"stem_channels": (8,) * 1000}, "stem layers: expected 2 to 2"),
-        ({"boundary_channels": 0}, "boundary_channels: expected 1 to"),
+        ({"encoder_widths": (10**9, *[8] * 15)}, "encoder_widths: expected 1 to 8192, got 1000000"),
+        ({"encoder_widths": (8192,) * 16}, "has the shape"),
+        ({"encoder_widths": (8,) * 1000}, "expected 16 positive widths"),
+        ({"decoder_channels": (8, 8, 16)}, "it lacks the tensors depth_decoder"),
+        ({"decoder_channels": (8, 0, 8)}, "decoder_channels: expected 1 to 8192, got 0"),
         ({"depth_refine_channels": 10**9}, "depth_refine_channels: expected 0 to"),
-        ({"encoder_channels": (8.0, 8, 8, 8)}, "wrong type: 8.0"),
-        ({"encoder_channels": "8888"}, "encoder_channels has the wrong type"),
+        ({"decoder_channels": (8.0, 8, 8)}, "wrong type: 8.0"),
+        ({"decoder_channels": "888"}, "decoder_channels has the wrong type"),
         ({"depth_head": 1}, "depth_head has the wrong type: 1"),
         ({"max_depth_m": 1e39}, "max_depth_m must be"),
         ({"max_depth_m": "77"}, "max_depth_m has the wrong type"),
@@ -259,8 +256,8 @@ def test_weights_of_another_type_are_not_cast(tmp_path, dtype):
 
 
 def test_tensors_that_repeat_one_value_are_refused(tmp_path, little_memory):
-    """A file of a few kilobytes that asks for 19 GB of weights."""
-    huge = replace(SMALL, encoder_channels=(8192, 8192, 8192, 8192))
+    """A small file that asks for gigabytes of weights."""
+    huge = replace(SMALL, encoder_widths=(8192,) * 16, decoder_channels=(8192,) * 3)
     with torch.device("meta"):
         shapes = {name: value.shape for name, value in SSDNetLite(huge).state_dict().items()}
     path = tmp_path / "a.pt"
@@ -273,7 +270,7 @@ def test_tensors_that_repeat_one_value_are_refused(tmp_path, little_memory):
         for name, shape in shapes.items()
     }
     change(path, config=huge.to_dict(), weights=weights)
-    assert path.stat().st_size < 100_000
+    assert path.stat().st_size < 300_000
     with pytest.raises(CheckpointError, match="larger than the data stored"):
         load_checkpoint(path)
 

@@ -5,21 +5,18 @@ import torch
 
 from models import SSDNetLiteConfig, create_model
 from models.efficientnet_lite import InvertedResidual
+from models.lite_decoder import UpBlock
 from models.surfaces import NEAREST
-from models.task_decoder import UpBlock
-
-RESIDUAL = {"encoder": "residual", "encoder_widths": (), "additive_refinement": False}
 
 
 @pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])
-def test_a_network_with_it_predicts_at_full_size_and_keeps_the_coarser_depths(name):
+def test_it_predicts_at_full_size(name):
     network = create_model(name).eval()
     rgb = torch.rand(1, 3, 70, 101) * 255
     with torch.no_grad():
         found = network(rgb, torch.full((1, 1, 70, 101), 12.0))
         none = network(rgb, torch.zeros(1, 1, 70, 101))
-    sizes = [tuple(depth.shape[2:]) for depth in found.depths]
-    assert sizes == [(70, 101), (24, 32), (12, 16), (6, 8)]
+    assert [tuple(depth.shape[2:]) for depth in found.depths] == [(70, 101)]
     assert found.depth_uncertainty.shape == found.boundary_logits.shape == (1, 1, 70, 101)
     for answer in (found, none):
         assert answer.depths[0].isfinite().all()
@@ -43,16 +40,19 @@ def test_a_network_answers_as_if_an_isolated_return_were_not_there():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"stem_channels": (16, 32, 32)}, "stem layers: expected 2 to 2"),
-        ({"depth_surfaces": False}, r"surfaces whenever they have a depth head"),
-        ({"valid_mask_input": False}, "valid_mask_input .removed: ssdnet-lite and"),
         ({"sparse_depth_gain": 2.0}, "fields of the network 'ssdnet-lite': sparse_depth_gain"),
         ({"use_sparse_depth": False}, "fields of the network 'ssdnet-lite': use_sparse_depth"),
+        ({"semantic_head": False, "depth_head": False}, "a semantic head, a depth head or both"),
+        ({"decoder_channels": (8, 8)}, "one entry per skip .3., got 2"),
     ],
 )
-def test_the_lite_network_has_unscaled_sparse_depth_and_a_stem_of_a_quarter(changes, message):
+def test_what_cannot_be_built_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         create_model("ssdnet-lite", **changes)
+
+
+def test_the_defaults_are_what_the_name_builds():
+    assert create_model("ssdnet-lite").config == SSDNetLiteConfig()
 
 
 def test_the_choice_reads_the_features_of_the_semantic_decoder():
@@ -76,28 +76,19 @@ def test_an_efficientnet_encoder_reads_colours_and_returns_enter_at_stride_4():
     with torch.no_grad():
         found = network(rgb, torch.full((1, 1, 70, 101), 12.0))
         none = network(rgb, torch.zeros(1, 1, 70, 101))
-    sizes = [tuple(depth.shape[2:]) for depth in found.depths]
-    assert sizes == [(70, 101), (24, 32), (12, 16), (6, 8)]
     assert found.semantic_logits.shape == (1, 11, 70, 101)
     assert not torch.equal(found.semantic_logits, none.semantic_logits)
     assert 2.3e6 < sum(p.numel() for p in network.parameters()) < 2.5e6
 
 
 def test_features_that_no_activation_bounds_do_not_drown_what_they_are_added_to():
-    """Ten times the features leave the same batch the same, where they are normalised."""
+    """Ten times the features leave the same batch the same: both are normalised."""
     torch.manual_seed(0)
     below, skip = torch.randn(2, 24, 4, 6), torch.randn(2, 40, 8, 12)
-    for linear in (True, False):
-        block = UpBlock(24, 40, 16, "add", linear=linear).train()
-        plain = block(below, skip)
-        for scaled in (block(below, 10 * skip), block(10 * below, skip)):
-            assert torch.allclose(scaled, plain, atol=1e-3) == linear
-    refined = {"semantic_refine_channels": 16, "depth_refine_channels": 16}
-    for linear, changes in ((False, RESIDUAL), (True, {})):
-        network = create_model("ssdnet-lite", **refined, **changes)
-        blocks = [m for m in network.modules() if isinstance(m, UpBlock)]
-        assert len(blocks) == 3 + 3 + 1 + 1  # two decoders, and a refinement of each
-        assert all(isinstance(b.project, torch.nn.Sequential) == linear for b in blocks)
+    block = UpBlock(24, 40, 16).train()
+    plain = block(below, skip)
+    for scaled in (block(below, 10 * skip), block(10 * below, skip)):
+        assert torch.allclose(scaled, plain, atol=1e-3)
 
 
 def test_an_additive_refinement_adds_to_what_both_heads_answer_at_stride_4():
@@ -128,23 +119,7 @@ def test_the_trunk_of_an_efficientnet_encoder_has_the_widths_of_the_configuratio
     blocks = [m for m in network.modules() if isinstance(m, InvertedResidual)]
     assert tuple(block.depthwise[0].out_channels for block in blocks) == widths
     assert SSDNetLiteConfig.from_dict(network.config.to_dict()) == network.config
-    with pytest.raises(ValueError, match="encoder_widths needs encoder = 'efficientnet-"):
-        create_model("ssdnet-lite", encoder="residual", encoder_widths=widths)
     with pytest.raises(ValueError, match="expected 16 positive widths"):
         create_model("ssdnet-lite", encoder_widths=(16,))
-    with pytest.raises(ValueError, match="encoder_widths 0: expected 1 to"):
+    with pytest.raises(ValueError, match="encoder_widths: expected 1 to"):
         create_model("ssdnet-lite", encoder_widths=(0,) * 16)
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("stem_channels", (16, 24)),
-        ("encoder_channels", (32, 64, 128, 512)),
-        ("encoder_blocks", (1, 2, 2, 3)),
-    ],
-)
-def test_what_describes_residual_stages_is_refused_with_the_other_trunk(key, value):
-    create_model("ssdnet-lite", **RESIDUAL, **{key: value})
-    with pytest.raises(ValueError, match=f"{key} are those of encoder = 'residual'"):
-        create_model("ssdnet-lite", **{key: value})

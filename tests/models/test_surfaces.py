@@ -53,7 +53,7 @@ def measured_where(depth: torch.Tensor) -> Measured:
 
 
 def propagated(maps: Measured) -> Surfaces:
-    return propagate_surfaces(maps, levels=4)[0]
+    return propagate_surfaces(maps)[0]
 
 
 def head_of(**logits: float) -> HeadChannels:
@@ -137,7 +137,7 @@ def test_where_returns_are_few_a_single_one_is_kept():
 
 def test_two_surfaces_in_one_cell_are_kept_apart():
     """5 m and 80 m: the mean of depths, 42.5 m, is a surface that is nowhere."""
-    found, density = propagate_surfaces(measured(r40c40=0.05, r41c41=0.8), levels=4)
+    found, density = propagate_surfaces(measured(r40c40=0.05, r41c41=0.8))
     cell = (0, 0, 10, 10)
     assert found.nearest[cell].item() == pytest.approx(0.05, rel=1e-4)
     assert found.farthest[cell].item() == pytest.approx(0.8, rel=1e-4)
@@ -178,7 +178,7 @@ def test_the_nearest_surface_is_the_nearest_of_a_plain_loop_before_smoothing():
 
 
 def test_nothing_measured_supports_nothing():
-    found, density = propagate_surfaces(measured(), levels=4)
+    found, density = propagate_surfaces(measured())
     assert not found.support.any()
     assert not found.mean_support.any()
     assert not surface_features(found, density).any()
@@ -239,7 +239,7 @@ def test_a_return_on_the_only_surface_replaces_both():
 
 def test_features_lie_in_0_1():
     maps = measured(r0c0=NEAREST / 10, r10c90=1.0, r50c50=0.2)
-    features = surface_features(*propagate_surfaces(maps, levels=4))
+    features = surface_features(*propagate_surfaces(maps))
     assert features.min() >= -1e-6
     assert features.max() <= 1 + 1e-6
 

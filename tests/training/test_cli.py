@@ -37,11 +37,8 @@ VALIDATION = '\n[[validation.source]]\nkind = "camvid"\npath = "camvid"\n'
 @pytest.fixture(autouse=True)
 def tiny_network(monkeypatch):
     config = SSDNetLiteConfig(
-        stem_channels=(8, 8),
-        encoder_channels=(8, 8),
-        encoder_blocks=(1, 1),
-        decoder_channels=(8,),
-        boundary_channels=4,
+        encoder_widths=(8,) * 16,
+        decoder_channels=(8, 8, 8),
     )
     monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNetLite, config))
 

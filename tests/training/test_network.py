@@ -25,22 +25,27 @@ def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
     assert f"with random weights: {', '.join(heads)}\n" in capsys.readouterr().err
     for head in heads:
         assert not (getattr(built, head).bias == 77.0).any()
-    assert torch.equal(built.state_dict()["depth_heads.0.weight"], network.depth_heads[0].weight)
+    guess = built.state_dict()["surface_depth.guess.weight"]
+    assert torch.equal(guess, network.surface_depth.guess.weight)
 
 
 @pytest.mark.parametrize(
-    ("changed", "text"),
+    ("name", "changed", "text"),
     [
-        ({"max_depth_m": 80.0}, "the depth range [m] changed from 200.0 to 80.0"),
-        ({"boundary_gating": False}, "the gating by boundaries changed from True to False"),
+        ("ssdnet-lite", {"max_depth_m": 80.0}, "the depth range [m] changed from 200.0 to 80.0"),
+        (
+            "ssdnet-small",
+            {"boundary_gating": False},
+            "the gating by boundaries changed from True to False",
+        ),
     ],
 )
-def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys, changed, text):
+def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys, name, changed, text):
     other = tmp_path / "other.pt"
-    save_checkpoint(other, create_model("ssdnet-lite"))
-    build_network(ModelRecipe("ssdnet-lite"), other)
+    save_checkpoint(other, create_model(name))
+    build_network(ModelRecipe(name), other)
     assert capsys.readouterr().err == ""
-    build_network(ModelRecipe("ssdnet-lite", config=changed), other)
+    build_network(ModelRecipe(name, config=changed), other)
     assert text in capsys.readouterr().err
 
 
@@ -63,7 +68,7 @@ def test_only_some_parts_are_trained():
     network = create_model("ssdnet-lite")
     train_parts(network, ("depth_", "surface_"))
     trained = {name.split(".")[0] for name, p in network.named_parameters() if p.requires_grad}
-    assert trained == {"depth_decoder", "depth_heads", "surface_depth"}
+    assert trained == {"depth_decoder", "surface_depth"}
     assert not network.encoder.training
     assert network.depth_decoder.training
     train_parts(network, ())
@@ -75,7 +80,7 @@ def test_only_some_parts_are_trained():
 
 def test_frozen_layers_keep_weights_and_statistics_and_have_no_backward_pass():
     network = create_model("ssdnet-lite")
-    early = ("encoder.trunk.stem", "encoder.trunk.stride2", "encoder.trunk.stride4")
+    early = ("encoder.stem", "encoder.stride2", "encoder.stride4")
     train_parts(network, (), early)
     before = {name: value.clone() for name, value in network.encoder.state_dict().items()}
     output = network(torch.rand(2, 3, 64, 64) * 255, torch.full((2, 1, 64, 64), 20.0))
@@ -83,12 +88,12 @@ def test_frozen_layers_keep_weights_and_statistics_and_have_no_backward_pass():
     moved = {
         name for name, value in network.encoder.state_dict().items() if value.ne(before[name]).any()
     }
-    assert {name.split(".")[1] for name in moved} == {"stride8", "stride16", "stride32"}
+    assert {name.split(".")[0] for name in moved} == {"stride8", "stride16", "stride32"}
     trained = {
-        name.split(".")[1] for name, p in network.encoder.named_parameters() if p.grad is not None
+        name.split(".")[0] for name, p in network.encoder.named_parameters() if p.grad is not None
     }
     assert trained == {"stride8", "stride16", "stride32"}
-    at_2, at_4 = network.encoder.early(torch.rand(1, 3, 64, 64), None, None)
+    at_2, at_4 = network.encoder.early(torch.rand(1, 3, 64, 64))
     assert not at_2.requires_grad
     assert not at_4.requires_grad
     with pytest.raises(InputError, match="no layer of 'ssdnet-lite' begins with"):
@@ -115,10 +120,10 @@ def test_a_network_refuses_a_focal_length_that_no_camera_has(focal):
 
 
 def test_a_recipe_changes_fields_of_the_networks_configuration():
-    config = {"decoder_channels": [8, 8, 8], "boundary_channels": 4, "global_context": False}
+    config = {"decoder_channels": [8, 8, 8], "depth_refine_channels": 4}
     network = build_network(ModelRecipe("ssdnet-nano", config=config), None)[0]
     expected = replace(create_model("ssdnet-nano").config, decoder_channels=(8, 8, 8))
-    assert network.config == replace(expected, boundary_channels=4, global_context=False)
+    assert network.config == replace(expected, depth_refine_channels=4)
     alone = build_network(
         ModelRecipe("ssdnet-lite", config={"semantic_head": False}),
         None,
@@ -130,8 +135,8 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
 @pytest.mark.parametrize(
     ("name", "config", "text"),
     [
-        ("ssdnet-lite", {"global_context": [1]}, "global_context has the wrong type"),
-        ("ssdnet-lite", {"boundary_channels": "8"}, "boundary_channels has the wrong type"),
+        ("ssdnet-lite", {"semantic_head": [1]}, "semantic_head has the wrong type"),
+        ("ssdnet-lite", {"decoder_channels": "8"}, "decoder_channels has the wrong type"),
         (
             "ssdnet-lite",
             {"layers": 3},
@@ -139,8 +144,8 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
         ),
         (
             "ssdnet-nano",
-            {"encoder": "residual", "encoder_widths": [], "encoder_blocks": [1]},
-            "must have the same length",
+            {"decoder_channels": [8, 8]},
+            "decoder_channels must have one entry per skip",
         ),
         (
             "fast-scnn",
@@ -180,10 +185,10 @@ def loaded(monkeypatch):
 
 def test_a_pretrained_encoder_is_loaded_with_its_normalisation(loaded):
     network = build_network(IMAGENET, None)[0]
-    assert loaded == [network.encoder.trunk]
+    assert loaded == [network.encoder]
     assert network.config.rgb_mean == (127.0,) * 3
     assert network.rgb_std.flatten().tolist() == [128.0] * 3
-    assert (network.encoder.trunk.stem[0][0].weight == 1).all()
+    assert (network.encoder.stem[0][0].weight == 1).all()
 
 
 def test_pretrained_weights_are_pruned_for_a_narrower_trunk(loaded, capsys):
@@ -192,9 +197,9 @@ def test_pretrained_weights_are_pruned_for_a_narrower_trunk(loaded, capsys):
     network = build_network(recipe, None, pictures=PICTURES)[0]
     assert network.config.encoder_widths == WIDTHS
     assert network.config.rgb_mean == (127.0,) * 3
-    assert loaded[0] is not network.encoder.trunk
+    assert loaded[0] is not network.encoder
     assert capsys.readouterr().err == "the trunk was pruned from 8960 to 8904 channels\n"
-    assert (network.encoder.trunk.stride32[-1].expand[0].weight == 1).all()
+    assert (network.encoder.stride32[-1].expand[0].weight == 1).all()
 
 
 def test_a_resumed_run_does_not_read_pretrained_weights_again(loaded):
@@ -203,27 +208,18 @@ def test_a_resumed_run_does_not_read_pretrained_weights_again(loaded):
 
 
 def test_init_comes_after_the_pretrained_weights(loaded, tmp_path, capsys):
-    """A trunk of --init replaces them; from another network the rest is taken."""
+    """A trunk of --init replaces them."""
     save_checkpoint(tmp_path / "same.pt", build_network(IMAGENET, None)[0])
-    residual = create_model("ssdnet-nano", encoder="residual", encoder_widths=())
-    save_checkpoint(tmp_path / "other.pt", residual)
     loaded.clear()
-    build_network(IMAGENET, tmp_path / "same.pt")
+    built = build_network(IMAGENET, tmp_path / "same.pt")[0]
     assert loaded == []
-    built = build_network(IMAGENET, tmp_path / "other.pt")[0]
-    assert loaded == [built.encoder.trunk]
     assert built.config.rgb_mean == (127.0,) * 3
 
 
 @pytest.mark.parametrize(
     ("name", "config", "text"),
     [
-        (
-            "ssdnet-nano",
-            {"encoder": "residual", "encoder_widths": []},
-            "'ssdnet-nano' has no encoder with ImageNet weights. Set",
-        ),
-        ("enet", {}, "'enet' has no encoder with ImageNet weights"),
+        ("enet", {}, "'enet' has no encoder with ImageNet weights. Choose"),
         (
             "ssdnet-lite",
             {"rgb_mean": [123.675, 116.28, 103.53]},
@@ -275,12 +271,12 @@ def repeated(block):
 def test_pruning_takes_channels_that_others_make_up_for(spare, capsys):
     torch.manual_seed(0)
     wide = create_model("ssdnet-lite", encoder_widths=()).eval()
-    trunk = wide.encoder.trunk
+    trunk = wide.encoder
     with torch.no_grad():
         spare(trunk.stride4[0])
     widths = (EFFICIENTNET_WIDTHS[0], EFFICIENTNET_WIDTHS[1] // 2, *EFFICIENTNET_WIDTHS[2:])
     narrow = prune_trunk(wide, widths, [torch.rand(1, 3, 128, 160) * 255 for _ in range(3)])
-    block, pruned = trunk.stride4[0], narrow.encoder.trunk.stride4[0]
+    block, pruned = trunk.stride4[0], narrow.encoder.stride4[0]
     kept = [pruned.expand[0].weight, pruned.depthwise[0].weight, pruned.depthwise[1].bias]
     whole = [block.expand[0].weight, block.depthwise[0].weight, block.depthwise[1].bias]
     assert [len(each) for each in kept] == [48] * 3
@@ -288,7 +284,7 @@ def test_pruning_takes_channels_that_others_make_up_for(spare, capsys):
         assert all(torch.equal(one, all_[1::2]) for one, all_ in zip(kept, whole, strict=True))
     rgb = torch.rand(2, 3, 64, 96) * 2 - 1
     with torch.no_grad():
-        found, expected = narrow.encoder.early(rgb, rgb, rgb), wide.encoder.early(rgb, rgb, rgb)
+        found, expected = narrow.encoder.early(rgb), wide.encoder.early(rgb)
     assert torch.equal(found[0], expected[0])
     assert (found[1] - expected[1]).abs().max() < 0.1 * expected[1].std()
 

@@ -41,8 +41,8 @@ def test_the_encoder_has_a_rate_of_its_own():
     groups = build_optimizer(recipe, network, criterion).param_groups
     rates = {p: (g["lr"], g["weight_decay"]) for g in groups for p in g["params"]}
     assert rates.keys() == set(network.parameters())
-    assert rates[network.encoder.trunk.stem[0][0].weight] == (4e-4, 0.1)
-    assert rates[network.encoder.trunk.stem[0][1].weight] == (4e-4, 0.0)
+    assert rates[network.encoder.stem[0][0].weight] == (4e-4, 0.1)
+    assert rates[network.encoder.stem[0][1].weight] == (4e-4, 0.0)
     assert rates[network.semantic_head.weight] == (2e-3, 0.1)
     assert rates[network.semantic_head.bias] == (2e-3, 0.0)
     with pytest.raises(InputError, match="'enet' has no part called 'encoder'"):

@@ -11,7 +11,6 @@ from training.datasets.camvid import CamVidRecipe
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.rendered_scenes import RenderedOnTheFlyRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
-from training.former_keys import FORMER_KEYS
 from training.recipe import AnySource, ValidationRecipe, build, read_recipe
 from training.stages import read_stages
 
@@ -47,8 +46,8 @@ def test_defaults_and_conversions(tmp_path):
 def test_fields_of_the_networks_configuration(tmp_path):
     text = MINIMAL.replace("[data]", "[model.config]\ndecoder_channels = [64, 48, 16]\n[data]", 1)
     assert read(tmp_path, text).model.config == {"decoder_channels": [64, 48, 16]}
-    changed = read_recipe(tmp_path / "r.toml", ["model.config.boundary_channels = 8"])
-    assert changed.model.config == {"decoder_channels": [64, 48, 16], "boundary_channels": 8}
+    changed = read_recipe(tmp_path / "r.toml", ["model.config.depth_refine_channels = 8"])
+    assert changed.model.config == {"decoder_channels": [64, 48, 16], "depth_refine_channels": 8}
     with pytest.raises(InputError, match=r"model\.config has 'classes', which is a separate key"):
         read_recipe(tmp_path / "r.toml", ["model.config.classes = []"])
 
@@ -454,19 +453,6 @@ def test_values_out_of_range_are_refused_by_name(base, change):
     key = change.split(" = ")[0].split(".")[-1]
     with pytest.raises(InputError, match=rf"{key}(\[\d\])? = "):
         read_recipe(base / "base.toml", [change])
-
-
-@pytest.mark.parametrize("key", FORMER_KEYS)
-def test_a_key_of_an_earlier_release_is_answered_with_what_replaces_it(base, key):
-    change = f"{key} = 0"
-    if key.startswith("data.source."):
-        change = f'data.source = [{{kind = "camvid", path = "c", {key[12:]} = 0}}]'
-        key = key.replace("source", "source[0]")
-    with pytest.raises(InputError) as error:
-        read_recipe(base / "base.toml", [change])
-    former = FORMER_KEYS[key.replace("[0]", "")]
-    assert f"{key} was {former}." in str(error.value)
-    assert former.startswith(("renamed: ", "removed: "))
 
 
 @pytest.mark.parametrize(

@@ -14,13 +14,13 @@ from layouts import camvid, cityscapes, kitti_depth, kitti_stream, kitti_streets
 from layouts.pictures import write
 from models import (
     CLASS_TABLES,
+    SSDNetConfig,
     SSDNetLiteConfig,
     create_model,
     load_checkpoint,
     save_checkpoint,
 )
 from models.registry import NETWORKS, Entry
-from models.ssdnet_config import EncoderDecoderConfig
 from training import recipes
 from training.loop import train
 from training.losses.total import TERMS
@@ -76,19 +76,18 @@ def data(tmp_path_factory):
 def shrunk_networks(monkeypatch):
     """Networks keep their stages, inputs and heads, with one block of few channels a stage."""
     for name, (network, config) in NETWORKS.items():
-        if not isinstance(config, EncoderDecoderConfig):
+        if isinstance(config, SSDNetConfig):
+            encoder = {
+                "stem_channels": (8,) * len(config.stem_channels),
+                "encoder_channels": (8,) * len(config.encoder_channels),
+                "encoder_blocks": (1,) * len(config.encoder_blocks),
+                "boundary_channels": 4,
+            }
+        elif isinstance(config, SSDNetLiteConfig):
+            encoder = {}  # is pretrained
+        else:
             continue
-        encoder = {
-            "stem_channels": (8,) * len(config.stem_channels),
-            "encoder_channels": (8,) * len(config.encoder_channels),
-            "encoder_blocks": (1,) * len(config.encoder_blocks),
-        }
-        shrunk = replace(
-            config,
-            **({} if isinstance(config, SSDNetLiteConfig) else encoder),  # theirs is pretrained
-            decoder_channels=(8,) * len(config.decoder_channels),
-            boundary_channels=4,
-        )
+        shrunk = replace(config, **encoder, decoder_channels=(8,) * len(config.decoder_channels))
         monkeypatch.setitem(NETWORKS, name, Entry(network, shrunk))
 
 
@@ -189,7 +188,8 @@ def check_training(recipe, data, out, init):
     assert config.classes == (CLASS_TABLES[recipe.model.classes] if config.semantic_head else ())
     named = NETWORKS[recipe.model.name].config
     assert config.max_depth_m == recipe.model.config.get("max_depth_m", named.max_depth_m)
-    assert config.boundary_gating == recipe.model.config.get("boundary_gating", True)
+    gating = recipe.model.config.get("boundary_gating", True)
+    assert getattr(config, "boundary_gating", True) == gating
     assert checkpoint.training["recipe"]["loss"] == asdict(recipe.loss)
     assert checkpoint.training["terms"].startswith(recipe.terms)
     assert recipe.terms

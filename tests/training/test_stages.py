@@ -19,11 +19,8 @@ from training.recipe import read_recipe
 from training.stages import read_stages, train_stages
 
 TINY = SSDNetLiteConfig(
-    stem_channels=(8, 8),
-    encoder_channels=(8, 8),
-    encoder_blocks=(1, 1),
-    decoder_channels=(8,),
-    boundary_channels=4,
+    encoder_widths=(8,) * 16,
+    decoder_channels=(8, 8, 8),
 )
 RECIPE = """
 terms = "none"
@@ -270,7 +267,7 @@ def test_a_recipe_with_stages_is_no_single_run(path):
 
 def test_the_command_stops_at_a_step_over_all_stages_and_changes_all(path, data, tmp_path):
     out = tmp_path / "run"
-    arguments = [str(path), "--data", str(data), "--out", str(out), "--set", "data.batch_size = 1"]
+    arguments = [str(path), "--data", str(data), "--out", str(out), "--set", "data.batch_size = 3"]
 
     def run(*options):
         result = CliRunner().invoke(cli.app, [*arguments, *options])
@@ -284,4 +281,4 @@ def test_the_command_stops_at_a_step_over_all_stages_and_changes_all(path, data,
     assert run("--stop-after", "4") == str(out / "2-depth" / "last.pt")
     assert load_checkpoint(out / "2-depth" / "last.pt").trainer["step"] == 1
     assert run() == str(out / "model.pt")
-    assert load_checkpoint(out / "model.pt").training["recipe"]["data"]["batch_size"] == 1
+    assert load_checkpoint(out / "model.pt").training["recipe"]["data"]["batch_size"] == 3

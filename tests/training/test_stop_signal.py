@@ -18,8 +18,7 @@ import torch
 from models import SSDNetLite, SSDNetLiteConfig
 from models.registry import NETWORKS, Entry
 NETWORKS["ssdnet-lite"] = Entry(SSDNetLite, SSDNetLiteConfig(
-    stem_channels=(8, 8), encoder_channels=(8, 8, 8, 8),
-    encoder_blocks=(1, 1, 1, 1), decoder_channels=(8, 8, 8), boundary_channels=4,
+    encoder_widths=(8,) * 16, decoder_channels=(8, 8, 8),
 ))
 torch.set_num_threads(1)
 rank, wait = os.environ.get("RANK", "0"), os.environ["WAIT"]

@@ -44,7 +44,7 @@ def test_losses_without_a_teacher_and_a_teacher_without_losses_are_refused(stude
     ("changes", "text"),
     [
         ({"classes": create_model("ssdnet-nano").config.classes[::-1]}, "its classes is"),
-        ({"max_depth_m": 80.0, "regressed_depth_m": None}, "its max_depth_m is 80.0"),
+        ({"max_depth_m": 80.0}, "its max_depth_m is 80.0"),
         ({"canonical_focal_px": 500.0}, "its canonical_focal_px is 500.0, that of the recipe"),
         ({"depth_head": False}, "has no head 'depth'"),
     ],

@@ -11,10 +11,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from models.blocks import ConvBNReLU, pad_to_multiple
-from models.boundary_decoder import BoundaryDecoder
-from models.network import Network, NetworkOutput, initialise
-from models.ssdnet_config import SSDNetConfig
-from models.task_decoder import TaskDecoder
+from models.network import Network, NetworkOutput, initialise, present_heads
+from models.paper.boundary_decoder import BoundaryDecoder
+from models.paper.config import SSDNetConfig
+from models.paper.task_decoder import TaskDecoder
 
 
 class SSDNet(Network):
@@ -25,19 +25,18 @@ class SSDNet(Network):
     def __init__(self, config: SSDNetConfig) -> None:
         self.semantic_stride = self.depth_stride = self.boundary_stride = config.output_stride
         self.stride = config.output_stride * 2**config.num_skips
-        self.heads = config.heads
+        self.heads = present_heads(semantic=config.semantic_head, depth=config.depth_head)
         super().__init__(config)
         in_channels = 3 * config.use_rgb + config.use_sparse_depth
         widths = (in_channels, *config.stem_channels)
         self.stem = nn.Sequential(*(ConvBNReLU(*pair, stride=2) for pair in pairwise(widths)))
         self.encoder = PlainEncoder(config, widths[-1])
-        skips = config.encoder_channels
-        self.boundary_decoder = BoundaryDecoder(config, skips)
+        self.boundary_decoder = BoundaryDecoder(config)
         if config.semantic_head:
-            self.semantic_decoder = TaskDecoder(config, skips, skips[-1], "concat")
+            self.semantic_decoder = TaskDecoder(config)
             self.semantic_head = nn.Conv2d(config.decoder_channels[-1], config.num_classes, 1)
         if config.depth_head:
-            self.depth_decoder = TaskDecoder(config, skips, skips[-1], "concat")
+            self.depth_decoder = TaskDecoder(config)
             self.depth_heads = nn.ModuleList(
                 nn.Conv2d(channels, 1, 1) for channels in reversed(config.decoder_channels)
             )
@@ -64,7 +63,7 @@ class SSDNet(Network):
             features = self.depth_decoder(bottom, skips, gates)
             pairs = zip(self.depth_heads, features, strict=True)
             depths = tuple(torch.sigmoid(head(feature)) for head, feature in pairs)
-        return NetworkOutput(logits, depths, boundary_logits, tuple(sides))
+        return NetworkOutput(logits, depths, boundary_logits)
 
 
 class PlainEncoder(nn.Module):

@@ -6,10 +6,9 @@ import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from models import SSDNet, SSDNetConfig, create_model
+from models import SSDNet, SSDNetConfig, SSDNetLiteConfig, create_model
 from models.blocks import upsample
 from models.registry import NETWORKS
-from models.ssdnet_config import EncoderDecoderConfig
 from runtime.contract import ClassInfo
 
 # Params and MACs at 125 x 414 of the family, which the paper prints to two digits.
@@ -22,7 +21,9 @@ PAPER = {
 }
 
 FAMILY = [
-    name for name, (_, config) in NETWORKS.items() if isinstance(config, EncoderDecoderConfig)
+    name
+    for name, (_, config) in NETWORKS.items()
+    if isinstance(config, SSDNetConfig | SSDNetLiteConfig)
 ]
 
 
@@ -48,11 +49,13 @@ def small(name, **changes):
     if widths := getattr(config, "encoder_widths", ()):
         changes |= {"encoder_widths": (8,) * len(widths)}
     else:
-        changes |= {"encoder_channels": tuple(width // 8 for width in config.encoder_channels)}
+        changes |= {
+            "encoder_channels": tuple(width // 8 for width in config.encoder_channels),
+            "boundary_channels": 4,
+        }
     return replace(
         config,
         decoder_channels=tuple(max(width // 8, 4) for width in config.decoder_channels),
-        boundary_channels=4,
         **changes,
     )
 
@@ -91,8 +94,9 @@ def test_any_size_of_32_and_more_works(name, size):
         assert output.semantic_logits is None
     if config.depth_head:
         assert output.depths[0].shape == (2, 1, *size)
-        chosen = output.depth_uncertainty is not None
-        assert len(output.depths) == len(config.decoder_channels) + chosen
+        is_lite = isinstance(config, SSDNetLiteConfig)
+        assert (output.depth_uncertainty is not None) == is_lite
+        assert len(output.depths) == (1 if is_lite else len(config.decoder_channels))
         assert all(((d >= 0) & (d <= 1)).all() for d in output.depths)
     else:
         assert output.depths is None
@@ -102,14 +106,13 @@ def test_paper_grids_round_up():
     output = build("ssdnet").eval()(*frame(125, 414))
     sizes = [(125, 414), (63, 207), (32, 104), (16, 52), (8, 26)]
     assert [tuple(depth.shape[2:]) for depth in output.depths] == sizes
-    assert [tuple(side.shape[2:]) for side in output.side_boundary_logits] == sizes
 
 
 def test_refined_semantics_are_twice_as_fine_as_the_rest():
     model = build("ssdnet-lite").eval()
     coarse = model.predict_coarse(*frame(64, 96))
     assert tuple(coarse.semantic_logits.shape[2:]) == (32, 48)
-    assert [tuple(depth.shape[2:]) for depth in coarse.depths[:2]] == [(64, 96), (16, 24)]
+    assert [tuple(depth.shape[2:]) for depth in coarse.depths] == [(64, 96)]
     assert coarse.boundary_logits.shape == coarse.depth_uncertainty.shape == (1, 1, 64, 96)
     plain = build("ssdnet-lite", semantic_refine_channels=0).eval()
     assert tuple(plain.predict_coarse(*frame(64, 96)).semantic_logits.shape[2:]) == (16, 24)
@@ -249,10 +252,18 @@ def test_create_model_lists_the_known_names():
         create_model("ssdnet-dep", num_classes=3)
 
 
-@pytest.mark.parametrize("name", ["ssdnet", "ssdnet-small", "ssdnet-lite"])
-@pytest.mark.parametrize("gating", [True, False])
+@pytest.mark.parametrize(
+    ("name", "gating"),
+    [
+        ("ssdnet", True),
+        ("ssdnet", False),
+        ("ssdnet-small", True),
+        ("ssdnet-small", False),
+        ("ssdnet-lite", True),
+    ],
+)
 def test_only_gated_decoders_depend_on_the_boundary(name, gating):
-    model = build(name, boundary_gating=gating).eval()
+    model = build(name, **({"boundary_gating": gating} if name != "ssdnet-lite" else {})).eval()
     inputs = frame(64, 96)
     free = model(*inputs)
     for side in model.boundary_decoder.sides:

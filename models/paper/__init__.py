@@ -1,0 +1,1 @@
+"""SSDNet as published: the paper's network, its ablations and its blocks."""
