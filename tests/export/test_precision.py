@@ -129,7 +129,7 @@ def test_8_bit_products_do_not_saturate_in_16_bits():
 def test_a_trunk_of_relu6_is_quantised_with_its_activations_and_depthwise_convolutions():
     """A Clip in float between two 8-bit convolutions would cost more than they gain."""
     torch.manual_seed(0)
-    network = create_model("ssdnet-nano", encoder="efficientnet-lite0").eval()
+    network = create_model("ssdnet-nano").eval()
     model = trace(DeployGraph(network), size=SIZE)
     names = set(trunk(model))
     wide = [n for n in model.graph.node if n.op_type == "Conv" and n.name in names]
