@@ -16,6 +16,9 @@ from models.registry import NETWORKS
 
 SIZE = (64, 96)
 
+# Two workers with two threads each wait for one another.
+torch.set_num_threads(1)
+
 
 def small_config(name: str) -> NetworkConfig:
     """The named variant with few channels and one block a stage."""
