@@ -207,8 +207,8 @@ def choose_surface(
     """Choose among the candidates and the guess: the depth, and its error's scale.
 
     Each candidate in turn replaces the depth chosen before, weighted by its confidence: nested
-    sigmoids give any weights that a soft-max can. Without support the guess remains. No
-    depth is beyond ``reach``, that of the guess, unless the farthest surface is.
+    sigmoids give any weights that a soft-max can. Without support the guess remains. No depth is
+    beyond ``reach``, that of the guess, unless the farthest surface is.
 
     Returns the normalised depth, (N, 1, h, w), NEAREST..1, and the scale of its error's Laplace
     distribution.

@@ -6,8 +6,7 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import ProviderError, import_remedy
-from training.evaluation.classical.method import Depth, is_measured
+from training.evaluation.classical.method import Depth, is_measured, needs_scipy
 from training.evaluation.classical.nearest import Nearest
 
 #: Returns that span a triangle.
@@ -41,11 +40,7 @@ class Linear:
 
 
 def _import_interpolate() -> ModuleType:
-    try:
+    with needs_scipy("linear"):
         import scipy.interpolate
-    except ImportError as error:
-        raise ProviderError(
-            f"cannot import SciPy ({error}), which linear needs: {import_remedy(error, 'train')}"
-        ) from error
     interpolate: ModuleType = scipy.interpolate
     return interpolate

@@ -1,9 +1,13 @@
 """The protocol of depth completion methods."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from runtime.errors import ProviderError, import_remedy
 
 Depth = NDArray[np.float32]
 
@@ -31,3 +35,14 @@ def is_measured(sparse_depth: Depth) -> NDArray[np.bool_]:
     classical methods are scored, before it calls a method.
     """
     return np.asarray((sparse_depth > 0) & np.isfinite(sparse_depth))
+
+
+@contextmanager
+def needs_scipy(method: str) -> Iterator[None]:
+    """Around an import of SciPy for a method: a failure is a ProviderError that says the remedy."""
+    try:
+        yield
+    except ImportError as error:
+        raise ProviderError(
+            f"cannot import SciPy ({error}), which {method} needs: {import_remedy(error, 'train')}"
+        ) from error

@@ -14,8 +14,8 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.errors import InferenceError, ProviderError, import_remedy
-from training.evaluation.classical.method import Depth, is_measured
+from runtime.errors import InferenceError
+from training.evaluation.classical.method import Depth, is_measured, needs_scipy
 
 #: Least weight of neighbours: exp() of two different colours would cut a region off.
 _LEAST_WEIGHT = 1e-4
@@ -86,12 +86,8 @@ def neighbours(
 
 
 def _import_sparse() -> ModuleType:
-    try:
+    with needs_scipy("mrf"):
         import scipy.sparse
         import scipy.sparse.linalg
-    except ImportError as error:
-        raise ProviderError(
-            f"cannot import SciPy ({error}), which mrf needs: {import_remedy(error, 'train')}"
-        ) from error
     sparse: ModuleType = scipy.sparse
     return sparse
