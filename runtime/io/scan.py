@@ -4,6 +4,7 @@ Formats: PCD 0.7 of the Point Cloud Library, compressed by Marc Lehmann's LZF; G
 Polygon File Format", 1994.
 """
 
+import contextlib
 import io
 import itertools
 import math
@@ -11,6 +12,7 @@ import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import lzf
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,7 +37,6 @@ _ASCII, _COMPRESSED = "ascii", "binary_compressed"
 #: Encoding of the points -> order of the bytes.
 _OF_PCD = {_ASCII: "", "binary": "<", _COMPRESSED: "<"}
 _OF_PLY = {_ASCII: "", "binary_little_endian": "<", "binary_big_endian": ">"}
-_LONGEST_LITERAL = 32  # bytes, of LZF
 # A raw file does not say how many numbers a point has, but a scanner turns: the directions of two
 # points in a row differ by 0.2 degrees along a ring, by up to 21 between the lasers of a sweep, and
 # by 80 and more at the median where the numbers of different points are mixed.
@@ -43,7 +44,6 @@ _COLUMNS = (3, 4, 5, 6)
 _MAX_TURN_DEGREES = 40
 _MAX_DISTANCE_M = 250
 _JUDGED_POINTS, _LEAST_JUDGED = 2000, 50
-_DAMAGED = "its compressed points are truncated or damaged"
 
 
 class _Header(NamedTuple):
@@ -143,7 +143,7 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
         expected = ", ".join(encodings)
         raise ValueError(f"its points are {shown(encoding)}, expected one of {expected}")
     places, width, size = _place(fields)
-    if encoding == _COMPRESSED:
+    if encoding == _COMPRESSED and points > 0:
         body = _decompress(body, points * size)
     least = 2 * points * width - 1 if encoding == _ASCII else points * size  # digits and spaces
     if points < 0 or least > len(body):
@@ -228,32 +228,11 @@ def _decompress(body: bytes, size: int) -> bytes:
     """The compressed points of a PCD file. Raises ValueError unless they have `size` bytes."""
     if size > MAX_FILE_BYTES:
         raise ValueError(f"its points take {size:,} bytes, expected at most {MAX_FILE_BYTES:,}")
-    length, unpacked = np.frombuffer(body, "<u4", 2).tolist() if len(body) >= 8 else (0, 0)
-    # An encoder never makes more of it than literals of full length, and that bounds the time.
-    if unpacked != size or not length <= min(len(body) - 8, size + size // _LONGEST_LITERAL + 1):
-        raise ValueError(_DAMAGED)
-    packed = memoryview(body)[8 : 8 + length]
-    data, at = bytearray(), 0
-    try:
-        while at < len(packed) and len(data) <= size:
-            control, at = packed[at], at + 1
-            if control < _LONGEST_LITERAL:  # so many bytes and one more follow
-                literal = packed[at : at + control + 1]
-                if len(literal) <= control:
-                    raise IndexError
-                data += literal
-                at += control + 1
-                continue
-            length = (control >> 5) + 2  # of bytes that are there, maybe up to those it appends
-            if length == 9:
-                length, at = length + packed[at], at + 1
-            start, at = len(data) - 1 - ((control & 31) << 8) - packed[at], at + 1
-            if start < 0:
-                raise IndexError
-            copied = data[start : start + length]
-            data += (copied * (length // len(copied) + 1))[:length]
-    except IndexError as error:  # it ends in the middle, or copies what is not there
-        raise ValueError(_DAMAGED) from error
-    if at != len(packed) or len(data) != size:
-        raise ValueError(_DAMAGED)
-    return bytes(data)
+    packed, unpacked = np.frombuffer(body, "<u4", 2).tolist() if len(body) >= 8 else (0, 0)
+    points: bytes | None = None
+    if unpacked == size and packed <= len(body) - 8:
+        with contextlib.suppress(ValueError):  # raised for a copy of bytes that are not there
+            points = lzf.decompress(body[8 : 8 + packed], size)
+    if points is None or len(points) != size:
+        raise ValueError("its compressed points are truncated or damaged")
+    return points
