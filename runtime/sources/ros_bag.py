@@ -1,14 +1,11 @@
 """Bags of ROS 1 and ROS 2 and MCAP files: topics and messages, through `rosbags` (extra `bag`)."""
 
 import contextlib
-import importlib.util
 import os
 import struct
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
-from io import BytesIO
+from collections.abc import Collection, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from runtime.checks import cut
@@ -19,7 +16,7 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys.store import Typestore
 
-#: Of a compressed part of a bag, decompressed: of the largest message.
+#: Of a compressed part of a bag, decompressed, as its index declares it: of the largest message.
 MAX_CHUNK_BYTES = 2**28
 
 _BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".zstd")
@@ -123,56 +120,37 @@ def _open(path: Path) -> "tuple[AnyReader, Typestore]":
     with reading(path):
         # Bags before ROS 2 Iron hold no definitions.
         reader = AnyReader([path], default_typestore=definitions)
-        reader.readers = [_bounded_reader(path, is_ros1=is_ros1)]
         reader.open()
+        _check_declared_sizes(reader)
     return reader, definitions
 
 
-def _bounded_reader(path: Path, *, is_ros1: bool) -> Any:
-    """The reader of a bag that decompresses at most `MAX_CHUNK_BYTES` at a time.
-
-    Those of rosbags have no limit and no place to give one. They are made anew from its files, so
-    that rosbags itself stays as it is.
-    """
-    with _importing():
-        import bz2
-
-        import lz4.frame  # type: ignore[import-untyped]
-    if is_ros1:
-        ros1 = _load_anew("rosbags.rosbag1.reader")
-        ros1.decompressors |= {"bz2": bounded(bz2.open), "lz4": bounded(lz4.frame.open)}
-        return ros1.Reader(path)
-    ros2, mcap = (_load_anew(f"rosbags.rosbag2.{name}") for name in ("reader", "storage_mcap"))
-    zstd_open = ros2.zstd.open
-    zstd = bounded(zstd_open)
-    ros2.zstd = SimpleNamespace(open=zstd_open, decompress=zstd)
-    mcap.DECOMPRESSORS |= {"lz4": bounded(lz4.frame.open), "zstd": zstd}
-    ros2.DirectoryReader.STORAGE_PLUGINS["mcap"] = mcap.McapReader
-    ros2.Reader.STORAGE_PLUGINS[".mcap"] = mcap.McapReader
-    return ros2.Reader(path)
+def _check_declared_sizes(reader: "AnyReader") -> None:
+    """Raise InputError for a compressed part that would have more than `MAX_CHUNK_BYTES`."""
+    bag: Any
+    (bag,) = reader.readers
+    for size in _sizes_in_mcap(bag.storage) if reader.is2 else _sizes_in_ros1(bag):
+        if size > MAX_CHUNK_BYTES:
+            raise InputError(
+                f"a compressed part has {size:,} bytes, expected at most {MAX_CHUNK_BYTES:,}"
+            )
 
 
-def _load_anew(name: str) -> Any:
-    """Load a private copy of a module."""
-    spec = importlib.util.find_spec(name)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def _sizes_in_mcap(storage: Any) -> Iterator[int]:
+    for part in getattr(storage, "storages", [storage]):  # of a folder, or the only file
+        for chunk in getattr(part, "chunks", ()):  # those of the index; SQLite has none
+            if chunk.compression:
+                yield chunk.uncompressed_size
 
 
-def bounded(open_stream: Callable[[BytesIO], Any]) -> Callable[..., bytes]:
-    """Return a function that decompresses by `bz2.open` or the like, with a limit."""
+def _sizes_in_ros1(bag: Any) -> Iterator[int]:
+    from rosbags.rosbag1.reader import Header
 
-    def decompress(data: bytes, *_: int) -> bytes:
-        with open_stream(BytesIO(data)) as stream:
-            content: bytes = stream.read(MAX_CHUNK_BYTES + 1)
-        if len(content) > MAX_CHUNK_BYTES:
-            raise InputError(f"a compressed part has more than {MAX_CHUNK_BYTES:,} bytes")
-        return content
-
-    return decompress
+    for chunk in bag.chunk_infos:
+        bag.bio.seek(chunk.pos)
+        header = Header.read(bag.bio)
+        if header.get_string("compression") != "none":
+            yield header.get_uint32("size")
 
 
 @contextlib.contextmanager
