@@ -1,5 +1,6 @@
 """Checkpoints: weights that carry their own configuration."""
 
+import pickle
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -134,6 +135,11 @@ def read_document(path: Path) -> dict[str, Any]:
         raise CheckpointError(f"{path}: damaged ({_first_line(error)}). Copy it again.") from error
     try:
         document = torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:  # its text tells how to run the code
+        raise CheckpointError(
+            f"{path}: it contains objects other than tensors and plain values, which could run "
+            "code when loaded. Give a file that ssdnet-train wrote."
+        ) from error
     except Exception as error:  # so can a damaged pickle
         raise CheckpointError(f"{path}: damaged ({_first_line(error)}). Copy it again.") from error
     if not isinstance(document, dict) or not _is_equal(document.get("format"), FORMAT):
