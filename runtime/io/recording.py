@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from runtime.checks import check_number, cut, shown
 from runtime.errors import InputError, OutputError
 from runtime.heads import HEADS
-from runtime.io.agreement import compare, first_figure, recording_limits
+from runtime.io.agreement import compare, recording_limits
 from runtime.io.atomic_write import atomic_folder
 from runtime.model_file import load_model_file
 from runtime.network_size import NetworkSize
@@ -37,9 +37,6 @@ from runtime.read_input import open_input, read_text
 RECORDING_FORMAT, RECORDING_VERSION = "ssdnet-recording", "2.0"
 RECORDING_FILE, MODEL_FILE = "recording.json", "model.onnx"
 _FRAMES = "frames"
-
-# Version 1 has one limit a head. Those of 8-bit models passed nearly anything; others lie within:
-_FLOAT_LIMITS = {"semantic": 0.99, "depth": 1.0, "depth_uncertainty": 1.0, "boundary": 0.05}
 
 MAX_FRAME_BYTES = 2**32  # of the largest cameras with all heads
 
@@ -256,10 +253,8 @@ def _check_members(members: Sequence[zipfile.ZipInfo], names: Collection[str]) -
 def _parse(folder: Path, document: Any) -> Recording:
     if document["format"] != RECORDING_FORMAT:
         raise ValueError(f"format is {shown(document['format'])}, expected {RECORDING_FORMAT!r}")
-    major = str(document["version"]).partition(".")[0]
-    if major not in ("1", "2"):
-        raise ValueError(f"version is {shown(document['version'])}, this reader reads 1.x and 2.x")
-    limits = _first_limits(document["limits"]) if major == "1" else document["limits"]
+    if document["version"] != RECORDING_VERSION:
+        raise ValueError(f"version is {shown(document['version'])}, expected {RECORDING_VERSION!r}")
     settings = document["settings"]
     size, focal_px = settings["size"], settings["focal_length_px"]
     return Recording(
@@ -272,7 +267,7 @@ def _parse(folder: Path, document: Any) -> Recording:
         ),
         model_name=str(document["model"]["name"]),
         model_sha256=str(document["model"]["sha256"]),
-        limits={name: _limits(name, entry) for name, entry in limits.items()},
+        limits={name: _limits(name, entry) for name, entry in document["limits"].items()},
         frames=tuple(_frame(entry) for entry in document["frames"]),
     )
 
@@ -285,18 +280,6 @@ def _frame(entry: Any) -> RecordedFrame:
         degraded=None if degraded is None else tuple(map(str, degraded)),
         predict_ms=None if predict_ms is None else _check("predict_ms", predict_ms),
     )
-
-
-def _first_limits(limits: Any) -> dict[str, dict[str, float]]:
-    """The limits of version 1. Raises ValueError for those of an 8-bit model."""
-    for head, most in _FLOAT_LIMITS.items():
-        value = _check(head, limits.get(head, most))
-        if value < most if head == "semantic" else value > most:
-            raise ValueError(
-                f"the limit of {head}, {value:g}, comes from an 8-bit model recorded by an older "
-                "version, and accepts nearly any answer"
-            )
-    return {head: {first_figure(_head(head)): value} for head, value in limits.items()}
 
 
 def _limits(head: str, entry: Mapping[str, Any]) -> dict[str, float]:

@@ -85,7 +85,9 @@ def edit(folder, **changes):
     "changes",
     [
         {"format": "another"},
+        {"version": "1.0"},
         {"version": "3.0"},
+        {"version": None},
         {"settings": {"size": None}},
         {"settings": []},
         {"model": None},
@@ -103,8 +105,6 @@ def edit(folder, **changes):
             )
         ),
         {"limits": {"speed": {"max_abs": 1}}},
-        {"version": "1.0", "limits": {"speed": 1}},
-        {"version": "1.0", "limits": {"depth": "1"}},
         {"frames": [{"name": "x"}]},
         {"frames": 7},
         {"frames": [{"name": "x", "valid": True, "degraded": 3, "predict_ms": 1}]},
@@ -115,21 +115,6 @@ def test_a_document_that_was_changed_is_refused(recording, changes):
     edit(recording, **changes)
     with pytest.raises(InputError, match="is not a valid recording"):
         read_recording(recording)
-
-
-def test_a_recording_of_version_1_is_read_unless_its_limits_pass_anything(recording):
-    edit(recording, version="1.0", limits={"semantic": 0.995, "depth": 0.5, "boundary": 0.02})
-    assert read_recording(recording).limits == {
-        "semantic": {"agreement": 0.995},
-        "depth": {"max_abs_m": 0.5},
-        "boundary": {"mean_abs": 0.02},
-    }
-    for limits in ({"depth": 80.8}, {"semantic": 0.706}, {"boundary": 0.109}):
-        edit(recording, limits=limits)
-        with pytest.raises(
-            InputError, match=r"8-bit model recorded by an older version.*record again"
-        ):
-            read_recording(recording)
 
 
 @pytest.mark.parametrize(("content", "message"), [(b"{", "not JSON"), (None, "cannot read")])
