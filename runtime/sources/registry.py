@@ -29,12 +29,6 @@ SOURCES: dict[str, type[Source]] = {
 
 _LOOKED_AT = 100  # of what a folder that is no recording holds
 
-#: Kinds of earlier releases, and what replaces them.
-_REMOVED = {
-    "vkitti": "give --source folders:IMAGES --depth DEPTH --depth-scale 100, of its folders "
-    "frames/rgb/Camera_0 and frames/depth/Camera_0"
-}
-
 
 class SourcePath(NamedTuple):
     """A recording whose kind is known."""
@@ -113,8 +107,6 @@ def open_source(kind: str, path: str | Path, **options: Any) -> Source:
 
 def _require_kind(kind: str) -> None:
     """Raise InputError for an unknown kind, with the right spelling where there is one."""
-    if kind in _REMOVED:
-        raise InputError(f"the source {kind} was removed: {_REMOVED[kind]}")
     if kind not in SOURCES:
         right = kind.lower().replace("_", "-")
         remedy = f"write {right}" if right in SOURCES else f"give {_kinds()}"

@@ -30,12 +30,6 @@ def test_a_kind_with_an_underscore_is_answered_with_the_right_spelling(run):
     assert "write kitti-raw" in answers.text
 
 
-def test_a_source_of_an_earlier_release_is_answered_with_what_replaces_it(run):
-    answers = run("--source", "vkitti:Scene01/clone")
-    assert answers.exit_code == 2
-    assert "--source folders:IMAGES --depth DEPTH --depth-scale 100" in answers.text
-
-
 def test_a_path_may_hold_a_colon():
     source = open_source(*parse_source("folders:a:b"), depth=Path("c"))
     assert isinstance(source, FolderSource)
