@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
@@ -31,12 +30,11 @@ MIN_FOCAL_PX = 1.0  # bounds of a focal length: from tiny pictures to long telep
 MAX_FOCAL_PX = 1_000_000.0
 MAX_GIGA_MACS = 1_000_000.0
 
-#: Written until schema 2.0 for readers of older versions, which require it; not read.
+#: Written for engines of others; not read.
 _RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"} | {
     head.name: head.resize for head in HEADS.values()
 }
 _DIGEST_KEY = "document_sha256"
-_MINOR_VERSION = re.compile("[0-9]{1,4}")
 _JSON_TYPES: dict[type, str] = {dict: "an object", list: "a list", str: "text"}
 _Checked = TypeVar("_Checked")
 
@@ -62,7 +60,7 @@ class Contract:
     """What a model file states beside the tensors of its graph.
 
     Attributes:
-        schema_version: "major.minor"; a reader refuses another major than its own.
+        schema_version: SCHEMA_VERSION; another is refused.
         model_name: for example "ssdnet-lite".
         classes: in the order of the ids of `semantic`; empty without a semantic head.
         max_depth_m: the range: no answer is farther, and returns beyond it are clipped, see
@@ -83,7 +81,7 @@ class Contract:
             frames, miou (0..1) and mae_m; None = not measured.
         quantization: of an "int8" file: the calibration data, the convolutions left in float, and
             the rows of `accuracy` in single precision; else None.
-        content: the bytes of the file before this document; None in a file of schema 1.0.
+        content: the bytes of the file before this document; `with_contract` fills it in.
     """
 
     schema_version: str
@@ -102,7 +100,7 @@ class Contract:
     giga_macs: float | None = None
     accuracy: Mapping[str, Any] | None = None
     quantization: Mapping[str, Any] | None = None
-    content: Content | None = None
+    content: Content = Content(bytes=0, sha256="")
 
     @property
     def sky(self) -> int | None:
@@ -112,25 +110,22 @@ class Contract:
     def to_json(self) -> str:
         """Return the document as it is stored under METADATA_KEY.
 
-        With `content` its last key is "document_sha256": the SHA-256 of the UTF-8 bytes before the
-        comma in front of that key.
+        Its last key is "document_sha256": the SHA-256 of the UTF-8 bytes before the comma in front
+        of that key.
         """
-        document = {"resize": _RESIZE, **asdict(self)}
-        if self.content is None:
-            del document["content"]
-            return json.dumps(document, allow_nan=False)
-        return _with_digest(json.dumps(document, allow_nan=False).removesuffix("}"))
+        document = json.dumps({"resize": _RESIZE, **asdict(self)}, allow_nan=False)
+        return _with_digest(document.removesuffix("}"))
 
     @classmethod
     def from_json(cls, text: str) -> "Contract":
-        """Read the document; unknown keys are ignored, since a later minor version may add some.
+        """Read the document.
 
         Args:
             text: as `to_json` writes it.
 
         Raises:
-            ContractError: naming the missing key, the wrong type or value or the unknown major
-                version, and for a document that was changed after it was written.
+            ContractError: naming the missing key, the wrong type or value or the other version, and
+                for a document that was changed after it was written.
         """
         try:
             document = json.loads(text)
@@ -142,11 +137,11 @@ class Contract:
         if not isinstance(document, dict):
             raise _wrong("the document", "an object", document)
         version = _take(document, "schema_version", str)
-        major = SCHEMA_VERSION.split(".")[0]
-        if version.split(".")[0] != major:
+        if version != SCHEMA_VERSION:
             raise ContractError(
                 f"the model's metadata has schema version {shown(version)}, this engine reads "
-                f"{major}.x: update ssdnet, or export the model again with this version"
+                f"{SCHEMA_VERSION}: export the model again with this version of ssdnet, or use the "
+                "version that wrote it"
             )
         try:
             contract = cls(
@@ -273,8 +268,8 @@ def _take(document: Mapping[str, Any], key: str, kind: type = object, name: str 
 def _optional(
     document: Mapping[str, Any], key: str, check: Callable[[object, str], _Checked]
 ) -> _Checked | None:
-    """Return the checked value of a key that older schemas lack, None where it is null."""
-    value = document.get(key)
+    """Return the checked value of a key, None where it is null."""
+    value = _take(document, key)
     return None if value is None else check(value, key)
 
 
@@ -295,13 +290,8 @@ def _text_mapping(document: Mapping[str, Any], key: str) -> dict[str, str]:
     return mapping
 
 
-def _content(document: Mapping[str, Any], text: str) -> Content | None:
-    """Read `content`; by the version or the keys of schema 1.1 it and the digest are required."""
-    minor = document["schema_version"].partition(".")[2]
-    if not _MINOR_VERSION.fullmatch(minor):
-        raise _wrong("schema_version", "major.minor", document["schema_version"])
-    if int(minor) == 0 and not {"content", _DIGEST_KEY} & document.keys():
-        return None
+def _content(document: Mapping[str, Any], text: str) -> Content:
+    """Read `content`, and check the digest of the document."""
     value, digest = _take(document, "content", dict), _take(document, _DIGEST_KEY, str)
     before = text.rpartition(f', "{_DIGEST_KEY}"')[0]
     if text != _with_digest(before):

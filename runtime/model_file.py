@@ -1,6 +1,6 @@
 """The bytes of a model file: read within bounds, written and checked with the metadata at the end.
 
-Since schema 1.1 a file holds, in this order and nothing else:
+A file holds, in this order and nothing else:
 
 | bytes | |
 |---|---|
@@ -76,29 +76,20 @@ def load_model_file(path: Path, *, sha256: str | None = None) -> ModelFile:
 def parse_model_file(content: bytes) -> ModelFile:
     """Read the metadata of a model, and check by it that its bytes are what was exported.
 
-    A file of schema 1.0 has no digests: damage that leaves its metadata readable goes unnoticed.
-
     Raises:
         ContractError: for bytes that are not ONNX, damaged or without metadata.
     """
     view, text = memoryview(content), _document(content)
     contract, entry = Contract.from_json(text), _entry(text)
     digest = hashlib.sha256(view[: -len(entry)])
-    if contract.content is None:  # a later one would hide the digests of another
-        if (entries := content.count(_KEY + _VALUE)) > 1:
-            raise _damaged(f"it contains the metadata {METADATA_KEY!r} {entries} times")
-    else:
-        if view[-len(entry) :] != entry:
-            raise _damaged(
-                "its metadata is not the last entry of the file, or is encoded differently"
-            )
-        found = Content(bytes=len(view) - len(entry), sha256=digest.hexdigest())
-        if found != contract.content:
-            known = contract.content
-            raise _damaged(
-                f"the model has {found.bytes} bytes (SHA-256 {found.sha256[:12]}), but its "
-                f"metadata describes {known.bytes} bytes (SHA-256 {known.sha256[:12]})"
-            )
+    if view[-len(entry) :] != entry:
+        raise _damaged("its metadata is not the last entry of the file, or is encoded differently")
+    found = Content(bytes=len(view) - len(entry), sha256=digest.hexdigest())
+    if found != (known := contract.content):
+        raise _damaged(
+            f"the model has {found.bytes} bytes (SHA-256 {found.sha256[:12]}), but its metadata "
+            f"describes {known.bytes} bytes (SHA-256 {known.sha256[:12]})"
+        )
     digest.update(view[-len(entry) :])  # one pass over the bytes for both digests
     return ModelFile(content, digest.hexdigest(), contract)
 

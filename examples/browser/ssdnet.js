@@ -68,8 +68,8 @@ async function readContract(bytes) {
   const text = end.slice(entry + 9).replace(/^[^\0-\x7f]*[\0-\x7f]/, ""); // after its length
   const contract = JSON.parse(text);
   const { schema_version: version, content, document_sha256: digest } = contract;
-  if (!version.startsWith("1.")) throw Error(`its schema is ${version}, and this page reads 1.x`);
-  if (!content || !crypto.subtle) return contract; // of schema 1.0; neither https nor localhost
+  if (version !== "1.4") throw Error(`its schema is ${version}, and this page reads 1.4`);
+  if (!crypto.subtle) return contract; // neither https nor localhost
   const document = text.slice(0, text.lastIndexOf(', "document_sha256"'));
   const found = [bytes.subarray(0, content.bytes), new TextEncoder().encode(document)];
   const digests = await Promise.all(found.map(sha256));

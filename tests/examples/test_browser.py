@@ -265,9 +265,9 @@ WRONG = {
         lambda model, image, depth: changed(model, b"dark", b"dork"),
         "not as it was exported",
     ),
-    "a newer schema": (
-        lambda model, image, depth: changed(model, b'"1.4"', b'"2.0"'),
-        "schema is 2.0",
+    "another schema": (
+        lambda model, image, depth: changed(model, b'"1.4"', b'"1.5"'),
+        "schema is 1.5",
     ),
     "a text as an image": (
         lambda model, image, depth: image.write_text("hello"),
