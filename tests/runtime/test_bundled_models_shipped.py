@@ -1,6 +1,7 @@
 """What ships: the bundled models and stream keep their promises."""
 
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,6 +36,9 @@ def test_contract_of_a_bundled_model(model):
     assert contract.max_depth_m == 200
     assert "non-commercial" in contract.training["terms"]
     assert "unknown" not in contract.versions["ssdnet"]
+    page = Path(__file__).parents[2] / "docs" / "model_file.md"
+    schema = f"The schema version is {contract.schema_version}, in the bundled files too"
+    assert schema in page.read_text().replace("\n", " ")
     assert contract.parity["semantic"]
 
 
