@@ -49,7 +49,6 @@ class PageContent:
     """The content of a page.
 
     Attributes:
-        kind: "Run" or "Stream".
         command: command line of the run; "" = none.
         interrupted: whether the run was stopped before its end.
         contract: of the model.
@@ -66,7 +65,6 @@ class PageContent:
         facts: name -> value; those that are None or empty are not shown.
     """
 
-    kind: str
     command: str = ""
     interrupted: bool = False
     contract: Contract

@@ -43,7 +43,6 @@ class RunPage:
             returns = None if record.latency is None else record.depth_returns
             timeline.add(Moment(record.name, record.response_ms, tuple(marks), returns))
         content = PageContent(
-            kind="Run",
             command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
             interrupted=report.stream.interrupted,
             contract=self._contract,
