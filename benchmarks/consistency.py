@@ -60,7 +60,7 @@ def main() -> None:
 def run(predictor: Predictor, frames: list[Frame], fault: str) -> NDArray[np.float64]:
     """Return the running figures after each frame, float64 (passes * frames, figures)."""
     values = []
-    with PushStream(predictor, mode="live", consistency=0.05) as stream:
+    with PushStream(predictor, consistency=0.05) as stream:
         for number in range(PASSES * len(frames)):
             place = number % len(frames)
             depth = frames[place].sparse_depth

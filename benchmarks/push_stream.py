@@ -3,10 +3,8 @@
     python benchmarks/push_stream.py [--sizes 375x1242 ...] [--threads 2] [--rounds 7]
     python benchmarks/push_stream.py --rates [--threads 2] [--rounds 7]
 
-Three ways run interleaved: `predict` back to back; a replay that a thread pushes into, for the
-throughput; and a live stream into which a frame is pushed when the last one was answered, for the
-additional latency of a single frame ("overhead"). Ratios are of the same round; "processor" is the
-time of all threads, which other programs affect less.
+Two ways run interleaved: `predict` back to back, and a stream into which a frame is pushed when the
+last one was answered, for the additional latency of a single frame ("overhead").
 
 With --rates a camera of 20 Hz beside a LiDAR of 10 Hz and one of 10 Hz beside it push live into
 streams, interleaved, 30 s each, the depth 5 ms after its image: the age of the answers after the
@@ -16,10 +14,8 @@ first 2 s, from which on the periods are known. Take it on an idle machine.
 import argparse
 import platform
 import statistics
-import threading
 import time
 from importlib.metadata import version
-from typing import Any
 
 import numpy as np
 
@@ -54,10 +50,9 @@ def main() -> None:
     )
     dedicate_process()
     print(
-        "| size | predict ms | replay: throughput against predict | of processor time | "
-        "live: overhead a frame, median ms | p99 of predict | p99 of live |"
+        "| size | predict ms | overhead a frame, median ms | p99 of predict | p99 of the stream |"
     )
-    print("|" + "---|" * 7)
+    print("|" + "---|" * 5)
     for size in arguments.sizes:
         height, width = (int(side) for side in size.split("x"))
         with Predictor(arguments.model, size="frame", threads=arguments.threads) as predictor:
@@ -65,9 +60,8 @@ def main() -> None:
             frames = [resized[number % len(resized)] for number in range(arguments.frames)]
             row = measure(predictor, frames, rounds=arguments.rounds)
         print(
-            f"| {size} | {row['predict_ms']:.2f} | {row['throughput']:.3f} | "
-            f"{row['processor']:.3f} | {row['overhead_ms']:.2f} | {row['predict_p99_ms']:.1f} | "
-            f"{row['live_p99_ms']:.1f} |",
+            f"| {size} | {row['predict_ms']:.2f} | {row['overhead_ms']:.2f} | "
+            f"{row['predict_p99_ms']:.1f} | {row['stream_p99_ms']:.1f} |",
             flush=True,
         )
 
@@ -90,7 +84,7 @@ def print_rates(model: str | None, *, threads: int, rounds: int, seconds: float 
 def rate_ages(predictor: Predictor, frame: Frame, *, rate: int, seconds: float) -> list[float]:
     """Ages of the answers [ms] of a live stream in real time, without its first 2 s."""
     results: list[FrameResult] = []
-    with PushStream(predictor, mode="live", on_result=results.append) as stream:
+    with PushStream(predictor, on_result=results.append) as stream:
         images = [(number / rate, stream.push_image) for number in range(int(seconds * rate))]
         depths = [(number / 10, stream.push_depth) for number in range(int(seconds * 10))]
         started = time.perf_counter()
@@ -105,33 +99,21 @@ def rate_ages(predictor: Predictor, frame: Frame, *, rate: int, seconds: float) 
 
 
 def measure(predictor: Predictor, frames: list[Frame], *, rounds: int) -> dict[str, float]:
-    """Time the three ways interleaved, after one run of each to warm up."""
-    runs: list[dict[str, Any]] = []
-    for _ in range(rounds + 1):
-        run = {
-            "predict": _timed(lambda: [_predict(predictor, frame) for frame in frames]),
-            "replay": _timed(lambda: _replay(predictor, frames)),
-            "live": _timed(lambda: _live(predictor, frames)),
-        }
-        runs.append(run)
-    runs = runs[1:]
-
-    def ratio(of: int) -> float:
-        return statistics.median(run["predict"][of] / run["replay"][of] for run in runs)
-
-    alone = [time_ms for run in runs for time_ms in run["predict"][2]]
-    live = [time_ms for run in runs for time_ms in run["live"][2]]
+    """Time both ways interleaved, after one run of each to warm up."""
+    alone_ms: list[float] = []
+    stream_ms: list[float] = []
+    for number in range(rounds + 1):
+        alone = [_predict(predictor, frame) for frame in frames]
+        pushed = _push(predictor, frames)
+        if number:
+            alone_ms += alone
+            stream_ms += pushed
+    overheads_ms = [one - other for one, other in zip(stream_ms, alone_ms, strict=True)]
     return {
-        "predict_ms": statistics.median(alone),
-        "throughput": ratio(0),
-        "processor": ratio(1),
-        "overhead_ms": statistics.median(
-            one - other
-            for run in runs
-            for one, other in zip(run["live"][2], run["predict"][2], strict=True)
-        ),
-        "predict_p99_ms": float(np.quantile(alone, 0.99, method="inverted_cdf")),
-        "live_p99_ms": float(np.quantile(live, 0.99, method="inverted_cdf")),
+        "predict_ms": statistics.median(alone_ms),
+        "overhead_ms": statistics.median(overheads_ms),
+        "predict_p99_ms": float(np.quantile(alone_ms, 0.99, method="inverted_cdf")),
+        "stream_p99_ms": float(np.quantile(stream_ms, 0.99, method="inverted_cdf")),
     }
 
 
@@ -141,26 +123,9 @@ def _predict(predictor: Predictor, frame: Frame) -> float:
     return (time.perf_counter() - started) * 1e3
 
 
-def _replay(predictor: Predictor, frames: list[Frame]) -> None:
-    with PushStream(predictor, mode="replay", check_depth=False) as stream:
-
-        def push() -> None:
-            for number, frame in enumerate(frames):
-                stream.push_image(frame.rgb, number / 10)
-                stream.push_depth(frame.sparse_depth, number / 10)
-            stream.close()
-
-        pusher = threading.Thread(target=push)
-        pusher.start()
-        answered = sum(1 for _ in stream)
-        pusher.join()
-    if answered != len(frames):
-        raise RuntimeError(f"{answered} of {len(frames)} frames were answered")
-
-
-def _live(predictor: Predictor, frames: list[Frame]) -> list[float]:
+def _push(predictor: Predictor, frames: list[Frame]) -> list[float]:
     times_ms = []
-    with PushStream(predictor, mode="live", check_depth=False) as stream:
+    with PushStream(predictor, check_depth=False) as stream:
         for number, frame in enumerate(frames):
             started = time.perf_counter()
             stream.push_image(frame.rgb, number / 10)
@@ -168,13 +133,6 @@ def _live(predictor: Predictor, frames: list[Frame]) -> list[float]:
             next(stream)
             times_ms.append((time.perf_counter() - started) * 1e3)
     return times_ms
-
-
-def _timed(call: Any) -> tuple[float, float, Any]:
-    """Wall and processor time of a call [s], and what it returned."""
-    started, worked = time.perf_counter(), time.process_time()
-    returned = call()
-    return time.perf_counter() - started, time.process_time() - worked, returned
 
 
 if __name__ == "__main__":

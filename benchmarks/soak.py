@@ -2,22 +2,20 @@
 
     python benchmarks/soak.py [--minutes 1] [--rounds 20] [--load 1.5] [--size 375x1242]
 
-Four parts, each with random cases of `--seed`:
+Three parts, each with random cases of `--seed`:
 
 live     A camera and a LiDAR thread push for `--minutes` at `--load` times the rate that the model
          reaches here. Both send faults now and then: bursts of NaN, empty, half and wrongly sized
          depth maps, black, frozen and wrongly sized images, late, double, missing and jumping
          stamps; readers are killed and started again.
-replays  Recordings with jitter, gaps and lost messages are pushed by two threads `--rounds` times
-         each; the pairs must be the same each time.
 signals  `--rounds` programs push, read or iterate until a signal handler closes the stream, then
          exit while another stream predicts.
 sources  `--rounds` copies of the bundled recording have a damaged or special file each; reading
          must end in an InputError or in a frame, and all other frames must be read as they are.
 
 Exits with 1 if a message is not accounted for, if a stream ended by itself, if the process grew by
-more than 64 MB after the first fifth, if pairs differ, if a program hangs or fails, or
-if a damaged source is read wrongly.
+more than 64 MB after the first fifth, if a program hangs or fails, or if a damaged source is read
+wrongly.
 """
 
 import argparse
@@ -118,7 +116,6 @@ def soak(
     lock = threading.Lock()
     stream = PushStream(
         predictor,
-        mode="live",
         deadline_ms=100,
         on_state=lambda state: soaked.levels.update([str(state.level)]),
     )
@@ -243,70 +240,6 @@ def _stamp_fault(kind: str, stamp: float, shift: float) -> tuple[Any, float]:
     return stamp, shift
 
 
-def replayed_pairs(
-    predictor: Any, frame: Frame, *, seed: int, turns: int, max_wait_ms: float
-) -> list[tuple[float, float | None]]:
-    """Replay a recording from two threads; (image stamp, depth stamp) of each result.
-
-    seed: of the recording. turns: of the pauses of the threads.
-    """
-    chance = random.Random(seed)
-    gap_s = chance.uniform(0, 4)  # without depth
-
-    def stamps(period_s: float, *, gap_s: float = 0.0) -> list[float]:
-        regular = (number * period_s for number in range(int(6 / period_s)))
-        return sorted(
-            stamp + chance.gauss(0, 0.1 * period_s)
-            for stamp in regular
-            if not 1 < stamp < 1 + gap_s and chance.random() > 0.05
-        )
-
-    recording = (
-        (stamps(chance.choice([0.05, 0.1])), frame.rgb),
-        (stamps(chance.choice([0.1, 0.2]), gap_s=gap_s), frame.sparse_depth),
-    )
-    pairs = []
-    with PushStream(
-        predictor,
-        mode="replay",
-        max_wait_ms=max_wait_ms,
-        on_result=lambda result: pairs.append((result.image_stamp, result.depth_stamp)),
-    ) as stream:
-
-        def push(method: Any, sensor: int) -> None:
-            pause = random.Random(f"{turns} {sensor}")
-            for stamp in recording[sensor][0]:
-                if pause.random() < 0.2:
-                    time.sleep(pause.uniform(0, 0.02))
-                method(recording[sensor][1], stamp)
-
-        pushers = [
-            threading.Thread(target=push, args=(method, sensor))
-            for sensor, method in enumerate((stream.push_image, stream.push_depth))
-        ]
-        for pusher in pushers:
-            pusher.start()
-        for pusher in pushers:
-            pusher.join()
-    return pairs
-
-
-def soak_replays(predictor: Any, frame: Frame, *, rounds: int, seed: int) -> list[str]:
-    """Replay random recordings several times; a line for each that gave different pairs."""
-    found = []
-    for max_wait_ms in (0, 5, 50):
-        pairs = [
-            replayed_pairs(predictor, frame, seed=seed, turns=turns, max_wait_ms=max_wait_ms)
-            for turns in range(rounds)
-        ]
-        different = sum(each != pairs[0] for each in pairs)
-        if different:
-            found.append(
-                f"{different} of {rounds} replays with max_wait_ms={max_wait_ms} gave other pairs"
-            )
-    return found
-
-
 _CLOSED_BY_SIGNALS = """
 import random, signal, sys, threading, time
 import numpy as np
@@ -318,8 +251,7 @@ rgb, depth = np.zeros((64, 96, 3), np.uint8), np.ones((64, 96), np.float32)
 signal.signal(signal.SIGALRM, lambda *_: (stream.close(), closed.append(True)))
 for _ in range(20):
     on_result, closed = chance.choice([None, lambda result: None]), []
-    mode = "live" if on_result is None else chance.choice(["live", "replay"])
-    stream = PushStream(predictor, mode=mode, on_result=on_result, max_wait_ms=0)
+    stream = PushStream(predictor, on_result=on_result, max_wait_ms=0)
     number, read = 0, chance.choice(["counts", "statistics", "state", "close_elsewhere"])
     signal.setitimer(signal.ITIMER_REAL, chance.uniform(0.001, 0.05))
     while not closed:
@@ -463,9 +395,7 @@ def main() -> None:
             go_on=lambda number: time.monotonic() < end,
             seed=arguments.seed,
         )
-        small = resized_frames((64, 96))[0]
-        problems = soak_replays(predictor, small, rounds=arguments.rounds, seed=arguments.seed)
-    problems += soak_signals(rounds=arguments.rounds, seed=arguments.seed)
+    problems = soak_signals(rounds=arguments.rounds, seed=arguments.seed)
     problems += soak_sources(rounds=arguments.rounds, seed=arguments.seed)
     assert soaked.counts is not None
     assert soaked.statistics is not None
@@ -490,9 +420,8 @@ def main() -> None:
     if problems := soaked.problems() + problems:
         sys.exit("; ".join(problems))
     print(
-        f"every message is accounted for; {3 * arguments.rounds} replays gave the same pairs; "
-        f"{arguments.rounds} programs with signals ended well, {arguments.rounds} damaged sources "
-        "were read or refused"
+        f"every message is accounted for; {arguments.rounds} programs with signals ended well, "
+        f"{arguments.rounds} damaged sources were read or refused"
     )
 
 

@@ -122,9 +122,7 @@ def soak_rates(predictor: Predictor, *, seconds: float, seed: int) -> tuple[list
 
     called: Counter[str] = Counter()
     started = time.monotonic()
-    stream = PushStream(
-        watched, mode="live", calibration=CALIBRATION, pose_frame="lidar", on_result=take
-    )
+    stream = PushStream(watched, calibration=CALIBRATION, pose_frame="lidar", on_result=take)
 
     def pace(name: str, period_s: float, lost: float) -> Iterator[float]:
         """Times of a sensor, at the moment when they are over."""

@@ -42,7 +42,6 @@ def main() -> None:
         predictor.warm_up(frames[0].sparse_depth.shape)
         with PushStream(
             predictor,
-            mode="live",
             deadline_ms=DEADLINE_MS,
             on_result=on_result,
         ) as stream:

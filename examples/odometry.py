@@ -1,31 +1,30 @@
-"""A camera twice as fast as the LiDAR, and poses from an odometry beside the stream.
+"""A recording of a camera twice as fast as the LiDAR, with poses from an odometry.
 
     pip install kiss-icp
     python examples/odometry.py --images image_02 --scans velodyne --calibration calib.txt
 
 Images and scans are files of equal count, 10 a second. Every second scan is dropped, as if the
-LiDAR had half the camera's rate. KISS-ICP (Vizzo et al. 2023, MIT) runs in a thread of its own and
-pushes where the LiDAR was at each scan; the stream moves the returns to the time of each image.
+LiDAR had half the camera's rate. KISS-ICP (Vizzo et al. 2023, MIT) says where the LiDAR was at each
+scan; the returns are moved to the time of each image. A car pushes the same messages into a
+`PushStream`.
 """
 
 import argparse
-import queue
-import threading
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from kiss_icp.config import load_config
 from kiss_icp.kiss_icp import KissICP
-from numpy.typing import NDArray
 
-from runtime import Predictor, PushStream
+from runtime import Predictor, replay
 from runtime.io.calibration import Calibration
 from runtime.io.images import read_rgb
 from runtime.io.scan import read_scan
-from runtime.live.frame_result import FrameResult
+from runtime.live.message_counter import MessageCounter
+from runtime.live.replay import ReplayMessage
 
 PERIOD_S = 0.1
-Scan = tuple[NDArray[np.float32], float]
 
 
 def main() -> None:
@@ -38,53 +37,35 @@ def main() -> None:
     arguments = parser.parse_args()
     images = sorted(arguments.images.iterdir())[: arguments.frames]
     scans = sorted(arguments.scans.iterdir())[: arguments.frames]
-
-    def on_result(result: FrameResult) -> None:
-        age = "none" if result.depth_age_ms is None else f"{result.depth_age_ms:.0f} ms old"
-        flags = " ".join(result.prediction.degraded)
-        print(f"{result.image_stamp:.1f} s: depth {age}, moved: {result.depth_motion} {flags}")
-
-    with (
-        Predictor() as predictor,
-        PushStream(
+    counter = MessageCounter()
+    with Predictor() as predictor:
+        for answer in replay(
             predictor,
-            mode="replay",  # a car uses "live"
+            drive(images, scans),
             calibration=Calibration.from_file(arguments.calibration),
             pose_frame="lidar",
-            on_result=on_result,
-        ) as stream,
-    ):
-        to_odometry: queue.Queue[Scan | None] = queue.Queue(maxsize=4)
-
-        def odometry() -> None:
-            # The scans of these files have no time a point; with them, deskew = True.
-            config = load_config(None)
-            config.data.deskew = False
-            kiss_icp = KissICP(config)
-            while (scan := to_odometry.get()) is not None:
-                points, stamp = scan
-                kiss_icp.register_frame(points[:, :3].astype(np.float64), np.zeros(0))
-                stream.push_pose(kiss_icp.last_pose, stamp)
-
-        def lidar() -> None:
-            for number, path in enumerate(scans):
-                if number % 2 == 0:
-                    points = read_scan(path)
-                    to_odometry.put((points, number * PERIOD_S))
-                    stream.push_points(points, number * PERIOD_S)
-            to_odometry.put(None)
-
-        def camera() -> None:
-            for number, path in enumerate(images):
-                stream.push_image(read_rgb(path), number * PERIOD_S)
-
-        threads = [threading.Thread(target=each) for each in (odometry, lidar, camera)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    counts = stream.counts
+            counter=counter,
+        ):
+            age = "none" if answer.depth_age_ms is None else f"{answer.depth_age_ms:.0f} ms old"
+            flags = " ".join(answer.prediction.degraded)
+            print(f"{answer.image_stamp:.1f} s: depth {age}, moved: {answer.depth_motion} {flags}")
+    counts = counter.counts()
     print(f"{counts.images.answered} answers, {counts.reused} with the scan before")
+
+
+def drive(images: Sequence[Path], scans: Sequence[Path]) -> Iterator[ReplayMessage]:
+    """Yield the messages of camera, LiDAR and odometry in the order of time."""
+    config = load_config(None)
+    config.data.deskew = False  # the scans of these files have no time a point
+    kiss_icp = KissICP(config)
+    for number, (image, scan) in enumerate(zip(images, scans, strict=True)):
+        stamp = number * PERIOD_S
+        yield "image", read_rgb(image), stamp
+        if number % 2 == 0:
+            points = read_scan(scan)
+            yield "points", points, stamp
+            kiss_icp.register_frame(points[:, :3].astype(np.float64), np.zeros(0))
+            yield "pose", kiss_icp.last_pose, stamp
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from runtime.errors import ProviderError as ProviderError
     from runtime.errors import SSDNetError as SSDNetError
     from runtime.live.push_stream import PushStream as PushStream
+    from runtime.live.replay import replay as replay
     from runtime.prediction import Cleaned as Cleaned
     from runtime.prediction import Latency as Latency
     from runtime.prediction import Prediction as Prediction
@@ -40,6 +41,7 @@ _MODULES = {
     "contract": "ClassInfo Contract",
     "errors": "ContractError InferenceError InputError OutputError ProviderError SSDNetError",
     "live.push_stream": "PushStream",
+    "live.replay": "replay",
     "prediction": "Cleaned Latency Prediction",
     "predictor": "Predictor",
     "projection": "OcclusionFilter project_points",

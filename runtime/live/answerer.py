@@ -2,7 +2,7 @@
 
 import contextlib
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,15 +10,17 @@ from numpy.typing import NDArray
 from runtime.canonical_focal import camera_scale
 from runtime.contract import MAX_RETURN_M
 from runtime.errors import SSDNetError
-from runtime.health.consistency import Consistency, ConsistencyCheck
+from runtime.health.consistency import ConsistencyCheck
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.health.frame_health import FrameHealth
 from runtime.io.calibration import Calibration
+from runtime.live.frame_result import FrameAnswer
 from runtime.live.payload import Points
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.sync.depth_in_time import DepthMotion, keep_map, project_in_time
+from runtime.sync.matching import Pair
 from runtime.sync.poses import PoseTrack
-from runtime.sync.synchronizer import Pair
+from runtime.sync.stamp import NS_PER_MS
 
 _CHECK_EVERY = 100  # frames with depth, after the first ones
 
@@ -36,15 +38,6 @@ class FramePredictor(Protocol):
         focal_length_px: float | None = None,
         stamp: Any = None,
     ) -> Prediction: ...
-
-
-class Answer(NamedTuple):
-    """What `Answerer` adds to a `FrameResult`: the fields of the same names there."""
-
-    prediction: Prediction
-    health: tuple[str, ...]
-    consistency: Consistency | None
-    depth_motion: DepthMotion | None
 
 
 class Answerer:
@@ -66,12 +59,13 @@ class Answerer:
         self._checks = self._since = 0  # frames checked; frames with depth since then
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
 
-    def answer(self, pair: Pair, poses: PoseTrack | None) -> Answer:
+    def answer(self, pair: Pair, poses: PoseTrack | None) -> FrameAnswer:
         """Answer a frame; raises what `Predictor.predict` raises.
 
         poses: of the LiDAR over the time of the frame; None = of a stream without poses.
         """
-        rgb = pair.image.data
+        image, depth, reused = pair
+        rgb = image.data
         sparse_depth, motion, reasons = self._sparse_depth(pair, poses)
         if self._consistency is None or pair.own_depth is None:
             prediction, consistency = self._predict(rgb, sparse_depth, pair), None
@@ -83,9 +77,9 @@ class Answerer:
                 if self._check_depth:
                     self._judge(camera_only, sparse_depth)
             consistency = self._consistency.score(
-                prediction, camera_only, sparse_depth, held_out, stamp_ns=pair.image.stamp_ns
+                prediction, camera_only, sparse_depth, held_out, stamp_ns=image.stamp_ns
             )
-        if pair.depth is not None:
+        if depth is not None:
             self._since += 1
             self._last = None if prediction.depth is None else (pair, sparse_depth)
             if self._is_implausible:
@@ -95,7 +89,17 @@ class Answerer:
         range_m = self._range_m(prediction)
         # `predict` has checked that they fit.
         health = self._health.check(rgb, sparse_depth, range_m=range_m)
-        return Answer(prediction, health, consistency, motion)
+        return FrameAnswer(
+            rgb=rgb,
+            prediction=prediction,
+            health=health,
+            consistency=consistency,
+            image_stamp=image.stamp,
+            depth_stamp=None if depth is None else depth.stamp,
+            skew_ms=None if depth is None else (depth.stamp_ns - image.stamp_ns) / NS_PER_MS,
+            depth_reused=reused,
+            depth_motion=motion,
+        )
 
     def _sparse_depth(
         self, pair: Pair, poses: PoseTrack | None

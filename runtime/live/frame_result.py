@@ -1,4 +1,4 @@
-"""The result of a stream for a frame."""
+"""The answer to a frame, and the result of a live stream for it."""
 
 from dataclasses import dataclass
 
@@ -11,34 +11,26 @@ from runtime.sync.depth_in_time import DepthMotion
 from runtime.sync.stamp import Stamp
 
 
-@dataclass(frozen=True, eq=False)
-class FrameResult:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrameAnswer:
     """The prediction for one image and the depth map that was matched with it.
 
     Attributes:
-        sequence: 0 for the first result of the stream, and so on.
         rgb: uint8 (H, W, 3), the image.
         prediction: of the `Predictor`.
         health: what is wrong with the sensors, see `FrameHealth.check`; () if nothing.
-        consistency: running figures of calibration and sync; None unless the stream was made with
-            `consistency`, and where the prediction is from the camera alone.
-        image_stamp, depth_stamp: as pushed; depth_stamp is None where the prediction is from the
+        consistency: running figures of calibration and sync; None without the option `consistency`,
+            and where the prediction is from the camera alone.
+        image_stamp, depth_stamp: as given; depth_stamp is None where the prediction is from the
             camera alone (`prediction.degraded` then holds "no_depth").
         skew_ms: depth stamp - image stamp; None without depth.
-        depth_age_ms: image stamp - depth stamp; None without depth.
         depth_reused: whether the depth is an older scan's (`prediction.degraded` then holds
             "depth_reused"), because the image has none of its own.
         depth_motion: "each" where each return was moved to the time of the image by its own time,
             "scan" where the scan was moved as one, "none" where it is as it was measured; None
             without depth.
-        latency_ms: live, since the image was pushed, with waiting for its depth and for its turn;
-            in a replay, since its turn.
-        age_ms: time of the result - stamp of the image, by `sensor_clock`; without one, live
-            `latency_ms`, and in a replay None.
-        deadline_met: whether latency_ms is within the deadline; None without one.
     """
 
-    sequence: int
     rgb: NDArray[np.uint8]
     prediction: Prediction
     health: tuple[str, ...]
@@ -46,9 +38,28 @@ class FrameResult:
     image_stamp: Stamp
     depth_stamp: Stamp | None
     skew_ms: float | None
-    depth_age_ms: float | None
     depth_reused: bool
     depth_motion: DepthMotion | None
+
+    @property
+    def depth_age_ms(self) -> float | None:
+        """Image stamp - depth stamp; None without depth."""
+        return None if self.skew_ms is None else 0.0 - self.skew_ms  # no -0.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrameResult(FrameAnswer):
+    """The answer of a live stream to a frame, and when it came.
+
+    Attributes:
+        sequence: 0 for the first result of the stream, and so on.
+        latency_ms: since the image was pushed, with waiting for its depth and for its turn.
+        age_ms: time of the result - stamp of the image, by `sensor_clock`; without one
+            `latency_ms`.
+        deadline_met: whether latency_ms is within the deadline; None without one.
+    """
+
+    sequence: int
     latency_ms: float
-    age_ms: float | None
+    age_ms: float
     deadline_met: bool | None

@@ -1,9 +1,10 @@
-"""Counts of the outcomes of all messages of a stream."""
+"""Counts of the outcomes of all messages of a stream or a replay."""
 
 from collections import Counter
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
+from runtime.sync.matching import Decided, Pair
 from runtime.sync.outcome import DROPPED, ERRORS, UNMATCHED, Outcome, Sensor
 
 
@@ -25,7 +26,7 @@ class MessageCounts:
 
     @property
     def pending(self) -> int:
-        """Messages that are still waiting or being answered; 0 after the stream was closed."""
+        """Messages that are still waiting or being answered; 0 at the end."""
         reasons = (self.dropped, self.unmatched, self.errors)
         return self.pushed - self.answered - sum(sum(counts.values()) for counts in reasons)
 
@@ -55,12 +56,12 @@ class StreamCounts(MessageCounts):
 
 
 class MessageCounter:
-    """Counts every message when it is pushed and when its outcome is known; the lock guards it."""
+    """Counts every message when it comes and when its outcome is known. Not thread-safe."""
 
     def __init__(self) -> None:
         self._pushed: Counter[Sensor] = Counter()
         self._outcomes: dict[Sensor, Counter[Outcome]] = {sensor: Counter() for sensor in Sensor}
-        self._camera_only = self._reused = 0
+        self._camera_only = self._reused = self._out_of_order = self._jumps_back = 0
 
     def push(self, sensor: Sensor) -> None:
         """Count a new message."""
@@ -70,24 +71,33 @@ class MessageCounter:
         """Count the outcome of a message."""
         self._outcomes[sensor][outcome] += 1
 
-    def record_frame(self, outcome: Outcome, *, with_depth: bool, reused: bool = False) -> None:
-        """Count the outcome of an image and of its depth map, if it is counted separately."""
+    def record_decided(self, decided: Decided) -> None:
+        """Count what a step of the matching discarded."""
+        for discarded in decided.discarded:
+            self.record(discarded.sensor, discarded.outcome)
+        self._out_of_order += decided.out_of_order
+        self._jumps_back += decided.jumped_back
+
+    def record_pair(self, pair: Pair, outcome: Outcome) -> None:
+        """Count the outcome of an image and of its own depth map."""
         self.record(Sensor.IMAGE, outcome)
-        if with_depth:
+        if pair.own_depth is not None:
             self.record(Sensor.DEPTH, outcome)
         elif outcome is Outcome.ANSWERED:
-            self._reused += reused
-            self._camera_only += not reused
+            self._reused += pair.reused
+            self._camera_only += not pair.reused
 
-    def record_unread(self, *, with_depth: bool, reused: bool = False) -> None:
+    def record_unread(self, pair: Pair) -> None:
         """An answer was not fetched: its messages count as dropped instead."""
-        self.record_frame(Outcome.UNREAD, with_depth=with_depth)
+        self.record_pair(pair, Outcome.UNREAD)
         self._outcomes[Sensor.IMAGE][Outcome.ANSWERED] -= 1
-        self._outcomes[Sensor.DEPTH][Outcome.ANSWERED] -= with_depth
-        self._reused -= reused
-        self._camera_only -= not with_depth and not reused
+        if pair.own_depth is not None:
+            self._outcomes[Sensor.DEPTH][Outcome.ANSWERED] -= 1
+        else:
+            self._reused -= pair.reused
+            self._camera_only -= not pair.reused
 
-    def counts(self, *, out_of_order: int, jumps_back: int) -> StreamCounts:
+    def counts(self) -> StreamCounts:
         """A copy of the present counts."""
         both = self._outcomes[Sensor.IMAGE] + self._outcomes[Sensor.DEPTH]
         pushed = self._pushed[Sensor.IMAGE] + self._pushed[Sensor.DEPTH]
@@ -98,8 +108,8 @@ class MessageCounter:
             poses=_counts(self._pushed[Sensor.POSE], self._outcomes[Sensor.POSE]),
             camera_only=self._camera_only,
             reused=self._reused,
-            out_of_order=out_of_order,
-            jumps_back=jumps_back,
+            out_of_order=self._out_of_order,
+            jumps_back=self._jumps_back,
         )
 
 

@@ -1,4 +1,4 @@
-"""Checks of what a LiDAR pushes, a depth map or a scan, before its image is known."""
+"""Checks of what a LiDAR sends, a depth map or a scan, before its image is known."""
 
 from typing import Any, NamedTuple
 
@@ -48,7 +48,7 @@ def check_points(
 ) -> Points:
     """Check a scan and that it can be projected; raises InputError."""
     if calibration is None:
-        raise InputError("push_points needs a calibration: make the stream with calibration=")
+        raise InputError("points need a calibration to be projected: give calibration=")
     calibration.check(points)
     if times is None:
         return Points(points)

@@ -1,4 +1,4 @@
-"""The poses of a stream, and what it does with a scan for them."""
+"""The poses of the car, and the time of each scan."""
 
 from typing import Any
 
@@ -10,27 +10,29 @@ from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.live.payload import Points
 from runtime.sync.depth_in_time import FIRST_SCAN_NS, MIDDLE_AFTER, check_scan_stamp
+from runtime.sync.intervals import Intervals
+from runtime.sync.matching import Pair
 from runtime.sync.motion import lidar_mount
-from runtime.sync.poses import CAPACITY, PoseBuffer, PoseFrame, PoseTrack, check_pose
-from runtime.sync.synchronizer import Pair
-
-_AHEAD = CAPACITY // 2  # replay: poses that are newer than the last image that was decided
+from runtime.sync.poses import PoseBuffer, PoseFrame, PoseTrack, check_pose
 
 
 class PoseFeed:
-    """Poses and the instants of scans, as a stream's options say; the stream's lock guards it.
+    """Poses and the instants of scans, as the options say. Not thread-safe.
 
     Args:
-        pose_frame: "lidar", "camera" or "body"; None = a stream without poses.
+        pose_frame: "lidar", "camera" or "body"; None = a car without poses.
         scan_stamp: "start", "middle" or "end".
-        calibration: of the stream.
+        calibration: of camera and LiDAR.
 
     Raises:
-        InputError: if an option is unknown or its calibration is missing.
+        InputError: if an option is unknown, or the calibration is none or missing.
     """
 
     def __init__(self, pose_frame: Any, scan_stamp: Any, calibration: Calibration | None) -> None:
+        if not isinstance(calibration, Calibration | None):
+            raise InputError(f"calibration must be a Calibration or None, got {shown(calibration)}")
         self._scan_stamp = check_scan_stamp(scan_stamp)
+        self._scans = Intervals()
         self.buffer = PoseBuffer()
         self._mount: NDArray[np.float64] | None = None
         if pose_frame is not None:
@@ -44,33 +46,39 @@ class PoseFeed:
                 raise InputError("pose_frame needs a calibration: give calibration=")
             self._mount = lidar_mount(PoseFrame(pose_frame), calibration)
 
-    @property
-    def expected(self) -> bool:
-        """Whether the stream has poses."""
-        return self._mount is not None
-
     def check(self, pose: Any) -> NDArray[np.float64]:
-        """Check a pose that is pushed; raises InputError."""
-        if not self.expected:
-            raise InputError('push_pose needs pose_frame="lidar", "camera" or "body"')
+        """Check a pose; raises InputError."""
+        if self._mount is None:
+            raise InputError('poses need pose_frame="lidar", "camera" or "body"')
         return check_pose(pose)
 
-    def full(self, decided_ns: int | None) -> bool:
-        """Whether poses are far ahead of the images, the last of which was decided then."""
-        buffer = self.buffer
-        return (len(buffer) if decided_ns is None else buffer.count_after(decided_ns)) >= _AHEAD
+    def timed(self, depth: Any, stamp_ns: int) -> Any:
+        """A scan with its time; without times of its points, that of its middle.
 
-    def instant(self, scan: Points, stamp_ns: int, period_ns: int | None) -> Points:
-        """A scan with its time; without times of its points, that of its middle."""
-        later = MIDDLE_AFTER[self._scan_stamp] * (period_ns or FIRST_SCAN_NS)
-        return scan.measured_at(stamp_ns + round(later))
+        Called once for each depth message; a depth map is returned as it is.
+        """
+        if not isinstance(depth, Points):
+            return depth
+        later = MIDDLE_AFTER[self._scan_stamp] * (self._scans.period_ns() or FIRST_SCAN_NS)
+        self._scans.add(stamp_ns)
+        return depth.measured_at(stamp_ns + round(later))
+
+    def reach(self, pair: Pair) -> bool:
+        """Whether poses were given up to the end of a frame; for a car without poses, always."""
+        newest_ns = self.buffer.newest_ns
+        return self._mount is None or (newest_ns is not None and newest_ns >= _span_ns(pair)[1])
 
     def track(self, pair: Pair) -> PoseTrack | None:
-        """The poses of the LiDAR over the time of a frame; None for a stream without poses."""
+        """The poses of the LiDAR over the time of a frame; None for a car without poses."""
         if self._mount is None:
             return None
-        first_ns = last_ns = pair.image.stamp_ns
-        if pair.depth is not None and isinstance(pair.depth.data, Points):
-            first_ns = min(first_ns, pair.depth.data.first_ns)
-            last_ns = max(last_ns, pair.depth.data.last_ns)
-        return self.buffer.between(first_ns, last_ns).mounted(self._mount)
+        return self.buffer.between(*_span_ns(pair)).mounted(self._mount)
+
+
+def _span_ns(pair: Pair) -> tuple[int, int]:
+    """The first and the last time of a frame, that of its image and of its returns."""
+    first_ns = last_ns = pair.image.stamp_ns
+    if pair.depth is not None and isinstance(pair.depth.data, Points):
+        first_ns = min(first_ns, pair.depth.data.first_ns)
+        last_ns = max(last_ns, pair.depth.data.last_ns)
+    return first_ns, last_ns

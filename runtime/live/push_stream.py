@@ -6,29 +6,21 @@ other change. Invariants:
 
 1. An accepted message is in exactly one place: with the synchronizer, in `_ready`, with the worker
    (`_step` to `_answer`), or counted with its outcome. It is moved only with the lock held.
-2. The lock is not held while predicting, copying or calling a callback. So a push into a live
-   stream waits for a few comparisons at most, and a callback may call any method.
-3. Live, `_ready` and `_results` hold at most one item and the synchronizer `_WAITING` messages of a
-   sensor. In a replay a push waits while there are that many.
-4. A replay matches by stamps, never by the clock. A push waits for room alone, and the worker makes
-   room as long as something can be decided or predicted and there is room for its result. Where a
-   sensor is full because nothing at all was pushed for `_SILENT_NS`, the other sensor counts as
-   absent until its next message: the waiting push decides the oldest message with what is there.
-5. `_closed` never becomes False again. Once it is True no message is accepted, no push waits, and
-   the worker decides what waits, answers what was accepted, which is bounded by 3, and ends.
-6. `close` may run in the middle of any other method in the same thread, as a signal handler does:
+2. The lock is not held while predicting, copying or calling a callback. So a push waits for a few
+   comparisons at most, and a callback may call any method.
+3. `_ready` and `_unread` hold one frame each and the synchronizer `_WAITING` messages of a sensor.
+4. `_closed` never becomes False again. Once it is True no message is accepted, and the worker
+   decides what waits, answers what was accepted, which is bounded by 3, and ends.
+5. `close` may run in the middle of any other method in the same thread, as a signal handler does:
    where that method holds the lock, `close` only sets `_closed` and returns.
-7. The worker references the stream only while it works, so that a dropped stream is collected. That
+6. The worker references the stream only while it works, so that a dropped stream is collected. That
    ends the worker, as does the interpreter's exit, which must not happen during a prediction.
-8. The worker copies the poses of a frame when it takes it (`_step`). In a replay the synchronizer
-   holds an image back until the poses reach it and its scan, so that the copy is the same each
-   time; `_SILENT_NS` holds for poses, too. Live no image waits for a pose.
+7. The worker copies the poses of a frame when it takes it (`_step`). No image waits for a pose.
 """
 
 import contextlib
 import threading
 import weakref
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Literal
@@ -39,11 +31,11 @@ from numpy.typing import NDArray
 from runtime.checks import check_number, shown
 from runtime.errors import InferenceError, InputError, SSDNetError
 from runtime.io.calibration import Calibration
-from runtime.live.answerer import Answer, Answerer, FramePredictor
+from runtime.live.answerer import Answerer, FramePredictor
 from runtime.live.clock import MonotonicClock
-from runtime.live.frame_result import FrameResult
+from runtime.live.frame_result import FrameAnswer, FrameResult
 from runtime.live.message_counter import MessageCounter, StreamCounts
-from runtime.live.payload import Points, check_depth, check_points
+from runtime.live.payload import check_depth, check_points
 from runtime.live.pose_feed import PoseFeed
 from runtime.live.stream_statistics import StatisticsRecorder, StreamStatistics
 from runtime.live.watchdog import Watchdog, WatchdogLimits, WatchdogState
@@ -51,6 +43,7 @@ from runtime.prediction import DEPTH_REUSED
 from runtime.preprocess import check_rgb
 from runtime.process_guard import ProcessGuard
 from runtime.sync.depth_in_time import ScanStamp
+from runtime.sync.matching import Decided, Message, Pair
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseTrack
 from runtime.sync.stamp import (
@@ -60,22 +53,20 @@ from runtime.sync.stamp import (
     Stamp,
     stamp_ns,
 )
-from runtime.sync.synchronizer import Decided, Message, Pair, Synchronizer
+from runtime.sync.synchronizer import Synchronizer
 
 _WAITING = 16  # messages of a sensor that wait for their partner
-_READY = 2  # replay: pairs that wait for their prediction
-_RESULTS = 8  # replay: results that wait to be fetched
-_SILENT_NS = 2_000 * NS_PER_MS  # replay: without any push, until the other sensor counts as absent
 _EXIT_S = 10.0  # the interpreter's exit waits so long for a prediction
 _check_ms = partial(check_number, most=1e9, unit="milliseconds", error=InputError)
-_FAR_NS = 2**63  # before all stamps
 
 
 class PushStream:
     """Match, predict and account for what sensors push from their own threads.
 
+    A push never waits, and the newest complete frame wins. Recordings go through `replay`.
+
     ```python
-    with PushStream(predictor, mode="live", deadline_ms=50) as stream:
+    with PushStream(predictor, deadline_ms=50) as stream:
         stream.push_image(rgb, stamp)  # in the camera's callback; seconds, or int nanoseconds
         stream.push_depth(sparse_depth, stamp)  # in the LiDAR's; or push_points(points, stamp)
         stream.push_pose(pose, stamp)  # in the odometry's, with pose_frame=
@@ -89,13 +80,10 @@ class PushStream:
 
     Args:
         predictor: a `Predictor`, or a drop-in replacement; it must outlive the stream.
-        mode: "live": a push never waits, and the newest complete frame wins. "replay": every frame
-            is answered, in the order of the stamps, and a push waits until there is room.
         deadline_ms: limit for `FrameResult.latency_ms`; None = no limit.
         max_skew_ms: largest difference between the stamps of an image and its depth map.
         max_wait_ms: how long an image waits for its depth map before it is answered from the
-            camera alone, and a depth map for its image. Live by the clock, in a replay by the
-            stamps.
+            camera alone, and a depth map for its image.
         calibration: of camera and LiDAR, required by `push_points`; its focal length is used where
             the predictor has none.
         reuse_depth_ms: an image without depth of its own takes the newest one before it that is at
@@ -110,7 +98,7 @@ class PushStream:
             takes a second prediction. None = no check.
         check_depth: whether returns are compared with a prediction from the image alone, for
             "implausible_depth" in `Prediction.degraded` of the frames after it: of the first five
-            frames with depth, then of one in a hundred, live when no frame waits. It runs after the
+            frames with depth, then of one in a hundred, when no frame waits. It runs after the
             frame's result was handed over, and is in no latency of that frame.
         on_result: called with each `FrameResult` in the stream's thread, instead of iterating.
         on_error: called there with each InputError or InferenceError of a frame, and with an
@@ -122,7 +110,6 @@ class PushStream:
         clock: the clock used for waiting; for tests.
 
     Attributes:
-        mode: as given.
         deadline_ms: as given.
 
     Raises:
@@ -133,7 +120,6 @@ class PushStream:
         self,
         predictor: FramePredictor,
         *,
-        mode: Literal["live", "replay"] = "live",
         deadline_ms: float | None = None,
         max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
         max_wait_ms: float = 50.0,
@@ -150,15 +136,11 @@ class PushStream:
         sensor_clock: Callable[[], Stamp] | None = None,
         clock: MonotonicClock | None = None,
     ) -> None:
-        if mode not in ("live", "replay"):
-            raise InputError(f'mode must be "live" or "replay", got {shown(mode)}')
-        _check_type("calibration", calibration, Calibration)
         _check_type("watchdog", watchdog, WatchdogLimits)
         _check_type("on_result", on_result, Callable)
         _check_type("on_error", on_error, Callable)
         _check_type("on_state", on_state, Callable)
         _check_type("sensor_clock", sensor_clock, Callable)
-        self.mode = mode
         self.deadline_ms = (
             None if deadline_ms is None else _check_ms("deadline_ms", deadline_ms, 1e-6)
         )
@@ -168,28 +150,22 @@ class PushStream:
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
         self._sensor_clock = sensor_clock
         self._clock = clock or MonotonicClock()
-        self._live = mode == "live"
 
         lock = threading.RLock()
         self._changed, self._answered = threading.Condition(lock), threading.Condition(lock)
         self._synchronizer = Synchronizer(
-            live=self._live,
             max_skew_ns=round(_check_ms("max_skew_ms", max_skew_ms, 0) * NS_PER_MS),
             max_wait_ns=round(_check_ms("max_wait_ms", max_wait_ms, 0) * NS_PER_MS),
             capacity=_WAITING,
             reuse_ns=round(_check_ms("reuse_depth_ms", reuse_depth_ms, 0) * NS_PER_MS),
         )
         self._poses = PoseFeed(pose_frame, scan_stamp, calibration)
-        if self._poses.expected and not self._live:
-            self._synchronizer.poses_reach(-_FAR_NS, 0)
         self._counter = MessageCounter()
         self._recorder = StatisticsRecorder(self.deadline_ms)
-        self._watchdog = Watchdog(watchdog or WatchdogLimits(), live=self._live)
+        self._watchdog = Watchdog(watchdog or WatchdogLimits())
         self._reported_state = self._watchdog.state(0)
-        self._ready: deque[Pair] = deque()
-        self._results: deque[FrameResult] = deque()
-        self._moved_ns = self._clock.now_ns()  # the last push, or pair taken
-        self._alone: Sensor | None = None  # replay: goes on without the other sensor
+        self._ready: Pair | None = None  # waits for its prediction
+        self._unread: tuple[Pair, FrameResult] | None = None  # waits to be fetched
         self._answers = 0
         self._closed = self._ended = self._failure_raised = False
         self._guard = ProcessGuard("PushStream")
@@ -254,7 +230,7 @@ class PushStream:
             InferenceError: as `push_image`.
         """
 
-        def check(points: Any) -> Points:
+        def check(points: Any) -> Any:
             return check_points(
                 points, times=times, stamp_ns=stamp_ns(stamp), calibration=self._calibration
             )
@@ -289,12 +265,6 @@ class PushStream:
             raise
         with self._changed:
             self._counter.push(sensor)
-            if not self._live:
-                try:
-                    self._wait_for_room(sensor)
-                except BaseException:
-                    self._counter.record(sensor, Outcome.INTERRUPTED)
-                    raise
             if self._closed:
                 self._counter.record(sensor, Outcome.CLOSED)
                 if self._failure is not None:
@@ -303,38 +273,15 @@ class PushStream:
                         "a new one"
                     ) from self._failure
                 return
-            now_ns = self._moved_ns = self._clock.now_ns()
-            if sensor is not self._alone:
-                self._alone = None
+            now_ns = self._clock.now_ns()
             self._watchdog.start(now_ns)
             if sensor is Sensor.POSE:
-                self._add_pose(data, nanoseconds, now_ns)
+                self._counter.record(sensor, self._poses.buffer.add(data, nanoseconds))
             else:
-                self._add(sensor, data, stamp, nanoseconds, now_ns)
+                data = self._poses.timed(data, nanoseconds)
+                message = Message(stamp, nanoseconds, data, now_ns)
+                self._queue(self._synchronizer.add(sensor, message))
             self._changed.notify_all()
-
-    def _wait_for_room(self, sensor: Sensor) -> None:
-        if threading.current_thread() is self._worker:  # a callback: no other thread makes room
-            return
-        while not self._closed:
-            if sensor is Sensor.POSE:
-                full = self._poses.full(self._synchronizer.decided_ns)
-            else:
-                full = self._synchronizer.full(sensor)
-            if not full and (sensor is Sensor.POSE or len(self._ready) < _READY):
-                return
-            wait_ns = None
-            if full and not self._ready:
-                now_ns = self._clock.now_ns()
-                wait_ns = self._moved_ns + _SILENT_NS - now_ns
-                if wait_ns <= 0 or self._alone is sensor:
-                    self._alone, self._moved_ns = sensor, now_ns
-                    if sensor is Sensor.POSE:  # the oldest poses go
-                        return
-                    self._queue(self._synchronizer.release_oldest(sensor, now_ns))
-                    self._changed.notify_all()
-                    continue
-            self._clock.wait(self._changed, wait_ns)
 
     # --- what the stack calls ------------------------------------------------------------------
 
@@ -342,10 +289,7 @@ class PushStream:
     def counts(self) -> StreamCounts:
         """The outcomes of all messages so far."""
         with self._changed:
-            return self._counter.counts(
-                out_of_order=self._synchronizer.out_of_order,
-                jumps_back=self._synchronizer.jumps_back,
-            )
+            return self._counter.counts()
 
     @property
     def statistics(self) -> StreamStatistics:
@@ -363,7 +307,7 @@ class PushStream:
         """Accept no more messages, answer the accepted ones, and end.
 
         Messages that wait for a partner are decided with what is there. Returns when the worker has
-        ended; results that were not fetched yet stay. Returns at once, and the stream ends by
+        ended; a result that was not fetched yet stays. Returns at once, and the stream ends by
         itself, where a callback of the stream calls it, or a signal handler that interrupted
         another method of the stream. May be called again, and from any thread.
 
@@ -398,11 +342,10 @@ class PushStream:
         """Wait for the next result. StopIteration after the last one of a closed stream."""
         self._guard.check()
         with self._changed:
-            while not self._results and not self._ended:
+            while self._unread is None and not self._ended:
                 self._clock.wait(self._answered, None)
-            if self._results:
-                result = self._results.popleft()
-                self._changed.notify_all()
+            if self._unread is not None:
+                (_, result), self._unread = self._unread, None
                 return result
         self._raise_failure()
         raise StopIteration
@@ -431,19 +374,16 @@ class PushStream:
                 self._queue(self._synchronizer.flush())
             else:
                 self._queue(self._synchronizer.advance(now_ns))
-            pair = None
-            if self._has_work():
-                pair = self._ready.popleft()
+            pair, self._ready = self._ready, None
+            if pair is not None:
                 poses = self._poses.track(pair)
-                self._moved_ns = now_ns
-                self._changed.notify_all()
             elif self._closed:
                 self._end()
                 return False
         if pair is not None:
             self._answer(pair, poses)
             with self._changed:
-                idle = not (self._live and self._ready)  # a replay does not depend on the clock
+                idle = self._ready is None
             self._answerer.check_last(idle=idle)
         if self._on_state is not None and (state := self.state) != self._reported_state:
             self._reported_state = state
@@ -453,36 +393,31 @@ class PushStream:
     def _idle_ns(self) -> int | None:
         """How long there will be no work without a change; None = for ever. With the lock held."""
         now_ns = self._clock.now_ns()
-        if self._closed or self._has_work():
+        if self._closed or self._ready is not None:
             return 0
         if self._on_state is not None and self._watchdog.state(now_ns) != self._reported_state:
             return 0
         due_ns = [self._synchronizer.due_ns(), self._watchdog.due_ns(now_ns)]
         return min((each - now_ns for each in due_ns if each is not None), default=None)
 
-    def _has_work(self) -> bool:
-        room = self._live or self._closed or len(self._results) < _RESULTS
-        return room and bool(self._ready)
-
     def _answer(self, pair: Pair, poses: PoseTrack | None) -> None:
         """Predict, count the pair's outcome, and hand the result over."""
-        started_ns = self._clock.now_ns()
         try:
             answer = self._answerer.answer(pair, poses)
             now_ns = self._clock.now_ns()
-            result = self._result(pair, answer, started_ns, now_ns)
+            result = self._result(pair, answer, now_ns)
         except SSDNetError as error:
             with self._changed:
                 failed = isinstance(error, InferenceError)
                 outcome = Outcome.INFERENCE_ERROR if failed else Outcome.INPUT_ERROR
-                self._record_outcome(pair, outcome)
+                self._counter.record_pair(pair, outcome)
                 self._watchdog.failed()
             if self._on_error is not None:
                 self._on_error(error)
             return
         except BaseException:
             with self._changed:
-                self._record_outcome(pair, Outcome.INFERENCE_ERROR)
+                self._counter.record_pair(pair, Outcome.INFERENCE_ERROR)
             raise
         with self._changed:
             self._answers += 1
@@ -494,35 +429,22 @@ class PushStream:
                 valid=result.prediction.valid,
                 reused=pair.reused,
             )
-            self._record_outcome(pair, Outcome.ANSWERED)
+            self._counter.record_pair(pair, Outcome.ANSWERED)
             if self._on_result is None:
-                if self._live and self._results:
-                    unread = self._results.popleft()
-                    has_own = unread.depth_stamp is not None and not unread.depth_reused
-                    self._counter.record_unread(with_depth=has_own, reused=unread.depth_reused)
-                self._results.append(result)
+                if self._unread is not None:
+                    self._counter.record_unread(self._unread[0])
+                self._unread = pair, result
                 self._answered.notify_all()
         if self._on_result is not None:
             self._on_result(result)
 
-    def _result(self, pair: Pair, answer: Answer, started_ns: int, now_ns: int) -> FrameResult:
-        image, depth, reused = pair
-        skew_ms = None if depth is None else (depth.stamp_ns - image.stamp_ns) / NS_PER_MS
-        latency_ms = (now_ns - (image.arrived_ns if self._live else started_ns)) / NS_PER_MS
-        age_ms = None
+    def _result(self, pair: Pair, answer: FrameAnswer, now_ns: int) -> FrameResult:
+        latency_ms = age_ms = (now_ns - pair.image.arrived_ns) / NS_PER_MS
         if self._sensor_clock is not None:
-            age_ms = (stamp_ns(self._sensor_clock()) - image.stamp_ns) / NS_PER_MS
-        elif self._live:
-            age_ms = latency_ms
+            age_ms = (stamp_ns(self._sensor_clock()) - pair.image.stamp_ns) / NS_PER_MS
         return FrameResult(
+            **vars(answer),
             sequence=self._answers,
-            rgb=image.data,
-            **answer._asdict(),
-            image_stamp=image.stamp,
-            depth_stamp=None if depth is None else depth.stamp,
-            skew_ms=skew_ms,
-            depth_age_ms=None if skew_ms is None else 0.0 - skew_ms,  # no -0.0
-            depth_reused=reused,
             latency_ms=latency_ms,
             age_ms=age_ms,
             deadline_met=None if self.deadline_ms is None else latency_ms <= self.deadline_ms,
@@ -540,46 +462,25 @@ class PushStream:
 
     # --- with the lock held --------------------------------------------------------------------
 
-    def _add(self, sensor: Sensor, data: Any, stamp: Stamp, nanoseconds: int, now_ns: int) -> None:
-        """Hand an image or depth to the synchronizer."""
-        needs_ns = None
-        if isinstance(data, Points):
-            period_ns = self._synchronizer.period_ns(sensor)
-            data = self._poses.instant(data, nanoseconds, period_ns)
-            needs_ns = data.last_ns
-        jumps = self._synchronizer.jumps_back
-        message = Message(stamp, nanoseconds, now_ns, data, needs_ns)
-        self._queue(self._synchronizer.add(sensor, message, now_ns))
-        if self._synchronizer.jumps_back != jumps:
-            self._recorder.reset_jitter()
-
-    def _add_pose(self, pose: NDArray[np.float64], nanoseconds: int, now_ns: int) -> None:
-        self._counter.record(Sensor.POSE, self._poses.buffer.add(pose, nanoseconds))
-        if not self._live:
-            newest_ns = self._poses.buffer.newest_ns
-            self._queue(self._synchronizer.poses_reach(newest_ns, now_ns))
-
     def _queue(self, decided: Decided) -> None:
-        """Count what was discarded and queue the pairs; live, the newest complete one stays."""
-        for discarded in decided.discarded:
-            self._counter.record(discarded.sensor, discarded.outcome)
+        """Count what was discarded and make the newest complete pair ready."""
+        self._counter.record_decided(decided)
+        if decided.jumped_back:
+            self._recorder.reset_jitter()
         for pair in decided.pairs:
-            if self._live and self._ready:
-                if self._ready[0].depth is not None and pair.depth is None:
-                    self._record_outcome(pair, Outcome.INCOMPLETE)
-                    continue
-                self._record_outcome(self._ready.popleft(), Outcome.OVERTAKEN)
-            self._ready.append(pair)
-
-    def _record_outcome(self, pair: Pair, outcome: Outcome) -> None:
-        has_own = pair.own_depth is not None
-        self._counter.record_frame(outcome, with_depth=has_own, reused=pair.reused)
+            if self._ready is not None and self._ready.depth is not None and pair.depth is None:
+                self._counter.record_pair(pair, Outcome.INCOMPLETE)
+                continue
+            if self._ready is not None:
+                self._counter.record_pair(self._ready, Outcome.OVERTAKEN)
+            self._ready = pair
 
     def _discard_all(self) -> None:
         self._closed = True
         self._queue(self._synchronizer.flush())
-        while self._ready:
-            self._record_outcome(self._ready.popleft(), Outcome.CLOSED)
+        if self._ready is not None:
+            self._counter.record_pair(self._ready, Outcome.CLOSED)
+            self._ready = None
 
     def _end(self) -> None:
         self._closed = self._ended = True

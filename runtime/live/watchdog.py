@@ -30,7 +30,7 @@ class WatchdogLimits:
             "depth_reused", or in `FrameResult.health`.
         reused: results in a row with the depth of an older scan.
         failed: frames in a row that were an error or whose prediction is not valid.
-        silence_ms: time since the last result, or else since the first message; live only.
+        silence_ms: time since the last result, or else since the first message.
 
     Raises:
         InputError: if a limit is not such a pair.
@@ -70,8 +70,8 @@ class WatchdogState:
 class Watchdog:
     """Counts faults in a row. Times are arguments [ns]; the stream's lock guards it."""
 
-    def __init__(self, limits: WatchdogLimits, *, live: bool) -> None:
-        self._limits, self._live = limits, live
+    def __init__(self, limits: WatchdogLimits) -> None:
+        self._limits = limits
         self._runs = {"late": 0, "degraded": 0, "reused": 0, "failed": 0}
         self._last_ns: int | None = None
 
@@ -95,9 +95,8 @@ class Watchdog:
         """The state at this moment."""
         if self._last_ns is None:
             return WatchdogState(Level.NOT_YET)
-        figures: dict[str, float] = dict(self._runs)
-        if self._live:
-            figures["silence_ms"] = (now_ns - self._last_ns) / NS_PER_MS
+        silence_ms = (now_ns - self._last_ns) / NS_PER_MS
+        figures: dict[str, float] = {**self._runs, "silence_ms": silence_ms}
         level, reasons = Level.OK, []
         for name, figure in figures.items():
             warn, error = getattr(self._limits, name)
@@ -111,7 +110,7 @@ class Watchdog:
 
     def due_ns(self, now_ns: int) -> int | None:
         """When silence changes the state next; None = never."""
-        if self._last_ns is None or not self._live:
+        if self._last_ns is None:
             return None
         limits_ns = [
             self._last_ns + round(limit * NS_PER_MS)

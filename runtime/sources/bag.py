@@ -16,6 +16,7 @@ from runtime.sources.frames import Frame
 from runtime.sources.recorded_motion import (
     RecordedPoses,
     frame_of,
+    left_out_note,
     match_frames,
     project_listed,
     track_of,
@@ -32,11 +33,10 @@ from runtime.sources.ros_poses import odometry_poses, point_times_ns, transform_
 from runtime.sources.ros_transforms import TransformTree
 from runtime.sources.source import ListedFrame, Source
 from runtime.sync.depth_in_time import ScanStamp
+from runtime.sync.matching import Pair
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseFrame
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
-from runtime.sync.stamp_matching import left_out_note
-from runtime.sync.synchronizer import Pair
 
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED_IMAGE = "sensor_msgs/msg/CompressedImage"

@@ -26,14 +26,19 @@ from runtime.io.poses import read_poses
 from runtime.io.scan import SCAN_SUFFIXES, read_scan
 from runtime.io.timestamps import read_timestamps
 from runtime.sources.frames import Frame
-from runtime.sources.recorded_motion import RecordedPoses, frame_of, match_frames, project_listed
+from runtime.sources.recorded_motion import (
+    RecordedPoses,
+    frame_of,
+    left_out_note,
+    match_frames,
+    project_listed,
+)
 from runtime.sources.source import ListedFrame, Source, pair_up
 from runtime.sync.depth_in_time import ScanStamp, point_times
 from runtime.sync.motion import lidar_mount
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseFrame, PoseTrack
 from runtime.sync.stamp import DEFAULT_REUSE_DEPTH_MS, NS_PER_MS
-from runtime.sync.stamp_matching import left_out_note
 
 _SENSOR_WORDS = {"image", "img", "rgb", "color", "depth", "lidar", "velodyne", "points"}
 _APART_NS = 100 * NS_PER_MS  # of images without times

@@ -20,11 +20,13 @@ from runtime.sync.depth_in_time import (
     keep_map,
     project_in_time,
 )
+from runtime.sync.matching import Decided, Message, Pair
 from runtime.sync.motion import lidar_mount
 from runtime.sync.outcome import Sensor
 from runtime.sync.poses import PoseFrame, PoseTrack
 from runtime.sync.stamp_matching import match_by_stamp
-from runtime.sync.synchronizer import Pair
+
+_WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,14 +70,15 @@ def match_frames(
     limit: int | None,
     camera_only: bool = False,
 ) -> tuple[ListedFrame, ...]:
-    """List the frames of messages, as `match_by_stamp`.
+    """List the frames of messages, see `match_by_stamp`.
 
     Args:
-        messages: as of `match_by_stamp`; their data are `ListedFrame.image` and `depth`.
+        messages: (sensor, stamp in nanoseconds, data) in the order of the recording; the data are
+            `ListedFrame.image` and `depth`.
         max_skew_ms: as of `match_by_stamp`.
         reuse_depth_ms: as of `match_by_stamp`.
         scan_stamp: what instant of a scan its stamp is.
-        left_out: as of `match_by_stamp`.
+        left_out: counts each message that is in no frame: "image: duplicate", and so on.
         name: of a frame.
         limit: as of `Source.list_frames`.
         camera_only: whether the recording has no depth, so that images alone are complete.
@@ -84,8 +87,16 @@ def match_frames(
         InputError: as `match_by_stamp`, and for an unknown `scan_stamp`.
     """
     check_scan_stamp(scan_stamp)
+
+    def count(decided: Decided) -> None:
+        left_out.update(f"{gone.sensor}: {gone.outcome}" for gone in decided.discarded)
+
     pairs = match_by_stamp(
-        messages, max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, left_out=left_out
+        ((sensor, Message(stamp_ns, stamp_ns, data)) for sensor, stamp_ns, data in messages),
+        max_skew_ms=max_skew_ms,
+        reuse_depth_ms=reuse_depth_ms,
+        waiting=_WAITING,
+        on_decided=count,
     )
     frames = up_to(
         (
@@ -103,6 +114,14 @@ def match_frames(
         else replace(each, scan_time_ns=each.depth_stamp_ns + later_ns)
         for each in frames
     )
+
+
+def left_out_note(left_out: Counter[str]) -> tuple[str, ...]:
+    """A line for people about the messages that are in no frame; none if there are none."""
+    if not left_out:
+        return ()
+    counts = ", ".join(f"{reason} {count}" for reason, count in sorted(left_out.items()))
+    return (f"left out: {counts}",)
 
 
 def project_listed(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
 from runtime.sources.frames import Frame
-from runtime.sync.synchronizer import Pair
+from runtime.sync.matching import Pair
 
 
 @dataclass(frozen=True)

@@ -27,14 +27,13 @@ class Outcome(StrEnum):
     DUPLICATE = "duplicate"  # a stamp that this sensor has sent before
     LATE = "late"  # older than an image that was already decided
     CLOSED = "closed"  # pushed after the stream was closed
-    INTERRUPTED = "interrupted"  # replay: Ctrl-C while the push waited for room
     # Unmatched:
     NO_IMAGE = "no_image"  # depth: no image within max_skew_ms
     REUSED = "reused"  # depth: no image of its own, but it served one without depth
     CLOCK_JUMP = "clock_jump"  # depth: it waited when the stamps jumped back
     # Errors:
     BAD_STAMP = "bad_stamp"
-    BAD_MESSAGE = "bad_message"  # refused by push_image, push_depth, push_points or push_pose
+    BAD_MESSAGE = "bad_message"  # an array that is none of its sensor
     INPUT_ERROR = "input_error"  # image and depth do not fit each other, or the model
     INFERENCE_ERROR = "inference_error"
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from runtime.errors import InputError
 from runtime.prediction import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
 from runtime.sync.outcome import Outcome
-from runtime.sync.stamp import NS_PER_MS
-from runtime.sync.synchronizer import JUMP_BACK_NS
+from runtime.sync.stamp import JUMP_BACK_NS, NS_PER_MS
 
 MAX_EXTRAPOLATION_MS = 100.0
 #: Longest time between two poses to interpolate over: at 10 m/s² a car leaves the straight line by

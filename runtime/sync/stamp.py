@@ -17,6 +17,8 @@ NS_PER_MS = 1_000_000
 DEFAULT_MAX_SKEW_MS = 50.0
 #: Oldest depth that an image without depth of its own takes: a LiDAR of 10 Hz may lose a scan.
 DEFAULT_REUSE_DEPTH_MS = 150.0
+#: The clock of a sensor was reset if its stamps go back further.
+JUMP_BACK_NS = 1_000 * NS_PER_MS
 _COARSEST_S = 1e-3  # of the time since 1970, float64 resolves 2.4e-7 s, float32 128 s
 _LIMIT_NS = 2**63  # what 64 bits hold: 292 years
 

@@ -6,7 +6,7 @@ import pytest
 
 import soak as soak_program
 from runtime import Predictor
-from soak import Soaked, resized_frames, soak, soak_replays, soak_signals, soak_sources
+from soak import Soaked, resized_frames, soak, soak_signals, soak_sources
 
 
 @pytest.fixture(scope="module")
@@ -51,16 +51,6 @@ def test_violations_are_reported(soaked, change, message):
     spoiled.called = soaked.called.copy()
     change(spoiled)
     assert any(message in problem for problem in spoiled.problems())
-
-
-def test_replays_of_random_recordings_give_the_same_pairs(monkeypatch):
-    with Predictor("ssdnet-nano", threads=1) as predictor:
-        assert soak_replays(predictor, resized_frames((64, 96))[0], rounds=2, seed=0) == []
-    monkeypatch.setattr(soak_program, "replayed_pairs", lambda *_, turns, **others: [turns])
-    assert soak_replays(None, None, rounds=2, seed=0) == [
-        f"1 of 2 replays with max_wait_ms={max_wait_ms} gave other pairs"
-        for max_wait_ms in (0, 5, 50)
-    ]
 
 
 def test_programs_that_signals_interrupt_end_well(monkeypatch):

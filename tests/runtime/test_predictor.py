@@ -514,7 +514,7 @@ def test_a_stream_goes_on_after_a_reset(model_file, make_frame):
     failed = threading.Event()
     with (
         Predictor(model_file(), threads=1) as predictor,
-        PushStream(predictor, mode="replay", on_error=lambda error: failed.set()) as stream,
+        PushStream(predictor, on_error=lambda error: failed.set()) as stream,
     ):
         predictor._session = LostDevice()
         stream.push_image(rgb, 0)

@@ -7,6 +7,7 @@ opened.
 import threading
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from runtime.live.push_stream import PushStream
@@ -42,23 +43,12 @@ class ManualClock:
             with self._a_thread_waits:
                 self._waiting.discard(threading.get_ident())
 
-    def notify(self):
-        """Wake `holds_up`."""
+    def holds_up(self, thread, changed):
+        """Whether `thread` starts to wait."""
         with self._a_thread_waits:
-            self._a_thread_waits.notify_all()
-
-    def holds_up(self, thread, changed, *, still=lambda: True, ended=lambda: False):
-        """Whether `thread` starts to wait while `still` holds, instead of being `ended`."""
-        while True:
-            with self._a_thread_waits:
-                seen = self._a_thread_waits.wait_for(
-                    lambda: ended() or thread.ident in self._waiting, timeout=60
-                )
-            if not seen or ended():
-                return False
-            with changed:  # no thread is between: a notified one waits again or has moved
-                if thread.ident in self._waiting and still():
-                    return True
+            seen = self._a_thread_waits.wait_for(lambda: thread.ident in self._waiting, timeout=60)
+        with changed:  # no thread is between: a notified one waits again or has moved
+            return seen and thread.ident in self._waiting
 
     def advance_ms(self, milliseconds):
         with self._lock:
@@ -85,9 +75,11 @@ class CheckedPredictor:
         self.takes_ms = 0
         self.fail_with = None
         self.focal_lengths_px = []
+        self.shares = []  # of the pixels with a return, of each prediction
 
     def predict(self, rgb, sparse_depth, *, stamp=None, focal_length_px=None):
         self.focal_lengths_px.append(focal_length_px)
+        self.shares.append(np.count_nonzero(sparse_depth) / sparse_depth.size)
         self.entered.release()
         assert self.gate.wait(60)
         if self.fail_with is not None:

@@ -1,7 +1,5 @@
 """Messages for a stream, and the check that each of them is accounted for."""
 
-import threading
-
 import numpy as np
 
 
@@ -26,24 +24,6 @@ def push_depth(stream, number):
 def push_pair(stream, number):
     push_image(stream, number)
     push_depth(stream, number)
-
-
-def push_all(made, frames, push=push_pair):
-    """Start a thread that pushes so many frames, `push(stream, number)` each.
-
-    Returns it and the event of its end.
-    """
-    done = threading.Event()
-
-    def push_each():
-        for number in range(frames):
-            push(made.stream, number)
-        done.set()
-        made.clock.notify()
-
-    pusher = threading.Thread(target=push_each)
-    pusher.start()
-    return pusher, done
 
 
 def add_up(counts):

@@ -11,7 +11,7 @@ from runtime.live.answerer import Answerer
 from runtime.live.push_stream import PushStream
 from runtime.prediction import Latency, Prediction
 from runtime.predictor import Predictor
-from runtime.sync.synchronizer import Message, Pair
+from runtime.sync.matching import Message, Pair
 from stream_messages import depth, image, push_pair
 
 MS = 1_000_000
@@ -21,7 +21,7 @@ def test_answers_of_the_engine_come_back_with_both_stamps(model_file, make_frame
     rgb, sparse_depth = make_frame()
     with Predictor(model_file(), threads=1) as predictor:
         expected = predictor.predict(rgb, sparse_depth)
-        with PushStream(predictor, mode="live", deadline_ms=1e6, max_skew_ms=20) as stream:
+        with PushStream(predictor, deadline_ms=1e6, max_skew_ms=20) as stream:
             stream.push_image(rgb, 1.0)
             stream.push_depth(sparse_depth, 1_000_000_000)
             result = next(iter(stream))
@@ -39,7 +39,7 @@ def test_answers_of_the_engine_come_back_with_both_stamps(model_file, make_frame
 
 def test_latency_age_and_deadline(setup):
     now = iter([1.0, 2.5])
-    made = setup(mode="live", deadline_ms=30, sensor_clock=lambda: next(now))
+    made = setup(deadline_ms=30, sensor_clock=lambda: next(now))
     made.predictor.takes_ms = 30
     push_pair(made.stream, 0)
     first = next(made.stream)
@@ -51,27 +51,18 @@ def test_latency_age_and_deadline(setup):
 
 
 def test_the_skew_of_a_frame_has_a_sign_and_that_of_the_statistics_none(setup):
-    made = setup(mode="replay")
+    made = setup()
     for image_ms, depth_ms in ((0, 20), (100, 60)):
         made.stream.push_image(image(), image_ms * MS)
         made.stream.push_depth(depth(), depth_ms * MS)
-    made.stream.close()
-    assert [result.skew_ms for result in made.stream] == [20, -40]
+        made.clock.advance_ms(50)
+        assert next(made.stream).skew_ms == depth_ms - image_ms
     skew = made.stream.statistics.stages["skew"]
     assert (skew.n, skew.mean_ms, skew.max_ms) == (2, 30, 40)
 
 
-def test_in_a_replay_latency_begins_with_the_turn_and_there_is_no_age(setup):
-    made = setup(mode="replay")
-    made.predictor.takes_ms = 30
-    for number in range(3):
-        push_pair(made.stream, number)
-    made.stream.close()
-    assert [(r.latency_ms, r.age_ms, r.deadline_met) for r in made.stream] == [(30, None, None)] * 3
-
-
 def test_pushed_arrays_may_be_reused_afterwards(setup):
-    made = setup(mode="replay")
+    made = setup()
     made.predictor.gate.clear()
     rgb, sparse_depth = image(3), depth(3)
     made.stream.push_image(rgb, 0)
@@ -87,7 +78,7 @@ def test_pushed_arrays_may_be_reused_afterwards(setup):
 
 
 def test_statistics_hold_every_answer(setup):
-    made = setup(mode="live", deadline_ms=30)
+    made = setup(deadline_ms=30)
     for number, takes_ms in enumerate([10, 40, 50, 20]):
         made.predictor.takes_ms = takes_ms
         made.stream.push_image(image(), number / 10)
@@ -109,7 +100,7 @@ def test_the_watchdog_reports_changes_and_its_present_state(setup):
         reported.append((str(state.level), state.reasons))
         heard.release()
 
-    made = setup(mode="live", deadline_ms=30, on_state=hear)
+    made = setup(deadline_ms=30, on_state=hear)
     assert str(made.stream.state.level) == "n/a"
     push_pair(made.stream, 0)
     next(made.stream)
@@ -137,7 +128,7 @@ def test_errors_reach_the_watchdog(setup):
         reported.append(state.reasons)
         heard.release()
 
-    made = setup(mode="replay", on_state=hear)
+    made = setup(on_state=hear)
     made.predictor.fail_with = InferenceError("the device was lost")
     push_pair(made.stream, 0)
     while ("failed",) not in reported:
@@ -145,7 +136,7 @@ def test_errors_reach_the_watchdog(setup):
 
 
 def test_stamps_that_jump_back_are_no_jitter(setup):
-    made = setup(mode="live")
+    made = setup()
     for number in (100, 0):
         push_pair(made.stream, number)
         next(made.stream)
@@ -160,7 +151,7 @@ def test_stamps_that_jump_back_are_no_jitter(setup):
 
 
 def test_a_frozen_camera_and_a_lost_sector_are_flagged(setup):
-    made = setup(mode="replay", on_state=lambda state: None)
+    made = setup(on_state=lambda state: None)
     whole = np.random.default_rng(0).uniform(1, 50, (32, 40)).astype(np.float32)
     sector = whole.copy()
     sector[:, :10] = 0
@@ -175,7 +166,7 @@ def test_a_frozen_camera_and_a_lost_sector_are_flagged(setup):
 
 def test_points_are_projected_and_the_focal_length_is_the_cameras(setup):
     intrinsics = np.array([[30.0, 0, 20], [0, 30, 16], [0, 0, 1]])
-    made = setup(mode="replay", calibration=Calibration(intrinsics, np.eye(4), (32, 40)))
+    made = setup(calibration=Calibration(intrinsics, np.eye(4), (32, 40)))
     points = np.array([[0, 0, 10, 0.5], [2, 0, 10, 0.5], [0, 0, -3, 0.5]], np.float32)
     made.stream.push_image(image(), 0)
     made.stream.push_points(points, 0)
@@ -187,64 +178,13 @@ def test_points_are_projected_and_the_focal_length_is_the_cameras(setup):
     assert made.predictor.focal_lengths_px == [30]
 
 
-def test_returns_are_held_out_with_the_option_consistency(setup):
-    made = setup(mode="replay", consistency=0.5)
-    plain = setup(mode="replay")
-    for stream in (made.stream, plain.stream):
-        push_pair(stream, 0)
-        stream.push_image(image(1), 0.2)
-        stream.close()
-    result, camera_only = made.stream
-    assert 0.4 < result.prediction.depth_returns / (32 * 40) < 0.6
-    assert result.consistency.holdout_error == 0, "0 + 1 m where 1 m was held out"
-    assert result.consistency.scale_error == 0
-    assert camera_only.consistency is None
-    assert next(plain.stream).prediction.depth_returns == 32 * 40
-    assert next(plain.stream).consistency is None
-
-
-def test_depth_that_contradicts_the_image_is_reported(setup, monkeypatch):
-    """With `consistency` from the frame on, else from the next one."""
-    flag = ("implausible_depth",)
-    row, column = np.mgrid[:32, :40]
-    seen = ((40 - row + column / 2) / 10).astype(np.float32)
-    for options, degraded in (
-        ({"consistency": 0.05, "check_depth": True}, [flag, flag]),
-        ({"check_depth": True}, [(), flag]),
-        ({"consistency": 0.05, "check_depth": False}, [(), ()]),
-        ({"check_depth": False}, [(), ()]),
-    ):
-        made = setup(mode="replay", **options)
-
-        def see(rgb, sparse_depth, predict=made.predictor.predict, **others):
-            answer = predict(rgb, sparse_depth, **others)
-            return answer if sparse_depth.any() else replace(answer, heads={"depth": seen})
-
-        monkeypatch.setattr(made.predictor, "predict", see)
-        for stamp in (0.0, 0.1):
-            made.stream.push_image(image(), stamp)
-            made.stream.push_depth(10 * seen, stamp)
-        made.stream.close()
-        assert [result.prediction.degraded for result in made.stream] == degraded
-
-
-def test_returns_are_checked_after_their_result_and_in_no_latency(setup, monkeypatch):
-    """Of the first five frames, and then of one in a hundred."""
-    events = []
-    made = setup(mode="replay", check_depth=True, on_result=lambda r: events.append(r.sequence))
+def test_returns_are_checked_after_their_result_and_in_no_latency(setup):
+    seen = []
+    made = setup(check_depth=True, on_result=lambda r: seen.append(len(made.predictor.shares)))
     made.predictor.takes_ms = 10
-
-    def predict(rgb, sparse_depth, predict=made.predictor.predict, **others):
-        if not sparse_depth.any():
-            events.append("checked")
-        return predict(rgb, sparse_depth, **others)
-
-    monkeypatch.setattr(made.predictor, "predict", predict)
-    for number in range(206):
-        push_pair(made.stream, number)
+    push_pair(made.stream, 0)
     made.stream.close()
-    checked = [events[i - 1] for i, event in enumerate(events) if event == "checked"]
-    assert checked == [0, 1, 2, 3, 4, 104, 204]
+    assert (seen, made.predictor.shares) == ([1], [1, 0])
     assert made.stream.statistics.stages["latency"].max_ms == 10
 
 
@@ -260,7 +200,7 @@ def test_a_live_stream_checks_later_frames_when_none_waits():
             return Prediction({"depth": sparse_depth + 1}, (32, 40), (32, 40), latency)
 
     answerer = Answerer(Predictor(), None, None)
-    messages = (Message(0.0, 0, 0, data) for data in (image(), depth()))
+    messages = (Message(0.0, 0, data) for data in (image(), depth()))
     pair = Pair(*messages)
 
     def frame(*, idle):
@@ -287,6 +227,6 @@ def test_the_checks_of_the_lidar_know_the_range(model_file, contract):
         answerer = Answerer(predictor, None, None)
         for sparse_depth in [far] * 8 + [lost]:
             rgb = random.integers(1, 256, (48, 64, 3), dtype=np.uint8)
-            pair = Pair(Message(0.0, 0, 0, rgb), Message(0.0, 0, 0, sparse_depth))
+            pair = Pair(Message(0.0, 0, rgb), Message(0.0, 0, sparse_depth))
             found.append(answerer.answer(pair, None).health)
     assert found == [()] * 8 + [("lidar_sector_lost",)]

@@ -1,4 +1,4 @@
-"""Messages and options that the stream refuses, and how it counts them."""
+"""Messages and options that streams and replays refuse, and how they count them."""
 
 import threading
 from collections import Counter
@@ -11,8 +11,9 @@ from hypothesis.extra import numpy as hnp
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.live.clock import MonotonicClock
+from runtime.live.message_counter import MessageCounter
 from runtime.live.push_stream import PushStream
+from runtime.live.replay import replay
 from stream_messages import add_up, depth, image
 
 
@@ -42,7 +43,7 @@ def test_bad_points_are_refused_and_counted(setup):
 
 
 @pytest.mark.parametrize("options", [
-    {"mode": "fast"}, {"mode": None}, {"deadline_ms": 0}, {"deadline_ms": "1"},
+    {"deadline_ms": 0}, {"deadline_ms": "1"},
     {"deadline_ms": True}, {"max_skew_ms": -1}, {"max_skew_ms": float("nan")},
     {"max_wait_ms": float("inf")}, {"calibration": 5}, {"watchdog": 5}, {"on_result": 5},
     {"on_error": "print"}, {"on_state": 0}, {"sensor_clock": 1.5}, {"consistency": "x"},
@@ -112,22 +113,12 @@ def is_message(method, data):
     return data.dtype == "=f4" and data.ndim == 2 and (method == "push_depth" or data.shape[1] > 2)
 
 
-class FastClock(MonotonicClock):
-    """A thousand seconds in one, so that no replay pauses for long."""
-
-    def now_ns(self):
-        return 1000 * super().now_ns()
-
-    def wait(self, changed, timeout_ns):
-        super().wait(changed, None if timeout_ns is None else timeout_ns // 1000)
-
-
 def test_10_000_bad_messages_are_refused_or_flagged_and_accounted_for(checked_predictor):
     bad = Counter()
 
     @settings(
         # Always the same messages; shrinking lists of so many takes minutes.
-        max_examples=25,
+        max_examples=35,
         deadline=None,
         derandomize=True,
         database=None,
@@ -135,18 +126,17 @@ def test_10_000_bad_messages_are_refused_or_flagged_and_accounted_for(checked_pr
     )
     @given(messages=messages_of_all_sensors)
     def push_them(messages):
-        for live, threads in ((True, 1), (True, 3), (False, 1), (False, 2)):
-            push_to_one(messages, live, threads)
+        push_to_one(messages, threads=1)
+        push_to_one(messages, threads=3)
+        replay_them(messages)
 
-    def push_to_one(messages, live, threads):
+    def push_to_one(messages, threads):
         wrong, answers = [], []
         stream = PushStream(
             checked_predictor(),
-            mode="live" if live else "replay",
             max_wait_ms=0,
             calibration=Calibration(np.eye(3), np.eye(4)),
             on_result=answers.append,
-            clock=FastClock(),
         )
 
         def push(part):
@@ -174,7 +164,28 @@ def test_10_000_bad_messages_are_refused_or_flagged_and_accounted_for(checked_pr
             assert not pusher.is_alive()
         stream.close()
         assert wrong == []
-        counts = add_up(stream.counts)
+        check(messages, add_up(stream.counts), answers)
+
+    def replay_them(messages):
+        errors, counter = [], MessageCounter()
+        recording = [(method.removeprefix("push_"), *others) for method, *others in messages]
+        calibration = Calibration(np.eye(3), np.eye(4))
+        answers = list(
+            replay(
+                checked_predictor(),
+                recording,
+                calibration=calibration,
+                on_error=errors.append,
+                counter=counter,
+            )
+        )
+        outcomes = add_up(counter.counts())
+        check(messages, outcomes, answers)
+        unfit = outcomes.images.errors.get("input_error", 0)
+        refused = outcomes.errors.get("bad_stamp", 0) + outcomes.errors.get("bad_message", 0)
+        assert len(errors) == refused + unfit
+
+    def check(messages, counts, answers):
         assert counts.pushed == len(messages)
         assert counts.pending == 0
         assert counts.images.answered == len(answers)

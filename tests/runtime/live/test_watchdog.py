@@ -16,7 +16,7 @@ def levels(watchdog, at_ms=0):
 
 
 def test_not_available_before_the_first_message():
-    watchdog = Watchdog(WatchdogLimits(), live=True)
+    watchdog = Watchdog(WatchdogLimits())
     assert levels(watchdog, 10**6) == ("n/a", ())
     watchdog.start(0)
     assert levels(watchdog) == ("OK", ())
@@ -31,7 +31,7 @@ def test_not_available_before_the_first_message():
     ],
 )
 def test_runs_warn_then_are_an_error_and_end(wrong, limits):
-    watchdog = Watchdog(WatchdogLimits(**limits), live=True)
+    watchdog = Watchdog(WatchdogLimits(**limits))
     (reason,) = limits
     expected = ["OK", "WARN", "WARN", "ERROR", "ERROR"]
     for level in expected:
@@ -42,7 +42,7 @@ def test_runs_warn_then_are_an_error_and_end(wrong, limits):
 
 
 def test_frames_that_were_errors_count_as_failed():
-    watchdog = Watchdog(WatchdogLimits(failed=(1, 2)), live=True)
+    watchdog = Watchdog(WatchdogLimits(failed=(1, 2)))
     watchdog.start(0)
     watchdog.failed()
     assert levels(watchdog) == ("WARN", ("failed",))
@@ -51,7 +51,7 @@ def test_frames_that_were_errors_count_as_failed():
 
 
 def test_silence_is_reported_by_the_clock_and_ends_with_a_result():
-    watchdog = Watchdog(WatchdogLimits(silence_ms=(500, 2000)), live=True)
+    watchdog = Watchdog(WatchdogLimits(silence_ms=(500, 2000)))
     watchdog.start(0)
     watchdog.start(400 * MS)  # only the first message counts
     assert watchdog.due_ns(0) == 500 * MS
@@ -64,15 +64,8 @@ def test_silence_is_reported_by_the_clock_and_ends_with_a_result():
     assert levels(watchdog, 2100) == ("OK", ())
 
 
-def test_a_replay_is_never_silent():
-    watchdog = Watchdog(WatchdogLimits(), live=False)
-    watchdog.start(0)
-    assert levels(watchdog, 10**6) == ("OK", ())
-    assert watchdog.due_ns(0) is None
-
-
 def test_the_worst_counts_and_none_is_never():
-    watchdog = Watchdog(WatchdogLimits(late=(1, 1), degraded=(1, None)), live=True)
+    watchdog = Watchdog(WatchdogLimits(late=(1, 1), degraded=(1, None)))
     for _ in range(100):
         answered(watchdog, degraded=True)
     assert watchdog.state(0).level is Level.WARN

@@ -5,8 +5,10 @@ from collections import Counter
 import pytest
 
 from runtime import InputError
+from runtime.sources.recorded_motion import left_out_note
+from runtime.sync.matching import Message
 from runtime.sync.outcome import Sensor
-from runtime.sync.stamp_matching import left_out_note, match_by_stamp
+from runtime.sync.stamp_matching import match_by_stamp
 
 MS = 1_000_000
 
@@ -14,9 +16,13 @@ MS = 1_000_000
 def match(messages, **options):
     """[(image stamp, depth stamp or None)] in ms, and what was left out."""
     left_out = Counter()
-    options = {"max_skew_ms": 20, **options}
-    stamped = [(Sensor(sensor), stamp * MS, None) for sensor, stamp in messages]
-    pairs = list(match_by_stamp(stamped, left_out=left_out, **options))
+    options = {"max_skew_ms": 20, "reuse_depth_ms": 0, "waiting": 64, **options}
+
+    def count(decided):
+        left_out.update(f"{gone.sensor}: {gone.outcome}" for gone in decided.discarded)
+
+    stamped = [(Sensor(sensor), Message(stamp, stamp * MS)) for sensor, stamp in messages]
+    pairs = list(match_by_stamp(stamped, on_decided=count, **options))
     stamps = [(p.image.stamp_ns // MS, p.depth and p.depth.stamp_ns // MS) for p in pairs]
     return stamps, dict(left_out)
 

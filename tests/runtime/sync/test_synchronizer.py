@@ -1,12 +1,14 @@
-"""Matching by stamps: by hand, against a plain loop, and invariants of any sequence."""
+"""Matching live and of recordings: by hand, against a plain loop, invariants of any sequence."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from runtime.sync.matching import Message
 from runtime.sync.outcome import Outcome, Sensor
-from runtime.sync.synchronizer import Message, Synchronizer
+from runtime.sync.stamp_matching import StampMatching
+from runtime.sync.synchronizer import Synchronizer
 
 MS = 1_000_000
 IMAGE, DEPTH = Sensor.IMAGE, Sensor.DEPTH
@@ -14,24 +16,25 @@ CAPACITY = 16
 
 
 class Played:
-    """Plays messages to a synchronizer and keeps what it decides; all times in ms."""
+    """Plays messages to a matching and keeps what it decides; all times in ms.
+
+    A recording waits by the stamps, for 50 ms.
+    """
 
     def __init__(self, *, live, max_skew=20, max_wait=50, capacity=CAPACITY, reuse=0):
-        self.synchronizer = Synchronizer(
-            live=live,
-            max_skew_ns=max_skew * MS,
-            max_wait_ns=max_wait * MS,
-            capacity=capacity,
-            reuse_ns=reuse * MS,
-        )
-        self.now = 0
+        options = {"max_skew_ns": max_skew * MS, "capacity": capacity, "reuse_ns": reuse * MS}
+        if live:
+            self.matching = Synchronizer(max_wait_ns=max_wait * MS, **options)
+        else:
+            self.matching = StampMatching(**options)
+        self.live, self.now, self.out_of_order, self.jumps_back = live, 0, 0, 0
         self.pushed, self.pairs, self.discarded = [], [], []
 
     def push(self, sensor, stamp, *, at=None):
         self.now = self.now if at is None else at
-        message = Message(stamp, round(stamp * MS), round(self.now * MS))
+        message = Message(stamp, round(stamp * MS), None, round(self.now * MS))
         self.pushed.append((sensor, message))
-        return self._keep(self.synchronizer.add(sensor, message, round(self.now * MS)))
+        return self._keep(self.matching.add(sensor, message))
 
     def image(self, stamp, **options):
         return self.push(IMAGE, stamp, **options)
@@ -41,14 +44,16 @@ class Played:
 
     def advance(self, now):
         self.now = now
-        return self._keep(self.synchronizer.advance(round(now * MS)))
+        return self._keep(self.matching.advance(round(now * MS))) if self.live else []
 
     def flush(self):
-        return self._keep(self.synchronizer.flush())
+        return self._keep(self.matching.flush())
 
     def _keep(self, decided):
         self.pairs += decided.pairs
         self.discarded += decided.discarded
+        self.out_of_order += decided.out_of_order
+        self.jumps_back += decided.jumped_back
         return stamps(decided.pairs)
 
     def outcomes(self):
@@ -59,7 +64,7 @@ def stamps(pairs):
     return [(pair.image.stamp, pair.depth and pair.depth.stamp) for pair in pairs]
 
 
-@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+@pytest.mark.parametrize("live", [True, False], ids=["live", "recorded"])
 def test_equal_stamps_are_matched_at_once(live):
     played = Played(live=live)
     assert played.image(100) == []
@@ -68,7 +73,7 @@ def test_equal_stamps_are_matched_at_once(live):
     assert played.image(200) == [(200, 200)]
 
 
-@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+@pytest.mark.parametrize("live", [True, False], ids=["live", "recorded"])
 def test_the_nearest_wins_also_when_it_is_last(live):
     played = Played(live=live)
     played.depth(0)
@@ -87,7 +92,7 @@ def test_the_largest_skew_is_still_a_match(skew, matched):
     assert stamps(played.pairs) == [(100, 100 + skew if matched else None)]
 
 
-@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+@pytest.mark.parametrize("live", [True, False], ids=["live", "recorded"])
 def test_a_depth_map_is_kept_for_the_image_nearest_to_it(live):
     played = Played(live=live)
     played.image(0)
@@ -111,7 +116,7 @@ def test_regular_live_sensors_do_not_wait_for_their_next_message():
 def test_live_an_image_waits_for_max_wait_by_the_clock_and_no_longer():
     played = Played(live=True)
     played.image(0, at=5)
-    assert played.synchronizer.due_ns() == 55 * MS
+    assert played.matching.due_ns() == 55 * MS
     assert played.advance(54.9) == []
     assert played.advance(55) == [(0, None)]
     played.depth(0, at=56)
@@ -124,7 +129,7 @@ def test_live_an_uncertain_match_is_made_after_max_wait():
     played.depth(-10, at=0)
     assert played.image(0, at=5) == []
     assert played.advance(54.9) == [], "its depth map was there for long"
-    assert played.synchronizer.due_ns() == 55 * MS
+    assert played.matching.due_ns() == 55 * MS
     assert played.advance(55) == [(0, -10)]
 
 
@@ -136,16 +141,14 @@ def test_live_an_older_image_gives_way():
     assert played.outcomes() == [(IMAGE, 0, Outcome.OVERTAKEN)]
 
 
-def test_replayed_no_clock_decides():
+def test_recorded_an_image_waits_by_the_stamps_of_the_other_sensor():
     played = Played(live=False)
-    played.image(0, at=0)
-    assert played.synchronizer.due_ns() is None
-    assert played.advance(1e6) == []
-    assert played.depth(70, at=1e6) == []
+    played.image(0)
+    assert played.depth(70) == []
     assert played.depth(71) == [(0, None)], "skew and wait are over by the stamps"
 
 
-def test_replayed_images_stay_in_order_behind_one_that_waits():
+def test_recorded_images_stay_in_order_behind_one_that_waits():
     played = Played(live=False)
     played.image(0)
     played.image(40)
@@ -153,7 +156,7 @@ def test_replayed_images_stay_in_order_behind_one_that_waits():
     assert played.depth(80) == [(0, None), (40, 40)]
 
 
-@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+@pytest.mark.parametrize("live", [True, False], ids=["live", "recorded"])
 def test_duplicates_and_late_images_are_discarded(live):
     played = Played(live=live)
     played.image(100)
@@ -167,7 +170,7 @@ def test_duplicates_and_late_images_are_discarded(live):
         (DEPTH, 100, Outcome.DUPLICATE),
         (IMAGE, 90, Outcome.LATE),
     ]
-    assert played.synchronizer.out_of_order == 1
+    assert played.out_of_order == 1
 
 
 def test_out_of_order_messages_that_wait_are_sorted():
@@ -177,11 +180,11 @@ def test_out_of_order_messages_that_wait_are_sorted():
     for stamp in (40, 0):
         played.depth(stamp)
     assert stamps(played.pairs) == [(0, 0), (40, 40)]
-    assert played.synchronizer.out_of_order == 2
-    assert played.synchronizer.jumps_back == 0
+    assert played.out_of_order == 2
+    assert played.jumps_back == 0
 
 
-@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+@pytest.mark.parametrize("live", [True, False], ids=["live", "recorded"])
 def test_after_a_jump_back_the_stream_goes_on(live):
     played = Played(live=live)
     for start in (5000, 0):
@@ -189,7 +192,7 @@ def test_after_a_jump_back_the_stream_goes_on(live):
             played.image(stamp, at=played.now + 100)
             played.depth(stamp)
     assert stamps(played.pairs) == [(5000, 5000), (5100, 5100), (0, 0), (100, 100)]
-    assert played.synchronizer.jumps_back == 2 - 1, "the depth's stamps were forgotten with it"
+    assert played.jumps_back == 2 - 1, "the depth's stamps were forgotten with it"
 
 
 def test_a_jump_back_ends_all_waiting():
@@ -220,7 +223,7 @@ def reused(played):
     return [(p.image.stamp, p.depth and p.depth.stamp, p.reused) for p in played.pairs]
 
 
-@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+@pytest.mark.parametrize("live", [True, False], ids=["live", "recorded"])
 def test_an_image_without_depth_takes_the_newest_before_it(live):
     played = Played(live=live, reuse=150)
     for stamp in (0, 50, 100, 150, 300):
@@ -239,7 +242,7 @@ def test_an_image_without_depth_takes_the_newest_before_it(live):
     assert played.outcomes() == []
 
 
-@pytest.mark.parametrize("live", [True, False], ids=["live", "replay"])
+@pytest.mark.parametrize("live", [True, False], ids=["live", "recorded"])
 @pytest.mark.parametrize(("stamp", "outcome"), [(130, "reused"), (400, "no_image")])
 def test_depth_without_an_image_of_its_own_is_reused_or_unmatched(live, stamp, outcome):
     played = Played(live=live, reuse=150)
@@ -253,7 +256,7 @@ def test_depth_without_an_image_of_its_own_is_reused_or_unmatched(live, stamp, o
 
 
 @pytest.mark.parametrize("turn", ["camera first", "lidar first"])
-def test_a_replay_reuses_the_same_depth_in_any_order_of_pushes(turn):
+def test_recorded_the_same_depth_is_reused_in_any_order_of_the_sensors(turn):
     played = Played(live=False, reuse=150)
     pushes = [(IMAGE, stamp) for stamp in (0, 50, 100, 150, 200)]
     pushes += [(DEPTH, stamp) for stamp in (0, 100, 200)]
@@ -267,25 +270,6 @@ def test_a_replay_reuses_the_same_depth_in_any_order_of_pushes(turn):
     assert [(i, d) for i, d, _ in reused(played)] == [
         (0, 0), (50, 0), (100, 100), (150, 100), (200, 200)
     ]  # fmt: skip
-
-
-def test_a_replay_waits_for_poses_by_their_stamps():
-    played = Played(live=False, reuse=150)
-    played._keep(played.synchronizer.poses_reach(-(2**63), 0))
-    played.image(0)
-    played.depth(0)
-    assert played.pairs == []
-    assert played._keep(played.synchronizer.poses_reach(0, 0)) == [(0, 0)]
-    played.image(100)
-    message = Message(100, 100 * MS, 0, None, needs_ns=150 * MS)
-    played._keep(played.synchronizer.add(DEPTH, message, 0))
-    assert played._keep(played.synchronizer.poses_reach(149 * MS, 0)) == []
-    assert played._keep(played.synchronizer.poses_reach(150 * MS, 0)) == [(100, 100)]
-    played.image(200)
-    played.depth(200)
-    assert played._keep(played.synchronizer.release_oldest(IMAGE, 0)) == [(200, 200)]
-    played.image(300)
-    assert played.depth(300) == [(300, 300)], "poses count as absent until the next one"
 
 
 # --- no waiting for depth that is not due --------------------------------------------------------
@@ -367,7 +351,7 @@ rising = st.lists(st.integers(1, 80), max_size=12).map(lambda steps: np.cumsum(s
 
 @settings(max_examples=100, deadline=None)
 @given(images=rising, depths=rising, turns=st.randoms(use_true_random=False))
-def test_a_replay_matches_as_a_plain_loop_in_any_order_of_pushes(images, depths, turns):
+def test_recorded_messages_match_as_a_plain_loop_in_any_order_of_the_sensors(images, depths, turns):
     played = Played(live=False)
     sensors = [IMAGE] * len(images) + [DEPTH] * len(depths)
     turns.shuffle(sensors)
@@ -404,20 +388,18 @@ def test_every_message_of_any_sequence_is_accounted_for(messages, live, capacity
         now += after
         played.advance(now)
         if live:
-            due_ns = played.synchronizer.due_ns()
+            due_ns = played.matching.due_ns()
             assert due_ns is None or due_ns > now * MS, "what is due was decided"
-        elif played.synchronizer.full(sensor):
-            played._keep(played.synchronizer.release_oldest(sensor, now * MS))
         played.push(sensor, stamp)
-        if played.synchronizer.jumps_back > jumps:
-            jumps, epoch = played.synchronizer.jumps_back, len(played.pairs)
+        if played.jumps_back > jumps:
+            jumps, epoch = played.jumps_back, len(played.pairs)
         decided_ns = [pair.image.stamp_ns for pair in played.pairs[epoch:]]
         assert decided_ns == sorted(set(decided_ns)), "images are decided in their order"
         for of in (IMAGE, DEPTH):
-            assert len(played.synchronizer._sensors[of].messages) <= capacity
-        assert len(played.synchronizer._kept) <= (capacity if reuse else 0)
+            assert len(played.matching._sensors[of].messages) <= capacity
+        assert len(played.matching._kept) <= (capacity if reuse else 0)
     played.flush()
-    assert played.synchronizer.due_ns() is None
+    assert not live or played.matching.due_ns() is None
     decided = [id(m) for pair in played.pairs for m in (pair.image, pair.own_depth) if m]
     decided += [id(item.message) for item in played.discarded]
     assert sorted(decided) == sorted(id(message) for _, message in played.pushed)
@@ -434,4 +416,4 @@ def test_every_message_of_any_sequence_is_accounted_for(messages, live, capacity
             assert item.message not in served
     if not live:
         lost = {outcome for sensor, _, outcome in played.outcomes() if sensor is IMAGE}
-        assert lost <= {Outcome.DUPLICATE, Outcome.LATE}, "a replay answers every image"
+        assert lost <= {Outcome.DUPLICATE, Outcome.LATE}, "a recording loses no other image"

@@ -1,0 +1,196 @@
+"""The answers to a recording, one after another: no threads, no clock, nothing is dropped.
+
+The messages are matched as `ssdnet-run` matches those of a bag, moved and flagged as by a
+`PushStream`.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Literal
+
+from numpy.typing import NDArray
+
+from runtime.checks import shown
+from runtime.errors import InferenceError, InputError, SSDNetError
+from runtime.io.calibration import Calibration
+from runtime.live.answerer import Answerer, FramePredictor
+from runtime.live.frame_result import FrameAnswer
+from runtime.live.message_counter import MessageCounter
+from runtime.live.payload import check_depth as checked_depth
+from runtime.live.payload import check_points
+from runtime.live.pose_feed import PoseFeed
+from runtime.preprocess import check_rgb
+from runtime.sync.depth_in_time import ScanStamp
+from runtime.sync.matching import Message, Pair
+from runtime.sync.outcome import Outcome, Sensor
+from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS, Stamp, stamp_ns
+from runtime.sync.stamp_matching import match_by_stamp
+
+_WAITING = 16  # messages of a sensor that wait for their partner, and frames that wait for poses
+_SENSORS = {
+    "image": Sensor.IMAGE,
+    "depth": Sensor.DEPTH,
+    "points": Sensor.DEPTH,
+    "pose": Sensor.POSE,
+}
+
+#: (kind, array, stamp), as the arguments of the `PushStream.push_` method of this kind.
+ReplayMessage = (
+    tuple[Literal["image", "depth", "points", "pose"], NDArray[Any], Stamp]
+    | tuple[Literal["points"], NDArray[Any], Stamp, NDArray[Any] | None]
+)
+
+
+def replay(
+    predictor: FramePredictor,
+    messages: Iterable[ReplayMessage],
+    *,
+    max_skew_ms: float = DEFAULT_MAX_SKEW_MS,
+    calibration: Calibration | None = None,
+    reuse_depth_ms: float = DEFAULT_REUSE_DEPTH_MS,
+    pose_frame: Literal["lidar", "camera", "body"] | None = None,
+    scan_stamp: ScanStamp = "middle",
+    consistency: float | None = None,
+    check_depth: bool = True,
+    on_error: Callable[[SSDNetError], object] | None = None,
+    counter: MessageCounter | None = None,
+) -> Iterator[FrameAnswer]:
+    """Answer every image of a recording, as a `PushStream` that is never late.
+
+    ```python
+    def messages():  # in the order of time, read as they are needed
+        yield "image", rgb, stamp  # seconds, or int nanoseconds
+        yield "depth", sparse_depth, stamp  # or "points", points, stamp[, times]
+        yield "pose", pose, stamp  # with pose_frame=
+
+    for answer in replay(predictor, messages()):
+        answer.prediction, answer.skew_ms, answer.depth_age_ms
+    ```
+
+    An image waits for its depth until the stamps of the LiDAR are past it, and for poses until they
+    reach it and its scan. Where 16 images wait, the oldest is answered with what is there; so many
+    messages may one sensor be recorded behind the others.
+
+    Args:
+        predictor: a `Predictor`, or a drop-in replacement.
+        messages: (kind, array, stamp) of kind "image", "depth", "points" or "pose"; see the method
+            `PushStream.push_image` and so on of that kind.
+        max_skew_ms: as of `PushStream`, like the next six.
+        calibration: of camera and LiDAR.
+        reuse_depth_ms: largest age of the depth that an image without its own takes.
+        pose_frame: the frame of which poses are given.
+        scan_stamp: what instant of a scan its stamp is.
+        consistency: share of the returns that is held out.
+        check_depth: whether returns are compared with a prediction from the image alone.
+        on_error: called with the error of each message and frame that has one, which is left out;
+            None = the first one is raised.
+        counter: counts the messages and their outcomes.
+
+    Returns:
+        An iterator over the answers, in the order of the images' stamps.
+
+    Raises:
+        InputError: if an option is out of range; from the iterator, for a message that is none, and
+            without `on_error` for each that `PushStream` refuses, and for depth that does not fit
+            its image.
+        InferenceError: from the iterator without `on_error`, if the provider fails.
+    """
+    counter = MessageCounter() if counter is None else counter
+    answerer = Answerer(predictor, calibration, consistency, check_depth=check_depth)
+    poses = PoseFeed(pose_frame, scan_stamp, calibration)
+    recording = _Recording(answerer, poses, calibration, counter, on_error)
+    pairs = match_by_stamp(
+        recording.matched(messages),
+        max_skew_ms=max_skew_ms,
+        reuse_depth_ms=reuse_depth_ms,
+        waiting=_WAITING,
+        on_decided=counter.record_decided,
+    )
+    return recording.answers(pairs)
+
+
+class _Recording:
+    """The messages and the frames of a recording."""
+
+    def __init__(
+        self,
+        answerer: Answerer,
+        poses: PoseFeed,
+        calibration: Calibration | None,
+        counter: MessageCounter,
+        on_error: Callable[[SSDNetError], object] | None,
+    ) -> None:
+        self._answerer, self._poses, self._calibration = answerer, poses, calibration
+        self._counter, self._on_error = counter, on_error
+
+    def matched(self, messages: Iterable[ReplayMessage]) -> Iterator[tuple[Sensor, Message]]:
+        """Check the messages and yield those to be matched; poses are taken."""
+        for message in messages:
+            kind, data, stamp, times = _parts(message)
+            sensor = _SENSORS[kind]
+            self._counter.push(sensor)
+            outcome = Outcome.BAD_STAMP
+            try:
+                nanoseconds = stamp_ns(stamp)
+                outcome = Outcome.BAD_MESSAGE
+                data = self._check(kind, data, nanoseconds, times).copy()
+            except InputError as error:
+                self._counter.record(sensor, outcome)
+                self._report(error)
+                continue
+            if sensor is Sensor.POSE:
+                self._counter.record(sensor, self._poses.buffer.add(data, nanoseconds))
+            else:
+                data = self._poses.timed(data, nanoseconds)
+                yield sensor, Message(stamp, nanoseconds, data)
+
+    def _check(self, kind: str, data: Any, nanoseconds: int, times: Any) -> Any:
+        match kind:
+            case "image":
+                return check_rgb(data)
+            case "depth":
+                return checked_depth(data)
+            case "pose":
+                return self._poses.check(data)
+        return check_points(data, times=times, stamp_ns=nanoseconds, calibration=self._calibration)
+
+    def answers(self, pairs: Iterable[Pair]) -> Iterator[FrameAnswer]:
+        """Answer the frames as soon as poses reach them."""
+        waiting: deque[Pair] = deque()
+        for pair in pairs:
+            waiting.append(pair)
+            while waiting and (len(waiting) > _WAITING or self._poses.reach(waiting[0])):
+                yield from self._answer(waiting.popleft())
+        for pair in waiting:
+            yield from self._answer(pair)
+
+    def _answer(self, pair: Pair) -> Iterator[FrameAnswer]:
+        """Yield the answer to a frame; none where it is an error."""
+        try:
+            answer = self._answerer.answer(pair, self._poses.track(pair))
+        except SSDNetError as error:
+            failed = isinstance(error, InferenceError)
+            outcome = Outcome.INFERENCE_ERROR if failed else Outcome.INPUT_ERROR
+            self._counter.record_pair(pair, outcome)
+            self._report(error)
+            return
+        self._counter.record_pair(pair, Outcome.ANSWERED)
+        yield answer
+        self._answerer.check_last(idle=True)
+
+    def _report(self, error: SSDNetError) -> None:
+        if self._on_error is None:
+            raise error
+        self._on_error(error)
+
+
+def _parts(message: Any) -> tuple[str, Any, Any, Any]:
+    """The kind, array, stamp and times of a message; InputError if it is none."""
+    if isinstance(message, tuple) and len(message) in (3, 4):
+        kind, data, stamp, *times = message
+        if isinstance(kind, str) and kind in _SENSORS and (not times or kind == "points"):
+            return kind, data, stamp, times[0] if times else None
+    raise InputError(
+        f"a message must be a tuple (kind, array, stamp), the kind one of {', '.join(_SENSORS)}; "
+        f"of points times may follow; got {shown(message)}"
+    )

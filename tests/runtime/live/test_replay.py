@@ -1,0 +1,425 @@
+"""What a replay answers: matching, reuse, poses, flags and counts, by the stamps alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from car_poses import pose
+from moving_car import (
+    CALIBRATION,
+    DEGRADED,
+    INTRINSICS,
+    MS,
+    POINTS,
+    TO_CAMERA,
+    WALL_M,
+    car,
+    expected,
+    measured,
+    messages,
+    wall_scan,
+)
+from runtime import InferenceError, InputError, Predictor, PushStream
+from runtime import replay as answer_recording
+from runtime.io.calibration import Calibration
+from runtime.live.message_counter import MessageCounter
+from stream_messages import add_up, depth, image
+
+POSES = {"calibration": CALIBRATION, "pose_frame": "lidar"}
+
+
+def message(sensor, time_ms):
+    """What a sensor on the car sends at a time."""
+    if sensor == "image":
+        return "image", image(time_ms // 50), time_ms * MS
+    if sensor == "depth":
+        return "points", wall_scan(time_ms), time_ms * MS
+    return "pose", car(time_ms), time_ms * MS
+
+
+def drive(**options):
+    """The messages of a camera, a LiDAR and poses, see `messages`."""
+    return [message(sensor, time_ms) for time_ms, _, sensor in messages(**options)]
+
+
+@pytest.fixture
+def replay(checked_predictor):
+    """Replay messages: (answers, counts). Every message is accounted for."""
+
+    def run(recording, *, predictor=None, check_depth=False, **options):
+        counter = MessageCounter()
+        answers = answer_recording(
+            predictor or checked_predictor(),
+            recording,
+            check_depth=check_depth,
+            counter=counter,
+            **options,
+        )
+        answers, counts = list(answers), add_up(counter.counts())
+        assert (counts.pending, counts.images.answered) == (0, len(answers))
+        return answers, counts
+
+    return run
+
+
+def image_ms(answers):
+    return [answer.image_stamp // MS for answer in answers]
+
+
+# --- as the live stream --------------------------------------------------------------------------
+
+
+def test_answers_are_those_of_the_engine_and_of_a_live_stream(model_file, make_frame, replay):
+    frames = [make_frame(seed=seed) for seed in range(3)]
+    recording = [
+        message
+        for number, (rgb, sparse_depth) in enumerate(frames)
+        for message in (("image", rgb, number / 10), ("depth", sparse_depth, number * 100 * MS))
+    ]
+    with Predictor(model_file(), threads=1) as predictor:
+        answers, counts = replay(recording, predictor=predictor, check_depth=True)
+        with PushStream(predictor) as stream:
+            for kind, array, stamp in recording:
+                getattr(stream, f"push_{kind}")(array, stamp)
+                if kind == "depth":
+                    live = next(stream)
+                    answer = answers[live.sequence]
+                    for name in vars(answer).keys() - {"prediction", "rgb"}:
+                        assert getattr(answer, name) == getattr(live, name)
+                    np.testing.assert_array_equal(answer.rgb, live.rgb)
+                    np.testing.assert_array_equal(answer.prediction.depth, live.prediction.depth)
+                    assert answer.prediction.degraded == live.prediction.degraded
+        assert counts == stream.counts
+    assert [(each.image_stamp, each.depth_stamp, each.skew_ms) for each in answers] == [
+        (number / 10, number * 100 * MS, 0) for number in range(3)
+    ]
+
+
+def test_arrays_may_be_reused_for_the_next_message(replay):
+    def recording():
+        rgb, sparse_depth, where = image(), depth(), np.eye(4)
+        for number in range(4):
+            rgb[:], sparse_depth[:], where[0, 3] = image(number), depth(number), number
+            yield "image", rgb, number * 100 * MS
+            yield "depth", sparse_depth, number * 100 * MS
+            yield "pose", where, number * 100 * MS
+
+    answers, _ = replay(recording(), **POSES)
+    for number, answer in enumerate(answers):
+        assert (answer.rgb == image(number)).all()
+        assert (answer.prediction.depth == depth(number) + 1).all()
+
+
+def test_a_recording_is_read_as_it_is_answered(checked_predictor):
+    """Nothing is read ahead but what the next answer needs."""
+    read = []
+
+    def recording():
+        for time_ms in range(0, 10_000, 100):
+            for sensor in ("image", "depth"):
+                read.append(time_ms)
+                yield message(sensor, time_ms)
+
+    answers = answer_recording(checked_predictor(), recording(), calibration=CALIBRATION)
+    assert read == []
+    assert next(answers).image_stamp == 0
+    assert max(read) <= 100
+    answers.close()
+
+
+# --- reuse and poses -----------------------------------------------------------------------------
+
+
+def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(replay):
+    answers, counts = replay(drive(until=1000), **POSES)
+    assert image_ms(answers) == list(range(0, 1000, 50))
+    for answer in answers:
+        time_ms = answer.image_stamp // MS
+        own = time_ms % 100 == 0
+        assert measured(answer) == expected(time_ms), time_ms
+        assert answer.prediction.degraded == (() if own else ("depth_reused",))
+        assert (answer.depth_reused, answer.depth_motion) == (not own, "scan")
+        assert answer.depth_age_ms == -answer.skew_ms == (0 if own else 50)
+        assert answer.depth_stamp == time_ms // 100 * 100 * MS
+    assert (counts.images.answered, counts.depths.answered) == (20, 10)
+    assert (counts.camera_only, counts.reused) == (0, 10)
+    assert (counts.poses.pushed, counts.poses.answered, counts.poses.pending) == (100, 100, 0)
+
+
+def test_without_poses_the_scan_is_reused_as_it_is_and_says_so(replay):
+    answers, _ = replay(drive(until=400, pose_ms=0), calibration=CALIBRATION)
+    for answer in answers:
+        time_ms = answer.image_stamp // MS
+        assert measured(answer) == expected(time_ms // 100 * 100)
+        uncompensated = ("depth_reused", "depth_uncompensated") if time_ms % 100 else ()
+        assert answer.prediction.degraded == uncompensated
+        assert answer.depth_motion == "none"
+
+
+@pytest.mark.parametrize("pose_frame", [None, "lidar"])
+def test_a_depth_map_cannot_be_moved(replay, pose_frame):
+    recording = [("image", image(stamp), stamp * MS) for stamp in (0, 50, 110)]
+    recording += [("depth", depth(stamp), stamp * MS) for stamp in (0, 100)]
+    calibration = CALIBRATION if pose_frame else None
+    answers, _ = replay(recording, pose_frame=pose_frame, calibration=calibration)
+    moved = ("depth_uncompensated",) if pose_frame else ()
+    degraded = [answer.prediction.degraded for answer in answers]
+    assert degraded == [(), ("depth_reused", "depth_uncompensated"), moved]
+
+
+@pytest.mark.parametrize(
+    ("options", "last_ms"), [({"reuse_depth_ms": 0}, 0), ({}, 150), ({"reuse_depth_ms": 500}, 500)]
+)
+def test_reuse_can_be_turned_off_and_ends_with_the_age(replay, options, last_ms):
+    lost = {("depth", stamp) for stamp in range(100, 700, 100)}
+    answers, _ = replay(drive(until=750, lost=lost), **POSES, **options)
+    reused = [answer for answer in answers if answer.depth_reused]
+    assert image_ms(reused) == list(range(50, last_ms + 1, 50))
+    alone = [answer for answer in answers if "no_depth" in answer.prediction.degraded]
+    assert image_ms(alone) == list(range(last_ms + 50, 700, 50)), "a LiDAR that stopped"
+
+
+@pytest.mark.parametrize("frame", ["camera", "body"])
+def test_poses_of_another_frame_of_the_car(replay, frame):
+    body_from_lidar = pose((0.5, 0.2, 1.7), (0, 0.1, 0.3))
+    calibration = Calibration(INTRINSICS, TO_CAMERA, body_from_lidar=body_from_lidar)
+    mount = {"camera": TO_CAMERA, "body": body_from_lidar}[frame]
+    recording = [("points", wall_scan(0), 0), ("image", image(), 40 * MS)]
+    recording += [("pose", car(t) @ np.linalg.inv(mount), t * MS) for t in (0, 50)]
+    (answer,), _ = replay(recording, calibration=calibration, pose_frame=frame)
+    assert measured(answer) == expected(40)
+
+
+@pytest.mark.parametrize("as_floats", [True, False])
+def test_a_scan_with_times_is_deskewed(replay, as_floats):
+    """The last return was measured 100 ms after the first."""
+    after_ms = np.linspace(0, 100, POINTS)
+    scan = np.concatenate([wall_scan(t)[n : n + 1] for n, t in enumerate(after_ms)])
+    times = after_ms / 1e3 if as_floats else (after_ms * MS).astype(np.uint64)
+    recording = [("points", scan, 0, times), ("image", image(), 30 * MS)]
+    recording += [message("pose", stamp) for stamp in range(0, 120, 10)]
+    (answer,), _ = replay(recording, **POSES)
+    found = answer.prediction.depth[answer.prediction.depth > 1] - 1
+    assert found == pytest.approx(WALL_M - 0.45, abs=2e-3)
+    assert (answer.depth_motion, answer.prediction.degraded) == ("each", ())
+
+
+@pytest.mark.parametrize(("scan_stamp", "stamp_ms"), [("start", 0), ("middle", 50), ("end", 100)])
+def test_a_scan_is_moved_from_its_middle(replay, scan_stamp, stamp_ms):
+    recording = [
+        ("points", wall_scan(turn * 80 + 40), (stamp_ms * 8 // 10 + turn * 80) * MS)
+        for turn in range(8)
+    ]
+    recording += [message("pose", stamp) for stamp in range(0, 800, 20)]
+    recording.append(("image", image(), 600 * MS))
+    (answer,), _ = replay(recording, scan_stamp=scan_stamp, **POSES)
+    assert measured(answer) == expected(600)
+
+
+@pytest.mark.parametrize("fault", ["no_pose", "pose_gap", "pose_jump", "pose_clock"])
+def test_a_pose_that_is_missing_is_a_flag_that_says_why(replay, fault):
+    recording = []
+    for stamp in range(0, 1500, 10):
+        if stamp == 980:
+            recording += [("points", wall_scan(940), 940 * MS), ("image", image(), 980 * MS)]
+        if fault == "pose_jump":
+            jumped = car(stamp) @ pose((3 * (stamp >= 960), 0, 0))
+            recording.append(("pose", jumped, stamp * MS))
+        elif fault == "pose_clock":
+            recording.append(("pose", car(stamp), (10**6 + stamp) * MS))
+        elif (fault == "no_pose" and stamp < 500) or (
+            fault == "pose_gap" and not 800 < stamp < 1200
+        ):
+            recording.append(message("pose", stamp))
+    (answer,), _ = replay(recording, **POSES)
+    assert answer.prediction.degraded == ("depth_uncompensated", fault)
+    assert measured(answer) == expected(940), "as it is, not moved wrongly"
+    assert answer.depth_motion == "none"
+
+
+@pytest.mark.parametrize(
+    "late_ms",
+    [{"depth": 180}, {"image": 180}, {"pose": 180}, {"depth": 90, "pose": 180}, {"depth": 400}],
+)
+def test_answers_do_not_depend_on_how_late_a_sensor_was_recorded(replay, late_ms):
+    """Positions of the poses, and which scan is reused."""
+    recorded = messages(until=1500, lost={("depth", 400), ("pose", 640)})
+    recorded.sort(key=lambda each: each[0] + late_ms.get(each[2], 0))
+    recording = [message(sensor, time_ms) for time_ms, _, sensor in recorded]
+    answers, counts = replay(recording, **POSES)
+    assert image_ms(answers) == list(range(0, 1500, 50))
+    for answer in answers:
+        time_ms = answer.image_stamp // MS
+        assert measured(answer) == expected(time_ms)
+        assert DEGRADED & {*answer.prediction.degraded} <= {"depth_reused"}
+        assert answer.depth_stamp // MS == (300 if time_ms in (400, 450) else time_ms // 100 * 100)
+    assert counts.reused == 16
+
+
+def test_where_poses_end_answers_go_on_without_them(checked_predictor):
+    """At most 16 frames wait for poses."""
+    read = 0
+
+    def recording():
+        nonlocal read
+        for time_ms, _, sensor in messages(until=4000, scan_ms=50):
+            if sensor != "pose" or time_ms < 200:
+                read = time_ms
+                yield message(sensor, time_ms)
+
+    times_ms, flagged = [], []
+    for answer in answer_recording(checked_predictor(), recording(), check_depth=False, **POSES):
+        times_ms.append(answer.image_stamp // MS)
+        flagged.append("no_pose" in answer.prediction.degraded)
+        assert read <= times_ms[-1] + 18 * 50
+    assert times_ms == list(range(0, 4000, 50))
+    assert flagged == [time_ms > 290 for time_ms in times_ms]
+
+
+def test_a_scan_without_points_has_no_times(replay):
+    recording = [("points", np.zeros((0, 3), np.float32), 0, np.zeros(0)), message("image", 0)]
+    (answer,), _ = replay([*recording, message("pose", 0)], **POSES)
+    assert answer.prediction.degraded == ("no_depth",)
+
+
+# --- one sensor alone ----------------------------------------------------------------------------
+
+
+def test_a_camera_alone(replay):
+    answers, counts = replay([message("image", 50 * number) for number in range(40)])
+    assert image_ms(answers) == list(range(0, 2000, 50))
+    assert counts.camera_only == 40
+
+
+def test_a_lidar_alone(replay):
+    recording = [("depth", depth(number), number / 10) for number in range(40)]
+    answers, counts = replay(recording)
+    assert answers == []
+    assert counts.unmatched == {"no_image": 40}
+
+
+# --- health --------------------------------------------------------------------------------------
+
+
+def test_returns_are_held_out_with_the_option_consistency(replay):
+    recording = [("image", image(), 0), ("depth", depth(), 0), ("image", image(1), 200 * MS)]
+    (answer, camera_only), _ = replay(recording, consistency=0.5)
+    assert 0.4 < answer.prediction.depth_returns / (32 * 40) < 0.6
+    assert answer.consistency.holdout_error == 0, "0 + 1 m where 1 m was held out"
+    assert answer.consistency.scale_error == 0
+    assert camera_only.consistency is None
+    (plain, _), _ = replay(recording)
+    assert plain.prediction.depth_returns == 32 * 40
+    assert plain.consistency is None
+
+
+@pytest.mark.parametrize(
+    ("options", "flagged"),
+    [
+        ({"consistency": 0.05, "check_depth": True}, [True, True]),
+        ({"check_depth": True}, [False, True]),
+        ({"consistency": 0.05, "check_depth": False}, [False, False]),
+        ({"check_depth": False}, [False, False]),
+    ],
+)
+def test_depth_that_contradicts_the_image_is_reported(
+    replay, checked_predictor, monkeypatch, options, flagged
+):
+    """With `consistency` from the frame on, else from the next one."""
+    row, column = np.mgrid[:32, :40]
+    seen = ((40 - row + column / 2) / 10).astype(np.float32)
+    predictor = checked_predictor()
+
+    def see(rgb, sparse_depth, predict=predictor.predict, **others):
+        answer = predict(rgb, sparse_depth, **others)
+        return answer if sparse_depth.any() else replace(answer, heads={"depth": seen})
+
+    monkeypatch.setattr(predictor, "predict", see)
+    recording = [
+        each
+        for stamp in (0.0, 0.1)
+        for each in (("image", image(), stamp), ("depth", 10 * seen, stamp))
+    ]
+    answers, _ = replay(recording, predictor=predictor, **options)
+    degraded = [answer.prediction.degraded for answer in answers]
+    assert degraded == [("implausible_depth",) if each else () for each in flagged]
+
+
+def test_returns_of_the_first_five_frames_are_checked_and_then_of_one_in_a_hundred(
+    replay, checked_predictor
+):
+    predictor = checked_predictor()
+    recording = [
+        each
+        for number in range(206)
+        for each in (("image", image(number), number / 10), ("depth", depth(number), number / 10))
+    ]
+    replay(recording, predictor=predictor, check_depth=True)
+    checks = [place for place, share in enumerate(predictor.shares) if not share]
+    assert [place - n - 1 for n, place in enumerate(checks)] == [0, 1, 2, 3, 4, 104, 204]
+
+
+# --- errors --------------------------------------------------------------------------------------
+
+
+def test_frames_and_messages_that_are_errors_are_left_out_or_raised(replay, checked_predictor):
+    recording = [
+        ("image", image(), 0),
+        ("depth", np.ones((32, 41), np.float32), 0),  # does not fit
+        ("depth", depth(), "now"),
+        ("image", image()[..., :2], 0.1),
+        ("pose", np.eye(4), 0.1),  # without pose_frame
+        ("points", np.zeros((5, 3), np.float32), 0.1),  # without a calibration
+        ("image", image(2), 0.2),
+        ("depth", depth(2), 0.2),
+    ]
+    errors = []
+    (answer,), counts = replay(recording, on_error=errors.append)
+    assert answer.image_stamp == 0.2
+    parts = ["stamp must", "rgb must", "pose_frame=", "calibration=", "shape"]
+    assert {type(error) for error in errors} == {InputError}
+    assert {part for part in parts if any(part in str(error) for error in errors)} == set(parts)
+    assert counts.images.errors == {"input_error": 1, "bad_message": 1}
+    assert counts.depths.errors == {"input_error": 1, "bad_stamp": 1, "bad_message": 1}
+    assert counts.poses.errors == {"bad_message": 1}
+    for place in (2, 3, 4, 5):
+        with pytest.raises(InputError):
+            replay(recording[place : place + 1])
+    with pytest.raises(InputError, match="shape"):
+        replay(recording[:2])
+
+
+def test_a_provider_that_fails_is_raised_or_reported(replay, checked_predictor):
+    predictor = checked_predictor()
+    predictor.fail_with = InferenceError("the device was lost")
+    recording = [("image", image(), 0), ("depth", depth(), 0)]
+    with pytest.raises(InferenceError, match="lost"):
+        replay(recording, predictor=predictor)
+    errors = []
+    answers, counts = replay(recording, predictor=predictor, on_error=errors.append)
+    assert (answers, errors) == ([], [predictor.fail_with])
+    assert counts.errors == {"inference_error": 2}
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [None, (), ("image", image()), ["image", image(), 0], ("lidar", depth(), 0), (3, depth(), 0),
+     ("image", image(), 0, None), ([], depth(), 0)],
+)  # fmt: skip
+def test_what_is_no_message_is_refused(replay, bad):
+    with pytest.raises(InputError, match=r"a message must be a tuple .*image, depth, points, pose"):
+        replay([bad], on_error=lambda error: None)
+
+
+@pytest.mark.parametrize(("options", "names"), [
+    ({"pose_frame": "wheel", "calibration": CALIBRATION}, "pose_frame"),
+    ({"pose_frame": "lidar"}, "calibration="), ({"scan_stamp": "first"}, "scan_stamp"),
+    ({"reuse_depth_ms": -1}, "reuse_depth_ms"), ({"max_skew_ms": float("nan")}, "max_skew_ms"),
+    ({"consistency": "x"}, "consistency"), ({"calibration": 5}, "calibration"),
+])  # fmt: skip
+def test_options_out_of_range_are_refused_before_the_first_message(
+    checked_predictor, options, names
+):
+    with pytest.raises(InputError, match=names):
+        answer_recording(checked_predictor(), [], **options)
