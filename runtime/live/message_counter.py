@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
+from runtime.errors import InferenceError, SSDNetError
 from runtime.sync.matching import Decided, Pair
 from runtime.sync.outcome import DROPPED, ERRORS, UNMATCHED, Outcome, Sensor
 
@@ -86,6 +87,11 @@ class MessageCounter:
         elif outcome is Outcome.ANSWERED:
             self._reused += pair.reused
             self._camera_only += not pair.reused
+
+    def record_failed(self, pair: Pair, error: BaseException) -> None:
+        """A frame was an error instead of an answer."""
+        is_input = isinstance(error, SSDNetError) and not isinstance(error, InferenceError)
+        self.record_pair(pair, Outcome.INPUT_ERROR if is_input else Outcome.INFERENCE_ERROR)
 
     def record_unread(self, pair: Pair) -> None:
         """An answer was not fetched: its messages count as dropped instead."""

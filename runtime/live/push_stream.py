@@ -39,7 +39,6 @@ from runtime.live.payload import check_depth, check_points
 from runtime.live.pose_feed import PoseFeed
 from runtime.live.stream_statistics import StatisticsRecorder, StreamStatistics
 from runtime.live.watchdog import Watchdog, WatchdogLimits, WatchdogState
-from runtime.prediction import DEPTH_REUSED
 from runtime.preprocess import check_rgb
 from runtime.process_guard import ProcessGuard
 from runtime.sync.depth_in_time import ScanStamp
@@ -406,29 +405,19 @@ class PushStream:
             answer = self._answerer.answer(pair, poses)
             now_ns = self._clock.now_ns()
             result = self._result(pair, answer, now_ns)
-        except SSDNetError as error:
+        except BaseException as error:
             with self._changed:
-                failed = isinstance(error, InferenceError)
-                outcome = Outcome.INFERENCE_ERROR if failed else Outcome.INPUT_ERROR
-                self._counter.record_pair(pair, outcome)
+                self._counter.record_failed(pair, error)
                 self._watchdog.failed()
+            if not isinstance(error, SSDNetError):
+                raise
             if self._on_error is not None:
                 self._on_error(error)
             return
-        except BaseException:
-            with self._changed:
-                self._counter.record_pair(pair, Outcome.INFERENCE_ERROR)
-            raise
         with self._changed:
             self._answers += 1
             self._recorder.record(result, transit_ns=now_ns - pair.image.stamp_ns)
-            self._watchdog.answered(
-                now_ns,
-                late=result.deadline_met is False,
-                degraded=bool({*result.prediction.degraded} - {DEPTH_REUSED} or result.health),
-                valid=result.prediction.valid,
-                reused=pair.reused,
-            )
+            self._watchdog.answered(result, now_ns)
             self._counter.record_pair(pair, Outcome.ANSWERED)
             if self._on_result is None:
                 if self._unread is not None:

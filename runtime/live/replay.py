@@ -11,7 +11,7 @@ from typing import Any, Literal
 from numpy.typing import NDArray
 
 from runtime.checks import shown
-from runtime.errors import InferenceError, InputError, SSDNetError
+from runtime.errors import InputError, SSDNetError
 from runtime.io.calibration import Calibration
 from runtime.live.answerer import Answerer, FramePredictor
 from runtime.live.frame_result import FrameAnswer
@@ -169,9 +169,7 @@ class _Recording:
         try:
             answer = self._answerer.answer(pair, self._poses.track(pair))
         except SSDNetError as error:
-            failed = isinstance(error, InferenceError)
-            outcome = Outcome.INFERENCE_ERROR if failed else Outcome.INPUT_ERROR
-            self._counter.record_pair(pair, outcome)
+            self._counter.record_failed(pair, error)
             self._report(error)
             return
         self._counter.record_pair(pair, Outcome.ANSWERED)

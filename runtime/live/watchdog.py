@@ -6,6 +6,8 @@ from enum import StrEnum
 
 from runtime.checks import check_number, shown
 from runtime.errors import InputError
+from runtime.live.frame_result import FrameResult
+from runtime.prediction import DEPTH_REUSED
 from runtime.sync.stamp import NS_PER_MS
 
 Limits = tuple[float | None, float | None]  # least values for WARN and for ERROR; None = never
@@ -80,12 +82,15 @@ class Watchdog:
         if self._last_ns is None:
             self._last_ns = now_ns
 
-    def answered(
-        self, now_ns: int, *, late: bool, degraded: bool, valid: bool, reused: bool = False
-    ) -> None:
+    def answered(self, result: FrameResult, now_ns: int) -> None:
         """A frame was answered."""
         self._last_ns = now_ns
-        self._count(late=late, degraded=degraded, reused=reused, failed=not valid)
+        self._count(
+            late=result.deadline_met is False,
+            degraded=bool({*result.prediction.degraded} - {DEPTH_REUSED} or result.health),
+            reused=result.depth_reused,
+            failed=not result.prediction.valid,
+        )
 
     def failed(self) -> None:
         """A frame was an error: there is no answer."""

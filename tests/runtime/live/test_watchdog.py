@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import pytest
 
 from runtime.errors import InputError
@@ -6,8 +8,14 @@ from runtime.live.watchdog import Level, Watchdog, WatchdogLimits
 MS = 1_000_000
 
 
-def answered(watchdog, at_ms=0, *, late=False, degraded=False, valid=True):
-    watchdog.answered(at_ms * MS, late=late, degraded=degraded, valid=valid)
+def answered(watchdog, at_ms=0, *, late=False, degraded=(), health=(), valid=True):
+    result = SimpleNamespace(
+        deadline_met=not late,
+        health=health,
+        depth_reused="depth_reused" in degraded,
+        prediction=SimpleNamespace(degraded=degraded, valid=valid),
+    )
+    watchdog.answered(result, at_ms * MS)
 
 
 def levels(watchdog, at_ms=0):
@@ -26,7 +34,9 @@ def test_not_available_before_the_first_message():
     ("wrong", "limits"),
     [
         ({"late": True}, {"late": (2, 4)}),
-        ({"degraded": True}, {"degraded": (2, 4)}),
+        ({"degraded": ("no_depth",)}, {"degraded": (2, 4)}),
+        ({"health": ("image_frozen",)}, {"degraded": (2, 4)}),
+        ({"degraded": ("depth_reused",)}, {"reused": (2, 4)}),
         ({"valid": False}, {"failed": (2, 4)}),
     ],
 )
@@ -67,9 +77,9 @@ def test_silence_is_reported_by_the_clock_and_ends_with_a_result():
 def test_the_worst_counts_and_none_is_never():
     watchdog = Watchdog(WatchdogLimits(late=(1, 1), degraded=(1, None)))
     for _ in range(100):
-        answered(watchdog, degraded=True)
+        answered(watchdog, degraded=("no_depth",))
     assert watchdog.state(0).level is Level.WARN
-    answered(watchdog, late=True, degraded=True)
+    answered(watchdog, late=True, degraded=("no_depth",))
     assert levels(watchdog) == ("ERROR", ("late", "degraded"))
 
 
