@@ -1,1 +1,1 @@
-"""Streams: sensors push from their own threads; frames are matched, predicted and counted."""
+"""Streams of sensors that push from their own threads, and the replay of recordings."""

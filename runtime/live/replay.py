@@ -6,6 +6,7 @@ The messages are matched as `ssdnet-run` matches those of a bag, moved and flagg
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from numpy.typing import NDArray
@@ -109,39 +110,35 @@ def replay(
     return recording.answers(pairs)
 
 
+@dataclass(frozen=True, eq=False)
 class _Recording:
     """The messages and the frames of a recording."""
 
-    def __init__(
-        self,
-        answerer: Answerer,
-        poses: PoseFeed,
-        calibration: Calibration | None,
-        counter: MessageCounter,
-        on_error: Callable[[SSDNetError], object] | None,
-    ) -> None:
-        self._answerer, self._poses, self._calibration = answerer, poses, calibration
-        self._counter, self._on_error = counter, on_error
+    answerer: Answerer
+    poses: PoseFeed
+    calibration: Calibration | None
+    counter: MessageCounter
+    on_error: Callable[[SSDNetError], object] | None
 
     def matched(self, messages: Iterable[ReplayMessage]) -> Iterator[tuple[Sensor, Message]]:
         """Check the messages and yield those to be matched; poses are taken."""
         for message in messages:
             kind, data, stamp, times = _parts(message)
             sensor = _SENSORS[kind]
-            self._counter.push(sensor)
+            self.counter.push(sensor)
             outcome = Outcome.BAD_STAMP
             try:
                 nanoseconds = stamp_ns(stamp)
                 outcome = Outcome.BAD_MESSAGE
                 data = self._check(kind, data, nanoseconds, times).copy()
             except InputError as error:
-                self._counter.record(sensor, outcome)
+                self.counter.record(sensor, outcome)
                 self._report(error)
                 continue
             if sensor is Sensor.POSE:
-                self._counter.record(sensor, self._poses.buffer.add(data, nanoseconds))
+                self.counter.record(sensor, self.poses.buffer.add(data, nanoseconds))
             else:
-                data = self._poses.timed(data, nanoseconds)
+                data = self.poses.timed(data, nanoseconds)
                 yield sensor, Message(stamp, nanoseconds, data)
 
     def _check(self, kind: str, data: Any, nanoseconds: int, times: Any) -> Any:
@@ -151,15 +148,15 @@ class _Recording:
             case "depth":
                 return checked_depth(data)
             case "pose":
-                return self._poses.check(data)
-        return check_points(data, times=times, stamp_ns=nanoseconds, calibration=self._calibration)
+                return self.poses.check(data)
+        return check_points(data, times=times, stamp_ns=nanoseconds, calibration=self.calibration)
 
     def answers(self, pairs: Iterable[Pair]) -> Iterator[FrameAnswer]:
         """Answer the frames as soon as poses reach them."""
         waiting: deque[Pair] = deque()
         for pair in pairs:
             waiting.append(pair)
-            while waiting and (len(waiting) > _WAITING or self._poses.reach(waiting[0])):
+            while waiting and (len(waiting) > _WAITING or self.poses.reach(waiting[0])):
                 yield from self._answer(waiting.popleft())
         for pair in waiting:
             yield from self._answer(pair)
@@ -167,19 +164,19 @@ class _Recording:
     def _answer(self, pair: Pair) -> Iterator[FrameAnswer]:
         """Yield the answer to a frame; none where it is an error."""
         try:
-            answer = self._answerer.answer(pair, self._poses.track(pair))
+            answer = self.answerer.answer(pair, self.poses.track(pair))
         except SSDNetError as error:
-            self._counter.record_failed(pair, error)
+            self.counter.record_failed(pair, error)
             self._report(error)
             return
-        self._counter.record_pair(pair, Outcome.ANSWERED)
+        self.counter.record_pair(pair, Outcome.ANSWERED)
         yield answer
-        self._answerer.check_last(idle=True)
+        self.answerer.check_last(idle=True)
 
     def _report(self, error: SSDNetError) -> None:
-        if self._on_error is None:
+        if self.on_error is None:
             raise error
-        self._on_error(error)
+        self.on_error(error)
 
 
 def _parts(message: Any) -> tuple[str, Any, Any, Any]:
