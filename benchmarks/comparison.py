@@ -28,10 +28,10 @@ import torch
 from pydantic.dataclasses import dataclass
 
 from export.deploy import DeployGraph
-from export.exporter import export_checkpoint
-from models import create_model
+from export.exporter import count_giga_macs, export_checkpoint
+from models import Network, create_model
 from models.registry import NETWORKS
-from random_weights import TRACED_AT, export_graph
+from random_weights import TRACED_AT, count_params_m, export_graph
 from runtime import Predictor
 from runtime.bundled_models import find_model
 from runtime.command import INTERRUPTED
@@ -345,8 +345,8 @@ def time_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
             if row.opened is None or row.figures is None:
                 raise InputError(f"{entry.name}: {row.error}")
             rows[entry.name] = {
-                "params_m": row.opened.params_m,
-                "gmacs": row.opened.gmacs,
+                "params_m": count_params_m(network_of(entry, plan)),
+                "gmacs": count_giga_macs(network_of(entry, plan), size),
                 "median_ms": row.figures.latency.median_ms,
             }
         document["sizes"].append({"size": size, "rows": rows})
@@ -362,13 +362,17 @@ def find_file(entry: Entry, plan: Plan, runs: Path, folder: Path) -> str:
         return entry.onnx
     if entry.network is None and path.is_file():
         return str(path)
-    if entry.network is not None:
-        network = create_model(entry.network)
-    else:
-        network = build_network(recipe_of(entry, plan).model, None)[0]
     path = folder / f"{entry.folder}.onnx"
-    path.write_bytes(export_graph(DeployGraph(network.eval())))
+    path.write_bytes(export_graph(DeployGraph(network_of(entry, plan).eval())))
     return str(path)
+
+
+def network_of(entry: Entry, plan: Plan) -> Network:
+    """Return the network of an entry with random weights."""
+    name = entry.network or entry.onnx
+    if name is not None:
+        return create_model(name)
+    return build_network(recipe_of(entry, plan).model, None)[0]
 
 
 def time_method(name: str, size: Size, rounds: int) -> float:

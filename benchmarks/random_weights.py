@@ -3,7 +3,8 @@
     python benchmarks/random_weights.py DIR ddrnet-23-slim fast-scnn
 
 Networks of ours answer as `ssdnet-export` has it, those for depth of others in metres; semantic
-networks of others end in scores of 19 classes at full size, as papers time them.
+networks of others end in scores of 19 classes at full size, as papers time them. Prints the
+parameters of each, and its multiplications with addition at 512 x 1024.
 """
 
 import argparse
@@ -13,8 +14,9 @@ import torch
 from torch import Tensor
 
 from export.deploy import DeployGraph
+from export.exporter import count_giga_macs
 from export.trace import trace
-from models import SSDNetConfig, SSDNetLiteConfig, create_model
+from models import Network, SSDNetConfig, SSDNetLiteConfig, create_model
 from models.blocks import upsample
 from models.registry import NETWORKS
 from runtime.io.atomic_write import atomic_write
@@ -23,6 +25,8 @@ from runtime.io.atomic_write import atomic_write
 NUM_CLASSES = 19
 #: Exported graphs take any size; they are traced at this one.
 TRACED_AT = (128, 416)
+#: Size at which multiplications are counted.
+COUNTED_AT = (512, 1024)
 
 
 class LogitsGraph(DeployGraph):
@@ -51,7 +55,15 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)
     for name in arguments.names:
-        atomic_write(arguments.folder / f"{name}.onnx", export_graph(random_graph(name)))
+        graph = random_graph(name)
+        atomic_write(arguments.folder / f"{name}.onnx", export_graph(graph))
+        print(f"{name}: {count_params_m(graph.model):.3g} M parameters", end=", ")
+        print(f"{count_giga_macs(graph.model, COUNTED_AT):.3g} GMACs")
+
+
+def count_params_m(network: Network) -> float:
+    """Return the parameters, millions."""
+    return sum(weights.numel() for weights in network.parameters()) / 1e6
 
 
 def random_graph(name: str) -> DeployGraph:

@@ -204,7 +204,7 @@ def _contract(
         checkpoint_sha256=digest,
         trained_height=checkpoint.facts.trained_height,
         canonical_focal_px=config.canonical_focal_px,
-        giga_macs=_giga_macs(checkpoint.model, size),
+        giga_macs=count_giga_macs(checkpoint.model, size),
     )
 
 
@@ -222,7 +222,8 @@ def _frames(size: tuple[int, int], *, dynamic: bool, max_depth_m: float) -> list
     return [frame for each in sizes for frame in probe_frames(each, max_depth_m=max_depth_m)]
 
 
-def _giga_macs(model: Network, size: tuple[int, int]) -> float:
+def count_giga_macs(model: Network, size: tuple[int, int]) -> float:
+    """Count the multiplications with addition of a frame of `size` (height, width), in billions."""
     inputs = (torch.empty(1, channels, *size, device="meta") for channels in (3, 1))
     with FlopCounterMode(display=False) as counter, torch.no_grad():
         copy.deepcopy(model).to("meta")(*inputs)

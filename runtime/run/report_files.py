@@ -7,26 +7,17 @@ import os
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 
-from runtime.drawing.latency_plot import draw_latency
 from runtime.io.atomic_write import atomic_write
-from runtime.io.encode import METRES_PNG_MAX_M, encode_png
+from runtime.io.encode import METRES_PNG_MAX_M
 from runtime.predictor import Predictor
 from runtime.run.options import RunOptions
-from runtime.run.run_folder import FRAMES_FILE, LATENCY_FILE, OVERLAY, REPORT_FILE
+from runtime.run.run_folder import FRAMES_FILE, OVERLAY, REPORT_FILE
 from runtime.run.run_report import STAGES, RunReport, size_text
 from runtime.sync.latency import latency_table
 
 
 def write_report(report: RunReport) -> None:
-    """Write latency.png, frames.csv and report.json into the run's folder. Raises OutputError."""
-    responses_ms = {
-        record.index: record.response_ms
-        for record in report.records
-        if record.response_ms is not None
-    }
-    if responses_ms:
-        picture = draw_latency(responses_ms, deadline_ms=report.deadline_ms)
-        atomic_write(report.out / LATENCY_FILE, encode_png(picture))
+    """Write frames.csv and report.json into the run's folder. Raises OutputError."""
     # As the file system has them: a name need not be valid text.
     table = frames_csv(report).encode(errors="surrogateescape")
     atomic_write(report.out / FRAMES_FILE, table)

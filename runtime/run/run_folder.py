@@ -22,7 +22,7 @@ SAVED_HEADS = {
 SUFFIXES = {**dict.fromkeys(SAVED_HEADS, ".png"), OVERLAY: ".jpg", CLOUD: ".ply"}
 #: What is written unless something else is requested; the others are large.
 KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
-FRAMES_FILE, REPORT_FILE, LATENCY_FILE = "frames.csv", "report.json", "latency.png"
+FRAMES_FILE, REPORT_FILE = "frames.csv", "report.json"
 _MARKER = ".ssdnet-run"
 _MAX_NAME_BYTES = 255 - max(map(len, SUFFIXES.values()))
 _MARKER_TEXT = (
@@ -98,7 +98,7 @@ class RunFolder:
 
     def _remove_run(self, names: Collection[str]) -> None:
         """Remove an earlier run; the report first, since a run with a report is whole."""
-        for file in (REPORT_FILE, FRAMES_FILE, LATENCY_FILE):
+        for file in (REPORT_FILE, FRAMES_FILE):
             _remove(self.path / file)
         for kind, suffix in SUFFIXES.items():
             folder = self.path / kind

@@ -11,12 +11,10 @@ import multiprocessing
 import os
 import signal
 import statistics
-import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import product
 from multiprocessing import resource_tracker
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,7 +50,6 @@ class Figures:
     latency: LatencyStatistics
     min_ms: float
     processor_ms: float  # median
-    gmacs_per_s: float | None
     ratio: tuple[float, ...] | None
     processor_ratio: tuple[float, ...] | None
 
@@ -119,7 +116,6 @@ def _figures(row: BenchRow, first: BenchRow) -> Figures | None:
     statistics_ms = latency_statistics(latencies)
     if row.opened is None or statistics_ms is None:
         return None
-    gmacs = row.opened.gmacs
     # Ctrl-C can end within a round.
     ratios = np.array(
         [np.divide(*pair) for pair in zip(row.times_ms, first.times_ms, strict=False)]
@@ -129,7 +125,6 @@ def _figures(row: BenchRow, first: BenchRow) -> Figures | None:
         latency=statistics_ms,
         min_ms=min(latencies),
         processor_ms=statistics.median(worked),
-        gmacs_per_s=gmacs and gmacs / statistics_ms.median_ms * 1e3,
         ratio=quartiles and tuple(quartiles[0]),
         processor_ratio=quartiles and tuple(quartiles[1]),
     )
@@ -141,11 +136,10 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
     if options.rate_hz is not None:
         period_s, most = 1 / options.rate_hz, max(2, math.ceil(options.rate_hz))
     with contextlib.ExitStack() as stack:
-        scratch = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         workers = []
         for row in group:
             with stop_requested() as stopped:  # a process that is half started cannot be ended
-                worker = _Worker(row, options, scratch)
+                worker = _Worker(row, options)
                 stack.callback(worker.end)
             if stopped():
                 raise KeyboardInterrupt
@@ -161,13 +155,13 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
 class _Worker:
     """A process that runs the model of a row; a failure is noted there."""
 
-    def __init__(self, row: BenchRow, options: BenchOptions, scratch: Path) -> None:
+    def __init__(self, row: BenchRow, options: BenchOptions) -> None:
         self.row = row
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         request = {"model": row.model, "size": row.size, "threads": row.threads, "batch": row.batch}
         request |= {"provider": options.provider}
-        self._process = context.Process(target=serve, args=(theirs, scratch), kwargs=request)
+        self._process = context.Process(target=serve, args=(theirs,), kwargs=request)
         resource_tracker.ensure_running()  # else `start` does, which unblocks signals
         # The process inherits the mask: Ctrl-C is for the command alone.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)

@@ -68,13 +68,6 @@ def main(
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write all times and statistics.")
     ] = None,
-    md_file: Annotated[
-        Path | None,
-        typer.Option("--md", metavar="FILE", help="Write the printed report as Markdown."),
-    ] = None,
-    plot_file: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE", help="Write latencies as a PNG.")
-    ] = None,
     _device: NoDevice = None,
     _version: Version = False,
 ) -> None:
@@ -86,15 +79,10 @@ def main(
     with reported_errors("cpu"):
         with interruptible():
             report = bench(options)
-        text = to_markdown(report)
-        printed = print_result(text)
-        if md_file is not None:
-            atomic_write(md_file, (text + "\n").encode())
+        printed = print_result(to_markdown(report))
         if json_file is not None:
             document = json.dumps(report.document(), indent=2, allow_nan=False)
             atomic_write(json_file, (document + "\n").encode())
-        if plot_file is not None:
-            _plot(report, plot_file)
         if report.interrupted:
             raise typer.Exit(INTERRUPTED)
         failed = any(row.error for group in report.groups for row in group)
@@ -118,8 +106,8 @@ def to_markdown(report: BenchReport) -> str:
         f"{machine.python}; {options.rounds} {how}{', interrupted' * report.interrupted}"
     ]
     for group in report.groups:
-        titles = ["model", "input", "GMACs", "params M", "median ms", "min ms", "p99 ms"]
-        titles += [f"ratio to {reference(group).model}", "quartiles", "processor ms", "GMAC/s"]
+        titles = ["model", "input", "median ms", "min ms", "p99 ms"]
+        titles += [f"ratio to {reference(group).model}", "quartiles", "processor ms"]
         titles += ["peak MB", "load ms", "first ms", "note"]
         rows = [titles, ["---"] * len(titles), *map(_cells, group)]
         lines = [f"| {' | '.join(map(_cell, row))} |" for row in rows]
@@ -134,20 +122,17 @@ def _case(row: BenchRow) -> str:
 def _cells(row: BenchRow) -> list[str]:
     opened, found = row.opened, row.figures
     if opened is None or found is None:
-        return [row.model, *["-"] * 13, row.error or "not measured"]
+        return [row.model, *["-"] * 10, row.error or "not measured"]
     low, ratio, high = found.ratio or (None, None, None)
     return [
         row.model,
         "x".join(map(str, next(iter(opened.shapes.values()), ()))),
-        _number(opened.gmacs),
-        _number(opened.params_m),
         _number(found.latency.median_ms),
         _number(found.min_ms),
         _number(found.latency.p99_ms),
         _number(ratio),
         f"{_number(low)} to {_number(high)}",
         _number(found.processor_ms),
-        _number(found.gmacs_per_s),
         _number(opened.peak_memory_mb),
         _number(opened.load_ms),
         _number(opened.first_inference_ms),
@@ -164,21 +149,3 @@ def _number(value: float | None) -> str:
 
 def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "\\|")
-
-
-def _plot(report: BenchReport, path: Path) -> None:
-    """Write a bar a row. Raises OutputError."""
-    from runtime.drawing.latency_plot import draw_bars  # here: nothing else needs OpenCV
-    from runtime.io.encode import encode_png
-
-    bars = [
-        (
-            f"{row.model}, {_case(row)}",
-            (row.figures.min_ms, row.figures.latency.median_ms, row.figures.latency.max_ms),
-        )
-        for group in report.groups
-        for row in group
-        if row.figures is not None
-    ]
-    if bars:
-        atomic_write(path, encode_png(draw_bars(bars)))

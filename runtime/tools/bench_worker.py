@@ -1,8 +1,5 @@
 """A model in a process of its own: opened once, and run as often as requested."""
 
-import contextlib
-import json
-import math
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -23,9 +20,6 @@ from runtime.session import explain, import_onnxruntime, open_session
 
 Feeds = Mapping[str, NDArray[Any]]
 
-#: Operators of products; those that `count_cost` does not count make the cost unknown.
-_PRODUCTS = re.compile("Attention|Conv|Einsum|GRU|Gemm|LSTM|MatMul|RNN")
-
 
 @dataclass(frozen=True)
 class Opened:
@@ -36,17 +30,15 @@ class Opened:
     load_ms: float  # reading and optimising the file
     first_inference_ms: float
     peak_memory_mb: float | None  # of the process after two runs
-    gmacs: float | None  # of convolutions and matrix products in a run, billions
-    params_m: float | None  # their constants, as often as they are used, millions
 
 
-def serve(pipe: Connection, scratch: Path, **request: Any) -> None:
+def serve(pipe: Connection, **request: Any) -> None:
     """Open a model as `_open` does and send an `Opened`; then answer calls of `time_runs`.
 
     A text in the place of an answer is the reason why the model cannot run; nothing follows.
     """
     try:
-        run, opened = _open(scratch, **request)
+        run, opened = _open(**request)
         pipe.send(opened)
         while True:
             pipe.send(time_runs(run, *pipe.recv()))
@@ -59,7 +51,7 @@ def serve(pipe: Connection, scratch: Path, **request: Any) -> None:
 
 
 def _open(
-    scratch: Path, *, model: str, size: tuple[int, int], batch: int, threads: int, provider: str
+    *, model: str, size: tuple[int, int], batch: int, threads: int, provider: str
 ) -> tuple[Callable[[], object], Opened]:
     import_onnxruntime()  # no part of loading
     started = time.perf_counter()
@@ -72,12 +64,8 @@ def _open(
         return session.run(None, feeds)
 
     first_ms = time_runs(run, 2, None)[0][0]
-    peak_mb = _peak_memory_mb()  # before the count, which runs without optimisations
-    cost: tuple[float | None, float | None] = None, None
-    with contextlib.suppress(Exception):  # a profile of other operators is no failure of the model
-        cost = count_cost(content, feeds, scratch)
     shapes = {name: values.shape for name, values in feeds.items()}
-    return run, Opened(shapes, notes, load_ms, first_ms, peak_mb, *cost)
+    return run, Opened(shapes, notes, load_ms, first_ms, _peak_memory_mb())
 
 
 def time_runs(
@@ -163,49 +151,6 @@ def _dtype(element: str) -> np.dtype[Any] | None:
     except TypeError:
         return None
     return dtype if dtype.kind in "biuf" else None
-
-
-def count_cost(content: bytes, feeds: Feeds, scratch: Path) -> tuple[float | None, float | None]:
-    """Return `Opened.gmacs` and `Opened.params_m`, from ONNX Runtime's profile of one run."""
-    ort = import_onnxruntime()
-    options = ort.SessionOptions()
-    # As exported: what ONNX Runtime makes of it has other operators.
-    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
-    options.log_severity_level = 4
-    options.enable_profiling = True
-    options.profile_file_prefix = str(scratch / "profile")
-    options.add_session_config_entry("session.disable_prepacking", "1")  # it hides weights
-    session = ort.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    session.run(None, feeds)
-    macs = params = 0.0
-    for event in json.loads(Path(session.end_profiling()).read_text()):
-        facts = event.get("args", {})
-        operator = facts.get("op_name", "")
-        if "output_type_shape" not in facts or not _PRODUCTS.search(operator):
-            continue
-        (element, taken), (_, weight), *_ = (
-            next(iter(tensor.items())) for tensor in facts["input_type_shape"]
-        )
-        (given,) = facts["output_type_shape"][0].values()
-        match operator:
-            case "Conv":
-                macs += math.prod(given) * math.prod(weight[1:])
-            case "ConvTranspose":
-                macs += math.prod(taken) * math.prod(weight[1:])
-            case "Gemm":
-                macs += math.prod(taken) * given[1]
-            case "MatMul":
-                macs += math.prod(given) * taken[-1]
-            case _:
-                return None, None
-        dtype = _dtype(element)
-        if dtype is None:  # bfloat16
-            return None, None
-        constants = int(facts["parameter_size"]) / dtype.itemsize
-        if operator.startswith("Conv"):  # those in 8 bits are behind a DequantizeLinear
-            constants = max(constants, math.prod(weight))
-        params += constants
-    return macs / 1e9, params / 1e6
 
 
 def _peak_memory_mb() -> float | None:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from itertools import groupby
 from typing import Any
 
-from runtime.drawing.axis import Axis, frame_ticks
+from runtime.drawing.report_page.axis import Axis, frame_ticks
 from runtime.drawing.report_page.timeline import Span
 from runtime.sync.latency import LatencyStatistics
 

@@ -43,7 +43,6 @@ def test_a_run_from_end_to_end(tmp_path, run):
     assert re.search(r"frames a second, end to end: \d", result.stdout)
     assert re.search(r"load \d+ ms, first inference [\d.]+ ms", result.stdout)
     assert "missed deadlines of 60000 ms: 0, longest run 0" in result.stdout
-    assert cv2.imread(str(out / "latency.png")) is not None
 
 
 def test_the_rows_and_the_report_agree(tmp_path, run):

@@ -91,7 +91,7 @@ def test_overwrite_replaces_our_own_run_and_nothing_else(tmp_path, make_writer, 
     with atomic_file(out / "depth" / "old.png") as file:
         leftover = str(Path(file.name).relative_to(out))
     mine = {"mine.txt", "depth/mine.png", "overlay/holiday.jpg", "semantic/.mine.png.part"}
-    for name in ("frames.csv", "report.json", "latency.png", leftover, *mine):
+    for name in ("frames.csv", "report.json", leftover, *mine):
         (out / name).write_text("x")
     (out / "boundary" / "old.png").unlink()
     (out / "boundary" / "old.png").mkdir()  # a folder is not ours, whatever its name
