@@ -38,11 +38,6 @@ cache_gib = 0.1
 [[data.source]]
 kind = "kitti-stream"
 path = "stream"
-[[data.source]]
-kind = "rendered-on-the-fly"
-num_scenes = 1
-frames_per_scene = 1
-size = [32, 64]
 [schedule]
 steps = 100000
 [loop]
@@ -53,7 +48,6 @@ accumulate = 8
 
 
 def test_a_run_with_spawned_workers_trains_and_stops(tmp_path, start_process):
-    pytest.importorskip("embreex", reason="the renderer needs the train extra")
     kitti_stream.write_stream(tmp_path / "stream", magnify=5)
     (tmp_path / "r.toml").write_text(RECIPE)
     (tmp_path / "spawned.py").write_text(TRAIN)

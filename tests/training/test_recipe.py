@@ -9,7 +9,6 @@ from runtime.errors import InputError
 from training import recipes
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.cityscapes import CityscapesRecipe
-from training.datasets.rendered_scenes import RenderedOnTheFlyRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.recipe import AnySource, ValidationRecipe, build, read_recipe
 from training.stages import read_stages
@@ -258,7 +257,6 @@ def test_mistaken_bases_are_named(base, text, message):
         ("kitti-stream", {"cameras": (3,)}),
         ("rendered", {"split": "val"}),
         ("rendered", {"num_scenes": 3}),
-        ("rendered-on-the-fly", {"scenes": ("Scene01",)}),
         ("virtual-kitti", {"withhold_hidden": True}),
         ("virtual-kitti-1", {"cameras": (1,)}),
     ],
@@ -279,10 +277,6 @@ def test_keys_that_mean_nothing_to_a_kind_are_refused(kind, keys):
         ("kitti-stream", {"first": 1, "last": 2, "semantic_weight": 0.2}),
         ("rendered", {"scenes": ("s",), "variants": ("v",), "frames": "f.txt"}),
         (
-            "rendered-on-the-fly",
-            {"variants": ("fog",), "num_scenes": 2, "frames_per_scene": 1, "scene_seed": 9},
-        ),
-        (
             "virtual-kitti",
             {"split": "all", "scenes": ("s",), "variants": ("v",), "frames": "f", "cameras": (1,)},
         ),
@@ -296,20 +290,10 @@ def test_every_kind_takes_its_own_keys(kind, keys):
     assert all(getattr(source, key) == value for key, value in {**keys, **common}.items())
 
 
-def test_only_scenes_rendered_on_the_fly_need_no_path():
-    assert build(AnySource, {"kind": "rendered-on-the-fly"}).title == "rendered-on-the-fly"
+def test_a_source_needs_a_path():
     assert RenderedRecipe(path="rendered/val").title == "rendered/val"
     with pytest.raises(InputError, match="missing key path"):
         build(AnySource, {"kind": "rendered"})
-
-
-@pytest.mark.parametrize(
-    "keys", [{"num_scenes": 0}, {"frames_per_scene": 0}, {"scene_seed": -1}], ids=str
-)
-def test_scenes_on_the_fly_are_counted_from_one(keys):
-    (key,) = keys
-    with pytest.raises(ValueError, match=key):
-        RenderedOnTheFlyRecipe(**keys)
 
 
 def test_mistaken_sources_are_named_with_their_file(tmp_path):
@@ -392,10 +376,6 @@ def test_two_validation_sets_of_one_path_are_refused():
         (
             "data.source = [{kind = 'camvid', path = 'a', scale = [0.02, 1.0]}]",
             r"data\.source\[0\]\.scale = .* needs a window",
-        ),
-        (
-            "data.source = [{kind = 'rendered-on-the-fly', num_scenes = 1000000000}]",
-            r"source\[0\]\.num_scenes",
         ),
         (
             "data.source = [{kind = 'kitti-stream', path = 'a', last = 1000000000000}]",

@@ -7,7 +7,6 @@ from training.datasets.kitti_depth import KittiDepthRecipe
 from training.datasets.kitti_raw import KittiRawRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
-from training.datasets.rendered_scenes import RenderedOnTheFlyRecipe
 from training.datasets.source_recipe import SourceRecipe
 from training.datasets.virtual_kitti import RenderedRecipe, VirtualKitti1Recipe, VirtualKittiRecipe
 
@@ -20,7 +19,6 @@ DATASETS: dict[str, type[SourceRecipe]] = {
     "kitti-stream": KittiStreamRecipe,
     "kitti-streets": KittiStreetsRecipe,
     "rendered": RenderedRecipe,
-    "rendered-on-the-fly": RenderedOnTheFlyRecipe,
     "virtual-kitti": VirtualKittiRecipe,
     "virtual-kitti-1": VirtualKitti1Recipe,
 }

@@ -1,7 +1,7 @@
 """Options of a data set in a recipe: the keys of every kind."""
 
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
@@ -36,13 +36,10 @@ class SourceRecipe:
     #: Name in scores, curves and files; the path by default.
     name: SetName | None = None
 
-    #: Whether there is a folder to read.
-    on_disk: ClassVar[bool] = True
-
     @property
     def title(self) -> str:
         """What it is called."""
-        return self.name or self.path or self.kind
+        return self.name or self.path
 
     def open(self, folder: Path, classes: ClassTable) -> SampleSource:
         """Open the data set.

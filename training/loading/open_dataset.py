@@ -28,7 +28,7 @@ def open_dataset(
 
     ``classes`` is the table of the class ids. DatasetError if there is none, or it cannot be read.
     """
-    source = recipe.open(_find_folder(recipe, roots) if recipe.on_disk else Path(), classes)
+    source = recipe.open(_find_folder(recipe, roots), classes)
     return CheckedSource(source, recipe.size)
 
 

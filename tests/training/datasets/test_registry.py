@@ -148,9 +148,6 @@ def data(tmp_path_factory):
 @pytest.mark.parametrize("kind", DATASETS)
 def test_every_kind_goes_to_a_worker_process_even_after_it_was_read(kind, data):
     options = {"kind": kind, "path": kind, "size": [32, 64]}
-    if kind == "rendered-on-the-fly":
-        pytest.importorskip("embreex", reason="the renderer needs the train extra")
-        options |= {"num_scenes": 1, "frames_per_scene": 1}
     classes = "cityscapes" if kind == "cityscapes" else "camvid"
     source = open_dataset(build(AnySource, options), [data], classes=classes)
     expected = source[0]  # what reading leaves behind must not stand in the way
