@@ -30,11 +30,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from projection import EXTRINSICS, INTRINSICS
-from runtime import OcclusionFilter, Predictor
+from runtime import Predictor
 from runtime.io.calibration import Calibration
 from runtime.io.images import read_rgb
 from runtime.io.poses import read_kitti_poses
 from runtime.io.scan import read_scan
+from runtime.projection import OcclusionFilter
 from runtime.sync.motion import move_points
 from runtime.sync.poses import PoseTrack
 from stability import Frame as Followed

@@ -18,8 +18,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime import OcclusionFilter, project_points
+from runtime import project_points
 from runtime.io.calibration import Calibration
+from runtime.projection import OcclusionFilter
 from runtime.run.process import dedicate_process
 from runtime.sync.motion import move_points, project_moved
 from runtime.sync.poses import PoseTrack

@@ -1,5 +1,6 @@
 """`ssdnet-export`: a checkpoint in, one verified ONNX file out."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +19,13 @@ _FIGURES = (
     ("mae_m", "MAE", 1e3, "mm"),
     ("coverage_1", "errors within one scale", 1e2, "%"),
 )
+
+
+class _Choice(StrEnum):
+    FP32 = Precision.FP32
+    FP16 = Precision.FP16
+    INT8 = "int8"
+
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -61,12 +69,12 @@ def export(
         ),
     ] = None,
     precision: Annotated[
-        Precision,
+        _Choice,
         typer.Option(
             help="Precision of the trunk: fp16 for GPUs, int8 for processors (needs "
             "--calibrate and --validate)."
         ),
-    ] = Precision.FP32,
+    ] = _Choice.FP32,
     calibrate: Annotated[
         list[str] | None,
         typer.Option(
@@ -101,7 +109,7 @@ def export(
         raise typer.BadParameter(f"an exported file ends in .onnx, got {model.name}: give {right}")
     if (height is None) != (width is None):
         raise typer.BadParameter("give both --height and --width, or neither")
-    if (precision is Precision.INT8) != bool(calibrate):
+    if (precision is _Choice.INT8) != bool(calibrate):
         raise typer.BadParameter("--precision int8 and --calibrate go together")
     if calibrate and not validate:
         raise typer.BadParameter("--precision int8 needs --validate")
@@ -123,7 +131,7 @@ def export(
                 with_logits=with_logits,
                 record_dir=record_dir,
                 triton_dir=triton_dir,
-                precision=options if precision is Precision.INT8 else precision,
+                precision=options if precision is _Choice.INT8 else Precision(precision),
                 validate=tuple(validate or ()),
                 overwrite=overwrite,
             )

@@ -100,10 +100,8 @@ def export_checkpoint(
             from PyTorch by more than rounding, and for a gate that is missed.
         DatasetError: for data that cannot be read.
     """
-    if precision is Precision.INT8 or (isinstance(precision, Int8Options) and not validate):
-        raise InputError(
-            "int8 needs data: give Int8Options, and validate, data sets with ground truth"
-        )
+    if isinstance(precision, Int8Options) and not validate:
+        raise InputError("int8 needs data: give validate, data sets with ground truth")
     dynamic = dynamic or size is None
     size = size or DEFAULT_SIZE
     try:

@@ -7,7 +7,6 @@ from enum import StrEnum
 class Precision(StrEnum):
     FP32 = "fp32"
     FP16 = "fp16"
-    INT8 = "int8"
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from runtime.prediction import Latency as Latency
     from runtime.prediction import Prediction as Prediction
     from runtime.predictor import Predictor as Predictor
-    from runtime.projection import OcclusionFilter as OcclusionFilter
     from runtime.projection import project_points as project_points
 
     __version__: str
@@ -44,7 +43,7 @@ _MODULES = {
     "live.replay": "replay",
     "prediction": "Cleaned Latency Prediction",
     "predictor": "Predictor",
-    "projection": "OcclusionFilter project_points",
+    "projection": "project_points",
 }
 _HOMES = {name: f"runtime.{home}" for home, names in _MODULES.items() for name in names.split()}
 
