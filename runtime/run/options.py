@@ -34,10 +34,9 @@ from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 MAX_SHARDS = 1_000_000
 MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG
 #: Option that names a file -> its suffix.
-FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap", "rerun": ".rrd"}
+FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap"}
 DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
 OPTION = "option"  # of the metadata of a field: the option of the command
-RERUN_LIVE = "live"  # --rerun: the viewer on this machine
 _OUT = Path("ssdnet-run")
 
 Item = TypeVar("Item")
@@ -185,12 +184,6 @@ class RunOptions:
         f"Write the overlays as a video, at --rate or {DEFAULT_RATE_HZ:g} Hz.",
         metavar=f"FILE{FILE_SUFFIXES['video']}",
     )
-    rerun: str | None = _outputs(
-        "Log the run for the viewer Rerun (extra rerun): to a file, to the viewer on this "
-        "machine, or to rerun+http://HOST:PORT/proxy. The cloud needs --calibration or "
-        "--focal-length.",
-        metavar=f"FILE{FILE_SUFFIXES['rerun']}|{RERUN_LIVE}|URL",
-    )
     mcap: Path | None = _outputs(
         "Write the results as standard ROS 2 messages (extra bag), with the stamps of the camera, "
         "or at --rate where there are none.",
@@ -267,11 +260,6 @@ class RunOptions:
                 raise UsageError(f"--{option} writes {FILE_SUFFIXES[option]} files, got {path}")
         if self.record is not None:
             self._require_apart(self.record)
-        if self.rerun is not None and not (is_rerun_file(self.rerun) or is_viewer(self.rerun)):
-            raise UsageError(
-                f"--rerun takes a file that ends in {FILE_SUFFIXES['rerun']}, {RERUN_LIVE}, or a "
-                f"viewer's rerun+http://HOST:PORT/proxy, got {shown(self.rerun)}"
-            )
         _ = self.kinds, self.network_size, self._shard, self.open_source
 
     @cached_property
@@ -343,11 +331,7 @@ class RunOptions:
     def named_files(self) -> dict[str, Path]:
         """Option -> its file, for the options that were given."""
         named = {option: getattr(self, option) for option in FILE_SUFFIXES}
-        return {
-            option: Path(name)
-            for option, name in named.items()
-            if name is not None and (option != "rerun" or is_rerun_file(name))
-        }
+        return {option: path for option, path in named.items() if path is not None}
 
     def focal_length_px(self, source: Source) -> float | None:
         """The focal length of the run: --focal-length, else that of the source."""
@@ -391,18 +375,6 @@ def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
     check: Callable[..., float] = check_number if float in get_args(field.type) else check_integer
     limits = (option.min,) if option.max is None else (option.min, option.max)
     check(f"--{field.name.replace('_', '-')}", value, *limits, error=UsageError)
-
-
-def is_rerun_file(target: str) -> bool:
-    """Whether --rerun names a file, not a viewer."""
-    return target.lower().endswith(FILE_SUFFIXES["rerun"])
-
-
-def is_viewer(target: str) -> bool:
-    """Whether --rerun names a viewer."""
-    return target == RERUN_LIVE or target.startswith(
-        ("rerun://", "rerun+http://", "rerun+https://")
-    )
 
 
 @contextlib.contextmanager

@@ -8,7 +8,6 @@ from runtime.run.options import RunOptions
 from runtime.run.outputs.frame_writer import open_frame_files
 from runtime.run.outputs.mcap import open_mcap
 from runtime.run.outputs.output import OpenRun, Output
-from runtime.run.outputs.rerun_log import open_rerun
 from runtime.run.outputs.run_page import open_page
 from runtime.run.outputs.run_recording import open_recording
 from runtime.run.outputs.video import open_video
@@ -53,7 +52,6 @@ OUTPUTS: dict[str, OutputRow] = {
     "out": OutputRow(open_frame_files, always=True),
     "video": OutputRow(open_video),
     "mcap": OutputRow(open_mcap, package="rosbags", extra="bag"),
-    "rerun": OutputRow(open_rerun, package="rerun", extra="rerun"),
 }
 
 

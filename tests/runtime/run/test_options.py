@@ -64,7 +64,6 @@ def test_help_groups_the_options():
         {"demo": True, "shard": "5/4"},
         {"demo": True, "size": "large"},
         {"source": "tape:here"},
-        {"demo": True, "rerun": "a.mp4"},
     ],
 )
 def test_wrong_options_are_usage_errors(options):

@@ -80,8 +80,6 @@ def arguments(tmp_path, make_stream, all_heads):
     }
     if importlib.util.find_spec("rosbags"):
         options["--mcap"] = tmp_path / "run.mcap"
-    if importlib.util.find_spec("rerun"):
-        options["--rerun"] = tmp_path / "run.rrd"
     return [text for option in options.items() for text in option]
 
 
