@@ -70,11 +70,7 @@ def class_ids(scores: Tensor, factor: int = 1) -> Tensor:
     if factor > 1:
         unknown = F.interpolate(unknown, scale_factor=float(factor), mode="nearest")
         scores = upsample(scores, factor=factor)
-    # The reshape keeps the classes innermost: without it ONNX Runtime moves the transposition
-    # behind the ArgMax, which then strides through memory and takes twice as long.
-    batch, classes, height, width = scores.shape
-    innermost = scores.permute(0, 2, 3, 1).reshape(-1, classes)
-    ids = innermost.argmax(dim=1).to(torch.uint8).reshape(batch, height, width)
+    ids = scores.argmax(dim=1).to(torch.uint8)
     # Not a maximum: ONNX Runtime has none of bytes on CUDA.
     no_class = torch.tensor(NO_CLASS, dtype=torch.uint8)
     return torch.where(unknown[:, 0].to(torch.bool), no_class, ids)
