@@ -3,16 +3,17 @@
     python benchmarks/projection.py [--rounds 200] [--keep-memory]
 
 The scan is that of a 64-line sensor on a street of walls, 115,200 returns all around; the picture
-has 1242 x 375 pixels. Plain and filtered projection, and moving each return by the pose at its own
-time (`move_points`, poses at 100 Hz; `project_moved` leaves out what stays behind the camera), run
-interleaved. With --keep-memory freed memory is kept for
-the next scan, as ssdnet-run keeps it.
+has 1242 x 375 pixels. Plain and filtered projection, projection through each model of a lens, and
+moving each return by the pose at its own time (`move_points`, poses at 100 Hz; `project_moved`
+leaves out what stays behind the camera), run interleaved. With --keep-memory freed memory is kept
+for the next scan, as ssdnet-run keeps it.
 """
 
 import argparse
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 
 import cv2
 import numpy as np
@@ -30,6 +31,11 @@ INTRINSICS = np.array([[721.5, 0, 609.6], [0, 721.5, 172.9], [0, 0, 1]])
 #: From x ahead, y left, z up to the camera, which sits 0.27 m before and 0.08 m below the LiDAR.
 EXTRINSICS = np.array([[0.0, -1, 0, 0.06], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1]])
 HEIGHT_M = 1.73
+LENSES = {
+    "plumb_bob": [-0.37, 0.2, 1e-3, -1e-3, -0.07],
+    "rational_polynomial": [0.6, -0.02, 1e-3, 2e-4, 1e-3, 0.95, 0.06, 2e-3],
+    "equidistant": [0.01, -0.004, 1e-3, -2e-4],
+}
 
 
 def street_scan(rng: np.random.Generator) -> NDArray[np.float32]:
@@ -80,6 +86,14 @@ def main() -> None:
         "with occlusion filter": lambda: project_points(
             points, INTRINSICS, EXTRINSICS, SIZE, occlusion=occlusion
         ),
+        **{
+            f"lens {lens}": partial(
+                Calibration(INTRINSICS, EXTRINSICS, lens=lens, distortion=distortion).project,
+                points,
+                SIZE,
+            )
+            for lens, distortion in LENSES.items()
+        },
         "moving alone": lambda: move_points(points, times, track, 50_000_000),
         "moved and projected": lambda: project_moved(
             calibration, points, times, track, 50_000_000, SIZE

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.heads import EDGE_BOUNDARY
+from runtime.lens import Lens, rays
 from runtime.projection import check_intrinsics
 
 
@@ -34,6 +35,7 @@ def to_points(
     depth: NDArray[np.float32],
     intrinsics: NDArray[np.floating[Any]],
     *,
+    lens: Lens | None = None,
     rgb: NDArray[np.uint8] | None = None,
     semantic: NDArray[np.uint8] | None = None,
     boundary: NDArray[np.float32] | None = None,
@@ -44,8 +46,9 @@ def to_points(
 
     Args:
         depth: float32 (H, W), metres; 0, negative, NaN and Inf have no point.
-        intrinsics: float (3, 3) of the rectified camera, in pixels of this depth map; integers are
-            pixel centres.
+        intrinsics: float (3, 3), in pixels of this depth map; integers are pixel centres.
+        lens: the distortion of the image; None = it is rectified. Pixels outside the lens's field
+            have no point.
         rgb: uint8 (H, W, 3), colours of the points.
         semantic: uint8 (H, W), class ids.
         boundary: float32 (H, W), probability; pixels above `edge_boundary` have no point.
@@ -71,14 +74,20 @@ def to_points(
         kept &= boundary <= edge_boundary
     if semantic is not None and sky is not None:
         kept &= semantic != sky
+    if lens is not None:
+        table = rays(lens, intrinsics, (depth.shape[0], depth.shape[1]))
+        kept &= np.isfinite(table[..., 0])
     row, column = np.nonzero(kept)
     z = depth[row, column]
-    inverse = np.linalg.inv(intrinsics.astype(np.float64))
-    x, y, one = (
-        (line[0] * column + line[1] * row + line[2]).astype(np.float32) for line in inverse
-    )
+    if lens is None:
+        inverse = np.linalg.inv(intrinsics.astype(np.float64))
+        x, y = (
+            (line[0] * column + line[1] * row + line[2]).astype(np.float32) for line in inverse[:2]
+        )
+    else:
+        x, y = table[row, column].T
     return PointCloud(
-        points=np.stack([x * z, y * z, one * z], axis=1),
+        points=np.stack([x * z, y * z, z], axis=1),
         rgb=None if rgb is None else rgb[row, column],
         semantic=None if semantic is None else semantic[row, column],
         rows=row.astype(np.int32),

@@ -12,6 +12,7 @@ from runtime.errors import InputError
 
 if TYPE_CHECKING:
     from runtime.contract import Contract
+    from runtime.io.calibration import Calibration
     from runtime.point_cloud import PointCloud
 
 # Reasons in Prediction.degraded. The answer is usable, but less reliable than usual:
@@ -149,7 +150,7 @@ class Prediction:
         path: "str | PathLike[str]",
         rgb: NDArray[np.uint8] | None = None,
         *,
-        intrinsics: NDArray[np.floating[Any]] | None = None,
+        intrinsics: "NDArray[np.floating[Any]] | Calibration | None" = None,
     ) -> None:
         """Write a file, whole or not at all; a file that is there is replaced.
 
@@ -159,7 +160,7 @@ class Prediction:
                 the cloud of `points`, binary, with colours where `rgb` is given and class ids as
                 ``label``.
             rgb: uint8 (H, W, 3), the frame's image, RGB.
-            intrinsics: float (3, 3) of the rectified camera, in pixels of the frame; for ``.ply``.
+            intrinsics: as of `points`; for ``.ply``.
 
         Raises:
             InputError: for another ending, and as `draw` and `points`.
@@ -171,7 +172,7 @@ class Prediction:
 
     def points(
         self,
-        intrinsics: NDArray[np.floating[Any]],
+        intrinsics: "NDArray[np.floating[Any]] | Calibration",
         rgb: NDArray[np.uint8] | None = None,
         *,
         edge_boundary: float | Literal["auto"] | None = "auto",
@@ -180,7 +181,8 @@ class Prediction:
         """Return the depth as a point cloud in the camera's frame, labelled with `semantic`.
 
         Args:
-            intrinsics: float (3, 3) of the rectified camera, in pixels of the frame.
+            intrinsics: the camera's `Calibration`, or float (3, 3) of a rectified camera, in pixels
+                of the frame.
             rgb: uint8 (H, W, 3), the frame's image, for the colours of the points.
             edge_boundary: pixels whose `boundary` is above it have no point: depth passes from one
                 surface to the next there; "auto" = 0.25 with classes, 0.5 without; None = all
@@ -196,9 +198,14 @@ class Prediction:
             raise InputError(f"the prediction has no usable depth: {reason}")
         from runtime.point_cloud import to_points  # on demand
 
+        camera: Any = intrinsics
+        lens = getattr(camera, "lens_model", None)
+        if hasattr(camera, "require_size"):
+            camera.require_size(self.depth.shape)
         return to_points(
             self.depth,
-            intrinsics,
+            getattr(camera, "intrinsics", camera),
+            lens=lens,
             rgb=rgb,
             semantic=self.semantic,
             boundary=self.boundary,

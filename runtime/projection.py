@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from runtime.checks import check_integer, check_number, shown
 from runtime.contract import MAX_DEPTH_RANGE_M, MAX_SIDE
 from runtime.errors import InputError
+from runtime.lens import Lens, ray_bounds
 
 _INDEX_BITS = 32
 _MAX_WINDOW = 1023  # pixels
@@ -89,6 +90,7 @@ def project_points(
     extrinsics: NDArray[np.floating[Any]],
     size: tuple[int, int],
     *,
+    lens: Lens | None = None,
     occlusion: OcclusionFilter | None = None,
 ) -> NDArray[np.float32]:
     """Project LiDAR returns into a camera as a sparse depth map.
@@ -99,9 +101,11 @@ def project_points(
 
     Args:
         points: float32 (N, 3) or wider, x, y, z first, metres, LiDAR frame.
-        intrinsics: float (3, 3) of the rectified camera, pixels.
+        intrinsics: float (3, 3), pixels.
         extrinsics: float (4, 4), LiDAR to camera (x right, y down, z ahead), metres.
         size: (height, width) of the image.
+        lens: the distortion of the image; None = it is rectified. Returns outside the lens's field
+            are dropped.
         occlusion: removes returns that the camera cannot see; None = keeps them.
 
     Returns:
@@ -111,7 +115,9 @@ def project_points(
         InputError: for points, matrices or a size of another type or shape, and for matrices that
             are not those of a camera.
     """
-    return project_with_rows(points, intrinsics, extrinsics, size, occlusion=occlusion).sparse_depth
+    return project_with_rows(
+        points, intrinsics, extrinsics, size, lens=lens, occlusion=occlusion
+    ).sparse_depth
 
 
 def project_with_rows(
@@ -120,6 +126,7 @@ def project_with_rows(
     extrinsics: NDArray[np.floating[Any]],
     size: tuple[int, int],
     *,
+    lens: Lens | None = None,
     occlusion: OcclusionFilter | None = None,
 ) -> ProjectedPoints:
     """Project as `project_points`, and also return the point of each pixel; ties keep the first."""
@@ -137,13 +144,28 @@ def project_with_rows(
         matrix = product.astype(np.float32)
         if not np.isfinite(matrix).all():
             raise InputError("intrinsics times extrinsics is beyond float32: check the calibration")
-        u_z, v_z, z = _transform(points, matrix)
         # Compared before dividing, which leaves a fraction to divide. Together these hold for
         # z > 0 alone, and never for NaN.
-        near = (u_z > -z) & (u_z < width * z) & (v_z > -z) & (v_z < height * z)
-        row = np.flatnonzero(near)
-        z = z[row]
-        u, v = np.rint(u_z[row] / z), np.rint(v_z[row] / z)
+        if lens is None:
+            u_z, v_z, z = _transform(points, matrix)
+            row = np.flatnonzero((u_z > -z) & (u_z < width * z) & (v_z > -z) & (v_z < height * z))
+            z = z[row]
+            u, v = u_z[row] / z, v_z[row] / z
+        else:
+            x_z, y_z, z = _transform(points, extrinsics[:3].astype(np.float32))
+            left, right, top, bottom, radius_2 = ray_bounds(lens, intrinsics, (height, width))
+            row = np.flatnonzero(
+                (x_z > left * z) & (x_z < right * z) & (y_z > top * z) & (y_z < bottom * z)
+            )
+            z = z[row]
+            x, y = x_z[row] / z, y_z[row] / z
+            in_field = x * x + y * y <= radius_2
+            x, y = lens.distort(x, y)
+            u, v = (
+                np.where(in_field, for_x * x + for_y * y + shift, np.float32(-1))
+                for for_x, for_y, shift in intrinsics[:2].astype(np.float32)
+            )
+        u, v = np.rint(u), np.rint(v)
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     z, row = z[inside], row[inside]
     pixel = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
@@ -182,7 +204,7 @@ def _transform(
 
 
 def check_intrinsics(matrix: Any, name: str = "intrinsics") -> None:
-    """Check the matrix of a rectified camera.
+    """Check the matrix of a camera.
 
     Args:
         matrix: float (3, 3), pixels, with positive fx and fy and the last row 0, 0, 1.

@@ -16,6 +16,7 @@ from runtime.contract import ClassInfo
 from runtime.drawing.overlay import Overlay
 from runtime.errors import InputError, OutputError
 from runtime.io.atomic_write import atomic_write
+from runtime.io.calibration import Calibration
 from runtime.io.ply import encode_ply
 from runtime.prediction import Prediction
 
@@ -46,7 +47,7 @@ def save_prediction(
     path: str | PathLike[str],
     rgb: NDArray[np.uint8] | None = None,
     *,
-    intrinsics: NDArray[np.floating[Any]] | None = None,
+    intrinsics: NDArray[np.floating[Any]] | Calibration | None = None,
 ) -> None:
     """Write the file of `Prediction.save`. Raises InputError and OutputError."""
     try:
@@ -68,8 +69,8 @@ def save_prediction(
     elif suffix == _CLOUD:
         if intrinsics is None:
             raise InputError(
-                f"{path.name} is a point cloud: give intrinsics=, the camera's 3 x 3 matrix in "
-                "pixels of the frame"
+                f"{path.name} is a point cloud: give intrinsics=, the camera's calibration or "
+                "its 3 x 3 matrix in pixels of the frame"
             )
         classes = prediction.contract.classes if prediction.contract is not None else ()
         content = encode_ply(prediction.points(intrinsics, rgb), classes)

@@ -1,11 +1,12 @@
 """Calibration of a camera and a LiDAR, and the files that it is read from."""
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +14,7 @@ from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.images import list_files, natural_order
 from runtime.io.kitti_calibration import NumbersFile, chain
+from runtime.lens import Lens, rectifying_maps
 from runtime.projection import OcclusionFilter, project_points
 from runtime.read_input import read_toml
 
@@ -24,16 +26,20 @@ class Calibration:
     """Intrinsics and extrinsics of one camera and one LiDAR.
 
     Attributes:
-        intrinsics: float64 (3, 3) of the rectified camera, in pixels of its images.
+        intrinsics: float64 (3, 3), in pixels of the images.
         extrinsics: float64 (4, 4) from the LiDAR's frame to the camera's [m]; the camera looks
             along z, x to the right.
         size: (height, width) of the images, None if unknown.
         occlusion: removes returns that the camera cannot see; None: keeps them.
         body_from_lidar: float64 (4, 4) from the LiDAR's frame to the one of which poses are given
             as of the "body", None if unknown [m].
+        lens: model of the images' distortion, "plumb_bob", "rational_polynomial" or "equidistant"
+            (a fisheye); None: they are rectified. Returns are projected into the images as they
+            are: these are not resampled.
+        distortion: coefficients of the lens, in the order of OpenCV and ROS.
 
     Raises:
-        InputError: for invalid matrices.
+        InputError: for invalid matrices, an unknown lens, and coefficients that are not the lens's.
     """
 
     intrinsics: NDArray[np.float64]
@@ -41,20 +47,59 @@ class Calibration:
     size: tuple[int, int] | None = None
     occlusion: OcclusionFilter | None = None
     body_from_lidar: NDArray[np.float64] | None = None
+    lens: str | None = None
+    distortion: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
-        """Check the matrices."""
+        """Check the matrices and the lens."""
         project_points(
             np.zeros((0, 3), np.float32), self.intrinsics, self.extrinsics, self.size or (1, 1)
         )
+        if (self.lens is None) != (self.distortion is None):
+            raise InputError(
+                "lens and distortion belong together: give the model of the lens and its "
+                f"coefficients, got lens {shown(self.lens)} and distortion {shown(self.distortion)}"
+            )
+        _ = self.lens_model
 
     @property
     def focal_length_px(self) -> float:
         """The focal length fx."""
         return float(self.intrinsics[0, 0])
 
+    @property
+    def lens_model(self) -> Lens | None:
+        """The lens with its coefficients; None where the images are not distorted."""
+        if self.lens is None:
+            return None
+        model = Lens.of(self.lens, self.distortion)
+        return None if model.is_ideal else model
+
+    @property
+    def rectified(self) -> "Calibration":
+        """The calibration of the images that `rectify` returns: the same without a lens."""
+        return replace(self, lens=None, distortion=None)
+
+    def rectify(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return an image without distortion, of the same size and focal length.
+
+        What a lens sees beyond this size is lost; pixels that it does not see are black.
+
+        Args:
+            rgb: uint8 (H, W, 3).
+
+        Raises:
+            InputError: if the size is not the calibration's.
+        """
+        size = rgb.shape[0], rgb.shape[1]
+        self.require_size(size)
+        if (lens := self.lens_model) is None:
+            return rgb
+        maps = rectifying_maps(lens, self.intrinsics, size)
+        return cv2.remap(rgb, *maps, cv2.INTER_LINEAR)  # type: ignore[return-value]
+
     def project(self, points: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
-        """Project a scan into the image, see `project_points`.
+        """Project a scan into the image, through the lens, see `project_points`.
 
         Args:
             points: float32 (N, 3) or wider, metres, LiDAR frame.
@@ -68,7 +113,12 @@ class Calibration:
         """
         self.require_size(size)
         return project_points(
-            points, self.intrinsics, self.extrinsics, size, occlusion=self.occlusion
+            points,
+            self.intrinsics,
+            self.extrinsics,
+            size,
+            lens=self.lens_model,
+            occlusion=self.occlusion,
         )
 
     def require_size(self, size: tuple[int, ...]) -> None:
@@ -179,20 +229,21 @@ class Calibration:
         Args:
             path: file of `intrinsics` (3 rows of 3), `extrinsics` (4 of 4) or, where the points
                 are in the camera's frame, `points_in = "camera"`, and optionally `size` ([height,
-                width]) and `body_from_lidar` (4 of 4).
+                width]), `lens` with `distortion`, and `body_from_lidar` (4 of 4).
 
         Raises:
             InputError: if the file cannot be read, and for unknown and missing keys.
         """
         keys = read_toml(Path(path))
         in_camera = keys.get("points_in") == "camera"
-        if keys.keys() - {"size", "body_from_lidar"} != {
+        if keys.keys() - {"size", "body_from_lidar", "lens", "distortion"} != {
             "intrinsics",
             "points_in" if in_camera else "extrinsics",
         }:
             raise InputError(
                 f"{path} has the keys {', '.join(sorted(keys)) or 'none'}, expected intrinsics, "
-                'extrinsics (or points_in = "camera") and optionally size and body_from_lidar'
+                'extrinsics (or points_in = "camera") and optionally size, lens with distortion, '
+                "and body_from_lidar"
             )
         size, body = keys.get("size"), keys.get("body_from_lidar")
         return cls(
@@ -202,6 +253,8 @@ class Calibration:
             body_from_lidar=(
                 None if body is None else _matrix(f"body_from_lidar of {path}", body, 4, 4)
             ),
+            lens=keys.get("lens"),
+            distortion=keys.get("distortion"),
         )
 
 

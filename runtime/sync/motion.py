@@ -1,5 +1,6 @@
 """Move the returns of a LiDAR on a moving car to one time."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -7,7 +8,6 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.projection import project_points
 from runtime.sync.poses import PoseFrame, PoseTrack, check_pose
 
 #: Poses are computed at so many times of a scan; between them, in 1.6 ms of 100, matrices are
@@ -182,9 +182,7 @@ def project_moved(
     else:
         (moved,) = relative_poses(poses, np.array([times], np.int64), to)
         extrinsics = extrinsics @ moved
-    return project_points(
-        points, calibration.intrinsics, extrinsics, size, occlusion=calibration.occlusion
-    )
+    return replace(calibration, extrinsics=extrinsics).project(points, size)
 
 
 def lidar_mount(pose_frame: PoseFrame, calibration: Calibration) -> NDArray[np.float64]:

@@ -1,20 +1,20 @@
-"""The camera matrix for the cloud of a frame."""
+"""The camera for the cloud of a frame."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from runtime.errors import InputError
+from runtime.io.calibration import Calibration
 from runtime.sources.frames import Frame
 
 
-def intrinsics_of(frame: Frame, focal_length_px: float | None) -> NDArray[np.float64]:
-    """Return the camera matrix, (3, 3), in pixels of the frame.
+def intrinsics_of(frame: Frame, focal_length_px: float | None) -> Calibration | NDArray[np.float64]:
+    """Return the calibration of a frame, else the camera matrix, (3, 3), of the focal length.
 
-    It comes from the frame's calibration, else from the focal length, with the principal point in
-    the middle of the image. Raises InputError where neither is known.
+    Its principal point is in the middle of the image. Raises InputError where neither is known.
     """
     if frame.calibration is not None:
-        return frame.calibration.intrinsics
+        return frame.calibration
     if focal_length_px is None:
         raise InputError(
             "a cloud needs the camera's intrinsics: give --calibration or --focal-length"

@@ -7,6 +7,7 @@ import pytest
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
+from runtime.lens import Lens
 from runtime.projection import OcclusionFilter, project_points
 
 K = np.array([[700.0, 0, 320], [0, 710, 120], [0, 0, 1]])
@@ -110,6 +111,21 @@ def test_toml(tmp_path):
     calibration = Calibration.from_toml(path)
     matches(calibration, by_hand(rectify=np.eye(3), shift=(0, 0, 0)))
     assert calibration.size == SIZE
+
+
+def test_toml_of_a_lens(tmp_path):
+    path = tmp_path / "camera.toml"
+    path.write_text(
+        f'intrinsics = {K.tolist()}\npoints_in = "camera"\nlens = "equidistant"\n'
+        "distortion = [0.1, 0, 0, 0]\n"
+    )
+    assert Calibration.from_toml(path).lens_model == Lens("equidistant", (0.1, 0, 0, 0))
+    path.write_text(path.read_text().replace("equidistant", "plumb_bob").replace("0.1, ", ""))
+    with pytest.raises(InputError, match=r"5 finite numbers k1, k2, p1, p2\[, k3\] .* got \[0"):
+        Calibration.from_toml(path)
+    path.write_text(f'intrinsics = {K.tolist()}\npoints_in = "camera"\nlens = "fisheye"\n')
+    with pytest.raises(InputError, match="belong together"):
+        Calibration.from_toml(path)
 
 
 def test_toml_with_a_byte_order_mark(tmp_path):

@@ -1,0 +1,232 @@
+"""Lenses that distort: where a ray meets the image, and the ray of each pixel.
+
+The models and the order of their coefficients are those of OpenCV and of ROS's CameraInfo (Brown
+1966; Kannala and Brandt 2006). A ray is (x, y) = (X / Z, Y / Z) in the camera's frame. A model is
+used up to the angle from the optical axis at which its radius stops growing: beyond, it would fold
+the scene back into the image.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.checks import shown
+from runtime.errors import InputError
+
+PLUMB_BOB, RATIONAL_POLYNOMIAL, EQUIDISTANT = "plumb_bob", "rational_polynomial", "equidistant"
+#: Model -> the accepted numbers of coefficients, and these.
+_COEFFICIENTS = {
+    PLUMB_BOB: ((4, 5), "k1, k2, p1, p2[, k3]"),
+    RATIONAL_POLYNOMIAL: ((8,), "k1, k2, p1, p2, k3, k4, k5, k6"),
+    EQUIDISTANT: ((4,), "k1, k2, k3, k4"),
+}
+_WIDEST = np.deg2rad(89.9)  # from the optical axis: depth along this axis is positive
+_KNOTS = 65_537  # of the table of angles: linear between them, the error is below 1e-8 rad
+_ROUNDS, _CLOSE = 20, 1e-7  # of the tangential part's inversion
+
+Floats = TypeVar("Floats", NDArray[np.float32], NDArray[np.float64])
+
+
+class RayBounds(NamedTuple):
+    """Bounds of the rays that can meet an image, float32; `radius_2` of x * x + y * y."""
+
+    left: Any
+    right: Any
+    top: Any
+    bottom: Any
+    radius_2: Any
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A model of distortion and its coefficients.
+
+    Attributes:
+        model: "plumb_bob", "rational_polynomial" or "equidistant" (a fisheye).
+        coefficients: of the model.
+
+    Raises:
+        InputError: for an unknown model, another number of coefficients, and one that is not
+            finite.
+    """
+
+    model: str
+    coefficients: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        if self.model not in _COEFFICIENTS:
+            raise InputError(
+                f"lens must be one of {', '.join(_COEFFICIENTS)}, got {shown(self.model)}: "
+                "calibrate with one of these, or rectify the images and leave out the lens"
+            )
+        counts, names = _COEFFICIENTS[self.model]
+        if len(self.coefficients) not in counts or not np.isfinite(self.coefficients).all():
+            raise InputError(
+                f"the distortion of the lens {self.model} must be the {counts[-1]} finite numbers "
+                f"{names} in OpenCV's order, got {shown(list(self.coefficients))}"
+            )
+
+    @classmethod
+    def of(cls, model: Any, coefficients: Any) -> "Lens":
+        """Make a lens of values of any type. Raises InputError."""
+        try:
+            numbers = tuple(np.asarray(coefficients, dtype=np.float64).ravel().tolist())
+        except (OverflowError, TypeError, ValueError) as error:
+            raise InputError(
+                f"distortion must be the lens's coefficients, got {shown(coefficients)}"
+            ) from error
+        return cls(model if isinstance(model, str) else str(model), numbers)
+
+    def distort(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Return where rays meet the image plane at focal length 1; they must be in the field."""
+        radius_2 = x * x + y * y
+        scale = self._scale(radius_2)
+        moved_x, moved_y = self._tangential(x, y, radius_2)
+        return x * scale + moved_x, y * scale + moved_y
+
+    def undistort(
+        self, x: NDArray[np.float64], y: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the rays that meet the image plane at (x, y); NaN where none does."""
+        angles, radii = _field(self)
+        ray_x, ray_y = x, y
+        with np.errstate(all="ignore"):
+            for _ in range(_ROUNDS):
+                before_x, before_y = ray_x, ray_y
+                moved_x, moved_y = self._tangential(ray_x, ray_y, ray_x * ray_x + ray_y * ray_y)
+                radial_x, radial_y = x - moved_x, y - moved_y
+                radius = np.hypot(radial_x, radial_y)
+                ray_radius = np.tan(np.interp(radius, radii, angles, right=np.nan))
+                ratio = np.divide(ray_radius, radius, out=np.ones_like(radius), where=radius != 0)
+                ray_x, ray_y = radial_x * ratio, radial_y * ratio
+                change = np.maximum(np.abs(ray_x - before_x), np.abs(ray_y - before_y))
+                if not self._has_tangential or not (change > _CLOSE).any():
+                    break
+        return ray_x, ray_y
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether it does not distort: a polynomial of zeros."""
+        return self.model != EQUIDISTANT and not any(self.coefficients)
+
+    @property
+    def _has_tangential(self) -> bool:
+        return self.model != EQUIDISTANT and any(self.coefficients[2:4])
+
+    def _scale(self, radius_2: Any) -> Any:
+        """The radius in the image over that of the ray."""
+        if self.model == EQUIDISTANT:
+            k1, k2, k3, k4 = self.coefficients
+            radius = np.sqrt(radius_2)
+            angle = np.arctan(radius)
+            square = angle * angle
+            angle *= 1 + square * (k1 + square * (k2 + square * (k3 + square * k4)))
+            return np.divide(angle, radius, out=np.ones_like(radius), where=radius != 0)
+        k1, k2, _, _, k3, *below = (*self.coefficients, 0.0)[: max(5, len(self.coefficients))]
+        scale = 1 + radius_2 * (k1 + radius_2 * (k2 + radius_2 * k3))
+        if below:
+            k4, k5, k6 = below
+            scale /= 1 + radius_2 * (k4 + radius_2 * (k5 + radius_2 * k6))
+        return scale
+
+    def _tangential(self, x: Floats, y: Floats, radius_2: Floats) -> tuple[Any, Any]:
+        if not self._has_tangential:
+            return 0, 0
+        p1, p2 = self.coefficients[2:4]
+        twice_xy = 2 * x * y
+        return (
+            p1 * twice_xy + p2 * (radius_2 + 2 * x * x),
+            p1 * (radius_2 + 2 * y * y) + p2 * twice_xy,
+        )
+
+
+def rays(lens: Lens, intrinsics: NDArray[np.floating[Any]], size: tuple[int, int]) -> Any:
+    """Return the ray (x, y) of each pixel, float32 (height, width, 2); NaN where it has none.
+
+    The array is read-only, and kept for the next call.
+    """
+    return _rays(lens, _key(intrinsics), size)
+
+
+def ray_bounds(
+    lens: Lens, intrinsics: NDArray[np.floating[Any]], size: tuple[int, int]
+) -> RayBounds:
+    """Return the bounds of the rays that can meet an image of this (height, width)."""
+    return _ray_bounds(lens, _key(intrinsics), size)
+
+
+def rectifying_maps(
+    lens: Lens, intrinsics: NDArray[np.floating[Any]], size: tuple[int, int]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return where each pixel of the rectified image is in the distorted one, for `cv2.remap`.
+
+    Columns and rows, float32 (height, width), -1 where nothing was seen; kept for the next call.
+    """
+    return _rectifying_maps(lens, _key(intrinsics), size)
+
+
+def _key(intrinsics: NDArray[np.floating[Any]]) -> tuple[float, ...]:
+    return tuple(intrinsics.astype(np.float64).ravel().tolist())
+
+
+@lru_cache(maxsize=16)
+def _field(lens: Lens) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Angles from the optical axis, as far as the radius in the image grows, and this radius."""
+    angles = np.linspace(0, _WIDEST, _KNOTS)
+    radius = np.tan(angles)
+    with np.errstate(all="ignore"):
+        radii: NDArray[np.float64] = radius * lens._scale(radius * radius)
+        ends = np.flatnonzero(~(np.diff(radii) > 0))
+    count = ends[0] + 1 if len(ends) else _KNOTS
+    return angles[:count], radii[:count]
+
+
+@lru_cache(maxsize=4)
+def _rays(lens: Lens, intrinsics: tuple[float, ...], size: tuple[int, int]) -> Any:
+    height, width = size
+    inverse = np.linalg.inv(np.reshape(intrinsics, (3, 3)))
+    row, column = np.mgrid[:height, :width].astype(np.float64)
+    x, y = (line[0] * column + line[1] * row + line[2] for line in inverse[:2])
+    table = np.stack(lens.undistort(x, y), axis=-1).astype(np.float32)
+    table.flags.writeable = False
+    return table
+
+
+@lru_cache(maxsize=16)
+def _ray_bounds(lens: Lens, intrinsics: tuple[float, ...], size: tuple[int, int]) -> RayBounds:
+    height, width = size
+    angles, _ = _field(lens)
+    farthest = np.tan(angles[-1])
+    across, down = np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5
+    column = np.concatenate([across, across, np.full_like(down, -0.5), 0 * down + width - 0.5])
+    row = np.concatenate([np.full_like(across, -0.5), 0 * across + height - 0.5, down, down])
+    inverse = np.linalg.inv(np.reshape(intrinsics, (3, 3)))
+    x, y = lens.undistort(*(line[0] * column + line[1] * row + line[2] for line in inverse[:2]))
+    bounds = np.array([x.min(), x.max(), y.min(), y.max()])
+    if not np.isfinite(bounds).all():  # the image is larger than the field
+        bounds = np.array([-farthest, farthest, -farthest, farthest])
+    margin = 1e-3 * (bounds[1::2] - bounds[::2]).max()
+    bounds += [-margin, margin, -margin, margin]
+    left, right, top, bottom = bounds.astype(np.float32)
+    return RayBounds(left, right, top, bottom, np.float32(farthest * farthest))
+
+
+@lru_cache(maxsize=4)
+def _rectifying_maps(
+    lens: Lens, intrinsics: tuple[float, ...], size: tuple[int, int]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    height, width = size
+    matrix = np.reshape(intrinsics, (3, 3))
+    row, column = np.mgrid[:height, :width].astype(np.float64)
+    x, y = (line[0] * column + line[1] * row + line[2] for line in np.linalg.inv(matrix)[:2])
+    seen = x * x + y * y <= ray_bounds(lens, matrix, size).radius_2
+    x, y = lens.distort(np.where(seen, x, 0), np.where(seen, y, 0))
+    across, down = (
+        np.where(seen, line[0] * x + line[1] * y + line[2], -1).astype(np.float32)
+        for line in matrix[:2]
+    )
+    return across, down
