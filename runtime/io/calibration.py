@@ -14,7 +14,7 @@ from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.images import list_files, natural_order
 from runtime.io.kitti_calibration import NumbersFile, chain
-from runtime.lens import Lens, rectifying_maps
+from runtime.lens import EQUIDISTANT, Lens, rectifying_maps
 from runtime.projection import OcclusionFilter, project_points
 from runtime.read_input import read_toml
 
@@ -191,36 +191,51 @@ class Calibration:
         return cls(*chain(projection, rectify, to_camera), size)
 
     @classmethod
-    def from_camera_info(cls, info: Mapping[str, Any], extrinsics: Any) -> "Calibration":
-        """Take the fields of a ROS CameraInfo: P of its rectified images, else K.
+    def from_camera_info(
+        cls, info: Mapping[str, Any], extrinsics: Any, *, rectified: bool
+    ) -> "Calibration":
+        """Take the fields of a ROS CameraInfo.
 
         Args:
-            info: "p" or "P" (12 numbers), "k" or "K" (9) and "d" or "D", "height", "width".
+            info: "p" or "P" (12 numbers), "k" or "K" (9), "d" or "D", "distortion_model",
+                "height" and "width".
             extrinsics: (4, 4) from the LiDAR's frame to the camera's optical frame, as in tf.
+            rectified: of which images: True: of image_rect and the like, by P; False: of image_raw,
+                by K and D, or, where D is zero, by P. Where P is zero, K takes its place.
 
         Raises:
-            InputError: if fields are missing, or the image is distorted without P.
+            InputError: if fields are missing, and for a distortion that is no `lens`.
         """
         fields = {str(key).lower(): value for key, value in info.items()}
+        model, distortion = fields.get("distortion_model"), fields.get("d", ())
+        lens = None
+        if np.size(distortion) and (model == EQUIDISTANT or np.any(distortion)):
+            lens = Lens.of(model, distortion) if not rectified else None
         projection = _matrix("P of the CameraInfo", fields.get("p", [0] * 12), 3, 4)
         shift = np.eye(4)
-        if projection.any():
+        if projection.any() and lens is None:
             intrinsics = projection[:, :3]
             # Of the right image of a stereo camera.
             shift[0, 3] = projection[0, 3] / (projection[0, 0] or 1)
         elif "k" in fields:
             intrinsics = _matrix("K of the CameraInfo", fields["k"], 3, 3)
-            if np.any(np.asarray(fields.get("d", []), dtype=np.float64)):
+            if rectified and np.any(distortion):
                 raise InputError(
-                    "the CameraInfo has distortion but no P: rectify the images first "
-                    "(image_proc), and give the rectified camera's"
+                    "the CameraInfo has distortion but no P of rectified images: give the P of "
+                    "image_proc, or rectified=False with the raw images"
                 )
         else:
             raise InputError("the CameraInfo has neither p nor k: give its fields as a mapping")
         size = None
         if fields.get("height") and fields.get("width"):
             size = (int(fields["height"]), int(fields["width"]))
-        return cls(intrinsics, shift @ _matrix("extrinsics", extrinsics, 4, 4), size)
+        return cls(
+            intrinsics,
+            shift @ _matrix("extrinsics", extrinsics, 4, 4),
+            size,
+            lens=lens and lens.model,
+            distortion=lens and lens.coefficients,
+        )
 
     @classmethod
     def from_toml(cls, path: Path | str) -> "Calibration":

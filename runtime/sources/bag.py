@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from functools import cached_property
@@ -48,6 +49,8 @@ TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 NO_TOPIC = "none"
 
 
+#: Words, between / and _, of the names of topics of rectified images.
+_RECTIFIED = {"rect", "rectified"}
 _SUFFIXES = (".bag", ".db3", ".mcap")
 
 
@@ -183,26 +186,31 @@ class BagSource(Source):
         if self._calibration_path is not None:
             return Calibration.from_file(self._calibration_path)
         info = None if self._info_topic is None else self._first(self._info_topic)
+        rectified = not _RECTIFIED.isdisjoint(re.split("[/_]", self._image_topic.lower()))
         if self._depth_topic is None or self._bag.types[self._depth_topic] != POINT_CLOUD:
-            # Nothing is projected: only the focal length is of use.
+            # Nothing is projected: only the focal length and clouds need it.
             with contextlib.suppress(InputError):
-                return None if info is None else Calibration.from_camera_info(_fields(info), _EYE)
+                if info is not None:
+                    fields = _fields(info)
+                    return Calibration.from_camera_info(fields, _EYE, rectified=rectified)
             return None
         if info is None:
             raise InputError(
                 f"{self._bag.path} has no CameraInfo beside {self._image_topic} to project "
                 f"{self._depth_topic} with: give --info-topic or --calibration"
             )
-        fields = _fields(info)
-        if np.any(fields.get("d", ())) and "rect" not in self._image_topic:
-            raise InputError(
-                f"{self._info_topic} has distortion, and the name {self._image_topic} does not say "
-                "'rect': rectify the images (image_proc), or, if they are rectified, give their "
-                "--calibration"
-            )
         camera = self._first(self._image_topic).header.frame_id or info.header.frame_id
         lidar = self._first(self._depth_topic).header.frame_id
-        return Calibration.from_camera_info(fields, self._tree.between(lidar, camera))
+        extrinsics = self._tree.between(lidar, camera)
+        try:
+            found = Calibration.from_camera_info(_fields(info), extrinsics, rectified=rectified)
+        except InputError as error:
+            raise InputError(
+                f"the CameraInfo of {self._info_topic}: {error}; or give --calibration"
+            ) from error
+        if found.lens is not None:
+            self._guessed.append(f"{self._image_topic} is not rectified, by its name")
+        return found
 
     @cached_property
     def _tree(self) -> TransformTree:
@@ -406,5 +414,5 @@ _EYE = np.eye(4)
 
 def _fields(info: Any) -> Mapping[str, Any]:
     """The fields of a CameraInfo; ROS 1 has them in capitals."""
-    names = ("height", "width", "D", "K", "P", "d", "k", "p")
+    names = ("height", "width", "distortion_model", "D", "K", "P", "d", "k", "p")
     return {name.lower(): getattr(info, name) for name in names if hasattr(info, name)}

@@ -85,22 +85,39 @@ def extrinsics():
 @pytest.mark.parametrize("upper", [False, True], ids=["ROS 2", "ROS 1"])
 def test_camera_info(upper):
     projection = np.hstack([K, [[700 * 0.12], [0], [0]]])  # the right camera of two
-    info = {"k": (K * 2).ravel(), "d": [0.1] * 5, "p": projection.ravel().tolist(), "height": 240,
+    raw = K * [[2], [2], [1]]
+    info = {"k": raw.ravel(), "d": [0.1] * 5, "p": projection.ravel().tolist(), "height": 240,
             "width": 640}  # fmt: skip
     if upper:
         info = {key.upper() if len(key) == 1 else key: value for key, value in info.items()}
-    calibration = Calibration.from_camera_info(info, extrinsics())
+    calibration = Calibration.from_camera_info(info, extrinsics(), rectified=True)
     matches(calibration, by_hand(rectify=np.eye(3), shift=(0.12, 0, 0)))
     assert calibration.size == SIZE
+    assert calibration.lens is None
+    distorted = Calibration.from_camera_info(
+        info | {"distortion_model": "plumb_bob"}, extrinsics(), rectified=False
+    )
+    np.testing.assert_array_equal(distorted.intrinsics, raw)
+    np.testing.assert_array_equal(distorted.extrinsics, extrinsics())
+    assert distorted.lens_model == Lens("plumb_bob", (0.1,) * 5)
+    with pytest.raises(InputError, match="lens must be one of"):
+        Calibration.from_camera_info(info, extrinsics(), rectified=False)
 
 
 def test_camera_info_of_a_camera_that_was_never_rectified():
     info = {"k": K.ravel(), "p": [0.0] * 12, "d": [0.0] * 5, "height": 0, "width": 0}
-    calibration = Calibration.from_camera_info(info, extrinsics())
+    calibration = Calibration.from_camera_info(info, extrinsics(), rectified=False)
     matches(calibration, by_hand(rectify=np.eye(3), shift=(0, 0, 0)))
     assert calibration.size is None
-    with pytest.raises(InputError, match="rectify the images"):
-        Calibration.from_camera_info({**info, "d": [0.1]}, extrinsics())
+    assert calibration.lens is None
+    with pytest.raises(InputError, match="distortion but no P"):
+        Calibration.from_camera_info({**info, "d": [0.1]}, extrinsics(), rectified=True)
+
+
+def test_camera_info_of_a_fisheye_without_coefficients_is_no_pinhole():
+    info = {"k": K.ravel(), "p": [0.0] * 12, "d": [0.0] * 4, "distortion_model": "equidistant"}
+    calibration = Calibration.from_camera_info(info, extrinsics(), rectified=False)
+    assert calibration.lens_model == Lens("equidistant", (0, 0, 0, 0))
 
 
 def test_toml(tmp_path):
@@ -206,7 +223,7 @@ def test_what_is_no_calibration():
     with pytest.raises(InputError, match="transposed"):
         Calibration(K, extrinsics().T.copy())
     with pytest.raises(InputError, match="neither p nor k"):
-        Calibration.from_camera_info({}, np.eye(4))
+        Calibration.from_camera_info({}, np.eye(4), rectified=True)
 
 
 def test_projection_is_project_points_and_minds_the_size():

@@ -158,7 +158,17 @@ class BagMaker:
         message = self.make("sensor_msgs/msg/PointCloud2", header=header, **fields)
         self.add(topic, message, recorded_ns or stamp_ns)
 
-    def info(self, topic, intrinsics, size, *, frame_id="camera", distortion=(), shift_px=0.0):
+    def info(
+        self,
+        topic,
+        intrinsics,
+        size,
+        *,
+        frame_id="camera",
+        model="plumb_bob",
+        distortion=(),
+        shift_px=0.0,
+    ):
         k = np.asarray(intrinsics, np.float64)
         p = np.hstack([k, [[shift_px], [0], [0]]])
         matrices = {"d": np.array(distortion, np.float64), "k": k.reshape(-1)}
@@ -178,7 +188,7 @@ class BagMaker:
             header=self.header(1, frame_id),
             height=size[0],
             width=size[1],
-            distortion_model="plumb_bob",
+            distortion_model=model,
             binning_x=0,
             binning_y=0,
             roi=region,

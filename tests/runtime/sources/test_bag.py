@@ -329,13 +329,47 @@ def test_clouds_need_a_calibration_and_take_a_file(make_bag, make_frame, make_sc
     assert abs(answers.fed_depth(name_of(2)) - projected(make_scan(2))).max() < 0.01
 
 
-def test_images_that_are_not_rectified_are_refused(make_bag, make_frame, make_scan):
-    bag = make_bag("ros1")
-    add_camera(bag, make_frame, topic="/left/image_raw")
-    bag.info("/left/camera_info", INTRINSICS, SIZE, distortion=(0.1, 0, 0, 0, 0))
+@pytest.mark.parametrize(
+    ("topic", "lens"),
+    [
+        ("/direct/image_raw", "plumb_bob"),
+        ("/direct/image_unrectified", "plumb_bob"),
+        ("/direct/image_rect_color", None),
+        ("/direct/Rectified/image", None),
+    ],
+)
+def test_images_that_are_not_rectified_have_the_lens(
+    make_bag, make_frame, make_scan, kind, topic, lens
+):
+    distortion = (0.1, -0.02, 0.01, 0.02, 0)
+    bag = make_bag(kind)
+    add_camera(bag, make_frame, topic=topic)
+    bag.info("/direct/camera_info", INTRINSICS, SIZE, distortion=distortion, shift_px=6.0)
     add_lidar(bag, make_scan)
     add_tree(bag)
-    with pytest.raises(InputError, match="/left/camera_info has distortion"):
+    with BagSource(bag.write(), info_topic="/direct/camera_info") as source:
+        assert (source.calibration.lens, source.calibration.distortion) == (
+            (lens, distortion) if lens else (None, None)
+        )
+        assert (f"{topic} is not rectified, by its name" in source.notes[0]) == bool(lens)
+        # K of the raw images, P of the rectified ones, which are 6 px beside.
+        right_m = 0.0 if lens else 6 / INTRINSICS[0][0]
+        expected = [[0, -1, 0, right_m], [0, 0, -1, -0.3], [1, 0, 0, -0.5], [0, 0, 0, 1]]
+        np.testing.assert_allclose(source.calibration.extrinsics, expected, atol=1e-9)
+        (frame, *_) = source.list_frames(limit=1)
+        fed = source.read(frame).sparse_depth
+    np.testing.assert_array_equal(fed, source.calibration.project(make_scan(0), SIZE))
+    assert fed.any()
+
+
+def test_a_lens_that_is_not_known_is_named(make_bag, make_frame, make_scan):
+    bag = make_bag("ros1")
+    add_camera(bag, make_frame, topic="/left/image_raw")
+    bag.info("/left/camera_info", INTRINSICS, SIZE, model="omni", distortion=(0.1, 0, 0, 0))
+    add_lidar(bag, make_scan)
+    add_tree(bag)
+    message = "CameraInfo of /left/camera_info: lens must be .* got 'omni': .* give --calibration"
+    with pytest.raises(InputError, match=message):
         BagSource(bag.write(), image_topic="/left/image_raw")
 
 
