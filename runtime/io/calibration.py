@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.images import list_files, natural_order
 from runtime.io.kitti_calibration import NumbersFile, chain
-from runtime.lens import EQUIDISTANT, Lens, rectifying_maps
+from runtime.lens import EQUIDISTANT, PLUMB_BOB, Lens, rectifying_maps
 from runtime.projection import OcclusionFilter, project_points
 from runtime.read_input import read_toml
 
@@ -137,22 +138,27 @@ class Calibration:
         project_points(sliced, self.intrinsics, self.extrinsics, (1, 1))
 
     @classmethod
-    def from_file(cls, path: Path | str, *, camera: int = 2) -> "Calibration":
+    def from_file(
+        cls, path: Path | str, *, camera: int = 2, rectified: bool = True
+    ) -> "Calibration":
         """Read a .toml file with `from_toml`, anything else with `from_kitti`.
 
         Args:
             path: TOML file, or KITTI's file or folder.
             camera: whose images, 0 to 3; for KITTI only.
+            rectified: as of `from_kitti`.
 
         Raises:
             InputError: if the calibration cannot be read.
         """
         if Path(path).suffix.lower() == ".toml":
             return cls.from_toml(path)
-        return cls.from_kitti(path, camera=camera)
+        return cls.from_kitti(path, camera=camera, rectified=rectified)
 
     @classmethod
-    def from_kitti(cls, path: Path | str, *, camera: int = 2) -> "Calibration":
+    def from_kitti(
+        cls, path: Path | str, *, camera: int = 2, rectified: bool = True
+    ) -> "Calibration":
         """Read KITTI's calibration.
 
         Args:
@@ -160,6 +166,7 @@ class Calibration:
                 with P2, R0_rect and Tr_velo_to_cam (object), with P2 and Tr (odometry), or of nine
                 numbers, the intrinsics alone (depth selection).
             camera: whose images, 0 to 3.
+            rectified: False: of the raw data's images as they were taken, with their lens.
 
         Raises:
             InputError: for a missing file, a missing name or a wrong count of numbers.
@@ -169,9 +176,11 @@ class Calibration:
         if os.path.isdir(path):
             cameras = NumbersFile(path / RAW_CAMERAS)
             scanner = NumbersFile(path / RAW_SCANNER)
+            to_camera = np.hstack([scanner.matrix("R", 3, 3), scanner.matrix("T", 3, 1)])
+            if not rectified:
+                return cls._from_unrectified_kitti(cameras, to_camera, camera)
             projection = cameras.matrix(f"P_rect_{camera:02d}", 3, 4)
             rectify = cameras.matrix("R_rect_00", 3, 3)
-            to_camera = np.hstack([scanner.matrix("R", 3, 3), scanner.matrix("T", 3, 1)])
             width, height = cameras.matrix(f"S_rect_{camera:02d}", 2, 1)[:, 0]
             size = (int(height), int(width))
         elif path.name in (RAW_CAMERAS, RAW_SCANNER):
@@ -189,6 +198,23 @@ class Calibration:
                 rectify = numbers.matrix("R0_rect", 3, 3)
             to_camera = numbers.matrix("Tr" if odometry else "Tr_velo_to_cam", 3, 4)
         return cls(*chain(projection, rectify, to_camera), size)
+
+    @classmethod
+    def _from_unrectified_kitti(
+        cls, cameras: NumbersFile, to_camera: NDArray[np.float64], camera: int
+    ) -> "Calibration":
+        width, height = cameras.matrix(f"S_{camera:02d}", 2, 1)[:, 0]
+        to_first, beside = np.eye(4), np.eye(4)
+        to_first[:3] = to_camera
+        beside[:3, :3] = cameras.matrix(f"R_{camera:02d}", 3, 3)
+        beside[:3, 3] = cameras.matrix(f"T_{camera:02d}", 3, 1)[:, 0]
+        return cls(
+            cameras.matrix(f"K_{camera:02d}", 3, 3),
+            beside @ to_first,
+            (int(height), int(width)),
+            lens=PLUMB_BOB,
+            distortion=cameras.matrix(f"D_{camera:02d}", 1, 5)[0].tolist(),
+        )
 
     @classmethod
     def from_camera_info(
@@ -285,6 +311,7 @@ class FrameCalibrations:
     Args:
         path: as `Calibration.from_file`, or a folder with a file of the name of each frame.
         camera: as `Calibration.from_file`.
+        rectified: as `Calibration.from_file`.
 
     Attributes:
         first: of all frames, or of the first file of the folder.
@@ -293,13 +320,14 @@ class FrameCalibrations:
         InputError: if it cannot be read; of the other files when they are read.
     """
 
-    def __init__(self, path: Path, *, camera: int = 2) -> None:
-        self._path, self._camera, self._files = path, camera, dict[str, Path]()
+    def __init__(self, path: Path, *, camera: int = 2, rectified: bool = True) -> None:
+        self._path, self._files = path, dict[str, Path]()
+        self._read = partial(Calibration.from_file, camera=camera, rectified=rectified)
         of_raw = (path / RAW_CAMERAS, path / RAW_SCANNER)
         if os.path.isdir(path) and not any(map(os.path.lexists, of_raw)):
             self._files = list_files(path, (".txt", ".toml"))
             path = self._files[min(self._files, key=natural_order)]
-        self.first = Calibration.from_file(path, camera=camera)
+        self.first = self._read(path)
 
     def of(self, name: str) -> Calibration:
         """Return the calibration of a frame. Raises InputError."""
@@ -307,7 +335,7 @@ class FrameCalibrations:
             return self.first
         if name not in self._files:
             raise InputError(f"{name} has no calibration in {self._path}")
-        return Calibration.from_file(self._files[name], camera=self._camera)
+        return self._read(self._files[name])
 
 
 def _matrix(name: str, numbers: Any, rows: int, columns: int) -> NDArray[np.float64]:

@@ -79,6 +79,8 @@ class FolderSource(Source):
     #: Whether an image without depth is a frame of the camera alone, and depth without an image
     #: left out. Otherwise both are frames that cannot be read.
     camera_alone = False
+    #: Whether the images of KITTI's raw data are those that it rectified.
+    rectified = True
 
     def __init__(
         self,
@@ -130,7 +132,7 @@ class FolderSource(Source):
         if calibration is not None:
             camera = _KITTI_CAMERA.search(rgb.as_posix())
             self._calibrations = FrameCalibrations(
-                calibration, camera=int(camera[1]) if camera else 2
+                calibration, camera=int(camera[1]) if camera else 2, rectified=self.rectified
             )
             self.calibration = self._calibrations.first
             if pose_frame is not None:

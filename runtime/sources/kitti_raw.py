@@ -31,7 +31,8 @@ class KittiRawSource(FolderSource):
     Images and scans are matched by the time stamps in timestamps.txt, or by their numbers where a
     sensor has no such file. An image without a scan takes an older one, or is a frame of the camera
     alone; a scan without an image is left out. Scans are moved to the time of the image by the
-    poses in ``oxts/``, of the IMU that calib_imu_to_velo.txt places, if both are there.
+    poses in ``oxts/``, of the IMU that calib_imu_to_velo.txt places, if both are there. The images
+    of a drive whose name ends in _extract are not rectified, and have the lens of the calibration.
 
     Args:
         drive: folder like 2011_09_26_drive_0001_sync.
@@ -76,6 +77,7 @@ class KittiRawSource(FolderSource):
                     f"{RAW_CAMERAS} and {RAW_SCANNER}: copy the calibration files of that day "
                     "there, or give --calibration"
                 )
+        self.rectified = not os.path.realpath(drive).endswith("_extract")
         super().__init__(images / "data", points=scans / "data", calibration=calibration)
         self._drive, self._camera, self._drive_calibration = drive, camera, calibration
         self._stamped: list[tuple[Sensor, int, Path]] = []

@@ -80,6 +80,34 @@ def test_a_drive_from_end_to_end(drive, run, make_scan, camera, shift_m):
     assert (inputs["camera"], inputs["focal_length_px"]) == (camera, 60)
 
 
+def test_a_drive_that_is_not_rectified_has_the_lens(drive, make_scan):
+    folder = drive.rename(drive.parent / "2011_09_26_drive_0001_extract")
+    text = "S_02: 64 48\nK_02: 70 0 31 0 71 23 0 0 1\nD_02: -0.3 0.1 0.001 -0.002 0\n"
+    turn = cv2.Rodrigues(np.array([0.01, 0.02, 0]))[0]
+    text += f"R_02: {' '.join(map(str, turn.ravel()))}\nT_02: 0.06 0 0.01\n"
+    (folder.parent / "calib_cam_to_cam.txt").write_text(CAMERAS + text)
+    source = KittiRawSource(folder)
+    calibration = source.calibration
+    assert (calibration.lens, calibration.size) == ("plumb_bob", SIZE)
+    (listed, *_) = source.list_frames(limit=1)
+    scan = make_scan(0)
+    fed = source.read(listed).sparse_depth
+    np.testing.assert_array_equal(fed, calibration.project(scan, SIZE))
+    assert np.count_nonzero(fed) > 100
+    # By OpenCV: LiDAR, camera 0, camera 2, pixel.
+    point = np.array([12.0, 1.5, -0.4], np.float32)
+    first = np.array([-point[1], -point[2] - 0.3, point[0]])
+    pixel, _ = cv2.projectPoints(
+        first[None],
+        np.array([0.01, 0.02, 0]),
+        np.array([0.06, 0, 0.01]),
+        calibration.intrinsics,
+        np.array([-0.3, 0.1, 0.001, -0.002, 0]),
+    )
+    (found,) = np.argwhere(calibration.project(point[None], SIZE))
+    np.testing.assert_allclose(found[::-1], pixel[0, 0], atol=0.5)
+
+
 def test_a_scan_that_is_missing_is_a_frame_of_the_camera_alone(drive, run):
     (drive / "velodyne_points/data/0000000002.bin").unlink()
     (drive / "image_02/data/0000000004.png").unlink()
