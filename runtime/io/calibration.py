@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from runtime.checks import shown
 from runtime.errors import InputError
+from runtime.io.foreign_calibration import FOREIGN_SUFFIXES, show_as_toml
 from runtime.io.images import list_files, natural_order
 from runtime.io.kitti_calibration import NumbersFile, chain
 from runtime.lens import EQUIDISTANT, PLUMB_BOB, Lens, rectifying_maps
@@ -149,10 +150,17 @@ class Calibration:
             rectified: as of `from_kitti`.
 
         Raises:
-            InputError: if the calibration cannot be read.
+            InputError: if the calibration cannot be read; of a YAML or JSON file with its content
+                as TOML, to copy.
         """
-        if Path(path).suffix.lower() == ".toml":
+        suffix = Path(path).suffix.lower()
+        if suffix == ".toml":
             return cls.from_toml(path)
+        if suffix in FOREIGN_SUFFIXES and os.path.isfile(path):
+            raise InputError(
+                f"{path} is neither TOML nor a calibration of KITTI. Check what it holds and "
+                f"save it as a .toml file:\n{show_as_toml(Path(path))}"
+            )
         return cls.from_kitti(path, camera=camera, rectified=rectified)
 
     @classmethod

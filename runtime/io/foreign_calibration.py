@@ -1,0 +1,154 @@
+"""What a YAML or JSON file of another tool says of a camera, as the TOML of `Calibration`.
+
+Such files are shown, not read: their names differ by tool, and of a 4 x 4 matrix mostly do not say
+between which frames it is, or in which direction. Known by example: OpenCV's FileStorage, ROS's
+camera_info files, Kalibr's camchain and Autoware's calibration.
+"""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.checks import cut
+from runtime.errors import InputError
+from runtime.lens import EQUIDISTANT, PLUMB_BOB, RATIONAL_POLYNOMIAL
+from runtime.read_input import read_text
+
+FOREIGN_SUFFIXES = (".yaml", ".yml", ".json")
+_LEAST_FOCAL_PX = 10.0  # tells a camera's matrix from a rotation
+_MODELS = {"radtan": PLUMB_BOB, "equi": EQUIDISTANT, "fisheye": EQUIDISTANT}
+_SIZES = ("resolution", "imagesize", "image_size", "size")  # width, height
+_FROM_CAMERA = "cameraextrinsicmat"  # Autoware's, from the camera's frame to the LiDAR's
+_CHECK = "must be from the LiDAR's frame to the camera's: if it is the other way, invert it"
+
+
+class _Entry:
+    """A value of the file: its path, its name in lower case, its text and its numbers."""
+
+    def __init__(self, path: str, text: str) -> None:
+        self.path, self.text = path, text.strip().strip("\"'")
+        names = [name for name in path.lower().split("/") if name != "data"]
+        self.name = names[-1] if names else ""
+        words = [word for word in _spaced(text).split() if word != "-"]
+        try:
+            self.numbers = np.array(words, dtype=np.float64)
+        except ValueError:
+            self.numbers = np.empty(0)
+
+
+def show_as_toml(path: Path) -> str:
+    """Return the TOML for the first camera of a file; what is missing there is to be filled in.
+
+    Raises InputError if the file cannot be read.
+    """
+    text = read_text(path)
+    if path.suffix.lower() == ".json":
+        try:
+            entries = list(_of_json(json.loads(text), ""))
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"{path} is not valid JSON: {cut(str(error), 200)}") from error
+    else:
+        entries = [_Entry(*entry) for entry in _lines_of_yaml(text).items()]
+    return "\n".join([_intrinsics(entries), *_lens(entries), *_size(entries), _extrinsics(entries)])
+
+
+def _intrinsics(entries: list[_Entry]) -> str:
+    for entry in entries:
+        if entry.numbers.size == 9:
+            matrix = entry.numbers.reshape(3, 3)
+            is_camera = (matrix[[0, 1], [0, 1]] > _LEAST_FOCAL_PX).all()
+            if is_camera and np.array_equal(matrix[2], (0, 0, 1)):
+                return _row("intrinsics", matrix, entry.path)
+        if entry.name == "intrinsics" and entry.numbers.size == 4:
+            return _row("intrinsics", _pinhole(*entry.numbers), f"{entry.path}: fx, fy, cx, cy")
+    single = [_number(entries, name) for name in ("fx", "fy", "cx", "cy")]
+    if None not in single:
+        return _row("intrinsics", _pinhole(*single), "fx, fy, cx, cy")
+    return "intrinsics = ...  # not found: the 3 x 3 matrix of the camera"
+
+
+def _lens(entries: list[_Entry]) -> list[str]:
+    for entry in entries:
+        named = "dist" in entry.name or entry.name in ("d", "coeffs")
+        if named and entry.numbers.size in (4, 5, 8):
+            model = RATIONAL_POLYNOMIAL if entry.numbers.size == 8 else PLUMB_BOB
+            stated = [each.text.lower() for each in entries if each.name == "distortion_model"]
+            if stated:
+                model = _MODELS.get(stated[0], stated[0])
+            return [f'lens = "{model}"', _row("distortion", entry.numbers, entry.path)]
+    return ["# no distortion was found: the images must be rectified"]
+
+
+def _size(entries: list[_Entry]) -> list[str]:
+    for prefix in ("image_", ""):
+        height, width = (_number(entries, prefix + side) for side in ("height", "width"))
+        if height and width:
+            return [f"size = [{height:.0f}, {width:.0f}]"]
+    for entry in entries:
+        if entry.name in _SIZES and entry.numbers.size == 2:
+            return [f"size = [{entry.numbers[1]:.0f}, {entry.numbers[0]:.0f}]  # {entry.path}"]
+    return []
+
+
+def _extrinsics(entries: list[_Entry]) -> str:
+    for entry in entries:
+        if entry.numbers.size == 16:
+            matrix = entry.numbers.reshape(4, 4)
+            if not np.array_equal(matrix[3], (0, 0, 0, 1)):
+                continue
+            if entry.name == _FROM_CAMERA and np.linalg.det(matrix):
+                return _row("extrinsics", np.linalg.inv(matrix), f"{entry.path}, inverted")
+            return _row("extrinsics", matrix, f"{entry.path}: {_CHECK}")
+    return "extrinsics = ...  # not found: 4 x 4, from the LiDAR's frame to the camera's"
+
+
+def _number(entries: list[_Entry], name: str) -> float | None:
+    found = (each.numbers[0] for each in entries if each.name == name and each.numbers.size == 1)
+    return next(found, None)
+
+
+def _pinhole(fx: Any, fy: Any, cx: Any, cy: Any) -> NDArray[np.float64]:
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
+
+
+def _row(key: str, numbers: NDArray[np.float64], source: str) -> str:
+    return f"{key} = {(numbers + 0.0).tolist()}  # {cut(source)}"
+
+
+def _of_json(value: Any, path: str) -> Iterator[_Entry]:
+    """The values of a JSON document; a list without objects is one value."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _of_json(inner, f"{path}/{name}" if path else name)
+    elif isinstance(value, list) and any(isinstance(each, dict) for each in value):
+        for number, inner in enumerate(value):
+            yield from _of_json(inner, f"{path}/{number}")
+    else:
+        yield _Entry(path, value if isinstance(value, str) else json.dumps(value))
+
+
+def _lines_of_yaml(text: str) -> dict[str, str]:
+    """Path -> text of the values of a YAML document in block style, lists in any style."""
+    entries: dict[str, str] = {}
+    above: list[tuple[int, str]] = []  # indentation and name
+    for line in text.splitlines():
+        line = line.partition("#")[0].rstrip()
+        if not line.strip() or line.startswith(("%", "---", "...")):
+            continue
+        name, colon, value = line.partition(":")
+        if colon and not set(name) & set("[]{},"):
+            indentation = len(name) - len(name.lstrip())
+            above = [each for each in above if each[0] < indentation]
+            above.append((indentation, name.strip("- \"'\t")))
+            entries["/".join(name for _, name in above)] = value
+        elif above:
+            entries["/".join(name for _, name in above)] += f" {line}"
+    return entries
+
+
+def _spaced(text: str) -> str:
+    return text.translate({ord(mark): " " for mark in "[],"})
