@@ -95,6 +95,12 @@ class RunOptions:
         "Calibration of camera and LiDAR: a TOML file, or a file or folder of KITTI. [default: "
         "from the source]"
     )
+    rectify: bool = _input(
+        "Remove the distortion of the images by the lens of the calibration, before they are "
+        "predicted. [default: returns are projected through the lens]",
+        flag="--rectify",
+        default=False,
+    )
     demo: bool = _input("Run the bundled stream.", flag="--demo", default=False)
     limit: int | None = _input("Stop after N complete frames.", min=1)
     focal_length: float | None = _input(

@@ -64,6 +64,8 @@ def run(
     """
     dedicate_process()
     with options.open_source() as source:
+        if options.rectify:
+            source.rectify_images()
         _require_apart(options.folder, source.folders)
         listed = source.list_frames(limit=options.limit)
         frames = options.shard_of(listed)

@@ -340,19 +340,21 @@ class BagSource(Source):
         image = self._bag.decode(messages[frame.image])
         is_compressed = self._bag.types[self._image_topic] == COMPRESSED_IMAGE
         rgb = decode_compressed_image(image) if is_compressed else decode_image(image)
-        if frame.depth is None:
-            return frame_of(frame, rgb, None, self.calibration)
-        recorded = messages[frame.depth]
+        recorded = None if frame.depth is None else messages[frame.depth]
+        has_map = recorded is not None and self._bag.types[recorded.topic] != POINT_CLOUD
+        rgb, calibration = self._rectified(rgb, self.calibration, has_map=has_map)
+        if recorded is None:
+            return frame_of(frame, rgb, None, calibration)
         message, size = self._bag.decode(recorded), (rgb.shape[0], rgb.shape[1])
-        if self._bag.types[recorded.topic] != POINT_CLOUD:
-            return frame_of(frame, rgb, decode_depth_image(message), self.calibration)
-        assert self.calibration is not None  # see `_calibrate`
+        if has_map:
+            return frame_of(frame, rgb, decode_depth_image(message), calibration)
+        assert calibration is not None  # see `_calibrate`
         times = None
         if self._poses is not None and frame.depth_stamp_ns is not None:
             times = point_times_ns(message, frame.depth_stamp_ns)
         points = decode_points(message)
-        moved = project_listed(frame, self.calibration, points, times, self._poses, size)
-        return frame_of(frame, rgb, moved, self.calibration)
+        moved = project_listed(frame, calibration, points, times, self._poses, size)
+        return frame_of(frame, rgb, moved, calibration)
 
     def _take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
         """The messages of a frame by position; those of later frames on the way are kept."""

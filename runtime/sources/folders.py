@@ -259,7 +259,9 @@ class FolderSource(Source):
         if self._depth is not None and not self.camera_alone:
             require_pair(frame, self._what)
         rgb = read_rgb(frame.image)
-        calibration = None if self._calibrations is None else self._calibrations.of(frame.name)
+        found = None if self._calibrations is None else self._calibrations.of(frame.name)
+        has_map = frame.depth is not None and not self._has_scans
+        rgb, calibration = self._rectified(rgb, found, has_map=has_map)
         if frame.depth is None:
             return frame_of(frame, rgb, None, calibration)
         if not self._has_scans:

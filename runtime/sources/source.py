@@ -70,6 +70,7 @@ class Source(ABC):
     calibration: Calibration | None = None
     folders: tuple[Path, ...] = ()
     recordings: tuple[Path, ...] = ()
+    _rectify = False
 
     def __init_subclass__(cls) -> None:
         parameters = inspect.signature(cls.__init__).parameters.values()
@@ -111,6 +112,33 @@ class Source(ABC):
         Raises:
             InputError: if the frame is damaged or incomplete; others can still be read.
         """
+
+    def rectify_images(self) -> None:
+        """Let `read` return images without distortion, with a calibration without a lens.
+
+        Raises:
+            InputError: if the calibration has no lens.
+        """
+        if self.calibration is None or self.calibration.lens_model is None:
+            reason = "calibration" if self.calibration is None else "lens in their calibration"
+            raise InputError(f"the images cannot be rectified: there is no {reason}")
+        self._rectify = True
+
+    def _rectified(
+        self, rgb: NDArray[np.uint8], calibration: Calibration | None, *, has_map: bool = False
+    ) -> tuple[NDArray[np.uint8], Calibration | None]:
+        """The image of a frame and its calibration, rectified after `rectify_images`.
+
+        has_map: whether the frame has a depth map, of the distorted image, which raises InputError.
+        """
+        if not self._rectify or calibration is None:
+            return rgb, calibration
+        if has_map:
+            raise InputError(
+                "a depth map lies on the pixels of the distorted image: leave out --rectify, or "
+                "give scans"
+            )
+        return calibration.rectify(rgb), calibration.rectified
 
     @property
     @abstractmethod

@@ -99,11 +99,13 @@ class VideoSource(Source):
         if frame.depth is None and self._depth is not None:
             raise InputError(f"{frame.name} is in the video, but has no depth map")
         rgb, stamp_ns = self._decode(frame.image)
+        has_map = frame.depth is not None
+        rgb, calibration = self._rectified(rgb, self.calibration, has_map=has_map)
         if frame.depth is None:
             sparse_depth = no_depth(rgb)
         else:
             sparse_depth = read_sparse_depth(frame.depth, depth_scale=self._depth_scale)
-        return Frame(rgb, sparse_depth, stamp_ns, None, self.calibration)
+        return Frame(rgb, sparse_depth, stamp_ns, None, calibration)
 
     def _decode(self, number: int) -> tuple[NDArray[np.uint8], int | None]:
         """A frame, uint8 (H, W, 3), RGB, and its time [ns]."""

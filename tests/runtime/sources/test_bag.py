@@ -358,6 +358,11 @@ def test_images_that_are_not_rectified_have_the_lens(
         np.testing.assert_allclose(source.calibration.extrinsics, expected, atol=1e-9)
         (frame, *_) = source.list_frames(limit=1)
         fed = source.read(frame).sparse_depth
+        if lens:
+            source.rectify_images()
+            straight = source.read(source.list_frames(limit=1)[0])
+            expected = source.calibration.rectified.project(make_scan(0), SIZE)
+            np.testing.assert_array_equal(straight.sparse_depth, expected)
     np.testing.assert_array_equal(fed, source.calibration.project(make_scan(0), SIZE))
     assert fed.any()
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from runtime import InputError, project_points
+from runtime.io.calibration import Calibration
 from runtime.sources.folders import FolderSource
 
 
@@ -175,6 +176,50 @@ def test_scans_of_every_format_are_projected_beside_their_images(folders, scans,
     inputs = answers.report["inputs"]
     assert (inputs["points"], inputs["calibration"]) == (str(scans[0]), str(scans[1]))
     assert inputs["focal_length_px"] == 60
+
+
+LENS = 'lens = "plumb_bob"\ndistortion = [-0.2, 0.05, 0.01, -0.01, 0]\n'
+
+
+def test_scans_are_projected_through_the_lens_or_into_rectified_images(
+    folders, scans, run, make_scan
+):
+    folder, path = scans
+    path.write_text(path.read_text() + LENS)
+    calibration, size = Calibration.from_file(path), (48, 64)
+    options = ["--rgb", folders[0], "--points", folder, "--calibration", path]
+    answers = run(*options)
+    expected = calibration.project(make_scan(0), size)
+    assert abs(answers.fed_depth("0") - expected).max() < 0.01
+    answers = run(*options, "--rectify", out="straight")
+    assert answers.exit_code == 3, answers.text  # 1.png has no scan
+    straight = calibration.rectified.project(make_scan(0), size)
+    assert abs(answers.fed_depth("0") - straight).max() < 0.01
+    assert (straight != expected).any()
+
+    source = FolderSource(folders[0], points=folder, calibration=path)
+    listed = source.list_frames()[0]
+    raw = source.read(listed)
+    assert raw.calibration.lens == "plumb_bob"
+    source.rectify_images()
+    frame = source.read(listed)
+    assert frame.calibration.lens is None
+    np.testing.assert_array_equal(frame.rgb, calibration.rectify(raw.rgb))
+
+
+def test_what_cannot_be_rectified(folders, scans, run):
+    _, path = scans
+    images = ["--rgb", folders[0]]
+    answers = run(*images, "--rectify")
+    assert answers.exit_code == 1
+    assert "the images cannot be rectified: there is no calibration" in answers.text
+    answers = run(*images, "--calibration", path, "--rectify")
+    assert "the images cannot be rectified: there is no lens" in answers.text
+    path.write_text(path.read_text() + LENS)
+    source = FolderSource(folders[0], depth=folders[1], calibration=path)
+    source.rectify_images()
+    with pytest.raises(InputError, match="a depth map lies on the pixels of the distorted image"):
+        source.read(next(each for each in source.list_frames() if each.complete))
 
 
 def test_an_image_and_its_scan_are_one_frame(folders, scans, run, make_scan):
