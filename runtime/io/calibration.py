@@ -267,8 +267,8 @@ class Calibration:
             intrinsics,
             shift @ _matrix("extrinsics", extrinsics, 4, 4),
             size,
-            lens=lens and lens.model,
-            distortion=lens and lens.coefficients,
+            lens=None if lens is None else lens.model,
+            distortion=None if lens is None else lens.coefficients,
         )
 
     @classmethod

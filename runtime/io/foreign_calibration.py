@@ -73,13 +73,17 @@ def _intrinsics(entries: list[_Entry]) -> str:
 
 def _lens(entries: list[_Entry]) -> list[str]:
     for entry in entries:
-        named = "dist" in entry.name or entry.name in ("d", "coeffs")
-        if named and entry.numbers.size in (4, 5, 8):
+        is_named = "dist" in entry.name or entry.name in ("d", "coeffs")
+        if is_named and entry.numbers.size in (4, 5, 8):
             model = RATIONAL_POLYNOMIAL if entry.numbers.size == 8 else PLUMB_BOB
             stated = [each.text.lower() for each in entries if each.name == "distortion_model"]
             if stated:
                 model = _MODELS.get(stated[0], stated[0])
             return [f'lens = "{model}"', _row("distortion", entry.numbers, entry.path)]
+    named = [_number(entries, name) for name in ("k1", "k2", "p1", "p2", "k3")]
+    if None not in named[:4]:
+        numbers = np.array([number or 0.0 for number in named])
+        return [f'lens = "{PLUMB_BOB}"', _row("distortion", numbers, "k1, k2, p1, p2, k3")]
     return ["# no distortion was found: the images must be rectified"]
 
 
@@ -115,7 +119,7 @@ def _pinhole(fx: Any, fy: Any, cx: Any, cy: Any) -> NDArray[np.float64]:
     return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
 
 
-def _row(key: str, numbers: NDArray[np.float64], source: str) -> str:
+def _row(key: str, numbers: NDArray[np.floating[Any]], source: str) -> str:
     return f"{key} = {(numbers + 0.0).tolist()}  # {cut(source)}"
 
 

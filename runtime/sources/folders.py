@@ -80,7 +80,7 @@ class FolderSource(Source):
     #: left out. Otherwise both are frames that cannot be read.
     camera_alone = False
     #: Whether the images of KITTI's raw data are those that it rectified.
-    rectified = True
+    _kitti_rectified = True
 
     def __init__(
         self,
@@ -132,7 +132,7 @@ class FolderSource(Source):
         if calibration is not None:
             camera = _KITTI_CAMERA.search(rgb.as_posix())
             self._calibrations = FrameCalibrations(
-                calibration, camera=int(camera[1]) if camera else 2, rectified=self.rectified
+                calibration, camera=int(camera[1]) if camera else 2, rectified=self._kitti_rectified
             )
             self.calibration = self._calibrations.first
             if pose_frame is not None:

@@ -77,7 +77,7 @@ class KittiRawSource(FolderSource):
                     f"{RAW_CAMERAS} and {RAW_SCANNER}: copy the calibration files of that day "
                     "there, or give --calibration"
                 )
-        self.rectified = not os.path.realpath(drive).endswith("_extract")
+        self._kitti_rectified = not os.path.realpath(drive).endswith("_extract")
         super().__init__(images / "data", points=scans / "data", calibration=calibration)
         self._drive, self._camera, self._drive_calibration = drive, camera, calibration
         self._stamped: list[tuple[Sensor, int, Path]] = []

@@ -85,6 +85,21 @@ ImageSize: [ 640, 480 ]
 JSON = """{"K": [[700, 0, 320], [0, 710, 240.5], [0, 0, 1]], "D": [-0.3, 0.1, 0.001, -0.002, 0],
  "width": 640, "height": 480, "cameras": [{"note": null}],
  "T": [[0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]}"""
+NAMED = """%YAML:1.0
+model_type: PINHOLE
+image_width: 640
+image_height: 480
+distortion_parameters:
+   k1: -0.3
+   k2: 0.1
+   p1: 0.001
+   p2: -0.002
+projection_parameters:
+   fx: 700
+   fy: 710
+   cx: 320
+   cy: 240.5
+"""
 EXTRINSICS = [[0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]
 BROWN = (-0.3, 0.1, 0.001, -0.002, 0)
 
@@ -107,6 +122,7 @@ BROWN = (-0.3, 0.1, 0.001, -0.002, 0)
             (-0.01, 0.02, -0.003, 0.0004),
             "cam0/T_cam_lidar: must be from the LiDAR's frame",
         ),
+        ("named.yaml", NAMED, "plumb_bob", BROWN, "# k1, k2, p1, p2, k3"),
         ("autoware.yaml", AUTOWARE, "plumb_bob", BROWN, "CameraExtrinsicMat/data, inverted"),
         ("own.json", JSON, "plumb_bob", BROWN, "# T: must be from the LiDAR's frame"),
     ],
