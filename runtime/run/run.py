@@ -270,6 +270,7 @@ def _report(
         "focal_length_px": predictor.focal_length_px,
         "used_focal_length_px": scale and scale.focal_length_px,
         "depth_range_m": scale and scale.range_m,
+        "rectified": options.rectify,
         "shard": options.shard,
         "warmup": options.warmup,
     }

@@ -193,6 +193,7 @@ def test_scans_are_projected_through_the_lens_or_into_rectified_images(
     assert abs(answers.fed_depth("0") - expected).max() < 0.01
     answers = run(*options, "--rectify", out="straight")
     assert answers.exit_code == 3, answers.text  # 1.png has no scan
+    assert answers.report["inputs"]["rectified"] is True
     straight = calibration.rectified.project(make_scan(0), size)
     assert abs(answers.fed_depth("0") - straight).max() < 0.01
     assert (straight != expected).any()
