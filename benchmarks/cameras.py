@@ -12,8 +12,9 @@
   --scenes 24 --seed 910000`) whose image is over 80 degrees wide, with the rendered LiDAR.
 
 MODEL is a bundled name, an exported file or a checkpoint with depth, or a classical method. MAE,
-RMSE and median of the absolute errors are means over frames, of the true depths up to 100 m. Each
---size is as in ssdnet-eval.
+RMSE and median of the absolute errors are means over frames, of the true depths up to 100 m. All
+get the returns up to 100 m alone, and a depth beyond counts as 100 m: otherwise a method that does
+not know them would be ahead. Each --size is as in ssdnet-eval.
 """
 
 import argparse
@@ -140,9 +141,10 @@ def score(predict: Predict, frames: Sequence[Frame], *, focal: bool) -> NDArray[
     """Return MAE, RMSE and median error [m] up to FARTHEST_M, means over frames, (3,)."""
     figures = []
     for frame in frames:
-        answer = predict(frame.rgb, frame.fed, frame.focal_length_px if focal else None)
+        fed = np.where(frame.fed > FARTHEST_M, np.float32(0), frame.fed)
+        answer = predict(frame.rgb, fed, frame.focal_length_px if focal else None)
         known = (frame.truth > 0) & (frame.truth <= FARTHEST_M)
-        error = np.abs(answer.depth[known] - frame.truth[known])
+        error = np.abs(np.minimum(answer.depth[known], FARTHEST_M) - frame.truth[known])
         figures.append((error.mean(), math.sqrt(np.square(error).mean()), np.median(error)))
     return np.mean(figures, axis=0)
 

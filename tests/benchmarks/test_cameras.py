@@ -37,14 +37,15 @@ def test_scores_are_means_over_frames_of_what_is_known_up_to_100_m():
 
     def predict(rgb, sparse_depth, focal_length_px):
         seen.append(focal_length_px)
-        return HeadMaps(None, np.full((2, 2), 12.0, np.float32), None)
+        np.testing.assert_array_equal(sparse_depth, [[0, 100], [0, 7]])
+        return HeadMaps(None, np.array([[12, 12], [12, 150]], np.float32), None)
 
     def frame(truth):
-        maps = np.array(truth, np.float32)
-        return Frame(np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2), np.float32), maps, 700.0)
+        maps, fed = (np.array(each, np.float32) for each in (truth, [[101, 100], [0, 7]]))
+        return Frame(np.zeros((2, 2, 3), np.uint8), fed, maps, 700.0)
 
-    frames = [frame([[10, 250], [16, 150]]), frame([[12, 13], [0, 0]])]
-    wanted = [(3 + 0.5) / 2, (math.sqrt(10) + math.sqrt(0.5)) / 2, (3 + 0.5) / 2]
+    frames = [frame([[10, 250], [16, 150]]), frame([[12, 13], [0, 99]])]
+    wanted = [(3 + 2 / 3) / 2, (math.sqrt(10) + math.sqrt(2 / 3)) / 2, (3 + 1) / 2]
     assert score(predict, frames, focal=True) == pytest.approx(wanted)
     score(predict, frames, focal=False)
     assert seen == [700.0, 700.0, None, None]
