@@ -46,8 +46,8 @@ class Implausible(NamedTuple):
         if depth_scale is not None:
             wanted = depth_scale * self.ratio
             usual = min(_DEPTH_SCALES, key=lambda each: abs(math.log(each / wanted)))
-            right = f"{usual}" if 0.5 < usual / wanted < 2 else f"of about {_rounded(wanted)}"
-            what = f"try --depth-scale {right}"
+            right = f"={usual}" if 0.5 < usual / wanted < 2 else f" of about {_rounded(wanted)}"
+            what = f"try depth_scale{right} in --source"
         if focal_length_px is not None and 1 / _FOCAL_RATIO < self.ratio < _FOCAL_RATIO:
             fits = _rounded(focal_length_px * self.ratio)
             what += f", or check the focal length of {focal_length_px:g} px: about {fits} would fit"

@@ -113,7 +113,7 @@ def read_poses(
     if len(first.split()) == _TUM:
         if not of_clock:
             raise InputError(
-                f"{path} has times, the frames have none: give --timestamps, a line a frame"
+                f"{path} has times, the frames have none: give timestamps= in --source"
             )
         return read_tum_poses(path)
     poses = read_kitti_poses(path)

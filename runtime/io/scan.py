@@ -101,7 +101,7 @@ def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
     ]
     if fits and not others:
         return points  # in no order that can be recognised
-    remedy = f": give --point-columns {' or '.join(others)}" if others else ""
+    remedy = f": give point_columns={' or '.join(others)} in --source" if others else ""
     if fits:
         raise ValueError(
             f"with {columns} float32 per point, its points do not follow scan lines, but they "
@@ -109,7 +109,7 @@ def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
         )
     raise ValueError(
         f"its {len(content)} bytes are not whole points of {columns} float32: it is truncated, of "
-        f"another format, or has other columns (--point-columns, with --points){remedy}"
+        f"another format, or has other columns{remedy}"
     )
 
 

@@ -20,15 +20,20 @@ from runtime.command import Provider
 from runtime.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.errors import InputError
 from runtime.io.encode import METRES_PNG_SCALE
-from runtime.io.images import KITTI_DEPTH_SCALE
 from runtime.io.scan import SCAN_SUFFIXES
 from runtime.network_size import NetworkSize, parse_network_size
 from runtime.run.run_folder import KINDS, SUFFIXES
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stream
-from runtime.sources.registry import SOURCES, SourcePath, choose_source, detect_source, parse_source
+from runtime.sources.registry import (
+    SOURCES,
+    SourcePath,
+    choose_source,
+    detect_source,
+    keys_of,
+    parse_source,
+)
 from runtime.sources.source import Source
-from runtime.sync.depth_in_time import MIDDLE_AFTER
-from runtime.sync.poses import PoseFrame
+from runtime.sources.source_keys import SOURCE_KEYS
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
 MAX_SHARDS = 1_000_000
@@ -54,11 +59,10 @@ def _group(title: str) -> Callable[..., Any]:
 
 
 # In their order there.
-_input, _motion, _outputs, _model, _timing, _topics = map(
-    _group, ("Input", "Motion", "Outputs", "Model", "Timing", "Topics of a bag")
-)
+_input, _outputs, _model, _timing = map(_group, ("Input", "Outputs", "Model", "Timing"))
 
 
+_KEYS = "; ".join(f"{kind} ({', '.join(keys_of(kind))})" for kind in SOURCES)
 _PATH = typer.Argument(
     metavar="[PATH]",
     help=f"Frames to predict: {'; '.join(kind.accepted for kind in SOURCES.values())}. Its kind "
@@ -85,7 +89,7 @@ class RunOptions:
     )
     depth: Path | None = _input(
         "Folder of the sparse depth maps, or the one of one image: PNG, TIFF or .npy of 16 bits "
-        "(see --depth-scale), TIFF or .npy of floats in metres. [default: camera only]"
+        "(depth_scale in --source), TIFF or .npy of floats in metres. [default: camera only]"
     )
     points: Path | None = _input(
         "Folder of LiDAR scans, or the scan of a single image, instead of --depth: "
@@ -110,49 +114,23 @@ class RunOptions:
         min=MIN_FOCAL_PX,
         max=MAX_FOCAL_PX,
     )
-    depth_scale: float | None = _input(
-        "Units per metre of 16-bit depth maps: KITTI 256, Virtual KITTI 100. [default: "
-        f"{KITTI_DEPTH_SCALE:g}]",
-        min=1e-3,
-        max=1e6,
-    )
-    point_columns: int | None = _input(
-        "float32 per point of .bin scans, x, y, z first. [default: 4, of .pcd.bin 5]", min=3
-    )
-    timestamps: Path | None = _motion(
-        "Times of the images of a folder, a line each in natural order: seconds, or dates as of "
-        "KITTI's raw data. [default: 100 ms apart]",
-        metavar="FILE",
-    )
-    reuse_depth_ms: float | None = _motion(
+    reuse_depth_ms: float | None = _input(
         "Largest age of the depth that an image without depth of its own takes; 0 = none. "
-        f"[default: {DEFAULT_REUSE_DEPTH_MS:g}, in folders with --timestamps or --poses]",
+        f"[default: {DEFAULT_REUSE_DEPTH_MS:g}, in folders with --poses or timestamps in --source]",
         min=0,
         max=1e6,
     )
-    poses: Path | None = _motion(
+    poses: Path | None = _input(
         "Poses by which scans in a folder are moved to the time of the image: KITTI's format, a "
-        "line for each image in natural order, or TUM's with --timestamps. Drives of KITTI and "
-        "bags bring their own.",
+        "line for each image in natural order, or TUM's. Needs pose_frame in --source. Drives of "
+        "KITTI and bags bring their own.",
         metavar="FILE",
     )
-    pose_frame: PoseFrame | None = _motion(
-        "What --poses are of; body needs body_from_lidar in --calibration."
-    )
-    scan_stamp: str | None = _motion(
-        "What instant of a scan its stamp is. [default: middle]", metavar="|".join(MIDDLE_AFTER)
-    )
-    point_time_column: int | None = _motion(
-        "Column of .bin and .npy scans, x being 0, with the time of each point in seconds after "
-        "the stamp. [default: a scan is moved as one]",
-        min=3,
-    )
     source: str | None = _input(
-        f"A path with its kind: {', '.join(SOURCES)}. --rgb DIR equals folders:DIR. See "
-        "docs/streams.md.",
-        metavar="KIND:PATH",
+        f"A path with its kind, and options of this kind: {_KEYS}. --rgb DIR equals folders:DIR. "
+        "See docs/streams.md.",
+        metavar="KIND:PATH[,KEY=VALUE...]",
     )
-    camera: int | None = _input("Camera of KITTI: 2 left, 3 right. [default: left]", min=0, max=3)
     shard: str | None = _input(
         "Run part I of N of the stream, from 1/N to N/N: every N-th frame (of --limit frames if "
         "given). All parts together give the results of one run.",
@@ -234,17 +212,6 @@ class RunOptions:
         min=0,
         max=1e6,
     )
-    image_topic: str | None = _topics("Topic of the images. [default: the only one]")
-    depth_topic: str | None = _topics(
-        "Topic of the point clouds or depth images; none = camera only. [default: the only one]"
-    )
-    info_topic: str | None = _topics(
-        "Topic of the CameraInfo. [default: the one beside the images]"
-    )
-    pose_topic: str | None = _topics(
-        "Topic of the car's Odometry, or of transforms (/tf); none = scans are not moved. "
-        "[default: the only Odometry, else /tf]"
-    )
 
     def __post_init__(self) -> None:
         """Check every option."""
@@ -255,12 +222,6 @@ class RunOptions:
             )
         for field in dataclasses.fields(self):
             _check_range(field, getattr(self, field.name))
-        if (self.poses is None) != (self.pose_frame is None):
-            raise UsageError("give --poses and --pose-frame together")
-        if self.scan_stamp not in (None, *MIDDLE_AFTER):
-            raise UsageError(
-                f"--scan-stamp is one of {', '.join(MIDDLE_AFTER)}, got {shown(self.scan_stamp)}"
-            )
         for option, path in self.named_files.items():
             if path.suffix.lower() != FILE_SUFFIXES[option]:
                 raise UsageError(f"--{option} writes {FILE_SUFFIXES[option]} files, got {path}")
@@ -314,7 +275,7 @@ class RunOptions:
 
     @cached_property
     def source_path(self) -> SourcePath:
-        """The source and its kind."""
+        """The source, its kind and its keys."""
         if self.path is not None:
             return detect_source(self.path)
         if self.source is not None:
@@ -326,12 +287,12 @@ class RunOptions:
     def open_source(self) -> Callable[[], Source]:
         """Opens the source."""
         names = {name for source in SOURCES.values() for name in source.options}
-        given = {name: getattr(self, name) for name in names}
+        given = {name: getattr(self, name) for name in names - SOURCE_KEYS.keys()}
         if self.demo:
             given["depth"] = bundled_stream()[1]
-        kind, path = self.source_path
+        kind, path, keys = self.source_path
         with _usage_errors():
-            return choose_source(kind, path, **given)
+            return choose_source(kind, path, **given, **keys)
 
     @property
     def named_files(self) -> dict[str, Path]:

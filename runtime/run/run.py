@@ -265,7 +265,7 @@ def _report(
     options, predictor = run.options, run.predictor
     scale = predictor.camera_scale(frame_size) if frame_size else None
     inputs = {
-        "source": ":".join(map(str, options.source_path)),
+        "source": f"{options.source_path.kind}:{options.source_path.path}",
         **source.inputs,
         "focal_length_px": predictor.focal_length_px,
         "used_focal_length_px": scale and scale.focal_length_px,

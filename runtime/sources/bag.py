@@ -152,15 +152,16 @@ class BagSource(Source):
             self._guessed.append(f"{name.replace('_', ' ')} {candidates[0]}")
             return candidates[0]
         what = "images" if name == "image_topic" else "point clouds or depth images"
-        option, path = f"--{name.replace('_', '-')}", self._bag.path
+        path = self._bag.path
+        remedy = f"--source bag:{path},{name}="
         if requested is not None:
-            problem = f"{option} {requested} is not a topic of {what} in {path}"
+            problem = f"{name}={requested} is not a topic of {what} in {path}"
         elif candidates:
-            problem = f"{path} has {len(candidates)} topics of {what}, choose one by {option}"
+            problem = f"{path} has {len(candidates)} topics of {what}, choose one by {remedy}TOPIC"
         else:
             problem = f"{path} has no topic of {what}"
             if name == "depth_topic":
-                problem += f"; for the camera alone give {option} {NO_TOPIC}"
+                problem += f"; for the camera alone give {remedy}{NO_TOPIC}"
         topics = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(self._bag.types.items()))
         raise InputError(f"{problem}. It has the topics {topics or '(none)'}")
 
@@ -170,7 +171,7 @@ class BagSource(Source):
         if requested is not None:
             if requested not in infos:
                 raise InputError(
-                    f"--info-topic {requested} is not a topic of CameraInfo in {self._bag.path}, "
+                    f"info_topic={requested} is not a topic of CameraInfo in {self._bag.path}, "
                     f"it has {', '.join(infos) or 'none'}"
                 )
             return requested
@@ -197,7 +198,7 @@ class BagSource(Source):
         if info is None:
             raise InputError(
                 f"{self._bag.path} has no CameraInfo beside {self._image_topic} to project "
-                f"{self._depth_topic} with: give --info-topic or --calibration"
+                f"{self._depth_topic} with: give info_topic= in --source, or --calibration"
             )
         camera = self._first(self._image_topic).header.frame_id or info.header.frame_id
         lidar = self._first(self._depth_topic).header.frame_id
@@ -232,12 +233,14 @@ class BagSource(Source):
         if requested is not None and requested not in odometry + moving:
             topics = ", ".join(sorted(odometry + moving)) or "none"
             raise InputError(
-                f"--pose-topic {requested} is no topic of Odometry or transforms in "
+                f"pose_topic={requested} is no topic of Odometry or transforms in "
                 f"{self._bag.path}, it has {topics}"
             )
         if requested is None and len(odometry) > 1:
             names = ", ".join(sorted(odometry))
-            self._unused_poses = f"poses are not used: choose one of {names} by --pose-topic"
+            self._unused_poses = (
+                f"poses are not used: choose one of {names} by pose_topic= in --source"
+            )
             return None
         topic = requested or next(iter(odometry + moving), None)
         if topic is None:

@@ -99,7 +99,7 @@ class FolderSource(Source):
         point_time_column: int | None = None,
     ) -> None:
         if (poses is None) != (pose_frame is None):
-            raise InputError("give --poses and --pose-frame together")
+            raise InputError("give --poses and pose_frame= in --source together")
         if poses is not None and points is None:
             raise InputError(f"the poses in {poses} move scans: give --points")
         if points is not None and depth is not None:
@@ -181,7 +181,9 @@ class FolderSource(Source):
         """The frames with their times; an image without depth takes an older one."""
         if self._timestamps is None:
             stamps_ns = [number * _APART_NS for number in range(len(names))]
-            self._notes.append("guessed: the images are 100 ms apart; --timestamps says when")
+            self._notes.append(
+                "guessed: the images are 100 ms apart; timestamps= in --source says when"
+            )
         else:
             stamps_ns = read_timestamps(self._timestamps)
             if len(stamps_ns) != len(names):
@@ -281,7 +283,7 @@ class FolderSource(Source):
         column = self._point_time_column
         if column is not None and column >= scan.shape[1]:
             raise InputError(
-                f"{path} has {scan.shape[1]} columns, counted from 0, and --point-time-column is "
+                f"{path} has {scan.shape[1]} columns, counted from 0, and point_time_column is "
                 f"{column}: columns beyond x, y and z are read of .bin and .npy alone"
             )
         return scan

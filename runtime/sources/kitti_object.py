@@ -42,7 +42,7 @@ class KittiObjectSource(FolderSource):
         if not os.path.isdir(images):
             raise InputError(
                 f"{path} is not in KITTI's object layout: {images} is missing; give a folder like "
-                "training, or another --camera"
+                "training, or another camera= in --source"
             )
         super().__init__(
             images,

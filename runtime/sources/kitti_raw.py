@@ -67,7 +67,7 @@ class KittiRawSource(FolderSource):
             if not os.path.isdir(folder):
                 raise InputError(
                     f"{drive} is not a drive of KITTI raw data: {folder} is missing; give a folder "
-                    "like 2011_09_26/2011_09_26_drive_0001_sync, or another --camera"
+                    "like 2011_09_26/2011_09_26_drive_0001_sync, or another camera= in --source"
                 )
         if calibration is None:
             calibration = find_raw_calibration(drive)

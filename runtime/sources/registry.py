@@ -2,9 +2,10 @@
 
 import contextlib
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from runtime.checks import shown
@@ -15,6 +16,7 @@ from runtime.sources.kitti_object import KittiObjectSource
 from runtime.sources.kitti_raw import KittiRawSource
 from runtime.sources.one_folder import OneFolderSource
 from runtime.sources.source import Source
+from runtime.sources.source_keys import SOURCE_KEYS, read_keys
 from runtime.sources.video import VideoSource
 
 SOURCES: dict[str, type[Source]] = {
@@ -31,10 +33,11 @@ _LOOKED_AT = 100  # of what a folder that is no recording holds
 
 
 class SourcePath(NamedTuple):
-    """A recording whose kind is known."""
+    """A recording whose kind is known, and the options that --source has as keys."""
 
     kind: str
     path: Path
+    keys: Mapping[str, Any] = MappingProxyType({})
 
 
 def detect_source(path: Path) -> SourcePath:
@@ -65,13 +68,22 @@ def _source_near(path: Path) -> Path | None:
 
 
 def parse_source(text: str) -> SourcePath:
-    """Read "KIND:PATH". Raises InputError for another form or an unknown kind."""
-    kind, _, path = text.partition(":")
-    if not path:
-        raise InputError(f"a source is KIND:PATH with {_kinds()}, got {shown(text)}")
+    """Read "KIND:PATH" or "KIND:PATH,KEY=VALUE,...", see `read_keys`.
+
+    Raises InputError for another form, an unknown kind or key, and a wrong value.
+    """
+    kind, _, rest = text.partition(":")
+    if not rest or rest.startswith(","):
+        raise InputError(f"a source is KIND:PATH[,KEY=VALUE...] with {_kinds()}, got {shown(text)}")
     _require_kind(kind)
+    path, keys = read_keys(kind, keys_of(kind), rest)
     # The shell does not expand the home in KIND:~/PATH.
-    return SourcePath(kind, Path(os.path.expanduser(path)))
+    return SourcePath(kind, Path(os.path.expanduser(path)), keys)
+
+
+def keys_of(kind: str) -> tuple[str, ...]:
+    """Return the options of a kind of source that --source takes as keys."""
+    return tuple(name for name in SOURCES[kind].options if name in SOURCE_KEYS)
 
 
 def choose_source(kind: str, path: str | Path, **options: Any) -> Callable[[], Source]:
@@ -118,4 +130,5 @@ def _kinds() -> str:
 
 
 def _as_options(names: Iterable[str]) -> str:
-    return ", ".join(f"--{name.replace('_', '-')}" for name in names)
+    flags = {name: f"--{name.replace('_', '-')}" for name in names}
+    return ", ".join(f"{name}=" if name in SOURCE_KEYS else flags[name] for name in flags)

@@ -52,7 +52,7 @@ def decode_image(message: Any) -> NDArray[np.uint8]:
         if str(encoding).startswith("bayer_"):
             hint = "debayer it first (image_proc), or choose a topic of its colours"
         elif encoding in _DEPTHS:
-            hint = "that is a depth map: name it with --depth-topic"
+            hint = "that is a depth map: name it by depth_topic= in --source"
         raise InputError(f"an Image has the encoding {shown(encoding)}: {hint}")
     channels, conversion = _PICTURES[encoding]
     pixels = _pixels(message, np.dtype("u1"), channels)

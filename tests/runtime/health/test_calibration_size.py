@@ -125,7 +125,8 @@ def test_a_run_warns_reports_and_degrades(bundled, tmp_path, scale):
         points.tofile(tmp_path / f"data/points/{index}.bin")
     text = f'intrinsics = {intrinsics.tolist()}\npoints_in = "camera"\n'
     (tmp_path / "data/calib.toml").write_text(text)
-    arguments = [tmp_path / "data", "--point-columns", 3, "--model", "ssdnet-nano"]
+    source = f"one-folder:{tmp_path / 'data'},point_columns=3"
+    arguments = ["--source", source, "--model", "ssdnet-nano"]
     arguments += ["--out", tmp_path / "out", "--save", "none", "--warmup", 0]
     result = CliRunner().invoke(app, [str(each) for each in arguments])
     report = json.loads((tmp_path / "out/report.json").read_text())

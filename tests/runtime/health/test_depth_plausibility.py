@@ -98,13 +98,13 @@ def test_the_median_of_the_last_frames_counts():
 @pytest.mark.parametrize(
     ("ratio", "depth_scale", "focal_px", "advice"),
     [
-        (3.9, 256, None, "try --depth-scale 1000"),
-        (0.1, 256, None, "try --depth-scale of about 26"),
+        (3.9, 256, None, "try depth_scale=1000 in --source"),
+        (0.1, 256, None, "try depth_scale of about 26 in --source"),
         (1e6, None, None, "check their unit"),
         (4, None, 300, "check their unit, or check the focal length of 300 px: about 1200 would "
          "fit"),
-        (4, 256, 180.5, "try --depth-scale 1000, or check the focal length of 180.5 px: about 720 "
-         "would fit"),
+        (4, 256, 180.5, "try depth_scale=1000 in --source, or check the focal length of 180.5 "
+         "px: about 720 would fit"),
     ],
 )  # fmt: skip
 def test_the_advice_names_what_was_given(ratio, depth_scale, focal_px, advice):

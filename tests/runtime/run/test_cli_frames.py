@@ -20,8 +20,15 @@ from runtime.run.run_folder import KINDS
 from runtime.sources.folders import FolderSource
 
 
-def test_the_depth_scale(tmp_path, run, stream):
-    run("--depth-scale", 512, "--save", "depth")
+def scaled(given, scale):
+    """Give the arguments with --source in place of --rgb."""
+    assert given[0] == "--rgb"
+    return ["--source", f"folders:{given[1]},depth_scale={scale}", *given[2:]]
+
+
+def test_the_depth_scale(tmp_path, stream, all_heads):
+    given = scaled(arguments(stream, all_heads, tmp_path), 512)
+    assert CliRunner().invoke(app, [*given, "--save", "depth"]).exit_code == 0
     units = cv2.imread(str(stream[1] / "f0.png"), cv2.IMREAD_UNCHANGED) / 512
     depth = cv2.imread(str(tmp_path / "out/depth/f0.png"), cv2.IMREAD_UNCHANGED) / 256
     np.testing.assert_allclose(depth, units + 1.5, atol=0.51 / 256)
@@ -37,7 +44,7 @@ def run_metres(tmp_path, model_file, contract):
         node.op_type, node.input[:] = "Mul", ["red", "sixteenth"]
         graph.node.insert(3, node)
 
-    def invoke(to_units, *given, floats=False):
+    def invoke(to_units, *given, floats=False, scale=256):
         folders = tmp_path / "cam", tmp_path / "lidar"
         red = (4000 / (20 + np.arange(48)[:, None]) - np.arange(64) / 2).astype(np.uint8)
         bgr, depth = np.stack([red, red // 2, red], axis=-1), np.rint(to_units(red / 16))
@@ -50,7 +57,8 @@ def run_metres(tmp_path, model_file, contract):
             else:
                 assert cv2.imwrite(str(folders[1] / f"{name}.png"), depth.astype(np.uint16))
         model = model_file(edit=see_red, contract=replace(contract, canonical_focal_px=100.0))
-        return CliRunner().invoke(app, [*arguments(folders, model, tmp_path), *map(str, given)])
+        standard = scaled(arguments(folders, model, tmp_path), scale)
+        return CliRunner().invoke(app, [*standard, *map(str, given)])
 
     return invoke
 
@@ -60,13 +68,13 @@ def run_metres(tmp_path, model_file, contract):
     [
         (lambda m: m * 1000, 256, "the returns are 3.9 times as far as the "
          "depth predicted from the image: "
-         "try --depth-scale 1000"),
+         "try depth_scale=1000 in --source"),
         (lambda m: m * 256, 2560, "the returns are 0.1 times as far as the "
          "depth predicted from the image: "
-         "try --depth-scale 256"),
+         "try depth_scale=256 in --source"),
         (lambda m: m * 25.6, 256, "the returns are 0.1 times as far as the "
          "depth predicted from the image: "
-         "try --depth-scale of about 26"),
+         "try depth_scale of about 26 in --source"),
         (lambda m: m[:, ::-1] * 256, 256, "the returns fit the mirrored image: the image or the "
          "depth is flipped left to right"),
         (lambda m: 65535 / m, 256, "the returns are far where the "
@@ -79,7 +87,7 @@ def test_depth_that_contradicts_the_image_is_reported(
     tmp_path, run_metres, to_units, scale, warning
 ):
     recording = tmp_path / "recording"
-    result = run_metres(to_units, "--depth-scale", scale, "--record", recording)
+    result = run_metres(to_units, "--record", recording, scale=scale)
     warned = re.findall(r"^warning: (.*)$", result.stdout, re.MULTILINE)
     assert warned == ([warning] if warning else [])
     assert result.exit_code == (3 if warning else 0), result.output
@@ -105,7 +113,7 @@ def test_depth_that_contradicts_the_image_is_reported(
          "unit, or check the focal length of 25 px: about 100 would fit"),
         (256, False, ("--focal-length", 25), "4 times as far as the "
          "depth predicted from the image: try "
-         "--depth-scale 1000, or check the focal length of 25 px: about 100 would fit"),
+         "depth_scale=1000 in --source, or check the focal length of 25 px: about 100 would fit"),
     ],
 )  # fmt: skip
 def test_the_advice_names_a_cause_that_can_be(run_metres, units_a_metre, floats, given, advice):

@@ -103,9 +103,8 @@ def test_a_bad_model_is_exit_code_1_and_leaves_an_earlier_run_alone(tmp_path, ru
         ["--demo", "--save", "none", "--save", "depth"],
         ["--demo", "--threads", "0"],
         ["--demo", "--limit", "0"],
-        ["--demo", "--depth-scale", "0"],
-        ["--demo", "--depth-scale", "nan"],
-        ["--demo", "--depth-scale", "1e-50"],
+        ["--source", "folders:somewhere,depth_scale=0"],
+        ["--demo", "--depth-scale", "100"],
         ["--demo", "--deadline-ms", "-1"],
         ["--demo", "--deadline-ms", "1.5e308"],
         ["--demo", "--provider", "gpu"],
@@ -155,7 +154,7 @@ def test_help_needs_no_onnxruntime(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     result = CliRunner().invoke(app, ["--help"])
     assert result.exit_code == 0
-    for option in ("--rgb", "--depth", "--demo", "--depth-scale", "--deadline-ms", "--overwrite"):
+    for option in ("--rgb", "--depth", "--demo", "depth_scale", "--deadline-ms", "--overwrite"):
         assert option in result.stdout
     assert "Exit codes" in result.stdout
 

@@ -252,7 +252,7 @@ def test_no_output_takes_the_place_of_a_bag_that_is_read(make_bag, make_frame, r
     file = bag.write()
     before = file.read_bytes()
     for path in (file, file.parent):  # the file alone, and the folder that holds it
-        source = ["--source", f"bag:{path}", "--depth-topic", "none"]
+        source = ["--source", f"bag:{path},depth_topic=none"]
         answers = run(*source, "--mcap", file, "--overwrite")
         assert answers.exit_code == 1
         assert f"{file} is what the run reads: choose another name" in answers.text
@@ -260,7 +260,7 @@ def test_no_output_takes_the_place_of_a_bag_that_is_read(make_bag, make_frame, r
 
 
 def test_the_camera_alone_on_purpose(recorded, run):
-    answers = run("--source", f"bag:{recorded}", "--depth-topic", "none", "--limit", 2)
+    answers = run("--source", f"bag:{recorded},depth_topic=none", "--limit", 2)
     assert answers.exit_code == 0
     assert answers.column("degraded") == ["no_depth"] * 2
 
@@ -283,17 +283,17 @@ def test_topics_that_cannot_be_guessed_are_listed(make_bag, make_frame, make_sca
     answers = run("--source", f"bag:{path}")
     text = answers.text.replace("\n", " ")
     assert answers.exit_code == 1
-    assert "has 2 topics of images, choose one by --image-topic" in text
+    assert f"has 2 topics of images, choose one by --source bag:{path},image_topic=TOPIC" in text
     assert "/rear/image_rect (sensor_msgs/msg/Image)" in text
-    assert run("--source", f"bag:{path}", "--image-topic", "/cam/image_rect").exit_code == 0
-    answers = run("--source", f"bag:{path}", "--image-topic", "/nowhere")
-    assert "--image-topic /nowhere is not a topic of images" in answers.text.replace("\n", " ")
-    answers = run("--source", f"bag:{path}", "--image-topic", "/rear/image_rect")
+    assert run("--source", f"bag:{path},image_topic=/cam/image_rect").exit_code == 0
+    answers = run("--source", f"bag:{path},image_topic=/nowhere")
+    assert "image_topic=/nowhere is not a topic of images" in answers.text.replace("\n", " ")
+    answers = run("--source", f"bag:{path},image_topic=/rear/image_rect")
     assert "no CameraInfo beside /rear/image_rect" in answers.text.replace("\n", " ")
-    given = ["--image-topic", "/rear/image_rect", "--info-topic", "/cam/camera_info"]
-    assert run("--source", f"bag:{path}", *given, out="rear").exit_code == 0
-    answers = run("--source", f"bag:{path}", *given[:3], "/none")
-    assert "--info-topic /none is not a topic of CameraInfo" in answers.text.replace("\n", " ")
+    given = f"bag:{path},image_topic=/rear/image_rect,info_topic="
+    assert run("--source", f"{given}/cam/camera_info", out="rear").exit_code == 0
+    answers = run("--source", f"{given}/none")
+    assert "info_topic=/none is not a topic of CameraInfo" in answers.text.replace("\n", " ")
 
 
 def test_a_bag_without_pictures_or_depth_says_what_it_has(make_bag, make_frame, make_scan, run):
@@ -305,8 +305,12 @@ def test_a_bag_without_pictures_or_depth_says_what_it_has(make_bag, make_frame, 
     )
     bag = make_bag("ros1")
     add_camera(bag, make_frame)
-    answers = run("--source", f"bag:{bag.write('flat')}")
-    assert "for the camera alone give --depth-topic none" in answers.text.replace("\n", " ")
+    path = bag.write("flat")
+    answers = run("--source", f"bag:{path}")
+    assert (
+        f"for the camera alone give --source bag:{path},depth_topic=none"
+        in answers.text.replace("\n", " ")
+    )
 
 
 def test_clouds_need_a_calibration_and_take_a_file(make_bag, make_frame, make_scan, run, tmp_path):
@@ -407,7 +411,7 @@ def test_a_broken_message_is_a_frame_that_is_skipped(make_bag, make_frame, make_
 def test_bayer_images_are_refused_with_what_to_do(make_bag, make_frame, run):
     bag = make_bag("mcap")
     bag.image("/cam", make_frame(*SIZE)[0][..., 0], "bayer_rggb8", START_NS)
-    answers = run("--source", f"bag:{bag.write()}", "--depth-topic", "none")
+    answers = run("--source", f"bag:{bag.write()},depth_topic=none")
     assert answers.exit_code == 3
     assert "debayer it first" in answers.column("reason")[0]
 
@@ -667,7 +671,7 @@ def test_messages_that_the_index_promises_and_the_bag_has_lost_are_counted(
     length = 9 * (9 + size)  # nine messages: also a whole number of empty records
     content[start : start + length] = bytes(length)
     path.write_bytes(content)
-    answers = run("--source", f"bag:{path}", "--depth-topic", "none")
+    answers = run("--source", f"bag:{path},depth_topic=none")
     lost = answers.report["inputs"]["left_out"]["image: listed in the index, but missing"]
     assert lost == 9
     assert len(answers.names) + lost == 200

@@ -124,14 +124,14 @@ def test_depth_maps_may_be_tiff_or_npy(folders, run, tmp_path):
     np.save(depth / "2.npy", depths[2].astype(np.float64))
     (depth / "4.png").unlink()
     assert cv2.imwrite(str(depth / "4.tif"), np.rint(depths[4] * 100).astype(np.uint16))
-    answers = run("--rgb", rgb, "--depth", depth, "--depth-scale", 100)
+    answers = run("--source", f"folders:{rgb},depth_scale=100", "--depth", depth)
     assert answers.column("status") == ["ok", "skipped", "ok", "skipped", "ok"]
     for name in ("0", "2", "4"):
         assert abs(answers.fed_depth(name) - depths[int(name)]).max() < 0.01
     one = run("--rgb", rgb / "2.png", "--depth", depth / "2.npy", out="one")
     assert abs(one.fed_depth("2") - depths[2]).max() < 0.01
     np.save(depth / "2.npy", depths[2].astype(np.int32))
-    wrong = run("--rgb", rgb, "--depth", depth, "--depth-scale", 100, "--overwrite")
+    wrong = run("--rgb", rgb, "--depth", depth, "--overwrite")
     assert "2.npy must be a depth map of one channel of 16 bits" in wrong.column("reason")[2]
 
 
@@ -226,13 +226,14 @@ def test_what_cannot_be_rectified(folders, scans, run):
 def test_an_image_and_its_scan_are_one_frame(folders, scans, run, make_scan):
     rows = np.pad(make_scan(), ((0, 0), (0, 2)))
     rows.tofile(scans[0] / "0.bin")
-    given = [folders[0] / "0.png", "--points", scans[0] / "0.bin", "--calibration", scans[1]]
-    answers = run(*given, "--point-columns", 6)
+    image = f"folders:{folders[0] / '0.png'}"
+    given = ["--points", scans[0] / "0.bin", "--calibration", scans[1]]
+    answers = run("--source", f"{image},point_columns=6", *given)
     expected = project_points(make_scan(), INTRINSICS, EXTRINSICS, (48, 64))
     assert answers.names == ["0"]
     assert abs(answers.fed_depth("0") - expected).max() < 0.01
     rows[1:].tofile(scans[0] / "0.bin")
-    cut = run(*given, "--overwrite")
+    cut = run("--source", image, *given, "--overwrite")
     assert cut.column("status") == ["skipped"]
     assert "0.bin: its 7176 bytes are not whole points of 4 float32" in cut.column("reason")[0]
 

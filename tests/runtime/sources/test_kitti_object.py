@@ -70,13 +70,15 @@ def test_the_parts_may_be_named(training, run, make_scan):
         assert abs(answers.fed_depth("000004") - projected(make_scan(4), 64)).max() < 0.01
 
 
-@pytest.mark.parametrize("given", ["{}:--camera:3", "--rgb:{}/image_3", "{}/image_3"])
+@pytest.mark.parametrize(
+    "given", ["--source kitti-object:{},camera=3", "--rgb {}/image_3", "{}/image_3"]
+)
 def test_the_right_camera_has_its_own_projection(
     training, run, make_frame, write_rgb, given, make_scan
 ):
     write_rgb(training / "image_3/000001.png", make_frame(*SIZE)[0])
     (training / "calib/000001.txt").write_text(calibration(61, baseline_px=-30.5))
-    arguments = given.format(training).split(":")
+    arguments = given.format(training).split()
     if "image_3" in given:
         arguments += ["--points", training / "velodyne", "--calibration", training / "calib"]
     answers = run(*arguments)
@@ -116,7 +118,7 @@ def test_without_scans_the_camera_alone_is_answered(training, run):
 
 
 def test_what_is_missing_is_named(training, run):
-    with pytest.raises(InputError, match=r"image_1 is missing; give a folder .* --camera"):
+    with pytest.raises(InputError, match=r"image_1 is missing; give a folder .* camera= in"):
         KittiObjectSource(training, camera=1)
     (training / "calib/000002.txt").unlink()
     (training / "calib/000003.txt").write_text("P2: 1 2 3\n")

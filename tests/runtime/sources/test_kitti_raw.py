@@ -63,7 +63,7 @@ def projected(scan, shift_m):
 
 @pytest.mark.parametrize(("camera", "shift_m"), [(2, 0.05), (3, -0.5)])
 def test_a_drive_from_end_to_end(drive, run, make_scan, camera, shift_m):
-    answers = run(drive, "--camera", camera)
+    answers = run("--source", f"kitti-raw:{drive},camera={camera}")
     assert answers.exit_code == 0, answers.text
     assert answers.names == [f"{number:010d}" for number in range(6)]
     for number in range(6):
@@ -231,7 +231,7 @@ def cut_stamps(drive):
         ),
         (
             lambda d: (d / "image_02").rename(d / "images"),
-            "is not a drive of KITTI raw data.* --camera",
+            "is not a drive of KITTI raw data.* camera= in --source",
         ),
         (
             lambda d: (d / "image_02/data/left.png").write_bytes(b""),

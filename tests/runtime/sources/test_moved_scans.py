@@ -71,11 +71,11 @@ def write_poses(path, ahead_m, *, frame="lidar"):
     path.write_text("\n".join(lines) + "\n")
 
 
-def arguments(folders, *, poses="poses.txt", frame="lidar"):
-    given = ["--rgb", folders / "image", "--points", folders / "points"]
+def arguments(folders, *, poses="poses.txt", frame="lidar", keys=""):
+    keys = f"timestamps={folders / 'times.txt'}{f',pose_frame={frame}' if poses else ''}{keys}"
+    given = ["--source", f"folders:{folders / 'image'},{keys}", "--points", folders / "points"]
     given += ["--calibration", folders / "calibration.toml"]
-    given += ["--timestamps", folders / "times.txt"]
-    return [*given, *(["--poses", folders / poses, "--pose-frame", frame] if poses else [])]
+    return [*given, *(["--poses", folders / poses] if poses else [])]
 
 
 @pytest.mark.parametrize("frame", ["lidar", "camera", "body"])
@@ -153,28 +153,28 @@ def test_each_return_is_moved_by_the_column_of_its_time(folders, run, make_scan)
     for number in range(0, 2 * N, 2):
         scan = np.column_stack([make_scan(number), after_s]).astype(np.float32)
         scan.tofile(folders / f"points/{number}.bin")
-    columns = ["--point-columns", 5, "--point-time-column", 4]
-    answers = run(*arguments(folders), *columns)
+    keys = ",point_columns=5,point_time_column="
+    answers = run(*arguments(folders, keys=f"{keys}4"))
     assert answers.exit_code == 0, answers.text
     assert set(answers.column("depth_motion")) == {"each"}
     scan = make_scan(2)
     scan[:, 0] += SPEED * after_s  # as seen from where the car was at the stamp
     expected = projected(scan, 0.05 * SPEED)
     assert agree(answers.fed_depth("3"), np.round(expected * 256) / 256)
-    beyond = run(*arguments(folders), "--point-columns", 5, "--point-time-column", 5, out="no")
-    assert beyond.exit_code == 3 or "--point-time-column is 5" in beyond.text
+    beyond = run(*arguments(folders, keys=f"{keys}5"), out="no")
+    assert beyond.exit_code == 3 or "point_time_column is 5" in beyond.text
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"poses": "poses.txt"}, "--poses and --pose-frame together"),
-        ({"pose_frame": "lidar"}, "--poses and --pose-frame together"),
+        ({"poses": "poses.txt"}, "--poses and pose_frame= in --source together"),
+        ({"pose_frame": "lidar"}, "--poses and pose_frame= in --source together"),
         ({"timestamps": "short.txt"}, "short.txt has 2 lines, there are 12 images"),
         ({"timestamps": "back.txt"}, "line 2 of .*back.txt is '1.0', expected a later time"),
         ({"timestamps": "words.txt"}, "line 1 of .*words.txt is 'noon', expected seconds"),
         ({"poses": "short_poses.txt", "pose_frame": "lidar"}, "has 1 poses, there are 12 images"),
-        ({"poses": "tum.txt", "pose_frame": "lidar", "timestamps": None}, "give --timestamps"),
+        ({"poses": "tum.txt", "pose_frame": "lidar", "timestamps": None}, "give timestamps="),
         ({"poses": "scaled.txt", "pose_frame": "lidar"}, "pose must be rigid"),
         ({"poses": "poses.txt", "pose_frame": "body", "calibration": "plain.toml"}, "body_from"),
         ({"points": None, "poses": "poses.txt", "pose_frame": "lidar"}, "give --points"),
@@ -372,11 +372,11 @@ def test_one_of_several_topics_of_odometry_is_chosen(make_bag, make_frame, make_
     bag.odometry("/gps/odom", (0.0, 0.0, 0.0), START_NS)
     path = bag.write()
     answers = run(path, "--max-skew-ms", 20)
-    assert "choose one of /gps/odom, /odom by --pose-topic" in answers.text
+    assert "choose one of /gps/odom, /odom by pose_topic= in --source" in answers.text
     assert answers.column("degraded")[1] == "depth_reused;depth_uncompensated"
-    chosen = run(path, "--max-skew-ms", 20, "--pose-topic", "/odom", out="chosen")
+    chosen = run("--source", f"bag:{path},pose_topic=/odom", "--max-skew-ms", 20, out="chosen")
     assert chosen.column("degraded") == ["", "depth_reused"] * N
-    wrong = run(path, "--pose-topic", "/imu", out="wrong")
+    wrong = run("--source", f"bag:{path},pose_topic=/imu", out="wrong")
     assert "no topic of Odometry or transforms" in wrong.text
 
 
@@ -385,7 +385,7 @@ def test_a_depth_map_is_reused_as_it_is_and_flagged(folders, write_depth, make_f
         write_depth(folders / f"depth/{number}.png", make_frame(*SIZE, seed=number)[1])
     source = FolderSource(folders / "image", depth=folders / "depth", reuse_depth_ms=150)
     frames = source.list_frames()
-    assert "guessed: the images are 100 ms apart; --timestamps says when" in source.notes
+    assert "guessed: the images are 100 ms apart; timestamps= in --source says when" in source.notes
     own, reused = (source.read(frame) for frame in frames[:2])
     assert own.degraded == ()
     assert (reused.degraded, reused.depth_motion) == (

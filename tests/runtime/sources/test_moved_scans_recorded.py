@@ -39,9 +39,10 @@ def options(drive):
 
 
 def test_no_frame_is_without_depth_after_the_first_scan(drive, run):
-    given = ["--rgb", drive / "image", "--points", drive / "points", "--limit", FRAMES // 2]
-    given += ["--calibration", drive / "calib", "--timestamps", drive / "image_02_timestamps.txt"]
-    answers = run(*given, "--poses", drive / "poses.txt", "--pose-frame", "lidar")
+    keys = f"timestamps={drive / 'image_02_timestamps.txt'},pose_frame=lidar"
+    given = ["--source", f"folders:{drive / 'image'},{keys}", "--points", drive / "points"]
+    given += ["--calibration", drive / "calib", "--limit", FRAMES // 2]
+    answers = run(*given, "--poses", drive / "poses.txt")
     assert answers.exit_code in (0, 3), answers.text  # the model by hand judges no depth
     reasons = [set(row.split(";")) for row in answers.column("degraded")]
     assert len(reasons) == FRAMES - 1, "up to the tenth complete one"

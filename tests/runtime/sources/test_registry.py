@@ -1,15 +1,18 @@
 """Sources by their kind, and their options. A source is a file and a line of SOURCES."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from runtime import InputError
+from runtime.run.options import RunOptions, UsageError
 from runtime.sources.folders import FolderSource
 from runtime.sources.frames import Frame
 from runtime.sources.registry import SOURCES, open_source, parse_source
 from runtime.sources.source import ListedFrame, Source, up_to
+from runtime.sync.poses import PoseFrame
 
 KINDS = "one of the kinds kitti-raw, kitti-object, video, bag, one-folder, folders"
 
@@ -31,27 +34,100 @@ def test_a_kind_with_an_underscore_is_answered_with_the_right_spelling(run):
 
 
 def test_a_path_may_hold_a_colon():
-    source = open_source(*parse_source("folders:a:b"), depth=Path("c"))
+    kind, path, _ = parse_source("folders:a:b")
+    source = open_source(kind, path, depth=Path("c"))
     assert isinstance(source, FolderSource)
     assert source.folders == (Path("a:b"), Path("c"))
 
 
 def test_a_path_may_start_at_home(monkeypatch):
     monkeypatch.setenv("HOME", "/home/driver")
-    assert parse_source("folders:~/drive") == ("folders", Path("/home/driver/drive"))
+    assert parse_source("folders:~/drive") == ("folders", Path("/home/driver/drive"), {})
+
+
+def test_keys_are_read_by_their_types(monkeypatch):
+    monkeypatch.setenv("HOME", "/home/driver")
+    text = "folders:a,point_columns=5,depth_scale=1e3,timestamps=~/t.txt,pose_frame=body"
+    kind, path, keys = parse_source(f"{text},scan_stamp=end")
+    assert (kind, path) == ("folders", Path("a"))
+    assert keys == {
+        "point_columns": 5,
+        "depth_scale": 1000.0,
+        "timestamps": Path("/home/driver/t.txt"),
+        "pose_frame": PoseFrame.BODY,
+        "scan_stamp": "end",
+    }
+    assert isinstance(keys["pose_frame"], PoseFrame)
+    topics = {"depth_topic": "none", "image_topic": "/a"}
+    assert parse_source("bag:x.mcap,depth_topic=none,image_topic=/a").keys == topics
+
+
+def test_a_path_may_hold_commas_and_equals_signs(tmp_path):
+    assert parse_source("bag:a, b,c.mcap,info_topic=/x=1,y").path == Path("a, b,c.mcap")
+    assert parse_source("bag:a=b,depth_topic=none").path == Path("a=b")
+    for name in ("run=3,camera=2", "t,0=1"):
+        (tmp_path / name).mkdir()
+        given = f"folders:{tmp_path / name},timestamps={tmp_path / name}"
+        assert parse_source(given).path == tmp_path / name
+        assert parse_source(given).keys == {"timestamps": tmp_path / name}
+
+
+FOLDERS = (
+    "a source of the kind folders takes the keys depth_scale, point_columns, timestamps, "
+    "pose_frame, scan_stamp, point_time_column"
+)
+
+
+@pytest.mark.parametrize(
+    ("keys", "text"),
+    [
+        (
+            "depth_scale=0",
+            f"depth_scale must be units per metre, 0.001 to 1e+06, got '0': {FOLDERS}",
+        ),
+        ("depth_scale=nan", "depth_scale must be units per metre, 0.001 to 1e+06, got 'nan'"),
+        ("depth_scale=1e-50", "depth_scale must be units per metre"),
+        ("depth_scale=", "depth_scale must be units per metre, 0.001 to 1e+06, got ''"),
+        ("point_columns=2", "point_columns must be the number of float32 per point, 3 to 1000000"),
+        ("point_columns=4.5", "point_columns must be"),
+        ("point_time_column=1", "point_time_column must be the number of a column"),
+        ("pose_frame=wheel", "pose_frame must be lidar or camera or body, got 'wheel'"),
+        ("scan_stamp=first", "scan_stamp must be start or middle or end, got 'first'"),
+        ("timestamps=", "timestamps must be a file, got ''"),
+        ("depth_scale=1,depth_scale=2", "depth_scale is given twice, the second time as '2'"),
+        ("camera=2", f"{FOLDERS}, not camera, and there is no file 'no,camera=2'"),
+        ("depth-scale=2", f"{FOLDERS}, not depth-scale, and there is no file"),
+        ("depth_scale=2,scale=3", f"{FOLDERS}, not scale, and there is no file '2,scale=3'"),
+    ],
+)
+def test_a_wrong_key_is_a_usage_error_with_what_is_expected(keys, text):
+    with pytest.raises(UsageError, match=re.escape(text)):
+        RunOptions(source=f"folders:no,{keys}")
+
+
+@pytest.mark.parametrize("camera", [-1, 4, "left"])
+def test_a_camera_that_kitti_has_not(camera):
+    with pytest.raises(InputError, match="camera must be the number of a camera of KITTI, 0 to 3"):
+        parse_source(f"kitti-raw:drive,camera={camera}")
+
+
+def test_a_topic_given_twice_is_named(run):
+    answers = run("--source", "bag:drive.mcap,image_topic=/a,image_topic=/b")
+    assert answers.exit_code == 2
+    assert "image_topic is given twice, the second time as '/b'" in " ".join(answers.text.split())
 
 
 @pytest.mark.parametrize("kind", SOURCES)
 def test_options_of_another_kind_are_refused_by_name(kind):
-    with pytest.raises(InputError, match=rf"kind {kind} takes --.*, not --no-such$"):
+    with pytest.raises(InputError, match=rf"kind {kind} takes .*, not --no-such$"):
         open_source(kind, "x", no_such=1)
 
 
 def test_options_of_another_kind_are_wrong_usage_of_the_command(run, tmp_path):
     answers = run("--source", f"kitti-raw:{tmp_path}", "--depth", tmp_path)
     assert answers.exit_code == 2
-    assert "takes --camera, --calibration, --max-skew-ms, --reuse-depth-ms" in answers.text
-    assert "--scan-stamp, not --depth" in answers.text
+    assert "takes camera=, --calibration, --max-skew-ms, --reuse-depth-ms" in answers.text
+    assert "scan_stamp=, not --depth" in answers.text
     assert run("--source", "nothing:here").exit_code == 2
     assert not (tmp_path / "out").exists()
 
@@ -130,16 +206,16 @@ class ArchiveSource(Source):
         return {"source": str(self.recordings[0])}
 
 
-@pytest.mark.parametrize("kind", ["", "archive:"])
-def test_another_source_is_a_file_and_a_line(kind, run, tmp_path, make_frame, monkeypatch):
+def test_another_source_is_a_file_and_a_line(run, tmp_path, make_frame, monkeypatch):
     monkeypatch.setitem(SOURCES, "archive", ArchiveSource)  # ... and its line
     frames = [make_frame(seed=seed) for seed in range(3)]
     depths = [depth * 4 for _, depth in frames]
     np.savez(tmp_path / "drive.npz", rgb=[rgb for rgb, _ in frames], depth=depths)
-    path = f"{kind}{tmp_path / 'drive.npz'}"
-    answers = run(*(["--source"] if kind else []), path, "--depth-scale", 4, "--limit", 2)
+    path = tmp_path / "drive.npz"
+    answers = run("--source", f"archive:{path},depth_scale=4", "--limit", 2)
     assert answers.exit_code == 0
     assert answers.names == ["frame0", "frame1"]
     returns = frames[1][1]
     fed = answers.fed_depth("frame1")[returns > 0]
     np.testing.assert_allclose(fed, returns[returns > 0], atol=1 / 256)
+    assert len(run(path, out="by path").names) == 3

@@ -229,7 +229,7 @@ def test_an_image_that_says_anything_is_an_array_or_an_input_error(seed):
     ("decode", "message", "text"),
     [
         (decode_image, image("bayer_rggb8"), "debayer it first"),
-        (decode_image, image("16UC1"), "that is a depth map: name it with --depth-topic"),
+        (decode_image, image("16UC1"), "that is a depth map: name it by depth_topic= in --source"),
         (decode_image, image("yuv422"), "expected one of rgb8, bgr8"),
         (decode_image, image(step=8), "has step 8, expected at least 9"),
         (decode_image, image(height=3), "has 24 bytes, expected 33: it is truncated"),
