@@ -42,7 +42,7 @@ def train(
         str | None,
         typer.Option(
             help="Initial weights: the name of installed weights (ssdnet-lite), or a path that "
-            "ends in .pt or holds a slash."
+            "ends in .pt or holds a slash. What the recipe leaves out comes from their training."
         ),
     ] = None,
     teacher: Annotated[
@@ -86,10 +86,10 @@ def train(
         from training.stages import next_stage, read_stages, train_stages
 
         with StopSignal() as stop:
-            stages = read_stages(find_recipe(recipe), change or ())
             weights, taught_by = (
                 None if text is None else find_weights(text) for text in (init, teacher)
             )
+            stages = read_stages(find_recipe(recipe), change or (), weights)
             if dry_run:
                 stage, folder, weights = next_stage(stages, out, weights)
                 path, lines = draw_first_batch(

@@ -26,7 +26,7 @@ _MEANINGS = {
 
 def list_weights() -> list[str]:
     """Return the names of the checkpoints in the package."""
-    return sorted(path.stem for path in _folder().glob("*.pt"))
+    return sorted(path.stem for path in weights_folder().glob("*.pt"))
 
 
 def find_weights(text: str) -> Path:
@@ -45,7 +45,7 @@ def find_weights(text: str) -> Path:
             f"unknown weights {text!r}; known: {', '.join(list_weights())}. Give one of these, or "
             "the path of a .pt file."
         )
-    return _folder() / f"{text}.pt"
+    return weights_folder() / f"{text}.pt"
 
 
 def start_from(network: Network, source: Network, init: Path) -> frozenset[str]:
@@ -93,5 +93,6 @@ def start_from(network: Network, source: Network, init: Path) -> frozenset[str]:
     return frozenset(taken)
 
 
-def _folder() -> Path:
+def weights_folder() -> Path:
+    """Return the folder of the checkpoints in the package."""
     return Path(str(resources.files("training"))) / "weights"

@@ -10,6 +10,7 @@ from runtime.checks import shown
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
 from training.distributed import join_processes
+from training.fine_tuning import EarlierTraining
 from training.loop import train
 from training.recipe import Recipe, build, merge, parse_changes, read_table
 from training.run_folder import FINAL, RECIPE, folder_errors
@@ -25,7 +26,9 @@ class Stage:
     recipe: Recipe
 
 
-def read_stages(path: Path, changes: Sequence[str] = ()) -> tuple[Stage, ...]:
+def read_stages(
+    path: Path, changes: Sequence[str] = (), init: Path | None = None
+) -> tuple[Stage, ...]:
     """Read a recipe with its stages; one without ``[[stage]]`` has a single stage.
 
     Each ``[[stage]]`` has a name and keys that it changes of the recipe; ``base`` in it names an
@@ -34,19 +37,27 @@ def read_stages(path: Path, changes: Sequence[str] = ()) -> tuple[Stage, ...]:
     Args:
         path: the TOML file.
         changes: further changes of all stages, see `read_recipe`.
+        init: a checkpoint that the first stage starts from. What the recipe leaves out comes from
+            its training, see `training.fine_tuning`, and is reported on stderr.
 
     Raises:
         InputError: see `read_recipe`, and for stages without a name of their own or whose base is
             not an earlier stage.
+        CheckpointError: if ``init`` cannot be read.
     """
     table, further = read_table(path), parse_changes(changes)
     tables = table.pop("stage", None)
     try:
-        if tables is None:
-            return (Stage("", build(Recipe, merge(table, further))),)
+        named = {} if tables is None else _name_stages(tables)
+        changed = [merge(merge(table, stage), further) for stage in named.values()]
+        whole = changed or [merge(table, further)]
+        if init is not None:
+            earlier = EarlierTraining(init)
+            earlier.report(whole[0])
+            whole = [earlier.complete(item) for item in whole]
+        folders = [f"{number}-{name}" for number, name in enumerate(named, start=1)] or [""]
         return tuple(
-            Stage(f"{number}-{name}", build(Recipe, merge(merge(table, stage), further)))
-            for number, (name, stage) in enumerate(_name_stages(tables).items(), start=1)
+            Stage(folder, build(Recipe, item)) for folder, item in zip(folders, whole, strict=True)
         )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error

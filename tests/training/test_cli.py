@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from layouts import camvid
 from layouts.virtual_kitti import write_second_edition
-from models import SSDNetLite, SSDNetLiteConfig
+from models import SSDNetLite, SSDNetLiteConfig, load_checkpoint
 from models.registry import NETWORKS, Entry
 from training import progress
 from training.cli import app
@@ -185,3 +185,56 @@ def test_a_dry_run_draws_the_first_batch_and_writes_nothing_else(run, tmp_path):
     result = run("--dry-run", out="r.toml")
     assert result.exit_code == 1
     assert "r.toml: cannot be written" in result.output
+
+
+#: A training with settings of its own, for the fine-tuning of its weights.
+EARLIER = (
+    RECIPE.replace("crop = [32, 32]", "crop = [96, 96], pair_shift = 16")
+    + """
+[model.config]
+canonical_focal_px = 700.0
+[loss]
+depth_form = "metric"
+depth_weight = 0.25
+semantic_consistency_weight = 0.5
+[optimizer]
+learning_rate = 4e-3
+frozen = ["encoder.stem"]
+"""
+)
+#: Data and steps alone.
+SHORT = "[data]" + RECIPE.split("[data]")[1]
+
+
+def test_what_a_recipe_leaves_out_comes_from_the_training_of_its_first_weights(run, tmp_path):
+    result = run("--set", "schedule.steps = 1", recipe=EARLIER, out="first")
+    assert result.exit_code == 0, result.output
+    init = ("--init", str(tmp_path / "first/model.pt"))
+    line = f"from the recipe of {tmp_path}/first/model.pt: "
+    for option in ("--dry-run", "--stop-after=1"):
+        result = run(*init, option, recipe=SHORT, out="second")
+        assert result.exit_code == 0, result.output
+        assert line in result.stderr
+        for text in (
+            "model.name = 'ssdnet-lite'",
+            "model.config.canonical_focal_px = 700.0",
+            "loss.depth_form = 'metric'",
+            "loss.depth_weight = 0.25",
+            "optimizer.learning_rate = 0.001",
+            "optimizer.frozen = ",
+        ):
+            assert text in result.stderr
+        assert "consistency" not in result.stderr  # one view
+    recipe = load_checkpoint(tmp_path / "second/last.pt").facts.recipe
+    assert recipe["loss"]["depth_form"] == "metric"
+    assert recipe["loss"]["semantic_consistency_weight"] == 0.0
+    # The keys of the recipe come first, and another optimiser has a rate of its own.
+    own = SHORT + "[loss]\ndepth_weight = 0.5\n[optimizer]\nname = 'sgd'\n"
+    result = run(*init, "--stop-after=1", recipe=own, out="third")
+    assert result.exit_code == 0, result.output
+    recipe = load_checkpoint(tmp_path / "third/last.pt").facts.recipe
+    assert recipe["loss"]["depth_weight"] == 0.5
+    assert recipe["optimizer"]["name"] == "sgd"
+    assert recipe["optimizer"]["learning_rate"] == 2e-3
+    other = SHORT + "[model]\nname = 'ssdnet-small'\n"
+    assert line not in run(*init, "--dry-run", recipe=other, out="fourth").stderr

@@ -96,6 +96,23 @@ def test_the_installed_weights_state_their_terms(name):
     assert path.stat().st_size < 7e6  # half precision
 
 
+@installed
+def test_a_recipe_of_data_and_steps_gets_the_loss_of_the_shipped_recipe(name, tmp_path):
+    """Of all heads: the last stages train the depth decoder alone."""
+    path = tmp_path / "recipe.toml"
+    path.write_text(
+        "[data]\nsource = [{kind = 'camvid', path = 'camvid'}]\n[schedule]\nsteps = 100\n"
+    )
+    (stage,) = read_stages(path, init=find_weights(name))
+    recipe = stage.recipe
+    assert recipe.model.name == name
+    assert recipe.model.config == {"canonical_focal_px": 721.5}
+    assert recipe.loss.depth_form == "metric"
+    assert min(recipe.loss.depth_weight, recipe.loss.semantic_weight) > 0
+    assert recipe.optimizer.learning_rate == 5e-4  # a quarter
+    assert recipe.schedule.warmup_steps == 10  # a tenth of the steps
+
+
 @bundled
 def test_the_installed_weights_answer_as_the_bundled_model(name):
     """Half precision moves depth by decimetres far away, classes where two of them tie."""
