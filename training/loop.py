@@ -1,10 +1,13 @@
 """The training loop: from a recipe to checkpoints."""
 
+import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+from tqdm import tqdm
 
 from models import Network, save_checkpoint
 from models.training_facts import TrainingFacts
@@ -111,6 +114,17 @@ def _train(
         closing(Progress(steps, state.step, shown=processes.is_first)) as progress,
         read_batches(recipe, task, processes, state.step) as batches,
     ):
+
+        def score(network: Network) -> None:
+            """Validate; the table and the best weights are written by the first process alone."""
+            figures = validate(
+                network, task.validation, recipe.validation, processes, board, state.step
+            )
+            if scores and scores.add(state.step, figures, recipe.validation.best):
+                save_checkpoint(out / BEST, network, training=facts())
+
+        if task.validation and state.step == 0 and init is not None:
+            score(state.averaged)
         while state.step < last_step and not processes.any(stop()):
             done = state.advance(batches)
             progress.update(state.step, done.terms["total"], done.rate)
@@ -118,19 +132,14 @@ def _train(
                 board.add_step(done, dict(state.criterion.log_variances.items()), state.step)
             # Before the checkpoint: a run killed in between validates again after it resumes.
             if task.validation and recipe.validates_at(state.step):
-                network = released()
-                figures = validate(
-                    network, task.validation, recipe.validation, processes, board, state.step
-                )
-                # The table is written by the first process alone.
-                is_best = scores and scores.add(state.step, figures, recipe.validation.best)
-                if is_best:
-                    save_checkpoint(out / BEST, network, training=facts())
+                score(released())
             if state.step % recipe.checkpoint_every == 0:
                 state.save(out / LAST, facts())
     state.save(out / LAST, facts())
     if state.step == steps and processes.is_first:
         save_checkpoint(out / FINAL, released(), training=facts())
+        for line in scores.compare() if scores else ():
+            tqdm.write(line, file=sys.stderr)
     processes.wait()  # until the file is written
     # Stopped early there is nothing to release yet.
     return out / (FINAL if state.step == steps else LAST)

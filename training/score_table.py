@@ -3,7 +3,7 @@
 import csv
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from runtime.errors import InputError
@@ -13,13 +13,15 @@ from runtime.io.atomic_write import atomic_write
 SHOWN = ("miou", "mae_m", "rmse_m", "boundary_f")
 #: Prefixes of scores that are errors: the smaller the better.
 _ERRORS = ("mae", "rmse", "imae", "irmse")
+#: Relative change for the worse from which `ScoreTable.compare` warns.
+_TOLERANCE = 0.05
 
 
 class ScoreTable:
     """A CSV file with one row per step and set: "step", "set", and one column per score.
 
-    Rows of steps after ``step`` are dropped: an interrupted run computes them again. InputError for
-    a file of another kind.
+    Rows of steps after ``step`` are dropped, at step 0 all: an interrupted run computes them again.
+    InputError for a file of another kind.
     """
 
     def __init__(self, path: Path, step: int) -> None:
@@ -32,7 +34,7 @@ class ScoreTable:
                 rows = list(csv.DictReader(stream))
             if not all(row["set"] for row in rows):
                 raise ValueError("a row without its set")
-            self._rows = [row for row in rows if int(row["step"]) <= step]
+            self._rows = [row for row in rows if int(row["step"]) <= step and step > 0]
         except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
             raise InputError(
                 f"{path}: is not a table of scores ({type(error).__name__}: {error}). Move it away."
@@ -61,11 +63,44 @@ class ScoreTable:
         atomic_write(self._path, text.getvalue().encode())
         if not figure:
             return False
-        sign = -1 if figure.startswith(_ERRORS) else 1
+        sign = -1 if _is_error(figure) else 1
         now = sign * scores[name][figure]
         return not math.isnan(now) and all(
             now > sign * value for value in before if not math.isnan(value)
         )
+
+    def compare(self) -> Iterator[str]:
+        """Yield a table of the shown scores before the first step and now, and what became worse.
+
+        Nothing where step 0 was not scored.
+        """
+        now = {row["set"]: row for row in self._rows}  # the last of each set
+        pairs = {
+            f"{row['set']}/{key}": (float(row[key]), float(now[row["set"]][key]))
+            for row in self._rows
+            if row["step"] == "0" and row is not now[row["set"]]
+            for key in SHOWN
+            if row.get(key) and now[row["set"]].get(key)
+        }
+        if not pairs:
+            return
+        width = max(map(len, pairs))
+        yield f"{'':{width}}  before   after"
+        for name, (first, last) in pairs.items():
+            yield f"{name:{width}}  {first:6.4f}  {last:6.4f}"
+        for name, (first, last) in pairs.items():
+            loss = (last - first) * (1 if _is_error(name) else -1)
+            if loss > _TOLERANCE * first:
+                yield (
+                    f"warning: {name} became worse, from {first:.4g} to {last:.4g}. Compare the "
+                    "data and the loss with those of --init, or lower optimizer.learning_rate; "
+                    "best.pt holds the best step."
+                )
+
+
+def _is_error(figure: str) -> bool:
+    """Whether a score is an error: the smaller the better. Of "SET/SCORE" the score counts."""
+    return figure.rpartition("/")[2].startswith(_ERRORS)
 
 
 def _choose(scores: Mapping[str, Mapping[str, float]], best: str) -> tuple[str, str]:

@@ -106,6 +106,16 @@ def test_a_terminal_shows_a_bar_with_the_loss(monkeypatch):
     assert "step 2 of" not in terminal.getvalue()
 
 
+def test_with_first_weights_the_scores_begin_before_the_first_step(run, tmp_path):
+    assert run("--set", "schedule.steps = 1", out="first").exit_code == 0
+    init = ("--init", str(tmp_path / "first/model.pt"), "--set", "schedule.steps = 2")
+    result = run(*init, recipe=RECIPE + VALIDATION)
+    assert result.exit_code == 0, result.output
+    assert read_scores(tmp_path / "run") == [(step, "camvid") for step in (0, 1, 2)]
+    assert "step 0: camvid/miou" in result.stderr
+    assert re.search(r"before +after\ncamvid/miou +[\d.]+ +[\d.]+\n", result.stderr)
+
+
 def test_validation_sets_are_scored_under_their_names(run, tmp_path):
     """One folder twice, with names of its own; the default is the path."""
     both = VALIDATION + 'name = "town"\n' + VALIDATION

@@ -71,6 +71,29 @@ def test_a_figure_that_the_set_lacks_is_named_with_those_it_has(tmp_path):
         table.add(1, {"a": {"mae_m": 1.0, "rmse_m": 2.0}}, "a/miou")
 
 
+def test_before_and_after_name_what_became_worse(tmp_path):
+    table = ScoreTable(tmp_path / "scores.csv", 0)
+    figures = {"miou": 0.5, "mae_m": 0.5, "rmse_m": 2.0, "iou_car": 0.5}
+    table.add(0, {"a/b": figures, "c": {"mae_m": 1.0}}, "")
+    assert not list(table.compare())  # nothing after
+    table.add(4, {"a/b": figures | {"mae_m": 9.0}, "c": {"mae_m": 9.0}}, "")
+    after = {"miou": 0.47, "mae_m": 2.25, "rmse_m": 2.05, "iou_car": 0.1}
+    table.add(8, {"a/b": after, "c": {"mae_m": 0.5}}, "")
+    lines = list(ScoreTable(tmp_path / "scores.csv", 8).compare())
+    assert [line.split() for line in lines[:5]] == [
+        ["before", "after"],
+        ["a/b/miou", "0.5000", "0.4700"],
+        ["a/b/mae_m", "0.5000", "2.2500"],
+        ["a/b/rmse_m", "2.0000", "2.0500"],
+        ["c/mae_m", "1.0000", "0.5000"],
+    ]
+    texts = ["a/b/miou became worse, from 0.5 to 0.47", "a/b/mae_m became worse, from 0.5 to 2.25"]
+    assert [line.split(". ")[0] for line in lines[5:]] == [f"warning: {text}" for text in texts]
+    random_start = ScoreTable(tmp_path / "other.csv", 0)
+    random_start.add(4, {"a": {"miou": 0.5}}, "")
+    assert not list(random_start.compare())
+
+
 @pytest.mark.parametrize("text", ["a,b\n1,2\n", "step,set\nx,a\n", "\xff\n", "step,set\n1\n"])
 def test_a_file_that_is_no_table_is_refused(tmp_path, text):
     path = tmp_path / "scores.csv"
