@@ -58,6 +58,9 @@ def train(
         ),
     ] = None,
     device: Annotated[str, typer.Option(help="'cpu', 'cuda' or 'cuda:N'.")] = "cpu",
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Threads of PyTorch; all cores by default.")
+    ] = None,
     stop_after: Annotated[
         int | None,
         typer.Option(min=1, help="Stop at this step, over all stages. The run can be resumed."),
@@ -80,11 +83,15 @@ def train(
     """Train a network; writes checkpoints, TensorBoard curves, scores and the resolved recipe."""
     with reported_errors("train"):
         # Heavy imports here, so that --help is quick.
+        import torch
+
         from training.dry_run import dry_run as draw_first_batch
         from training.initial_weights import find_weights
         from training.recipe_files import find_recipe
         from training.stages import next_stage, read_stages, train_stages
 
+        if threads is not None:
+            torch.set_num_threads(threads)
         with StopSignal() as stop:
             weights, taught_by = (
                 None if text is None else find_weights(text) for text in (init, teacher)

@@ -33,6 +33,7 @@ _DEFAULTS = {
     "loss": asdict(LossConfig()),
     "optimizer": asdict(OptimizerRecipe()),
     "loop": asdict(LoopRecipe()),
+    "schedule": {"warmup_steps": 0},
 }
 
 

@@ -94,6 +94,8 @@ def _train(
     steps = recipe.schedule.steps
     if state.step == steps and (out / FINAL).is_file():
         return out / FINAL
+    if state.step and processes.is_first:
+        tqdm.write(f"resumed at step {state.step} of {steps}", file=sys.stderr)
 
     def facts() -> dict[str, Any]:
         return TrainingFacts(

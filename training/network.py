@@ -61,7 +61,7 @@ def build_network(
         return network, frozenset()
     if isinstance(source, SSDNetLite) and isinstance(network, SSDNetLite):
         source = prune_trunk(source, network.config.encoder_widths, pictures)
-    return network, start_from(network, source, init)
+    return network, start_from(network, source, init, resumed=resumed)
 
 
 def _load_pretrained(network: SSDNetLite, pictures: Iterable[Tensor]) -> SSDNetLite:

@@ -248,7 +248,7 @@ class ValidationRecipe:
     lidar: Annotated[str, AfterValidator(_require_lidar)] = "own"
     source: Annotated[tuple[AnySource, ...], Field(max_length=100)] = ()
     #: Number of frames of each set, at equal distances, that TensorBoard shows as pictures.
-    pictures: Annotated[int, Field(ge=0, le=1000)] = 3
+    pictures: Annotated[int, Field(ge=0, le=1000)] = 2
     #: The score by which best.pt is chosen, "SET/SCORE", for example "camvid/miou"; scores are the
     #: columns of scores.csv. "" = of the first set: miou, or mae_m where it has no labels.
     best: str = ""

@@ -2,26 +2,35 @@
 
 import math
 import random
+import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
 from torch import Tensor
+from tqdm import tqdm
 
 from models import Network
+from runtime.cores import available_cores
 from runtime.errors import InputError
-from training.datasets.sample import SampleSource
+from training.datasets.sample import SampleSource, target_kind
 from training.distributed import Processes, synchronise_batch_norm
 from training.evaluation.scoring import require_lidar
 from training.lidar.split import LidarInput
 from training.limits import PAIR_STEP_PX
 from training.loading.crop import with_crop
 from training.loading.mixture import DepthTarget
-from training.loading.open_dataset import count_pixels, open_dataset, spread_indices
+from training.loading.open_dataset import (
+    FREQUENCY_SAMPLES,
+    count_pixels,
+    open_dataset,
+    spread_indices,
+)
 from training.losses import SSDNetLoss, class_weights
+from training.losses.total import TERMS
 from training.network import build_network, train_parts
 from training.optimizer import require_encoder
 from training.recipe import Recipe
@@ -89,6 +98,8 @@ def open_task(
     classes = recipe.model.class_table
     sources = [open_dataset(item, data, classes=classes) for item in recipe.data.source]
     recipe = with_crop(recipe, sources)
+    workers = min(recipe.data.workers, available_cores())
+    recipe = replace(recipe, data=replace(recipe.data, workers=workers))
     validation = {
         item.title: open_dataset(item, data, classes=classes) for item in recipe.validation.source
     }
@@ -110,6 +121,7 @@ def open_task(
             f"no loss term with a weight above 0 applies to the heads of {network.config.name!r} "
             f"({', '.join(heads)}). Set the weight of a term for these heads."
         )
+    _require_targets(recipe, heads, sources)
     taught_by = load_teacher(teacher, recipe.loss, network)
     weights = None
     if "semantic" in heads and recipe.loss.weighs_classes:
@@ -152,12 +164,37 @@ def _spread_pictures(sources: Sequence[SampleSource]) -> Iterator[Tensor]:
             yield torch.from_numpy(source[index].rgb).permute(2, 0, 1)[None].float()
 
 
-def _weigh_classes(recipe: Recipe, sources: Sequence[SampleSource], num_classes: int) -> Tensor:
+def _require_targets(recipe: Recipe, heads: Sequence[str], sources: Sequence[SampleSource]) -> None:
+    """Raise InputError if no term of the loss applies to the frames of any set."""
+    terms, targets = recipe.loss.terms_for(heads), recipe.loss.targets_for(heads)
+    if any(name in TERMS and not TERMS[name].target for name in terms):
+        return
+    frames = (source[i] for source in sources for i in spread_indices(source, FREQUENCY_SAMPLES))
+    if not any(
+        (frame.target(name) != target_kind(name).unlabelled).any()
+        for frame in frames
+        for name in targets
+    ):
+        raise InputError(
+            f"no frame of {_titles(recipe)} has a target of the loss: its terms "
+            f"{', '.join(terms)} need {' or '.join(targets)}. Add a set that has it, or set the "
+            "weight of another term."
+        )
+
+
+def _weigh_classes(
+    recipe: Recipe, sources: Sequence[SampleSource], num_classes: int
+) -> Tensor | None:
+    """Return the weights of the classes; None without labels, whose terms then never apply."""
     counts = count_pixels(recipe.data, sources, num_classes)
     if not counts.any():
-        raise InputError(
-            f"no pixel of {', '.join(item.title for item in recipe.data.source)} is labelled, so "
-            "there are no class frequencies. Set loss.class_weighting = 'none', take a network "
-            "without semantic head, or add a labelled set."
+        tqdm.write(
+            f"no pixel of {_titles(recipe)} is labelled: classes and boundaries are not trained",
+            file=sys.stderr,
         )
+        return None
     return class_weights(torch.from_numpy(counts), recipe.loss.class_weighting)
+
+
+def _titles(recipe: Recipe) -> str:
+    return ", ".join(item.title for item in recipe.data.source)

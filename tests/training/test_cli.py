@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import re
 import sys
 
@@ -16,6 +17,7 @@ from layouts import camvid
 from layouts.virtual_kitti import write_second_edition
 from models import SSDNetLite, SSDNetLiteConfig, load_checkpoint
 from models.registry import NETWORKS, Entry
+from runtime.cores import available_cores
 from training import progress
 from training.cli import app
 from training.datasets.camvid import CamVid
@@ -114,6 +116,30 @@ def test_with_first_weights_the_scores_begin_before_the_first_step(run, tmp_path
     assert read_scores(tmp_path / "run") == [(step, "camvid") for step in (0, 1, 2)]
     assert "step 0: camvid/miou" in result.stderr
     assert re.search(r"before +after\ncamvid/miou +[\d.]+ +[\d.]+\n", result.stderr)
+
+
+def test_a_resumed_run_names_its_step_and_not_its_first_weights(run, tmp_path, monkeypatch):
+    threads = []
+    monkeypatch.setattr(torch, "set_num_threads", threads.append)
+    assert run("--stop-after", "1", "--threads", "3", out="first").exit_code == 0
+    assert threads == [3]
+    # Without its classes something has random weights.
+    classes = "model = {name = 'ssdnet-lite', classes = [{name = 'sky', color = [0, 0, 0]}]}"
+    for path in (tmp_path / "camvid/trainannot").iterdir():
+        cv2.imwrite(str(path), np.zeros((40, 48), np.uint8))
+    options = ("--init", str(tmp_path / "first/last.pt"), "--set", classes)
+    source = "{kind = 'folders', path = 'camvid', rgb = 'train', labels = 'trainannot'}"
+    options += ("--set", f"data.source = [{source}]", "--set", "data.workers = 500")
+    first = run(*options, "--stop-after", "2")
+    assert first.exit_code == 0, first.output
+    assert "with random weights: semantic_coarse_head, semantic_head" in first.stderr
+    assert "resumed at" not in first.stderr
+    second = run(*options, "--stop-after", "3")
+    assert second.exit_code == 0, second.output
+    assert "resumed at step 2 of 10" in second.stderr
+    assert "random weights" not in second.stderr
+    document = json.loads((tmp_path / "run/recipe.json").read_text())
+    assert document["recipe"]["data"]["workers"] == available_cores()
 
 
 def test_validation_sets_are_scored_under_their_names(run, tmp_path):

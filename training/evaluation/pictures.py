@@ -17,6 +17,8 @@ from training.datasets.sample import IGNORE, SampleSource, target_kind
 from training.evaluation.scoring import HeadMaps, Predict, split_frames
 from training.lidar.split import LidarInput
 
+#: Largest width of a panel of a validation [px]: a long run has hundreds of them.
+_WIDEST = 320
 #: Side of the dot of a return [px].
 _DOT_PX = 3
 
@@ -48,7 +50,7 @@ def draw_pictures(
         has_depth = "depth" in network.heads and frame.target.any()
         truth = HeadMaps(sample.semantic if labelled else None, frame.target if has_depth else None)
         drawn = [
-            overlay.draw(sample.rgb, answer)
+            overlay.draw(sample.rgb, answer, widest=_WIDEST)
             for answer in (predict(sample.rgb, frame.fed, sample.focal_length_px), truth)
         ]
         yield sample.name, np.ascontiguousarray(_side_by_side(drawn)[..., ::-1])

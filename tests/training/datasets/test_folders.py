@@ -14,8 +14,10 @@ from runtime.contract import ClassInfo
 from runtime.errors import DatasetError, InputError
 from training.datasets.folders import FoldersRecipe
 from training.datasets.source_recipe import SourceRecipe
+from training.initial_weights import find_weights
 from training.loop import train
 from training.recipe import read_recipe
+from training.stages import read_stages
 
 CLASSES = (ClassInfo("lane", (10, 20, 30)), ClassInfo("rest", (200, 0, 0)))
 RECIPE = """
@@ -52,6 +54,13 @@ def mine(tmp_path):
         write(tmp_path / "mine" / "depth" / f"{stem}.png", depth)
         write(tmp_path / "mine" / "scans" / f"{stem}.png", depth // 2)
     return tmp_path / "mine"
+
+
+def test_depth_alone_is_trained_on(mine, tmp_path, capsys):
+    path = tmp_path / "recipe.toml"
+    path.write_text(RECIPE.replace('labels = "labels"\n', ""))
+    train(read_recipe(path), data=[tmp_path], out=tmp_path / "run")
+    assert "no pixel of mine is labelled: classes and bound" in capsys.readouterr().err
 
 
 def test_everything_is_paired_by_stem(mine):
@@ -182,7 +191,8 @@ def test_sets_of_other_classes_are_refused_beside_it(mine, tmp_path):
 def test_the_recipe_of_the_docs_reads(tmp_path):
     text = (Path(__file__).parents[3] / "docs" / "training.md").read_text()
     (tmp_path / "r.toml").write_text(text.split("```toml\n")[1].split("```")[0])
-    recipe = read_recipe(tmp_path / "r.toml")
+    (stage,) = read_stages(tmp_path / "r.toml", init=find_weights("ssdnet-lite"))
+    recipe = stage.recipe
     assert recipe.data.source[0].sparse_depth == "lidar"
     assert recipe.model.config["canonical_focal_px"] == 721.5
     assert [info.name for info in recipe.model.class_table] == ["road", "other"]
