@@ -185,6 +185,11 @@ class OptimizerRecipe:
     #: batch statistics are constant, too.
     frozen: Annotated[tuple[str, ...], Field(max_length=100)] = ()
 
+    def __post_init__(self) -> None:
+        """Check that something learns."""
+        if not (self.learning_rate or self.encoder_rate):
+            raise ValueError("learning_rate = 0: nothing would learn")
+
 
 @dataclass(frozen=True, config=STRICT)
 class ScheduleRecipe:
@@ -193,6 +198,13 @@ class ScheduleRecipe:
     steps: Steps
     warmup_steps: Annotated[int, Field(ge=0, le=10**8)] = 0
     shape: Literal["cosine", "constant"] = "cosine"
+
+    def __post_init__(self) -> None:
+        """Check that the warm-up ends."""
+        if self.warmup_steps > self.steps:
+            raise ValueError(
+                f"warmup_steps = {self.warmup_steps}: longer than the run of steps = {self.steps}"
+            )
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -44,8 +44,7 @@ class ScoreTable:
         """Write the scores of a step; return whether the score ``best`` is the best so far.
 
         ``best`` is "SET/SCORE", or "" for the first set's miou or, without labels, mae_m.
-        InputError for a score that the set does not have, OutputError if the file cannot be
-        written.
+        OutputError if the file cannot be written.
         """
         name, figure = _choose(scores, best)
         before = [
@@ -107,11 +106,6 @@ def _choose(scores: Mapping[str, Mapping[str, float]], best: str) -> tuple[str, 
     """Return set and score; the score is empty if the first set has neither labels nor depth."""
     if best:
         name, _, figure = best.rpartition("/")
-        if figure not in scores[name]:
-            raise InputError(
-                f"validation.best = {best!r}; {name} has {', '.join(scores[name])}. Choose one; "
-                "the run can be resumed."
-            )
         return name, figure
     name = next(iter(scores))
     return name, next((figure for figure in ("miou", "mae_m") if figure in scores[name]), "")

@@ -14,11 +14,12 @@ from torch import Tensor
 from tqdm import tqdm
 
 from models import Network
+from runtime.contract import MIN_SIDE
 from runtime.cores import available_cores
 from runtime.errors import InputError
 from training.datasets.sample import SampleSource, target_kind
 from training.distributed import Processes, synchronise_batch_norm
-from training.evaluation.scoring import require_lidar
+from training.evaluation.scoring import figure_names, require_lidar
 from training.lidar.split import LidarInput
 from training.limits import PAIR_STEP_PX
 from training.loading.crop import with_crop
@@ -30,7 +31,6 @@ from training.loading.open_dataset import (
     spread_indices,
 )
 from training.losses import SSDNetLoss, class_weights
-from training.losses.total import TERMS
 from training.network import build_network, train_parts
 from training.optimizer import require_encoder
 from training.recipe import Recipe
@@ -116,12 +116,9 @@ def open_task(
     if recipe.optimizer.encoder_rate is not None:
         require_encoder(network)
     heads = network.heads
-    if not recipe.loss.terms_for(heads):
-        raise InputError(
-            f"no loss term with a weight above 0 applies to the heads of {network.config.name!r} "
-            f"({', '.join(heads)}). Set the weight of a term for these heads."
-        )
-    _require_targets(recipe, heads, sources)
+    _require_learning(recipe, network, sources)
+    if recipe.validation.best:
+        _require_figure(recipe, network, validation)
     taught_by = load_teacher(teacher, recipe.loss, network)
     weights = None
     if "semantic" in heads and recipe.loss.weighs_classes:
@@ -164,22 +161,72 @@ def _spread_pictures(sources: Sequence[SampleSource]) -> Iterator[Tensor]:
             yield torch.from_numpy(source[index].rgb).permute(2, 0, 1)[None].float()
 
 
-def _require_targets(recipe: Recipe, heads: Sequence[str], sources: Sequence[SampleSource]) -> None:
-    """Raise InputError if no term of the loss applies to the frames of any set."""
-    terms, targets = recipe.loss.terms_for(heads), recipe.loss.targets_for(heads)
-    if any(name in TERMS and not TERMS[name].target for name in terms):
+def _require_learning(recipe: Recipe, network: Network, sources: Sequence[SampleSource]) -> None:
+    """Raise InputError if no term of the loss trains a part, or none applies to any frame."""
+    name, loss = network.config.name, recipe.loss
+    terms = loss.terms_for(network.heads)
+    if not terms:
+        raise InputError(
+            f"no loss term with a weight above 0 applies to the heads of {name!r} "
+            f"({', '.join(network.heads)}). Set the weight of a term for these heads."
+        )
+    learning = _learning_heads(network)
+    terms = [term for term in terms if learning & loss.heads_of(term)]
+    if not terms:
+        raise InputError(
+            f"nothing would learn: no term of the loss depends on a part of {name!r} that is "
+            "trained. Change optimizer.only or optimizer.frozen, or set the weight of another term."
+        )
+    targets = [loss.target_of(term) for term in terms]
+    if "" in targets:
         return
     frames = (source[i] for source in sources for i in spread_indices(source, FREQUENCY_SAMPLES))
     if not any(
-        (frame.target(name) != target_kind(name).unlabelled).any()
+        (frame.target(target) != target_kind(target).unlabelled).any()
         for frame in frames
-        for name in targets
+        for target in set(targets)
     ):
         raise InputError(
             f"no frame of {_titles(recipe)} has a target of the loss: its terms "
-            f"{', '.join(terms)} need {' or '.join(targets)}. Add a set that has it, or set the "
-            "weight of another term."
+            f"{', '.join(terms)} need {' or '.join(sorted(set(targets)))}. Add a set that has it, "
+            "or set the weight of another term."
         )
+
+
+def _learning_heads(network: Network) -> set[str]:
+    """Return the heads whose answers depend on a parameter that is trained."""
+    size = (1, 1, MIN_SIDE, MIN_SIDE)
+    # Batch statistics must not change; each step chooses anew what is in training mode.
+    output = network.eval()(torch.zeros(size).expand(-1, 3, -1, -1), torch.zeros(size))
+    answers: dict[str, Sequence[Tensor | None]] = {
+        "semantic": [output.semantic_logits],
+        "depth": output.depths or (),
+        "boundary": [output.boundary_logits],
+        "depth_uncertainty": [output.depth_uncertainty],
+        **{head: [answer] for head, answer in output.others.items()},
+    }
+    return {
+        head
+        for head, found in answers.items()
+        if any(answer is not None and answer.requires_grad for answer in found)
+    }
+
+
+def _require_figure(
+    recipe: Recipe, network: Network, validation: Mapping[str, SampleSource]
+) -> None:
+    """Raise InputError if the set of ``validation.best`` does not give its score."""
+    title, _, figure = recipe.validation.best.rpartition("/")
+    lidar = LidarInput.parse(recipe.validation.lidar)
+    for count in (1, FREQUENCY_SAMPLES):  # mostly the first frame says it
+        indices = spread_indices(validation[title], count)
+        known = figure_names(network, validation[title], indices, lidar)
+        if figure in known:
+            return
+    raise InputError(
+        f"validation.best = {recipe.validation.best!r}; {title} gives {', '.join(known)}. Choose "
+        "one of these."
+    )
 
 
 def _weigh_classes(

@@ -214,6 +214,15 @@ def test_a_dry_run_draws_the_first_batch_and_writes_nothing_else(run, tmp_path):
     assert picture.shape[1] == 4 * 32  # image, classes, depth, LiDAR input
     assert picture.shape[0] > 2 * 32  # two samples and the legend
     # What cannot start is refused as without --dry-run.
+    for change, text in (
+        ("schedule.warmup_steps = 11", "schedule.warmup_steps = 11: longer than the run of steps"),
+        ("optimizer.learning_rate = 0.0", "optimizer.learning_rate = 0: nothing would learn"),
+        ("optimizer.frozen = ['']", "nothing would learn"),
+        ("validation.best = 'camvid/mae_m'", "best = 'camvid/mae_m'; camvid gives miou, accuracy"),
+    ):
+        result = run("--dry-run", "--set", change, recipe=RECIPE + VALIDATION, out="other")
+        assert result.exit_code == 1
+        assert text in result.output.replace("\n", " ")
     result = run("--dry-run", "--set", "data.source = [{kind = 'camvid', path = 'x'}]", out="other")
     assert result.exit_code == 1
     assert "no folder 'x'" in result.output

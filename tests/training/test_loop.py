@@ -94,7 +94,7 @@ def recipe(steps=6, **loop_options):
             batch_size=4,
             workers=0,
         ),
-        schedule=ScheduleRecipe(steps=steps, warmup_steps=2),
+        schedule=ScheduleRecipe(steps=steps, warmup_steps=min(2, steps)),
         loop=LoopRecipe(ema_decay=0.5, checkpoint_every=2, log_every=1, **loop_options),
         validation=ValidationRecipe(every=1000, source=(replace(source, split="val"),)),
     )
@@ -407,6 +407,22 @@ def test_a_damaged_state_of_the_loop_is_not_resumed(data, tmp_path):
             train(recipe(), data=[data], out=tmp_path / "run")
 
 
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"frozen": ("",)}, "nothing would learn: .* optimizer.frozen"),
+        ({"only": ("semantic_head",)}, "nothing would learn: .* optimizer.only"),
+        ({"only": ("depth_",)}, r"no frame of camvid has a target .* its terms depth.* need depth"),
+    ],
+)
+def test_a_run_in_which_nothing_would_learn_is_refused(data, tmp_path, changes, text):
+    depth_alone = LossConfig(1.0, 0.0, 0.0, 0.0, 0.0)
+    run = replace(recipe(steps=1), loss=depth_alone, optimizer=OptimizerRecipe(**changes))
+    with pytest.raises(InputError, match=text):
+        train(run, data=[data], out=tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
 def test_sets_without_a_target_of_the_loss_are_refused(data, tmp_path):
     for path in (data / "camvid" / "trainannot").iterdir():
         cv2.imwrite(str(path), np.full((64, 80), 11, np.uint8))
@@ -541,7 +557,7 @@ def test_final_checkpoint_carries_data_and_terms(data, tmp_path):
 
 def test_init_starts_from_other_weights_of_the_same_kind(data, tmp_path, monkeypatch):
     first = train(recipe(steps=1), data=[data], out=tmp_path / "a")
-    frozen = replace(recipe(steps=1), optimizer=replace(recipe().optimizer, learning_rate=0.0))
+    frozen = replace(recipe(steps=1), optimizer=replace(recipe().optimizer, learning_rate=1e-30))
     second = train(frozen, data=[data], out=tmp_path / "b", init=first)
     parameters = [name for name in weights(first) if name.endswith("head.weight")]
     assert parameters
@@ -611,7 +627,7 @@ def test_init_loads_what_fits_and_reports_the_rest(data, tmp_path, monkeypatch, 
     assert "with random weights" not in capsys.readouterr().err
     wider = replace(TINY, semantic_refine_channels=TINY.semantic_refine_channels + 4)
     monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNetLite, wider))
-    frozen = replace(recipe(steps=1), optimizer=replace(recipe().optimizer, learning_rate=0.0))
+    frozen = replace(recipe(steps=1), optimizer=replace(recipe().optimizer, learning_rate=1e-30))
     second = train(frozen, data=[data], out=tmp_path / "b", init=first)
     text = capsys.readouterr().err
     assert "with random weights: semantic_head, semantic_refine." in text

@@ -120,6 +120,7 @@ def read_shrunk(path):
     """
     changes = (
         *("data.batch_size = 16", "data.seed = 26", "data.workers = 0", "schedule.steps = 1"),
+        "schedule.warmup_steps = 0",
         *("validation.every = 1", "loop.log_every = 1", "release.trained_share = 1.0"),
     )
     return [shrink_recipe(stage.recipe) for stage in read_stages(path, changes)]

@@ -65,12 +65,6 @@ def test_the_default_is_the_first_set(tmp_path):
     assert [table.add(step, item, "") for step, item in enumerate(scores)] == [True, False, True]
 
 
-def test_a_figure_that_the_set_lacks_is_named_with_those_it_has(tmp_path):
-    table = ScoreTable(tmp_path / "scores.csv", 0)
-    with pytest.raises(InputError, match=r"validation\.best = 'a/miou'; a has mae_m, rmse_m"):
-        table.add(1, {"a": {"mae_m": 1.0, "rmse_m": 2.0}}, "a/miou")
-
-
 def test_before_and_after_name_what_became_worse(tmp_path):
     table = ScoreTable(tmp_path / "scores.csv", 0)
     figures = {"miou": 0.5, "mae_m": 0.5, "rmse_m": 2.0, "iou_car": 0.5}

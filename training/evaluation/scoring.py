@@ -12,6 +12,7 @@ from models import Network
 from models.answers import answers
 from models.classes import CATEGORIES
 from runtime.errors import InputError
+from runtime.heads import HEADS
 from runtime.postprocess import to_frame
 from runtime.preprocess import preprocess
 from runtime.resize import Size
@@ -257,6 +258,20 @@ def require_lidar(sources: Mapping[str, SampleSource], lidar: LidarInput) -> Non
     """Raise an InputError for a LiDAR that the first frame of a set cannot give."""
     for source in sources.values():
         next(split_frames(source, [0], lidar))
+
+
+def figure_names(
+    network: Network, source: SampleSource, indices: Iterable[int], lidar: LidarInput
+) -> list[str]:
+    """Return the names of the figures that a network gets on frames of a set; it does not run."""
+
+    def answer(rgb: NDArray[np.uint8], _: object, __: object) -> HeadMaps:
+        heads = set(HeadMaps._fields) & set(network.heads)
+        return HeadMaps(**{head: np.ones(rgb.shape[:2], HEADS[head].dtype) for head in heads})
+
+    frames = split_frames(source, indices, lidar)
+    scores = score(answer, frames, num_classes=network.config.num_classes)
+    return list(scores.figures([info.name for info in network.config.classes]))
 
 
 def score_sources(

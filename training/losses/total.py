@@ -163,8 +163,16 @@ class LossConfig:
 
     def targets_for(self, heads: Collection[str]) -> tuple[str, ...]:
         """Return the names of the targets that the terms of these heads need."""
-        needed = [TERMS[name].target if name in TERMS else name for name in self.terms_for(heads)]
-        return tuple(sorted({name for name in needed if name}))
+        needed = {self.target_of(name) for name in self.terms_for(heads)}
+        return tuple(sorted(needed - {""}))
+
+    def target_of(self, name: str) -> str:
+        """Return the target of a term or of another head's loss, "" for none."""
+        return TERMS[name].target if name in TERMS else name
+
+    def heads_of(self, name: str) -> frozenset[str]:
+        """Return the heads that a term or another head's loss compares."""
+        return TERMS[name].heads if name in TERMS else frozenset({name})
 
     def taught_heads(self, heads: Collection[str]) -> list[str]:
         """Return those of the heads whose answers are compared with a teacher's."""
