@@ -1,5 +1,7 @@
 """A user's images, depth and labels: a folder each, files paired by their stem."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,11 +19,10 @@ from training.datasets.files import (
     dataset_errors,
     read_depth,
     read_gray,
-    require_complete,
     require_folder,
     require_size,
 )
-from training.datasets.sample import IGNORE, FrameList, Sample
+from training.datasets.sample import IGNORE, FrameList, Sample, nothing_known
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT, Positive, Share
 
@@ -43,6 +44,11 @@ class FoldersRecipe(SourceRecipe):
     labels: _Folder | None = None
     #: "cityscapes": trainIds, which are mapped to ``model.classes``.
     label_classes: Literal["cityscapes"] | None = None
+    #: Name in ``model.classes`` of each id, or "ignore"; instead of the order of the classes.
+    label_ids: Mapping[Annotated[int, Field(ge=0, le=255)], str] = field(default_factory=dict)
+    #: "skip-target": a frame without its depth or labels has no such target, one without its
+    #: sparse depth no LiDAR. Otherwise it is an error.
+    missing: Literal["error", "skip-target"] = "error"
     #: Units of the 16-bit PNGs per metre; 0 = no measurement.
     depth_scale: Positive = KITTI_DEPTH_SCALE
     #: The id of pixels without a class.
@@ -51,6 +57,11 @@ class FoldersRecipe(SourceRecipe):
     intrinsics: tuple[Positive, Positive, float, float] | None = None
     #: Weight of the labels, below 1 for those made by a network.
     semantic_weight: Share = 1.0
+
+    def __post_init__(self) -> None:
+        """Check that the ids have one meaning."""
+        if self.label_ids and self.label_classes is not None:
+            raise ValueError("label_ids and label_classes both name the ids; set one of them")
 
     def open(self, folder: Path, classes: ClassTable) -> "Folders":
         """See `SourceRecipe.open`."""
@@ -61,7 +72,7 @@ class Folders(FrameList):
     """The images of ``root/<recipe.rgb>`` in the order of their names, with depth and labels.
 
     An image a.jpg has its depth in a.png of the depth folder, and so on; every folder that the
-    recipe names must have a file for every image.
+    recipe names must have a file for every image, with ``missing = "skip-target"`` for one.
 
     Raises:
         DatasetError: for missing folders or partners, files of another kind or size, and ids that
@@ -75,18 +86,42 @@ class Folders(FrameList):
         self._lookup = np.arange(256, dtype=np.uint8)
         if recipe.label_classes is not None:
             self._lookup = id_lookup(recipe.label_classes, classes, TRAIN_LABELS)
+        self._known = np.arange(256) < (0 if recipe.label_ids else self._num_classes)
+        self._lookup[recipe.ignore], self._known[recipe.ignore] = IGNORE, True
+        names = [info.name for info in list_classes(classes)]
+        for index, name in recipe.label_ids.items():
+            if name not in (*names, "ignore"):
+                raise DatasetError(
+                    f"label_ids: {index} = {name!r} is no class of model.classes; expected one of "
+                    f"{', '.join(names)}, or 'ignore'."
+                )
+            self._lookup[index] = names.index(name) if name in names else IGNORE
+            self._known[index] = True
         depth = None if recipe.depth is None else self._root / recipe.depth
         self._source = FolderSource(
             self._root / recipe.rgb, depth=depth, depth_scale=recipe.depth_scale
         )
         images = [frame for frame in self._source.list_frames() if frame.image is not None]
         self._frames = sorted(images, key=lambda frame: str(frame.image))
+        self._source.camera_alone = recipe.missing == "skip-target"
         if depth is not None:
-            require_complete(self._frames, depth)
+            self._require_files(depth, [frame.name for frame in self._frames if not frame.depth])
         for name in (recipe.sparse_depth, recipe.labels):
             if name is not None:
-                files = [f"{frame.name}.png" for frame in self._frames]
-                require_folder(self._root / name, "a PNG for every image", files=files)
+                folder = require_folder(self._root / name, "a PNG for every image")
+                there = {path.name for path in folder.iterdir()}
+                names = [frame.name for frame in self._frames]
+                self._require_files(folder, [name for name in names if f"{name}.png" not in there])
+
+    def _require_files(self, folder: Path, lacking: Sequence[str]) -> None:
+        """Raise DatasetError for images without a file, as far as the recipe wants one."""
+        most = len(self._frames) - 1 if self._recipe.missing == "skip-target" else 0
+        if len(lacking) > most:
+            raise DatasetError(
+                f"{folder}: has no file of the frame {lacking[0]} ({len(lacking)} of "
+                f"{len(self._frames)} frames lack it). Add the files, or leave out the target of "
+                'such frames with missing = "skip-target".'
+            )
 
     @dataset_errors()
     def __getitem__(self, index: int) -> Sample:
@@ -100,13 +135,13 @@ class Folders(FrameList):
             fx, fy, cx, cy = recipe.intrinsics
             intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
         if recipe.sparse_depth is not None:
-            path = self._root / recipe.sparse_depth / f"{listed.name}.png"
-            sparse_depth = read_depth(path, size, depth_scale=recipe.depth_scale)
+            sparse_depth = nothing_known(size)
+            if path := self._find(recipe.sparse_depth, listed.name):
+                sparse_depth = read_depth(path, size, depth_scale=recipe.depth_scale)
         targets: dict[str, NDArray[Any]] = {}
-        if recipe.depth is not None:
+        if listed.depth is not None:
             targets["depth"] = frame.sparse_depth
-        if recipe.labels is not None:
-            path = self._root / recipe.labels / f"{listed.name}.png"
+        if recipe.labels is not None and (path := self._find(recipe.labels, listed.name)):
             targets["semantic"] = self._read_labels(path, size)
         return Sample(
             rgb=frame.rgb,
@@ -117,14 +152,24 @@ class Folders(FrameList):
             weights={"semantic": recipe.semantic_weight},
         )
 
+    def _find(self, folder: str, name: str) -> Path | None:
+        """Return the PNG of a frame; None if it is missing and may be."""
+        path = self._root / folder / f"{name}.png"
+        return path if self._recipe.missing == "error" or path.is_file() else None
+
     def _read_labels(self, path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
         label = read_gray(path, np.uint8, size)
-        known = label != self._recipe.ignore
-        highest = int(label.max(initial=0, where=known))
-        if highest >= self._num_classes:
-            table = self._recipe.label_classes or "the recipe's model.classes"
-            raise DatasetError(
-                f"{path}: class id {highest}, expected 0..{self._num_classes - 1} of {table}, or "
-                f"{self._recipe.ignore} for none. Correct the file or the table."
+        unknown = label[~self._known[label]]
+        if unknown.size:
+            recipe, found = self._recipe, unknown.max()
+            table = recipe.label_classes or "the recipe's model.classes"
+            expected = (
+                f"one of label_ids: {', '.join(map(str, recipe.label_ids))}"
+                if recipe.label_ids
+                else f"0..{self._num_classes - 1} of {table}"
             )
-        return np.where(known, self._lookup[label], np.uint8(IGNORE))
+            raise DatasetError(
+                f"{path}: class id {found}, expected {expected}, or {recipe.ignore} for none. "
+                f'Correct the file, or name its ids: label_ids = {{ {found} = "ignore" }}.'
+            )
+        return self._lookup[label]

@@ -2,7 +2,7 @@
 
 import os
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -133,6 +133,52 @@ def test_recorded_pictures_with_labels_of_a_network():
     shares = counts / counts.sum()
     assert shares[[0, 1, 3, 8]].min() > 0.02  # sky, buildings, road, cars
     assert shares[:11].sum() > 0.6
+
+
+def test_ids_are_named_by_the_recipe(mine, tmp_path):
+    text = RECIPE.replace(
+        'labels = "labels"', 'labels = "labels"\nlabel_ids = {7 = "rest", 0 = "lane", 9 = "ignore"}'
+    )
+    write(mine / "labels" / "a.png", np.uint8([[0, 7, 9, 255]]).repeat(40, 0).repeat(16, 1))
+    (tmp_path / "r.toml").write_text(text)
+    recipe = read_recipe(tmp_path / "r.toml").data.source[0]
+    assert recipe.open(mine, CLASSES)[0].semantic[5, ::16].tolist() == [0, 1, 255, 255]
+    with pytest.raises(DatasetError, match=r"class id 1, expected one of label_ids: 7, 0, 9, or"):
+        recipe.open(mine, CLASSES)[1]
+    with pytest.raises(
+        DatasetError, match=r"7 = 'rest' is no class of model\.classes; .* 'ignore'"
+    ):
+        recipe.open(mine, CLASSES[:1])
+    for keys, message in (
+        ("label_classes = 'cityscapes', label_ids = {1 = 'lane'}", "label_ids and label_classes"),
+        ("label_ids = {300 = 'lane'}", r"label_ids.*300"),
+    ):
+        source = f"data.source = [{{kind = 'folders', path = 'mine', {keys}}}]"
+        with pytest.raises(InputError, match=message):
+            read_recipe(tmp_path / "r.toml", [source])
+
+
+def test_frames_without_a_target_may_be_skipped(mine, tmp_path):
+    keys = {"depth": "depth", "sparse_depth": "scans", "labels": "labels", "path": "mine"}
+    for folder in ("depth", "scans", "labels"):
+        (mine / folder / "b.png").unlink()
+        with pytest.raises(DatasetError, match=rf'{folder}: has no file .* b .*"skip-target"'):
+            FoldersRecipe(path="mine", **{k: v for k, v in keys.items() if v == folder}).open(
+                mine, CLASSES
+            )
+    recipe = FoldersRecipe(missing="skip-target", **keys)
+    first, second = recipe.open(mine, CLASSES)[0], recipe.open(mine, CLASSES)[1]
+    assert first.targets.keys() == {"depth", "semantic"}
+    assert first.sparse_depth.any()
+    assert not second.targets
+    assert not second.sparse_depth.any()
+    (tmp_path / "r.toml").write_text(RECIPE)
+    run = read_recipe(tmp_path / "r.toml")
+    run = replace(run, data=replace(run.data, source=(recipe,)))
+    assert train(run, data=[tmp_path], out=tmp_path / "run").name == "model.pt"
+    (mine / "labels" / "a.png").unlink()
+    with pytest.raises(DatasetError, match="2 of 2 frames lack it"):
+        recipe.open(mine, CLASSES)
 
 
 def test_what_is_missing_or_wrong_is_named(mine):
