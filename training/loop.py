@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,11 +13,22 @@ from models import Network, save_checkpoint
 from models.training_facts import TrainingFacts
 from training.distributed import Processes, join_processes
 from training.loading.batches import read_batches
+from training.loading.open_dataset import find_folder
 from training.progress import Progress
 from training.provenance import state_provenance
 from training.recipe import Recipe
 from training.release import release_weights
-from training.run_folder import BEST, FINAL, LAST, SCORES, TENSORBOARD, name_weights, prepare_folder
+from training.run_folder import (
+    BEST,
+    FINAL,
+    LAST,
+    SCORES,
+    TENSORBOARD,
+    list_data,
+    lock_folder,
+    name_weights,
+    prepare_folder,
+)
 from training.score_table import ScoreTable
 from training.state import TrainingState
 from training.task import open_task
@@ -63,13 +74,14 @@ def train(
         CheckpointError: if a checkpoint cannot be read or written.
         NonFiniteLossError: if the loss or its gradient is NaN or infinite.
     """
-    with join_processes(device) as processes:
-        return _train(recipe, processes, data, out, init, teacher, stop_after, stop)
+    with join_processes(device) as processes, ExitStack() as held:
+        return _train(recipe, processes, held, data, out, init, teacher, stop_after, stop)
 
 
 def _train(
     recipe: Recipe,
     processes: Processes,
+    held: ExitStack,
     data: Sequence[Path],
     out: Path,
     init: Path | None,
@@ -86,7 +98,11 @@ def _train(
         "processes": processes.count,
     }
     if processes.is_first:
-        prepare_folder(out, resolved)  # only now: a training that cannot start leaves no folder
+        sets = [item for item in (*recipe.data.source, *recipe.validation.source) if item.on_disk]
+        files = list_data({item.path: find_folder(item, data) for item in sets})
+        # Only now: a training that cannot start leaves no folder.
+        held.enter_context(lock_folder(out))
+        prepare_folder(out, resolved, files)
     processes.wait()
     known_data, terms = state_provenance(recipe, init, teacher)
     state = TrainingState(recipe, task, processes, out)

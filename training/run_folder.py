@@ -1,7 +1,11 @@
 """The folder of a run: its files, and whether it belongs to a recipe."""
 
+import fcntl
 import hashlib
 import json
+import os
+import socket
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -10,6 +14,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from tqdm import tqdm
 
 from runtime.errors import InputError, SSDNetError
 from runtime.io.atomic_write import atomic_write
@@ -24,6 +29,9 @@ SCORES = "scores.csv"
 NON_FINITE = "non_finite.json"
 TENSORBOARD = "tensorboard"
 BATCH = "batch.png"
+LOCK = "lock"
+#: The key of the data's files in recipe.json.
+_DATA = "data_files"
 
 #: Keys that may change when a run is resumed: they change neither its weights nor by which scores
 #: best.pt is chosen.
@@ -42,14 +50,82 @@ class NonFiniteLossError(SSDNetError):
     """The loss is NaN or infinite; the message names the step and the file with the frames."""
 
 
-def prepare_folder(out: Path, resolved: Mapping[str, Any]) -> None:
-    """Make ``out`` the folder of this training; InputError if it belongs to another one."""
+def prepare_folder(
+    out: Path, resolved: Mapping[str, Any], files: Mapping[str, Mapping[str, Any]]
+) -> None:
+    """Make ``out`` the folder of this training; InputError if it belongs to another one.
+
+    ``files`` describes the data, see `list_data`. Those of the first start stay in recipe.json; a
+    difference to them is a warning on stderr.
+    """
     path = out / RECIPE
     with folder_errors(out):
+        before: Mapping[str, Any] = {}
         if path.is_file():
-            require_same(_read_json(path), resolved, path)
+            before = _read_json(path)
+            require_same(before, resolved, path)
+            _warn_of_other_data(before.get(_DATA) or files, files)
         out.mkdir(parents=True, exist_ok=True)
-        atomic_write(path, json.dumps(resolved, indent=2, default=str).encode())
+        document = {**resolved, _DATA: before.get(_DATA) or files}
+        atomic_write(path, json.dumps(document, indent=2, default=str).encode())
+
+
+def _warn_of_other_data(
+    before: Mapping[str, Mapping[str, Any]], now: Mapping[str, Mapping[str, Any]]
+) -> None:
+    for name, found in now.items():
+        first = before.get(name, {"files": 0})
+        if first == found:
+            continue
+        text = f"{first['files']} files when the run began, now {found['files']}"
+        if first["files"] == found["files"]:
+            text = f"the {found['files']} files have other names than when the run began"
+        tqdm.write(f"warning: {name}: {text}; the run resumes with other data", file=sys.stderr)
+
+
+def list_data(folders: Mapping[str, Path]) -> dict[str, dict[str, Any]]:
+    """Describe the files below the folder of each set: their number, and SHA-256 of the names."""
+    described = {}
+    for name, folder in folders.items():
+        names = sorted(
+            os.path.relpath(os.path.join(place, file), folder)
+            for place, _, files in os.walk(folder, followlinks=True)
+            for file in files
+        )
+        digest = hashlib.sha256("\n".join(names).encode(errors="surrogateescape")).hexdigest()
+        described[name] = {"files": len(names), "sha256": digest}
+    return described
+
+
+@contextmanager
+def lock_folder(out: Path) -> Iterator[None]:
+    """Keep other trainings from writing to ``out``; InputError that names the one that does.
+
+    The lock ends with the process. It is POSIX's, which workers of the process do not inherit. A
+    file system without locks has none.
+    """
+    path = out / LOCK
+    with folder_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+        file = path.open("ab+", buffering=0)
+    with file:
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            file.truncate(0)
+            file.write(f"process {os.getpid()} on {socket.gethostname()}".encode())
+        except (BlockingIOError, PermissionError):
+            file.seek(0)
+            other = file.read(200).decode(errors="replace")
+            raise InputError(
+                f"{out}: {other or 'another process'} trains in it. Wait for it, end it, or choose "
+                "another --out."
+            ) from None
+        except OSError:  # no locks, or no space for the name
+            pass
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -139,8 +215,9 @@ def require_finite(
     if processes.is_first:
         document = {"step": step, "terms": values, "frames": frames}
         atomic_write(path, json.dumps(document, indent=2).encode())
+    last = f" with --init {out / LAST}" if (out / LAST).is_file() else ""
     raise NonFiniteLossError(
         f"step {step}: the loss ({values['total']}) or its gradient is not finite; the terms and "
-        f"the {len(frames)} frames of the batch are in {path}. Check them, or start a new --out "
-        f"with --init {out / LAST} and a lower learning rate."
+        f"the {len(frames)} frames of the batch are in {path}. Check them, or start a new --out"
+        f"{last} and a lower learning rate."
     )

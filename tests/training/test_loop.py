@@ -3,6 +3,8 @@
 import json
 import multiprocessing
 import shutil
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -492,6 +494,38 @@ def test_another_seed_ends_elsewhere(data, tmp_path):
     assert any(not torch.equal(a[name], b[name]) for name in a)
 
 
+def test_other_data_than_at_the_start_are_named(data, tmp_path, capsys):
+    train(recipe(steps=3), data=[data], out=tmp_path / "run", stop_after=1)
+    moved = data.rename(tmp_path / "moved")
+    train(recipe(steps=3), data=[moved], out=tmp_path / "run", stop_after=2)
+    assert "warning" not in capsys.readouterr().err
+    for folder in ("train", "trainannot"):
+        (moved / "camvid" / folder / "5.png").rename(moved / "camvid" / folder / "7.png")
+    for text in ("the 24 files have other names than when", "24 files when the run began, now 22"):
+        train(recipe(steps=3), data=[moved], out=tmp_path / "run", stop_after=2)
+        assert f"warning: camvid: {text}" in capsys.readouterr().err
+        for folder in ("train", "trainannot"):
+            (moved / "camvid" / folder / "7.png").unlink(missing_ok=True)
+
+
+def test_a_folder_has_one_writer(data, tmp_path):
+    """The lock of a process that was killed is gone with it, though its file is there."""
+    script = (
+        "import sys, pathlib, training.run_folder as folder\n"
+        "with folder.lock_folder(pathlib.Path(sys.argv[1])): print('held', flush=True); input()"
+    )
+    command = [sys.executable, "-c", script, str(tmp_path / "run")]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(InputError, match=rf"process {other.pid} on .* trains in it"):
+            train(recipe(steps=1), data=[data], out=tmp_path / "run")
+        other.kill()
+    assert train(recipe(steps=1), data=[data], out=tmp_path / "run").name == "model.pt"
+    assert not (tmp_path / "run/lock").exists()
+
+
 def test_another_recipe_in_the_same_folder_is_refused(data, tmp_path):
     train(recipe(steps=2), data=[data], out=tmp_path / "run")
     with pytest.raises(InputError, match="another recipe"):
@@ -506,8 +540,11 @@ def test_non_finite_loss_names_the_frames(data, tmp_path, monkeypatch):
         return {**terms, "total": terms["total"] * float("nan")}
 
     monkeypatch.setattr(state, "_compute_loss", spoil)
-    with pytest.raises(NonFiniteLossError, match=r"step 0: the loss \(nan\).*non_finite\.json"):
+    with pytest.raises(
+        NonFiniteLossError, match=r"step 0: the loss \(nan\).*non_finite\.json"
+    ) as raised:
         train(recipe(), data=[data], out=tmp_path / "run")
+    assert "last.pt" not in str(raised.value)  # there is none
     document = json.loads((tmp_path / "run" / "non_finite.json").read_text())
     assert document["step"] == 0
     assert len(document["frames"]) == recipe().data.batch_size

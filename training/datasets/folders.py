@@ -106,9 +106,9 @@ class Folders(FrameList):
         self._source.camera_alone = recipe.missing == "skip-target"
         if depth is not None:
             self._require_files(depth, [frame.name for frame in self._frames if not frame.depth])
-        for name in (recipe.sparse_depth, recipe.labels):
-            if name is not None:
-                folder = require_folder(self._root / name, "a PNG for every image")
+        for below in (recipe.sparse_depth, recipe.labels):
+            if below is not None:
+                folder = require_folder(self._root / below, "a PNG for every image")
                 there = {path.name for path in folder.iterdir()}
                 names = [frame.name for frame in self._frames]
                 self._require_files(folder, [name for name in names if f"{name}.png" not in there])
@@ -172,4 +172,5 @@ class Folders(FrameList):
                 f"{path}: class id {found}, expected {expected}, or {recipe.ignore} for none. "
                 f'Correct the file, or name its ids: label_ids = {{ {found} = "ignore" }}.'
             )
-        return self._lookup[label]
+        classes: NDArray[np.uint8] = self._lookup[label]
+        return classes
