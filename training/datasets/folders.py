@@ -1,7 +1,6 @@
 """A user's images, depth and labels: a folder each, files paired by their stem."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -45,7 +44,7 @@ class FoldersRecipe(SourceRecipe):
     #: "cityscapes": trainIds, which are mapped to ``model.classes``.
     label_classes: Literal["cityscapes"] | None = None
     #: Name in ``model.classes`` of each id, or "ignore"; instead of the order of the classes.
-    label_ids: Mapping[Annotated[int, Field(ge=0, le=255)], str] = field(default_factory=dict)
+    label_ids: Mapping[Annotated[int, Field(ge=0, le=255)], str] | None = None
     #: "skip-target": a frame without its depth or labels has no such target, one without its
     #: sparse depth no LiDAR. Otherwise it is an error.
     missing: Literal["error", "skip-target"] = "error"
@@ -89,7 +88,7 @@ class Folders(FrameList):
         self._known = np.arange(256) < (0 if recipe.label_ids else self._num_classes)
         self._lookup[recipe.ignore], self._known[recipe.ignore] = IGNORE, True
         names = [info.name for info in list_classes(classes)]
-        for index, name in recipe.label_ids.items():
+        for index, name in (recipe.label_ids or {}).items():
             if name not in (*names, "ignore"):
                 raise DatasetError(
                     f"label_ids: {index} = {name!r} is no class of model.classes; expected one of "
