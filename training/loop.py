@@ -13,7 +13,6 @@ from models import Network, save_checkpoint
 from models.training_facts import TrainingFacts
 from training.distributed import Processes, join_processes
 from training.loading.batches import read_batches
-from training.loading.open_dataset import find_folder
 from training.progress import Progress
 from training.provenance import state_provenance
 from training.recipe import Recipe
@@ -98,8 +97,8 @@ def _train(
         "processes": processes.count,
     }
     if processes.is_first:
-        sets = [item for item in (*recipe.data.source, *recipe.validation.source) if item.on_disk]
-        files = list_data({item.path: find_folder(item, data) for item in sets})
+        sets = (*recipe.data.source, *recipe.validation.source)
+        files = list_data(data, [item.path for item in sets])
         # Only now: a training that cannot start leaves no folder.
         held.enter_context(lock_folder(out))
         prepare_folder(out, resolved, files)

@@ -83,8 +83,11 @@ def _warn_of_other_data(
         tqdm.write(f"warning: {name}: {text}; the run resumes with other data", file=sys.stderr)
 
 
-def list_data(folders: Mapping[str, Path]) -> dict[str, dict[str, Any]]:
-    """Describe the files below the folder of each set: their number, and SHA-256 of the names."""
+def list_data(roots: Sequence[Path], paths: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Describe the files below each path in the first root that has it: number, names' SHA-256."""
+    folders = {
+        path: root / path for path in paths for root in reversed(roots) if (root / path).is_dir()
+    }
     described = {}
     for name, folder in folders.items():
         names = sorted(

@@ -272,7 +272,7 @@ def test_the_command_stops_at_a_step_over_all_stages_and_changes_all(path, data,
     def run(*options):
         result = CliRunner().invoke(cli.app, [*arguments, *options])
         assert result.exit_code == 0, result.output
-        return result.output.splitlines()[-1]
+        return result.stdout.splitlines()[-1]
 
     assert run("--dry-run") == str(out / "1-all" / "batch.png")
     assert run("--stop-after", "3") == str(out / "1-all" / "model.pt")

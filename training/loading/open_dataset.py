@@ -28,12 +28,11 @@ def open_dataset(
 
     ``classes`` is the table of the class ids. DatasetError if there is none, or it cannot be read.
     """
-    source = recipe.open(find_folder(recipe, roots), classes)
+    source = recipe.open(_find_folder(recipe, roots), classes)
     return CheckedSource(source, recipe.size)
 
 
-def find_folder(recipe: SourceRecipe, roots: Sequence[Path]) -> Path:
-    """Return the folder of a data set in the first of ``roots`` that has it, or DatasetError."""
+def _find_folder(recipe: SourceRecipe, roots: Sequence[Path]) -> Path:
     for root in roots:
         if (root / recipe.path).is_dir():
             return root / recipe.path
