@@ -596,10 +596,11 @@ def test_init_starts_from_other_weights_of_the_same_kind(data, tmp_path, monkeyp
     first = train(recipe(steps=1), data=[data], out=tmp_path / "a")
     frozen = replace(recipe(steps=1), optimizer=replace(recipe().optimizer, learning_rate=1e-30))
     second = train(frozen, data=[data], out=tmp_path / "b", init=first)
-    parameters = [name for name in weights(first) if name.endswith("head.weight")]
+    before, after = weights(first), weights(second)
+    parameters = [name for name in before if name.endswith("head.weight")]
     assert parameters
     for name in parameters:
-        assert torch.equal(weights(first)[name], weights(second)[name])
+        assert torch.equal(before[name], after[name])
 
 
 def test_a_network_learns_the_answers_of_its_teacher(data, tmp_path):
@@ -630,9 +631,10 @@ def test_released_weights_lie_between_those_of_init_and_the_trained_ones(data, t
     # Also after a resume, whose network begins at other weights.
     train(mixed, data=[data], out=tmp_path / "c", init=first, stop_after=1)
     released = train(mixed, data=[data], out=tmp_path / "c", init=first)
+    before = weights(first)
     for name, value in weights(released).items():
         if value.is_floating_point():
-            expected = 0.75 * weights(first)[name] + 0.25 * trained[name]
+            expected = 0.75 * before[name] + 0.25 * trained[name]
             torch.testing.assert_close(value, expected)
     with pytest.raises(InputError, match="give --init"):
         train(mixed, data=[data], out=tmp_path / "d")

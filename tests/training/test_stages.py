@@ -133,8 +133,9 @@ def weights(path):
 
 
 def assert_same(first, second):
+    expected = weights(second)
     for name, value in weights(first).items():
-        assert torch.equal(value, weights(second)[name]), name
+        assert torch.equal(value, expected[name]), name
 
 
 def test_each_stage_begins_with_the_weights_of_the_one_before(path, data, tmp_path):
