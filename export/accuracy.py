@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from runtime.errors import InputError
-from training.evaluation.cli import parse_source
 from training.evaluation.evaluate import evaluate
 from training.evaluation.score_report import Row
 from training.lidar.split import LidarInput
+from training.recipe import parse_source
 
 #: What a file is measured with: all returns of a frame, 16 lines, none. What an 8-bit file is fed,
 #: too, where no set gives a LiDAR with its depth.

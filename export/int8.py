@@ -28,10 +28,10 @@ from runtime import InputError, Predictor
 from runtime.heads import HEADS, Unit
 from runtime.preprocess import preprocess
 from runtime.session import open_session
-from training.evaluation.cli import parse_source
 from training.evaluation.scored_model import trained_classes
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
+from training.recipe import parse_source
 
 #: What a calibration frame is fed, in turn: a range that no calibration frame reaches is clipped.
 CALIBRATION_LIDARS = ("own", "none", "16", "4")

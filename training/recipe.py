@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import field, fields, replace
@@ -425,6 +426,29 @@ def build(kind: type[T], table: object) -> T:
         errors = error.errors(include_url=False)
         unknown = [item for item in errors if item["type"] == "unexpected_keyword_argument"]
         raise InputError(_describe((unknown or errors)[0], kind)) from error
+
+
+def parse_source(text: str) -> SourceRecipe:
+    """Read the --data of a command, KIND:FOLDER[,KEY=VALUE...]; a text needs no quotes.
+
+    Raises InputError for another form, an unknown kind or key, or a value of the wrong type.
+    """
+    # Commas inside brackets belong to a value.
+    head, *pairs = re.split(r",(?=\w+=)", text)
+    kind, colon, folder = head.partition(":")
+    if not colon:
+        raise InputError(f"--data {text!r}; expected KIND:FOLDER[,KEY=VALUE...].")
+    table: dict[str, Any] = {"kind": kind, "path": folder}
+    for pair in pairs:
+        key, _, value = pair.partition("=")
+        try:
+            table[key] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            table[key] = value
+    try:
+        return build(AnySource, table)
+    except InputError as error:
+        raise InputError(f"--data {text!r}: {error}") from error
 
 
 def _describe(error: Mapping[str, Any], kind: Any) -> str:

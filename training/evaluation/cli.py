@@ -1,7 +1,5 @@
 """`ssdnet-eval`: the metrics of Table 1 for checkpoints, files and methods, a row each."""
 
-import re
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
@@ -12,7 +10,6 @@ from runtime.command_options import NoProvider, Version
 from runtime.errors import InputError
 
 if TYPE_CHECKING:
-    from training.datasets.source_recipe import SourceRecipe
     from training.evaluation.score_report import Row
 
 app = typer.Typer(pretty_exceptions_enable=False)
@@ -93,6 +90,7 @@ def evaluate(
             write_json,
         )
         from training.lidar.split import LidarInput
+        from training.recipe import parse_source
 
         if json is not None:
             require_writable(json, "--json")
@@ -118,31 +116,6 @@ def evaluate(
                 write_json(rows, json)
             if plot is not None:
                 draw_lidar_quality(rows, plot)
-
-
-def parse_source(text: str) -> "SourceRecipe":
-    """Read KIND:FOLDER[,KEY=VALUE...]; values in TOML, text without quotes too.
-
-    Raises InputError for another form, an unknown kind or key, or a value of the wrong type.
-    """
-    from training.recipe import AnySource, build
-
-    # Commas inside brackets belong to a value.
-    head, *pairs = re.split(r",(?=\w+=)", text)
-    kind, colon, folder = head.partition(":")
-    if not colon:
-        raise InputError(f"--data {text!r}; expected KIND:FOLDER[,KEY=VALUE...].")
-    table: dict[str, Any] = {"kind": kind, "path": folder}
-    for pair in pairs:
-        key, _, value = pair.partition("=")
-        try:
-            table[key] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            table[key] = value
-    try:
-        return build(AnySource, table)
-    except InputError as error:
-        raise InputError(f"--data {text!r}: {error}") from error
 
 
 def _parse_faults(text: str) -> list[Any]:

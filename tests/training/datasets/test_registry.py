@@ -70,7 +70,7 @@ from distances import DistancesRecipe
 from training.datasets.registry import DATASETS
 DATASETS["distances"] = DistancesRecipe  # as a line there does
 from training.cli import app
-from training.evaluation.cli import parse_source
+from training.recipe import parse_source
 assert parse_source("distances:x,unit_m=2").unit_m == 2
 from typer.testing import CliRunner
 for recipe in sys.argv[3:]:

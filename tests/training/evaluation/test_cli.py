@@ -18,8 +18,9 @@ from runtime.bundled_models import find_model
 from runtime.errors import InputError
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
-from training.evaluation.cli import app, parse_source
+from training.evaluation.cli import app
 from training.evaluation.scored_model import open_method, open_model
+from training.recipe import parse_source
 
 #: Few layers: tracing one for every size takes long.
 SMALL = {
