@@ -128,7 +128,7 @@ class RunOptions:
     )
     source: str | None = _input(
         f"A path with its kind, and options of this kind: {_KEYS}. --rgb DIR equals folders:DIR. "
-        "See docs/streams.md.",
+        "See docs/recordings.md.",
         metavar="KIND:PATH[,KEY=VALUE...]",
     )
     shard: str | None = _input(
