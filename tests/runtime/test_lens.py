@@ -202,7 +202,8 @@ def test_a_rectified_image_shows_what_the_rectified_calibration_projects():
         assert straight.shape == rgb.shape
         row, column = np.nonzero(straight[..., 0] > 127)
         ((v, u),) = np.argwhere(calibration.rectified.project(point[None], SIZE) > 0)
-        np.testing.assert_allclose([row.mean(), column.mean()], [v, u], atol=0.8)
+        # Both projections round to a pixel.
+        np.testing.assert_allclose([row.mean(), column.mean()], [v, u], atol=1.2)
     assert calibration.rectified.lens_model is None
     assert calibration.rectified.rectify(rgb) is rgb
     with pytest.raises(InputError, match="scale the intrinsics"):
