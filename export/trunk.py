@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import onnx
 
-#: Convolutions that read fewer channels read pixels, returns or boundary maps, those that write
-#: fewer compute an answer: exact, and cheap.
+#: A convolution with fewer input or output channels is outside the trunk: it reads pixels, returns
+#: or boundary maps, or computes an answer. It stays in single precision, which costs little time.
 _LEAST_CHANNELS = 16
 _BETWEEN = ("Add", "Clip", "Mul", "Relu", "Resize")
 _ACTIVATIONS = ("Clip", "Relu")

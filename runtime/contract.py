@@ -23,8 +23,8 @@ MAX_CLASSES = 255  # ids are uint8, and one of them is NO_CLASS
 MAX_NAME_LENGTH = 64
 MIN_DEPTH_RANGE_M = 1.0  # bounds of max_depth_m
 MAX_DEPTH_RANGE_M = 10_000.0
-#: LiDARs of cars reach so far [m]. What is farther, in a range that ends before, is the mark of no
-#: return or another unit: 65535 of a 16-bit PNG is 256 m.
+#: Longest range of the LiDARs of cars [m]. A larger value, if it is also beyond the model's range,
+#: is no distance: 65535 in a 16-bit PNG (256 m) marks pixels without a return.
 MAX_RETURN_M = 250.0
 MIN_FOCAL_PX = 1.0  # bounds of a focal length: from tiny pictures to long telephoto lenses
 MAX_FOCAL_PX = 1_000_000.0

@@ -32,7 +32,7 @@ class Drawn(NamedTuple):
 
 @dataclass(frozen=True)
 class Batch:
-    """Frames of one size. Of two views it has first that of each frame, then the second of each."""
+    """Frames of one size; with two views, the first views of all frames, then the second views."""
 
     #: uint8 (N, 3, H, W), RGB.
     rgb: Tensor

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from runtime.contract import Contract
 from runtime.heads import HEADS, Difference, Head, Unit
 
-#: How many times the limits of single precision those of half precision are: of a share of pixels
-#: that differ, and of a difference of values.
+#: Factors by which half precision may differ more than single precision: in the share of pixels
+#: that differ, and in values.
 HALF_SHARE, HALF_VALUE = 10, 100
 
 _SHARE = Difference.EQUAL_SHARE.value  # the only figure of which more is better
-#: The figure that rounding of single pixels hardly moves.
+#: Kind of difference -> the figure that rounding in single pixels hardly changes.
 _MEANS = {
     Difference.EQUAL_SHARE: _SHARE,
     Difference.MEAN: Difference.MEAN.value,

@@ -33,8 +33,8 @@ class Calibration:
             along z, x to the right.
         size: (height, width) of the images, None if unknown.
         occlusion: removes returns that the camera cannot see; None: keeps them.
-        body_from_lidar: float64 (4, 4) from the LiDAR's frame to the one of which poses are given
-            as of the "body", None if unknown [m].
+        body_from_lidar: float64 (4, 4) from the LiDAR's frame to the vehicle's [m], needed for
+            poses of the frame "body"; None if unknown.
         lens: model of the images' distortion, "plumb_bob", "rational_polynomial" or "equidistant"
             (a fisheye); None: they are rectified. Returns are projected into the images as they
             are: these are not resampled.

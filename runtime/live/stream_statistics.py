@@ -31,12 +31,12 @@ class StreamStatistics:
     """Statistics of all results of a stream so far.
 
     Attributes:
-        stages: figure -> statistics in milliseconds, None without a value. "preprocess",
-            "inference", "postprocess" and "predict" are those of `Prediction.latency`, "latency"
-            and "age" those of `FrameResult`, "skew" is its absolute value where the depth is the
-            image's own, "depth age" that of all depth (0 where it is newer than its image), and
-            "jitter" is |(t2 - t1) - (s2 - s1)| of two successive results at t with image stamps s
-            (the transit-time difference of RFC 3550).
+        stages: figure -> statistics in milliseconds, None without a value. Of
+            `Prediction.latency`: "preprocess", "inference", "postprocess" and "predict". Of
+            `FrameResult`: "latency" and "age". "skew": absolute, of images with depth of their
+            own. "depth age": of all images with depth, 0 where it is newer than its image.
+            "jitter": |(t2 - t1) - (s2 - s1)| of two successive results at the times t with the
+            image stamps s (the transit-time difference of RFC 3550).
         deadline_ms: as given to the stream.
         missed: late results; None without a deadline.
     """

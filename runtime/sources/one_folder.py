@@ -126,9 +126,9 @@ def _have_scans(folder: Path) -> bool:
 
 
 def _find_calibration(path: Path, *, of_scans: bool) -> Path | None:
-    """The calibration in or above a folder; None of none or several.
+    """The only calibration in or above a folder; None if there is none, or more than one.
 
-    Depth maps have at most the intrinsics/ of KITTI's depth selection.
+    Beside depth maps only the intrinsics/ folder of KITTI's depth selection counts.
     """
     if not of_scans:
         folder = path / "intrinsics"

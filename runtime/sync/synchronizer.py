@@ -55,7 +55,8 @@ class Synchronizer(Matching):
                 return image
             if self._is_over(image, Sensor.DEPTH):
                 return image
-        # An image that no depth is due for: unless an older one waits, which would be dropped.
+        # An image for which no depth message is expected, unless an older image still waits: that
+        # one would be dropped.
         oldest = next(iter(self._images), None)
         if oldest is None or self._partner(oldest) is not None or self._is_due(oldest):
             return None

@@ -291,10 +291,10 @@ def _change_maps(
 def far_sky(sample: Sample, sky: int, depth_m: float) -> Sample:
     """Set the depth target of the class ``sky``, unit of the sample's depth.
 
-    Measured pixels do not change, nor do pixels close to another label, since leaves and wires
-    before the sky are labelled sky: within `SKY_MARGIN_PX`, for labels of a network within
-    `PSEUDO_SKY_MARGIN_PX`. Neither does a sample without any depth: the network would learn that
-    everything is far where there is no LiDAR. To be called after the LiDAR was simulated.
+    Unchanged are measured pixels, and pixels within `SKY_MARGIN_PX` of another label
+    (`PSEUDO_SKY_MARGIN_PX` where a network made the labels), because leaves and wires in front of
+    the sky are labelled sky. A sample without any depth is unchanged, too: otherwise the network
+    would learn that everything is far without a LiDAR. Call this after the LiDAR is simulated.
     """
     if not sample.depth.any():
         return sample

@@ -64,12 +64,13 @@ def depth_consistency_loss(first: Tensor, second: Tensor, pair: Pair) -> Tensor:
 
 
 def depth_seam_loss(first: Tensor, second: Tensor, pair: Pair) -> Tensor:
-    """Mean |difference of the steps of log depth| above the scan, with returns and without, ().
+    """Penalise a jump of the depth at the upper edge of the scan, ().
 
-    Nothing is measured above the highest return, and an answer that follows the returns jumps
-    there; that of the camera alone shows no seam. In frames of whose views just one has returns,
-    the log depth of that view changes over STEP_ROWS upwards as the other view's does, which gets
-    no gradient. Counted are the steps to a row above the scan, in columns with a return.
+    Above the highest return nothing is measured: a prediction that follows the returns may jump
+    there. A prediction from the camera alone does not. Frames with returns in one of their two
+    views are compared: the change of log depth over STEP_ROWS upwards is that of the view without
+    returns, which gets no gradient. The loss is the mean absolute difference of both changes, at
+    the edge, in columns with a return.
 
     first, second: as in `depth_consistency_loss`.
     """

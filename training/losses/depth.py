@@ -86,7 +86,7 @@ def metric_depth_loss(
 
 
 def log_ratio(depth: Tensor, other: Tensor) -> Tensor:
-    """Log ratio of two maps of normalised depth, those nearer than _NEAREST taken as so near."""
+    """Log ratio of two maps of normalised depth; depths below _NEAREST are set to it."""
     return (depth.clamp(min=_NEAREST) / other.clamp(min=_NEAREST)).log()
 
 
