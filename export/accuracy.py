@@ -94,7 +94,8 @@ def repeat_command(data: Iterable[str], rows: Iterable[Accuracy]) -> str:
 
 
 def without_folders(text: str) -> str:
-    """A data set as on the command line, its folder by its last part: a file names no machine."""
+    """A data set as on the command line; of an absolute folder, which names a machine, the end."""
     kind, _, rest = text.partition(":")
     folder, *options = re.split(r"(?=,\w+=)", rest, maxsplit=1)
-    return f"{kind}:{Path(folder).name}{''.join(options)}"
+    path = Path(folder)
+    return f"{kind}:{path.name if path.is_absolute() else path.as_posix()}{''.join(options)}"

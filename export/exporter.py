@@ -102,6 +102,11 @@ def export_checkpoint(
     """
     if isinstance(precision, Int8Options) and not validate:
         raise InputError("int8 needs data: give validate, data sets with ground truth")
+    if isinstance(precision, Int8Options) and (both := {*precision.calibrate} & {*validate}):
+        raise InputError(
+            f"int8 is calibrated and validated on {', '.join(sorted(both))}: its loss of accuracy "
+            "must be measured on other frames; give another set, or other frames of it"
+        )
     dynamic = dynamic or size is None
     size = size or DEFAULT_SIZE
     try:

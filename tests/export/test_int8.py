@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from export import accuracy, int8
-from export.accuracy import Accuracy
+from export.accuracy import Accuracy, without_folders
 from export.cli import app
 from export.exporter import export_checkpoint
 from export.precision import Int8Options
@@ -270,6 +270,28 @@ def test_sets_that_cannot_tell_the_accuracy_are_refused(export_int8, tmp_path):
     assert result.exit_code == 1
     assert "neither labels of the model's classes nor depth" in result.output
     assert list(tmp_path.iterdir()) == []
+
+
+def test_int8_is_not_validated_on_what_it_is_calibrated_on(lite_checkpoint, tmp_path):
+    options = Int8Options(("folders:a", "folders:b"))
+    with pytest.raises(InputError, match="calibrated and validated on folders:b"):
+        export_checkpoint(
+            lite_checkpoint,
+            tmp_path / "a.onnx",
+            precision=options,
+            validate=("folders:b", "folders:c"),
+        )
+
+
+@pytest.mark.parametrize(
+    ("given", "stored"),
+    [
+        ("folders:mine/val,depth=d,rgb=a=b", "folders:mine/val,depth=d,rgb=a=b"),
+        ("folders:/home/me/mine/val,depth=d", "folders:val,depth=d"),
+    ],
+)
+def test_a_file_names_the_sets_as_given_but_no_folder_of_the_machine(given, stored):
+    assert without_folders(given) == stored
 
 
 def test_int8_needs_data(lite_checkpoint, tmp_path):

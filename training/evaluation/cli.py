@@ -103,7 +103,9 @@ def evaluate(
             rows: list[Row] = run(
                 models,
                 [parse_source(text) for text in data],
-                lidars=[LidarInput.parse(text.strip()) for text in lidar.split(",")],
+                lidars=[
+                    *dict.fromkeys(LidarInput.parse(text.strip()) for text in lidar.split(","))
+                ],
                 faults=["none", *_parse_faults(faults)],
                 device=device,
                 threads=threads,

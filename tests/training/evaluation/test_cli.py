@@ -325,7 +325,7 @@ def test_errors_say_what_to_do(folder, tmp_path):
 def test_one_row_where_no_lidar_could_be_fed(folder, tmp_path):
     """Whatever was asked for: CamVid has no depth."""
     out, data = tmp_path / "rows.json", f"camvid:{folder}/camvid,split=val"
-    for lidar in ("own", "64,16,random:0.05", "none"):
+    for lidar in ("own", "64,16,random:0.05", "none", "none, none"):
         result = run(
             *(folder / "lite.pt", "--data", data, "--lidar", lidar, "--faults", "nan,shift"),
             *("--json", out),
