@@ -12,14 +12,11 @@ from runtime.sources.ros_messages import frame_name, message_counts, message_row
 
 #: Field of a PointCloud2 with the time of each point, as drivers name it; the first that is there.
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
-#: Datatype of such a field -> NumPy's type and the nanoseconds of its unit.
-_TIMES: dict[int, tuple[str, float]] = {
-    6: ("u4", 1.0),
-    5: ("i4", 1.0),
-    7: ("f4", 1e9),
-    8: ("f8", 1e9),
-}
-_LONGEST_SCAN_NS = 1e9
+#: Datatype of such a field -> NumPy's type.
+_TIMES = {6: "u4", 5: "i4", 7: "f4", 8: "f8"}
+_LONGEST_SCAN_S = 1.0
+#: Least value of nanoseconds since 1970 (here 1973), and least span of a scan in microseconds.
+_LEAST_EPOCH_NS, _LEAST_SPAN_US = 1e17, 1e3
 _FIXED = ("odom", "map", "earth")  # REP 105
 
 
@@ -48,8 +45,15 @@ def transform_pose(stamped: Any) -> NDArray[np.float64]:
 def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
     """Return when each point of a PointCloud2 was measured, nanoseconds of the stamp's clock.
 
-    Integers are nanoseconds and floats seconds. Four bytes are after the stamp; eight are of the
-    clock where they are too large to be after the stamp.
+    | type | values | are |
+    |---|---|---|
+    | int32, uint32 | all | ns after the stamp (Ouster, Autoware, Livox) |
+    | float32, float64 | up to 1 | s after the stamp (Velodyne) |
+    | float32, float64 | up to 10^6, over a span of more than 10^3 | us after the stamp |
+    | float64 | larger, over a span of up to 1 | s of the clock (Hesai, RoboSense) |
+    | float64 | from 10^17 on, over a span of up to 10^9 | ns of the clock (Livox) |
+
+    A scan takes at most a second; other values are an error.
 
     Args:
         message: sensor_msgs/PointCloud2.
@@ -68,10 +72,9 @@ def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
     if field.datatype not in _TIMES or field.count not in (0, 1):
         raise InputError(
             f"the field {field.name} of a PointCloud2 has the datatype {field.datatype}, expected "
-            "int32 or uint32 [ns], or float32 or float64 [s]"
+            "int32, uint32, float32 or float64"
         )
-    code, unit_ns = _TIMES[field.datatype]
-    dtype = np.dtype(("<", ">")[bool(message.is_bigendian)] + code)
+    dtype = np.dtype(("<", ">")[bool(message.is_bigendian)] + _TIMES[field.datatype])
     (offset,) = message_counts(field, "offset")
     if not height * width:
         return None
@@ -83,18 +86,35 @@ def point_times_ns(message: Any, stamp_ns: int) -> NDArray[np.int64] | None:
         )
     data, row_step = message_rows(message, what, height, width * step, "row_step")
     times = np.ndarray((height, width), dtype, data, offset, (row_step, step)).ravel()
-    values = np.asarray(times, np.float64) * unit_ns
-    if not np.isfinite(values).all():
+    if not np.isfinite(times).all():
         raise InputError(f"the field {field.name} of a PointCloud2 holds NaN or infinity")
-    if values.min() == values.max():
+    if times.min() == times.max():
         return None  # drivers that do not fill it
-    if dtype.itemsize == 8 and np.abs(values).max() > _LONGEST_SCAN_NS:
-        whole = np.floor(times).astype(np.int64)  # not by one float64, which would lose digits
-        absolute: NDArray[np.int64] = whole * 10**9 + np.rint((times - whole) * 1e9).astype(
-            np.int64
-        )
-        return absolute
-    return stamp_ns + np.rint(values).astype(np.int64)
+    return _to_ns(times, stamp_ns, field.name)
+
+
+def _to_ns(times: NDArray[Any], stamp_ns: int, name: str) -> NDArray[np.int64]:
+    """Convert the times of points by the table of `point_times_ns`."""
+    values = times.astype(np.float64)
+    lowest, highest = values.min(), values.max()
+    largest, span = max(abs(lowest), abs(highest)), highest - lowest
+    if times.dtype.kind in "iu":
+        return stamp_ns + times.astype(np.int64)
+    if largest <= _LONGEST_SCAN_S:
+        return stamp_ns + np.rint(values * 1e9).astype(np.int64)
+    if times.dtype.itemsize == 8 and span <= _LONGEST_SCAN_S:
+        whole = np.floor(values).astype(np.int64)  # one float64 of nanoseconds would lose digits
+        in_ns: NDArray[np.int64] = whole * 10**9
+        return in_ns + np.rint((values - whole) * 1e9).astype(np.int64)
+    if lowest >= _LEAST_EPOCH_NS and span <= _LONGEST_SCAN_S * 1e9:
+        return np.rint(values).astype(np.int64)
+    if largest <= _LONGEST_SCAN_S * 1e6 and span > _LEAST_SPAN_US:
+        return stamp_ns + np.rint(values * 1e3).astype(np.int64)
+    raise InputError(
+        f"the field {name} of a PointCloud2 has values from {lowest:g} to {highest:g}, expected "
+        "seconds or microseconds after the stamp, or seconds or nanoseconds of the clock: have "
+        "the driver write one of these, or leave the field out"
+    )
 
 
 def odometry_poses(messages: Iterable[Any]) -> tuple[str, list[tuple[int, NDArray[np.float64]]]]:

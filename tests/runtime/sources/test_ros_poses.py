@@ -61,6 +61,8 @@ def cloud(name, datatype, code, values, *, height=1, is_bigendian=False, offset=
     ("timestamp", 8, "f8", [0.0, 0.05, 0.1, 0.0], [0, 50_000_000, 100_000_000, 0]),
     ("time_stamp", 6, "u4", [5, 6, 7, 8], [5, 6, 7, 8]),  # Autoware
     ("offset_time", 6, "u4", [5, 6, 7, 8], [5, 6, 7, 8]),  # Livox
+    ("time", 7, "f4", [0, 5e4, 99_999, 1], [0, 50_000_000, 99_999_000, 1000]),
+    ("time", 8, "f8", [-5e4, 0, 5e4, 1], [-50_000_000, 0, 50_000_000, 1000]),
 ])  # fmt: skip
 @pytest.mark.parametrize("height", [1, 2])
 def test_times_after_the_stamp(name, datatype, code, values, after_ns, height, is_bigendian):
@@ -74,6 +76,25 @@ def test_eight_bytes_are_of_the_clock_where_they_are_large():
     message = cloud("timestamp", 8, "f8", [STAMP_NS / 1e9, STAMP_NS / 1e9 + 0.05])
     times = point_times_ns(message, STAMP_NS)
     np.testing.assert_allclose(times - STAMP_NS, [0, 50_000_000], atol=250)
+
+
+def test_large_eight_bytes_over_a_large_span_are_nanoseconds():
+    """As Livox's driver writes them."""
+    message = cloud("timestamp", 8, "f8", [STAMP_NS, STAMP_NS + 50_000_000])
+    times = point_times_ns(message, STAMP_NS)
+    np.testing.assert_allclose(times - STAMP_NS, [0, 50_000_000], atol=256)
+
+
+@pytest.mark.parametrize(("datatype", "code", "values"), [
+    (7, "f4", [0, 100]),  # milliseconds, or a part of a scan in microseconds
+    (7, "f4", [0, 2e6]),
+    (8, "f8", [0, 1e8]),
+    (8, "f8", [1.7e15, 1.7e15 + 1e5]),
+    (8, "f8", [STAMP_NS, STAMP_NS + 2e9]),
+])  # fmt: skip
+def test_times_of_another_unit_are_refused(datatype, code, values):
+    with pytest.raises(InputError, match=r"the field time of a PointCloud2 has values from"):
+        point_times_ns(cloud("time", datatype, code, values), STAMP_NS)
 
 
 def test_a_field_that_is_missing_or_not_filled_is_no_time():
