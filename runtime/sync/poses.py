@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.checks import check_integer, shown
 from runtime.errors import InputError
 from runtime.prediction import NO_POSE, POSE_CLOCK, POSE_GAP, POSE_JUMP
 from runtime.sync.outcome import Outcome
@@ -26,6 +27,7 @@ MAX_GAP_MS = 250.0
 #: Poses that a `PoseBuffer` holds: 80 s at 100 Hz.
 CAPACITY = 8192
 _OTHER_CLOCK_NS = 10_000 * NS_PER_MS  # no pose within this time of a picture
+_MOST_NS = 2**62  # of a stamp: differences of two fit into int64
 _REACH_NS = round(MAX_EXTRAPOLATION_MS * NS_PER_MS)
 _VELOCITY_NS = 100 * NS_PER_MS  # velocities are averaged over this time
 _RIGID_TOLERANCE = 1e-3  # float32 poses that were multiplied often
@@ -85,11 +87,16 @@ class PoseTrack:
             stamps_ns: N integers, rising.
 
         Raises:
-            InputError: for a pose that is not rigid and for stamps that do not rise.
+            InputError: for a pose that is not rigid, for stamps that are no whole numbers or do not
+                rise, and for another number of them.
         """
+        counts = [len(each) if hasattr(each, "__len__") else None for each in (poses, stamps_ns)]
+        if counts[0] is None or counts[0] != counts[1]:
+            raise InputError(f"expected a stamp for each pose, got {shown(counts)} of them")
         buffer = PoseBuffer(capacity=max(1, len(poses)))
-        for pose, stamp_ns in zip(poses, stamps_ns, strict=True):
-            if buffer.add(pose, int(stamp_ns)) is not Outcome.ANSWERED or buffer.resets:
+        for pose, stamp in zip(poses, stamps_ns, strict=True):
+            stamp_ns = check_integer("a stamp", stamp, -_MOST_NS, _MOST_NS, "ns", error=InputError)
+            if buffer.add(pose, stamp_ns) is not Outcome.ANSWERED or buffer.resets:
                 raise InputError(
                     f"the stamps of poses must increase, got {stamp_ns} after a later one"
                 )

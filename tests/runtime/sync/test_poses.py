@@ -183,6 +183,19 @@ def test_a_recording_must_have_rising_stamps():
             PoseTrack.of(poses, wrong)
 
 
+@pytest.mark.parametrize("wrong", [np.nan, None, 1.5, 2**63, True])
+def test_a_stamp_of_a_recording_is_a_whole_number(wrong):
+    poses, stamps = drive(5)
+    with pytest.raises(InputError, match="a stamp must be a whole number"):
+        PoseTrack.of(poses, [*stamps[:4], wrong])
+
+
+@pytest.mark.parametrize("given", [(None, [0]), ([np.eye(4)], None), ([np.eye(4)], [0, 1])])
+def test_a_recording_has_a_stamp_for_each_pose(given):
+    with pytest.raises(InputError, match="a stamp for each pose"):
+        PoseTrack.of(*given)
+
+
 def test_a_mounted_frame_moves_with_the_car():
     poses, stamps = drive(5)
     mount = pose((1, 0, 2), (0, 0.2, 0))
