@@ -344,9 +344,10 @@ def time_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
         for entry, row in zip(networks, group, strict=True):
             if row.opened is None or row.figures is None:
                 raise InputError(f"{entry.name}: {row.error}")
+            network = network_of(entry, plan)
             rows[entry.name] = {
-                "params_m": count_params_m(network_of(entry, plan)),
-                "gmacs": count_giga_macs(network_of(entry, plan), size),
+                "params_m": count_params_m(network),
+                "gmacs": count_giga_macs(network, size),
                 "median_ms": row.figures.latency.median_ms,
             }
         document["sizes"].append({"size": size, "rows": rows})

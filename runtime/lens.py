@@ -144,6 +144,20 @@ class Lens:
         )
 
 
+def to_plane(
+    intrinsics: NDArray[np.floating[Any]], column: NDArray[Any], row: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where pixels lie on the image plane at focal length 1, (x, y).
+
+    Of a rectified image that is their ray.
+    """
+    for_x, for_y, _ = np.linalg.inv(intrinsics.astype(np.float64))
+    return (
+        for_x[0] * column + for_x[1] * row + for_x[2],
+        for_y[0] * column + for_y[1] * row + for_y[2],
+    )
+
+
 def rays(lens: Lens, intrinsics: NDArray[np.floating[Any]], size: tuple[int, int]) -> Any:
     """Return the ray (x, y) of each pixel, float32 (height, width, 2); NaN where it has none.
 
@@ -188,9 +202,8 @@ def _field(lens: Lens) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 @lru_cache(maxsize=4)
 def _rays(lens: Lens, intrinsics: tuple[float, ...], size: tuple[int, int]) -> Any:
     height, width = size
-    inverse = np.linalg.inv(np.reshape(intrinsics, (3, 3)))
     row, column = np.mgrid[:height, :width].astype(np.float64)
-    x, y = (line[0] * column + line[1] * row + line[2] for line in inverse[:2])
+    x, y = to_plane(np.reshape(intrinsics, (3, 3)), column, row)
     table = np.stack(lens.undistort(x, y), axis=-1).astype(np.float32)
     table.flags.writeable = False
     return table
@@ -204,8 +217,7 @@ def _ray_bounds(lens: Lens, intrinsics: tuple[float, ...], size: tuple[int, int]
     across, down = np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5
     column = np.concatenate([across, across, np.full_like(down, -0.5), 0 * down + width - 0.5])
     row = np.concatenate([np.full_like(across, -0.5), 0 * across + height - 0.5, down, down])
-    inverse = np.linalg.inv(np.reshape(intrinsics, (3, 3)))
-    x, y = lens.undistort(*(line[0] * column + line[1] * row + line[2] for line in inverse[:2]))
+    x, y = lens.undistort(*to_plane(np.reshape(intrinsics, (3, 3)), column, row))
     bounds = np.array([x.min(), x.max(), y.min(), y.max()])
     if not np.isfinite(bounds).all():  # the image is larger than the field
         bounds = np.array([-farthest, farthest, -farthest, farthest])
@@ -222,7 +234,7 @@ def _rectifying_maps(
     height, width = size
     matrix = np.reshape(intrinsics, (3, 3))
     row, column = np.mgrid[:height, :width].astype(np.float64)
-    x, y = (line[0] * column + line[1] * row + line[2] for line in np.linalg.inv(matrix)[:2])
+    x, y = to_plane(matrix, column, row)
     seen = x * x + y * y <= ray_bounds(lens, matrix, size).radius_2
     x, y = lens.distort(np.where(seen, x, 0), np.where(seen, y, 0))
     across, down = (

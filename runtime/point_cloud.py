@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from runtime.errors import InputError
 from runtime.heads import EDGE_BOUNDARY
-from runtime.lens import Lens, rays
+from runtime.lens import Lens, rays, to_plane
 from runtime.projection import check_intrinsics
 
 
@@ -80,10 +80,7 @@ def to_points(
     row, column = np.nonzero(kept)
     z = depth[row, column]
     if lens is None:
-        inverse = np.linalg.inv(intrinsics.astype(np.float64))
-        x, y = (
-            (line[0] * column + line[1] * row + line[2]).astype(np.float32) for line in inverse[:2]
-        )
+        x, y = (place.astype(np.float32) for place in to_plane(intrinsics, column, row))
     else:
         x, y = table[row, column].T
     return PointCloud(

@@ -198,13 +198,14 @@ class Prediction:
             raise InputError(f"the prediction has no usable depth: {reason}")
         from runtime.point_cloud import to_points  # on demand
 
-        camera: Any = intrinsics
-        lens = getattr(camera, "lens_model", None)
-        if hasattr(camera, "require_size"):
-            camera.require_size(self.depth.shape)
+        matrix: Any = intrinsics
+        lens = None
+        if hasattr(matrix, "lens_model"):  # a Calibration, which is not imported here
+            matrix.require_size(self.depth.shape)
+            matrix, lens = matrix.intrinsics, matrix.lens_model
         return to_points(
             self.depth,
-            getattr(camera, "intrinsics", camera),
+            matrix,
             lens=lens,
             rgb=rgb,
             semantic=self.semantic,

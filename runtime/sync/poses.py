@@ -190,10 +190,6 @@ class PoseBuffer:
         """The stamp of the newest pose."""
         return self._poses[-1].stamp_ns if self._poses else None
 
-    def count_after(self, stamp_ns: int) -> int:
-        """How many poses are newer than this."""
-        return len(self._poses) - bisect_right(self._poses, stamp_ns, key=_stamp_ns)
-
     def add(self, pose: Any, stamp_ns: int) -> Outcome:
         """Take a pose.
 

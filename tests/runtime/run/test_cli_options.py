@@ -104,7 +104,7 @@ def test_a_bad_model_is_exit_code_1_and_leaves_an_earlier_run_alone(tmp_path, ru
         ["--demo", "--threads", "0"],
         ["--demo", "--limit", "0"],
         ["--source", "folders:somewhere,depth_scale=0"],
-        ["--demo", "--depth-scale", "100"],
+        ["--demo", "--source", "folders:somewhere,depth_scale=100"],
         ["--demo", "--deadline-ms", "-1"],
         ["--demo", "--deadline-ms", "1.5e308"],
         ["--demo", "--provider", "gpu"],
