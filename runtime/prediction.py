@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.contract import MAX_RETURN_M, Contract
 from runtime.errors import InputError
 
 if TYPE_CHECKING:
-    from runtime.contract import Contract
     from runtime.io.calibration import Calibration
     from runtime.point_cloud import PointCloud
 
@@ -70,6 +70,7 @@ class Prediction:
         degraded: reasons why the answer is less reliable than usual; () in the normal case.
         cleaned: depth pixels that were treated as no measurement.
         depth_returns: number of depth pixels used.
+        range_m: depth range of the frame: no answer is farther, metres.
         stamp: as given to `predict`.
         contract: of the model that answered; None in a prediction made by hand.
     """
@@ -82,8 +83,9 @@ class Prediction:
     degraded: tuple[str, ...] = ()
     cleaned: Cleaned = field(default_factory=Cleaned)
     depth_returns: int = 0
+    range_m: float = MAX_RETURN_M
     stamp: Any = None
-    contract: "Contract | None" = None
+    contract: Contract | None = None
 
     def __repr__(self) -> str:
         height, width = self.frame_size

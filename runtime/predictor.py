@@ -359,6 +359,7 @@ class Predictor:
                 degraded=frame.degraded + found,
                 cleaned=frame.cleaned,
                 depth_returns=frame.depth_returns,
+                range_m=frame.scale.range_m,
                 stamp=stamp,
                 contract=self.contract,
             )

@@ -7,8 +7,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.canonical_focal import camera_scale
-from runtime.contract import MAX_RETURN_M
 from runtime.errors import SSDNetError
 from runtime.health.consistency import ConsistencyCheck
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
@@ -86,9 +84,8 @@ class Answerer:
                 reasons = (IMPLAUSIBLE_DEPTH, *reasons)
         if reasons:
             prediction = replace(prediction, degraded=(*prediction.degraded, *reasons))
-        range_m = self._range_m(prediction)
         # `predict` has checked that they fit.
-        health = self._health.check(rgb, sparse_depth, range_m=range_m)
+        health = self._health.check(rgb, sparse_depth, range_m=prediction.range_m)
         return FrameAnswer(
             rgb=rgb,
             prediction=prediction,
@@ -153,16 +150,3 @@ class Answerer:
         if self._calibration is None or self._predictor.focal_length_px is not None:
             return None
         return self._calibration.focal_length_px
-
-    def _range_m(self, prediction: Prediction) -> float:
-        """The depth range of a frame."""
-        if (contract := prediction.contract) is None:  # of a stand-in for `Predictor`
-            return MAX_RETURN_M
-        scale = camera_scale(
-            contract.max_depth_m,
-            contract.canonical_focal_px,
-            self._predictor.focal_length_px or self._own_focal_px,
-            frame_size=prediction.frame_size,
-            network_size=prediction.network_size,
-        )
-        return scale.range_m

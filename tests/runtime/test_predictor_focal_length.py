@@ -151,6 +151,7 @@ def test_a_wide_cameras_far_returns_are_fed_as_at_the_end_of_the_range(
         assert predictor.camera_scale((48, 64)) == (2.0, 40.0, 50.0)
     assert fed[0][0, :3].tolist() == [60, 80, 0]
     assert (prediction.cleaned.too_far, prediction.depth_returns) == (2, 2)
+    assert prediction.range_m == 40
 
 
 def test_the_range_counts_at_the_networks_size(model_file, contract):
