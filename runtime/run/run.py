@@ -4,6 +4,7 @@ import contextlib
 import importlib.util
 import os
 from collections.abc import Callable, Iterator, Sequence
+from enum import StrEnum
 from pathlib import Path
 
 from runtime.command import stop_requested
@@ -28,20 +29,25 @@ from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source
 from runtime.sync.outcome import Sensor
 
-_NO_RETURNS = (
-    "no scan or depth map of the first frames has a return in the image: check that scans are in "
-    "metres, and that the extrinsics of the calibration lead from the LiDAR to the camera"
-)
-_NO_MATCH = (
-    "no image matches the time of a scan or depth map: check that both have time stamps of the "
-    "same recording and clock, or give a larger --max-skew-ms"
-)
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
 
 OnRecord = Callable[[FrameRecord], None]
 #: Called before the first frame with a text about the run and the number of frames; returns what is
 #: called with the record of each frame.
 OnStart = Callable[[str, int], OnRecord]
+
+
+class _NoDepth(StrEnum):
+    """Why a source with depth gives none to the first frames; their answers have "no_depth"."""
+
+    NO_RETURNS = (
+        "no scan or depth map of the first frames has a return in the image: check that scans are "
+        "in metres, and that the extrinsics of the calibration lead from the LiDAR to the camera"
+    )
+    NO_MATCH = (
+        "no image matches the time of a scan or depth map: check that both have time stamps of the "
+        "same recording and clock, or give a larger --max-skew-ms"
+    )
 
 
 def run(
@@ -90,15 +96,15 @@ def run(
                     frames,
                     reader=reader,
                     rate_hz=options.rate,
-                    degraded=(IMPLAUSIBLE_DEPTH,)
-                    if implausible not in (None, _NO_MATCH, _NO_RETURNS)
-                    else (),
+                    degraded=()
+                    if implausible is None or isinstance(implausible, _NoDepth)
+                    else (IMPLAUSIBLE_DEPTH,),
                     write=write,
                     record=record,
                     on_record=on_start(about, len(frames)),
                     stop=stop,
                 )
-                if implausible == _NO_RETURNS and any(
+                if implausible is _NoDepth.NO_RETURNS and any(
                     done.depth_returns for done in result.records
                 ):
                     implausible = None  # the LiDAR started later
@@ -168,7 +174,7 @@ def _unmatched(frames: Sequence[ListedFrame], source: Source) -> str | None:
     """What is wrong if the source has depth and no frame has; None: nothing."""
     left_out = source.inputs.get("left_out") or {}
     has_depth = any(reason.startswith(f"{Sensor.DEPTH}:") for reason in left_out)
-    return _NO_MATCH if has_depth and all(each.depth is None for each in frames) else None
+    return _NoDepth.NO_MATCH if has_depth and all(each.depth is None for each in frames) else None
 
 
 def _implausible_depth(
@@ -202,7 +208,7 @@ def _implausible_depth(
         has_scale = predictor.contract.canonical_focal_px is not None
         focal_px = predictor.focal_length_px if has_scale else None
         return finding.advice(depth_scale=depth_scale, focal_length_px=focal_px)
-    return _NO_RETURNS if returns and not any(returns) else None
+    return _NoDepth.NO_RETURNS if returns and not any(returns) else None
 
 
 def _require_apart(out: Path, inputs: Sequence[Path]) -> None:
