@@ -12,13 +12,12 @@ from runtime.health.consistency import ConsistencyCheck
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.health.frame_health import FrameHealth
 from runtime.io.calibration import Calibration
-from runtime.live.frame_result import FrameAnswer
+from runtime.live.frame_result import FrameResult
 from runtime.live.payload import Points
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.sync.depth_in_time import DepthMotion, keep_map, project_in_time
 from runtime.sync.matching import Pair
 from runtime.sync.poses import PoseTrack
-from runtime.sync.stamp import NS_PER_MS
 
 _CHECK_EVERY = 100  # frames with depth, after the first ones
 
@@ -55,9 +54,10 @@ class Answerer:
         self._check_depth = check_depth
         self._last: tuple[Pair, NDArray[np.float32]] | None = None  # not checked, with its returns
         self._checks = self._since = 0  # frames checked; frames with depth since then
+        self._answers = 0
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
 
-    def answer(self, pair: Pair, poses: PoseTrack | None) -> FrameAnswer:
+    def answer(self, pair: Pair, poses: PoseTrack | None) -> FrameResult:
         """Answer a frame; raises what `Predictor.predict` raises.
 
         poses: of the LiDAR over the time of the frame; None = of a stream without poses.
@@ -86,16 +86,19 @@ class Answerer:
             prediction = replace(prediction, degraded=(*prediction.degraded, *reasons))
         # `predict` has checked that they fit.
         health = self._health.check(rgb, sparse_depth, range_m=prediction.range_m)
-        return FrameAnswer(
+        self._answers += 1
+        return FrameResult(
+            sequence=self._answers - 1,
             rgb=rgb,
             prediction=prediction,
             health=health,
             consistency=consistency,
             image_stamp=image.stamp,
             depth_stamp=None if depth is None else depth.stamp,
-            skew_ms=None if depth is None else (depth.stamp_ns - image.stamp_ns) / NS_PER_MS,
             depth_reused=reused,
             depth_motion=motion,
+            latency_ms=prediction.latency.total_ms,
+            age_ms=prediction.latency.total_ms,
         )
 
     def _sparse_depth(

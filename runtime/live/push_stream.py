@@ -22,6 +22,7 @@ import contextlib
 import threading
 import weakref
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
 
@@ -33,15 +34,16 @@ from runtime.errors import InferenceError, InputError, SSDNetError
 from runtime.io.calibration import Calibration
 from runtime.live.answerer import Answerer, FramePredictor
 from runtime.live.clock import MonotonicClock
-from runtime.live.frame_result import FrameAnswer, FrameResult
+from runtime.live.frame_result import FrameResult
 from runtime.live.message_counter import MessageCounter, StreamCounts
 from runtime.live.payload import check_depth, check_points
 from runtime.live.pose_feed import PoseFeed
-from runtime.live.stream_statistics import StatisticsRecorder, StreamStatistics
+from runtime.live.stream_statistics import StatisticsRecorder
 from runtime.live.watchdog import Watchdog, WatchdogLimits, WatchdogState
 from runtime.preprocess import check_rgb
 from runtime.process_guard import ProcessGuard
 from runtime.sync.depth_in_time import ScanStamp
+from runtime.sync.latency import Jitter, StreamStatistics
 from runtime.sync.matching import Decided, Message, Pair
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseTrack
@@ -161,11 +163,11 @@ class PushStream:
         self._poses = PoseFeed(pose_frame, scan_stamp, calibration)
         self._counter = MessageCounter()
         self._recorder = StatisticsRecorder(self.deadline_ms)
+        self._jitter = Jitter()
         self._watchdog = Watchdog(watchdog or WatchdogLimits())
         self._reported_state = self._watchdog.state(0)
         self._ready: Pair | None = None  # waits for its prediction
         self._unread: tuple[Pair, FrameResult] | None = None  # waits to be fetched
-        self._answers = 0
         self._closed = self._ended = self._failure_raised = False
         self._guard = ProcessGuard("PushStream")
         self._failure: BaseException | None = None
@@ -415,8 +417,7 @@ class PushStream:
                 self._on_error(error)
             return
         with self._changed:
-            self._answers += 1
-            self._recorder.record(result, transit_ns=now_ns - pair.image.stamp_ns)
+            self._recorder.record(result)
             self._watchdog.answered(result, now_ns)
             self._counter.record_pair(pair, Outcome.ANSWERED)
             if self._on_result is None:
@@ -427,15 +428,17 @@ class PushStream:
         if self._on_result is not None:
             self._on_result(result)
 
-    def _result(self, pair: Pair, answer: FrameAnswer, now_ns: int) -> FrameResult:
+    def _result(self, pair: Pair, answer: FrameResult, now_ns: int) -> FrameResult:
         latency_ms = age_ms = (now_ns - pair.image.arrived_ns) / NS_PER_MS
         if self._sensor_clock is not None:
             age_ms = (stamp_ns(self._sensor_clock()) - pair.image.stamp_ns) / NS_PER_MS
-        return FrameResult(
-            **vars(answer),
-            sequence=self._answers,
+        with self._changed:
+            jitter_ms = self._jitter.record(now_ns - pair.image.stamp_ns)
+        return replace(
+            answer,
             latency_ms=latency_ms,
             age_ms=age_ms,
+            jitter_ms=jitter_ms,
             deadline_met=None if self.deadline_ms is None else latency_ms <= self.deadline_ms,
         )
 
@@ -455,7 +458,7 @@ class PushStream:
         """Count what was discarded and make the newest complete pair ready."""
         self._counter.record_decided(decided)
         if decided.jumped_back:
-            self._recorder.reset_jitter()
+            self._jitter.reset()
         for pair in decided.pairs:
             if self._ready is not None and self._ready.depth is not None and pair.depth is None:
                 self._counter.record_pair(pair, Outcome.INCOMPLETE)

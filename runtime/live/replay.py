@@ -15,7 +15,7 @@ from runtime.checks import shown
 from runtime.errors import InputError, SSDNetError
 from runtime.io.calibration import Calibration
 from runtime.live.answerer import Answerer, FramePredictor
-from runtime.live.frame_result import FrameAnswer
+from runtime.live.frame_result import FrameResult
 from runtime.live.message_counter import MessageCounter
 from runtime.live.payload import check_depth as checked_depth
 from runtime.live.payload import check_points
@@ -55,7 +55,7 @@ def replay(
     check_depth: bool = True,
     on_error: Callable[[SSDNetError], object] | None = None,
     counter: MessageCounter | None = None,
-) -> Iterator[FrameAnswer]:
+) -> Iterator[FrameResult]:
     """Answer every image of a recording, as a `PushStream` that is never late.
 
     ```python
@@ -151,7 +151,7 @@ class _Recording:
                 return self.poses.check(data)
         return check_points(data, times=times, stamp_ns=nanoseconds, calibration=self.calibration)
 
-    def answers(self, pairs: Iterable[Pair]) -> Iterator[FrameAnswer]:
+    def answers(self, pairs: Iterable[Pair]) -> Iterator[FrameResult]:
         """Answer the frames as soon as poses reach them."""
         waiting: deque[Pair] = deque()
         for pair in pairs:
@@ -161,7 +161,7 @@ class _Recording:
         for pair in waiting:
             yield from self._answer(pair)
 
-    def _answer(self, pair: Pair) -> Iterator[FrameAnswer]:
+    def _answer(self, pair: Pair) -> Iterator[FrameResult]:
         """Yield the answer to a frame; none where it is an error."""
         try:
             answer = self.answerer.answer(pair, self.poses.track(pair))

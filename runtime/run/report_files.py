@@ -9,11 +9,11 @@ from dataclasses import asdict
 
 from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import METRES_PNG_MAX_M
+from runtime.prediction import Cleaned
 from runtime.predictor import Predictor
 from runtime.run.options import RunOptions
 from runtime.run.run_folder import FRAMES_FILE, OVERLAY, REPORT_FILE
-from runtime.run.run_report import STAGES, RunReport, size_text
-from runtime.sync.latency import latency_table
+from runtime.run.run_report import STAGES, RunReport, depth_source, size_text
 
 
 def write_report(report: RunReport) -> None:
@@ -43,16 +43,17 @@ def frames_csv(report: RunReport) -> str:
     )
     for record in report.records:
         times_ms = (time_of(record) for time_of in STAGES.values())
-        limited = report.deadline_ms is not None and record.response_ms is not None
+        met, answer = record.deadline_met, record.prediction
         writer.writerow(
-            [record.index, record.name, record.status, record.reason]
-            + list(record.frame_size or ("", ""))
+            [record.sequence, record.name, record.status, record.reason]
+            + list(answer.frame_size if answer else ("", ""))
             + ["" if time_ms is None else f"{time_ms:.3f}" for time_ms in times_ms]
-            + [int(report.is_late(record)) if limited else "", ";".join(record.degraded)]
-            + [*asdict(record.cleaned).values(), record.depth_returns]
-            + list(record.network_size or ("", ""))
-            + [record.image_stamp_ns, record.depth_stamp_ns, ";".join(record.health)]
-            + [record.depth_source, record.depth_motion]
+            + ["" if met is None else int(not met), ";".join(answer.degraded if answer else ())]
+            + list(asdict(answer.cleaned if answer else Cleaned()).values())
+            + [answer.depth_returns if answer else 0]
+            + list(answer.network_size if answer else ("", ""))
+            + [record.image_stamp, record.depth_stamp, ";".join(record.health)]
+            + [depth_source(record), record.depth_motion]
         )
     return text.getvalue()
 
@@ -97,7 +98,7 @@ def describe_run(report: RunReport) -> str:
     lines += [f"  health: {reason}: {count}" for reason, count in report.health.items()]
     if report.stream.rate_hz is not None:
         lines.append(f"constant stream of {report.stream.rate_hz:g} Hz")
-    lines += ["", latency_table(report.stages), ""]
+    lines += ["", report.statistics.table(), ""]
     rate, first_ms = report.frames_per_second, report.engine.first_inference_ms
     lines.append(f"frames a second, end to end: {'n/a' if rate is None else f'{rate:.1f}'}")
     lines.append(
@@ -105,8 +106,6 @@ def describe_run(report: RunReport) -> str:
         + ("n/a" if first_ms is None else f"{first_ms:.1f} ms")
         + " (not in the table)"
     )
-    if report.missed is not None:
-        lines.append(report.missed.line(report.deadline_ms))
     range_m = report.engine.model.max_depth_m
     if "depth" in report.saved and range_m > METRES_PNG_MAX_M:
         lines.append(

@@ -20,20 +20,21 @@ from runtime.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.run.options import RunOptions
 from runtime.run.outputs.output import OpenRun, Output, require_free
 from runtime.run.outputs.registry import requested_outputs
-from runtime.run.pipeline import FrameReader, FrameRecord, StreamResult, WriteFrame, run_stream
+from runtime.run.pipeline import FrameReader, StreamResult, WriteFrame, run_stream
 from runtime.run.process import dedicate_process
 from runtime.run.report_files import describe_predictor, group_reasons
 from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, SUFFIXES
 from runtime.run.run_report import RunReport
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source
+from runtime.sync.frame_outcome import FrameOutcome
 from runtime.sync.outcome import Sensor
 
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
 
-OnRecord = Callable[[FrameRecord], None]
+OnRecord = Callable[[FrameOutcome], None]
 #: Called before the first frame with a text about the run and the number of frames; returns what is
-#: called with the record of each frame.
+#: called with the outcome of each frame.
 OnStart = Callable[[str, int], OnRecord]
 
 
@@ -60,7 +61,7 @@ def run(
     Args:
         options: what to run, and what to write.
         on_start: called before the first frame with a text about the run and the number of frames;
-            returns a function that is called with the record of each frame.
+            returns a function that is called with the outcome of each frame.
 
     Returns:
         What was also written as report.json.
@@ -96,6 +97,7 @@ def run(
                     frames,
                     reader=reader,
                     rate_hz=options.rate,
+                    deadline_ms=options.deadline_ms,
                     degraded=()
                     if implausible is None or isinstance(implausible, _NoDepth)
                     else (IMPLAUSIBLE_DEPTH,),
@@ -105,7 +107,7 @@ def run(
                     stop=stop,
                 )
                 if implausible is _NoDepth.NO_RETURNS and any(
-                    done.depth_returns for done in result.records
+                    done.prediction and done.prediction.depth_returns for done in result.records
                 ):
                     implausible = None  # the LiDAR started later
                 report = _report(opened, source, frame_size, result, implausible)

@@ -1,7 +1,7 @@
 """The outcome of a run: one typed object, from which every table and document is made."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -9,26 +9,21 @@ from typing import Any
 
 from runtime.io.encode import METRES_PNG_MAX_M, METRES_PNG_SCALE
 from runtime.io.engine_facts import EngineFacts
-from runtime.run.pipeline import OK, SKIPPED, FrameRecord, StreamResult
-from runtime.sync.latency import LatencyStatistics, MissCounter, MissedDeadlines, latency_statistics
+from runtime.prediction import Prediction
+from runtime.run.pipeline import StreamResult
+from runtime.sync.frame_outcome import FIGURES, OK, FrameOutcome
+from runtime.sync.latency import (
+    LatencyStatistics,
+    MissCounter,
+    StreamStatistics,
+    latency_statistics,
+)
 
 REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
 FRAMES_SKIPPED, DEADLINE_MISSED = 3, 4  # exit codes
 
-# "predict" is Predictor.predict from end to end; "age" and "jitter" are of constant streams, "skew"
-# and "depth_age" of sources whose sensors both have stamps.
-STAGES: dict[str, Callable[[FrameRecord], float | None]] = {
-    "read": lambda record: record.read_ms,
-    "preprocess": lambda record: record.latency.preprocess_ms if record.latency else None,
-    "inference": lambda record: record.latency.inference_ms if record.latency else None,
-    "postprocess": lambda record: record.latency.postprocess_ms if record.latency else None,
-    "predict": lambda record: record.latency.total_ms if record.latency else None,
-    "write": lambda record: record.write_ms,
-    "age": lambda record: record.age_ms,
-    "jitter": lambda record: record.jitter_ms,
-    "skew": lambda record: record.skew_ms,
-    "depth_age": lambda record: None if (age := record.depth_age_ms) is None else max(age, 0.0),
-}
+#: Stage -> its time of a frame. "latency" would repeat "age" or, in a single stream, "predict".
+STAGES = {stage: time_of for stage, time_of in FIGURES.items() if stage != "latency"}
 _CONSTANT_STREAM = ("age", "jitter")
 _OF_STAMPS = ("skew", "depth_age")
 
@@ -42,8 +37,8 @@ class RunReport:
         inputs: where the frames came from, as the user gave it; ready for JSON.
         out: folder of the results.
         saved: kinds of files that were written of each frame.
-        stream: records of the frames.
-        deadline_ms: of each frame's `response_ms`; None = there was none.
+        stream: outcomes of the frames.
+        deadline_ms: limit of `FrameOutcome.latency_ms`; None = there was none.
         implausible_depth: why the returns cannot be right; None = nothing was found.
     """
 
@@ -56,9 +51,14 @@ class RunReport:
     implausible_depth: str | None = None
 
     @property
-    def records(self) -> tuple[FrameRecord, ...]:
-        """Records of the frames, in order."""
+    def records(self) -> tuple[FrameOutcome, ...]:
+        """Outcomes of the frames, in order."""
         return self.stream.records
+
+    @property
+    def predictions(self) -> list[Prediction]:
+        """Predictions of the frames that have one, in order, without arrays."""
+        return [each.prediction for each in self.records if each.prediction is not None]
 
     @property
     def scenario(self) -> str:
@@ -73,7 +73,7 @@ class RunReport:
     @property
     def degraded(self) -> Counter[str]:
         """Reason of `Prediction.degraded` -> frames."""
-        return Counter(reason for record in self.records for reason in record.degraded)
+        return Counter(reason for each in self.predictions for reason in each.degraded)
 
     @property
     def health(self) -> Counter[str]:
@@ -84,7 +84,7 @@ class RunReport:
     def depth_sources(self) -> Counter[str]:
         """Own or reused, and how the returns were moved -> frames with depth."""
         return Counter(
-            f"{record.depth_source}, motion {record.depth_motion}"
+            f"{depth_source(record)}, motion {record.depth_motion}"
             for record in self.records
             if record.depth_motion is not None
         )
@@ -92,67 +92,52 @@ class RunReport:
     @property
     def by_network_size(self) -> Counter[str]:
         """Size at which the network ran -> frames."""
-        sizes = (record.network_size for record in self.records)
-        return Counter(size_text(size) for size in sizes if size is not None)
+        return Counter(size_text(each.network_size) for each in self.predictions)
 
     @property
-    def not_ok(self) -> list[FrameRecord]:
+    def not_ok(self) -> list[FrameOutcome]:
         """Frames without an answer that can be used."""
         return [record for record in self.records if record.status != OK]
 
     @cached_property
-    def stages(self) -> dict[str, LatencyStatistics | None]:
-        """Stage -> statistics over the frames that passed it; the stages of the scenario."""
-        left_out: tuple[str, ...] = () if self.stream.rate_hz is not None else _CONSTANT_STREAM
-        left_out += tuple(
-            stage
-            for stage in _OF_STAMPS
-            if all(STAGES[stage](record) is None for record in self.records)
-        )
-        return {
-            stage: latency_statistics(_known(map(time_of, self.records)))
-            for stage, time_of in STAGES.items()
-            if stage not in left_out
-        }
+    def statistics(self) -> StreamStatistics:
+        """Statistics over the frames that passed each stage; the stages of the scenario."""
+        optional = _OF_STAMPS if self.stream.rate_hz else (*_CONSTANT_STREAM, *_OF_STAMPS)
+        stages = {}
+        for stage, time_of in STAGES.items():
+            times_ms = [ms for record in self.records if (ms := time_of(record)) is not None]
+            if times_ms or stage not in optional:
+                stages[stage] = latency_statistics(times_ms)
+        misses = MissCounter()
+        for record in self.records:
+            if record.deadline_met is not None:
+                misses.record(late=not record.deadline_met)
+        missed = None if self.deadline_ms is None else misses.misses()
+        return StreamStatistics(stages, self.deadline_ms, missed)
 
     @property
     def responses(self) -> LatencyStatistics | None:
         """Statistics of what the deadline limits."""
-        return latency_statistics(_known(record.response_ms for record in self.records))
-
-    @cached_property
-    def missed(self) -> MissedDeadlines | None:
-        """Frames that were later than the deadline; None without a deadline."""
-        if self.deadline_ms is None:
-            return None
-        counter = MissCounter()
-        for record in self.records:
-            if record.response_ms is not None:
-                counter.record(late=self.is_late(record))
-        return counter.misses()
-
-    def is_late(self, record: FrameRecord) -> bool:
-        """Whether a frame was later than the deadline."""
-        deadline_ms, response_ms = self.deadline_ms, record.response_ms
-        return deadline_ms is not None and response_ms is not None and response_ms > deadline_ms
+        return latency_statistics(
+            record.latency_ms for record in self.records if record.latency_ms is not None
+        )
 
     @property
     def frames_per_second(self) -> float | None:
         """Rate of predicted frames, reading and writing included; None = none was predicted."""
-        predicted = sum(record.status != SKIPPED for record in self.records)
-        return predicted / self.stream.wall_s if predicted else None
+        return len(self.predictions) / self.stream.wall_s if self.predictions else None
 
     @property
     def exit_code(self) -> int:
         """0, FRAMES_SKIPPED (also if the depth is implausible), or DEADLINE_MISSED before all."""
-        if self.missed is not None and self.missed.count:
+        missed = self.statistics.missed
+        if missed is not None and missed.count:
             return DEADLINE_MISSED
         doubtful = self.implausible_depth is not None and self.records
         return FRAMES_SKIPPED if self.stream.interrupted or self.not_ok or doubtful else 0
 
     def document(self) -> dict[str, Any]:
         """Return the content of report.json, see REPORT_VERSION."""
-        missed = self.missed
         return {
             "format": REPORT_FORMAT,
             "version": REPORT_VERSION,
@@ -176,13 +161,9 @@ class RunReport:
             },
             "interrupted": self.stream.interrupted,
             "scenario": {"name": self.scenario, "rate_hz": self.stream.rate_hz},
-            "stages": {
-                stage: None if statistics is None else asdict(statistics)
-                for stage, statistics in self.stages.items()
-            },
+            **self.statistics.to_dict(),
             "wall_s": self.stream.wall_s,
             "frames_per_second": self.frames_per_second,
-            "deadline": missed and {"deadline_ms": self.deadline_ms, **asdict(missed)},
         }
 
 
@@ -191,5 +172,8 @@ def size_text(size: tuple[int, int] | None) -> str:
     return "any size" if size is None else f"{size[0]} x {size[1]}"
 
 
-def _known(times_ms: Iterable[float | None]) -> Iterable[float]:
-    return (time_ms for time_ms in times_ms if time_ms is not None)
+def depth_source(record: FrameOutcome) -> str:
+    """Depth of the image's "own" scan, "reused" from an older one, or "" without depth."""
+    if record.depth_motion is None:
+        return ""
+    return "reused" if record.depth_reused else "own"

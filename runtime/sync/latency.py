@@ -1,7 +1,8 @@
 """Latency statistics: percentiles, deadline misses, jitter."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import astuple, dataclass
+from dataclasses import asdict, astuple, dataclass
+from typing import Any
 
 from runtime.sync.stamp import NS_PER_MS
 
@@ -37,11 +38,6 @@ class MissedDeadlines:
 
     count: int
     longest_run: int
-
-    def line(self, deadline_ms: float | None) -> str:
-        """A line of text on them."""
-        run = self.longest_run
-        return f"missed deadlines of {deadline_ms:g} ms: {self.count}, longest run {run}"
 
 
 def latency_statistics(durations_ms: Iterable[float]) -> LatencyStatistics | None:
@@ -110,13 +106,42 @@ class Jitter:
         self._last_ns = None
 
 
-def latency_table(stages: dict[str, LatencyStatistics | None]) -> str:
-    """A text table with one line per stage; "n/a" where there is nothing or n is too small [ms]."""
-    columns = ("n", "mean", "median", "p90", "p99", "p99.9", "max")
-    width = max(len(stage) for stage in (*stages, "stage [ms]"))
-    lines = ["stage [ms]".ljust(width) + "".join(f"{column:>9}" for column in columns)]
-    for stage, statistics in stages.items():
-        n, *times_ms = (0, *[None] * 6) if statistics is None else astuple(statistics)
-        cells = [str(n), *("n/a" if time_ms is None else f"{time_ms:.2f}" for time_ms in times_ms)]
-        lines.append(stage.ljust(width) + "".join(f"{cell:>9}" for cell in cells))
-    return "\n".join(lines)
+@dataclass(frozen=True)
+class StreamStatistics:
+    """Statistics of the frames of a run or a stream.
+
+    Attributes:
+        stages: figure of `FIGURES` -> statistics in milliseconds, None without a value.
+        deadline_ms: None = there is none.
+        missed: late answers; None without a deadline.
+    """
+
+    stages: dict[str, LatencyStatistics | None]
+    deadline_ms: float | None
+    missed: MissedDeadlines | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entries "stages" and "deadline" of a report.json, ready for `json.dumps`."""
+        return {
+            "stages": {
+                name: None if figures is None else asdict(figures)
+                for name, figures in self.stages.items()
+            },
+            "deadline": None
+            if self.missed is None
+            else {"deadline_ms": self.deadline_ms, **asdict(self.missed)},
+        }
+
+    def table(self) -> str:
+        """Return a text table, a line a figure; "n/a" where there is nothing or n is too small."""
+        columns = ("n", "mean", "median", "p90", "p99", "p99.9", "max")
+        width = max(len(stage) for stage in (*self.stages, "stage [ms]"))
+        lines = ["stage [ms]".ljust(width) + "".join(f"{column:>9}" for column in columns)]
+        for stage, figures in self.stages.items():
+            n, *times_ms = (0, *[None] * 6) if figures is None else astuple(figures)
+            cells = [str(n), *("n/a" if each is None else f"{each:.2f}" for each in times_ms)]
+            lines.append(stage.ljust(width) + "".join(f"{cell:>9}" for cell in cells))
+        if self.missed is not None:
+            run = f"longest run {self.missed.longest_run}"
+            lines.append(f"missed deadlines of {self.deadline_ms:g} ms: {self.missed.count}, {run}")
+        return "\n".join(lines)

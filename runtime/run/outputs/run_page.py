@@ -15,9 +15,9 @@ from runtime.drawing.report_page.timeline import Moment, Timeline
 from runtime.io.atomic_write import atomic_write
 from runtime.prediction import Prediction
 from runtime.run.outputs.output import OpenRun
-from runtime.run.pipeline import OK
 from runtime.run.run_report import RunReport
 from runtime.sources.frames import Frame
+from runtime.sync.frame_outcome import OK
 
 
 class RunPage:
@@ -38,10 +38,12 @@ class RunPage:
 
         timeline = Timeline()
         for record in report.records:
-            marks = [] if record.status == OK else [record.status]
-            marks += [*record.degraded, *record.health, *[LATE] * report.is_late(record)]
-            returns = None if record.latency is None else record.depth_returns
-            timeline.add(Moment(record.name, record.response_ms, tuple(marks), returns))
+            marks, returns = [] if record.status == OK else [record.status], None
+            if record.prediction is not None:
+                marks += record.prediction.degraded
+                returns = record.prediction.depth_returns
+            marks += [*record.health, *[LATE] * (record.deadline_met is False)]
+            timeline.add(Moment(record.name, record.latency_ms, tuple(marks), returns))
         content = PageContent(
             command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
             interrupted=report.stream.interrupted,
@@ -50,9 +52,9 @@ class RunPage:
             timeline=timeline,
             response="prediction" if report.stream.rate_hz is None else "age",
             responses=report.responses,
-            stages=report.stages,
+            stages=report.statistics.stages,
             deadline_ms=report.deadline_ms,
-            missed=report.missed,
+            missed=report.statistics.missed,
             frames_per_second=report.frames_per_second,
             problems=[(each.name, each.status, each.reason) for each in report.not_ok],
             samples=self._samples.samples(),

@@ -38,7 +38,7 @@ def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(setup
             assert result.age_ms == 0, "no scan is due for it"
     assert str(made.stream.state.level) == "OK"
     stages = made.stream.statistics.stages
-    assert (stages["skew"].n, stages["depth age"].n, stages["depth age"].max_ms) == (15, 30, 50)
+    assert (stages["skew"].n, stages["depth_age"].n, stages["depth_age"].max_ms) == (15, 30, 50)
 
 
 def test_an_answer_that_was_reused_and_not_fetched_is_counted(setup):

@@ -26,6 +26,7 @@ from runtime.io.calibration import Calibration
 from runtime.live.message_counter import MessageCounter
 from stream_messages import add_up, depth, image
 
+TIMES = ("latency_ms", "age_ms", "jitter_ms")  # differ in a live stream
 POSES = {"calibration": CALIBRATION, "pose_frame": "lidar"}
 
 
@@ -85,7 +86,8 @@ def test_answers_are_those_of_the_engine_and_of_a_live_stream(model_file, make_f
                 if kind == "depth":
                     live = next(stream)
                     answer = answers[live.sequence]
-                    for name in vars(answer).keys() - {"prediction", "rgb"}:
+                    assert answer.latency_ms == answer.prediction.latency.total_ms
+                    for name in vars(answer).keys() - {"prediction", "rgb", *TIMES}:
                         assert getattr(answer, name) == getattr(live, name)
                     np.testing.assert_array_equal(answer.rgb, live.rgb)
                     np.testing.assert_array_equal(answer.prediction.depth, live.prediction.depth)

@@ -5,9 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from runtime.run.pipeline import INVALID, OK, SKIPPED, FrameRecord, StreamResult
+from runtime.prediction import Latency, Prediction
+from runtime.run.pipeline import StreamResult
 from runtime.run.report_files import frames_csv
 from runtime.run.run_report import RunReport
+from runtime.sync.frame_outcome import INVALID, OK, SKIPPED, FrameOutcome
 from runtime.sync.latency import MissedDeadlines
 
 
@@ -27,8 +29,16 @@ def report_of(model_file):
     return make
 
 
+def outcome(number, status=OK, *, degraded=(), **others):
+    prediction = Prediction(
+        {}, (48, 64), (48, 64), Latency(0, 0, 0, 0), valid=status == OK, degraded=degraded
+    )
+    known = {} if status == SKIPPED else {"prediction": prediction}
+    return FrameOutcome(sequence=number, name=str(number), **known, **others)
+
+
 def records_of(*statuses):
-    return [FrameRecord(i, str(i), status) for i, status in enumerate(statuses)]
+    return [outcome(number, status) for number, status in enumerate(statuses)]
 
 
 @pytest.mark.parametrize(
@@ -48,42 +58,45 @@ def test_skipped_frames_are_no_frames_a_second(report_of, statuses, rate):
 def test_the_skew_is_that_of_both_sensors_stamps_where_there_are_any(report_of):
     stamps_ns = [(1_000, 8_001_000), (100_001_000, 97_001_000), (200_000_000, None)]
     records = [
-        FrameRecord(i, str(i), OK, image_stamp_ns=image, depth_stamp_ns=depth)
-        for i, (image, depth) in enumerate(stamps_ns)
+        outcome(number, image_stamp=image, depth_stamp=depth)
+        for number, (image, depth) in enumerate(stamps_ns)
     ]
     report = report_of(*records)
-    skew = report.stages["skew"]
+    skew = report.statistics.stages["skew"]
     assert (skew.n, skew.mean_ms, skew.max_ms) == (2, 5.5, 8)
     rows = csv.DictReader(frames_csv(report).splitlines())
     assert [row["skew_ms"] for row in rows] == ["8.000", "3.000", ""]
-    assert "skew" not in report_of(records[2]).stages
+    assert "skew" not in report_of(records[2]).statistics.stages
 
 
 def test_the_exit_code_is_that_of_the_deadline_first(report_of):
-    late, skipped = FrameRecord(0, "0", OK, age_ms=30.0), FrameRecord(1, "1", SKIPPED)
-    in_time = FrameRecord(2, "2", OK, age_ms=20.0)
+    late, in_time = outcome(0, deadline_met=False), outcome(1, deadline_met=True)
+    skipped = outcome(2, SKIPPED)
     assert report_of(in_time, deadline_ms=25.0).exit_code == 0
     assert report_of(in_time, skipped, deadline_ms=25.0).exit_code == 3
     assert report_of(late, skipped, deadline_ms=25.0).exit_code == 4
-    assert report_of(late, in_time).exit_code == 0
+    assert report_of(outcome(0)).exit_code == 0
     assert report_of(in_time, interrupted=True).exit_code == 3
 
 
 def test_health_and_degraded_are_counted_by_frame(report_of):
     records = [
-        FrameRecord(0, "0", OK, degraded=("no_depth",), health=("image_frozen",)),
-        FrameRecord(1, "1", OK, health=("image_frozen", "image_black")),
+        outcome(0, degraded=("no_depth",), health=("image_frozen",)),
+        outcome(1, health=("image_frozen", "image_black")),
     ]
     frames = report_of(*records).document()["frames"]
     assert frames["degraded"] == {"no_depth": 1}
     assert frames["health"] == {"image_frozen": 2, "image_black": 1}
 
 
-def test_a_frame_exactly_on_the_deadline_is_in_time_and_one_without_answer_ends_no_run(report_of):
-    ages_ms = [11, 10, 12, None, 13]
-    records = [FrameRecord(i, str(i), OK, age_ms=age_ms) for i, age_ms in enumerate(ages_ms)]
+def test_a_frame_without_answer_ends_no_run_of_late_ones(report_of):
+    met = [False, True, False, None, False]
+    records = [
+        outcome(number, SKIPPED if each is None else OK, deadline_met=each)
+        for number, each in enumerate(met)
+    ]
     report = report_of(*records, deadline_ms=10)
-    assert report.missed == MissedDeadlines(count=3, longest_run=2)
+    assert report.statistics.missed == MissedDeadlines(count=3, longest_run=2)
     rows = csv.DictReader(frames_csv(report).splitlines())
     assert [row["missed_deadline"] for row in rows] == ["1", "0", "1", "", "1"]
-    assert report_of(*records).missed is None
+    assert report_of(outcome(0)).statistics.missed is None

@@ -7,8 +7,8 @@ from runtime.sync.latency import (
     Jitter,
     MissCounter,
     MissedDeadlines,
+    StreamStatistics,
     latency_statistics,
-    latency_table,
 )
 
 
@@ -74,7 +74,8 @@ def test_jitter_is_the_change_of_the_transit_time():
 
 
 def test_the_table_has_n_a_without_a_value():
-    table = latency_table({"read": latency_statistics([1.0, 2.0]), "write": None})
+    stages = {"read": latency_statistics([1.0, 2.0]), "write": None}
+    table = StreamStatistics(stages, deadline_ms=None, missed=None).table()
     header, read, write = table.splitlines()
     assert header.split()[2:] == ["n", "mean", "median", "p90", "p99", "p99.9", "max"]
     assert read.split() == ["read", "2", "1.50", "1.00", "n/a", "n/a", "n/a", "2.00"]

@@ -1,0 +1,95 @@
+"""The outcome of a frame of a run, a replay or a live stream, and the figures in it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from runtime.prediction import Prediction
+from runtime.sync.depth_in_time import DepthMotion
+from runtime.sync.stamp import NS_PER_MS, Stamp, stamp_ns
+
+OK, SKIPPED, INVALID = "ok", "skipped", "invalid"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FrameOutcome:
+    """The outcome of a frame; fields that do not apply are None.
+
+    Attributes:
+        sequence: number of the frame in its run, or of the answer in its stream, from 0.
+        name: of the frame in a run.
+        reason: in a run, why the status is not "ok".
+        prediction: of the `Predictor`. That of a run is kept without arrays (`heads` is empty), and
+            None for a frame that could not be read or predicted.
+        health: what is wrong with the sensors, see `FrameHealth.check`; () if nothing.
+        image_stamp: as given to a stream; nanoseconds in a run.
+        depth_stamp: the same of the depth; None where the prediction is from the camera alone
+            (`prediction.degraded` then holds "no_depth").
+        depth_reused: whether the depth is an older scan's (`prediction.degraded` then holds
+            "depth_reused"), because the image has none of its own.
+        depth_motion: "each" where each return was moved to the time of the image by its own time,
+            "scan" where the scan was moved as one, "none" where it is as it was measured; None
+            without depth.
+        read_ms: time of reading and decoding, in a run.
+        write_ms: time of writing to all outputs, in a run.
+        latency_ms: what a deadline limits: in a live stream the time since the image was pushed,
+            with waiting for its depth and for its turn; in a constant stream that since the frame
+            was due; else that of the prediction.
+        age_ms: time of the answer - stamp of the image by the stream's `sensor_clock`, without one
+            `latency_ms`; None in a run that is no constant stream.
+        jitter_ms: |(t2 - t1) - (s2 - s1)| of this answer and the one before at the times t with the
+            image stamps s, in a constant stream with the times s at which they were due (the
+            transit-time difference of RFC 3550).
+        deadline_met: whether latency_ms is within the deadline; None without one.
+    """
+
+    sequence: int
+    name: str = ""
+    reason: str = ""
+    prediction: Prediction | None = None
+    health: tuple[str, ...] = ()
+    image_stamp: Stamp | None = None
+    depth_stamp: Stamp | None = None
+    depth_reused: bool = False
+    depth_motion: DepthMotion | None = None
+    read_ms: float | None = None
+    write_ms: float | None = None
+    latency_ms: float | None = None
+    age_ms: float | None = None
+    jitter_ms: float | None = None
+    deadline_met: bool | None = None
+
+    @property
+    def status(self) -> str:
+        """Return "ok", "skipped" without a prediction, or "invalid" with one that is not valid."""
+        if self.prediction is None:
+            return SKIPPED
+        return OK if self.prediction.valid else INVALID
+
+    @property
+    def skew_ms(self) -> float | None:
+        """Depth stamp - image stamp; None where one is not known."""
+        if self.image_stamp is None or self.depth_stamp is None:
+            return None
+        return (stamp_ns(self.depth_stamp) - stamp_ns(self.image_stamp)) / NS_PER_MS
+
+    @property
+    def depth_age_ms(self) -> float | None:
+        """Image stamp - depth stamp; None where one is not known."""
+        return None if self.skew_ms is None else 0.0 - self.skew_ms  # no -0.0
+
+
+#: Figure [ms] -> its value of a frame. "predict" is `Predictor.predict` from end to end, "skew" is
+#: absolute and of images with depth of their own, "depth_age" is 0 where the depth is newer.
+FIGURES: dict[str, Callable[[FrameOutcome], float | None]] = {
+    "read": lambda done: done.read_ms,
+    "preprocess": lambda done: done.prediction.latency.preprocess_ms if done.prediction else None,
+    "inference": lambda done: done.prediction.latency.inference_ms if done.prediction else None,
+    "postprocess": lambda done: done.prediction.latency.postprocess_ms if done.prediction else None,
+    "predict": lambda done: done.prediction.latency.total_ms if done.prediction else None,
+    "write": lambda done: done.write_ms,
+    "latency": lambda done: done.latency_ms,
+    "age": lambda done: done.age_ms,
+    "jitter": lambda done: done.jitter_ms,
+    "skew": lambda done: None if done.skew_ms is None or done.depth_reused else abs(done.skew_ms),
+    "depth_age": lambda done: None if (age := done.depth_age_ms) is None else max(age, 0.0),
+}
