@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime import InputError, Predictor, PushStream
-from runtime.live.message_counter import StreamCounts
+from runtime.live.stream_counter import StreamCounts
 from runtime.resize import move_returns
 from runtime.run.process import dedicate_process
 from runtime.sources.bundled_stream import bundled_frames, bundled_stream

@@ -21,8 +21,8 @@ from runtime import Predictor, replay
 from runtime.io.calibration import Calibration
 from runtime.io.images import read_rgb
 from runtime.io.scan import read_scan
-from runtime.live.message_counter import MessageCounter
 from runtime.live.replay import ReplayMessage
+from runtime.live.stream_counter import StreamCounter
 
 PERIOD_S = 0.1
 
@@ -37,7 +37,7 @@ def main() -> None:
     arguments = parser.parse_args()
     images = sorted(arguments.images.iterdir())[: arguments.frames]
     scans = sorted(arguments.scans.iterdir())[: arguments.frames]
-    counter = MessageCounter()
+    counter = StreamCounter()
     with Predictor() as predictor:
         for answer in replay(
             predictor,

@@ -35,11 +35,10 @@ from runtime.io.calibration import Calibration
 from runtime.live.answerer import Answerer, FramePredictor
 from runtime.live.clock import MonotonicClock
 from runtime.live.frame_result import FrameResult
-from runtime.live.message_counter import MessageCounter, StreamCounts
 from runtime.live.payload import check_depth, check_points
 from runtime.live.pose_feed import PoseFeed
-from runtime.live.stream_statistics import StatisticsRecorder
-from runtime.live.watchdog import Watchdog, WatchdogLimits, WatchdogState
+from runtime.live.stream_counter import StreamCounter, StreamCounts
+from runtime.live.watchdog import WatchdogLimits, WatchdogState
 from runtime.preprocess import check_rgb
 from runtime.process_guard import ProcessGuard
 from runtime.sync.depth_in_time import ScanStamp
@@ -161,11 +160,8 @@ class PushStream:
             reuse_ns=round(_check_ms("reuse_depth_ms", reuse_depth_ms, 0) * NS_PER_MS),
         )
         self._poses = PoseFeed(pose_frame, scan_stamp, calibration)
-        self._counter = MessageCounter()
-        self._recorder = StatisticsRecorder(self.deadline_ms)
-        self._jitter = Jitter()
-        self._watchdog = Watchdog(watchdog or WatchdogLimits())
-        self._reported_state = self._watchdog.state(0)
+        self._counter, self._jitter = StreamCounter(self.deadline_ms, watchdog), Jitter()
+        self._reported_state = self._counter.state(0)
         self._ready: Pair | None = None  # waits for its prediction
         self._unread: tuple[Pair, FrameResult] | None = None  # waits to be fetched
         self._closed = self._ended = self._failure_raised = False
@@ -275,7 +271,7 @@ class PushStream:
                     ) from self._failure
                 return
             now_ns = self._clock.now_ns()
-            self._watchdog.start(now_ns)
+            self._counter.start(now_ns)
             if sensor is Sensor.POSE:
                 self._counter.record(sensor, self._poses.buffer.add(data, nanoseconds))
             else:
@@ -296,13 +292,13 @@ class PushStream:
     def statistics(self) -> StreamStatistics:
         """Latency, age, skew, jitter and missed deadlines of all answers so far."""
         with self._changed:
-            return self._recorder.statistics()
+            return self._counter.statistics()
 
     @property
     def state(self) -> WatchdogState:
         """The stream's present state, also while a prediction hangs."""
         with self._changed:
-            return self._watchdog.state(self._clock.now_ns())
+            return self._counter.state(self._clock.now_ns())
 
     def close(self) -> None:
         """Accept no more messages, answer the accepted ones, and end.
@@ -396,9 +392,9 @@ class PushStream:
         now_ns = self._clock.now_ns()
         if self._closed or self._ready is not None:
             return 0
-        if self._on_state is not None and self._watchdog.state(now_ns) != self._reported_state:
+        if self._on_state is not None and self._counter.state(now_ns) != self._reported_state:
             return 0
-        due_ns = [self._synchronizer.due_ns(), self._watchdog.due_ns(now_ns)]
+        due_ns = [self._synchronizer.due_ns(), self._counter.due_ns(now_ns)]
         return min((each - now_ns for each in due_ns if each is not None), default=None)
 
     def _answer(self, pair: Pair, poses: PoseTrack | None) -> None:
@@ -410,16 +406,13 @@ class PushStream:
         except BaseException as error:
             with self._changed:
                 self._counter.record_failed(pair, error)
-                self._watchdog.failed()
             if not isinstance(error, SSDNetError):
                 raise
             if self._on_error is not None:
                 self._on_error(error)
             return
         with self._changed:
-            self._recorder.record(result)
-            self._watchdog.answered(result, now_ns)
-            self._counter.record_pair(pair, Outcome.ANSWERED)
+            self._counter.record_answer(pair, result, now_ns)
             if self._on_result is None:
                 if self._unread is not None:
                     self._counter.record_unread(self._unread[0])

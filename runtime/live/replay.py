@@ -16,10 +16,10 @@ from runtime.errors import InputError, SSDNetError
 from runtime.io.calibration import Calibration
 from runtime.live.answerer import Answerer, FramePredictor
 from runtime.live.frame_result import FrameResult
-from runtime.live.message_counter import MessageCounter
 from runtime.live.payload import check_depth as checked_depth
 from runtime.live.payload import check_points
 from runtime.live.pose_feed import PoseFeed
+from runtime.live.stream_counter import StreamCounter
 from runtime.preprocess import check_rgb
 from runtime.sync.depth_in_time import ScanStamp
 from runtime.sync.matching import Message, Pair
@@ -54,7 +54,7 @@ def replay(
     consistency: float | None = None,
     check_depth: bool = True,
     on_error: Callable[[SSDNetError], object] | None = None,
-    counter: MessageCounter | None = None,
+    counter: StreamCounter | None = None,
 ) -> Iterator[FrameResult]:
     """Answer every image of a recording, as a `PushStream` that is never late.
 
@@ -85,7 +85,7 @@ def replay(
         check_depth: whether returns are compared with a prediction from the image alone.
         on_error: called with the error of each message and frame that has one, which is left out;
             None = the first one is raised.
-        counter: counts the messages and their outcomes.
+        counter: counts the messages, their outcomes and the answers.
 
     Returns:
         An iterator over the answers, in the order of the images' stamps.
@@ -96,7 +96,7 @@ def replay(
             its image.
         InferenceError: from the iterator without `on_error`, if the provider fails.
     """
-    counter = MessageCounter() if counter is None else counter
+    counter = StreamCounter() if counter is None else counter
     answerer = Answerer(predictor, calibration, consistency, check_depth=check_depth)
     poses = PoseFeed(pose_frame, scan_stamp, calibration)
     recording = _Recording(answerer, poses, calibration, counter, on_error)
@@ -117,7 +117,7 @@ class _Recording:
     answerer: Answerer
     poses: PoseFeed
     calibration: Calibration | None
-    counter: MessageCounter
+    counter: StreamCounter
     on_error: Callable[[SSDNetError], object] | None
 
     def matched(self, messages: Iterable[ReplayMessage]) -> Iterator[tuple[Sensor, Message]]:
@@ -169,7 +169,7 @@ class _Recording:
             self.counter.record_failed(pair, error)
             self._report(error)
             return
-        self.counter.record_pair(pair, Outcome.ANSWERED)
+        self.counter.record_answer(pair, answer)
         yield answer
         self.answerer.check_last(idle=True)
 

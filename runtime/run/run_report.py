@@ -111,7 +111,7 @@ class RunReport:
         misses = MissCounter()
         for record in self.records:
             if record.deadline_met is not None:
-                misses.record(late=not record.deadline_met)
+                misses.record(not record.deadline_met)
         missed = None if self.deadline_ms is None else misses.misses()
         return StreamStatistics(stages, self.deadline_ms, missed)
 

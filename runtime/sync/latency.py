@@ -71,19 +71,22 @@ def statistics_by_rank(
 
 
 class MissCounter:
-    """Counts the answers that missed the deadline, and the longest run of them.
+    """Counts the answers that missed the deadline or have another fault, and their longest run.
 
     Frames without an answer have no latency: they neither count nor end a run.
+
+    Attributes:
+        run: faults in a row up to now.
     """
 
     def __init__(self) -> None:
-        self._count = self._run = self._longest_run = 0
+        self._count = self.run = self._longest_run = 0
 
-    def record(self, late: bool) -> None:
+    def record(self, missed: bool) -> None:
         """Count one more answer."""
-        self._run = self._run + 1 if late else 0
-        self._count += late
-        self._longest_run = max(self._longest_run, self._run)
+        self.run = self.run + 1 if missed else 0
+        self._count += missed
+        self._longest_run = max(self._longest_run, self.run)
 
     def misses(self) -> MissedDeadlines:
         """The counts so far."""

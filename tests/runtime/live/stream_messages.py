@@ -2,6 +2,9 @@
 
 import numpy as np
 
+from runtime.live.frame_result import FrameResult
+from runtime.prediction import Latency, Prediction
+
 
 def image(value=0):
     rgb = np.full((32, 40, 3), value % 256, np.uint8)
@@ -33,3 +36,20 @@ def add_up(counts):
         assert of.pushed == of.answered + of.pending + others
         assert of.pending >= 0
     return counts
+
+
+def result(number=0, *, degraded=(), valid=True, **others):
+    """The result of a stream that took 40 ms."""
+    latency = Latency(0, 0, 0, 0)
+    size = (32, 40)
+    return FrameResult(
+        sequence=number,
+        rgb=image(number),
+        prediction=Prediction({}, size, size, latency, valid=valid, degraded=degraded),
+        consistency=None,
+        image_stamp=number,
+        latency_ms=40.0,
+        age_ms=40.0,
+        depth_reused="depth_reused" in degraded,
+        **others,
+    )

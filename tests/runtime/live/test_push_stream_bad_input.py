@@ -11,9 +11,9 @@ from hypothesis.extra import numpy as hnp
 
 from runtime.errors import InputError
 from runtime.io.calibration import Calibration
-from runtime.live.message_counter import MessageCounter
 from runtime.live.push_stream import PushStream
 from runtime.live.replay import replay
+from runtime.live.stream_counter import StreamCounter
 from stream_messages import add_up, depth, image
 
 
@@ -167,7 +167,7 @@ def test_10_000_bad_messages_are_refused_or_flagged_and_accounted_for(checked_pr
         check(messages, add_up(stream.counts), answers)
 
     def replay_them(messages):
-        errors, counter = [], MessageCounter()
+        errors, counter = [], StreamCounter()
         recording = [(method.removeprefix("push_"), *others) for method, *others in messages]
         calibration = Calibration(np.eye(3), np.eye(4))
         answers = list(

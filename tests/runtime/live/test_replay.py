@@ -23,7 +23,7 @@ from moving_car import (
 from runtime import InferenceError, InputError, Predictor, PushStream
 from runtime import replay as answer_recording
 from runtime.io.calibration import Calibration
-from runtime.live.message_counter import MessageCounter
+from runtime.live.stream_counter import StreamCounter
 from stream_messages import add_up, depth, image
 
 TIMES = ("latency_ms", "age_ms", "jitter_ms")  # differ in a live stream
@@ -49,7 +49,7 @@ def replay(checked_predictor):
     """Replay messages: (answers, counts). Every message is accounted for."""
 
     def run(recording, *, predictor=None, check_depth=False, **options):
-        counter = MessageCounter()
+        counter = StreamCounter()
         answers = answer_recording(
             predictor or checked_predictor(),
             recording,

@@ -1,12 +1,22 @@
-"""Counts of the outcomes of all messages of a stream or a replay."""
+"""Counts of a stream or a replay: messages by outcome, figures of the answers, faults in a row."""
 
 from collections import Counter
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
 from runtime.errors import InferenceError, SSDNetError
+from runtime.live.frame_result import FrameResult
+from runtime.live.watchdog import Level, WatchdogLimits, WatchdogState
+from runtime.prediction import DEPTH_REUSED
+from runtime.sync.frame_outcome import FIGURES
+from runtime.sync.histogram import DurationHistogram
+from runtime.sync.latency import MissCounter, StreamStatistics
 from runtime.sync.matching import Decided, Pair
 from runtime.sync.outcome import DROPPED, ERRORS, UNMATCHED, Outcome, Sensor
+from runtime.sync.stamp import NS_PER_MS
+
+_OF_A_RUN = ("read", "write")  # figures
+_FAULTS = ("late", "degraded", "reused", "failed")  # of `WatchdogLimits`
 
 
 @dataclass(frozen=True)
@@ -56,17 +66,35 @@ class StreamCounts(MessageCounts):
     jumps_back: int
 
 
-class MessageCounter:
-    """Counts every message when it comes and when its outcome is known. Not thread-safe."""
+class StreamCounter:
+    """Counts every message when it comes and when its outcome is known, and every answer.
 
-    def __init__(self) -> None:
+    Memory is constant. Not thread-safe. Times are by the clock of a live stream [ns].
+
+    Args:
+        deadline_ms: of the stream; None = no limit.
+        limits: for `state`; None = the default ones.
+    """
+
+    def __init__(
+        self, deadline_ms: float | None = None, limits: WatchdogLimits | None = None
+    ) -> None:
+        self._deadline_ms, self._limits = deadline_ms, limits or WatchdogLimits()
         self._pushed: Counter[Sensor] = Counter()
         self._outcomes: dict[Sensor, Counter[Outcome]] = {sensor: Counter() for sensor in Sensor}
         self._camera_only = self._reused = self._out_of_order = self._jumps_back = 0
+        self._histograms = {name: DurationHistogram() for name in FIGURES if name not in _OF_A_RUN}
+        self._faults = {name: MissCounter() for name in _FAULTS}
+        self._last_ns: int | None = None  # the last answer, or else the first message
 
     def push(self, sensor: Sensor) -> None:
         """Count a new message."""
         self._pushed[sensor] += 1
+
+    def start(self, now_ns: int) -> None:
+        """A message was accepted; the first one ends the state "n/a"."""
+        if self._last_ns is None:
+            self._last_ns = now_ns
 
     def record(self, sensor: Sensor, outcome: Outcome) -> None:
         """Count the outcome of a message."""
@@ -88,8 +116,22 @@ class MessageCounter:
             self._reused += pair.reused
             self._camera_only += not pair.reused
 
+    def record_answer(self, pair: Pair, result: FrameResult, now_ns: int = 0) -> None:
+        """A frame was answered."""
+        self.record_pair(pair, Outcome.ANSWERED)
+        for name, histogram in self._histograms.items():
+            if (value_ms := FIGURES[name](result)) is not None:
+                histogram.record(value_ms)
+        self._last_ns = now_ns
+        doubts = {*result.prediction.degraded, *result.health} - {DEPTH_REUSED}
+        self._faults["late"].record(result.deadline_met is False)
+        self._faults["degraded"].record(bool(doubts))
+        self._faults["reused"].record(result.depth_reused)
+        self._faults["failed"].record(not result.prediction.valid)
+
     def record_failed(self, pair: Pair, error: BaseException) -> None:
         """A frame was an error instead of an answer."""
+        self._faults["failed"].record(True)
         is_input = isinstance(error, SSDNetError) and not isinstance(error, InferenceError)
         self.record_pair(pair, Outcome.INPUT_ERROR if is_input else Outcome.INFERENCE_ERROR)
 
@@ -117,6 +159,32 @@ class MessageCounter:
             out_of_order=self._out_of_order,
             jumps_back=self._jumps_back,
         )
+
+    def statistics(self) -> StreamStatistics:
+        """The statistics of the answers so far."""
+        return StreamStatistics(
+            stages={name: each.statistics() for name, each in self._histograms.items()},
+            deadline_ms=self._deadline_ms,
+            missed=None if self._deadline_ms is None else self._faults["late"].misses(),
+        )
+
+    def state(self, now_ns: int) -> WatchdogState:
+        """The state of a live stream at this moment."""
+        if self._last_ns is None:
+            return WatchdogState(Level.NOT_YET)
+        runs = {name: fault.run for name, fault in self._faults.items()}
+        return self._limits.state({**runs, "silence_ms": (now_ns - self._last_ns) / NS_PER_MS})
+
+    def due_ns(self, now_ns: int) -> int | None:
+        """When silence changes the state next; None = never."""
+        if self._last_ns is None:
+            return None
+        limits_ns = [
+            self._last_ns + round(limit * NS_PER_MS)
+            for limit in self._limits.silence_ms
+            if limit is not None
+        ]
+        return min((limit_ns for limit_ns in limits_ns if limit_ns > now_ns), default=None)
 
 
 def _counts(pushed: int, outcomes: Counter[Outcome]) -> MessageCounts:

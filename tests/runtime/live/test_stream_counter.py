@@ -1,19 +1,22 @@
-from runtime.live.message_counter import MessageCounter, MessageCounts
+import json
+
+from runtime.live.stream_counter import MessageCounts, StreamCounter
+from runtime.sync.latency import MissedDeadlines
 from runtime.sync.matching import Decided, Discarded, Message, Pair
 from runtime.sync.outcome import Outcome, Sensor
+from stream_messages import result
 
 IMAGE, SCAN = Message(1.0, 10**9), Message(0.9, 9 * 10**8)
 BOTH, ALONE, REUSED = Pair(IMAGE, SCAN), Pair(IMAGE, None), Pair(IMAGE, SCAN, reused=True)
 
 
 def test_each_message_is_counted_once_with_its_outcome():
-    counter = MessageCounter()
+    counter = StreamCounter()
     for sensor in (*Sensor, *Sensor, *Sensor, Sensor.IMAGE, Sensor.IMAGE):
         counter.push(sensor)
-    counter.record_pair(BOTH, Outcome.ANSWERED)
+    for pair in (BOTH, ALONE, REUSED):
+        counter.record_answer(pair, result())
     counter.record_pair(BOTH, Outcome.OVERTAKEN)
-    counter.record_pair(ALONE, Outcome.ANSWERED)
-    counter.record_pair(REUSED, Outcome.ANSWERED)
     gone = [Discarded(Sensor.DEPTH, SCAN, Outcome.NO_IMAGE)]
     counter.record_decided(Decided(discarded=gone, out_of_order=True, jumped_back=True))
     counter.record_decided(Decided(out_of_order=True))
@@ -30,9 +33,9 @@ def test_each_message_is_counted_once_with_its_outcome():
 
 
 def test_an_answer_that_was_not_fetched_counts_as_dropped():
-    counter = MessageCounter()
+    counter = StreamCounter()
     for pair in (BOTH, ALONE, REUSED):
-        counter.record_pair(pair, Outcome.ANSWERED)
+        counter.record_answer(pair, result())
         counter.record_unread(pair)
     counts = counter.counts()
     assert (counts.answered, counts.camera_only, counts.reused) == (0, 0, 0)
@@ -41,7 +44,33 @@ def test_an_answer_that_was_not_fetched_counts_as_dropped():
 
 def test_every_outcome_is_of_one_kind():
     for outcome in Outcome:
-        counter = MessageCounter()
+        counter = StreamCounter()
         counter.push(Sensor.DEPTH)
         counter.record(Sensor.DEPTH, outcome)
         assert counter.counts().pending == 0, outcome
+
+
+def test_misses_and_their_longest_run():
+    counter = StreamCounter(50.0)
+    for number, met in enumerate([True, False, False, True, False]):
+        counter.record_answer(BOTH, result(number, deadline_met=met))
+    statistics = counter.statistics()
+    assert statistics.missed == MissedDeadlines(count=3, longest_run=2)
+    assert statistics.stages["latency"].n == 5
+    assert statistics.stages["jitter"] is None
+    assert json.loads(json.dumps(statistics.to_dict()))["deadline"] == {
+        "deadline_ms": 50.0,
+        "count": 3,
+        "longest_run": 2,
+    }
+    lines = statistics.table().splitlines()
+    assert lines[-1] == "missed deadlines of 50 ms: 3, longest run 2"
+    names = [line.split()[0] for line in lines]
+    assert names[5:10] == ["latency", "age", "jitter", "skew", "depth_age"]
+
+
+def test_without_a_deadline_there_are_no_misses():
+    counter = StreamCounter()
+    counter.record_answer(BOTH, result())
+    assert counter.statistics().missed is None
+    assert counter.statistics().to_dict()["deadline"] is None
