@@ -12,12 +12,7 @@ from runtime.io.engine_facts import EngineFacts
 from runtime.prediction import Prediction
 from runtime.run.pipeline import StreamResult
 from runtime.sync.frame_outcome import FIGURES, OK, FrameOutcome
-from runtime.sync.latency import (
-    LatencyStatistics,
-    MissCounter,
-    StreamStatistics,
-    latency_statistics,
-)
+from runtime.sync.latency import MissCounter, StreamStatistics, latency_statistics
 
 REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
 FRAMES_SKIPPED, DEADLINE_MISSED = 3, 4  # exit codes
@@ -114,13 +109,6 @@ class RunReport:
                 misses.record(not record.deadline_met)
         missed = None if self.deadline_ms is None else misses.misses()
         return StreamStatistics(stages, self.deadline_ms, missed)
-
-    @property
-    def responses(self) -> LatencyStatistics | None:
-        """Statistics of what the deadline limits."""
-        return latency_statistics(
-            record.latency_ms for record in self.records if record.latency_ms is not None
-        )
 
     @property
     def frames_per_second(self) -> float | None:

@@ -5,10 +5,10 @@ from itertools import groupby
 from typing import Any
 
 from runtime.drawing.report_page.axis import Axis, frame_ticks
-from runtime.drawing.report_page.timeline import Span
+from runtime.drawing.report_page.timeline import LATE, Span
+from runtime.sync.frame_outcome import INVALID, SKIPPED
 from runtime.sync.latency import LatencyStatistics
 
-LATE, SKIPPED, INVALID = "late", "skipped", "invalid"
 DROPS = (SKIPPED, INVALID)  # frames without a usable answer
 MOST_SPANS = 490
 _FRAME_TICKS = 6  # at most

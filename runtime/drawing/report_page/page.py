@@ -11,21 +11,22 @@ from runtime.drawing.overlay import Overlay
 from runtime.drawing.report_page import charts
 from runtime.drawing.report_page.samples import Sample
 from runtime.drawing.report_page.template import render
-from runtime.drawing.report_page.timeline import Span, Timeline
+from runtime.drawing.report_page.timeline import LATE, Span, Timeline
 from runtime.io.encode import encode_png
 from runtime.io.engine_facts import EngineFacts, ProviderFacts
-from runtime.sync.latency import LatencyStatistics, MissedDeadlines
+from runtime.sync.frame_outcome import INVALID, SKIPPED
+from runtime.sync.latency import LatencyStatistics, StreamStatistics
 
 _PARTS = ("preprocess", "inference", "postprocess")  # of a prediction
-_BAD = (*charts.DROPS, charts.LATE)
+_BAD = (*charts.DROPS, LATE)
 _FEW_PROBLEMS, _MOST_PROBLEMS = 10, 200
 _BAR_WIDTH = 640
 _LIBRARIES = {"onnxruntime": "ONNX Runtime", "cv2": "OpenCV", "numpy": "NumPy"}
 #: Mark -> its meaning.
 _MEANINGS = {
-    charts.SKIPPED: "could not be read or predicted",
-    charts.INVALID: "the answer cannot be used",
-    charts.LATE: "later than the deadline",
+    SKIPPED: "could not be read or predicted",
+    INVALID: "the answer cannot be used",
+    LATE: "later than the deadline",
     "no_depth": "no LiDAR return: camera only",
     "sparse_depth_low": "LiDAR returns in too few places",
     "depth_reused": "returns of an older scan",
@@ -56,9 +57,7 @@ class PageContent:
         timeline: outcomes of the frames.
         response: name of the latency that the chart shows and the deadline limits.
         responses: its statistics; None = no answer.
-        stages: stage -> statistics.
-        deadline_ms: None = there was none.
-        missed: None = there was no deadline.
+        statistics: of all stages.
         frames_per_second: None = not known.
         problems: name, status and reason of frames without a usable answer.
         samples: pictures.
@@ -72,9 +71,7 @@ class PageContent:
     timeline: Timeline
     response: str
     responses: LatencyStatistics | None
-    stages: Mapping[str, LatencyStatistics | None]
-    deadline_ms: float | None
-    missed: MissedDeadlines | None
+    statistics: StreamStatistics
     frames_per_second: float | None = None
     problems: Sequence[tuple[str, str, str]] = ()
     samples: Sequence[Sample]
@@ -91,9 +88,9 @@ def render_page(content: PageContent) -> bytes:
         **vars(content),
         "by_status": ", ".join(f"{n:,} {status}" for status, n in by_status.items() if n) or "none",
         "highest": _highest_percentile(content.responses),
-        "chart": charts.latency_chart(spans, deadline_ms=content.deadline_ms),
+        "chart": charts.latency_chart(spans, deadline_ms=content.statistics.deadline_ms),
         "dropped": sum(dropped.values()),
-        "stages": _stages(content.stages),
+        "stages": _stages(content.statistics.stages),
         "lanes": _lanes(timeline, spans),
         "last": timeline.frames - 1,
         "problems": _problems(content.problems),

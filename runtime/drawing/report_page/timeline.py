@@ -5,24 +5,10 @@ from dataclasses import dataclass, field
 from functools import reduce
 from operator import add
 
+from runtime.sync.frame_outcome import OK, FrameOutcome
+
+LATE = "late"
 _MAX_SPANS = 2048  # more than a screen has columns
-
-
-@dataclass(frozen=True)
-class Moment:
-    """The outcome of one frame.
-
-    Attributes:
-        name: of the frame.
-        response_ms: what the deadline limits; None = there was no answer.
-        marks: its status unless "ok", "late", reasons of `Prediction.degraded`, findings of health.
-        returns: LiDAR returns that were used; None = not known.
-    """
-
-    name: str
-    response_ms: float | None = None
-    marks: tuple[str, ...] = ()
-    returns: int | None = None
 
 
 @dataclass
@@ -45,7 +31,6 @@ class Span:
     sum_ms: float = 0.0
     marks: Counter[str] = field(default_factory=Counter)
     returns: int = 0
-    returns_known: int = 0
 
     @property
     def frames(self) -> int:
@@ -64,8 +49,8 @@ class Span:
 
     @property
     def mean_returns(self) -> float | None:
-        """Mean number of returns; None = not known."""
-        return self.returns / self.returns_known if self.returns_known else None
+        """Mean number of returns used; None = no frame was answered."""
+        return self.returns / self.answered if self.answered else None
 
     def __add__(self, later: "Span") -> "Span":
         """Join it with the span after it."""
@@ -79,12 +64,15 @@ class Span:
             sum_ms=self.sum_ms + later.sum_ms,
             marks=self.marks + later.marks,
             returns=self.returns + later.returns,
-            returns_known=self.returns_known + later.returns_known,
         )
 
 
 class Timeline:
-    """Collects moments; in long runs several frames share a span."""
+    """Collects the outcomes of frames; in long runs several frames share a span.
+
+    Marks are the status unless "ok", "late", reasons of `Prediction.degraded`, and findings of
+    health.
+    """
 
     def __init__(self) -> None:
         self.frames = 0
@@ -93,20 +81,24 @@ class Timeline:
         self._spans: list[Span] = []
         self._span_frames = 1  # frames a span
 
-    def add(self, moment: Moment) -> None:
+    def add(self, done: FrameOutcome) -> None:
         """Add the next frame."""
-        response = moment.response_ms
+        answer, response = done.prediction, done.latency_ms
+        marks = {*done.health, *(answer.degraded if answer else ())}
+        if done.status != OK:
+            marks.add(done.status)
+        if done.deadline_met is False:
+            marks.add(LATE)
         span = Span(
             self.frames,
             self.frames,
-            moment.name,
+            done.name,
             answered=response is not None,
             low_ms=float("inf") if response is None else response,
             high_ms=response or 0.0,
             sum_ms=response or 0.0,
-            marks=Counter(set(moment.marks)),
-            returns=moment.returns or 0,
-            returns_known=moment.returns is not None,
+            marks=Counter(marks),
+            returns=answer.depth_returns if answer else 0,
         )
         self.marks.update(span.marks)
         self.flagged += bool(span.marks)

@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from runtime.contract import Contract
-from runtime.drawing.report_page.charts import LATE
 from runtime.drawing.report_page.samples import SampleKeeper
-from runtime.drawing.report_page.timeline import Moment, Timeline
+from runtime.drawing.report_page.timeline import Timeline
 from runtime.io.atomic_write import atomic_write
 from runtime.prediction import Prediction
 from runtime.run.outputs.output import OpenRun
 from runtime.run.run_report import RunReport
 from runtime.sources.frames import Frame
-from runtime.sync.frame_outcome import OK
 
 
 class RunPage:
@@ -38,23 +36,17 @@ class RunPage:
 
         timeline = Timeline()
         for record in report.records:
-            marks, returns = [] if record.status == OK else [record.status], None
-            if record.prediction is not None:
-                marks += record.prediction.degraded
-                returns = record.prediction.depth_returns
-            marks += [*record.health, *[LATE] * (record.deadline_met is False)]
-            timeline.add(Moment(record.name, record.latency_ms, tuple(marks), returns))
+            timeline.add(record)
+        single, statistics = report.stream.rate_hz is None, report.statistics
         content = PageContent(
             command=shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
             interrupted=report.stream.interrupted,
             contract=self._contract,
             engine=report.engine,
             timeline=timeline,
-            response="prediction" if report.stream.rate_hz is None else "age",
-            responses=report.responses,
-            stages=report.statistics.stages,
-            deadline_ms=report.deadline_ms,
-            missed=report.statistics.missed,
+            response="prediction" if single else "age",
+            responses=statistics.stages["predict" if single else "age"],
+            statistics=statistics,
             frames_per_second=report.frames_per_second,
             problems=[(each.name, each.status, each.reason) for each in report.not_ok],
             samples=self._samples.samples(),

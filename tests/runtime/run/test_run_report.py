@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from runtime.prediction import Latency, Prediction
+from outcomes import outcome
 from runtime.run.pipeline import StreamResult
 from runtime.run.report_files import frames_csv
 from runtime.run.run_report import RunReport
-from runtime.sync.frame_outcome import INVALID, OK, SKIPPED, FrameOutcome
+from runtime.sync.frame_outcome import INVALID, OK, SKIPPED
 from runtime.sync.latency import MissedDeadlines
 
 
@@ -27,14 +27,6 @@ def report_of(model_file):
         return RunReport(engine, {}, Path("out"), (), stream, deadline_ms)
 
     return make
-
-
-def outcome(number, status=OK, *, degraded=(), **others):
-    prediction = Prediction(
-        {}, (48, 64), (48, 64), Latency(0, 0, 0, 0), valid=status == OK, degraded=degraded
-    )
-    known = {} if status == SKIPPED else {"prediction": prediction}
-    return FrameOutcome(sequence=number, name=str(number), **known, **others)
 
 
 def records_of(*statuses):

@@ -5,6 +5,7 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 
+from outcomes import outcome
 from runtime.drawing.report_page.charts import (
     MOST_SPANS,
     latency_chart,
@@ -13,14 +14,15 @@ from runtime.drawing.report_page.charts import (
     returns_strip,
 )
 from runtime.drawing.report_page.template import render
-from runtime.drawing.report_page.timeline import Moment, Timeline
+from runtime.drawing.report_page.timeline import Timeline
+from runtime.sync.frame_outcome import OK, SKIPPED
 from runtime.sync.latency import latency_statistics
 
 
-def timeline_of(*moments):
+def timeline_of(*outcomes):
     timeline = Timeline()
-    for moment in moments:
-        timeline.add(moment)
+    for each in outcomes:
+        timeline.add(each)
     return timeline
 
 
@@ -56,13 +58,18 @@ TIMES = (10, 20, 60, None, 30)
 @pytest.fixture
 def timeline():
     """Five frames: the third late, the fourth skipped."""
-    marks = {60: ("late",), None: ("skipped",)}
     names = ("a", "b", "<c>", "d", "e")
-    moments = (
-        Moment(name, response_ms=time, marks=marks.get(time, ()))
-        for name, time in zip(names, TIMES, strict=True)
+    return timeline_of(
+        *(
+            outcome(
+                status=SKIPPED if time is None else OK,
+                name=name,
+                latency_ms=time,
+                deadline_met=time != 60,
+            )
+            for name, time in zip(names, TIMES, strict=True)
+        )
     )
-    return timeline_of(*moments)
 
 
 def test_points_stand_where_their_times_are(timeline):
@@ -97,7 +104,7 @@ def test_the_line_is_broken_where_no_answer_is(timeline):
 
 def test_one_slow_frame_makes_the_axis_logarithmic():
     times = [10.0] * 20 + [5000.0]
-    page = chart(timeline_of(*(Moment("x", response_ms=time) for time in times)))
+    page = chart(timeline_of(*(outcome(latency_ms=time) for time in times)))
     assert "ms, logarithmic" in [span.text for span in page.iter("span")]
     heights = [y for _, y, _ in paths(page, "point")]
     assert heights[0] - heights[-1] > 100
@@ -105,11 +112,10 @@ def test_one_slow_frame_makes_the_axis_logarithmic():
 
 
 def test_many_frames_are_a_band_and_every_late_span_is_marked():
-    moments = (
-        Moment("x", response_ms=10 + index % 7, marks=("late",) if index == 77_777 else ())
-        for index in range(100_000)
+    outcomes = (
+        outcome(latency_ms=10 + index % 7, deadline_met=index != 77_777) for index in range(100_000)
     )
-    page = chart(timeline_of(*moments), deadline_ms=20)
+    page = chart(timeline_of(*outcomes), deadline_ms=20)
     assert len(list(page.iter("polygon"))) == 1
     (late,) = paths(page, "late")
     assert "1 late" in late[2]
@@ -119,7 +125,7 @@ def test_many_frames_are_a_band_and_every_late_span_is_marked():
 
 @pytest.mark.parametrize("frames", [1, 2, 300, 5000])
 def test_everything_lies_within_the_picture(frames):
-    timeline = timeline_of(*(Moment("x", response_ms=1 + i % 9) for i in range(frames)))
+    timeline = timeline_of(*(outcome(latency_ms=1 + i % 9) for i in range(frames)))
     page = chart(timeline, deadline_ms=3)
     for kind in ("point", "late", "grid", "deadline"):
         for x, y, _ in paths(page, kind):
@@ -135,7 +141,7 @@ def test_everything_lies_within_the_picture(frames):
 
 
 def test_without_an_answer_there_is_no_chart():
-    timeline = timeline_of(Moment("x", marks=("skipped",)))
+    timeline = timeline_of(outcome(status=SKIPPED))
     assert latency_chart(timeline.spans(), deadline_ms=1) == {}
 
 
@@ -148,18 +154,24 @@ def rectangles(bars):
 
 def test_a_strip_shows_where_a_mark_was():
     marks = [(), ("a",), ("a", "b"), (), ("a",)]
-    spans = timeline_of(*(Moment("x", marks=each) for each in marks)).spans()
+    spans = timeline_of(*(outcome(health=each) for each in marks)).spans()
     assert rectangles(mark_strip(spans, "a")) == [(200, 400, 100), (800, 200, 100)]
     assert rectangles(mark_strip(spans, "b")) == [(400, 200, 100)]
     assert rectangles(mark_strip(spans, "c")) == []
 
 
 def test_a_strip_shows_the_returns():
-    spans = timeline_of(*(Moment("x", returns=each) for each in (100, None, 50))).spans()
+    outcomes = (
+        outcome(latency_ms=1, returns=100),
+        outcome(status=SKIPPED),
+        outcome(latency_ms=1, returns=50),
+    )
+    spans = timeline_of(*outcomes).spans()
     drawn = rectangles(returns_strip(spans))
     assert [height for _, _, height in drawn] == [100, 50]
     assert drawn[1][0] == pytest.approx(666.67)
-    assert rectangles(returns_strip(timeline_of(Moment("x", returns=0)).spans()))[0][2] == 0
+    none = timeline_of(outcome(latency_ms=1, returns=0))
+    assert rectangles(returns_strip(none.spans()))[0][2] == 0
 
 
 def test_a_strip_shows_the_median_and_the_most():

@@ -1,0 +1,14 @@
+"""Outcomes of frames, made by hand."""
+
+from runtime.prediction import Latency, Prediction
+from runtime.sync.frame_outcome import OK, SKIPPED, FrameOutcome
+
+
+def outcome(number=0, status=OK, *, degraded=(), returns=0, **others):
+    """The outcome of a frame."""
+    size, latency = (48, 64), Latency(0, 0, 0, 0)
+    prediction = Prediction(
+        {}, size, size, latency, valid=status == OK, degraded=degraded, depth_returns=returns
+    )
+    known = {} if status == SKIPPED else {"prediction": prediction}
+    return FrameOutcome(sequence=number, **{"name": str(number), **known, **others})
