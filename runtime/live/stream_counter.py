@@ -107,14 +107,14 @@ class StreamCounter:
         self._out_of_order += decided.out_of_order
         self._jumps_back += decided.jumped_back
 
-    def record_pair(self, pair: Pair, outcome: Outcome) -> None:
-        """Count the outcome of an image and of its own depth map."""
-        self.record(Sensor.IMAGE, outcome)
+    def record_pair(self, pair: Pair, outcome: Outcome, times: int = 1) -> None:
+        """Count the outcome of an image and of its own depth map; times -1: take it back."""
+        self._outcomes[Sensor.IMAGE][outcome] += times
         if pair.own_depth is not None:
-            self.record(Sensor.DEPTH, outcome)
+            self._outcomes[Sensor.DEPTH][outcome] += times
         elif outcome is Outcome.ANSWERED:
-            self._reused += pair.reused
-            self._camera_only += not pair.reused
+            self._reused += times * pair.reused
+            self._camera_only += times * (not pair.reused)
 
     def record_answer(self, pair: Pair, result: FrameResult, now_ns: int = 0) -> None:
         """A frame was answered."""
@@ -137,13 +137,8 @@ class StreamCounter:
 
     def record_unread(self, pair: Pair) -> None:
         """An answer was not fetched: its messages count as dropped instead."""
+        self.record_pair(pair, Outcome.ANSWERED, -1)
         self.record_pair(pair, Outcome.UNREAD)
-        self._outcomes[Sensor.IMAGE][Outcome.ANSWERED] -= 1
-        if pair.own_depth is not None:
-            self._outcomes[Sensor.DEPTH][Outcome.ANSWERED] -= 1
-        else:
-            self._reused -= pair.reused
-            self._camera_only -= not pair.reused
 
     def counts(self) -> StreamCounts:
         """A copy of the present counts."""
