@@ -84,6 +84,7 @@ class Row:
         figures_over_places: the mean over these places, see `scoring.figures_over_places`.
         heads: what the model answered.
         labelled: class -> its labelled pixels, and the frames that show it.
+        left_out: classes that are not scored, in words; empty without any.
     """
 
     model: str
@@ -97,6 +98,7 @@ class Row:
     figures_over_places: dict[str, float] = field(default_factory=dict)
     heads: Sequence[str] = ()
     labelled: dict[str, tuple[int, int]] = field(default_factory=dict)
+    left_out: str = ""
 
 
 def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
@@ -118,8 +120,10 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
     titles += ["fault"] if all_columns or any(row.fault != "none" for row in rows) else []
     cells = [[*titles, *(title for _, title, _ in columns)]]
     for row in rows:
+        notes += [row.left_out] if row.left_out else []
         for head, (figure, truth) in _TRUTH.items():
-            if head in row.heads and figure not in row.figures:
+            explained = head == "semantic" and row.left_out
+            if head in row.heads and figure not in row.figures and not explained:
                 notes.append(
                     f"{row.data}: none of the {row.frames} frames has {truth} as ground truth; "
                     f"use a set with it, for example folders:DIR,{truth}=FOLDER"
