@@ -126,8 +126,8 @@ def evaluate(
 
     Raises:
         DatasetError, CheckpointError, ContractError, ProviderError: for what cannot be opened.
-        InputError: for an invalid argument, labels without names where the models' classes differ,
-            or if no set can give any of the LiDARs.
+        InputError: for an invalid argument, a LiDAR that feeds the depth to score, labels without
+            names where the models' classes differ, or if no set can give any of the LiDARs.
         OutputError: for depth that cannot be written.
     """
     rows: list[Row] = []
@@ -264,6 +264,12 @@ def _score_all(
             frame = split_lidar(sample, lidar, rng)
             if frame is None:
                 continue
+            if frame.target.any() and np.array_equal(frame.fed, frame.target):
+                raise InputError(
+                    f"{sample.name}: with the LiDAR {str(lidar)!r} the input is the depth to "
+                    "score, so that an error of 0 would mean nothing. Feed a share (random:0.5), "
+                    "give denser depth, or leave out sparse_depth: a part of depth is then fed."
+                )
             fed, label = frame.fed, "none"
             if fed.any():
                 was_fed[lidar, fault] = True

@@ -2,14 +2,13 @@
 
 import json
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from runtime.errors import OutputError
-from runtime.io.atomic_write import atomic_file, atomic_write
+from runtime.io.atomic_write import atomic_file, atomic_write, require_writable
 from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
 from training.evaluation.metrics import RANGES_M
 
@@ -156,16 +155,15 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
     return "\n".join([*table, *notes])
 
 
-def require_writable(path: Path, option: str, *, suffix: str = "") -> None:
+def check_output(path: Path, option: str, *, suffix: str = "") -> None:
     """Raise an OutputError for a path that cannot be written, before any work is done."""
     if not path.name.endswith(suffix):
         raise OutputError(f"{path}: {option} writes a {suffix} file; give a path with that suffix")
-    if path.is_dir():
-        raise OutputError(f"{path} is a folder: choose a file for {option}")
     if not path.parent.is_dir():
         raise OutputError(f"{path}: there is no folder {path.parent}; make it, for {option}")
-    if not os.access(path.parent, os.W_OK):
-        raise OutputError(f"{path}: the folder may not be written to; choose another {option}")
+    require_writable(path)
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder: choose a file for {option}")
 
 
 def write_json(rows: Sequence[Row], path: Path) -> None:

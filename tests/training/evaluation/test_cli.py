@@ -1,6 +1,7 @@
 """`ssdnet-eval`: the same inputs and figures for a checkpoint and the file exported from it."""
 
 import json
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -216,6 +217,20 @@ def write_folders(root, count=2):
         cv2.imwrite(str(root / f"images/{number}.png"), np.full((40, 64, 3), 90, np.uint8))
         cv2.imwrite(str(root / f"returns/{number}.png"), returns)
     return f"folders:{root},sparse_depth=returns"
+
+
+def test_a_lidar_that_is_the_truth_is_refused(tmp_path):
+    """Its answer would be free of errors, whatever the model."""
+    data = f"{write_folders(tmp_path)},depth=returns"
+    for lidar in ("own", "none,random:1"):
+        result = run("nearest", "--data", data, "--lidar", lidar)
+        assert result.exit_code == 1
+        assert f"with the LiDAR {lidar.split(',')[-1]!r} the input is the depth to score" in (
+            result.output
+        )
+        assert "random:0.5" in result.output
+    result = run("nearest", "--data", data, "--lidar", "random:0.5,none")
+    assert result.exit_code == 0, result.output
 
 
 def test_depth_of_models_and_methods_is_saved_without_ground_truth(tmp_path):
@@ -453,11 +468,19 @@ def test_classes_that_differ_altogether_are_said_to_differ(named_model, tmp_path
         ("--json", "taken", "is a folder"),
         ("--plot", "taken.png", "is a folder"),
         ("--plot", "x.pdf", "writes a .png file"),
+        ("--json", "pipe", "is no regular file"),
+        ("--json", "sealed/x.json", "Read-only file system"),
+        ("--json", 300 * "x", "File name too long"),
     ],
 )
-def test_a_bad_path_is_refused_before_any_work(folder, tmp_path, monkeypatch, option, name, text):
-    (tmp_path / "taken").mkdir()
-    (tmp_path / "taken.png").mkdir()
+def test_a_bad_path_is_refused_before_any_work(
+    folder, tmp_path, monkeypatch, read_only, option, name, text
+):
+    for taken in ("taken", "taken.png", "sealed"):
+        (tmp_path / taken).mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    if "sealed" in name:
+        read_only(tmp_path / "sealed")
 
     def work(*args, **kwargs):
         raise AssertionError("models were scored first")
@@ -466,9 +489,11 @@ def test_a_bad_path_is_refused_before_any_work(folder, tmp_path, monkeypatch, op
     data = f"camvid:{folder}/camvid,split=val"
     result = run(folder / "lite.pt", "--data", data, option, tmp_path / name)
     assert result.exit_code == 1
-    assert result.output.startswith(f"error: {tmp_path / name}")
+    assert result.output.startswith("error: ")
+    assert str(tmp_path / name) in result.output
     assert text in result.output
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["taken", "taken.png"]
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert left == ["pipe", "sealed", "taken", "taken.png"]
 
 
 def test_data_sets_are_given_as_in_a_recipe():
