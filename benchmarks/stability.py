@@ -51,7 +51,7 @@ from training.datasets.source_recipe import SourceRecipe
 from training.evaluation.depth_regions import distance_px
 from training.evaluation.evaluate import short_names
 from training.evaluation.metrics import SemanticScores
-from training.evaluation.scored_model import ScoredModel, open_model, trained_classes
+from training.evaluation.scored_model import ScoredModel, open_model
 from training.evaluation.scoring import HeadMaps, Predict
 from training.lidar.simulate import SENSOR_LINES, scan_lines
 from training.lidar.split import frame_generator
@@ -163,7 +163,7 @@ def run_probes(
     figures |= probe_border(predict, frames, sky=sky)
     consecutive = (Frame(item.rgb, item.depth, item.focal_length_px) for item in drive)
     figures |= probe_flicker(predict, consecutive, follow=optical_flow)
-    if trained_classes(model.classes, model.training) == "camvid":
+    if model.table == "camvid":
         labelled = [(item.rgb, item.semantic) for item in camvid]
         figures |= probe_pseudo_lidar(predict, labelled, sky=sky, num_classes=len(model.classes))
     return {key: value for key, value in figures.items() if not math.isnan(value)}

@@ -6,12 +6,11 @@ from typing import Annotated
 
 import typer
 
-from export.precision import Int8Options, Precision
+from export.precision import LEAST_FRAMES, Int8Options, Precision
 from runtime.command import interruptible, reported_errors
 from runtime.command_options import Version
 from runtime.contract import MIN_SIDE, Contract
 
-_LEAST_FRAMES = 100  # of a set, to tell what int8 costs
 #: Key in `Contract.accuracy`, name, factor, unit.
 _FIGURES = (
     ("miou", "mIoU", 1e2, "%"),
@@ -80,7 +79,8 @@ def export(
         typer.Option(
             metavar="DATA",
             help="KIND:FOLDER[,KEY=VALUE...] as for ssdnet-eval: frames from which the value "
-            "ranges of int8 are calibrated, 100 or more, with and without LiDAR; may be repeated.",
+            f"ranges of int8 are calibrated, {LEAST_FRAMES} or more, with and without LiDAR; may "
+            "be repeated.",
         ),
     ] = None,
     validate: Annotated[
@@ -88,8 +88,8 @@ def export(
         typer.Option(
             metavar="DATA",
             help="KIND:FOLDER[,KEY=VALUE...]: frames with labels or depth, used neither for "
-            "training nor --calibrate, on which the accuracy in the metadata is measured; may be "
-            "repeated.",
+            "training nor --calibrate, on which the accuracy in the metadata is measured, of int8 "
+            f"{LEAST_FRAMES} or more; may be repeated.",
         ),
     ] = None,
     max_drop_miou: Annotated[
@@ -168,11 +168,11 @@ def _print_accuracy(contract: Contract) -> None:
             f"  {row['data']}, LiDAR {row['lidar']}, {row['frames']} frames: {', '.join(figures)}"
         )
     for data, frames in {row["data"]: row["frames"] for row in rows}.items():
-        if frames < _LEAST_FRAMES:
+        if frames < LEAST_FRAMES:
             typer.echo(
-                f"{data} has {frames} frames, fewer than {_LEAST_FRAMES}: small differences on it "
+                f"{data} has {frames} frames, fewer than {LEAST_FRAMES}: small differences on it "
                 "may not be significant"
             )
-    for fact in quantization.get("not_gated", ()):
-        typer.echo(f"not gated: {fact}")
     typer.echo(f"measure it again: {contract.accuracy['repeat']}")
+    if not_gated := quantization.get("not_gated"):
+        typer.echo(f"not gated: {'; '.join(not_gated)}")

@@ -94,7 +94,8 @@ def export_checkpoint(
 
     Raises:
         CheckpointError: for a checkpoint that cannot be read.
-        InputError: for an invalid size, and for no sets that can tell the accuracy.
+        InputError: for an invalid size, and for sets of too few frames or that cannot tell the
+            accuracy.
         OutputError: for a target that exists (without `overwrite`) or cannot be written.
         ExportError: for weights that are not finite, if the graph cannot be made or differs
             from PyTorch by more than rounding, and for a gate that is missed.
@@ -117,6 +118,10 @@ def export_checkpoint(
     _check_target(target, Path(checkpoint_path), overwrite=overwrite)
     checkpoint = load_checkpoint(checkpoint_path)
     _require_finite(checkpoint.model)
+    if isinstance(precision, Int8Options):
+        from export.int8 import require_frames  # needs the packages of training
+
+        require_frames(precision, validate, checkpoint)
     graph = DeployGraph(checkpoint.model, with_logits=with_logits)
     model = trace(graph, size=size, dynamic=dynamic, opset=opset)
     contract = _contract(checkpoint, _digest(checkpoint_path), size=size, opset=opset)

@@ -21,13 +21,17 @@ from export.accuracy import (
     without_folders,
 )
 from export.errors import ExportError
-from export.precision import Int8Options
+from export.precision import LEAST_FRAMES, Int8Options
 from export.quantize import Feed, measure_ranges, quantize
 from export.trunk import trunk
+from models import Checkpoint
 from runtime import InputError, Predictor
 from runtime.heads import HEADS, Unit
 from runtime.preprocess import preprocess
 from runtime.session import open_session
+from training.datasets.class_mapping import ClassTable
+from training.datasets.sample import SampleSource
+from training.evaluation.evaluate import scored_classes
 from training.evaluation.scored_model import trained_classes
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
@@ -72,6 +76,27 @@ class Quantized:
     model: onnx.ModelProto
     accuracy: list[Accuracy]
     facts: dict[str, Any]
+
+
+def require_frames(options: Int8Options, validate: Sequence[str], checkpoint: Checkpoint) -> None:
+    """Check that there are `LEAST_FRAMES` to calibrate and to validate.
+
+    Args:
+        options: with the data sets of the calibration.
+        validate: data sets of the validation.
+        checkpoint: of the model.
+
+    Raises:
+        DatasetError, InputError: for data that cannot be read, or that have fewer frames.
+    """
+    table = trained_classes(checkpoint.model.config.classes, checkpoint.training)
+    for option, texts in (("--calibrate", options.calibrate), ("--validate", validate)):
+        count = sum(len(_open_set(text, table)) for text in {*texts})
+        if count < LEAST_FRAMES:
+            raise InputError(
+                f"{option}: {count} frames in all, expected {LEAST_FRAMES} or more, so nothing was "
+                "written: add frames or another set"
+            )
 
 
 def quantize_within(
@@ -154,9 +179,9 @@ def _feeds(path: Path, options: Int8Options) -> Iterator[Feed]:
     with Predictor(path, warmup=0) as predictor:
         contract = predictor.contract
         table = trained_classes(contract.classes, contract.training)
-        for text in options.calibrate:
-            source = open_dataset(parse_source(text), [Path()], classes=table)
-            count = min(len(source), math.ceil(options.frames / len(options.calibrate)))
+        sources = [_open_set(text, table) for text in options.calibrate]
+        counts = share_frames([len(source) for source in sources], options.frames)
+        for source, count in zip(sources, counts, strict=True):
             for turn, index in enumerate(np.linspace(0, len(source) - 1, count).round()):
                 sample = source[int(index)]
                 lidar = LidarInput.parse(CALIBRATION_LIDARS[turn % len(CALIBRATION_LIDARS)])
@@ -170,6 +195,21 @@ def _feeds(path: Path, options: Int8Options) -> Iterator[Feed]:
                     focal_length_px=sample.focal_length_px,
                 )
                 yield {"rgb": frame.rgb[None], "sparse_depth": frame.sparse_depth[None]}
+
+
+def _open_set(text: str, table: ClassTable) -> SampleSource:
+    recipe = parse_source(text)
+    classes = scored_classes(recipe, recipe.title, {"model": table})
+    return open_dataset(recipe, [Path()], classes=classes.table)
+
+
+def share_frames(sizes: Sequence[int], total: int) -> list[int]:
+    """Return how many frames of sets of these sizes make a total: equally many where they can."""
+    counts = [0] * len(sizes)
+    for place, index in enumerate(sorted(range(len(sizes)), key=lambda index: sizes[index])):
+        share = math.ceil((total - sum(counts)) / (len(sizes) - place))
+        counts[index] = min(sizes[index], share)
+    return counts
 
 
 def _missed(

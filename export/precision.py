@@ -3,6 +3,10 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+#: Frames of --calibrate and of --validate from which int8 is made, and from which a set tells what
+#: it costs.
+LEAST_FRAMES = 100
+
 
 class Precision(StrEnum):
     FP32 = "fp32"

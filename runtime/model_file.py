@@ -73,6 +73,19 @@ def load_model_file(path: Path, *, sha256: str | None = None) -> ModelFile:
     return parse_model_file(content)
 
 
+def read_onnx(path: Path) -> bytes:
+    """Read an ONNX file of any origin; one with metadata of ours is checked to be whole.
+
+    Raises:
+        ContractError: as `load_model_file`, but not for a file without metadata.
+    """
+    content = _read(path)
+    _require_onnx(content)
+    if _KEY + _VALUE in content:
+        parse_model_file(content)
+    return content
+
+
 def parse_model_file(content: bytes) -> ModelFile:
     """Read the metadata of a model, and check by it that its bytes are what was exported.
 
@@ -111,10 +124,7 @@ def with_contract(content: bytes, contract: Contract) -> bytes:
 
 def _document(content: bytes) -> str:
     """The text of the metadata. Raises ContractError."""
-    if not content.startswith(_ONNX_START):
-        raise ContractError(
-            "the model cannot be loaded: the file is not ONNX; give one that ssdnet-export wrote"
-        )
+    _require_onnx(content)
     key = content.rfind(_KEY + _VALUE)
     if key < 0:
         raise ContractError(
@@ -133,6 +143,13 @@ def _document(content: bytes) -> str:
         return content[length.end() : length.end() + size].decode()
     except UnicodeDecodeError as error:
         raise _damaged(f"its metadata is not UTF-8 ({error})") from error
+
+
+def _require_onnx(content: bytes) -> None:
+    if not content.startswith(_ONNX_START):
+        raise ContractError(
+            "the model cannot be loaded: the file is not ONNX; give one that ssdnet-export wrote"
+        )
 
 
 def _read(path: Path) -> bytes:

@@ -434,7 +434,7 @@ def parse_source(text: str) -> SourceRecipe:
     Raises InputError for another form, an unknown kind or key, or a value of the wrong type.
     """
     # Commas inside brackets belong to a value.
-    head, *pairs = re.split(r",(?=\w+=)", text)
+    head, *pairs = re.split(r",(?=[a-z]\w*=)", text)
     kind, colon, folder = head.partition(":")
     if not colon:
         raise InputError(f"--data {text!r}; expected KIND:FOLDER[,KEY=VALUE...].")

@@ -69,12 +69,19 @@ async function readContract(bytes) {
   const contract = JSON.parse(text);
   const { schema_version: version, content, document_sha256: digest } = contract;
   if (version !== "1.4") throw Error(`its schema is ${version}, and this page reads 1.4`);
+  if (!contract.classes.every(({ color }) => isColor(color))) // written into the page's CSS
+    throw Error("a colour of its classes is not three whole numbers of 0 to 255");
   if (!crypto.subtle) return contract; // neither https nor localhost
   const document = text.slice(0, text.lastIndexOf(', "document_sha256"'));
   const found = [bytes.subarray(0, content.bytes), new TextEncoder().encode(document)];
   const digests = await Promise.all(found.map(sha256));
   if (digests[0] === content.sha256 && digests[1] === digest) return contract;
   throw Error("it is not as it was exported: get it again");
+}
+
+function isColor(color) {
+  const isByte = (part) => Number.isInteger(part) && part >= 0 && part <= 255;
+  return Array.isArray(color) && color.length === 3 && color.every(isByte);
 }
 
 async function sha256(bytes) {

@@ -113,6 +113,12 @@ def atomic_path(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
             path.unlink(missing_ok=True)
 
 
+def require_writable(path: Path) -> None:
+    """Raise the OutputError of `atomic_file` for a file that cannot be written; nothing is left."""
+    with _temporary(path, folder=False):
+        pass
+
+
 def remove_leftover(path: Path) -> None:
     """Remove what a killed process left of writing `path`; a file still being written stays."""
     with contextlib.suppress(OSError):

@@ -94,6 +94,7 @@ def main(
             raise typer.BadParameter(str(error)) from error
 
         def start(about: str, frames: int) -> OnRecord:
+            progress.close()  # the bar of the camera before
             if not as_json:
                 _print(about, options.folder)
             if not sys.stderr.isatty():

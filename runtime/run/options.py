@@ -27,7 +27,7 @@ from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_stre
 from runtime.sources.registry import (
     SOURCES,
     SourcePath,
-    choose_source,
+    choose_cameras,
     detect_source,
     keys_of,
     parse_source,
@@ -106,7 +106,7 @@ class RunOptions:
         default=False,
     )
     demo: bool = _input("Run the bundled stream.", flag="--demo", default=False)
-    limit: int | None = _input("Stop after N complete frames.", min=1)
+    limit: int | None = _input("Stop after N complete frames (of each camera).", min=1)
     focal_length: float | None = _input(
         "Focal length of the camera (fx) in pixels of the images. A model with a canonical focal "
         "length then fits any camera; other models ignore it. [default: from the calibration of "
@@ -227,7 +227,7 @@ class RunOptions:
                 raise UsageError(f"--{option} writes {FILE_SUFFIXES[option]} files, got {path}")
         if self.record is not None:
             self._require_apart(self.record)
-        _ = self.kinds, self.network_size, self._shard, self.open_source
+        _ = self.kinds, self.network_size, self._shard, self.open_cameras
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:
@@ -284,21 +284,30 @@ class RunOptions:
         return SourcePath("folders", bundled_stream()[0] if self.demo else Path(self.rgb or ""))
 
     @cached_property
-    def open_source(self) -> Callable[[], Source]:
-        """Opens the source."""
+    def open_cameras(self) -> Callable[[], dict[str, Source]]:
+        """Opens a source for each camera, see `Source.open_cameras`."""
         names = {name for source in SOURCES.values() for name in source.options}
         given = {name: getattr(self, name) for name in names - SOURCE_KEYS.keys()}
         if self.demo:
             given["depth"] = bundled_stream()[1]
         kind, path, keys = self.source_path
         with _usage_errors():
-            return choose_source(kind, path, **given, **keys)
+            return choose_cameras(kind, path, **given, **keys)
 
     @property
     def named_files(self) -> dict[str, Path]:
         """Option -> its file, for the options that were given."""
         named = {option: getattr(self, option) for option in FILE_SUFFIXES}
         return {option: path for option, path in named.items() if path is not None}
+
+    def of_camera(self, camera: str) -> "RunOptions":
+        """The options of one camera of a rig, with outputs of its own."""
+        files: dict[str, Any] = {
+            option: path.with_stem(f"{path.stem}-{camera}")
+            for option, path in self.named_files.items()
+        }
+        record = self.record and self.record / camera
+        return dataclasses.replace(self, out=self.folder / camera, record=record, **files)
 
     def focal_length_px(self, source: Source) -> float | None:
         """The focal length of the run: --focal-length, else that of the source."""

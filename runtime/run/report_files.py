@@ -129,8 +129,10 @@ def list_results(report: RunReport, options: RunOptions) -> Iterator[str]:
     yield f"results: {os.path.realpath(report.out)}"
     if options.record is not None:
         yield f"recording: {os.path.realpath(options.record)}"
-    for option, path in options.named_files.items():
-        if path.exists():
-            yield f"{option}: {os.path.realpath(path)}"
-    if OVERLAY in report.saved and report.by_status["ok"]:
-        yield f"pictures: {os.path.realpath(report.out / OVERLAY)}"
+    cameras = report.inputs.get("cameras", ())
+    for each in [options.of_camera(camera) for camera in cameras] or [options]:
+        for option, path in each.named_files.items():
+            if path.exists():
+                yield f"{option}: {os.path.realpath(path)}"
+        if OVERLAY in report.saved and report.by_status["ok"]:
+            yield f"pictures: {os.path.realpath(each.folder / OVERLAY)}"

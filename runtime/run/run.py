@@ -3,8 +3,10 @@
 import contextlib
 import importlib.util
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 
 from runtime.command import stop_requested
@@ -22,8 +24,8 @@ from runtime.run.outputs.output import OpenRun, Output, require_free
 from runtime.run.outputs.registry import requested_outputs
 from runtime.run.pipeline import FrameReader, StreamResult, WriteFrame, run_stream
 from runtime.run.process import dedicate_process
-from runtime.run.report_files import describe_predictor, group_reasons
-from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, SUFFIXES
+from runtime.run.report_files import describe_predictor, group_reasons, write_report
+from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, SUFFIXES, RunFolder
 from runtime.run.run_report import RunReport
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, Source
@@ -56,6 +58,7 @@ def run(
 ) -> RunReport:
     """Predict every frame of a stream, and write the answers and a report.
 
+    The cameras of a rig are streams one after the other, each with a folder of its own.
     Ctrl-C and SIGTERM end the stream early: what was predicted is written and reported.
 
     Args:
@@ -70,49 +73,95 @@ def run(
         SSDNetError: if the source, the model or an output cannot be opened, or there is no room.
     """
     dedicate_process()
-    with options.open_source() as source:
-        if options.rectify:
-            source.rectify_images()
-        _require_apart(options.folder, source.folders)
-        listed = source.list_frames(limit=options.limit)
-        frames = options.shard_of(listed)
-        reader = FrameReader(source.read)
-        with _open_predictor(options, source) as predictor:
-            kinds = _answered_kinds(options, predictor)
-            frame_size = _warm_up(predictor, frames, reader, runs=options.warmup)
-            _require_outputs(options, source)
-            # The same for all shards.
-            implausible = _unmatched(listed, source) or _implausible_depth(
-                predictor, listed[:FIRST_FRAMES], reader, source
-            )
-            lines = [*source.notes, describe_predictor(predictor, frame_size)]
-            about = "\n".join([*lines, f"warning: {implausible}"] if implausible else lines)
-            contract, names = predictor.contract, [each.name for each in frames]
-            overlay = SharedOverlay(contract.classes, contract.max_depth_m)
-            options.claim_folder()
-            opened = OpenRun(options, predictor, overlay, kinds, names)
-            with stop_requested() as stop, _open_outputs(opened) as (write, record):
-                result = run_stream(
-                    predictor,
-                    frames,
-                    reader=reader,
-                    rate_hz=options.rate,
-                    deadline_ms=options.deadline_ms,
-                    degraded=()
-                    if implausible is None or isinstance(implausible, _NoDepth)
-                    else (IMPLAUSIBLE_DEPTH,),
-                    write=write,
-                    record=record,
-                    on_record=on_start(about, len(frames)),
-                    stop=stop,
+    with contextlib.ExitStack() as opened:
+        cameras = options.open_cameras()
+        sources = [opened.enter_context(source) for source in cameras.values()]
+        if len(sources) == 1:
+            return _run_camera(options, sources[0], on_start)
+        return _run_rig(options, cameras, on_start)
+
+
+def _run_rig(options: RunOptions, cameras: Mapping[str, Source], on_start: OnStart) -> RunReport:
+    """Run one camera after the other, each into a folder of its own, and write one report."""
+    if options.focal_length is not None:
+        raise InputError(
+            f"--focal-length is of one camera, and there are {len(cameras)}: leave it out, or run "
+            "each camera by itself"
+        )
+    for camera, source in cameras.items():
+        _require_outputs(options.of_camera(camera), source)
+    options.claim_folder()
+    RunFolder(options.folder, kinds=(), overwrite=options.overwrite).close()
+    reports: dict[str, RunReport] = {}
+    with stop_requested() as stop:
+        for camera, source in cameras.items():
+            if reports and stop():
+                break
+            start = partial(_name_camera, camera, on_start)
+            try:
+                reports[camera] = _run_camera(
+                    options.of_camera(camera), source, start, lambda: contextlib.nullcontext(stop)
                 )
-                if implausible is _NoDepth.NO_RETURNS and any(
-                    done.prediction and done.prediction.depth_returns for done in result.records
-                ):
-                    implausible = None  # the LiDAR started later
-                report = _report(opened, source, frame_size, result, implausible)
-                opened.report = report
-            return report
+            except InputError as error:
+                raise InputError(f"{camera}: {error}") from error
+        is_whole = len(reports) == len(cameras)
+        report = RunReport.of_rig(reports, options.folder, interrupted=not is_whole)
+        write_report(report)
+    return report
+
+
+def _name_camera(camera: str, on_start: OnStart, about: str, frames: int) -> OnRecord:
+    return on_start(f"{camera}: {about}", frames)
+
+
+def _run_camera(
+    options: RunOptions,
+    source: Source,
+    on_start: OnStart,
+    stopping: Callable[[], AbstractContextManager[Callable[[], bool]]] = stop_requested,
+) -> RunReport:
+    if options.rectify:
+        source.rectify_images()
+    _require_apart(options.folder, source.folders)
+    listed = source.list_frames(limit=options.limit)
+    frames = options.shard_of(listed)
+    reader = FrameReader(source.read)
+    with _open_predictor(options, source) as predictor:
+        kinds = _answered_kinds(options, predictor)
+        frame_size = _warm_up(predictor, frames, reader, runs=options.warmup)
+        _require_outputs(options, source)
+        # The same for all shards.
+        implausible = _unmatched(listed, source) or _implausible_depth(
+            predictor, listed[:FIRST_FRAMES], reader, source
+        )
+        lines = [*source.notes, describe_predictor(predictor, frame_size)]
+        about = "\n".join([*lines, f"warning: {implausible}"] if implausible else lines)
+        contract, names = predictor.contract, [each.name for each in frames]
+        overlay = SharedOverlay(contract.classes, contract.max_depth_m)
+        options.claim_folder()
+        opened = OpenRun(options, predictor, overlay, kinds, names)
+        with stopping() as stop, _open_outputs(opened) as (write, record):
+            result = run_stream(
+                predictor,
+                frames,
+                reader=reader,
+                rate_hz=options.rate,
+                deadline_ms=options.deadline_ms,
+                degraded=()
+                if implausible is None or isinstance(implausible, _NoDepth)
+                else (IMPLAUSIBLE_DEPTH,),
+                write=write,
+                record=record,
+                on_record=on_start(about, len(frames)),
+                stop=stop,
+            )
+            if implausible is _NoDepth.NO_RETURNS and any(
+                done.prediction and done.prediction.depth_returns for done in result.records
+            ):
+                implausible = None  # the LiDAR started later
+            report = _report(opened, source, frame_size, result, implausible)
+            opened.report = report
+        return report
 
 
 def _open_predictor(options: RunOptions, source: Source) -> Predictor:

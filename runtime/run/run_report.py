@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,42 @@ class RunReport:
     stream: StreamResult
     deadline_ms: float | None = None
     implausible_depth: str | None = None
+
+    @classmethod
+    def of_rig(
+        cls, reports: Mapping[str, "RunReport"], out: Path, *, interrupted: bool
+    ) -> "RunReport":
+        """Return the reports of several cameras as one; its frames are named CAMERA/FRAME.
+
+        Args:
+            reports: camera -> its report; engine and settings are those of the first.
+            out: folder of the results of all cameras.
+            interrupted: whether cameras are missing.
+        """
+        first, *_ = reports.values()
+        named = [
+            replace(record, name=f"{camera}/{record.name}")
+            for camera, report in reports.items()
+            for record in report.records
+        ]
+        stream = replace(
+            first.stream,
+            records=tuple(replace(record, sequence=index) for index, record in enumerate(named)),
+            wall_s=sum(report.stream.wall_s for report in reports.values()),
+            interrupted=interrupted or any(each.stream.interrupted for each in reports.values()),
+        )
+        found = [
+            f"{camera}: {report.implausible_depth}"
+            for camera, report in reports.items()
+            if report.implausible_depth is not None
+        ]
+        return replace(
+            first,
+            inputs={"cameras": {camera: report.inputs for camera, report in reports.items()}},
+            out=out,
+            stream=stream,
+            implausible_depth="; ".join(found) or None,
+        )
 
     @property
     def records(self) -> tuple[FrameOutcome, ...]:

@@ -62,7 +62,7 @@ class BagSource(Source):
     Listing reads the bag once.
 
     Args:
-        path: as `RosBag`.
+        path: as `RosBag`, or an open one, which sources of other cameras read, too.
         image_topic: of Image or CompressedImage; None: the only one.
         depth_topic: of PointCloud2, or of Image in 16UC1 [mm] or 32FC1 [m] of the image's size;
             "none": the camera alone; None: the only one.
@@ -84,7 +84,7 @@ class BagSource(Source):
 
     def __init__(
         self,
-        path: Path,
+        path: Path | RosBag,
         *,
         image_topic: str | None = None,
         depth_topic: str | None = None,
@@ -99,11 +99,12 @@ class BagSource(Source):
         self._reuse_depth_ms, self._scan_stamp = reuse_depth_ms, scan_stamp
         self._pose_topic: str | None = None
         self._unused_poses = ""
+        self._bag = path if isinstance(path, RosBag) else RosBag(path)
+        path = self._bag.path
         self.folders = (path if os.path.isdir(path) else Path(os.path.realpath(path)).parent,)
         self.recordings = (path,)
         self._left_out: Counter[str] = Counter()
         self._guessed: list[str] = []
-        self._bag = RosBag(path)
         try:
             self._image_topic, self._depth_topic = self._find_topics(image_topic, depth_topic)
             self._info_topic = self._find_info(info_topic)
@@ -117,6 +118,25 @@ class BagSource(Source):
         self._kept: dict[int, RecordedMessage] = {}
         self._messages: Iterator[RecordedMessage] = iter(())
         self._next_place = 0
+
+    @classmethod
+    def open_cameras(
+        cls, path: Path, *, image_topic: str | None = None, **options: Any
+    ) -> dict[str, Source]:
+        """Open a source for each of the topics that are joined by +, over one open bag."""
+        topics = (image_topic or "").split("+")
+        if len(topics) == 1:
+            return super().open_cameras(path, image_topic=image_topic, **options)
+        if "info_topic" in options or "calibration" in options:
+            raise InputError(
+                "info_topic= and --calibration are of one camera, image_topic= names "
+                f"{len(topics)}: leave them out, or run each camera by itself"
+            )
+        bag = RosBag(path)
+        return {
+            topic.strip("/").replace("/", "-"): cls(bag, image_topic=topic, **options)
+            for topic in topics
+        }
 
     # --- what is in the bag ----------------------------------------------------------------------
 
@@ -158,6 +178,8 @@ class BagSource(Source):
             problem = f"{name}={requested} is not a topic of {what} in {path}"
         elif candidates:
             problem = f"{path} has {len(candidates)} topics of {what}, choose one by {remedy}TOPIC"
+            if name == "image_topic":
+                problem += ", or several, TOPIC+TOPIC"
         else:
             problem = f"{path} has no topic of {what}"
             if name == "depth_topic":

@@ -100,6 +100,18 @@ def choose_source(kind: str, path: str | Path, **options: Any) -> Callable[[], S
     Raises:
         InputError: for an unknown kind, or for options that the kind does not take.
     """
+    given = _checked(kind, options)
+    return partial(SOURCES[kind], Path(path), **given)
+
+
+def choose_cameras(kind: str, path: str | Path, **options: Any) -> Callable[[], dict[str, Source]]:
+    """Return what opens a source for each camera; see `choose_source`, `Source.open_cameras`."""
+    given = _checked(kind, options)
+    return partial(SOURCES[kind].open_cameras, Path(path), **given)
+
+
+def _checked(kind: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """The options that are given. Raises InputError as `choose_source`."""
     _require_kind(kind)
     source = SOURCES[kind]
     given = {name: value for name, value in options.items() if value is not None}
@@ -109,7 +121,7 @@ def choose_source(kind: str, path: str | Path, **options: Any) -> Callable[[], S
             f"a source of the kind {kind} takes {_as_options(source.options)}, not "
             f"{_as_options(foreign)}"
         )
-    return partial(source, Path(path), **given)
+    return given
 
 
 def open_source(kind: str, path: str | Path, **options: Any) -> Source:

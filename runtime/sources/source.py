@@ -89,6 +89,22 @@ class Source(ABC):
             InputError: if it is no recording of this kind.
         """
 
+    @classmethod
+    def open_cameras(cls, path: Path, **options: Any) -> "dict[str, Source]":
+        """Open a source for each camera that the options name.
+
+        Args:
+            path: file or folder.
+            **options: as of the constructor; one of them may name several cameras.
+
+        Returns:
+            The sources by the names of the cameras' folders; "" = the only camera.
+
+        Raises:
+            InputError: as the constructor.
+        """
+        return {"": cls(path, **options)}
+
     @staticmethod
     @abstractmethod
     def accepts(path: Path) -> bool:

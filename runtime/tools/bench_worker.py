@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from runtime.bundled_models import find_model
 from runtime.checks import shown
 from runtime.errors import InputError, SSDNetError
-from runtime.model_file import MAX_MODEL_BYTES
-from runtime.read_input import read_input
+from runtime.model_file import read_onnx
 from runtime.session import explain, import_onnxruntime, open_session
 
 Feeds = Mapping[str, NDArray[Any]]
@@ -55,7 +54,7 @@ def _open(
 ) -> tuple[Callable[[], object], Opened]:
     import_onnxruntime()  # no part of loading
     started = time.perf_counter()
-    content = read_input(find_model(model), max_bytes=MAX_MODEL_BYTES)
+    content = read_onnx(find_model(model))
     session = open_session(content, provider=provider, device_id=0, threads=threads)
     load_ms = (time.perf_counter() - started) * 1e3
     feeds, notes = make_feeds(session.get_inputs(), size=size, batch=batch)

@@ -21,6 +21,7 @@ from runtime import Predictor
 from runtime.bundled_models import find_model
 from runtime.canonical_focal import camera_scale
 from runtime.heads import HEADS
+from runtime.model_file import load_model_file, with_contract
 from runtime.resize import move_returns
 from runtime.sources.bundled_stream import bundled_frames, bundled_stream
 
@@ -248,6 +249,15 @@ def changed(path, old, new):
     path.write_bytes(content.replace(old, new))
 
 
+def hostile(path):
+    """Give the first class a colour that is CSS; the digests are right."""
+    contract = load_model_file(path).contract
+    first, *others = contract.classes
+    first = dataclasses.replace(first, color=("0), url(/stolen), rgb(0", 0, 0))
+    contract = dataclasses.replace(contract, classes=(first, *others))
+    path.write_bytes(with_contract(path.read_bytes()[: contract.content.bytes], contract))
+
+
 WRONG = {
     "a text as a model": (
         lambda model, image, depth: model.write_text("hello"),
@@ -268,6 +278,10 @@ WRONG = {
     "another schema": (
         lambda model, image, depth: changed(model, b'"1.4"', b'"1.5"'),
         "schema is 1.5",
+    ),
+    "a colour that is CSS": (
+        lambda model, image, depth: hostile(model),
+        "not three whole numbers of 0 to 255",
     ),
     "a text as an image": (
         lambda model, image, depth: image.write_text("hello"),

@@ -14,9 +14,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "ros2.md"
 SECONDS, NANOSECONDS = 1_700_000_000, 123_456_789
 
 
-def stamped(**fields):
+def stamped(*, frame_id="", **fields):
     stamp = SimpleNamespace(sec=SECONDS, nanosec=NANOSECONDS)
-    return SimpleNamespace(header=SimpleNamespace(stamp=stamp, frame_id=""), **fields)
+    return SimpleNamespace(header=SimpleNamespace(stamp=stamp, frame_id=frame_id), **fields)
 
 
 class Node:
@@ -24,12 +24,16 @@ class Node:
 
     def __init__(self, name):
         self.name, self.sent, self.callbacks, self.logged = name, {}, {}, []
+        self.profiles = {}
 
-    def create_publisher(self, kind, topic, qos):
+    def create_publisher(self, kind, topic, qos, *, qos_overriding_options):
+        assert qos_overriding_options == "with default policies"
+        self.profiles[topic] = qos
         return SimpleNamespace(publish=lambda message: self.sent.update({topic: message}))
 
-    def create_subscription(self, kind, topic, callback, qos):
-        self.callbacks[topic] = callback
+    def create_subscription(self, kind, topic, callback, qos, *, qos_overriding_options):
+        assert qos_overriding_options == "with default policies"
+        self.profiles[topic], self.callbacks[topic] = qos, callback
 
     def get_logger(self):
         def log(text, throttle_duration_sec=None):
@@ -65,7 +69,15 @@ def spun(monkeypatch):
         modules = {
             "rclpy": {"init": lambda: None, "spin": spin, "try_shutdown": lambda: None},
             "rclpy.node": {"Node": Node},
-            "rclpy.qos": {"qos_profile_sensor_data": object()},
+            "rclpy.qos": {
+                "QoSProfile": SimpleNamespace,
+                "ReliabilityPolicy": SimpleNamespace(BEST_EFFORT="best effort"),
+            },
+            "rclpy.qos_overriding_options": {
+                "QoSOverridingOptions": SimpleNamespace(
+                    with_default_policies=lambda: "with default policies"
+                )
+            },
             "cv_bridge": {"CvBridge": CvBridge},
             "nav_msgs": {},
             "nav_msgs.msg": {"Odometry": object},
@@ -99,7 +111,7 @@ def test_an_image_and_a_scan_are_answered(spun):
     node = spun(
         [
             ("odometry", odometry),
-            ("image", stamped(image=frame.rgb)),
+            ("image", stamped(image=frame.rgb, frame_id="front_optical")),
             ("points", stamped(points=points, fields=())),
         ]
     )
@@ -107,6 +119,7 @@ def test_an_image_and_a_scan_are_answered(spun):
     assert (depth.encoding, semantic.encoding) == ("32FC1", "mono8")
     assert depth.values.shape == semantic.values.shape == (256, 832)
     assert (depth.header.stamp.sec, depth.header.stamp.nanosec) == (SECONDS, NANOSECONDS)
+    assert depth.header.frame_id == semantic.header.frame_id == "front_optical"
     assert node.destroyed
     assert node.stream.counts.depths.answered == node.stream.counts.poses.answered == 1
     assert not [text for text in node.logged if "must" in text], node.logged
@@ -116,3 +129,12 @@ def test_a_scan_of_the_wrong_shape_is_an_error_that_the_node_outlives(spun):
     node = spun([("points", stamped(points=np.zeros((5, 2)), fields=()))])
     assert any("points must" in text for text in node.logged), node.logged
     assert node.destroyed
+
+
+def test_each_topic_has_a_quality_of_service_of_its_own(spun):
+    profiles = spun([]).profiles  # ROS writes an override into the profile that it is given
+    assert len({id(profile) for profile in profiles.values()}) == len(profiles) == 5
+    kept = {topic: profile.depth for topic, profile in profiles.items()}
+    assert kept == {"image": 5, "points": 5, "odometry": 200, "~/depth": 5, "~/semantic": 5}
+    lossy = {topic for topic, profile in profiles.items() if hasattr(profile, "reliability")}
+    assert lossy == {"image", "points", "odometry"}

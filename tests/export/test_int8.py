@@ -17,6 +17,7 @@ from export.probe_frames import probe_frames
 from runtime import InputError, Predictor
 from runtime.io.recording import read_recording
 from runtime.model_file import load_model_file
+from runtime.tools.info import app as info_app
 from runtime.tools.verify_cli import app as verify_app
 from training.evaluation.score_report import Row
 from training.evaluation.scoring import Scores
@@ -50,6 +51,12 @@ def loose(monkeypatch):
 
 
 @pytest.fixture
+def few(monkeypatch):
+    """Three frames are enough: each takes time."""
+    monkeypatch.setattr(int8, "LEAST_FRAMES", 3)
+
+
+@pytest.fixture
 def export_int8(lite_checkpoint, data, tmp_path, traced):
     def export(*options, target="depth=depth,labels=labels"):
         words = [str(lite_checkpoint), str(tmp_path / "lite.onnx"), "--height", "64"]
@@ -60,7 +67,29 @@ def export_int8(lite_checkpoint, data, tmp_path, traced):
     return export
 
 
-@pytest.mark.usefixtures("loose")
+def test_too_few_frames_are_refused_before_any_work(export_int8, data, tmp_path, monkeypatch):
+    def trace(*args, **kwargs):
+        raise AssertionError("the network was traced first")
+
+    monkeypatch.setattr("export.exporter.trace", trace)
+    result = export_int8()
+    assert result.exit_code == 1
+    assert "--calibrate: 3 frames in all, expected 100 or more" in result.output
+    others = [f"folders:{data},name=again{number}" for number in range(33)]
+    result = export_int8(*(word for text in others for word in ("--calibrate", text)))
+    assert result.exit_code == 1
+    assert "--validate: 3 frames in all, expected 100 or more" in result.output
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("sizes", "counts"), [((367, 65), [64, 64]), ((10, 1000), [10, 118]), ((50, 60), [50, 60])]
+)
+def test_calibration_frames_are_from_every_set(sizes, counts):
+    assert int8.share_frames(sizes, 128) == counts
+
+
+@pytest.mark.usefixtures("loose", "few")
 def test_an_int8_file_states_how_it_was_made(export_int8, tmp_path, exported):
     options = ["--max-drop-miou", "100", "--max-rise-mae", "1000"]
     result = export_int8(*options, "--record", str(tmp_path / "recording"))
@@ -75,7 +104,8 @@ def test_an_int8_file_states_how_it_was_made(export_int8, tmp_path, exported):
     assert facts["calibration_frames"] == 3
     (rare,) = facts["not_gated"]
     assert rare.startswith("IoU of sky, building, pole")
-    assert f"not gated: {rare}" in result.output.splitlines()
+    assert result.output.splitlines()[-1] == f"not gated: {rare}"
+    assert rare in CliRunner().invoke(info_app, [str(path)]).output
     assert "street depth=depth labels=labels has 3 frames, fewer than 100" in result.output
     assert {row["lidar"] for row in contract.accuracy["rows"]} == {"random:0.05", "none"}
     repeat = contract.accuracy["repeat"]
@@ -103,6 +133,7 @@ def test_an_int8_file_states_how_it_was_made(export_int8, tmp_path, exported):
     assert verified.exit_code == 0, verified.output
 
 
+@pytest.mark.usefixtures("few")
 def test_a_missed_gate_writes_nothing_and_names_the_head(export_int8, tmp_path):
     result = export_int8("--max-drop-miou", "0", "--max-rise-mae", "1000")
     assert result.exit_code == 1
@@ -112,7 +143,7 @@ def test_a_missed_gate_writes_nothing_and_names_the_head(export_int8, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("loose")
+@pytest.mark.usefixtures("loose", "few")
 def test_convolutions_that_cost_most_stay_in_float_until_the_gate_is_passed(export_int8, tmp_path):
     assert export_int8("--max-drop-miou", "100", "--max-rise-mae", "1000").exit_code == 0
     drop = 100 * (1 - _miou(tmp_path / "lite.onnx"))
@@ -207,6 +238,7 @@ def test_a_file_in_single_precision_states_its_accuracy_and_its_work(
         ("labels=labels", "depth", "folders:DIR,depth=FOLDER, kitti-depth:DIR"),
     ],
 )
+@pytest.mark.usefixtures("few")
 def test_each_head_needs_truth_or_int8_is_refused(export_int8, tmp_path, target, missing, would_do):
     """A model whose classes nobody measured was written however bad they were."""
     result = export_int8("--max-drop-miou", "100", "--max-rise-mae", "1000", target=target)
@@ -265,6 +297,7 @@ def test_a_class_is_compared_from_so_many_pixels_and_frames(frames, pixels, comp
     assert accuracy._accuracy(row).class_iou == ({"tree": 1.0} if compared else {})
 
 
+@pytest.mark.usefixtures("few")
 def test_sets_that_cannot_tell_the_accuracy_are_refused(export_int8, tmp_path):
     result = export_int8(target="labels=none")
     assert result.exit_code == 1

@@ -47,6 +47,11 @@ class CamVidRecipe(SourceRecipe):
     #: train, val or test.
     split: str = "train"
 
+    @property
+    def label_table(self) -> ClassTable:
+        """See `SourceRecipe.label_table`."""
+        return "camvid"
+
     def open(self, folder: Path, classes: ClassTable) -> "CamVid":
         """See `SourceRecipe.open`."""
         return CamVid(folder, split=self.split, classes=classes)

@@ -35,6 +35,11 @@ class CityscapesRecipe(SourceRecipe):
     #: train, val or test.
     split: str = "train"
 
+    @property
+    def label_table(self) -> ClassTable:
+        """See `SourceRecipe.label_table`."""
+        return "cityscapes"
+
     def open(self, folder: Path, classes: ClassTable) -> "Cityscapes":
         """See `SourceRecipe.open`."""
         return Cityscapes(folder, split=self.split, classes=classes)

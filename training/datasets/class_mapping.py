@@ -95,6 +95,11 @@ def list_classes(table: ClassTable) -> tuple[ClassInfo, ...]:
     return CLASS_TABLES[table] if isinstance(table, str) else table
 
 
+def is_mapped(labels: ClassTable, table: ClassTable) -> bool:
+    """Whether the labels of a data set are mapped to a class table."""
+    return (labels, table) in _MAPPINGS
+
+
 def class_ids(labels: str, table: ClassTable) -> dict[str, int]:
     """Return the id in a class table of every label of a data set.
 
@@ -108,7 +113,7 @@ def class_ids(labels: str, table: ClassTable) -> dict[str, int]:
     Raises:
         DatasetError: if the labels are not mapped to the table.
     """
-    if not isinstance(table, str) or (labels, table) not in _MAPPINGS:
+    if not isinstance(table, str) or not is_mapped(labels, table):
         known = sorted(t for s, t in _MAPPINGS if s == labels)
         name = repr(table) if isinstance(table, str) else "a table of its own"
         raise DatasetError(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
+from runtime.contract import ClassInfo
 from runtime.errors import DatasetError
 from runtime.io.images import KITTI_DEPTH_SCALE
 from runtime.sources.folders import FolderSource
@@ -61,6 +62,15 @@ class FoldersRecipe(SourceRecipe):
         """Check that the ids have one meaning."""
         if self.label_ids and self.label_classes is not None:
             raise ValueError("label_ids and label_classes both name the ids; set one of them")
+
+    @property
+    def label_table(self) -> ClassTable | None:
+        """See `SourceRecipe.label_table`."""
+        if self.labels is None:
+            return ()
+        named = [name for name in (self.label_ids or {}).values() if name != "ignore"]
+        own = tuple(ClassInfo(name, (0, 0, 0)) for name in dict.fromkeys(named))
+        return own or self.label_classes
 
     def open(self, folder: Path, classes: ClassTable) -> "Folders":
         """See `SourceRecipe.open`."""

@@ -29,6 +29,11 @@ class KittiStreamRecipe(SourceRecipe):
     #: Weight of the labels, which were made by a network.
     semantic_weight: Share = 1.0
 
+    @property
+    def label_table(self) -> ClassTable:
+        """See `SourceRecipe.label_table`."""
+        return "cityscapes"
+
     def open(self, folder: Path, classes: ClassTable) -> "KittiStream":
         """See `SourceRecipe.open`."""
         return KittiStream(

@@ -35,6 +35,11 @@ class KittiStreetsRecipe(SourceRecipe):
     first: Index = 0
     last: Index | None = None
 
+    @property
+    def label_table(self) -> ClassTable:
+        """See `SourceRecipe.label_table`."""
+        return "camvid"
+
     def open(self, folder: Path, classes: ClassTable) -> "KittiStreets":
         """See `SourceRecipe.open`."""
         return KittiStreets(folder, first=self.first, last=self.last, classes=classes)

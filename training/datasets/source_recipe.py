@@ -41,6 +41,14 @@ class SourceRecipe:
         """What it is called."""
         return self.name or self.path
 
+    @property
+    def label_table(self) -> ClassTable | None:
+        """The classes of the labels: a name in `models.CLASS_TABLES`, or a table; () of no labels.
+
+        None: the labels are ids of the table that the set is opened with.
+        """
+        return ()
+
     def open(self, folder: Path, classes: ClassTable) -> SampleSource:
         """Open the data set.
 

@@ -52,6 +52,11 @@ class _SelectionRecipe(SourceRecipe):
     #: File below ``path`` that lists the frames, rows of "scene/variant/number".
     frames: str | None = None
 
+    @property
+    def label_table(self) -> ClassTable:
+        """See `SourceRecipe.label_table`."""
+        return "virtual_kitti"
+
     def select(self, folder: Path, split: Split = "all") -> Selection:
         frames = None if self.frames is None else read_frame_list(folder / self.frames)
         return Selection(split, self.scenes, self.variants, frames)

@@ -84,18 +84,18 @@ def evaluate(
         from training.evaluation.evaluate import DepthFolder
         from training.evaluation.evaluate import evaluate as run
         from training.evaluation.score_report import (
+            check_output,
             draw_lidar_quality,
             format_table,
-            require_writable,
             write_json,
         )
         from training.lidar.split import LidarInput
         from training.recipe import parse_source
 
         if json is not None:
-            require_writable(json, "--json")
+            check_output(json, "--json")
         if plot is not None:
-            require_writable(plot, "--plot", suffix=".png")
+            check_output(plot, "--plot", suffix=".png")
         folder = None if save is None else DepthFolder(save, overwrite)
         if folder is not None:
             folder.require_free()

@@ -1,7 +1,7 @@
 """Every model on every set with every LiDAR and fault."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -15,11 +15,12 @@ from runtime.errors import ContractError, InputError, OutputError
 from runtime.io.atomic_write import atomic_write
 from runtime.io.encode import encode_metres
 from runtime.network_size import NetworkSize
-from training.datasets.sample import SampleSource
+from training.datasets.class_mapping import ClassTable, is_mapped, list_classes
+from training.datasets.sample import IGNORE, SampleSource
 from training.datasets.source_recipe import SourceRecipe
 from training.evaluation.classical import METHODS
 from training.evaluation.score_report import Row
-from training.evaluation.scored_model import ScoredModel, open_method, open_model, trained_classes
+from training.evaluation.scored_model import ScoredModel, open_method, open_model
 from training.evaluation.scoring import HeadMaps, Scores, figures_over_places
 from training.lidar.faults import Fault, add_fault
 from training.lidar.split import LidarInput, frame_generator, split_lidar
@@ -66,6 +67,30 @@ class DepthFolder:
         atomic_write(path, encode_metres(depth), overwrite=self.overwrite)
 
 
+@dataclass(frozen=True)
+class ScoredClasses:
+    """The classes that all models are scored in on a set, by their names.
+
+    Attributes:
+        table: that the set is opened with.
+        names: of the classes that it and every model with classes have.
+        left_out: the other classes in words; empty without any.
+    """
+
+    table: ClassTable
+    names: tuple[str, ...]
+    left_out: str = ""
+
+    def lookup(self, table: ClassTable, others: int) -> NDArray[np.uint8]:
+        """Return a look-up table (256,) from a table's ids to those of `names`, or ``others``."""
+        names = _names(table)
+        ids = np.full(256, IGNORE, np.uint8)
+        ids[: len(names)] = [
+            self.names.index(name) if name in self.names else others for name in names
+        ]
+        return ids
+
+
 def evaluate(
     models: Sequence[str],
     data: Sequence[SourceRecipe],
@@ -80,9 +105,9 @@ def evaluate(
 ) -> list[Row]:
     """Score models and classical methods of depth completion, in the order of their names.
 
-    Every model gets the same inputs. A set that cannot give a LiDAR has no row with it, see
-    `training.lidar.split`. Where nothing was fed in any frame of a set there is one row, with the
-    LiDAR "none" and no fault.
+    Every model gets the same inputs, and is scored in the same classes, see `scored_classes`. A set
+    that cannot give a LiDAR has no row with it, see `training.lidar.split`. Where nothing was fed
+    in any frame of a set there is one row, with the LiDAR "none" and no fault.
 
     Args:
         models: checkpoints (*.pt), exported models (*.onnx), names of bundled models and of
@@ -101,7 +126,8 @@ def evaluate(
 
     Raises:
         DatasetError, CheckpointError, ContractError, ProviderError: for what cannot be opened.
-        InputError: for an invalid argument, or if no set can give any of the LiDARs.
+        InputError: for an invalid argument, a LiDAR that feeds the depth to score, labels without
+            names where the models' classes differ, or if no set can give any of the LiDARs.
         OutputError: for depth that cannot be written.
     """
     rows: list[Row] = []
@@ -118,11 +144,11 @@ def evaluate(
         folders = short_names([Path(recipe.path) for recipe in data])
         for recipe, folder in zip(data, folders, strict=True):
             title = recipe.name or " ".join([folder, *_changed_keys(recipe)])
+            tables = {name: model.table for name, model in scored.items() if model.table}
+            classes = scored_classes(recipe, title, tables)
+            source = open_dataset(recipe, [Path()], classes=classes.table)
             for name, model in scored.items():
-                source = open_dataset(
-                    recipe, [Path()], classes=trained_classes(model.classes, model.training)
-                )
-                rows += _score_all(name, model, title, source, lidars, faults, limit, save)
+                rows += _score_all(name, model, title, source, classes, lidars, faults, limit, save)
     if not rows:
         raise InputError(
             "nothing could be scored: these sets provide none of the requested --lidar inputs. "
@@ -130,6 +156,55 @@ def evaluate(
             "target; use random:0.05 or none, which every set provides."
         )
     return rows
+
+
+def scored_classes(
+    recipe: SourceRecipe, title: str, tables: Mapping[str, ClassTable]
+) -> ScoredClasses:
+    """Return the classes of a set that models are scored in.
+
+    Those of the models' table if all have the same and the labels are mapped to it, else those that
+    the set and every model have by name.
+
+    Args:
+        recipe: of the set.
+        title: of the set.
+        tables: model -> its class table, of the models that have one.
+
+    Raises:
+        InputError: if the labels are ids of no named classes, and the models have several tables.
+    """
+    own, known = recipe.label_table, {name: _names(table) for name, table in tables.items()}
+    first = next(iter(tables.values()), "camvid")
+    same = len(set(known.values())) < 2
+    if own is None and not same:
+        several = "; ".join(f"{name}: {', '.join(names)}" for name, names in known.items())
+        raise InputError(
+            f"{title}: its labels are numbers, and the models have different classes ({several}). "
+            'Name the numbers, for example label_ids={0 = "road", 1 = "car"}, or score the '
+            "models one by one."
+        )
+    table = first if own is None or (same and is_mapped(own, first)) else own
+    names = tuple(
+        name for name in _names(table) if all(name in others for others in known.values())
+    )
+    alone = {
+        where: [name for name in found if name not in names]
+        for where, found in {title: _names(table), **known}.items()
+    }
+    left_out = "; ".join(f"{', '.join(found)} ({where})" for where, found in alone.items() if found)
+    if left_out:
+        outcome = (
+            "left out of the mean, as a class must be one of the set and of every model"
+            if names
+            else "classes are not scored, as none of the set is one of every model"
+        )
+        left_out = f"{title}: {outcome}: {left_out}"
+    return ScoredClasses(table, names, left_out)
+
+
+def _names(table: ClassTable) -> tuple[str, ...]:
+    return tuple(info.name for info in list_classes(table))
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
@@ -164,6 +239,7 @@ def _score_all(
     model: ScoredModel,
     title: str,
     source: SampleSource,
+    classes: ScoredClasses,
     lidars: Sequence[LidarInput],
     faults: Sequence[Fault],
     limit: int | None,
@@ -175,40 +251,53 @@ def _score_all(
     # Of every input by place, None = a place that the set does not know.
     scores: dict[tuple[LidarInput, Fault], dict[str | None, Scores]] = {item: {} for item in inputs}
     was_fed = dict.fromkeys(inputs, False)
+    labelled = False
+    label_ids = classes.lookup(classes.table, IGNORE)
+    answer_ids = classes.lookup(model.table, len(classes.names))
     for index in tqdm(indices, desc=f"{name}, {title}", disable=None):
         sample = source[int(index)]  # once: reading it may cost more than an answer
+        labelled |= bool((sample.semantic != IGNORE).any())
+        sample = sample.with_targets(semantic=label_ids[sample.semantic])
         answers: dict[str, HeadMaps] = {}  # inputs that feed nothing share one
         for lidar, fault in inputs:
             rng = frame_generator(int(index))  # the same for every model, whatever the limit
             frame = split_lidar(sample, lidar, rng)
             if frame is None:
                 continue
+            if frame.target.any() and np.array_equal(frame.fed, frame.target):
+                raise InputError(
+                    f"{sample.name}: with the LiDAR {str(lidar)!r} the input is the depth to "
+                    "score, so that an error of 0 would mean nothing. Feed a share (random:0.5), "
+                    "give denser depth, or leave out sparse_depth: a part of depth is then fed."
+                )
             fed, label = frame.fed, "none"
             if fed.any():
                 was_fed[lidar, fault] = True
                 fed = add_fault(fed, fault, rng)
                 label = str(lidar) if fault == "none" else f"{lidar}-{fault}"
             if label not in answers:
-                answers[label] = model.predict(sample.rgb, fed, sample.focal_length_px)
+                answer = model.predict(sample.rgb, fed, sample.focal_length_px)
+                if answer.semantic is not None:
+                    answer = answer._replace(semantic=answer_ids[answer.semantic])
+                answers[label] = answer
                 if save is not None:
                     parts = (name, title, label, *sample.name.split("/"))
                     save.write(parts, answers[label].depth)
             places = scores[lidar, fault]
-            places.setdefault(sample.place, Scores(len(model.classes)))
+            places.setdefault(sample.place, Scores(len(classes.names)))
             places[sample.place].update(answers[label], frame)
-    class_names = [info.name for info in model.classes]
     rows: dict[tuple[str, str], Row] = {}
     for (lidar, fault), places in scores.items():
         key = (str(lidar), fault) if was_fed[lidar, fault] else ("none", "none")
         if places and key not in rows:
-            total = Scores(len(model.classes))
+            total = Scores(len(classes.names))
             for part in places.values():
                 total.merge(part)
-            figures = total.figures(class_names)
+            figures = total.figures(classes.names)
             # Of the whole set, as a user has one: not the best of each place.
             threshold = figures.get("boundary_threshold")
             by_place = {
-                place: part.figures(class_names, boundary_threshold=threshold)
+                place: part.figures(classes.names, boundary_threshold=threshold)
                 for place, part in places.items()
                 if place is not None and None not in places and len(places) > 1
             }
@@ -217,6 +306,7 @@ def _score_all(
                 places=by_place,
                 figures_over_places=figures_over_places(by_place.values()),
                 heads=sorted(total.heads),
-                labelled=total.labelled(class_names),
+                labelled=total.labelled(classes.names),
+                left_out=classes.left_out if labelled and model.table else "",
             )
     return list(rows.values())

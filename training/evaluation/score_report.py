@@ -2,14 +2,13 @@
 
 import json
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from runtime.errors import OutputError
-from runtime.io.atomic_write import atomic_file, atomic_write
+from runtime.io.atomic_write import atomic_file, atomic_write, require_writable
 from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
 from training.evaluation.metrics import RANGES_M
 
@@ -84,6 +83,7 @@ class Row:
         figures_over_places: the mean over these places, see `scoring.figures_over_places`.
         heads: what the model answered.
         labelled: class -> its labelled pixels, and the frames that show it.
+        left_out: classes that are not scored, in words; empty without any.
     """
 
     model: str
@@ -97,6 +97,7 @@ class Row:
     figures_over_places: dict[str, float] = field(default_factory=dict)
     heads: Sequence[str] = ()
     labelled: dict[str, tuple[int, int]] = field(default_factory=dict)
+    left_out: str = ""
 
 
 def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
@@ -118,8 +119,10 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
     titles += ["fault"] if all_columns or any(row.fault != "none" for row in rows) else []
     cells = [[*titles, *(title for _, title, _ in columns)]]
     for row in rows:
+        notes += [row.left_out] if row.left_out else []
         for head, (figure, truth) in _TRUTH.items():
-            if head in row.heads and figure not in row.figures:
+            explained = head == "semantic" and row.left_out
+            if head in row.heads and figure not in row.figures and not explained:
                 notes.append(
                     f"{row.data}: none of the {row.frames} frames has {truth} as ground truth; "
                     f"use a set with it, for example folders:DIR,{truth}=FOLDER"
@@ -152,16 +155,15 @@ def format_table(rows: Sequence[Row], *, all_columns: bool = False) -> str:
     return "\n".join([*table, *notes])
 
 
-def require_writable(path: Path, option: str, *, suffix: str = "") -> None:
+def check_output(path: Path, option: str, *, suffix: str = "") -> None:
     """Raise an OutputError for a path that cannot be written, before any work is done."""
     if not path.name.endswith(suffix):
         raise OutputError(f"{path}: {option} writes a {suffix} file; give a path with that suffix")
-    if path.is_dir():
-        raise OutputError(f"{path} is a folder: choose a file for {option}")
     if not path.parent.is_dir():
         raise OutputError(f"{path}: there is no folder {path.parent}; make it, for {option}")
-    if not os.access(path.parent, os.W_OK):
-        raise OutputError(f"{path}: the folder may not be written to; choose another {option}")
+    require_writable(path)
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder: choose a file for {option}")
 
 
 def write_json(rows: Sequence[Row], path: Path) -> None:

@@ -1,8 +1,8 @@
 """A checkpoint, an exported file or a classical method as something that can be scored."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +31,13 @@ class ScoredModel:
         predict: answers one frame.
         classes: of its semantic head; empty without one.
         engine: how it runs: "torch on cpu", "onnxruntime on cpu", "no network".
-        training: the training as the file records it, with the resolved recipe.
+        table: the classes whose ids or boundaries it answers, see `trained_classes`; () of neither.
     """
 
     predict: Predict
     classes: tuple[ClassInfo, ...]
     engine: str
-    training: Mapping[str, Any] = field(default_factory=dict)
+    table: ClassTable = ()
 
 
 def trained_classes(classes: tuple[ClassInfo, ...], training: Mapping[str, Any]) -> ClassTable:
@@ -57,6 +57,12 @@ def trained_classes(classes: tuple[ClassInfo, ...], training: Mapping[str, Any])
         if [info.name for info in table] == names:
             return name
     return classes
+
+
+def _class_table(
+    heads: Collection[str], classes: tuple[ClassInfo, ...], training: Mapping[str, Any]
+) -> ClassTable:
+    return trained_classes(classes, training) if {"semantic", "boundary"} & {*heads} else ()
 
 
 @contextmanager
@@ -98,7 +104,7 @@ def open_model(
             ),
             network.config.classes,
             f"torch on {device}",
-            checkpoint.training,
+            _class_table(network.heads, network.config.classes, checkpoint.training),
         )
     elif path.suffix == ".onnx":
         provider = "cuda" if device.startswith("cuda") else "cpu"
@@ -111,7 +117,7 @@ def open_model(
                 engine_predict(predictor),
                 contract.classes,
                 f"onnxruntime on {provider}",
-                contract.training,
+                _class_table(predictor.heads, contract.classes, contract.training),
             )
     else:
         raise InputError(f"{path}: expected a checkpoint (*.pt) or an exported model (*.onnx).")
@@ -124,7 +130,7 @@ def open_method(name: str) -> ScoredModel:
         InputError: for an unknown name.
         ProviderError: if a package that the method needs is not installed.
     """
-    return ScoredModel(method_predict(create_method(name)), CLASS_TABLES["camvid"], "no network")
+    return ScoredModel(method_predict(create_method(name)), (), "no network")
 
 
 def method_predict(method: CompletionMethod) -> Predict:

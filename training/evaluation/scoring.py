@@ -101,18 +101,21 @@ def torch_predict(
 
 
 class Scores:
-    """Counts of a whole set, a part each head; a part without any target stays empty."""
+    """Counts of a whole set, a part each head; a part without any target stays empty.
+
+    An answer of the id ``num_classes`` is a class that is none of these: wrong, whatever the label.
+    """
 
     def __init__(self, num_classes: int) -> None:
         self.frames = 0
         self.heads: set[str] = set()  # that were answered
-        self.semantic = SemanticScores(num_classes)
+        self.semantic = SemanticScores(num_classes + 1)
         self.depth = DepthScores()
         self.boundary = BoundaryScores(BOUNDARY_THRESHOLDS)
         self.disparity = DisparityScores()
         self.regions = DepthRegionScores()
         self.uncertainty = UncertaintyScores()
-        self.road = RoadScores(num_classes)
+        self.road = RoadScores(num_classes + 1)
 
     def update(self, answer: HeadMaps, frame: LidarSplit) -> None:
         """Count a frame; missing heads and targets are left out."""
@@ -145,7 +148,7 @@ class Scores:
     def labelled(self, class_names: Sequence[str]) -> dict[str, tuple[int, int]]:
         """Return class -> labelled pixels, and frames that show it, of those that are labelled."""
         pixels, frames = self.semantic.confusion.sum(axis=1), self.semantic.frames
-        counts = zip(class_names, pixels.tolist(), frames.tolist(), strict=True)
+        counts = zip(class_names, pixels[:-1].tolist(), frames[:-1].tolist(), strict=True)
         return {name: (n, shown) for name, n, shown in counts if n}
 
     def figures(
@@ -160,16 +163,18 @@ class Scores:
         figures: dict[str, float] = {}
         if self.semantic.confusion.any():
             semantic = self.semantic.compute()
+            class_iou = semantic.class_iou[:-1]
             figures |= {
-                "miou": semantic.mean_iou,
+                "miou": float(np.mean([iou for iou in class_iou if not math.isnan(iou)])),
                 "accuracy": semantic.accuracy,
                 "mean_accuracy": semantic.mean_accuracy,
                 "fwiou": semantic.frequency_weighted_iou,
             }
             if class_names:
-                of_classes = zip(class_names, semantic.class_iou, strict=True)
+                of_classes = zip(class_names, class_iou, strict=True)
                 figures |= {f"iou_{name}": value for name, value in of_classes}
-                figures |= _category_figures(self.semantic, class_names)
+                if not self.semantic.confusion[:, -1].any():  # of no known category
+                    figures |= _category_figures(self.semantic, (*class_names, ""))
         names = [name.lower() for name in class_names]
         if self.road.counts.any() and ROAD in names:
             figures["road_iou"] = self.road.compute(names.index(ROAD))

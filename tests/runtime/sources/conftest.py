@@ -121,7 +121,7 @@ class BagMaker:
             "data": np.ascontiguousarray(array).reshape(-1).view(np.uint8),
             **more,
         }
-        header = self.header(stamp_ns, "camera")
+        header = self.header(stamp_ns, frame_id)
         message = self.make("sensor_msgs/msg/Image", header=header, **fields)
         self.add(topic, message, recorded_ns or stamp_ns)
 

@@ -117,6 +117,13 @@ def test_a_topic_given_twice_is_named(run):
     assert "image_topic is given twice, the second time as '/b'" in " ".join(answers.text.split())
 
 
+@pytest.mark.parametrize("topics", ["", "/a+", "+/a", "/a+/b+/a"])
+def test_the_topics_of_several_cameras_are_different_ones(topics):
+    expected = "image_topic must be a topic, or those of several cameras joined by +, got"
+    with pytest.raises(InputError, match=re.escape(expected)):
+        parse_source(f"bag:drive.mcap,image_topic={topics}")
+
+
 @pytest.mark.parametrize("kind", SOURCES)
 def test_options_of_another_kind_are_refused_by_name(kind):
     with pytest.raises(InputError, match=rf"kind {kind} takes .*, not --no-such$"):

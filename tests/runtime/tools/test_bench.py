@@ -14,7 +14,8 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 from typer.testing import CliRunner
 
-from runtime.errors import InputError
+from runtime import Predictor
+from runtime.errors import ContractError, InputError
 from runtime.tools import bench, bench_cli, bench_worker
 from runtime.tools.bench_cli import app
 
@@ -120,6 +121,27 @@ def test_what_cannot_run_is_a_row_with_its_reason(run, model_file, tmp_path):
     assert good["min_ms"] > 0
     assert good["ratio"] == [1, 1, 1], "it is the first that ran"
     assert cells_of(result.output)[0][5] == f"ratio to {models[-1]}"
+
+
+@pytest.mark.parametrize("damage", ["flipped", "cut", "zipped", "empty"])
+def test_a_damaged_model_is_refused_as_the_engine_refuses_it(run, model_file, damage):
+    """A changed byte ran as if nothing had happened; a checkpoint, a zip archive, was damaged."""
+    path = model_file()
+    content = path.read_bytes()
+    middle = content.index(b"by_hand")
+    path.write_bytes(
+        {
+            "flipped": content[:middle] + b"B" + content[middle + 1 :],
+            "cut": content[:-40],
+            "zipped": b"PK" + content,
+            "empty": b"",
+        }[damage]
+    )
+    with pytest.raises(ContractError) as refused:
+        Predictor(path)
+    result, document = run(path)
+    assert result.exit_code == 1
+    assert [row["error"] for row in rows_of(document)] == [str(refused.value)]
 
 
 def test_a_failure_between_the_runs_takes_the_row_and_leaves_the_others(

@@ -1,6 +1,7 @@
 """`ssdnet-eval`: the same inputs and figures for a checkpoint and the file exported from it."""
 
 import json
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from export.exporter import export_checkpoint
 from layouts import camvid, kitti_streets
 from models import create_model, load_checkpoint, save_checkpoint
 from runtime.bundled_models import find_model
+from runtime.contract import ClassInfo
 from runtime.errors import InputError
 from training.datasets.cityscapes import CityscapesRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
@@ -217,6 +219,20 @@ def write_folders(root, count=2):
     return f"folders:{root},sparse_depth=returns"
 
 
+def test_a_lidar_that_is_the_truth_is_refused(tmp_path):
+    """Its answer would be free of errors, whatever the model."""
+    data = f"{write_folders(tmp_path)},depth=returns"
+    for lidar in ("own", "none,random:1"):
+        result = run("nearest", "--data", data, "--lidar", lidar)
+        assert result.exit_code == 1
+        assert f"with the LiDAR {lidar.split(',')[-1]!r} the input is the depth to score" in (
+            result.output
+        )
+        assert "random:0.5" in result.output
+    result = run("nearest", "--data", data, "--lidar", "random:0.5,none")
+    assert result.exit_code == 0, result.output
+
+
 def test_depth_of_models_and_methods_is_saved_without_ground_truth(tmp_path):
     data, save = write_folders(tmp_path), tmp_path / "depth"
     models = ["nearest", "ssdnet-nano"]
@@ -352,6 +368,98 @@ def test_data_without_ground_truth_says_what_to_give(tmp_path):
     assert "| street |" in result.output
 
 
+def write_halves(root):
+    """A picture whose left half is red, with labels: 7 in the left half, 3 in the right, 9 above.
+
+    A quarter of the right half is red, too.
+    """
+    rgb, label = np.full((40, 64, 3), (20, 10, 20), np.uint8), np.full((40, 64), 3, np.uint8)
+    rgb[:, :32, 0] = rgb[:10, 32:, 0] = 200
+    label[:, :32] = 7
+    label[:4] = 9
+    for name, values in (("images", rgb[..., ::-1]), ("labels", label)):
+        (root / name).mkdir()
+        cv2.imwrite(str(root / name / "a.png"), values)
+    return f"folders:{root},name=halves,labels=labels"
+
+
+@pytest.fixture
+def named_model(model_file, contract):
+    """Write a model that answers the second class where the picture is red, else the first."""
+
+    def write(name, *classes):
+        infos = tuple(ClassInfo(name, (index, 0, 0)) for index, name in enumerate(classes))
+        return model_file(name, contract=replace(contract, classes=infos))
+
+    return write
+
+
+def test_classes_are_compared_by_name(named_model, tmp_path):
+    """Two models of one table in the classes that both have, whatever their numbers."""
+    data = write_halves(tmp_path) + ',label_ids={3="road",7="car",9="sky"}'
+    out = tmp_path / "rows.json"
+    one, other = named_model("one.onnx", "road", "car"), named_model("other.onnx", "road", "tree")
+    result = run(one, "--data", data, "--json", out)
+    assert result.exit_code == 0, result.output
+    (row,) = json.loads(out.read_text())
+    assert row["figures"]["iou_road"] == pytest.approx(30 / 36)  # 6 of 36 rows are called car
+    assert row["figures"]["iou_car"] == pytest.approx(36 / 42)
+    assert row["figures"]["miou"] == pytest.approx((30 / 36 + 36 / 42) / 2)
+    assert "iou_sky" not in row["figures"]
+    why = "halves: left out of the mean, as a class must be one of the set and of every model: "
+    assert f"{why}sky (halves)" in result.output.splitlines()
+    result = run(one, other, "--data", data, "--json", out)
+    assert result.exit_code == 0, result.output
+    rows = json.loads(out.read_text())
+    for row in rows:  # a car or a tree is no road
+        assert row["figures"]["miou"] == row["figures"]["iou_road"] == pytest.approx(30 / 36)
+        assert row["figures"]["accuracy"] == pytest.approx(30 / 36)
+        assert "category_miou" not in row["figures"]
+    lines = [line for line in result.output.splitlines() if "left out" in line]
+    assert lines == [f"{why}car, sky (halves); car (one.onnx); tree (other.onnx)"]
+
+
+def test_a_model_of_its_own_classes_is_scored_on_camvid(named_model, tmp_path):
+    """Its class 0 is a road, CamVid's is the sky."""
+    out, rgb = tmp_path / "rows.json", np.full((40, 64, 3), (20, 10, 20), np.uint8)
+    rgb[:, :32, 0] = 200
+    label = np.where(rgb[..., 0] == 200, 8, 3).astype(np.uint8)  # CamVid's car and road
+    camvid.write_frame(tmp_path, rgb, label)
+    command = [named_model("own.onnx", "road", "car"), "--data", f"camvid:{tmp_path}"]
+    result = run(*command, "--json", out)
+    assert result.exit_code == 0, result.output
+    (row,) = json.loads(out.read_text())
+    assert {key: v for key, v in row["figures"].items() if key.startswith("iou_")} == {
+        "iou_road": 1,
+        "iou_car": 1,
+    }
+    assert row["labelled"] == {"road": [40 * 32, 1], "car": [40 * 32, 1]}
+
+
+def test_numbers_without_names_are_no_classes_of_several_models(named_model, tmp_path):
+    models = named_model("one.onnx", "road", "car"), named_model("other.onnx", "car", "road")
+    result = run(*models, "--data", write_halves(tmp_path))
+    assert result.exit_code == 1
+    assert "its labels are numbers, and the models have different classes" in result.output
+    assert "(one.onnx: road, car; other.onnx: car, road)" in result.output
+    assert "label_ids={0 = " in result.output
+
+
+def test_classes_that_differ_altogether_are_said_to_differ(named_model, tmp_path):
+    """The labels of a set are not missing because a model has none of its classes."""
+    kitti_streets.write_streets(tmp_path, (72,), suffix=".png", magnify=4)
+    (tmp_path / "semantic").mkdir()
+    cv2.imwrite(str(tmp_path / "semantic/000072.png"), np.full((32, 64), 8, np.uint8))
+    model = named_model("own.onnx", "lane", "kerb")
+    result = run(model, "--data", f"kitti-streets:{tmp_path},name=streets")
+    assert result.exit_code == 0, result.output
+    text = "streets: classes are not scored, as none of the set is one of every model: sky, "
+    assert text in result.output
+    assert "bicyclist (streets); lane, kerb (own.onnx)" in result.output.splitlines()[-1]
+    assert "has labels as ground truth" not in result.output
+    assert "mIoU" not in result.output
+
+
 @pytest.mark.parametrize(
     ("option", "name", "text"),
     [
@@ -360,11 +468,19 @@ def test_data_without_ground_truth_says_what_to_give(tmp_path):
         ("--json", "taken", "is a folder"),
         ("--plot", "taken.png", "is a folder"),
         ("--plot", "x.pdf", "writes a .png file"),
+        ("--json", "pipe", "is no regular file"),
+        ("--json", "sealed/x.json", "Read-only file system"),
+        ("--json", 300 * "x", "File name too long"),
     ],
 )
-def test_a_bad_path_is_refused_before_any_work(folder, tmp_path, monkeypatch, option, name, text):
-    (tmp_path / "taken").mkdir()
-    (tmp_path / "taken.png").mkdir()
+def test_a_bad_path_is_refused_before_any_work(
+    folder, tmp_path, monkeypatch, read_only, option, name, text
+):
+    for taken in ("taken", "taken.png", "sealed"):
+        (tmp_path / taken).mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    if "sealed" in name:
+        read_only(tmp_path / "sealed")
 
     def work(*args, **kwargs):
         raise AssertionError("models were scored first")
@@ -373,9 +489,11 @@ def test_a_bad_path_is_refused_before_any_work(folder, tmp_path, monkeypatch, op
     data = f"camvid:{folder}/camvid,split=val"
     result = run(folder / "lite.pt", "--data", data, option, tmp_path / name)
     assert result.exit_code == 1
-    assert result.output.startswith(f"error: {tmp_path / name}")
+    assert result.output.startswith("error: ")
+    assert str(tmp_path / name) in result.output
     assert text in result.output
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["taken", "taken.png"]
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert left == ["pipe", "sealed", "taken", "taken.png"]
 
 
 def test_data_sets_are_given_as_in_a_recipe():

@@ -7,7 +7,7 @@ import numpy as np
 
 from models import CLASS_TABLES
 from training.datasets.sample import Sample
-from training.evaluation.evaluate import _score_all, short_names
+from training.evaluation.evaluate import ScoredClasses, _score_all, short_names
 from training.evaluation.scored_model import ScoredModel
 from training.evaluation.scoring import HeadMaps
 from training.lidar.split import LidarInput
@@ -35,8 +35,10 @@ def test_the_boundary_of_all_places_is_scored_at_one_threshold():
         boundary[:, 16] = strong
         return HeadMaps(None, None, boundary)
 
-    model = ScoredModel(predict, CLASS_TABLES["camvid"], "none")
-    (row,) = _score_all("m", model, "d", source, [LidarInput("none")], ["none"], None, None)
+    model = ScoredModel(predict, CLASS_TABLES["camvid"], "none", "camvid")
+    classes = ScoredClasses("camvid", tuple(info.name for info in CLASS_TABLES["camvid"]))
+    lidars = [LidarInput("none")]
+    (row,) = _score_all("m", model, "d", source, classes, lidars, ["none"], None, None)
     thresholds = {figures["boundary_threshold"] for figures in row.places.values()}
     assert thresholds == {row.figures["boundary_threshold"]}
     assert row.figures_over_places["boundary_f"] < 1
