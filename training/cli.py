@@ -1,5 +1,6 @@
 """`ssdnet-train`: from a recipe to a checkpoint."""
 
+import tomllib
 from pathlib import Path
 from typing import Annotated
 
@@ -27,14 +28,39 @@ def _print_recipes(wanted: bool) -> None:
 )
 def train(
     recipe: Annotated[
-        str,
+        str | None,
         typer.Argument(
-            help="Name of a recipe, see --list, or a path that ends in .toml or holds a slash."
+            help="Name of a recipe, see --list, or a path that ends in .toml or holds a slash.",
+            show_default=False,
         ),
-    ],
+    ] = None,
+    *,
     data: Annotated[
-        list[Path], typer.Option(help="Folder with the recipe's data sets. May be repeated.")
-    ],
+        list[Path] | None, typer.Option(help="Folder with the recipe's data sets. May be repeated.")
+    ] = None,
+    images: Annotated[
+        Path | None,
+        typer.Option(
+            help="PNG or JPEG images. In place of a recipe and --data, with --init: a recipe is "
+            "made for these folders, printed, and written to recipe.toml below --out."
+        ),
+    ] = None,
+    labels: Annotated[
+        Path | None,
+        typer.Option(
+            help="Class ids (0, 1, ...; 255 = none) of --images: 8-bit PNGs of the same names."
+        ),
+    ] = None,
+    depth: Annotated[
+        Path | None,
+        typer.Option(
+            help="LiDAR depth of --images: 16-bit PNGs of the same names, metres x 256, 0 = none."
+        ),
+    ] = None,
+    classes: Annotated[
+        Path | None,
+        typer.Option(help="Text file for --labels: the name of a class a line, in order of ids."),
+    ] = None,
     out: Annotated[
         Path, typer.Option(help="Folder of the run. A run of the same recipe is resumed.")
     ],
@@ -81,14 +107,25 @@ def train(
     _version: Version = False,
 ) -> None:
     """Train a network; writes checkpoints, TensorBoard curves, scores and the resolved recipe."""
+    if recipe is not None and (not data or images or labels or depth or classes):
+        raise typer.BadParameter(
+            "a recipe needs --data, and none of --images and what goes with it"
+        )
+    if recipe is None and (data or not images or not init):
+        raise typer.BadParameter("give a recipe and --data, or --images and --init; see --help")
+    if recipe is None and not (labels or depth):
+        raise typer.BadParameter("--images needs --labels, --depth or both")
+    if (labels is None) != (classes is None):
+        raise typer.BadParameter("--labels and --classes go together")
     with reported_errors("train"):
         # Heavy imports here, so that --help is quick.
         import torch
 
         from training.dry_run import dry_run as draw_first_batch
         from training.initial_weights import find_weights
+        from training.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe
         from training.recipe_files import find_recipe
-        from training.stages import next_stage, read_stages, train_stages
+        from training.stages import build_stages, next_stage, read_stages, train_stages
 
         if threads is not None:
             torch.set_num_threads(threads)
@@ -96,7 +133,18 @@ def train(
             weights, taught_by = (
                 None if text is None else find_weights(text) for text in (init, teacher)
             )
-            stages = read_stages(find_recipe(recipe), change or (), weights)
+            if recipe is not None:
+                assert data is not None  # checked above
+                stages = read_stages(find_recipe(recipe), change or (), weights)
+            else:
+                assert images is not None  # checked above, like --init
+                assert weights is not None
+                own = OwnFolders(images, labels, depth, classes)
+                text, data = own.make_recipe(weights), [own.root]
+                typer.echo(text)
+                stages = build_stages(tomllib.loads(text), out / RECIPE_TEXT, change or (), weights)
+                if not dry_run:
+                    keep_recipe(text, out)
             if dry_run:
                 stage, folder, weights = next_stage(stages, out, weights)
                 path, lines = draw_first_batch(

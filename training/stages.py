@@ -1,7 +1,7 @@
 """Recipes of several stages: runs one after the other, each from the weights of the one before."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,13 +29,21 @@ class Stage:
 def read_stages(
     path: Path, changes: Sequence[str] = (), init: Path | None = None
 ) -> tuple[Stage, ...]:
-    """Read a recipe with its stages; one without ``[[stage]]`` has a single stage.
+    """Read a recipe with its stages from a TOML file; arguments and errors as in `build_stages`."""
+    return build_stages(read_table(path), path, changes, init)
+
+
+def build_stages(
+    table: Mapping[str, Any], path: Path, changes: Sequence[str] = (), init: Path | None = None
+) -> tuple[Stage, ...]:
+    """Return the stages of a recipe; one without ``[[stage]]`` has a single stage.
 
     Each ``[[stage]]`` has a name and keys that it changes of the recipe; ``base`` in it names an
     earlier stage whose changes come first.
 
     Args:
-        path: the TOML file.
+        table: the recipe.
+        path: its file, for messages.
         changes: further changes of all stages, see `read_recipe`.
         init: a checkpoint that the first stage starts from. What the recipe leaves out comes from
             its training, see `training.fine_tuning`, and is reported on stderr.
@@ -45,7 +53,7 @@ def read_stages(
             not an earlier stage.
         CheckpointError: if ``init`` cannot be read.
     """
-    table, further = read_table(path), parse_changes(changes)
+    table, further = {**table}, parse_changes(changes)
     tables = table.pop("stage", None)
     try:
         named = {} if tables is None else _name_stages(tables)

@@ -24,7 +24,7 @@ from training.datasets.files import (
 )
 from training.datasets.sample import IGNORE, FrameList, Sample, nothing_known
 from training.datasets.source_recipe import SourceRecipe
-from training.limits import STRICT, Positive, Share
+from training.limits import STRICT, Index, Positive, Share
 
 _Folder = Annotated[str, Field(min_length=1)]
 
@@ -46,6 +46,9 @@ class FoldersRecipe(SourceRecipe):
     label_classes: Literal["cityscapes"] | None = None
     #: Name in ``model.classes`` of each id, or "ignore"; instead of the order of the classes.
     label_ids: Mapping[Annotated[int, Field(ge=0, le=255)], str] | None = None
+    #: First and last image in the order of their names, from 0, inclusive.
+    first: Index = 0
+    last: Index | None = None
     #: "skip-target": a frame without its depth or labels has no such target, one without its
     #: sparse depth no LiDAR. Otherwise it is an error.
     missing: Literal["error", "skip-target"] = "error"
@@ -111,7 +114,15 @@ class Folders(FrameList):
             self._root / recipe.rgb, depth=depth, depth_scale=recipe.depth_scale
         )
         images = [frame for frame in self._source.list_frames() if frame.image is not None]
-        self._frames = sorted(images, key=lambda frame: str(frame.image))
+        images.sort(key=lambda frame: str(frame.image))
+        end = None if recipe.last is None else recipe.last + 1
+        self._frames = images[recipe.first : end]
+        if not self._frames:
+            raise DatasetError(
+                f"{self._root / recipe.rgb}: {len(images)} images, none of them in "
+                f"{recipe.first}..{'' if recipe.last is None else recipe.last}. Correct `first` "
+                "and `last`."
+            )
         self._source.camera_alone = recipe.missing == "skip-target"
         if depth is not None:
             self._require_files(depth, [frame.name for frame in self._frames if not frame.depth])

@@ -1,0 +1,141 @@
+"""`ssdnet-train --images`: the recipe that it makes for folders, and what it refuses."""
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from layouts.pictures import write
+from models import SSDNetLite, SSDNetLiteConfig, load_checkpoint
+from models.checkpoint import save_checkpoint
+from models.registry import NETWORKS, Entry
+from training.cli import app
+
+
+@pytest.fixture
+def mine(tmp_path, monkeypatch):
+    """Twenty images whose left half is a lane 5 m away, and weights trained on 50 rows."""
+    config = SSDNetLiteConfig(encoder_widths=(8,) * 16, decoder_channels=(8, 8, 8))
+    monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNetLite, config))
+    save_checkpoint(tmp_path / "first.pt", SSDNetLite(config), training={"trained_height": 50})
+    rng = np.random.default_rng(0)
+    ids = np.repeat(np.uint8([[0, 1]]), 48, 0).repeat(32, 1)
+    for index in range(20):
+        name = f"{index:02}"
+        image = rng.integers(0, 255, (48, 64, 3), dtype=np.uint8)
+        write(tmp_path / "images" / f"{name}.jpg", image)
+        write(tmp_path / "labels" / f"{name}.png", ids)
+        write(tmp_path / "lidar" / f"{name}.png", np.full((48, 64), 5 * 256, np.uint16) * ids)
+    (tmp_path / "classes.txt").write_text("lane\nrest\n\n")
+    return tmp_path
+
+
+def train(folder, *further, **changes):
+    options = {"init": "first.pt", "images": "images", "labels": "labels", "out": "run"}
+    options |= {"classes": "classes.txt", **changes}
+    given = [(f"--{key}", str(folder / name)) for key, name in options.items() if name]
+    return CliRunner().invoke(app, [text for pair in given for text in pair] + list(further))
+
+
+def test_a_recipe_is_made_for_the_folders_and_trained(mine):
+    steps = ("--set", "schedule.steps = 2", "--set", "data.workers = 0")
+    result = train(mine, *steps, depth="lidar")
+    assert result.exit_code == 0, result.output
+    text = (mine / "run/recipe.toml").read_text()
+    assert text in result.stdout
+    facts = load_checkpoint(mine / "run/model.pt").facts
+    assert facts.trained_height == 48
+    assert [item["name"] for item in facts.recipe["model"]["classes"]] == ["lane", "rest"]
+    (trained,), (held_out,) = (facts.recipe[key]["source"] for key in ("data", "validation"))
+    assert (trained["first"], trained["last"]) == (0, 17)
+    assert (held_out["first"], held_out["last"]) == (18, None)
+    assert re.search(r"val/miou +[\d.]+ +[\d.]+\nval/mae_m +[\d.]+ +[\d.]+\n", result.stderr)
+    # The same command resumes; its files beside the images are not those of the data.
+    resumed = train(mine, *steps, depth="lidar")
+    assert resumed.exit_code == 0, resumed.output
+    assert "warning" not in resumed.stderr
+    # The file is a recipe like any other.
+    command = [mine / "run/recipe.toml", "--data", mine, "--init", mine / "first.pt", "--dry-run"]
+    again = CliRunner().invoke(app, [*map(str, command), "--out", str(mine / "again")])
+    assert again.exit_code == 0, again.output
+    assert "train: 18 frames" in again.stdout
+    # Other folders give another recipe, which does not replace it.
+    other = train(mine)
+    assert other.exit_code == 1
+    assert "run/recipe.toml: is not the recipe that these folders give now" in other.stderr
+    assert (mine / "run/recipe.toml").read_text() == text
+
+
+def test_a_dry_run_shows_the_recipe(mine):
+    """One for images of a higher camera, which are resized to the rows of the first weights."""
+    for path in (*mine.glob("images/*"), *mine.glob("labels/*")):
+        assert cv2.imwrite(str(path), cv2.imread(str(path), -1).repeat(2, 0).repeat(2, 1))
+    result = train(mine, "--dry-run")
+    assert result.exit_code == 0, result.output
+    assert "size = [50, 67]" in result.stdout
+    assert "steps = 200" in result.stdout
+    assert "lidar" not in result.stdout
+    assert [path.name for path in (mine / "run").iterdir()] == ["batch.png"]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "options", "text"),
+    [
+        (lambda folder: None, {"images": "pictures"}, "cannot list the folder .*pictures"),
+        (lambda folder: None, {"labels": "ids"}, "ids: no such folder"),
+        (lambda folder: None, {"classes": "names.txt"}, r"cannot read .*names\.txt"),
+        (lambda folder: (folder / "classes.txt").write_text("\n"), {}, "classes.txt: is empty"),
+        (
+            lambda folder: (folder / "classes.txt").write_text("lane\n"),
+            {},
+            r"00\.png: class id 1, expected 0\.\.0 .* or 255 for none",
+        ),
+        (
+            lambda folder: [path.unlink() for path in folder.glob("labels/*")],
+            {},
+            r"labels: has no file of the frame 00 \(20 of 20 frames lack it\)",
+        ),
+        (
+            lambda folder: [path.unlink() for path in sorted(folder.glob("images/*"))[9:]],
+            {},
+            "images: 9 images; expected at least 10",
+        ),
+    ],
+)
+def test_what_cannot_be_trained_on_is_named(mine, spoil, options, text):
+    spoil(mine)
+    result = train(mine, "--dry-run", **options)
+    assert result.exit_code == 1, result.output
+    assert re.search(text, result.stderr)
+
+
+def test_bundled_weights_give_the_settings_of_their_recipe(mine):
+    result = CliRunner().invoke(
+        app,
+        [
+            *("--init", "ssdnet-lite", "--images", str(mine / "images"), "--dry-run"),
+            *("--depth", str(mine / "lidar"), "--out", str(mine / "run")),
+        ],
+    )
+    assert result.exit_code == 0, result.output
+    assert "from the recipe of lite: " in result.stderr
+    assert "model.config.canonical_focal_px = 721.5" in result.stderr
+    assert "classes" not in result.stdout.split("[data]")[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"init": None}, "--images and --init"),
+        ({"images": None}, "--images and --init"),
+        ({"data": "."}, "--images and --init"),
+        ({"labels": None, "classes": None}, "--images needs --labels, --depth or both"),
+        ({"classes": None}, "--labels and --classes go together"),
+    ],
+)
+def test_options_that_do_not_fit_are_a_usage_error(mine, options, text):
+    result = train(mine, **options)
+    assert result.exit_code == 2
+    assert text in re.sub(r"[\s│]+", " ", result.stderr)

@@ -1,0 +1,150 @@
+"""The recipe for folders of images, labels and depth maps: what it needs is read from them."""
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from models import load_checkpoint
+from runtime.contract import ClassInfo
+from runtime.errors import InputError
+from runtime.io.atomic_write import atomic_write
+from runtime.network_size import network_size
+from runtime.read_input import read_text
+from training.datasets.folders import Folders, FoldersRecipe
+from training.run_folder import folder_errors
+
+#: The file of the recipe in a run's folder.
+RECIPE_TEXT = "recipe.toml"
+_BATCH = 4
+#: How often every frame is trained on, within the least and the largest number of steps.
+_PASSES, _MIN_STEPS, _MAX_STEPS = 40, 200, 10_000
+#: One frame of this many is for validation; there are at least so many frames.
+_VALIDATION = 10
+
+
+@dataclass(frozen=True)
+class OwnFolders:
+    """Folders whose files are paired by their names, with labels, depth or both.
+
+    Attributes:
+        images: PNG or JPEG images.
+        labels: 8-bit PNGs of class ids, 255 = none.
+        depth: 16-bit PNGs of a LiDAR's depth, metres x 256.
+        classes: text file with the name of a class a line, the first of id 0; goes with labels.
+    """
+
+    images: Path
+    labels: Path | None = None
+    depth: Path | None = None
+    classes: Path | None = None
+
+    @property
+    def root(self) -> Path:
+        """The recipe's ``--data``: the folder that holds the images' folder."""
+        return self.images.resolve().parent
+
+    def make_recipe(self, init: Path) -> str:
+        """Return a recipe, as TOML, for a training that starts from the checkpoint ``init``.
+
+        The last tenth of the frames is for validation: neighbours of a recording are alike. Images
+        of far more rows than those ``init`` was trained on are resized to its rows.
+
+        Raises:
+            InputError: if a folder or the classes cannot be read, and for too few images.
+            DatasetError: for images without labels or depth.
+            CheckpointError: if ``init`` cannot be read.
+        """
+        classes = () if self.classes is None else _read_classes(self.classes)
+        images = self.images.resolve()
+        # The set is the images' folder: a run's files beside it are not files of the data.
+        keys: dict[str, Any] = {"path": images.name, "rgb": "."}
+        for key, folder in (
+            ("labels", self.labels),
+            ("depth", self.depth),
+            ("sparse_depth", self.depth),
+        ):
+            if folder is not None:
+                keys[key] = os.path.relpath(folder.resolve(), images)
+        frames = Folders(images, FoldersRecipe(**keys), classes or "camvid")
+        count = len(frames)
+        if count < _VALIDATION:
+            raise InputError(
+                f"{self.images}: {count} images; expected at least {_VALIDATION}, a tenth of which "
+                "is for validation. Add images with their labels or depth."
+            )
+        size, rows = frames[0].size, load_checkpoint(init).facts.trained_height
+        resized = network_size(None, size, trained_height=rows)
+        if resized != size:
+            keys["size"] = list(resized)
+        first = count - count // _VALIDATION
+        lines = _describe(classes, resized[0], keys, first, count)
+        return "\n".join((f"# --data is {_quoted(str(self.root))}.", *lines, ""))
+
+
+def _describe(
+    classes: Sequence[ClassInfo], rows: int, keys: Mapping[str, Any], first: int, count: int
+) -> Iterator[str]:
+    """Yield the lines of a recipe whose validation begins with the frame of number ``first``."""
+    has_depth = "depth" in keys
+    yield "[model]"
+    if classes:
+        yield "classes = ["
+        for info in classes:
+            yield f"    {{name = {_quoted(info.name)}, color = {list(info.color)}}},"
+        yield "]"
+    yield f"trained_height = {rows}  # of the images [px]"
+    yield "\n[data]"
+    yield f"batch_size = {_BATCH}"
+    if has_depth:
+        yield "augment.lidar_random = 1.0  # a random share of the returns is the input"
+    for table, chosen in (
+        ("data", f"last = {first - 1}  # of {count} frames"),
+        ("validation", f"first = {first}"),
+    ):
+        if table == "validation" and has_depth:
+            yield '\n[validation]\nlidar = "random:0.5"  # half of the returns are the input'
+        yield f"\n[[{table}.source]]"
+        yield f'kind = "folders"\nname = "{"train" if table == "data" else "val"}"'
+        yield from (f"{key} = {_quoted(value)}" for key, value in keys.items())
+        yield chosen
+        if has_depth:
+            yield "# intrinsics = [721.5, 721.5, 609.6, 172.9]  # fx, fy, cx, cy of the camera [px]"
+    steps = min(max(_PASSES * first // _BATCH, _MIN_STEPS), _MAX_STEPS)
+    yield f"\n[schedule]\nsteps = {steps}  # of {_BATCH} frames"
+
+
+def _read_classes(path: Path) -> tuple[ClassInfo, ...]:
+    names = read_text(path).rstrip().splitlines()
+    if not names:
+        raise InputError(f"{path}: is empty; expected the name of a class a line.")
+    return tuple(ClassInfo(name.strip(), _color(index + 1)) for index, name in enumerate(names))
+
+
+def keep_recipe(text: str, out: Path) -> None:
+    """Write a recipe into a run's folder; InputError if it has another one."""
+    path = out / RECIPE_TEXT
+    with folder_errors(out):
+        if path.is_file() and read_text(path) != text:
+            raise InputError(
+                f"{path}: is not the recipe that these folders give now. Remove it, or train by "
+                f"it: ssdnet-train {path} --data DIR --init NAME --out RUN."
+            )
+        out.mkdir(parents=True, exist_ok=True)
+        atomic_write(path, text.encode())
+
+
+def _quoted(value: str | list[int]) -> str:
+    """Return a text or a list as TOML."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _color(index: int) -> tuple[int, int, int]:
+    """Return the colour of a class in the palette of PASCAL VOC."""
+    red, green, blue = (
+        sum((index >> (3 * level + channel) & 1) << (7 - level) for level in range(3))
+        for channel in range(3)
+    )
+    return red, green, blue
