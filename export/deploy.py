@@ -67,7 +67,7 @@ class DeployGraph(nn.Module):
             if stride > 1:
                 full = upsample(torch.cat(list(group.values()), dim=1), factor=stride)
                 group = dict(zip(group, full.split(1, dim=1), strict=True))
-            answers |= {head: full[:, 0, :height, :width] for head, full in group.items()}
+            answers |= {head: full.squeeze(1)[:, :height, :width] for head, full in group.items()}
         for head in maps:
             if HEADS[head].unit is not Unit.METRES:
                 answers[head] = to_unit(head, answers[head], max_depth_m)

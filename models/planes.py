@@ -38,21 +38,27 @@ INSIDE = 1.0
 BOUND_WINDOW = 7
 #: Powers of the places below and to the right of a centre: of the sums over returns, and of those
 #: over their inverse depths.
-_POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+_POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1))
 _WEIGHED = _POWERS[:3]
 _SUMS = len(_POWERS) + len(_WEIGHED)
+#: Kernel (3, 9, 1, 1): the sums of the rows of a 3 x 3 matrix.
+_ROWS = np.kron(np.eye(3), np.ones(3)).astype(np.float32)[:, :, None, None]
 #: Less than one return in a window, and less than any spread of several.
 _LEAST_COUNT, _LEAST_SPREAD = 1e-3, 1e-2
 
 
-def fit_planes(inverse: Tensor, mask: Tensor, *, cell: int, levels: int) -> tuple[Tensor, Tensor]:
+def fit_planes(
+    inverse: Tensor, mask: Tensor, extremes: Tensor, *, cell: int, levels: int
+) -> tuple[Tensor, Tensor]:
     """Fit a plane around each cell.
 
     Args:
         inverse: inverse of the normalised depth, at least 1, (N, 1, H, W), 0 where nothing is
             measured; H and W are multiples of ``cell * 2**levels``.
         mask: 1 where measured, same shape.
-        cell: side of a cell of the result in pixels.
+        extremes: the greatest inverse depth and the greatest depth in each cell, (N, 2, h, w), 0
+            where nothing is measured.
+        cell: side of a cell in pixels.
         levels: number of coarser grids.
 
     Returns:
@@ -62,7 +68,7 @@ def fit_planes(inverse: Tensor, mask: Tensor, *, cell: int, levels: int) -> tupl
     device = inverse.device.type
     if device != "meta" and torch.is_autocast_enabled(device):
         with torch.autocast(device, enabled=False):  # sums of squares need single precision
-            return fit_planes(inverse, mask, cell=cell, levels=levels)
+            return fit_planes(inverse, mask, extremes, cell=cell, levels=levels)
     grids = [_convolve(torch.cat([mask, inverse], dim=1), _cell_kernel(cell), stride=cell)]
     for _ in range(levels):
         grids.append(_convolve(grids[-1], _coarser_kernel(), stride=2))
@@ -76,44 +82,45 @@ def fit_planes(inverse: Tensor, mask: Tensor, *, cell: int, levels: int) -> tupl
         # A slope a cell is half of that of a cell twice as wide.
         finer = upsample(plane) * plane.new_tensor([1.0, 0.5, 0.5]).view(1, 3, 1, 1)
         plane = _fit(_sums_around(grid, FINE_WINDOW), finer)
-    return _bound(plane[:, :1], inverse, factor=cell, levels=levels), grids[0][:, :1] / cell**2
+    return _bound(plane[:, :1], extremes, levels=levels), grids[0][:, :1] / cell**2
 
 
 def _fit(sums: Tensor, prior: Tensor) -> Tensor:
     """Fit value and both slopes at the centre of each cell, (N, 3, h, w).
 
     sums: (N, 9, h, w), of the returns around it; prior: the fit that they change, as the result.
+    Products are taken of several channels at once: fewer and larger operations.
     """
-    # Normal equations of the difference from the prior plane: r is below, c to the right.
-    n, r, c, rr, rc, cc, z, zr, zc = sums.split(1, dim=1)
-    value, down, right = prior.split(1, dim=1)
-    e = z - n * value - r * down - c * right
-    er = zr - r * value - rr * down - rc * right
-    ec = zc - c * value - rc * down - cc * right
+    # Normal equations of the difference from the prior plane; r is below, c to the right. Sums of
+    # 1 (n), of r and c, of rr, cc and rc, and of the inverse depth z, of zr and zc.
+    n, first, second, weighed = sums.split([1, 2, 3, 3], dim=1)
+    matrix = _take(sums, (0, 1, 2, 1, 3, 5, 2, 5, 4))
+    error = weighed - _convolve(matrix * _take(prior, (0, 1, 2) * 3), _ROWS)
     # The value is eliminated: what is left is about the centroid of the returns.
-    n = n + VALUE_WEIGHT
-    mean_r, mean_c = r / n, c / n
-    away_r, away_c = mean_r * r, mean_c * c
-    rr, cc, rc = rr - away_r, cc - away_c, rc - mean_r * c
-    er, ec = er - mean_r * e, ec - mean_c * e
+    per_return = 1.0 / (n + VALUE_WEIGHT)
+    mean = first * per_return
+    factors = torch.cat([first, error], dim=1)
+    moved = _take(mean, (0, 1, 0, 0, 1)) * _take(factors, (0, 1, 1, 2, 2))
+    value_error, slope_error = error.split([1, 2], dim=1)
+    left = torch.cat([second, slope_error], dim=1) - moved
+    variance, covariance, slope_error = left.split([2, 1, 2], dim=1)
     # Slopes between returns are measured, beyond them they are guessed.
-    inside_r = (INSIDE + 1.0 - away_r / (rr + _LEAST_SPREAD)).clamp(0.0, 1.0)
-    inside_c = (INSIDE + 1.0 - away_c / (cc + _LEAST_SPREAD)).clamp(0.0, 1.0)
+    inside = (INSIDE + 1.0 - moved[:, :2] / (variance + _LEAST_SPREAD)).clamp(0.0, 1.0)
     # Cramer's rule.
-    rr, cc = rr + SLOPE_WEIGHT, cc + SLOPE_WEIGHT
-    scale = 1.0 / (rr * cc - rc * rc)
-    more_down = (er * cc - ec * rc) * scale * inside_r
-    more_right = (ec * rr - er * rc) * scale * inside_c
-    more = e / n - mean_r * more_down - mean_c * more_right
-    return prior + torch.cat([more, more_down, more_right], dim=1)
+    variance = variance + SLOPE_WEIGHT
+    others = _take(torch.cat([variance, slope_error], dim=1), (1, 0, 3, 2))
+    other_variance, other_error = others.split(2, dim=1)
+    determinant = variance.prod(dim=1, keepdim=True) - covariance * covariance
+    slopes = slope_error * other_variance - other_error * covariance
+    slopes = slopes * (inside / determinant)
+    value = value_error * per_return - (mean * slopes).sum(dim=1, keepdim=True)
+    return prior + torch.cat([value, slopes], dim=1)
 
 
-def _bound(plane: Tensor, inverse: Tensor, *, factor: int, levels: int) -> Tensor:
+def _bound(plane: Tensor, extremes: Tensor, *, levels: int) -> Tensor:
     """Limit the plane to the inverse depths around it, see BOUND_WINDOW."""
-    # The greatest inverse depth, and the greatest depth.
-    both = torch.cat([inverse, (inverse > 0) / inverse.clamp(min=1.0)], dim=1)
-    both = maxima_around(cell_maxima(both, factor * 2**levels), BOUND_WINDOW)
-    nearest, farthest = both.split(1, dim=1)
+    around = maxima_around(cell_maxima(extremes, 2**levels), BOUND_WINDOW)
+    nearest, farthest = around.split(1, dim=1)
     least = (nearest > 0) / farthest.clamp(min=_LEAST_COUNT)
     nearest = torch.where(nearest > 0, nearest, torch.inf)
     bounds = torch.cat([least, nearest], dim=1)
@@ -126,6 +133,10 @@ def _bound(plane: Tensor, inverse: Tensor, *, factor: int, levels: int) -> Tenso
 def _sums_around(sums: Tensor, window: int) -> Tensor:
     """Sum the cells around each, weighted by a tent of half the width ``window``."""
     return _convolve(sums, _window_kernel(window), padding=window - 1)
+
+
+def _take(x: Tensor, channels: tuple[int, ...]) -> Tensor:
+    return x.index_select(1, torch.tensor(channels, device=x.device))
 
 
 def _convolve(

@@ -1,15 +1,15 @@
-"""SSDNetLite: SSDNet for real time, with a depth head that chooses among measured surfaces.
+"""SSDNetLite: SSDNet for real time, whose depth starts from planes between the returns.
 
 | stride | tensor | channels |
 |---|---|---|
 | 1 | RGB; depth and mask; the depth with returns at full size | 3; 2; 1 |
 | 2 | `EfficientNetLite.early`; refined features of classes and of depth, and both heads | 16; 16 |
-| 4 | `early`, to which the surfaces around are added; decoders; boundary | 24; 32; 1 |
+| 4 | `early`, to which planes and surfaces are added; decoders; boundary | 24; 32; 1 |
 | 8, 16, 32 | `EfficientNetLite.late`; decoders at 8 and 16 | 40, 112, 320; 48, 64 |
 
-The order of execution: `surfaces.measure` and `propagate_surfaces`, the encoder, the boundary
-decoder, which gates both task decoders, and the heads; the depth's is `surfaces.SurfaceDepthHead`.
-`ssdnet-nano` has no features at stride 2 beside the encoder's.
+The order of execution: `surfaces.measure` and `propagate_surfaces` with `planes.fit_planes`, the
+encoder, the boundary decoder, which gates both task decoders, and the heads; the depth's is
+`surfaces.SurfaceDepthHead`. `ssdnet-nano` has no features at stride 2 beside the encoder's.
 """
 
 from dataclasses import dataclass
@@ -131,16 +131,16 @@ class SSDNetLite(Network):
             )
         self.apply(initialise)
         if config.depth_head:
-            self.surface_depth.ignore_semantics()
+            self.surface_depth.start_as_plane()
 
     def predict_coarse(self, rgb: Tensor, sparse_depth: Tensor) -> NetworkOutput:
         """Predict on the heads' own grids of the padded image, see `Network.predict_coarse`."""
         at_2, at_4 = self.encoder.early(pad_to_multiple(self.normalise_rgb(rgb), self.stride))
         candidates = None
         if self.config.depth_head:
-            depth, mask = self.normalise_depth(sparse_depth)
-            padded = (pad_to_multiple(x, self.stride) for x in (depth, mask.to(depth.dtype)))
-            candidates = self.surface_depth.propagate(*padded)
+            padded = pad_to_multiple(sparse_depth, self.stride)
+            depth, mask = self.normalise_depth(padded)
+            candidates = self.surface_depth.propagate(depth, mask.to(depth.dtype))
             at_4 = at_4 + self.surface_depth.embed(candidates.features)
         *skips, bottom = at_4, *self.encoder.late(at_4)
         bottom = self.context(bottom)

@@ -41,9 +41,16 @@ def mask_of(pattern):
     return mask
 
 
+def fit(inverse, mask):
+    """In the cells, and the share of returns; inverse: 0 where nothing is measured."""
+    depth = mask / inverse.clamp(min=1)
+    extremes = F.max_pool2d(torch.cat([inverse, depth], dim=1), CELL)
+    return fit_planes(inverse, mask, extremes, cell=CELL, levels=LEVELS)
+
+
 def fitted(inverse, mask):
     """At the pixels, and the share of returns."""
-    plane, share = fit_planes(inverse * mask, mask, cell=CELL, levels=LEVELS)
+    plane, share = fit(inverse * mask, mask)
     return F.interpolate(plane, scale_factor=4.0, mode="bilinear"), share
 
 
@@ -91,13 +98,8 @@ def test_one_return_is_everywhere_in_reach_and_without_any_there_is_nothing():
 
 def test_each_frame_of_a_batch_is_fitted_alone():
     first, second = mask_of("lines"), mask_of("at random")
-    both, _ = fit_planes(
-        torch.cat([road() * first, 2 * road() * second]),
-        torch.cat([first, second]),
-        cell=CELL,
-        levels=LEVELS,
-    )
-    alone, _ = fit_planes(2 * road() * second, second, cell=CELL, levels=LEVELS)
+    both, _ = fit(torch.cat([road() * first, 2 * road() * second]), torch.cat([first, second]))
+    alone, _ = fit(2 * road() * second, second)
     assert torch.allclose(both[1:], alone, rtol=1e-5)
 
 
@@ -128,7 +130,7 @@ def test_the_sums_of_a_window_are_those_of_a_loop_over_its_returns(level, window
         right = 1 - abs(u // side - column) / window
         if down > 0 and right > 0:
             r, c = (v + 0.5) / side - row - 0.5, (u + 0.5) / side - column - 0.5
-            powers = np.array([1, r, c, r * r, r * c, c * c])
+            powers = np.array([1, r, c, r * r, c * c, r * c])
             weighed = inverse[v, u] * powers[:3]
             expected += down * right * np.concatenate([powers, weighed])
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
@@ -141,7 +143,7 @@ def test_a_fit_is_the_ridge_regression_towards_the_prior():
     place -= place.mean(axis=0)
     values, prior = rng.uniform(1, 9, 40), np.array([3.0, 0.5, -0.2])
     r, c = place.T
-    powers = np.stack([np.ones(40), r, c, r * r, r * c, c * c])
+    powers = np.stack([np.ones(40), r, c, r * r, c * c, r * c])
     sums = np.concatenate([powers.sum(axis=1), (powers[:3] * values).sum(axis=1)])
     weights = np.sqrt([planes.VALUE_WEIGHT, planes.SLOPE_WEIGHT, planes.SLOPE_WEIGHT])
     system = np.concatenate([powers[:3].T, np.diag(weights)])

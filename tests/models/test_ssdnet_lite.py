@@ -55,11 +55,27 @@ def test_the_defaults_are_what_the_name_builds():
     assert create_model("ssdnet-lite").config == SSDNetLiteConfig()
 
 
+@pytest.mark.parametrize("name", ["ssdnet-lite", "ssdnet-nano"])
+def test_a_new_network_answers_with_the_plane(name):
+    torch.manual_seed(0)
+    network = create_model(name).eval()
+    rows = torch.arange(128).float().view(1, 1, -1, 1).expand(1, 1, 128, 192)
+    plane = 200 / (4 + 0.1 * rows)
+    sparse = torch.zeros_like(plane)
+    sparse[..., 3::12, ::3] = plane[..., 3::12, ::3]
+    with torch.no_grad():
+        depth = 200 * network(torch.rand(1, 3, 128, 192) * 255, sparse).depths[0]
+    error = (depth / plane - 1).abs()[..., 12:-12, 12:-12]
+    assert error.median() < 1e-3
+    assert error.max() < 0.03  # beside returns: the confidence in them is random
+
+
 def test_the_choice_reads_the_features_of_the_semantic_decoder():
     """The layer is zero at first, so that weights without it give the same depth."""
     network = create_model("ssdnet-nano").eval()
     rgb, sparse = torch.rand(1, 3, 64, 96) * 255, torch.zeros(1, 1, 64, 96)
-    sparse[..., ::4, ::4] = 12.0
+    sparse[..., ::20, ::4], sparse[..., 10::20, ::4] = 12.0, 30.0
+    torch.nn.init.normal_(network.surface_depth.head.weight)
     before = network(rgb, sparse).depths[0]
     before.sum().backward()
     assert network.surface_depth.semantics.weight.grad.abs().max() > 0

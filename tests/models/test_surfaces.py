@@ -18,12 +18,15 @@ from models.surfaces import (
     RETURN_REACH,
     SLOPE,
     SPREAD_SHARE,
+    STRETCH,
     WINDOWS,
     HeadChannels,
     Measured,
     Surfaces,
     choose_surface,
+    confidence,
     dilate_returns,
+    limit_guess,
     measure,
     propagate_surfaces,
     refine_surfaces,
@@ -59,7 +62,7 @@ def propagated(maps: Measured) -> Surfaces:
 def head_of(**logits: float) -> HeadChannels:
     """Logits of the named channels; the others are 0."""
     channels = (
-        "mean",
+        "plane",
         "farthest",
         "nearest",
         "correction",
@@ -141,8 +144,8 @@ def test_two_surfaces_in_one_cell_are_kept_apart():
     cell = (0, 0, 10, 10)
     assert found.nearest[cell].item() == pytest.approx(0.05, rel=1e-4)
     assert found.farthest[cell].item() == pytest.approx(0.8, rel=1e-4)
-    # Two returns of inverse depth 20 and 1.25, and next to nothing of the coarser levels.
-    assert found.mean[cell].item() == pytest.approx(1 / 10.625, rel=1e-3)
+    # Between two returns of inverse depth 20 and 1.25.
+    assert found.plane[cell].item() == pytest.approx(10.625, rel=0.05)
     assert density[cell].item() == pytest.approx(2 / COARSE_CELL**2)
 
 
@@ -180,36 +183,79 @@ def test_the_nearest_surface_is_the_nearest_of_a_plain_loop_before_smoothing():
 def test_nothing_measured_supports_nothing():
     found, density = propagate_surfaces(measured())
     assert not found.support.any()
-    assert not found.mean_support.any()
+    assert not found.reached.any()
     assert not surface_features(found, density).any()
     own = torch.full((1, 1, *GRID), 0.4)
-    confident = head_of(mean=30.0, farthest=30.0, nearest=30.0)
+    confident = head_of(plane=30.0, farthest=30.0, nearest=30.0)
     depth, scale = choose_surface(confident, own, found)
     assert torch.allclose(depth, own)
     assert torch.equal(scale, choose_surface(head_of(), own, found)[1])  # nothing to disagree with
 
 
-@pytest.mark.parametrize("candidate", ["mean", "farthest", "nearest"])
+@pytest.mark.parametrize("candidate", ["farthest", "nearest"])
 def test_a_candidate_of_full_confidence_is_the_answer(candidate):
     found = propagated(measured(r40c40=0.05, r41c41=0.8))
     own = torch.full((1, 1, *GRID), 0.4)
     chosen = choose_surface(head_of(**{candidate: 30.0}), own, found)[0][0, 0, 10, 10]
-    share = found.mean_support[0, 0, 10, 10].item() if candidate == "mean" else 1.0
-    assert share > 0.99
-    expected = 0.4 + share * (getattr(found, candidate)[0, 0, 10, 10].item() - 0.4)
-    assert chosen.item() == pytest.approx(expected, rel=1e-3)
+    assert chosen.item() == pytest.approx(getattr(found, candidate)[0, 0, 10, 10].item(), rel=1e-3)
     largest = head_of(**{candidate: 30.0}, correction=30.0)
     corrected = choose_surface(largest, own, found)[0][0, 0, 10, 10]
     assert corrected.item() == pytest.approx(min(1.0, chosen.item() * np.exp(0.5)), rel=1e-3)
 
 
-def test_beyond_the_reach_of_the_regression_only_returns_are_answered():
+def test_the_guess_replaces_the_plane_by_the_confidence_that_it_lacks():
+    found = propagated(measured_where(scanned(8)))
+    own = torch.full((1, 1, *GRID), 0.45)
+    for plane, expected in ((-30.0, 0.45), (0.0, (0.2 + 0.45) / 2), (30.0, 0.2)):
+        # A correction has no room where both surfaces agree.
+        chosen = choose_surface(head_of(plane=plane, correction=30.0), own, found)[0]
+        assert torch.allclose(chosen[..., 8:-8, 8:-8], torch.tensor(expected), rtol=1e-3)
+
+
+def test_a_confidence_reaches_0_and_1():
+    found = confidence(torch.tensor([-9.0, -2.5, -2.3, 0.0, 2.3, 2.5, 9.0]))
+    assert found[[0, 1, 5, 6]].tolist() == [0, 0, 1, 1]
+    assert found[3] == 0.5
+    assert 0 < found[2] < 0.02 < 0.98 < found[4] < 1
+
+
+def test_a_closed_confidence_can_be_trained_to_open():
+    logits = torch.tensor([-4.0, 4.0, 0.5], requires_grad=True)
+    found = confidence(logits)
+    assert torch.allclose(found[:2], torch.tensor([0.0, 1.0]))
+    found.sum().backward()
+    share = torch.sigmoid(logits.detach())
+    assert torch.allclose(logits.grad, (1 + 2 * STRETCH) * share * (1 - share))
+
+
+def test_near_returns_of_one_surface_leave_no_room_for_a_correction():
+    found = propagated(measured_where(scanned(8, 0.3)))
+    own = torch.full((1, 1, *GRID), 0.45)
+    corrected = choose_surface(head_of(plane=30.0, correction=30.0), own, found)[0]
+    assert torch.allclose(corrected, torch.tensor(0.3), rtol=1e-3)
+    # Between 0.3 and 0.36 there is room for a fifth.
+    two = found._replace(farthest=torch.full_like(found.farthest, 0.36))
+    corrected = choose_surface(head_of(plane=30.0, correction=30.0), own, two)[0]
+    assert torch.allclose(corrected, torch.tensor(0.36), rtol=1e-3)
+
+
+def test_a_plane_is_the_answer_of_a_head_without_confidence_in_surfaces():
+    rows = torch.arange(SIZE[0]).float().view(1, 1, -1, 1).expand(1, 1, *SIZE)
+    inverse = 2 + 0.1 * rows
+    mask = (scanned(8) > 0).float()
+    found = propagated(Measured(mask / inverse, mask, mask * inverse))
+    own = torch.full((1, 1, *GRID), 0.45)
+    chosen = 1 / choose_surface(head_of(plane=30.0), own, found)[0]
+    expected = 2 + 0.1 * (torch.arange(GRID[0]) * COARSE_CELL + 1.5).view(1, 1, -1, 1)
+    assert torch.allclose(chosen[..., 3:-3, :], expected.expand_as(chosen)[..., 3:-3, :], rtol=1e-3)
+
+
+def test_beyond_the_reach_of_the_guess_only_returns_are_answered():
     found = propagated(measured(r40c40=0.05, r41c41=0.8))
     own = torch.full((1, 1, *GRID), 0.45)
     largest = head_of(correction=30.0)
     chosen, _ = choose_surface(largest, own, found, reach=0.5)
     assert chosen[0, 0, 30, 40].item() == pytest.approx(0.5)  # no return is near
-    assert chosen[0, 0, 10, 10].item() == pytest.approx(0.45 * np.exp(0.5), rel=1e-4)
     far, _ = choose_surface(head_of(farthest=30.0, correction=30.0), own, found, reach=0.5)
     assert far[0, 0, 10, 10].item() == pytest.approx(0.8, rel=1e-4)
 
@@ -217,7 +263,7 @@ def test_beyond_the_reach_of_the_regression_only_returns_are_answered():
 def test_a_return_replaces_the_surface_that_it_belongs_to():
     maps = measured(r40c40=0.05, r41c41=0.8, r42c42=0.2, r60c60=1.0)
     shape = (1, 1, SIZE[0] // FINE_CELL, SIZE[1] // FINE_CELL)
-    upsampled = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.6, 0.4, 1.0, 0.9)))
+    upsampled = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.6, 2.5, 1.0, 1.0)))
     fine = refine_surfaces(upsampled, maps)
     # Of 0.3 and 0.6, 0.2 lies on the nearer surface, 1.0 on the farther.
     expected = {(20, 20): (0.05, 0.8), (21, 21): (0.2, 0.6), (30, 30): (0.3, 1.0)}
@@ -231,7 +277,7 @@ def test_a_return_replaces_the_surface_that_it_belongs_to():
 def test_a_return_on_the_only_surface_replaces_both():
     maps = measured(r40c40=0.33)
     shape = (1, 1, SIZE[0] // FINE_CELL, SIZE[1] // FINE_CELL)
-    upsampled = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.36, 0.33, 1.0, 0.9)))
+    upsampled = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.36, 3.0, 1.0, 1.0)))
     fine = refine_surfaces(upsampled, maps)
     for surface in (fine.nearest, fine.farthest):
         assert surface[0, 0, 20, 20].item() == pytest.approx(0.33, rel=1e-4)
@@ -242,6 +288,16 @@ def test_features_lie_in_0_1():
     features = surface_features(*propagate_surfaces(maps))
     assert features.min() >= -1e-6
     assert features.max() <= 1 + 1e-6
+
+
+def test_what_returns_nothing_is_no_farther_than_the_returns_around():
+    maps = measured(r40c40=0.1, r40c60=0.4, r72c40=0.2)
+    limit = limit_guess(*propagate_surfaces(maps))[0, 0]
+    assert limit[14, 11] == pytest.approx(0.4), "below two returns: the farther one"
+    assert limit[19, 10] == pytest.approx(0.2), "below a return"
+    assert limit[8, 10] == 1, "over the uppermost return the LiDAR did not look"
+    assert limit[10, 30] == 1, "beside the returns neither"
+    assert torch.equal(limit_guess(*propagate_surfaces(measured())), torch.ones(1, 1, *GRID))
 
 
 def test_where_nothing_disagrees_the_error_is_a_bounded_share_of_the_depth():
@@ -260,6 +316,7 @@ def test_the_error_grows_with_the_spread_of_the_candidates():
     """Half of 0.8 and half of 0.4; then half of 0.05 and half of what that gave."""
     own = torch.full((1, 1, *GRID), 0.4)
     found = propagated(measured(r40c40=0.05, r41c41=0.8))
+    found = found._replace(plane=torch.full_like(found.plane, 2.5))
     halves = head_of(farthest=0.0, nearest=0.0, scale=-99.0)
     depth, scale = (maps[0, 0, 10, 10].item() for maps in choose_surface(halves, own, found))
     assert depth == pytest.approx(0.325, rel=1e-3)
@@ -281,7 +338,7 @@ def test_the_spread_of_two_depths_is_their_mean_distance_from_their_mean(weight)
 
 def test_the_scale_does_not_train_the_choice():
     own = torch.full((1, 1, *GRID), 0.4, requires_grad=True)
-    head = torch.cat(head_of(mean=0.0, farthest=0.0, nearest=0.0), dim=1).requires_grad_()
+    head = torch.cat(head_of(plane=0.0, farthest=0.0, nearest=0.0), dim=1).requires_grad_()
     found = propagated(measured(r40c40=0.05, r41c41=0.8))
     choose_surface(HeadChannels.split(head), own, found)[1].sum().backward()
     trained = head.grad.abs().sum(dim=(0, 2, 3)) > 0
@@ -318,7 +375,7 @@ def test_the_nearest_return_is_that_of_a_plain_loop():
 def test_the_head_is_split_into_its_channels_in_their_order():
     head = HeadChannels.split(torch.arange(8.0).view(1, 8, 1, 1))
     assert [part.flatten().tolist() for part in head] == [[0, 1, 2], [3], [4], [5, 6, 7]]
-    named = head_of(before=30.0, behind=-30.0, mean=30.0, scale=30.0)
+    named = head_of(before=30.0, behind=-30.0, plane=30.0, scale=30.0)
     confidence = torch.sigmoid(named.returns)
     assert confidence.shape == (1, 3, *GRID)
     assert torch.allclose(confidence[0, :, 3, 5], torch.tensor([1.0, 0.0, 0.5]))

@@ -26,6 +26,7 @@ class Planes:
 
         from models.blocks import pad_to_multiple, upsample
         from models.planes import fit_planes
+        from models.pooling import cell_maxima
 
         measured = is_measured(sparse_depth)
         if not measured.any():
@@ -35,8 +36,10 @@ class Planes:
         inverse = torch.from_numpy(farthest / known)[None, None]
         mask = torch.from_numpy(measured.astype(np.float32))[None, None]
         with torch.inference_mode():
-            padded = (pad_to_multiple(x, _CELL * 2**_LEVELS) for x in (inverse, mask))
-            cells, _ = fit_planes(*padded, cell=_CELL, levels=_LEVELS)
+            inverse, mask = (pad_to_multiple(x, _CELL * 2**_LEVELS) for x in (inverse, mask))
+            both = torch.cat([inverse, mask / inverse.clamp(min=1.0)], dim=1)
+            extremes = cell_maxima(both, _CELL)
+            cells, _ = fit_planes(inverse, mask, extremes, cell=_CELL, levels=_LEVELS)
             height, width = sparse_depth.shape
             plane = upsample(cells, factor=_CELL)[0, 0, :height, :width].numpy()
         depth = np.where(plane > 0, farthest / np.where(plane > 0, plane, 1.0), 0.0)
