@@ -162,9 +162,14 @@ def read_scalars(folder):
     return groups
 
 
-@pytest.mark.parametrize(
-    "path", sorted(FOLDER.rglob("*.toml")), ids=lambda path: str(path.relative_to(FOLDER))
-)
+def shipped_recipes():
+    """Recipes of several stages take up to 30 seconds."""
+    for path in sorted(FOLDER.rglob("*.toml")):
+        marks = [pytest.mark.slow] if "[[stage]]" in path.read_text() else []
+        yield pytest.param(path, marks=marks, id=str(path.relative_to(FOLDER)))
+
+
+@pytest.mark.parametrize("path", list(shipped_recipes()))
 def test_shipped_recipe_trains(path, data, tmp_path):
     init = None
     for number, recipe in enumerate(read_shrunk(path)):
