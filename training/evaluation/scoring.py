@@ -165,7 +165,7 @@ class Scores:
             semantic = self.semantic.compute()
             class_iou = semantic.class_iou[:-1]
             figures |= {
-                "miou": float(np.mean([iou for iou in class_iou if not math.isnan(iou)])),
+                "miou": float(np.nanmean(class_iou)),
                 "accuracy": semantic.accuracy,
                 "mean_accuracy": semantic.mean_accuracy,
                 "fwiou": semantic.frequency_weighted_iou,
