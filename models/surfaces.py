@@ -131,16 +131,16 @@ def surface_features(surfaces: Surfaces, density: Tensor) -> Tensor:
     return torch.cat([steps, surfaces.support, surfaces.reached, density], dim=1)
 
 
-#: Cells above a cell, and to each side, in which a return shows that the LiDAR looked there. Larger
-#: values limit the guess in the sky over the scan, too.
+#: A cell is within the LiDAR's field of view if there is a return up to so many cells above it, and
+#: up to so many to each side. Larger values limit the guess in the sky above the scan, too.
 LOOKED_ABOVE, LOOKED_BESIDE = 10, 2
 
 
 def limit_guess(surfaces: Surfaces, density: Tensor) -> Tensor:
-    """Return the greatest depth of what returned nothing: that of the farthest return around.
+    """Return the greatest depth that the guess from the image may have: the farthest surface's.
 
-    A black car or a window hides what is behind it. Over the uppermost returns, where the LiDAR did
-    not look, there is no limit. Shapes as `surface_features`.
+    A surface without returns, such as a black car or a window, hides the surfaces behind it. Above
+    the LiDAR's field of view there is no limit. Shapes as `surface_features`.
     """
     window = (LOOKED_ABOVE + 1, 2 * LOOKED_BESIDE + 1)
     padded = F.pad(density, (LOOKED_BESIDE, LOOKED_BESIDE, LOOKED_ABOVE, 0))
