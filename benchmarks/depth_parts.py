@@ -95,9 +95,6 @@ PARTS: dict[str, Callable[[], AbstractContextManager[object]]] = {
     "the nearest surface": lambda: skip_replacement(2),
     "the farthest surface": lambda: skip_replacement(1),
     "the correction": lambda: patch.object(surfaces, "correct", lambda depth, *_: depth),
-    "surfaces in cells of 2 pixels": lambda: patch.object(
-        surfaces, "refine_surfaces", lambda upsampled, _: upsampled
-    ),
     "returns at full size": lambda: skip_replacement(3),
     "the semantic features": lambda: patch.object(
         surfaces.SurfaceDepthHead, "add_semantics", lambda head, features, _: features

@@ -8,7 +8,7 @@ it, weighted by the network's confidence in it. Near and far surfaces kept apart
 surface extrapolation (Imran et al. 2021).
 
 In the order of execution: `measure`, `propagate_surfaces`, `surface_features`, `limit_guess`; after
-the decoder `refine_surfaces`, `choose_surface`, `dilate_returns`, `take_returns`.
+the decoder `choose_surface`, `dilate_returns`, `take_returns`.
 """
 
 import math
@@ -23,8 +23,8 @@ from models.lite_decoder import UpBlock
 from models.planes import fit_planes
 from models.pooling import cell_maxima, maxima_around, maxima_beside, means_around
 
-#: Side of a cell in pixels: of the coarse grid, where surfaces are propagated, and of the fine one.
-COARSE_CELL, FINE_CELL = 4, 2
+#: Side of a cell of the grid on which surfaces are propagated, in pixels.
+COARSE_CELL = 4
 #: Times that the coarse grid is halved for planes: up to the network's stride of 32.
 _LEVELS = 3
 #: Least normalised depth of a surface.
@@ -220,7 +220,7 @@ class SurfaceDepthHead(nn.Module):
             self.refinement = UpBlock(channels, at_2_channels, refine_channels)
             self.coarse_head = nn.Conv2d(channels, HEAD_CHANNELS, 1)
         self.head = nn.Conv2d(refine_channels or channels, HEAD_CHANNELS, 1)
-        self.cell = FINE_CELL if refine_channels else COARSE_CELL
+        self.cell = COARSE_CELL // 2 if refine_channels else COARSE_CELL
 
     @torch.no_grad()
     def start_as_plane(self) -> None:
@@ -271,8 +271,8 @@ class SurfaceDepthHead(nn.Module):
             )
             # One upsampling for all maps of a grid: ONNX Runtime splits a Resize by channels.
             maps = upsample(torch.cat([*surfaces, guess, boundary_logits], dim=1))
-            *fine, guess, boundary_logits = maps.split(1, dim=1)
-            surfaces = refine_surfaces(Surfaces(*fine), candidates.measured)
+            *finer, guess, boundary_logits = maps.split(1, dim=1)
+            surfaces = Surfaces(*finer)
         head = HeadChannels.split(found.float())
         guess, boundary_logits = guess.float(), boundary_logits.float()
         depth, scale = choose_surface(head, guess, surfaces, reach=self.farthest_guess)
@@ -284,30 +284,6 @@ class SurfaceDepthHead(nn.Module):
         returns = dilate_returns(candidates.measured)
         depth, scale = take_returns(depth, scale, returns, in_returns, max_depth_m=self.max_depth_m)
         return depth, scale, boundary_logits
-
-
-#: A return up to this many times as far as a surface, or as near, belongs to it. Not tuned.
-SAME_SURFACE = 1.25
-
-
-def refine_surfaces(upsampled: Surfaces, measured: Measured) -> Surfaces:
-    """Replace the propagated surfaces by the measured ones in cells of FINE_CELL pixels.
-
-    A return replaces only the surface that it belongs to: a LiDAR beside the camera sees past near
-    edges, and a return from behind one would tear it. upsampled: the coarse surfaces on the fine
-    grid.
-    """
-    fine = cell_maxima(torch.cat([measured.inverse, measured.depth], dim=1), FINE_CELL)
-    seen = fine[:, 1:] > 0
-    nearest = 1.0 / fine[:, :1].clamp(min=1.0)
-    farthest = fine[:, 1:].clamp(min=NEAREST)
-    between = torch.sqrt(upsampled.nearest * upsampled.farthest)
-    on_near = nearest < torch.maximum(between, SAME_SURFACE * upsampled.nearest)
-    on_far = farthest > torch.minimum(between, upsampled.farthest * (1.0 / SAME_SURFACE))
-    return upsampled._replace(
-        nearest=torch.where(seen & on_near, nearest, upsampled.nearest),
-        farthest=torch.where(seen & on_far, farthest, upsampled.farthest),
-    )
 
 
 #: Of the sigmoid of a confidence, beyond 0 and 1.

@@ -6,7 +6,6 @@ import torch
 
 from models.surfaces import (
     COARSE_CELL,
-    FINE_CELL,
     HEAD_CHANNELS,
     ISOLATED_CELLS,
     ISOLATED_M,
@@ -29,7 +28,6 @@ from models.surfaces import (
     limit_guess,
     measure,
     propagate_surfaces,
-    refine_surfaces,
     replace,
     surface_features,
     take_returns,
@@ -258,29 +256,6 @@ def test_beyond_the_reach_of_the_guess_only_returns_are_answered():
     assert chosen[0, 0, 30, 40].item() == pytest.approx(0.5)  # no return is near
     far, _ = choose_surface(head_of(farthest=30.0, correction=30.0), own, found, reach=0.5)
     assert far[0, 0, 10, 10].item() == pytest.approx(0.8, rel=1e-4)
-
-
-def test_a_return_replaces_the_surface_that_it_belongs_to():
-    maps = measured(r40c40=0.05, r41c41=0.8, r42c42=0.2, r60c60=1.0)
-    shape = (1, 1, SIZE[0] // FINE_CELL, SIZE[1] // FINE_CELL)
-    upsampled = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.6, 2.5, 1.0, 1.0)))
-    fine = refine_surfaces(upsampled, maps)
-    # Of 0.3 and 0.6, 0.2 lies on the nearer surface, 1.0 on the farther.
-    expected = {(20, 20): (0.05, 0.8), (21, 21): (0.2, 0.6), (30, 30): (0.3, 1.0)}
-    for (row, column), (nearest, farthest) in expected.items():
-        assert fine.nearest[0, 0, row, column].item() == pytest.approx(nearest, rel=1e-4)
-        assert fine.farthest[0, 0, row, column].item() == pytest.approx(farthest, rel=1e-4)
-        fine.nearest[0, 0, row, column], fine.farthest[0, 0, row, column] = 0.3, 0.6
-    assert all(torch.equal(one, other) for one, other in zip(fine, upsampled, strict=True))
-
-
-def test_a_return_on_the_only_surface_replaces_both():
-    maps = measured(r40c40=0.33)
-    shape = (1, 1, SIZE[0] // FINE_CELL, SIZE[1] // FINE_CELL)
-    upsampled = Surfaces(*(torch.full(shape, value) for value in (0.3, 0.36, 3.0, 1.0, 1.0)))
-    fine = refine_surfaces(upsampled, maps)
-    for surface in (fine.nearest, fine.farthest):
-        assert surface[0, 0, 20, 20].item() == pytest.approx(0.33, rel=1e-4)
 
 
 def test_features_lie_in_0_1():
