@@ -1,13 +1,15 @@
-"""Planes between the returns: inverse depth by local least squares, coarse to fine.
+"""Planes between the returns: inverse depth by local least squares, over a pyramid.
 
 A plane in the world is an affine function of the pixel in inverse depth. Around each cell of a grid
-the affine function that fits the returns best is found, with weights that fall with the distance;
-what the returns of a small window leave open is taken from a larger one (ridge regression towards
-the coarser fit). Where the world is a plane, the result is that plane, whatever the pattern of the
-returns. Local linear regression (Cleveland 1979) over a pyramid (Gortler et al. 1996).
+the affine function that fits the returns best is found. The returns of a small window have their
+full weight, those of the larger windows around it together the weight of a third of a return: they
+count where the small one leaves a value or a slope open. Where the world is a plane, the result is
+that plane, whatever the pattern of the returns. Local linear regression (Cleveland 1979) over a
+pyramid (Gortler et al. 1996).
 
-What a fit needs of the returns are nine sums. The sums of larger cells, and around other centres,
-are linear in them: each is a convolution with constant weights.
+What a fit needs of the returns are nine sums. The sums of larger and of smaller cells, and around
+other centres, are linear in them: each is a convolution with constant weights. Only the finest grid
+is solved.
 """
 
 import math
@@ -25,24 +27,24 @@ from models.pooling import cell_maxima, maxima_around
 
 #: Half the width, in cells, of the windows on the coarsest grid, one after the other, and of the
 #: window on each finer grid. The weight falls linearly to 0 there.
-COARSE_WINDOWS, FINE_WINDOW = (8, 4, 2), 2
-#: Weight of the larger window's fit, in returns: of its value at the cell's centre, and of its
-#: slopes a cell. Larger values smooth more.
-VALUE_WEIGHT, SLOPE_WEIGHT = 0.1, 1.0
+COARSE_WINDOWS, FINE_WINDOW = (6, 3), 2
+#: Weight of all returns of a larger window together, in returns. Larger values smooth more.
+LARGER_WINDOW_WEIGHT = 0.3
+#: Weight of a slope of 0, in returns a cell away. Larger values flatten.
+FLAT_WEIGHT = 0.002
 #: Square of the distance of a cell from the centroid of the returns, in their standard deviations,
-#: up to which a window changes the slope in full; from 1 more on it does not change it. Larger
-#: values continue slopes farther beyond the returns.
+#: up to which there is a slope in full; from 1 more on there is none. Larger values continue slopes
+#: farther beyond the returns.
 INSIDE = 1.0
 #: The result lies between the nearest and the farthest return of a window of so many coarsest
 #: cells.
 BOUND_WINDOW = 7
-#: Powers of the places below and to the right of a centre: of the sums over returns, and of those
-#: over their inverse depths.
-_POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1))
-_WEIGHED = _POWERS[:3]
-_SUMS = len(_POWERS) + len(_WEIGHED)
-#: Kernel (3, 9, 1, 1): the sums of the rows of a 3 x 3 matrix.
-_ROWS = np.kron(np.eye(3), np.ones(3)).astype(np.float32)[:, :, None, None]
+#: The sums are of 1; of r, c, z; of rr, cc, rc, zr, zc: r is below a centre, c to the right of it,
+#: z the inverse depth. The powers of r and c of those without z, and of those with it, and their
+#: places among all.
+_POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1)), ((0, 0), (1, 0), (0, 1))
+_PLACES = (0, 1, 2, 4, 5, 6), (3, 7, 8)
+_SUMS = 9
 #: Less than one return in a window, and less than any spread of several.
 _LEAST_COUNT, _LEAST_SPREAD = 1e-3, 1e-2
 
@@ -72,49 +74,61 @@ def fit_planes(
     grids = [_convolve(torch.cat([mask, inverse], dim=1), _cell_kernel(cell), stride=cell)]
     for _ in range(levels):
         grids.append(_convolve(grids[-1], _coarser_kernel(), stride=2))
-    windows = [_sums_around(grids[-1], window) for window in COARSE_WINDOWS]
-    count, total = windows[0][:, :1], windows[0][:, len(_POWERS) : len(_POWERS) + 1]
-    # At first the mean of all returns around, without a slope.
-    plane = F.pad(total / count.clamp(min=_LEAST_COUNT), (0, 0, 0, 0, 0, 2))
-    for sums in windows:
-        plane = _fit(sums, plane)
+    largest, *smaller = COARSE_WINDOWS
+    sums = _sums_around(grids[-1], largest)
+    inside = _inside(sums)
+    for window in smaller:
+        sums = _sums_around(grids[-1], window) + _lightened(sums)
+        inside = torch.maximum(inside, _inside(sums))
     for grid in reversed(grids[:-1]):
-        # A slope a cell is half of that of a cell twice as wide.
-        finer = upsample(plane) * plane.new_tensor([1.0, 0.5, 0.5]).view(1, 3, 1, 1)
-        plane = _fit(_sums_around(grid, FINE_WINDOW), finer)
-    return _bound(plane[:, :1], extremes, levels=levels), grids[0][:, :1] / cell**2
+        sums = _sums_around(grid, FINE_WINDOW) + _to_finer(_lightened(sums))
+    plane = _solve(sums, upsample(inside, factor=2**levels))
+    return _bound(plane, extremes, levels=levels), grids[0][:, :1] / cell**2
 
 
-def _fit(sums: Tensor, prior: Tensor) -> Tensor:
-    """Fit value and both slopes at the centre of each cell, (N, 3, h, w).
+def _lightened(sums: Tensor) -> Tensor:
+    """Give all returns of a window together LARGER_WINDOW_WEIGHT; sums: (N, 9, h, w)."""
+    return sums * (LARGER_WINDOW_WEIGHT / sums[:, :1].clamp(min=_LEAST_COUNT))
 
-    sums: (N, 9, h, w), of the returns around it; prior: the fit that they change, as the result.
+
+def _inside(sums: Tensor) -> Tensor:
+    """1 where a centre lies between its returns, 0 beyond them: for both slopes, (N, 2, h, w).
+
+    Slopes between returns are measured, beyond them they are guessed.
+    """
+    _, about, moved = _about_centroid(sums)
+    return (INSIDE + 1.0 - moved[:, :2] / (about[:, :2] + _LEAST_SPREAD)).clamp(0.0, 1.0)
+
+
+def _about_centroid(sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the means of r, c and z; the sums of rr, cc, rc, zr and zc about them; the difference.
+
     Products are taken of several channels at once: fewer and larger operations.
     """
-    # Normal equations of the difference from the prior plane; r is below, c to the right. Sums of
-    # 1 (n), of r and c, of rr, cc and rc, and of the inverse depth z, of zr and zc.
-    n, first, second, weighed = sums.split([1, 2, 3, 3], dim=1)
-    matrix = _take(sums, (0, 1, 2, 1, 3, 5, 2, 5, 4))
-    error = weighed - _convolve(matrix * _take(prior, (0, 1, 2) * 3), _ROWS)
-    # The value is eliminated: what is left is about the centroid of the returns.
-    per_return = 1.0 / (n + VALUE_WEIGHT)
-    mean = first * per_return
-    factors = torch.cat([first, error], dim=1)
-    moved = _take(mean, (0, 1, 0, 0, 1)) * _take(factors, (0, 1, 1, 2, 2))
-    value_error, slope_error = error.split([1, 2], dim=1)
-    left = torch.cat([second, slope_error], dim=1) - moved
-    variance, covariance, slope_error = left.split([2, 1, 2], dim=1)
-    # Slopes between returns are measured, beyond them they are guessed.
-    inside = (INSIDE + 1.0 - moved[:, :2] / (variance + _LEAST_SPREAD)).clamp(0.0, 1.0)
-    # Cramer's rule.
-    variance = variance + SLOPE_WEIGHT
-    others = _take(torch.cat([variance, slope_error], dim=1), (1, 0, 3, 2))
-    other_variance, other_error = others.split(2, dim=1)
-    determinant = variance.prod(dim=1, keepdim=True) - covariance * covariance
-    slopes = slope_error * other_variance - other_error * covariance
-    slopes = slopes * (inside / determinant)
-    value = value_error * per_return - (mean * slopes).sum(dim=1, keepdim=True)
-    return prior + torch.cat([value, slopes], dim=1)
+    count, first, second = sums.split([1, 3, 5], dim=1)
+    mean = first * (1.0 / count.clamp(min=_LEAST_COUNT))
+    moved = _take(mean, (0, 1, 0, 0, 1)) * _take(first, (0, 1, 1, 2, 2))
+    return mean, second - moved, moved
+
+
+def _solve(sums: Tensor, inside: Tensor) -> Tensor:
+    """Fit a plane to the returns around each centre: its value there, (N, 1, h, w).
+
+    sums: (N, 9, h, w); inside: the share of both slopes that is believed, see `_inside`.
+    """
+    mean, about, _ = _about_centroid(sums)
+    flat = (FLAT_WEIGHT, FLAT_WEIGHT, 0.0, 0.0, 0.0)
+    about = about + about.new_tensor(flat).view(1, len(flat), 1, 1)
+    # Cramer's rule, of rr, cc, rc, zr and zc.
+    products = _take(about, (1, 2, 0, 2, 0, 2)) * _take(about, (3, 4, 4, 3, 1, 2))
+    numerators, determinant = _convolve(products, _PAIRS).split([2, 1], dim=1)
+    slopes = numerators * (inside / determinant)
+    place, value = mean.split([2, 1], dim=1)
+    return value - (place * slopes).sum(dim=1, keepdim=True)
+
+
+#: Kernel (3, 6, 1, 1): the difference of each pair of channels.
+_PAIRS = np.kron(np.eye(3), [1.0, -1.0]).astype(np.float32)[:, :, None, None]
 
 
 def _bound(plane: Tensor, extremes: Tensor, *, levels: int) -> Tensor:
@@ -135,6 +149,11 @@ def _sums_around(sums: Tensor, window: int) -> Tensor:
     return _convolve(sums, _window_kernel(window), padding=window - 1)
 
 
+def _to_finer(sums: Tensor) -> Tensor:
+    """Sums around the centres of cells half as wide, of the four closest, weighted bilinearly."""
+    return F.conv_transpose2d(sums, torch.from_numpy(_finer_kernel()).to(sums), stride=2, padding=1)
+
+
 def _take(x: Tensor, channels: tuple[int, ...]) -> Tensor:
     return x.index_select(1, torch.tensor(channels, device=x.device))
 
@@ -150,9 +169,9 @@ def _cell_kernel(side: int) -> NDArray[np.float32]:
     """Kernel (9, 2, side, side): mask and inverse depth of pixels to the sums of their cell."""
     place = (np.arange(side) + 0.5) / side - 0.5
     kernel = np.zeros((_SUMS, 2, side, side), np.float32)
-    for index, (down, right) in enumerate((*_POWERS, *_WEIGHED)):
-        values = place[:, None] ** down * place[None, :] ** right
-        kernel[index, int(index >= len(_POWERS))] = values
+    for channel, (powers, places) in enumerate(zip(_POWERS, _PLACES, strict=True)):
+        for (down, right), index in zip(powers, places, strict=True):
+            kernel[index, channel] = place[:, None] ** down * place[None, :] ** right
     return kernel
 
 
@@ -162,6 +181,17 @@ def _coarser_kernel() -> NDArray[np.float32]:
     kernel = np.zeros((_SUMS, _SUMS, 2, 2), np.float32)
     for row, column in np.ndindex(2, 2):
         kernel[:, :, row, column] = _moved((row - 0.5) / 2, (column - 0.5) / 2, scale=0.5)
+    return kernel
+
+
+@cache
+def _finer_kernel() -> NDArray[np.float32]:
+    """Kernel (9, 9, 4, 4) of a transposed convolution: the sums of a cell to the finer ones."""
+    kernel = np.zeros((_SUMS, _SUMS, 4, 4), np.float32)
+    for row, column in np.ndindex(4, 4):
+        down, right = 1.5 - row, 1.5 - column  # of the cell's centre from the finer one's
+        weight = (1 - abs(down) / 2) * (1 - abs(right) / 2)
+        kernel[:, :, row, column] = weight * _moved(down, right, scale=2.0).T
     return kernel
 
 
@@ -184,10 +214,10 @@ def _moved(down: float, right: float, *, scale: float = 1.0) -> NDArray[Any]:
     are binomials of the old ones.
     """
     matrix = np.zeros((_SUMS, _SUMS))
-    for start, powers in ((0, _POWERS), (len(_POWERS), _WEIGHED)):
-        for row, new in enumerate(powers):
-            for column, old in enumerate(powers):
-                matrix[start + row, start + column] = np.prod(
+    for powers, places in zip(_POWERS, _PLACES, strict=True):
+        for new, row in zip(powers, places, strict=True):
+            for old, column in zip(powers, places, strict=True):
+                matrix[row, column] = np.prod(
                     [
                         math.comb(power, kept) * scale**kept * offset ** (power - kept)
                         if kept <= power

@@ -1,5 +1,7 @@
 """Planes between returns: exact on planes, and against sums and fits written out in loops."""
 
+import itertools
+
 import numpy as np
 import pytest
 import torch
@@ -54,6 +56,14 @@ def fitted(inverse, mask):
     return F.interpolate(plane, scale_factor=4.0, mode="bilinear"), share
 
 
+def sums_of(place, values, weights=1.0):
+    """Sums of returns at places (K, 2), below and to the right of the centre: (9,)."""
+    r, c = place.T
+    ones = np.ones(len(place))
+    terms = np.stack([ones, r, c, values, r * r, c * c, r * c, values * r, values * c])
+    return (terms * weights).sum(axis=1)
+
+
 @pytest.mark.parametrize("pattern", ["lines", "tilted lines", "at random", "with a gap"])
 def test_a_plane_is_exact_between_its_returns_whatever_their_pattern(pattern):
     mask = mask_of(pattern)
@@ -61,7 +71,7 @@ def test_a_plane_is_exact_between_its_returns_whatever_their_pattern(pattern):
     assert share.sum() * CELL**2 == pytest.approx(mask.sum().item())
     error = (found / road() - 1).abs()[..., 24:-24, 24:-24]
     assert error.median() < 1e-4
-    assert error.max() < 0.01
+    assert error.max() < 0.03
 
 
 def test_two_planes_keep_their_slopes_up_to_the_step_between_them():
@@ -82,8 +92,8 @@ def test_beyond_the_returns_a_slope_is_not_continued():
     mask = mask_of("lines")
     mask[..., :64, :] = 0
     found, _ = fitted(road(), mask)
-    lowest = road()[..., 83, :].mean().item()
-    assert (found[..., :16, :] > 0.8 * lowest).all()
+    highest_line = road()[..., 83:84, :]
+    assert (found[..., :16, :] > 0.9 * highest_line).all()
 
 
 def test_one_return_is_everywhere_in_reach_and_without_any_there_is_nothing():
@@ -129,26 +139,41 @@ def test_the_sums_of_a_window_are_those_of_a_loop_over_its_returns(level, window
         down = 1 - abs(v // side - row) / window
         right = 1 - abs(u // side - column) / window
         if down > 0 and right > 0:
-            r, c = (v + 0.5) / side - row - 0.5, (u + 0.5) / side - column - 0.5
-            powers = np.array([1, r, c, r * r, c * c, r * c])
-            weighed = inverse[v, u] * powers[:3]
-            expected += down * right * np.concatenate([powers, weighed])
+            place = np.array([[(v + 0.5) / side - row - 0.5, (u + 0.5) / side - column - 0.5]])
+            expected += sums_of(place, inverse[v, u : u + 1], down * right)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
 
 
-def test_a_fit_is_the_ridge_regression_towards_the_prior():
-    """In the middle of its returns, where nothing limits the slopes."""
-    rng = np.random.default_rng(2)
-    place = rng.uniform(-1, 1, (40, 2))
-    place -= place.mean(axis=0)
-    values, prior = rng.uniform(1, 9, 40), np.array([3.0, 0.5, -0.2])
-    r, c = place.T
-    powers = np.stack([np.ones(40), r, c, r * r, c * c, r * c])
-    sums = np.concatenate([powers.sum(axis=1), (powers[:3] * values).sum(axis=1)])
-    weights = np.sqrt([planes.VALUE_WEIGHT, planes.SLOPE_WEIGHT, planes.SLOPE_WEIGHT])
-    system = np.concatenate([powers[:3].T, np.diag(weights)])
-    expected = np.linalg.lstsq(system, np.concatenate([values, weights * prior]), rcond=None)[0]
-    found = planes._fit(
-        torch.from_numpy(sums).view(1, 9, 1, 1), torch.from_numpy(prior).view(1, 3, 1, 1)
+def test_sums_of_finer_cells_are_those_of_the_four_closest_around_their_centre():
+    rng = np.random.default_rng(3)
+    shape = (3, 3)
+    places, values = rng.uniform(-0.5, 0.5, (*shape, 6, 2)), rng.uniform(1, 9, (*shape, 6))
+    cells = np.stack(
+        [
+            [sums_of(places[row, column], values[row, column]) for column in range(3)]
+            for row in range(3)
+        ]
     )
-    np.testing.assert_allclose(found.flatten(), expected, rtol=1e-6)
+    found = planes._to_finer(torch.from_numpy(cells).permute(2, 0, 1)[None])[0]
+    assert found.shape == (9, 6, 6)
+    expected = np.zeros(9)
+    for (row, down), (column, right) in itertools.product(
+        ((1, 0.75), (0, 0.25)), ((1, 0.75), (2, 0.25))
+    ):
+        # The finer cell 2, 3 is the upper right of cell 1, 1; its side is 1.
+        place = 2 * (places[row, column] + (row, column)) - (2 - 0.5, 3 - 0.5)
+        expected += sums_of(place, values[row, column], down * right)
+    np.testing.assert_allclose(found[:, 2, 3], expected, rtol=1e-6, atol=1e-6)
+
+
+def test_a_plane_is_solved_by_ridge_regression_towards_no_slope():
+    rng = np.random.default_rng(2)
+    place, values = rng.uniform(-1, 1, (40, 2)), rng.uniform(1, 9, 40)
+    system = np.concatenate([np.insert(place, 0, 1, axis=1), np.zeros((2, 3))])
+    system[-2:, 1:] = np.sqrt(planes.FLAT_WEIGHT) * np.eye(2)
+    expected = np.linalg.lstsq(system, np.append(values, [0, 0]), rcond=None)[0]
+    sums = torch.from_numpy(sums_of(place, values)).view(1, 9, 1, 1)
+    everywhere = torch.ones(1, 2, 1, 1, dtype=torch.float64)
+    assert planes._solve(sums, everywhere).item() == pytest.approx(expected[0], rel=1e-6)
+    # Without slopes it is the mean.
+    assert planes._solve(sums, 0 * everywhere).item() == pytest.approx(values.mean())
