@@ -12,7 +12,7 @@ import onnx
 
 from export.errors import ExportError
 from runtime.errors import OutputError
-from runtime.io.atomic_write import atomic_folder
+from runtime.io.atomic_write import atomic_folder, require_folder_free
 
 #: Frames that the server may put into one run of a model whose batch axis is free.
 MAX_BATCH_SIZE = 8
@@ -87,13 +87,15 @@ def write_triton_model(
 
 
 def require_replaceable(folder: Path, *, overwrite: bool) -> None:
-    """Raise OutputError if something is at `folder` that may not be replaced."""
+    """Raise OutputError for what may not be replaced, and a folder that cannot be made."""
     if folder.exists() and not overwrite:
         raise OutputError(
             f"{folder} exists: choose another repository, or replace it with --overwrite"
         )
     if folder.exists() and not (folder / CONFIG_FILE).is_file():
         raise OutputError(f"{folder} is not a model of a Triton repository: choose another one")
+    if not folder.exists():
+        require_folder_free(folder)
 
 
 def _entries(kind: str, tensors: Iterable[onnx.ValueInfoProto], *, batched: bool) -> Iterable[str]:

@@ -126,8 +126,8 @@ def _train(
 
     scores = ScoreTable(out / SCORES, state.step) if processes.is_first else None
     last_step = steps if stop_after is None else min(steps, stop_after)
+    board = Board(out / TENSORBOARD if processes.is_first else None, state.step)
     with (
-        Board(out / TENSORBOARD if processes.is_first else None, state.step) as board,
         closing(Progress(steps, state.step, shown=processes.is_first)) as progress,
         read_batches(recipe, task, processes, state.step) as batches,
     ):

@@ -1,5 +1,6 @@
 """The folder of a run: its files, and whether it belongs to a recipe."""
 
+import errno
 import fcntl
 import hashlib
 import json
@@ -137,8 +138,10 @@ def folder_errors(out: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        remedy = "Free some space and run the command again, or choose" if is_full else "Choose"
         raise InputError(
-            f"{out}: cannot be written: {error.strerror}. Choose another --out."
+            f"{out}: cannot be written: {error.strerror}. {remedy} another --out."
         ) from error
 
 

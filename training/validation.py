@@ -1,12 +1,18 @@
 """Validations during a training, and its curves and pictures in TensorBoard."""
 
+import os
+import socket
 import sys
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from tensorboard.compat.proto.event_pb2 import Event, SessionLog
+from tensorboard.compat.proto.summary_pb2 import Summary
+from tensorboard.summary.writer.record_writer import RecordWriter
 from torch import Tensor
-from torch.utils.tensorboard import SummaryWriter
+from torch.utils.tensorboard.summary import image, scalar
 from tqdm import tqdm
 
 from models import Network
@@ -16,24 +22,30 @@ from training.evaluation.pictures import draw_pictures
 from training.evaluation.scoring import score_sources, torch_predict
 from training.lidar.split import LidarInput
 from training.recipe import ValidationRecipe
+from training.run_folder import folder_errors
 from training.score_table import SHOWN
 from training.state import Step
 
 
 class Board:
-    """TensorBoard, or nothing in processes that do not write."""
+    """A file of TensorBoard's in ``folder``, or nothing in processes that do not write.
+
+    PyTorch's `SummaryWriter` writes in a thread, whose errors come late and as tracebacks. Here
+    InputError says at once that the file cannot be written.
+    """
 
     def __init__(self, folder: Path | None, step: int) -> None:
-        # Entries of later steps, of an interrupted run, are removed.
-        purge = step + 1 if step else None
-        self._writer = None if folder is None else SummaryWriter(str(folder), purge_step=purge)
-
-    def __enter__(self) -> "Board":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._writer is not None:
-            self._writer.close()
+        self._path: Path | None = None
+        if folder is None:
+            return
+        name = f"events.out.tfevents.{time.time():.6f}.{socket.gethostname()}.{os.getpid()}"
+        self._path = folder / name
+        with folder_errors(folder):
+            folder.mkdir(exist_ok=True)
+        events = [Event(file_version="brain.Event:2")]
+        if step:  # entries of later steps, of an interrupted run, are hidden
+            events.append(Event(session_log=SessionLog(status=SessionLog.START)))
+        self._write(events, step + 1)
 
     def add_step(self, done: Step, log_variances: Mapping[str, Tensor], step: int) -> None:
         """Add the terms of a step, the weights that the loss learned, and the rate."""
@@ -43,14 +55,23 @@ class Board:
 
     def add_scalars(self, values: Mapping[str, float], step: int) -> None:
         """Add a point to each curve."""
-        for name, value in values.items():
-            if self._writer is not None:
-                self._writer.add_scalar(name, value, step)
+        self._add([scalar(*item) for item in values.items()], step)  # type: ignore[no-untyped-call]
 
     def add_picture(self, name: str, rgb: np.ndarray, step: int) -> None:
         """Add a picture, uint8 (H, W, 3)."""
-        if self._writer is not None:
-            self._writer.add_image(name, rgb, step, dataformats="HWC")
+        self._add([image(name, rgb, dataformats="HWC")], step)  # type: ignore[no-untyped-call]
+
+    def _add(self, summaries: Sequence[Summary], step: int) -> None:
+        self._write([Event(summary=summary) for summary in summaries], step)
+
+    def _write(self, events: Sequence[Event], step: int) -> None:
+        if self._path is None:
+            return
+        with folder_errors(self._path), self._path.open("ab") as file:
+            writer = RecordWriter(file)
+            for event in events:
+                event.step, event.wall_time = step, time.time()
+                writer.write(event.SerializeToString())
 
 
 def validate(

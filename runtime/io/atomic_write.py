@@ -116,7 +116,15 @@ def atomic_path(path: Path, *, overwrite: bool = True) -> Iterator[Path]:
 def require_writable(path: Path) -> None:
     """Raise the OutputError of `atomic_file` for a file that cannot be written; nothing is left."""
     with _temporary(path, folder=False):
-        pass
+        if path.is_dir():
+            raise OutputError(f"{path} is a folder: name a file to write")
+
+
+def require_folder_free(path: Path, *, own: Callable[[], Iterable[Path]] | None = None) -> None:
+    """Raise the OutputError of `atomic_folder` for a folder that cannot be made or replaced."""
+    with _temporary(path, folder=True):
+        if os.path.lexists(path):
+            _earlier_entries(path, own)
 
 
 def remove_leftover(path: Path) -> None:
@@ -134,6 +142,8 @@ def _temporary_name(path: Path) -> Path:
 @contextlib.contextmanager
 def _temporary(path: Path, *, folder: bool) -> Iterator[tuple[Path, int]]:
     """The temporary of `path` and its locked handle; removed if it is still there afterwards."""
+    if path.name in ("", ".."):  # of ".", ".." and "/"
+        raise OutputError(f"{path} has no name that could be given to a result: name a new one")
     temporary = _temporary_name(path)
     try:
         _require_replaceable(path)

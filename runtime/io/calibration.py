@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from runtime.checks import shown
 from runtime.errors import InputError
-from runtime.io.foreign_calibration import FOREIGN_SUFFIXES, show_as_toml
+from runtime.io.foreign_calibration import FOREIGN_SUFFIXES, refuse
 from runtime.io.images import list_files, natural_order
-from runtime.io.kitti_calibration import NumbersFile, chain
+from runtime.io.kitti_calibration import NumbersFile, chain, is_kitti
 from runtime.lens import EQUIDISTANT, PLUMB_BOB, Lens, rectifying_maps
 from runtime.projection import OcclusionFilter, project_points
 from runtime.read_input import read_toml
@@ -150,17 +150,16 @@ class Calibration:
             rectified: as of `from_kitti`.
 
         Raises:
-            InputError: if the calibration cannot be read; of a YAML or JSON file with its content
-                as TOML, to copy.
+            InputError: if the calibration cannot be read; of a file of another tool with its
+                content as TOML, to copy.
         """
-        suffix = Path(path).suffix.lower()
+        path = Path(path)
+        suffix = path.suffix.lower()
         if suffix == ".toml":
             return cls.from_toml(path)
-        if suffix in FOREIGN_SUFFIXES and os.path.isfile(path):
-            raise InputError(
-                f"{path} is neither TOML nor a calibration of KITTI. Check what it holds and "
-                f"save it as a .toml file:\n{show_as_toml(Path(path))}"
-            )
+        may_be_foreign = os.path.isfile(path) and path.name not in (RAW_CAMERAS, RAW_SCANNER)
+        if may_be_foreign and (suffix in FOREIGN_SUFFIXES or not is_kitti(path)):
+            raise refuse(path)
         return cls.from_kitti(path, camera=camera, rectified=rectified)
 
     @classmethod

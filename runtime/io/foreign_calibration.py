@@ -1,12 +1,14 @@
-"""What a YAML or JSON file of another tool says of a camera, as the TOML of `Calibration`.
+"""What a file of another tool says of a camera, as the TOML of `Calibration`.
 
 Such files are shown, not read: their names differ by tool, and of a 4 x 4 matrix mostly do not say
 between which frames it is, or in which direction. Known by example: OpenCV's FileStorage, ROS's
-camera_info files, Kalibr's camchain and Autoware's calibration.
+camera_info, Kalibr's camchain, Autoware's calibration, COLMAP's cameras.txt and rows of numbers.
 """
 
 import json
+import re
 from collections.abc import Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +21,21 @@ from runtime.lens import EQUIDISTANT, PLUMB_BOB, RATIONAL_POLYNOMIAL
 from runtime.read_input import read_text
 
 FOREIGN_SUFFIXES = (".yaml", ".yml", ".json")
+_EXAMPLE = """\
+intrinsics = [[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]]  # pixels
+# From the LiDAR's frame to the camera's, metres; points_in = "camera" where they are the same.
+extrinsics = [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, -0.08], [1.0, 0.0, 0.0, -0.27], [0, 0, 0, 1]]
+size = [375, 1242]  # height, width of the images"""
+_MOST_LINES = 2000  # a longer text holds a calibration at its beginning, or none
 _LEAST_FOCAL_PX = 10.0  # tells a camera's matrix from a rotation
 _MODELS = {"radtan": PLUMB_BOB, "equi": EQUIDISTANT, "fisheye": EQUIDISTANT}
 _SIZES = ("resolution", "imagesize", "image_size", "size")  # width, height
+#: COLMAP's cameras with lenses of this project; "SIMPLE_" and "RADIAL" have one focal length.
+_COLMAP = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE",
+           "FULL_OPENCV")  # fmt: skip
+_PAIR = re.compile(
+    r"\b(fx|fy|cx|cy|k[1-3]|p[12]|width|height)[ \t]*[:= \t][ \t]*([-+.\d][-+.\de]*)", re.IGNORECASE
+)
 _FROM_CAMERA = "cameraextrinsicmat"  # Autoware's, from the camera's frame to the LiDAR's
 _CHECK = "must be from the LiDAR's frame to the camera's: if it is the other way, invert it"
 
@@ -40,35 +54,49 @@ class _Entry:
             self.numbers = np.empty(0)
 
 
-def show_as_toml(path: Path) -> str:
-    """Return the TOML for the first camera of a file; what is missing there is to be filled in.
+def refuse(path: Path) -> InputError:
+    """Return the error about a file of another tool, with the TOML for its first camera.
 
-    Raises InputError if the file cannot be read.
+    What the file lacks is to be filled in; for one without a camera matrix the error has an
+    example. Raises InputError if the file cannot be read.
     """
+    entries = _read(path)
+    fault, intrinsics = f"{path} is neither TOML nor a calibration of KITTI", _intrinsics(entries)
+    if intrinsics is None:
+        return InputError(
+            f"{fault}, and no camera matrix was found in it. Expected a .toml file as this one of "
+            f"another camera:\n{_EXAMPLE}"
+        )
+    rows = [intrinsics, *_lens(entries), *_size(entries), _extrinsics(entries)]
+    toml = "\n".join(rows)
+    return InputError(f"{fault}. Check what it holds and save it as a .toml file:\n{toml}")
+
+
+def _read(path: Path) -> list[_Entry]:
     text = read_text(path)
     if path.suffix.lower() == ".json":
         try:
-            entries = list(_of_json(json.loads(text), ""))
+            return list(_of_json(json.loads(text), ""))
         except (ValueError, RecursionError) as error:
             raise InputError(f"{path} is not valid JSON: {cut(str(error), 200)}") from error
-    else:
-        entries = [_Entry(*entry) for entry in _lines_of_yaml(text).items()]
-    return "\n".join([_intrinsics(entries), *_lens(entries), *_size(entries), _extrinsics(entries)])
+    lines = text.splitlines()[:_MOST_LINES]
+    return list(_of_text("\n".join(line.partition("#")[0] for line in lines)))
 
 
-def _intrinsics(entries: list[_Entry]) -> str:
+def _intrinsics(entries: list[_Entry]) -> str | None:
     for entry in entries:
         if entry.numbers.size == 9:
             matrix = entry.numbers.reshape(3, 3)
             is_camera = (matrix[[0, 1], [0, 1]] > _LEAST_FOCAL_PX).all()
             if is_camera and np.array_equal(matrix[2], (0, 0, 1)):
                 return _row("intrinsics", matrix, entry.path)
-        if entry.name == "intrinsics" and entry.numbers.size == 4:
+        is_named = entry.name == "intrinsics" or entry.name.startswith("line ")
+        if is_named and entry.numbers.size == 4 and (entry.numbers[:2] > _LEAST_FOCAL_PX).all():
             return _row("intrinsics", _pinhole(*entry.numbers), f"{entry.path}: fx, fy, cx, cy")
     single = [_number(entries, name) for name in ("fx", "fy", "cx", "cy")]
     if None not in single:
         return _row("intrinsics", _pinhole(*single), "fx, fy, cx, cy")
-    return "intrinsics = ...  # not found: the 3 x 3 matrix of the camera"
+    return None
 
 
 def _lens(entries: list[_Entry]) -> list[str]:
@@ -135,12 +163,46 @@ def _of_json(value: Any, path: str) -> Iterator[_Entry]:
         yield _Entry(path, value if isinstance(value, str) else json.dumps(value))
 
 
+def _of_text(text: str) -> Iterator[_Entry]:
+    """The values of a text: pairs on one line, YAML, names with "=", COLMAP's, rows of numbers."""
+    yield from (_Entry(name, number) for name, number in _PAIR.findall(text))
+    named = _lines_of_yaml(text.replace("=", ":"))
+    yield from (_Entry(path, value) for path, value in named.items())
+    rows = [_Entry(f"line {number}", row) for number, row in enumerate(text.splitlines(), start=1)]
+    words = (row.text.split() for row in rows)
+    colmap = next((row for row in words if len(row) > 1 and row[1] in _COLMAP), None)
+    if colmap is not None:
+        yield from _of_colmap(*colmap[1:])
+    for _, run in groupby(rows, lambda row: row.numbers.size):
+        block = list(run)
+        yield _Entry(f"from {block[0].path}", " ".join(row.text for row in block))
+        yield from block
+
+
+def _of_colmap(model: str, *values: str) -> Iterator[_Entry]:
+    """The values of a camera of COLMAP, whose pixel centres are at 0.5."""
+    try:
+        width, height, *numbers = map(float, values)
+        if model.startswith(("SIMPLE_", "RADIAL")):
+            numbers.insert(0, numbers[0])
+        fx, fy, cx, cy, *lens = numbers
+    except (IndexError, ValueError):  # another tool's line
+        return
+    path = f"COLMAP's {model}, moved by half a pixel"
+    yield _Entry(f"{path}/intrinsics", f"{fx} {fy} {cx - 0.5} {cy - 0.5}")
+    yield from (_Entry("width", str(width)), _Entry("height", str(height)))
+    if lens:
+        padded = lens + [0.0] * (4 - len(lens))
+        yield _Entry(f"COLMAP's {model}/dist", " ".join(map(str, padded)))
+    if model == "OPENCV_FISHEYE":
+        yield _Entry("distortion_model", EQUIDISTANT)
+
+
 def _lines_of_yaml(text: str) -> dict[str, str]:
     """Path -> text of the values of a YAML document in block style, lists in any style."""
     entries: dict[str, str] = {}
     above: list[tuple[int, str]] = []  # indentation and name
     for line in text.splitlines():
-        line = line.partition("#")[0].rstrip()
         if not line.strip() or line.startswith(("%", "---", "...")):
             continue
         name, colon, value = line.partition(":")
@@ -155,4 +217,4 @@ def _lines_of_yaml(text: str) -> dict[str, str]:
 
 
 def _spaced(text: str) -> str:
-    return text.translate({ord(mark): " " for mark in "[],"})
+    return text.translate({ord(mark): " " for mark in "[],;"})

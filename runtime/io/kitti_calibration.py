@@ -1,5 +1,6 @@
 """KITTI's calibration files (Geiger et al. 2013): matrices by name, and their product."""
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,9 @@ from numpy.typing import NDArray
 from runtime.errors import InputError
 from runtime.projection import check_intrinsics
 from runtime.read_input import read_text
+
+#: Names by one of which a file of object or odometry data is known.
+_NAMES = ("P0", "P1", "P2", "P3", "R0_rect", "Tr_velo_to_cam", "Tr")
 
 
 class NumbersFile:
@@ -50,6 +54,15 @@ class NumbersFile:
         if not np.isfinite(numbers).all():
             raise InputError(f"{self.path}: '{name}' holds NaN or infinity")
         return numbers.reshape(rows, columns)
+
+
+def is_kitti(path: Path) -> bool:
+    """Whether a text has a name of KITTI's, or is nine numbers; InputError if it is no text."""
+    numbers = NumbersFile(path)
+    if "" in numbers:
+        with contextlib.suppress(InputError):
+            return numbers.matrix("", 3, 3).size == 9
+    return any(name in numbers for name in _NAMES)
 
 
 def chain(

@@ -16,7 +16,7 @@ import contextlib
 import json
 import sys
 import zipfile
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,7 @@ from runtime.checks import check_number, cut, shown
 from runtime.errors import InputError, OutputError
 from runtime.heads import HEADS
 from runtime.io.agreement import compare, recording_limits
-from runtime.io.atomic_write import atomic_folder
+from runtime.io.atomic_write import atomic_folder, require_folder_free
 from runtime.model_file import load_model_file
 from runtime.network_size import NetworkSize
 from runtime.read_input import open_input, read_text
@@ -195,9 +195,17 @@ def record(path: Path, settings: Settings, *, overwrite: bool = False) -> Iterat
     Raises:
         OutputError: if the folder cannot be written or replaced.
     """
-    own = partial(_recorded_entries, path) if overwrite else None
-    with atomic_folder(path, own=own) as folder:
+    with atomic_folder(path, own=_own(path, overwrite=overwrite)) as folder:
         yield Recorder(folder, settings)
+
+
+def require_recordable(path: Path, *, overwrite: bool = False) -> None:
+    """Raise the OutputError of `record` before anything is recorded; arguments as there."""
+    require_folder_free(path, own=_own(path, overwrite=overwrite))
+
+
+def _own(path: Path, *, overwrite: bool) -> Callable[[], list[Path]] | None:
+    return partial(_recorded_entries, path) if overwrite else None
 
 
 def _recorded_entries(path: Path) -> list[Path]:

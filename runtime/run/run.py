@@ -16,6 +16,7 @@ from runtime.health.calibration_size import CalibrationSize
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.io.engine_facts import engine_facts
 from runtime.io.images import holds_metres
+from runtime.io.recording import require_recordable
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth, clean_sparse_depth
@@ -282,6 +283,8 @@ def _require_outputs(options: RunOptions, source: Source) -> None:
             )
     for path in options.named_files.values():
         require_free(path, overwrite=options.overwrite, inputs=source.recordings)
+    if options.record is not None:
+        require_recordable(options.record, overwrite=options.overwrite)
 
 
 @contextlib.contextmanager

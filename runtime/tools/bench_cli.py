@@ -19,7 +19,7 @@ from runtime.command import (
 )
 from runtime.command_options import NoDevice, Version
 from runtime.cores import available_cores
-from runtime.io.atomic_write import atomic_write
+from runtime.io.atomic_write import atomic_write, require_writable
 from runtime.tools.bench import BenchOptions, BenchReport, BenchRow, bench, reference
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -77,6 +77,8 @@ def main(
     cases = tuple(map(_size, size)), tuple(threads or [available_cores()]), tuple(batch)
     options = BenchOptions(tuple(models), *cases, rounds, rate, provider.value)
     with reported_errors("cpu"):
+        if json_file is not None:
+            require_writable(json_file)
         with interruptible():
             report = bench(options)
         printed = print_result(to_markdown(report))

@@ -6,7 +6,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, te
 from onnx import TensorProto, helper
 
 from export.errors import ExportError
-from export.triton import triton_config, write_triton_model
+from export.triton import require_replaceable, triton_config, write_triton_model
 from runtime import OutputError
 
 #: Of Triton's model_config.proto: fields as (name, number, type, repeated).
@@ -103,6 +103,12 @@ def test_a_name_that_is_no_folder_is_refused(name):
 def test_a_type_that_the_contract_has_not_is_refused():
     with pytest.raises(ExportError, match="depth is DOUBLE"):
         triton_config(by_hand("N", TensorProto.DOUBLE), name="x")
+
+
+def test_a_repository_that_cannot_be_made_is_refused_beforehand(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError, match="Not a directory"):
+        require_replaceable(tmp_path / "file" / "net", overwrite=False)
 
 
 def test_nothing_but_an_older_model_is_replaced(tmp_path):

@@ -1,5 +1,6 @@
 """The loop learns, resumes to the same weights, and stops when it must."""
 
+import errno
 import json
 import multiprocessing
 import shutil
@@ -696,6 +697,37 @@ def test_a_run_stopped_early_has_no_final_checkpoint(data, tmp_path):
     assert path.is_file()
     assert not (tmp_path / "run" / "model.pt").exists()
     assert train(recipe(), data=[data], out=tmp_path / "run") == tmp_path / "run" / "model.pt"
+
+
+def test_a_full_disk_during_a_validation_is_one_error(data, tmp_path, mount_disk, capfd):
+    """The pictures of the validation do not fit; nothing but the error is said."""
+    disk = mount_disk(16_384)
+    run = replace(recipe(), validation=replace(recipe().validation, every=3))
+    train(run, data=[data], out=disk / "run", stop_after=2)
+    before = (disk / "run" / "last.pt").read_bytes()
+    filler = disk / "filler"
+    filler.write_bytes(bytes(shutil.disk_usage(disk).free - 12_000))
+    with pytest.raises(InputError, match=r"events\..* No space left on device.* run the command"):
+        train(run, data=[data], out=disk / "run")
+    assert "Traceback" not in capfd.readouterr().err
+    assert (disk / "run" / "last.pt").read_bytes() == before
+    filler.unlink()
+    ended = weights(train(run, data=[data], out=disk / "run"))
+    whole = weights(train(run, data=[data], out=tmp_path / "other"))
+    assert all(torch.equal(whole[name], ended[name]) for name in whole)
+
+
+@pytest.mark.parametrize("call", [1, 2, 5])
+def test_an_event_that_cannot_be_written_is_one_error(data, tmp_path, monkeypatch, call):
+    calls = iter(range(1, call + 1))
+
+    def write(self, data):
+        if next(calls) == call:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(validation.RecordWriter, "write", write)
+    with pytest.raises(InputError, match=r"tensorboard/events.* No space left on device"):
+        train(recipe(), data=[data], out=tmp_path / "run")
 
 
 def test_a_full_disk_leaves_the_last_good_checkpoint(data, tmp_path, mount_disk):

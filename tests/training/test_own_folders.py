@@ -45,7 +45,16 @@ def test_a_recipe_is_made_for_the_folders_and_trained(mine):
     assert result.exit_code == 0, result.output
     text = (mine / "run/recipe.toml").read_text()
     assert text in result.stdout
-    facts = load_checkpoint(mine / "run/model.pt").facts
+    assert 'only = ["semantic_"]' in text
+    trained, first = (load_checkpoint(mine / name) for name in ("run/model.pt", "first.pt"))
+    before, after = first.model.state_dict(), trained.model.state_dict()
+    changed = {
+        name.split(".")[0]
+        for name in before
+        if before[name].shape != after[name].shape or not before[name].equal(after[name])
+    }
+    assert changed == {"semantic_head", "semantic_coarse_head", "semantic_refine"}
+    facts = trained.facts
     assert facts.trained_height == 48
     assert [item["name"] for item in facts.recipe["model"]["classes"]] == ["lane", "rest"]
     (trained,), (held_out,) = (facts.recipe[key]["source"] for key in ("data", "validation"))
@@ -123,6 +132,7 @@ def test_bundled_weights_give_the_settings_of_their_recipe(mine):
     assert "from the recipe of lite: " in result.stderr
     assert "model.config.canonical_focal_px = 721.5" in result.stderr
     assert "classes" not in result.stdout.split("[data]")[0]
+    assert "[optimizer]" not in result.stdout, "all layers, since the depth is to be learned"
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from runtime.bundled_models import find_model
 from runtime.errors import ContractError, InputError, OutputError
-from runtime.io.atomic_write import atomic_write
+from runtime.io.atomic_write import atomic_write, require_folder_free, require_writable
 from runtime.io.encode import encode_metres
 from runtime.network_size import NetworkSize
 from training.datasets.class_mapping import ClassTable, is_mapped, list_classes
@@ -40,7 +40,7 @@ class DepthFolder:
     overwrite: bool = False
 
     def require_free(self) -> None:
-        """Raise an OutputError if the folder holds anything that may not be replaced."""
+        """Raise an OutputError for a folder with other files or that cannot be written."""
         if self.folder.exists() and not self.folder.is_dir():
             raise OutputError(f"{self.folder} is not a folder: choose another --save")
         if not self.overwrite and self.folder.is_dir() and any(self.folder.iterdir()):
@@ -48,6 +48,10 @@ class DepthFolder:
                 f"{self.folder} is not empty: choose another --save, or replace depth of the same "
                 "names with --overwrite"
             )
+        if self.folder.is_dir():
+            require_writable(self.folder / "depth.png")
+        else:
+            require_folder_free(self.folder)
 
     def write(self, parts: Sequence[str], depth: NDArray[np.float32] | None) -> None:
         """Write a depth, float32 (H, W) [m], to the file of these folders and this name.

@@ -162,8 +162,6 @@ def check_output(path: Path, option: str, *, suffix: str = "") -> None:
     if not path.parent.is_dir():
         raise OutputError(f"{path}: there is no folder {path.parent}; make it, for {option}")
     require_writable(path)
-    if path.is_dir():
-        raise OutputError(f"{path} is a folder: choose a file for {option}")
 
 
 def write_json(rows: Sequence[Row], path: Path) -> None:

@@ -1,6 +1,4 @@
-"""YAML and JSON of other tools is answered with the TOML to copy."""
-
-import tomllib
+"""A file of another tool is answered with the TOML to copy."""
 
 import numpy as np
 import pytest
@@ -145,16 +143,122 @@ def test_the_toml_of_other_tools(tmp_path, name, text, lens, coefficients, note)
     assert (calibration.lens, tuple(calibration.distortion)) == (lens, coefficients)
 
 
-@pytest.mark.parametrize("text", ["", "a: [b\n", "- 1\n- 2\n", "K: [1, 0, 0, 0, 1, 0, 0, 0, 1]"])
-def test_a_file_without_a_camera_is_answered_with_what_to_fill_in(tmp_path, text):
-    path = tmp_path / "camera.yaml"
+COLMAP = (
+    "# Camera list\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 {}\n2 PINHOLE 9 9 90 90 4 4\n"
+)
+DUMP = """header:
+  frame_id: "camera"
+height: 480
+width: 640
+distortion_model: "plumb_bob"
+D: [-0.3, 0.1, 0.001, -0.002, 0.0]
+K: [700.0, 0.0, 320.0, 0.0, 710.0, 240.5, 0.0, 0.0, 1.0]
+R: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+P: [700.0, 0.0, 320.0, 0.0, 0.0, 710.0, 240.5, 0.0, 0.0, 0.0, 1.0, 0.0]
+"""
+INI = """[LEFT]
+width=640
+height=480
+fx=700
+fy=710
+cx=320
+cy=240.5
+k1=-0.3
+k2=0.1
+p1=0.001
+p2=-0.002
+[RIGHT]
+fx=900
+fy=900
+cx=1
+cy=1
+"""
+ROWS = """intrinsic
+700 0 320
+0 710 240.5
+0 0 1
+
+extrinsic
+0 -1 0 0.1
+0 0 -1 -0.2
+1 0 0 -0.3
+0 0 0 1
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "lens", "coefficients"),
+    [
+        ("# fx fy cx cy\n700 710 320 240.5\n", None, None),
+        ("700, 710, 320, 240.5", None, None),
+        ("fx=700, fy=710, cx=320, cy=240.5", None, None),
+        ("K = [[700, 0, 320],\n     [0, 710, 240.5],\n     [0, 0, 1]]\n", None, None),
+        (ROWS, None, None),
+        (DUMP, "plumb_bob", BROWN),
+        (INI, "plumb_bob", BROWN),
+        (COLMAP.format("PINHOLE 640 480 700 710 320.5 241"), None, None),
+        (
+            COLMAP.format("OPENCV 640 480 700 710 320.5 241 -0.3 0.1 0.001 -0.002"),
+            "plumb_bob",
+            BROWN[:4],
+        ),
+        (
+            COLMAP.format("OPENCV_FISHEYE 640 480 700 710 320.5 241 0.1 0 0 0"),
+            "equidistant",
+            (0.1, 0, 0, 0),
+        ),
+    ],
+)
+def test_the_toml_of_a_text(tmp_path, text, lens, coefficients):
+    path = tmp_path / "cameras.txt"
     path.write_text(text)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match="neither TOML nor a calibration of KITTI") as caught:
         Calibration.from_file(path)
     _, toml = str(caught.value).split(":\n", 1)
-    assert [line.split(" ")[0] for line in toml.splitlines()] == ["intrinsics", "#", "extrinsics"]
-    with pytest.raises(tomllib.TOMLDecodeError):
-        tomllib.loads(toml)
+    copied = tmp_path / "copied.toml"
+    copied.write_text(toml.replace("extrinsics = ...", f"extrinsics = {EXTRINSICS}"))
+    calibration = Calibration.from_file(copied)
+    np.testing.assert_array_equal(
+        calibration.intrinsics, [[700, 0, 320], [0, 710, 240.5], [0, 0, 1]]
+    )
+    np.testing.assert_array_equal(calibration.extrinsics, EXTRINSICS)
+    assert calibration.size in (None, (480, 640))
+    found = calibration.distortion and tuple(calibration.distortion)
+    assert (calibration.lens, found) == (lens, coefficients)
+
+
+def test_a_camera_of_colmap_with_one_focal_length(tmp_path):
+    path = tmp_path / "cameras.txt"
+    path.write_text(COLMAP.format("SIMPLE_RADIAL 640 480 700 320.5 241 -0.3"))
+    with pytest.raises(InputError) as caught:
+        Calibration.from_file(path)
+    assert "intrinsics = [[700.0, 0.0, 320.0], [0.0, 700.0, 240.5], [0.0" in str(caught.value)
+    assert "distortion = [-0.3, 0.0, 0.0, 0.0]" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "a: [b\n",
+        "- 1\n- 2\n",
+        "K: [1, 0, 0, 0, 1, 0, 0, 0, 1]",
+        "1 2 3",
+        "1 PINHOLE 640 480 700 710\n",
+        "1 0 0 0 0 1 0 0 0 0 1 0\n" * 50,
+        "2011-09-26 13:02:25.9\n",
+    ],
+)
+@pytest.mark.parametrize("name", ["camera.yaml", "camera.txt"])
+def test_a_file_without_a_camera_is_answered_with_an_example(tmp_path, name, text):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(InputError, match="no camera matrix was found in it") as caught:
+        Calibration.from_file(path)
+    _, toml = str(caught.value).split(":\n", 1)
+    copied = tmp_path / "copied.toml"
+    copied.write_text(toml)
+    assert Calibration.from_file(copied).size == (375, 1242)
 
 
 def test_damaged_json(tmp_path):

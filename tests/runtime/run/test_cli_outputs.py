@@ -46,6 +46,31 @@ def test_a_recording_that_cannot_be_made_is_reported_before_anything_is_made(tmp
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("place", "reason"),
+    [
+        (".", "no name"),
+        ("inner/..", "no name"),
+        ("file/a", "Not a directory"),
+        ("/proc/a", "write"),
+    ],
+)
+@pytest.mark.parametrize("overwrite", [[], ["--overwrite"]], ids=["new", "overwrite"])
+def test_a_recording_in_an_impossible_place_is_refused_before_the_run(
+    tmp_path, run, monkeypatch, place, reason, overwrite
+):
+    inner = tmp_path / "here"
+    (inner / "inner").mkdir(parents=True)
+    (inner / "file").write_text("mine")
+    monkeypatch.chdir(inner)
+    result = run("--record", place, *overwrite)
+    assert result.exit_code == 1, result.exception
+    assert result.stderr.startswith("error: ")
+    assert reason in result.stderr
+    assert not (tmp_path / "out").exists()
+    assert sorted(path.name for path in inner.iterdir()) == ["file", "inner"]
+
+
 def test_an_existing_run_needs_overwrite(tmp_path, run):
     assert run("--limit", 5).exit_code == 0
     before = (tmp_path / "out/report.json").read_bytes()

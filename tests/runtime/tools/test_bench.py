@@ -331,11 +331,15 @@ def test_invalid_options_are_usage_errors(run, options):
     assert run("ssdnet-lite", *options)[0].exit_code == 2
 
 
-def test_a_file_that_cannot_be_written_is_an_error_after_the_table(run, model_file, tmp_path):
-    result, _ = run(model_file(), "--json", tmp_path / "none" / "bench.json")
-    assert result.exit_code == 1
-    assert "cannot write" in result.output
-    assert len(cells_of(result.output)) == 2
+def test_a_file_that_cannot_be_written_is_an_error_before_the_first_run(run, model_file, tmp_path):
+    for path, reason in (
+        (tmp_path / "none" / "bench.json", "cannot write"),
+        (tmp_path, "is a folder"),
+    ):
+        result, _ = run(model_file(), "--json", path)
+        assert result.exit_code == 1
+        assert reason in result.output
+        assert not cells_of(result.output)
 
 
 PROGRAM = "from runtime.tools.commands import bench; bench()"

@@ -276,9 +276,10 @@ def test_saved_depth_is_replaced_only_when_asked(tmp_path):
     assert run(*command, "--overwrite").exit_code == 0
     assert path.read_bytes() == content
     assert (save / "notes.txt").read_text() == "mine"
-    result = run("nearest", "--data", data, "--save", path)
-    assert result.exit_code == 1
-    assert "is not a folder" in result.output
+    for place, reason in ((path, "is not a folder"), (path / "a", "Not a directory")):
+        result = run("nearest", "--data", data, "--save", place)
+        assert result.exit_code == 1
+        assert reason in result.output
 
 
 def test_depth_is_saved_of_no_model_without_it(tmp_path):
