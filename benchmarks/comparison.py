@@ -40,6 +40,7 @@ from runtime.io.atomic_write import atomic_write
 from runtime.model_file import load_model_file
 from runtime.tools.bench import BenchOptions, bench
 from runtime.tools.bench_worker import make_input, time_runs
+from training.chosen_recipe import read_stages
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
@@ -51,8 +52,7 @@ from training.lidar.split import LidarInput
 from training.limits import STRICT
 from training.loop import train
 from training.network import build_network
-from training.recipe import Recipe, build, read_recipe
-from training.recipe_files import find_recipe
+from training.recipe import Recipe, build
 from training.run_folder import FINAL, RECIPE, require_same
 from training.stop_signal import StopSignal
 
@@ -197,7 +197,10 @@ def read_plan(path: Path, changes: Sequence[str], only: Sequence[str] | None) ->
 def recipe_of(entry: Entry, plan: Plan) -> Recipe:
     """Return the recipe that an entry is trained by, with all changes. Raises InputError."""
     assert entry.recipe is not None  # read_plan has set it
-    return read_recipe(find_recipe(entry.recipe), [*plan.set, *entry.set])
+    first, *others = read_stages(entry.recipe, [*plan.set, *entry.set])
+    if others:
+        raise InputError(f"{entry.recipe}: has several stages; expected a recipe of a single run.")
+    return first.recipe
 
 
 def heads_of(entry: Entry, plan: Plan) -> tuple[str, ...]:

@@ -3,7 +3,6 @@
 import math
 import re
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,13 +20,11 @@ from models import (
     save_checkpoint,
 )
 from models.registry import NETWORKS, Entry
-from training import recipes
+from training.chosen_recipe import read_stages
 from training.loop import train
 from training.losses.total import TERMS
 from training.network import build_network
-from training.stages import read_stages
-
-FOLDER = Path(recipes.__file__).parent
+from training.recipes.registry import RECIPES
 
 #: What a set of each kind can be scored on.
 SCORES = {
@@ -113,7 +110,7 @@ def shrink_sources(sources):
     )
 
 
-def read_shrunk(path):
+def read_shrunk(name):
     """The stages of a recipe, each for one step on small frames.
 
     All that they say about network and loss stays.
@@ -123,7 +120,7 @@ def read_shrunk(path):
         "schedule.warmup_steps = 0",
         *("validation.every = 1", "loop.log_every = 1", "release.trained_share = 1.0"),
     )
-    return [shrink_recipe(stage.recipe) for stage in read_stages(path, changes)]
+    return [shrink_recipe(stage.recipe) for stage in read_stages(name, changes)]
 
 
 def shrink_recipe(recipe):
@@ -162,17 +159,17 @@ def read_scalars(folder):
     return groups
 
 
-def shipped_recipes():
-    """Recipes of several stages take up to 30 seconds."""
-    for path in sorted(FOLDER.rglob("*.toml")):
-        marks = [pytest.mark.slow] if "[[stage]]" in path.read_text() else []
-        yield pytest.param(path, marks=marks, id=str(path.relative_to(FOLDER)))
-
-
-@pytest.mark.parametrize("path", list(shipped_recipes()))
-def test_shipped_recipe_trains(path, data, tmp_path):
+@pytest.mark.parametrize(
+    "name",
+    [
+        # Several stages take up to 30 seconds.
+        pytest.param(name, marks=[pytest.mark.slow] if len(recipe.stages) > 1 else [])
+        for name, recipe in RECIPES.items()
+    ],
+)
+def test_shipped_recipe_trains(name, data, tmp_path):
     init = None
-    for number, recipe in enumerate(read_shrunk(path)):
+    for number, recipe in enumerate(read_shrunk(name)):
         init = check_training(recipe, data, tmp_path / f"{number}", init)
 
 
