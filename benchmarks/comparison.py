@@ -216,7 +216,7 @@ def heads_of(entry: Entry, plan: Plan) -> tuple[str, ...]:
     if entry.onnx is not None:
         with Predictor(find_model(entry.onnx)) as predictor:
             return predictor.heads
-    return build_network(recipe_of(entry, plan).model, None)[0].heads
+    return build_network(recipe_of(entry, plan).model, None).heads
 
 
 def train_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
@@ -376,7 +376,7 @@ def network_of(entry: Entry, plan: Plan) -> Network:
     name = entry.network or entry.onnx
     if name is not None:
         return create_model(name)
-    return build_network(recipe_of(entry, plan).model, None)[0]
+    return build_network(recipe_of(entry, plan).model, None)
 
 
 def time_method(name: str, size: Size, rounds: int) -> float:

@@ -49,12 +49,12 @@ def test_the_network_is_built_by_its_name_and_recipe(run_block, tmp_path, monkey
 
     change = re.search(r"ssdnet-train comparison-depth --set '(.*)' --data", PAGE.read_text())
     recipe = read_stages("comparison-depth", [change[1]])[0].recipe
-    assert build_network(recipe.model, None)[0].config.channels == 16
+    assert build_network(recipe.model, None).config.channels == 16
     (entry_text,) = blocks("toml")
     (tmp_path / "plan.toml").write_text(entry_text)
     plan = read_plan(tmp_path / "plan.toml", [], None)
     model = recipe_of(plan.entries[0], plan).model
-    assert build_network(model, None)[0].config.channels == 32
+    assert build_network(model, None).config.channels == 32
 
 
 def test_the_method_is_run_by_its_name(run_block, monkeypatch):

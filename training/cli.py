@@ -155,7 +155,7 @@ def train(
                 if not dry_run:
                     keep_recipe(text, out)
             if dry_run:
-                stage, folder, weights = next_stage(stages, out, weights)
+                stage, folder, weights = next_stage(stages, out, weights, data)
                 path, lines = draw_first_batch(
                     stage.recipe,
                     data=data,

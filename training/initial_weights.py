@@ -48,17 +48,12 @@ def find_weights(text: str) -> Path:
     return weights_folder() / f"{text}.pt"
 
 
-def start_from(
-    network: Network, source: Network, init: Path, *, resumed: bool = False
-) -> frozenset[str]:
+def start_from(network: Network, source: Network, init: Path, *, resumed: bool = False) -> None:
     """Load the weights of another network, of the checkpoint ``init``, as far as they fit.
 
     Layers that the checkpoint lacks or has in another shape keep their initial weights, and so do
     the class layers where the classes differ. These layers, and settings that change what the
     weights compute, are reported on stderr, unless the run is ``resumed``: it replaces all weights.
-
-    Returns:
-        The names of the tensors that were loaded.
 
     Raises:
         CheckpointError: if nothing fits.
@@ -83,7 +78,7 @@ def start_from(
         )
     network.load_state_dict({**network.state_dict(), **taken})
     if resumed:
-        return frozenset(taken)
+        return
     if fresh:
         tqdm.write(f"{init}: {len(taken)} of {len(wanted)} tensors loaded", file=sys.stderr)
         tqdm.write(f"with random weights: {', '.join(fresh)}", file=sys.stderr)
@@ -94,7 +89,6 @@ def start_from(
                 f"{init}: {meaning} changed from {before} to {now}; the weights have to adapt",
                 file=sys.stderr,
             )
-    return frozenset(taken)
 
 
 def weights_folder() -> Path:

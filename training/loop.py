@@ -16,7 +16,7 @@ from training.loading.batches import read_batches
 from training.progress import Progress
 from training.provenance import state_provenance
 from training.recipe import Recipe
-from training.release import release_weights
+from training.release import adjust_logits
 from training.run_folder import (
     BEST,
     FINAL,
@@ -122,7 +122,8 @@ def _train(
         ).to_dict()
 
     def released() -> Network:
-        return release_weights(state.averaged, task.release)
+        share = recipe.release.logit_adjustment
+        return adjust_logits(state.averaged, task.class_weights, share)
 
     scores = ScoreTable(out / SCORES, state.step) if processes.is_first else None
     last_step = steps if stop_after is None else min(steps, stop_after)

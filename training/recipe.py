@@ -26,7 +26,6 @@ from training.limits import (
     MAX_SAMPLES,
     STRICT,
     BatchSize,
-    Logit,
     NotNegative,
     Seed,
     Share,
@@ -230,16 +229,9 @@ class LoopRecipe:
 class ReleaseRecipe:
     """How the weights in model.pt and best.pt differ from the averaged ones."""
 
-    #: Share of the trained weights; the rest are those of --init, so that a little training on new
-    #: data keeps what the old weights knew (Wortsman et al. 2022, WiSE-FT). Layers that --init did
-    #: not give are the trained ones.
-    trained_share: Annotated[float, Field(gt=0, le=1)] = 1.0
     #: Share of the log class weights that is subtracted from the semantic bias (Menon et al. 2021):
     #: training with class weights predicts rare classes too often. 0 = none, 1 = all.
     logit_adjustment: Share = 0.0
-    #: (class, what is added to its logit), where training frames say that a class is found too
-    #: often or too seldom; benchmarks/logit_offsets.py finds them.
-    logit_offsets: Annotated[tuple[tuple[str, Logit], ...], Field(max_length=255)] = ()
 
 
 def _require_lidar(text: str) -> str:

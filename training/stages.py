@@ -1,23 +1,53 @@
 """Recipes of several stages: runs one after the other, each from the weights of the one before."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from torch import Tensor
+
+from models import Network, load_checkpoint, save_checkpoint
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
 from training.distributed import join_processes
+from training.loading.open_dataset import open_dataset, spread_pictures
 from training.loop import train
 from training.recipe import Recipe
 from training.run_folder import FINAL, RECIPE, folder_errors
 
+#: In a stage's folder: what its call made of the trained weights.
+RESULT = "result.pt"
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a stage gives to its call.
+
+    Attributes:
+        before: the network that it began with; None = random weights.
+        after: the trained network.
+        pictures: images of its data, each float (1, 3, H, W), RGB in 0..255.
+    """
+
+    before: Network | None
+    after: Network
+    pictures: Iterable[Tensor]
+
 
 @dataclass(frozen=True)
 class Stage:
-    """A run: its folder below --out, NUMBER-NAME ("" = --out itself, of a recipe of one run)."""
+    """A run of a recipe, and what is made of its weights.
+
+    Attributes:
+        folder: below --out, NUMBER-NAME; "" = --out itself, of a recipe of one run.
+        recipe: of the run.
+        then: returns the network that the next stage begins with, or, of the last, the one in
+            RUN/model.pt; None = the trained network.
+    """
 
     folder: str
     recipe: Recipe
+    then: Callable[[Trained], Network] | None = None
 
 
 def train_stages(
@@ -33,9 +63,10 @@ def train_stages(
 ) -> Path:
     """Run all stages; a run that was stopped or killed is resumed in its stage.
 
-    Each is a run of its own in ``out``/NUMBER-NAME that begins with the model.pt of the one before;
-    that of the last is also ``out``/model.pt. A finished stage is not run again, but refused where
-    its recipe is another one now.
+    Each is a run of its own in ``out``/NUMBER-NAME that begins with the result of the one before:
+    its model.pt, or, where it has a call, the result.pt that this makes of it. The result of the
+    last is also ``out``/model.pt. A finished stage is not run again, but refused where its recipe
+    is another one now.
 
     Args:
         stages: of a recipe, in order.
@@ -58,10 +89,11 @@ def train_stages(
     path = out
     with join_processes(device) as processes:
         for stage in stages:
+            folder = out / stage.folder
             path = train(
                 stage.recipe,
                 data=data,
-                out=out / stage.folder,
+                out=folder,
                 init=init,
                 teacher=teacher,
                 device=device,
@@ -70,29 +102,53 @@ def train_stages(
             )
             if path.name != FINAL:
                 return path
-            init = path
+            if processes.is_first:
+                _make_result(stage, folder, init, data)
+            processes.wait()  # until the file is written
+            init = _make_result(stage, folder, init, data)
             if stop_after is not None:
                 stop_after -= stage.recipe.schedule.steps
                 if stop_after < 1 and stage is not stages[-1]:
                     return path
-        if path.parent != out and processes.is_first:
+        if init is not None and init.parent != out and processes.is_first:
             with folder_errors(out):
-                atomic_write(out / FINAL, path.read_bytes())
+                atomic_write(out / FINAL, init.read_bytes())
         processes.wait()  # until the file is written
     return out / FINAL
 
 
+def _make_result(stage: Stage, folder: Path, init: Path | None, data: Sequence[Path]) -> Path:
+    """Return the file of a finished stage's result; that of its call is made once."""
+    if stage.then is None:
+        return folder / FINAL
+    path = folder / RESULT
+    if not path.is_file():
+        before = None if init is None else load_checkpoint(init).model
+        trained = load_checkpoint(folder / FINAL)
+        network = stage.then(Trained(before, trained.model, _read_pictures(stage.recipe, data)))
+        save_checkpoint(path, network, training=trained.training)
+    return path
+
+
+def _read_pictures(recipe: Recipe, data: Sequence[Path]) -> Iterator[Tensor]:
+    """Yield pictures of a recipe's data; nothing is opened before the first is asked for."""
+    classes = recipe.model.class_table
+    yield from spread_pictures(
+        [open_dataset(item, data, classes=classes) for item in recipe.data.source]
+    )
+
+
 def next_stage(
-    stages: Sequence[Stage], out: Path, init: Path | None
+    stages: Sequence[Stage], out: Path, init: Path | None, data: Sequence[Path]
 ) -> tuple[Stage, Path, Path | None]:
     """Return the first stage that is not finished, its folder, and the weights it starts from."""
     _require_same_stages(stages, out)
     for stage in stages:
-        final = out / stage.folder / FINAL
-        if not final.is_file() or stage is stages[-1]:
+        folder = out / stage.folder
+        if not (folder / FINAL).is_file() or stage is stages[-1]:
             break
-        init = final
-    return stage, out / stage.folder, init
+        init = _make_result(stage, folder, init, data)
+    return stage, folder, init
 
 
 def _require_same_stages(stages: Sequence[Stage], out: Path) -> None:

@@ -3,7 +3,7 @@
 import math
 import random
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,16 +29,13 @@ from training.loading.open_dataset import (
     count_pixels,
     open_dataset,
     spread_indices,
+    spread_pictures,
 )
 from training.losses import SSDNetLoss, class_weights
 from training.network import build_network, train_parts
 from training.optimizer import require_encoder
 from training.recipe import Recipe
-from training.release import Release, class_offsets
 from training.teacher import load_teacher
-
-#: Frames of the training that pruning is based on, at least.
-_PICTURES = 32
 
 
 @dataclass(frozen=True)
@@ -53,7 +50,7 @@ class Task:
         criterion: the loss, there too.
         depth_target: unit of the depth target, and the depth of the sky.
         teacher: the network whose answers are learned, on the device too; None = there is none.
-        release: how the released weights differ from the averaged ones.
+        class_weights: of the semantic loss; None = it has none.
     """
 
     recipe: Recipe
@@ -62,7 +59,7 @@ class Task:
     network: Network
     criterion: SSDNetLoss
     depth_target: DepthTarget
-    release: Release
+    class_weights: Tensor | None
     teacher: Network | None = None
 
     @property
@@ -104,14 +101,7 @@ def open_task(
         item.title: open_dataset(item, data, classes=classes) for item in recipe.validation.source
     }
     require_lidar(validation, LidarInput.parse(recipe.validation.lidar))
-    if recipe.release.trained_share < 1 and init is None:
-        raise InputError(
-            "release.trained_share mixes the trained weights with those of --init: give --init, or "
-            "set it to 1"
-        )
-    network, taken = build_network(
-        recipe.model, init, resumed=resumed, pictures=_spread_pictures(sources)
-    )
+    network = build_network(recipe.model, init, resumed=resumed, pictures=spread_pictures(sources))
     train_parts(network, recipe.optimizer.only, recipe.optimizer.frozen)
     if recipe.optimizer.encoder_rate is not None:
         require_encoder(network)
@@ -123,7 +113,6 @@ def open_task(
     weights = None
     if "semantic" in heads and recipe.loss.weighs_classes:
         weights = _weigh_classes(recipe, sources, network.config.num_classes)
-    class_offsets(network, recipe.release.logit_offsets)  # that they can be added
     network = network.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     synchronise_batch_norm(network, processes)
     criterion = SSDNetLoss(
@@ -133,8 +122,6 @@ def open_task(
         target_depth_m=network.config.target_depth_m,
         road=recipe.model.class_id("road"),
     ).to(processes.device)
-    initial = {name: value.clone() for name, value in network.state_dict().items() if name in taken}
-    release = Release(recipe.release, weights, initial)
     sky = recipe.model.class_id("sky") if recipe.data.sky_depth_m else None
     depth = DepthTarget(
         network.config.canonical_focal_px,
@@ -144,7 +131,7 @@ def open_task(
     )
     if taught_by is not None:
         taught_by = taught_by.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    task = Task(recipe, sources, validation, network, criterion, depth, release, taught_by)
+    task = Task(recipe, sources, validation, network, criterion, depth, weights, taught_by)
     if 0 < recipe.data.augment.pair_shift < task.pair_step:
         raise InputError(
             f"data.augment.pair_shift = {recipe.data.augment.pair_shift}; the classes of "
@@ -152,13 +139,6 @@ def open_task(
             f"would never be shifted. Set at least {task.pair_step}, or 0 for one view."
         )
     return task
-
-
-def _spread_pictures(sources: Sequence[SampleSource]) -> Iterator[Tensor]:
-    """Yield the images of frames of all sets, each float (1, 3, H, W), RGB in 0..255."""
-    for source in sources:
-        for index in spread_indices(source, -(-_PICTURES // len(sources))):
-            yield torch.from_numpy(source[index].rgb).permute(2, 0, 1)[None].float()
 
 
 def _require_learning(recipe: Recipe, network: Network, sources: Sequence[SampleSource]) -> None:

@@ -375,15 +375,6 @@ def test_values_out_of_range_are_refused_by_name(base, change):
         read_recipe(base / "base.toml", [change])
 
 
-@pytest.mark.parametrize(
-    ("offsets", "place"),
-    [("[['road', 1e9]]", r"\[0\]\[1\] = 1000000000"), ("[['road']]", r"\[0\]")],
-)
-def test_offsets_out_of_range_or_without_a_number_are_refused_by_name(base, offsets, place):
-    with pytest.raises(InputError, match=rf"release\.logit_offsets{place}"):
-        read_recipe(base / "base.toml", [f"release.logit_offsets = {offsets}"])
-
-
 def test_sky_needs_a_class_of_that_name(tmp_path):
     text = MINIMAL.replace("batch_size = 4", "batch_size = 4\nsky_depth_m = 100.0")
     assert read(tmp_path, text).data.sky_depth_m == 100

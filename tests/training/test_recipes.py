@@ -25,6 +25,7 @@ from training.loop import train
 from training.losses.total import TERMS
 from training.network import build_network
 from training.recipes.registry import RECIPES
+from training.stages import Trained
 
 #: What a set of each kind can be scored on.
 SCORES = {
@@ -118,9 +119,11 @@ def read_shrunk(name):
     changes = (
         *("data.batch_size = 16", "data.seed = 26", "data.workers = 0", "schedule.steps = 1"),
         "schedule.warmup_steps = 0",
-        *("validation.every = 1", "loop.log_every = 1", "release.trained_share = 1.0"),
+        *("validation.every = 1", "loop.log_every = 1"),
     )
-    return [shrink_recipe(stage.recipe) for stage in read_stages(name, changes)]
+    return [
+        replace(stage, recipe=shrink_recipe(stage.recipe)) for stage in read_stages(name, changes)
+    ]
 
 
 def shrink_recipe(recipe):
@@ -169,15 +172,28 @@ def read_scalars(folder):
 )
 def test_shipped_recipe_trains(name, data, tmp_path):
     init = None
-    for number, recipe in enumerate(read_shrunk(name)):
-        init = check_training(recipe, data, tmp_path / f"{number}", init)
+    for stage in read_shrunk(name):
+        trained = check_training(stage.recipe, data, tmp_path / stage.folder, init)
+        init = finish(stage, trained, init)
+
+
+def finish(stage, trained, init):
+    """Write what the next stage begins with; returns its path."""
+    if stage.then is None:
+        return trained
+    before, after = (load_checkpoint(path).model for path in (init, trained))
+    network = stage.then(Trained(before, after, [torch.full((1, 3, 64, 96), 100.0)]))
+    assert all(value.isfinite().all() for value in network.state_dict().values())
+    result = trained.with_name("result.pt")
+    save_checkpoint(result, network, training=load_checkpoint(trained).training)
+    return result
 
 
 def check_training(recipe, data, out, init):
     """Train a step; the checkpoint has all that the recipe says. Returns its path."""
     torch.manual_seed(recipe.data.seed)
     picture = torch.full((1, 3, 64, 96), 100.0)
-    start = build_network(recipe.model, init, pictures=[picture])[0].state_dict()
+    start = build_network(recipe.model, init, pictures=[picture]).state_dict()
     teacher = None
     if recipe.loss.taught_heads(("semantic", "depth", "boundary")):
         teacher = out.with_suffix(".pt")

@@ -18,6 +18,7 @@ from runtime.errors import InputError
 from training import cli, stages
 from training.datasets.camvid import CamVidRecipe
 from training.loading.augment import AugmentConfig
+from training.prune import prune_trunk
 from training.recipe import (
     DataRecipe,
     LoopRecipe,
@@ -27,7 +28,8 @@ from training.recipe import (
     ScheduleRecipe,
 )
 from training.recipes.registry import RECIPES, PackageRecipe
-from training.stages import Stage, train_stages
+from training.release import add_offsets, mix_weights
+from training.stages import Stage, next_stage, train_stages
 
 TINY = SSDNetLiteConfig(
     encoder_widths=(8,) * 16,
@@ -146,6 +148,61 @@ def test_each_stage_begins_with_the_weights_of_the_one_before(data, tmp_path):
     assert load_checkpoint(out / "model.pt").training["init"].startswith("model.pt (sha256 ")
     rates = load_checkpoint(out / "1-all" / "last.pt").trainer["optimizer"]["param_groups"]
     assert [group["lr"] / rates[0]["lr"] for group in rates] == [1, 1, 0.5, 0.5]  # one schedule
+
+
+NARROW_WIDTHS = [8] * 15 + [4]
+NARROW = replace(DEPTH, model=replace(DEPTH.model, config={"encoder_widths": NARROW_WIDTHS}))
+CALLED = (
+    Stage("1-all", ALL, then=lambda run: prune_trunk(run.after, NARROW_WIDTHS, run.pictures)),
+    Stage("2-narrow", NARROW),
+    Stage(
+        "3-mixed",
+        replace(NARROW, data=ALL.data),
+        then=lambda run: add_offsets(mix_weights(run.before, run.after, 0.25), {"road": 2.0}),
+    ),
+)
+
+
+def test_a_call_makes_what_the_next_stage_begins_with_and_what_is_released(data, tmp_path):
+    out = tmp_path / "run"
+    assert train_stages(CALLED, data=[data], out=out) == out / "model.pt"
+    wide, pruned, narrow, last = (
+        weights(out / name)
+        for name in ("1-all/model.pt", "1-all/result.pt", "2-narrow/model.pt", "3-mixed/model.pt")
+    )
+    key = "encoder.stride32.4.expand.0.weight"
+    assert (len(wide[key]), len(pruned[key])) == (8, 4)
+    assert torch.equal(pruned[key], narrow[key])  # frozen
+    assert load_checkpoint(out / "2-narrow/model.pt").training["init"].startswith("result.pt (sha")
+    for name, value in weights(out / "model.pt").items():
+        if value.is_floating_point():
+            expected = 0.75 * narrow[name] + 0.25 * last[name]
+            if name == "semantic_head.bias":
+                expected[[info.name for info in TINY.classes].index("road")] += 2.0
+            torch.testing.assert_close(value, expected)
+    facts = [load_checkpoint(out / name).training for name in ("model.pt", "3-mixed/model.pt")]
+    assert facts[0] == facts[1]
+
+
+def test_killed_in_a_call_it_resumes_with_the_call(data, tmp_path):
+    train_stages(CALLED, data=[data], out=tmp_path / "whole")
+
+    def killed(run):
+        raise Killed
+
+    out = tmp_path / "killed"
+    for index in (0, 2):
+        stages = [replace(item, then=killed) if item is CALLED[index] else item for item in CALLED]
+        with pytest.raises(Killed):
+            train_stages(stages, data=[data], out=out)
+        assert not (out / CALLED[index].folder / "result.pt").exists()
+        if index == 0:  # a dry run makes it
+            _, _, begin = next_stage(CALLED, out, None, [data])
+            assert begin == out / "1-all/result.pt"
+    made = (out / "1-all/result.pt").stat().st_mtime_ns
+    train_stages(CALLED, data=[data], out=out)
+    assert (out / "1-all/result.pt").stat().st_mtime_ns == made
+    assert_same(out / "model.pt", tmp_path / "whole" / "model.pt")
 
 
 def test_killed_at_any_step_it_resumes_to_the_same_weights(data, tmp_path, monkeypatch):

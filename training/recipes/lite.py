@@ -7,6 +7,7 @@ and `rendered/varied` are made by ssdnet-render; the model card has the commands
 
 from dataclasses import replace
 
+from models import Network, SSDNetLite, SSDNetLiteConfig
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.folders import FoldersRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
@@ -14,6 +15,7 @@ from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
+from training.prune import prune_trunk
 from training.recipe import (
     DataRecipe,
     LoopRecipe,
@@ -24,7 +26,8 @@ from training.recipe import (
     ScheduleRecipe,
     ValidationRecipe,
 )
-from training.stages import Stage
+from training.release import add_offsets, mix_weights
+from training.stages import Stage, Trained
 
 _CAMVID = CamVidRecipe(path="camvid", weight=0.3)
 _STREETS = KittiStreetsRecipe(path="kitti_streets", first=2, last=69, weight=0.26)
@@ -149,16 +152,12 @@ PAIRS = replace(
     release=ReleaseRecipe(logit_adjustment=0.75),
 )
 
-# The blocks of the trunk lose a third of their channels, which makes it faster; everything but its
-# first layers is trained on.
+# Everything but the first layers of the pruned trunk is trained on.
 NARROW = replace(
     PAIRS,
     model=replace(
         PAIRS.model,
-        config={
-            "canonical_focal_px": 721.5,
-            "encoder_widths": [32, 48, 80, 80, 160, 160, *[320] * 3, *[480] * 3, *[896] * 3, 640],
-        },
+        config={"canonical_focal_px": 721.5},
     ),
     data=replace(PAIRS.data, seed=54),
     optimizer=replace(
@@ -234,16 +233,14 @@ DEPTH = replace(
     release=ReleaseRecipe(),
 )
 
-# Weights between those before and after are better than both, most of all on other rigs.
-DEPTH_AGAIN = replace(
+AGAIN = replace(
     DEPTH,
     data=replace(DEPTH.data, seed=74),
     schedule=replace(DEPTH.schedule, steps=4000),
-    release=ReleaseRecipe(trained_share=0.4),
 )
 
 # More surfaces without returns.
-DEPTH_ABSORBED = replace(
+ABSORBED = replace(
     DEPTH,
     data=replace(
         DEPTH.data,
@@ -255,27 +252,35 @@ DEPTH_ABSORBED = replace(
     optimizer=replace(DEPTH.optimizer, learning_rate=1.2e-3),
     schedule=replace(DEPTH.schedule, steps=700),
     loop=replace(DEPTH.loop, ema_decay=0.995),
-    release=ReleaseRecipe(
-        trained_share=0.5,
-        # What the training frames then still found too often or too seldom
-        # (benchmarks/logit_offsets.py).
-        logit_offsets=(
-            ("sky", 0.5),
-            ("building", 0.5),
-            ("pole", 0.5),
-            ("road", -0.5),
-            ("fence", -1.0),
-            ("bicyclist", -1.5),
-        ),
-    ),
 )
 
+
+def _narrow(pairs: Trained) -> Network:
+    """The blocks of the trunk lose a third of their channels, which makes it faster."""
+    assert isinstance(pairs.after, SSDNetLite)
+    return prune_trunk(pairs.after, SSDNetLiteConfig().encoder_widths, pairs.pictures)
+
+
+#: What the training frames then still found too often or too seldom (benchmarks/logit_offsets.py).
+_OFFSETS = {
+    "sky": 0.5,
+    "building": 0.5,
+    "pole": 0.5,
+    "road": -0.5,
+    "fence": -1.0,
+    "bicyclist": -1.5,
+}
 STAGES = (
     Stage("1-crops", CROPS),
-    Stage("2-pairs", PAIRS),
+    Stage("2-pairs", PAIRS, then=_narrow),
     Stage("3-narrow", NARROW),
     Stage("4-joint", JOINT),
     Stage("5-depth", DEPTH),
-    Stage("6-depth-again", DEPTH_AGAIN),
-    Stage("7-depth-absorbed", DEPTH_ABSORBED),
+    # Weights between those before and after are better than both, most of all on other rigs.
+    Stage("6-depth-again", AGAIN, then=lambda run: mix_weights(run.before, run.after, 0.4)),
+    Stage(
+        "7-depth-absorbed",
+        ABSORBED,
+        then=lambda run: add_offsets(mix_weights(run.before, run.after, 0.5), _OFFSETS),
+    ),
 )
