@@ -8,13 +8,14 @@ from pathlib import Path
 from runtime.errors import InputError
 from runtime.read_input import read_toml
 from training.fine_tuning import fine_tune
+from training.initial_weights import Weights
 from training.recipe import build_recipe
 from training.recipes.registry import RECIPES
 from training.stages import Stage
 
 
 def read_stages(
-    text: str, changes: Sequence[str] = (), init: Path | None = None
+    text: str, changes: Sequence[str] = (), init: Weights | None = None
 ) -> tuple[Stage, ...]:
     """Return the stages of a recipe; a TOML file has a single one.
 
@@ -26,7 +27,6 @@ def read_stages(
 
     Raises:
         InputError: for an unknown name, and as in `build_recipe`.
-        CheckpointError: if ``init`` cannot be read.
     """
     if text.endswith(".toml") or "/" in text or "\\" in text:
         table = read_toml(Path(text))

@@ -125,7 +125,7 @@ def train(
         from training.chosen_recipe import read_stages
         from training.dry_run import dry_run as draw_first_batch
         from training.fine_tuning import fine_tune
-        from training.initial_weights import find_weights
+        from training.initial_weights import find_weights, read_weights
         from training.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe
         from training.recipe import build_recipe
         from training.stages import Stage, next_stage, train_stages
@@ -134,7 +134,8 @@ def train(
             torch.set_num_threads(threads)
         with StopSignal() as stop:
             weights, taught_by = (
-                None if text is None else find_weights(text) for text in (init, teacher)
+                None if text is None else read_weights(find_weights(text))
+                for text in (init, teacher)
             )
             if recipe is not None:
                 assert data is not None  # checked above

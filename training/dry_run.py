@@ -13,6 +13,7 @@ from training.datasets.class_mapping import list_classes
 from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import join_processes
 from training.evaluation.pictures import draw_batch
+from training.initial_weights import Weights
 from training.loading.augment import AugmentConfig
 from training.loading.batches import read_batches
 from training.loading.crop import padding_share
@@ -39,8 +40,8 @@ def dry_run(
     *,
     data: Sequence[Path],
     out: Path,
-    init: Path | None = None,
-    teacher: Path | None = None,
+    init: Weights | None = None,
+    teacher: Weights | None = None,
     device: str,
 ) -> DryRun:
     """Open all that a training needs and draw its first batch; arguments and errors as in `train`.

@@ -3,15 +3,14 @@
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from models import NetworkConfig, load_checkpoint
+from models import NetworkConfig
 from models.registry import NETWORKS
 from runtime.checks import shown
-from training.initial_weights import weights_folder
+from training.initial_weights import Weights, weights_folder
 from training.losses import LossConfig
 from training.losses.total import PAIR_TERMS, TERMS
 from training.recipe import LoopRecipe, OptimizerRecipe, merge
@@ -37,7 +36,7 @@ _DEFAULTS = {
 }
 
 
-def fine_tune(table: Mapping[str, Any], init: Path | None) -> Mapping[str, Any]:
+def fine_tune(table: Mapping[str, Any], init: Weights | None) -> Mapping[str, Any]:
     """Return a recipe's table with the settings of the earlier training where it has none.
 
     What is added, unless it is the default, is reported on stderr. For weights of the package the
@@ -46,19 +45,15 @@ def fine_tune(table: Mapping[str, Any], init: Path | None) -> Mapping[str, Any]:
     Args:
         table: the recipe, as TOML has it.
         init: the checkpoint that the training begins with; None = there is none.
-
-    Raises:
-        CheckpointError: if it cannot be read.
     """
     if init is None:
         return table
-    checkpoint = load_checkpoint(init)
-    earlier, source = checkpoint.facts.recipe, str(init)
+    earlier, source = init.facts.recipe, str(init.path)
     classes = _below(earlier, "model").get("classes")
-    name = init.stem.removeprefix("ssdnet-")
-    if init.parent == weights_folder() and name in RECIPES:
+    name = init.path.stem.removeprefix("ssdnet-")
+    if init.path.parent == weights_folder() and name in RECIPES:
         earlier, source = asdict(RECIPES[name].stages[0].recipe), name
-    settings = _settings(table, earlier, checkpoint.model.config, classes)
+    settings = _settings(table, earlier, init.network.config, classes)
     if added := ", ".join(_added(settings, table, _DEFAULTS)):
         tqdm.write(f"from the recipe of {source}: {added}", file=sys.stderr)
     return merge(settings, table)

@@ -10,6 +10,7 @@ from models import Network, load_checkpoint, save_checkpoint
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
 from training.distributed import join_processes
+from training.initial_weights import Weights, read_weights
 from training.loading.open_dataset import open_dataset, spread_pictures
 from training.loop import train
 from training.recipe import Recipe
@@ -55,8 +56,8 @@ def train_stages(
     *,
     data: Sequence[Path],
     out: Path,
-    init: Path | None = None,
-    teacher: Path | None = None,
+    init: Weights | None = None,
+    teacher: Weights | None = None,
     device: str = "cpu",
     stop_after: int | None = None,
     stop: Callable[[], bool] = lambda: False,
@@ -86,7 +87,6 @@ def train_stages(
         InputError: if ``out`` belongs to other stages, and as in `train`, like all others.
     """
     _require_same_stages(stages, out)
-    path = out
     with join_processes(device) as processes:
         for stage in stages:
             folder = out / stage.folder
@@ -105,25 +105,28 @@ def train_stages(
             if processes.is_first:
                 _make_result(stage, folder, init, data)
             processes.wait()  # until the file is written
-            init = _make_result(stage, folder, init, data)
+            result = _make_result(stage, folder, init, data)
+            if stage is stages[-1]:
+                break
+            init = read_weights(result)
             if stop_after is not None:
                 stop_after -= stage.recipe.schedule.steps
-                if stop_after < 1 and stage is not stages[-1]:
+                if stop_after < 1:
                     return path
-        if init is not None and init.parent != out and processes.is_first:
+        if result.parent != out and processes.is_first:
             with folder_errors(out):
-                atomic_write(out / FINAL, init.read_bytes())
+                atomic_write(out / FINAL, result.read_bytes())
         processes.wait()  # until the file is written
     return out / FINAL
 
 
-def _make_result(stage: Stage, folder: Path, init: Path | None, data: Sequence[Path]) -> Path:
+def _make_result(stage: Stage, folder: Path, init: Weights | None, data: Sequence[Path]) -> Path:
     """Return the file of a finished stage's result; that of its call is made once."""
     if stage.then is None:
         return folder / FINAL
     path = folder / RESULT
     if not path.is_file():
-        before = None if init is None else load_checkpoint(init).model
+        before = None if init is None else init.network
         trained = load_checkpoint(folder / FINAL)
         network = stage.then(Trained(before, trained.model, _read_pictures(stage.recipe, data)))
         save_checkpoint(path, network, training=trained.training)
@@ -139,15 +142,15 @@ def _read_pictures(recipe: Recipe, data: Sequence[Path]) -> Iterator[Tensor]:
 
 
 def next_stage(
-    stages: Sequence[Stage], out: Path, init: Path | None, data: Sequence[Path]
-) -> tuple[Stage, Path, Path | None]:
+    stages: Sequence[Stage], out: Path, init: Weights | None, data: Sequence[Path]
+) -> tuple[Stage, Path, Weights | None]:
     """Return the first stage that is not finished, its folder, and the weights it starts from."""
     _require_same_stages(stages, out)
     for stage in stages:
         folder = out / stage.folder
         if not (folder / FINAL).is_file() or stage is stages[-1]:
             break
-        init = _make_result(stage, folder, init, data)
+        init = read_weights(_make_result(stage, folder, init, data))
     return stage, folder, init
 
 

@@ -20,6 +20,7 @@ from runtime.errors import InputError
 from training.datasets.sample import SampleSource, target_kind
 from training.distributed import Processes, synchronise_batch_norm
 from training.evaluation.scoring import figure_names, require_lidar
+from training.initial_weights import Weights
 from training.lidar.split import LidarInput
 from training.limits import PAIR_STEP_PX
 from training.loading.crop import with_crop
@@ -35,7 +36,7 @@ from training.losses import SSDNetLoss, class_weights
 from training.network import build_network, train_parts
 from training.optimizer import require_encoder
 from training.recipe import Recipe
-from training.teacher import load_teacher
+from training.teacher import prepare_teacher
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,8 @@ def open_task(
     recipe: Recipe,
     processes: Processes,
     data: Sequence[Path],
-    init: Path | None,
-    teacher: Path | None = None,
+    init: Weights | None,
+    teacher: Weights | None = None,
     *,
     resumed: bool = False,
 ) -> Task:
@@ -109,7 +110,7 @@ def open_task(
     _require_learning(recipe, network, sources)
     if recipe.validation.best:
         _require_figure(recipe, network, validation)
-    taught_by = load_teacher(teacher, recipe.loss, network)
+    taught_by = prepare_teacher(teacher, recipe.loss, network)
     weights = None
     if "semantic" in heads and recipe.loss.weighs_classes:
         weights = _weigh_classes(recipe, sources, network.config.num_classes)

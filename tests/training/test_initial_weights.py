@@ -20,7 +20,7 @@ from runtime.errors import InputError
 from runtime.sources.bundled_stream import bundled_stream
 from training import cli
 from training.chosen_recipe import read_stages
-from training.initial_weights import find_weights, list_weights
+from training.initial_weights import find_weights, list_weights, read_weights
 from training.recipes.registry import RECIPES
 
 RECIPE = """
@@ -103,7 +103,7 @@ def test_a_recipe_of_data_and_steps_gets_the_loss_of_the_shipped_recipe(name, tm
     path.write_text(
         "[data]\nsource = [{kind = 'camvid', path = 'camvid'}]\n[schedule]\nsteps = 100\n"
     )
-    (stage,) = read_stages(str(path), init=find_weights(name))
+    (stage,) = read_stages(str(path), init=read_weights(find_weights(name)))
     recipe = stage.recipe
     assert recipe.model.name == name
     assert recipe.model.config == {"canonical_focal_px": 721.5}

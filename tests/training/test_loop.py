@@ -36,6 +36,7 @@ from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
 from training.datasets.virtual_kitti import RenderedRecipe
+from training.initial_weights import read_weights
 from training.loading.augment import AugmentConfig
 from training.loop import train
 from training.losses import LossConfig, SSDNetLoss
@@ -198,7 +199,7 @@ def test_parts_that_are_not_trained_stay_as_they_are(data, tmp_path):
         validation=replace(run.validation, every=2),
     )
     before = weights(init)
-    after = weights(train(run, data=[data], out=tmp_path / "run", init=init))
+    after = weights(train(run, data=[data], out=tmp_path / "run", init=read_weights(init)))
     moved = {name.split(".")[0] for name in after if not torch.equal(after[name], before[name])}
     assert moved == {
         "semantic_decoder",
@@ -596,7 +597,7 @@ def test_final_checkpoint_carries_data_and_terms(data, tmp_path):
 def test_init_starts_from_other_weights_of_the_same_kind(data, tmp_path, monkeypatch):
     first = train(recipe(steps=1), data=[data], out=tmp_path / "a")
     frozen = replace(recipe(steps=1), optimizer=replace(recipe().optimizer, learning_rate=1e-30))
-    second = train(frozen, data=[data], out=tmp_path / "b", init=first)
+    second = train(frozen, data=[data], out=tmp_path / "b", init=read_weights(first))
     before, after = weights(first), weights(second)
     parameters = [name for name in before if name.endswith("head.weight")]
     assert parameters
@@ -615,13 +616,13 @@ def test_a_network_learns_the_answers_of_its_teacher(data, tmp_path):
         cv2.imwrite(str(path), np.full((64, 80), 11, np.uint8))
     taught = LossConfig(class_weighting="none", distilled_semantic_weight=1.0)
     run = replace(labelled, loss=taught, data=replace(labelled.data, seed=5))
-    student = train(run, data=[data], out=tmp_path / "student", teacher=teacher)
+    student = train(run, data=[data], out=tmp_path / "student", teacher=read_weights(teacher))
     assert load_checkpoint(student).training["teacher"].startswith("model.pt (sha256 ")
     assert right_share(student, data) > 0.9
     with pytest.raises(InputError, match=r"--teacher"):
         train(run, data=[data], out=tmp_path / "alone")
     with pytest.raises(InputError, match=r"teacher was 'model.pt"):
-        train(run, data=[data], out=tmp_path / "student", teacher=other)
+        train(run, data=[data], out=tmp_path / "student", teacher=read_weights(other))
 
 
 def test_init_loads_what_fits_and_reports_the_rest(data, tmp_path, monkeypatch, capsys):
@@ -630,7 +631,7 @@ def test_init_loads_what_fits_and_reports_the_rest(data, tmp_path, monkeypatch, 
     wider = replace(TINY, semantic_refine_channels=TINY.semantic_refine_channels + 4)
     monkeypatch.setitem(NETWORKS, "ssdnet-lite", Entry(SSDNetLite, wider))
     frozen = replace(recipe(steps=1), optimizer=replace(recipe().optimizer, learning_rate=1e-30))
-    second = train(frozen, data=[data], out=tmp_path / "b", init=first)
+    second = train(frozen, data=[data], out=tmp_path / "b", init=read_weights(first))
     text = capsys.readouterr().err
     assert "with random weights: semantic_head, semantic_refine." in text
     old, new = weights(first), weights(second)
@@ -649,7 +650,7 @@ def test_init_of_which_nothing_fits_is_refused(data, tmp_path):
     other = tmp_path / "other.pt"
     save_checkpoint(other, SSDNet(plain))
     with pytest.raises(CheckpointError, match="none of its layers fits"):
-        train(recipe(steps=1), data=[data], out=tmp_path / "b", init=other)
+        train(recipe(steps=1), data=[data], out=tmp_path / "b", init=read_weights(other))
     assert not (tmp_path / "b").exists()
 
 

@@ -8,6 +8,7 @@ import torch
 from models import CLASS_TABLES, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
 from models.efficientnet_lite import WIDTHS as EFFICIENTNET_WIDTHS
 from runtime.errors import CheckpointError, InputError
+from training.initial_weights import read_weights
 from training.network import build_network, train_parts
 from training.prune import prune_trunk
 from training.recipe import ModelRecipe, build
@@ -21,7 +22,7 @@ def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
         for head in heads:
             getattr(network, head).bias.fill_(77.0)
     save_checkpoint(other, network)
-    built = build_network(ModelRecipe("ssdnet-lite"), other)
+    built = build_network(ModelRecipe("ssdnet-lite"), read_weights(other))
     assert f"with random weights: {', '.join(heads)}\n" in capsys.readouterr().err
     for head in heads:
         assert not (getattr(built, head).bias == 77.0).any()
@@ -43,21 +44,21 @@ def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
 def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys, name, changed, text):
     other = tmp_path / "other.pt"
     save_checkpoint(other, create_model(name))
-    build_network(ModelRecipe(name), other)
+    build_network(ModelRecipe(name), read_weights(other))
     assert capsys.readouterr().err == ""
-    build_network(ModelRecipe(name, config=changed), other)
+    build_network(ModelRecipe(name, config=changed), read_weights(other))
     assert text in capsys.readouterr().err
 
 
 def test_images_are_normalised_as_init_does_unless_the_recipe_says_otherwise(tmp_path, capsys):
     other = tmp_path / "other.pt"
     save_checkpoint(other, create_model("ssdnet-lite", rgb_mean=(1.0, 2.0, 3.0)))
-    built = build_network(ModelRecipe("ssdnet-lite"), other)
+    built = build_network(ModelRecipe("ssdnet-lite"), read_weights(other))
     assert built.config.rgb_mean == (1.0, 2.0, 3.0)
     assert built.rgb_mean.flatten().tolist() == [1.0, 2.0, 3.0]
     assert capsys.readouterr().err == ""
     stated = ModelRecipe("ssdnet-lite", config={"rgb_mean": [4.0, 5.0, 6.0]})
-    built = build_network(stated, other)
+    built = build_network(stated, read_weights(other))
     assert built.config.rgb_mean == (4.0, 5.0, 6.0)
     assert built.rgb_mean.flatten().tolist() == [4.0, 5.0, 6.0]
     text = "the mean of RGB changed from (1.0, 2.0, 3.0) to (4.0, 5.0, 6.0)"
@@ -211,7 +212,7 @@ def test_init_comes_after_the_pretrained_weights(loaded, tmp_path, capsys):
     """A trunk of --init replaces them."""
     save_checkpoint(tmp_path / "same.pt", build_network(IMAGENET, None))
     loaded.clear()
-    built = build_network(IMAGENET, tmp_path / "same.pt")
+    built = build_network(IMAGENET, read_weights(tmp_path / "same.pt"))
     assert loaded == []
     assert built.config.rgb_mean == (127.0,) * 3
 
@@ -242,11 +243,11 @@ def test_init_of_another_trunk_is_refused_until_it_is_pruned(tmp_path, capsys):
     save_checkpoint(tmp_path / "wide.pt", wide)
     narrow = ModelRecipe("ssdnet-lite", config={"encoder_widths": list(WIDTHS)})
     with pytest.raises(CheckpointError, match=r"wide\.pt: its trunk has other widths than .*24"):
-        build_network(narrow, tmp_path / "wide.pt")
+        build_network(narrow, read_weights(tmp_path / "wide.pt"))
     pruned = prune_trunk(wide, WIDTHS, PICTURES)
     assert capsys.readouterr().err == "the trunk was pruned from 8960 to 8904 channels\n"
     save_checkpoint(tmp_path / "narrow.pt", pruned)
-    network = build_network(narrow, tmp_path / "narrow.pt")
+    network = build_network(narrow, read_weights(tmp_path / "narrow.pt"))
     assert capsys.readouterr().err == ""
     weight = network.encoder.stem[0][0].weight
     assert torch.equal(weight, pruned.encoder.stem[0][0].weight)

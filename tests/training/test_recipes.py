@@ -21,6 +21,7 @@ from models import (
 )
 from models.registry import NETWORKS, Entry
 from training.chosen_recipe import read_stages
+from training.initial_weights import read_weights
 from training.loop import train
 from training.losses.total import TERMS
 from training.network import build_network
@@ -178,15 +179,16 @@ def test_shipped_recipe_trains(name, data, tmp_path):
 
 
 def finish(stage, trained, init):
-    """Write what the next stage begins with; returns its path."""
+    """Return what the next stage begins with."""
     if stage.then is None:
-        return trained
-    before, after = (load_checkpoint(path).model for path in (init, trained))
-    network = stage.then(Trained(before, after, [torch.full((1, 3, 64, 96), 100.0)]))
+        return read_weights(trained)
+    after = load_checkpoint(trained)
+    pictures = [torch.full((1, 3, 64, 96), 100.0)]
+    network = stage.then(Trained(init.network, after.model, pictures))
     assert all(value.isfinite().all() for value in network.state_dict().values())
     result = trained.with_name("result.pt")
-    save_checkpoint(result, network, training=load_checkpoint(trained).training)
-    return result
+    save_checkpoint(result, network, training=after.training)
+    return read_weights(result)
 
 
 def check_training(recipe, data, out, init):
@@ -196,9 +198,9 @@ def check_training(recipe, data, out, init):
     start = build_network(recipe.model, init, pictures=[picture]).state_dict()
     teacher = None
     if recipe.loss.taught_heads(("semantic", "depth", "boundary")):
-        teacher = out.with_suffix(".pt")
-        teacher.parent.mkdir(parents=True, exist_ok=True)
-        save_checkpoint(teacher, create_model("ssdnet-lite", **recipe.model.config))
+        path = out.with_suffix(".pt")
+        save_checkpoint(path, create_model("ssdnet-lite", **recipe.model.config))
+        teacher = read_weights(path)
     trained = train(recipe, data=[data], out=out, init=init, teacher=teacher)
     checkpoint = load_checkpoint(trained)
 

@@ -198,7 +198,7 @@ def test_killed_in_a_call_it_resumes_with_the_call(data, tmp_path):
         assert not (out / CALLED[index].folder / "result.pt").exists()
         if index == 0:  # a dry run makes it
             _, _, begin = next_stage(CALLED, out, None, [data])
-            assert begin == out / "1-all/result.pt"
+            assert begin.path == out / "1-all/result.pt"
     made = (out / "1-all/result.pt").stat().st_mtime_ns
     train_stages(CALLED, data=[data], out=out)
     assert (out / "1-all/result.pt").stat().st_mtime_ns == made
