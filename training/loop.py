@@ -89,9 +89,9 @@ def _train(
     stop: Callable[[], bool],
 ) -> Path:
     task = open_task(recipe, processes, data, init, teacher, resumed=(out / LAST).is_file())
-    recipe = task.recipe  # with what the data decide
     resolved: dict[str, Any] = {
         "recipe": asdict(recipe),
+        "crop": task.data.augment.crop,
         "init": None if init is None else init.name,
         "teacher": None if teacher is None else teacher.name,
         "processes": processes.count,

@@ -35,7 +35,7 @@ from training.loading.open_dataset import (
 from training.losses import SSDNetLoss, class_weights
 from training.network import build_network, train_parts
 from training.optimizer import require_encoder
-from training.recipe import Recipe
+from training.recipe import DataRecipe, Recipe
 from training.teacher import prepare_teacher
 
 
@@ -44,7 +44,7 @@ class Task:
     """An opened recipe.
 
     Attributes:
-        recipe: the recipe with what it left to the data.
+        data: the recipe's, with a crop for its sets and no more workers than cores.
         sources: the sets of the mixture.
         validation: the validation sets by title.
         network: on the device of the process; only the parts that are trained have gradients.
@@ -54,7 +54,7 @@ class Task:
         class_weights: of the semantic loss; None = it has none.
     """
 
-    recipe: Recipe
+    data: DataRecipe
     sources: Sequence[SampleSource]
     validation: Mapping[str, SampleSource]
     network: Network
@@ -95,9 +95,11 @@ def open_task(
 
     classes = recipe.model.class_table
     sources = [open_dataset(item, data, classes=classes) for item in recipe.data.source]
-    recipe = with_crop(recipe, sources)
-    workers = min(recipe.data.workers, available_cores())
-    recipe = replace(recipe, data=replace(recipe.data, workers=workers))
+    decided = replace(
+        recipe.data,
+        augment=with_crop(recipe.data.augment, sources),
+        workers=min(recipe.data.workers, available_cores()),
+    )
     validation = {
         item.title: open_dataset(item, data, classes=classes) for item in recipe.validation.source
     }
@@ -132,7 +134,7 @@ def open_task(
     )
     if taught_by is not None:
         taught_by = taught_by.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    task = Task(recipe, sources, validation, network, criterion, depth, weights, taught_by)
+    task = Task(decided, sources, validation, network, criterion, depth, weights, taught_by)
     if 0 < recipe.data.augment.pair_shift < task.pair_step:
         raise InputError(
             f"data.augment.pair_shift = {recipe.data.augment.pair_shift}; the classes of "
