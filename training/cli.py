@@ -69,7 +69,7 @@ def train(
         str | None,
         typer.Option(
             help="Initial weights: the name of installed weights (ssdnet-lite), or a path that "
-            "ends in .pt or holds a slash. What the recipe leaves out comes from their training."
+            "ends in .pt or holds a slash. What a TOML file leaves out comes from their training."
         ),
     ] = None,
     teacher: Annotated[

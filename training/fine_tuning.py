@@ -1,4 +1,4 @@
-"""Fine-tuning: what a recipe leaves out comes from the training of the weights it begins with."""
+"""Fine-tuning: what a file leaves out comes from the training of the weights it begins with."""
 
 import sys
 from collections.abc import Iterator, Mapping

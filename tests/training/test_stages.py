@@ -164,7 +164,18 @@ CALLED = (
 
 
 def test_a_call_makes_what_the_next_stage_begins_with_and_what_is_released(data, tmp_path):
+    """Also where the run is killed in a call."""
+
+    def killed(run):
+        raise Killed
+
     out = tmp_path / "run"
+    for index in (0, 2):
+        stages = [replace(item, then=killed) if item is CALLED[index] else item for item in CALLED]
+        with pytest.raises(Killed):
+            train_stages(stages, data=[data], out=out)
+        assert not (out / CALLED[index].folder / "result.pt").exists()
+    assert not (out / "model.pt").exists()
     assert train_stages(CALLED, data=[data], out=out) == out / "model.pt"
     wide, pruned, narrow, last = (
         weights(out / name)
@@ -184,25 +195,14 @@ def test_a_call_makes_what_the_next_stage_begins_with_and_what_is_released(data,
     assert facts[0] == facts[1]
 
 
-def test_killed_in_a_call_it_resumes_with_the_call(data, tmp_path):
-    train_stages(CALLED, data=[data], out=tmp_path / "whole")
-
-    def killed(run):
-        raise Killed
-
-    out = tmp_path / "killed"
-    for index in (0, 2):
-        stages = [replace(item, then=killed) if item is CALLED[index] else item for item in CALLED]
-        with pytest.raises(Killed):
-            train_stages(stages, data=[data], out=out)
-        assert not (out / CALLED[index].folder / "result.pt").exists()
-        if index == 0:  # a dry run makes it
-            _, _, begin = next_stage(CALLED, out, None, [data])
-            assert begin.path == out / "1-all/result.pt"
-    made = (out / "1-all/result.pt").stat().st_mtime_ns
-    train_stages(CALLED, data=[data], out=out)
-    assert (out / "1-all/result.pt").stat().st_mtime_ns == made
-    assert_same(out / "model.pt", tmp_path / "whole" / "model.pt")
+def test_a_dry_run_of_the_next_stage_begins_with_the_result(data, tmp_path):
+    out = tmp_path / "run"
+    train_stages(CALLED, data=[data], out=out, stop_after=3)
+    (out / "1-all/result.pt").unlink()
+    stage, folder, init = next_stage(CALLED, out, None, [data])
+    assert (stage, folder) == (CALLED[1], out / "2-narrow")
+    assert init.path == out / "1-all/result.pt"
+    assert init.network.config.encoder_widths == tuple(NARROW_WIDTHS)
 
 
 def test_killed_at_any_step_it_resumes_to_the_same_weights(data, tmp_path, monkeypatch):

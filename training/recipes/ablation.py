@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from training.datasets.virtual_kitti import RenderedRecipe
-from training.loading.augment import AugmentConfig
 from training.losses import LossConfig
 from training.recipe import (
     DataRecipe,
@@ -18,27 +17,14 @@ from training.recipe import (
     ScheduleRecipe,
     ValidationRecipe,
 )
+from training.recipes.paper import VKITTI
 
 SSDNET = Recipe(
     terms="rendered scenes: this project's",
     model=ModelRecipe("ssdnet-small", trained_height=125, config={"max_depth_m": 100.0}),
     data=DataRecipe(
         (RenderedRecipe(path="train"),),
-        augment=AugmentConfig(
-            crop=(96, 320),
-            scale=(1.0, 1.0),
-            brightness=0.2,
-            contrast=0.1,
-            saturation=0.2,
-            hue_deg=0.0,
-            gray=0.0,
-            blur=0.0,
-            noise=0.0,
-            # As in the paper: 5 % of the pixels, drawn at random, and never none.
-            lidar_missing=0.0,
-            lidar_random=1.0,
-            random_share=(0.05, 0.05),
-        ),
+        augment=replace(VKITTI.data.augment, crop=(96, 320)),
         cache_gib=4.0,
     ),
     # With 1, the weight of the other terms, Eq. 8 and 11 favour one class everywhere and the

@@ -3,6 +3,8 @@
 Another network: --set 'model.name = "nconv"'. With more time: --set 'schedule.steps = 20000'.
 """
 
+from dataclasses import replace
+
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
@@ -18,6 +20,9 @@ from training.recipe import (
     ScheduleRecipe,
 )
 
+_AUGMENT = AugmentConfig(
+    brightness=0.25, contrast=0.1, saturation=0.25, hue_deg=0.0, gray=0.0, blur=0.0, noise=0.0
+)
 _LOOP = LoopRecipe(clip_norm=20.0, ema_decay=0.98, checkpoint_every=100)
 
 DEPTH = Recipe(
@@ -29,16 +34,10 @@ DEPTH = Recipe(
             KittiStreamRecipe(path="kitti_stream", last=49, weight=0.15),
             RenderedRecipe(path="rendered/kitti", scans=True, weight=0.35),
         ),
-        augment=AugmentConfig(
+        augment=replace(
+            _AUGMENT,
             crop=(160, 320),
             scale=(0.8, 1.4),
-            brightness=0.25,
-            contrast=0.1,
-            saturation=0.25,
-            hue_deg=0.0,
-            gray=0.0,
-            blur=0.0,
-            noise=0.0,
             lines=(64, 64, 32, 16),
             lidar_random=0.1,
             lidar_missing=0.0,  # some networks see nothing else
@@ -65,17 +64,7 @@ SEMANTICS = Recipe(
     model=ModelRecipe("ssdnet-small-sem", trained_height=360),
     data=DataRecipe(
         (CamVidRecipe(path="camvid"),),
-        augment=AugmentConfig(
-            crop=(160, 224),
-            scale=(0.6, 1.2),
-            brightness=0.25,
-            contrast=0.1,
-            saturation=0.25,
-            hue_deg=0.0,
-            gray=0.0,
-            blur=0.0,
-            noise=0.0,
-        ),
+        augment=replace(_AUGMENT, crop=(160, 224), scale=(0.6, 1.2)),
         workers=0,
         cache_gib=1.0,
     ),

@@ -68,17 +68,7 @@ CROPS = Recipe(
         config={"canonical_focal_px": 721.5, "encoder_widths": []},
     ),
     data=DataRecipe(
-        (
-            _CAMVID,
-            _STREETS,
-            _LABELLED,
-            _STREAM,
-            _DRIVE,
-            _OBJECT,
-            _BOSTON,
-            _RENDERED,
-            _VARIED,
-        ),
+        (_CAMVID, _STREETS, _LABELLED, _STREAM, _DRIVE, _OBJECT, _BOSTON, _RENDERED, _VARIED),
         augment=AugmentConfig(
             crop=(256, 384),
             rare_crops=0.5,
@@ -234,9 +224,7 @@ DEPTH = replace(
 )
 
 AGAIN = replace(
-    DEPTH,
-    data=replace(DEPTH.data, seed=74),
-    schedule=replace(DEPTH.schedule, steps=4000),
+    DEPTH, data=replace(DEPTH.data, seed=74), schedule=replace(DEPTH.schedule, steps=4000)
 )
 
 # More surfaces without returns.
@@ -262,14 +250,7 @@ def _narrow(pairs: Trained) -> Network:
 
 
 #: What the training frames then still found too often or too seldom (benchmarks/logit_offsets.py).
-_OFFSETS = {
-    "sky": 0.5,
-    "building": 0.5,
-    "pole": 0.5,
-    "road": -0.5,
-    "fence": -1.0,
-    "bicyclist": -1.5,
-}
+_OFFSETS = {"sky": 0.5, "building": 0.5, "pole": 0.5, "road": -0.5, "fence": -1, "bicyclist": -1.5}
 STAGES = (
     Stage("1-crops", CROPS),
     Stage("2-pairs", PAIRS, then=_narrow),
