@@ -3,7 +3,7 @@
     python benchmarks/ablation.py --data DIR --runs RUNS [--seeds 0 1 2] [--rows ssdnet ...] \
         [--set 'model.name = "ssdnet"'] [--markdown OUT.md] [--plot OUT.png]
 
-`DIR` holds the rendered scenes `train` and `test`. Rows are recipes of training/recipes/ablation.
+`DIR` holds the rendered scenes `train` and `test`. Rows are those of training/recipes/ablation.py.
 Runs that are finished are not repeated, so more seeds or rows can be added; one that was stopped
 resumes. Runs of other settings are refused: give another `RUNS`. Every row is scored on all of
 `test` with 5 % of the depth, drawn once for all rows.
@@ -13,7 +13,6 @@ import argparse
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from importlib.resources import files
 from pathlib import Path
 from statistics import mean, stdev
 
@@ -22,12 +21,12 @@ import torch
 
 from models import load_checkpoint
 from runtime.io.atomic_write import atomic_file, atomic_write
+from training.chosen_recipe import read_stages
 from training.datasets.virtual_kitti import RenderedRecipe
 from training.evaluation.scoring import score, split_frames, torch_predict
 from training.lidar.split import LidarInput
 from training.loading.open_dataset import open_dataset
 from training.loop import train
-from training.recipe import read_recipe
 from training.run_folder import RECIPE, require_same
 
 mpl.use("Agg")
@@ -91,8 +90,8 @@ def main(argv: Sequence[str] | None = None) -> None:
 def run(row: str, seed: int, arguments: argparse.Namespace) -> dict[str, float]:
     """Train one row with one seed, unless that is done, and return its figures."""
     out = arguments.runs / f"{row}-{seed}"
-    path = files("training.recipes") / "ablation" / f"{row}.toml"
-    recipe = read_recipe(Path(str(path)), [f"data.seed = {seed}", *arguments.set])
+    changes = [f"data.seed = {seed}", *arguments.set]
+    recipe = read_stages(f"ablation-{row}", changes)[0].recipe
     scores = out / "scores.json"
     if scores.is_file():
         known = json.loads((out / RECIPE).read_text(encoding="utf-8"))

@@ -40,6 +40,7 @@ from runtime.io.atomic_write import atomic_write
 from runtime.model_file import load_model_file
 from runtime.tools.bench import BenchOptions, bench
 from runtime.tools.bench_worker import make_input, time_runs
+from training.chosen_recipe import read_stages
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.kitti_stream import KittiStreamRecipe
 from training.datasets.kitti_streets import KittiStreetsRecipe
@@ -51,8 +52,7 @@ from training.lidar.split import LidarInput
 from training.limits import STRICT
 from training.loop import train
 from training.network import build_network
-from training.recipe import Recipe, build, read_recipe
-from training.recipe_files import find_recipe
+from training.recipe import Recipe, build
 from training.run_folder import FINAL, RECIPE, require_same
 from training.stop_signal import StopSignal
 
@@ -197,7 +197,10 @@ def read_plan(path: Path, changes: Sequence[str], only: Sequence[str] | None) ->
 def recipe_of(entry: Entry, plan: Plan) -> Recipe:
     """Return the recipe that an entry is trained by, with all changes. Raises InputError."""
     assert entry.recipe is not None  # read_plan has set it
-    return read_recipe(find_recipe(entry.recipe), [*plan.set, *entry.set])
+    first, *others = read_stages(entry.recipe, [*plan.set, *entry.set])
+    if others:
+        raise InputError(f"{entry.recipe}: has several stages; expected a recipe of a single run.")
+    return first.recipe
 
 
 def heads_of(entry: Entry, plan: Plan) -> tuple[str, ...]:
@@ -213,7 +216,7 @@ def heads_of(entry: Entry, plan: Plan) -> tuple[str, ...]:
     if entry.onnx is not None:
         with Predictor(find_model(entry.onnx)) as predictor:
             return predictor.heads
-    return build_network(recipe_of(entry, plan).model, None)[0].heads
+    return build_network(recipe_of(entry, plan).model, None).heads
 
 
 def train_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
@@ -373,7 +376,7 @@ def network_of(entry: Entry, plan: Plan) -> Network:
     name = entry.network or entry.onnx
     if name is not None:
         return create_model(name)
-    return build_network(recipe_of(entry, plan).model, None)[0]
+    return build_network(recipe_of(entry, plan).model, None)
 
 
 def time_method(name: str, size: Size, rounds: int) -> float:

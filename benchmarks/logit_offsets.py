@@ -5,7 +5,7 @@
 Maximises, class by class in steps of 0.5 and then of 0.25, the sum of the mIoU on CamVid's training
 frames and half of the road's IoU on the training streets of KITTI (64 lines), over every n-th frame
 of both. The validation frames are only scored before and after. The last line is what a recipe
-takes as `release.logit_offsets`.
+gives to `training.release.add_offsets`.
 """
 
 import argparse
@@ -68,8 +68,7 @@ def main() -> None:
         for title, offsets in (("before", np.zeros_like(fitted)), ("after", fitted)):
             miou, road = rate(camvid, streets, offsets, names.index("road"))
             print(f"{name}, {title}: CamVid mIoU {miou:.4f}, streets' road IoU {road:.4f}")
-    pairs = [[name, float(step)] for name, step in zip(names, fitted, strict=True) if step]
-    print(f"logit_offsets = {pairs}".replace("'", '"'))
+    print({name: float(step) for name, step in zip(names, fitted, strict=True) if step})
 
 
 def predict(

@@ -16,6 +16,7 @@ class TrainingFacts:
         terms: data and terms that a model card and an exported file must state.
         trained_height: height [px] of the images that it was trained for; None = unknown.
         recipe: the resolved recipe, as plain values.
+        crop: (height, width) of the crops that it was trained on; None = unknown.
         init: the weights that it started from; None = random ones.
         teacher: the weights whose answers it learned; None = there were none.
         processes: that trained together.
@@ -26,6 +27,7 @@ class TrainingFacts:
     terms: str = ""
     trained_height: int | None = None
     recipe: Mapping[str, Any] = field(default_factory=dict)
+    crop: tuple[int, int] | None = None
     init: str | None = None
     teacher: str | None = None
     processes: int = 1

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from models.registry import NETWORKS
-from training.recipe_files import find_recipe
-from training.stages import read_stages
+from training.chosen_recipe import read_stages
 
 ROOT = Path(__file__).parents[1]
 CARD = ROOT / "runtime" / "assets" / "MODEL_CARD.md"
@@ -136,4 +135,4 @@ def test_what_the_code_of_a_page_imports_is_there(page):
 )
 def test_changes_of_recipes_are_taken(recipe, changes, monkeypatch):
     monkeypatch.setitem(NETWORKS, "two-layers", NETWORKS["nconv"])  # the page's own network
-    read_stages(find_recipe(recipe), changes)
+    read_stages(recipe, changes)

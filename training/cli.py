@@ -1,6 +1,7 @@
 """`ssdnet-train`: from a recipe to a checkpoint."""
 
 import tomllib
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -15,10 +16,10 @@ app = typer.Typer(pretty_exceptions_enable=False)
 
 def _print_recipes(wanted: bool) -> None:
     if wanted:
-        from training.recipe_files import describe_recipe, list_recipes
+        from training.recipes.registry import RECIPES
 
-        for name, path in list_recipes().items():
-            typer.echo(f"{name:28} {describe_recipe(path)}")
+        for name, recipe in RECIPES.items():
+            typer.echo(f"{name:28} {recipe.description}")
         raise typer.Exit
 
 
@@ -68,7 +69,7 @@ def train(
         str | None,
         typer.Option(
             help="Initial weights: the name of installed weights (ssdnet-lite), or a path that "
-            "ends in .pt or holds a slash. What the recipe leaves out comes from their training."
+            "ends in .pt or holds a slash. What a TOML file leaves out comes from their training."
         ),
     ] = None,
     teacher: Annotated[
@@ -121,32 +122,41 @@ def train(
         # Heavy imports here, so that --help is quick.
         import torch
 
+        from training.chosen_recipe import read_stages
         from training.dry_run import dry_run as draw_first_batch
-        from training.initial_weights import find_weights
+        from training.fine_tuning import fine_tune
+        from training.initial_weights import find_weights, read_weights
         from training.own_folders import RECIPE_TEXT, OwnFolders, keep_recipe
-        from training.recipe_files import find_recipe
-        from training.stages import build_stages, next_stage, read_stages, train_stages
+        from training.recipe import build_recipe
+        from training.stages import Stage, next_stage, train_stages
 
         if threads is not None:
             torch.set_num_threads(threads)
         with StopSignal() as stop:
             weights, taught_by = (
-                None if text is None else find_weights(text) for text in (init, teacher)
+                None if text is None else read_weights(find_weights(text))
+                for text in (init, teacher)
             )
             if recipe is not None:
                 assert data is not None  # checked above
-                stages = read_stages(find_recipe(recipe), change or (), weights)
+                stages = read_stages(recipe, change or (), weights)
             else:
                 assert images is not None  # checked above, like --init
                 assert weights is not None
                 own = OwnFolders(images, labels, depth, classes)
                 text, data = own.make_recipe(weights), [own.root]
                 typer.echo(text)
-                stages = build_stages(tomllib.loads(text), out / RECIPE_TEXT, change or (), weights)
+                made = build_recipe(
+                    tomllib.loads(text),
+                    out / RECIPE_TEXT,
+                    change or (),
+                    partial(fine_tune, init=weights),
+                )
+                stages = (Stage("", made),)
                 if not dry_run:
                     keep_recipe(text, out)
             if dry_run:
-                stage, folder, weights = next_stage(stages, out, weights)
+                stage, folder, weights = next_stage(stages, out, weights, data)
                 path, lines = draw_first_batch(
                     stage.recipe,
                     data=data,

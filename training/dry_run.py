@@ -13,13 +13,14 @@ from training.datasets.class_mapping import list_classes
 from training.datasets.sample import IGNORE, SampleSource
 from training.distributed import join_processes
 from training.evaluation.pictures import draw_batch
+from training.initial_weights import Weights
 from training.loading.augment import AugmentConfig
 from training.loading.batches import read_batches
 from training.loading.crop import padding_share
 from training.loading.open_dataset import spread_indices
 from training.recipe import Recipe
 from training.run_folder import BATCH, folder_errors
-from training.task import open_task
+from training.task import Task, open_task
 
 #: Samples of the batch that are drawn, and frames of each set that are described.
 _DRAWN, _DESCRIBED = 8, 50
@@ -39,8 +40,8 @@ def dry_run(
     *,
     data: Sequence[Path],
     out: Path,
-    init: Path | None = None,
-    teacher: Path | None = None,
+    init: Weights | None = None,
+    teacher: Weights | None = None,
     device: str,
 ) -> DryRun:
     """Open all that a training needs and draw its first batch; arguments and errors as in `train`.
@@ -51,7 +52,6 @@ def dry_run(
     """
     with join_processes(device) as processes:
         task = open_task(recipe, processes, data, init, teacher)
-        recipe = task.recipe
         with read_batches(recipe, task, processes, step=0) as batches:
             batch = next(batches)
         if processes.is_first:
@@ -62,15 +62,15 @@ def dry_run(
             )
             atomic_write(out / BATCH, encode_png(draw_batch(batch, overlay, count=_DRAWN)))
         processes.wait()
-    return DryRun(out / BATCH, list(_describe(recipe, task.sources)))
+    return DryRun(out / BATCH, list(_describe(recipe, task)))
 
 
-def _describe(recipe: Recipe, sources: Sequence[SampleSource]) -> Iterator[str]:
+def _describe(recipe: Recipe, task: Task) -> Iterator[str]:
     """Describe the sets of the mixture by some frames of each."""
-    height, width = recipe.data.augment.size
+    height, width = task.data.augment.size
     yield f"crops of {height} x {width} px"
     classes = [info.name for info in list_classes(recipe.model.class_table)]
-    for item, source in zip(recipe.data.source, sources, strict=True):
+    for item, source in zip(recipe.data.source, task.sources, strict=True):
         scale = item.scale or recipe.data.augment.scale
         yield from _describe_set(item.title, source, classes, AugmentConfig((height, width), scale))
 

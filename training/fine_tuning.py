@@ -1,21 +1,20 @@
-"""Fine-tuning: what a recipe leaves out comes from the training of the weights it begins with."""
+"""Fine-tuning: what a file leaves out comes from the training of the weights it begins with."""
 
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from models import NetworkConfig, load_checkpoint
+from models import NetworkConfig
 from models.registry import NETWORKS
 from runtime.checks import shown
-from training.initial_weights import list_weights, weights_folder
+from training.initial_weights import Weights, weights_folder
 from training.losses import LossConfig
 from training.losses.total import PAIR_TERMS, TERMS
-from training.recipe import LoopRecipe, OptimizerRecipe, Recipe, build, merge, read_table
-from training.recipe_files import find_recipe
+from training.recipe import LoopRecipe, OptimizerRecipe, merge
+from training.recipes.registry import RECIPES
 
 #: Learning rates, as a share of those of the earlier training.
 RATE_SHARE = 0.25
@@ -37,59 +36,50 @@ _DEFAULTS = {
 }
 
 
-class EarlierTraining:
-    """The training of a checkpoint, for the tables of recipes that begin with its weights.
+def fine_tune(table: Mapping[str, Any], init: Weights | None) -> Mapping[str, Any]:
+    """Return a recipe's table with the settings of the earlier training where it has none.
 
-    Weights of the package were trained in stages, the last of which trains a part of the network:
-    their recipe counts without its stages.
+    What is added, unless it is the default, is reported on stderr. For weights of the package the
+    recipe of their first stage is taken: it trains all heads.
 
     Args:
-        init: the checkpoint.
-
-    Raises:
-        CheckpointError: if it cannot be read.
+        table: the recipe, as TOML has it.
+        init: the checkpoint that the training begins with; None = there is none.
     """
+    if init is None:
+        return table
+    earlier, source = init.facts.recipe, str(init.path)
+    classes = _below(earlier, "model").get("classes")
+    name = init.path.stem.removeprefix("ssdnet-")
+    if init.path.parent == weights_folder() and name in RECIPES:
+        earlier, source = asdict(RECIPES[name].stages[0].recipe), name
+    settings = _settings(table, earlier, init.network.config, classes)
+    if added := ", ".join(_added(settings, table, _DEFAULTS)):
+        tqdm.write(f"from the recipe of {source}: {added}", file=sys.stderr)
+    return merge(settings, table)
 
-    def __init__(self, init: Path) -> None:
-        checkpoint = load_checkpoint(init)
-        self._config = checkpoint.model.config
-        self._classes: Any = checkpoint.facts.recipe.get("model", {}).get("classes")
-        self._recipe, self._source = checkpoint.facts.recipe, str(init)
-        if init.parent == weights_folder() and init.stem in list_weights():
-            self._source = init.stem.removeprefix("ssdnet-")
-            table = read_table(find_recipe(self._source))
-            table.pop("stage", None)
-            self._recipe = asdict(build(Recipe, table))
 
-    def complete(self, table: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a recipe's table with the settings of the earlier training where it has none."""
-        return merge(self._settings(table), table)
-
-    def report(self, table: Mapping[str, Any]) -> None:
-        """Name on stderr what `complete` adds to a table, as far as no default does."""
-        added = ", ".join(_added(self._settings(table), table, _DEFAULTS))
-        if added:
-            tqdm.write(f"from the recipe of {self._source}: {added}", file=sys.stderr)
-
-    def _settings(self, table: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what fits a recipe's table; nothing for another network."""
-        model = _below(table, "model")
-        if model.get("name", self._config.name) != self._config.name:
-            return {}
-        settings: dict[str, Any] = {
-            name: {key: value for key, value in _below(self._recipe, name).items() if key in keys}
-            for name, keys in _TAKEN.items()
-        }
-        settings["model"] = {"name": self._config.name, "config": _changes(self._config)}
-        if self._classes is not None:
-            settings["model"]["classes"] = self._classes
-        _fit_loss(settings["loss"], table, model.get("classes", self._classes))
-        _fit_rates(settings["optimizer"], _below(table, "optimizer"))
-        steps = _below(table, "schedule").get("steps")
-        warmup = _below(self._recipe, "schedule").get("warmup_steps", 0)
-        if isinstance(steps, int):
-            settings["schedule"] = {"warmup_steps": min(warmup, int(steps * _WARMUP_SHARE))}
-        return settings
+def _settings(
+    table: Mapping[str, Any], earlier: Mapping[str, Any], config: NetworkConfig, classes: Any
+) -> dict[str, Any]:
+    """Return what fits a recipe's table of the earlier recipe; nothing for another network."""
+    model = _below(table, "model")
+    if model.get("name", config.name) != config.name:
+        return {}
+    settings: dict[str, Any] = {
+        name: {key: value for key, value in _below(earlier, name).items() if key in keys}
+        for name, keys in _TAKEN.items()
+    }
+    settings["model"] = {"name": config.name, "config": _changes(config)}
+    if classes is not None:
+        settings["model"]["classes"] = classes
+    _fit_loss(settings["loss"], table, model.get("classes", classes))
+    _fit_rates(settings["optimizer"], _below(table, "optimizer"))
+    steps = _below(table, "schedule").get("steps")
+    warmup = _below(earlier, "schedule").get("warmup_steps", 0)
+    if isinstance(steps, int):
+        settings["schedule"] = {"warmup_steps": min(warmup, int(steps * _WARMUP_SHARE))}
+    return settings
 
 
 def _below(table: Mapping[str, Any], key: str) -> Mapping[str, Any]:

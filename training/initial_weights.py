@@ -1,12 +1,15 @@
-"""Initial weights of a training: a checkpoint, by its path or its name."""
+"""Checkpoints that a training begins with or learns from, by their path or their name."""
 
+import hashlib
 import sys
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
 from tqdm import tqdm
 
-from models import Network
+from models import Network, load_checkpoint
+from models.training_facts import TrainingFacts
 from runtime.errors import CheckpointError, InputError
 
 #: Layers with weights a class.
@@ -22,6 +25,31 @@ _MEANINGS = {
     "rgb_mean": "the mean of RGB",
     "rgb_std": "the standard deviation of RGB",
 }
+
+
+@dataclass(frozen=True)
+class Weights:
+    """A checkpoint, read once.
+
+    Attributes:
+        path: its file.
+        name: the file's name with the start of its SHA-256.
+        network: on the CPU, in evaluation mode.
+        facts: of its training.
+    """
+
+    path: Path
+    name: str
+    network: Network
+    facts: TrainingFacts
+
+
+def read_weights(path: Path) -> Weights:
+    """Read a checkpoint; CheckpointError if it cannot be read."""
+    checkpoint = load_checkpoint(path)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    name = f"{path.name} (sha256 {digest[:12]})"
+    return Weights(path, name, checkpoint.model, checkpoint.facts)
 
 
 def list_weights() -> list[str]:
@@ -48,21 +76,17 @@ def find_weights(text: str) -> Path:
     return weights_folder() / f"{text}.pt"
 
 
-def start_from(
-    network: Network, source: Network, init: Path, *, resumed: bool = False
-) -> frozenset[str]:
-    """Load the weights of another network, of the checkpoint ``init``, as far as they fit.
+def start_from(network: Network, init: Weights, *, resumed: bool = False) -> None:
+    """Load the weights of the checkpoint ``init``, as far as they fit.
 
     Layers that the checkpoint lacks or has in another shape keep their initial weights, and so do
     the class layers where the classes differ. These layers, and settings that change what the
     weights compute, are reported on stderr, unless the run is ``resumed``: it replaces all weights.
 
-    Returns:
-        The names of the tensors that were loaded.
-
     Raises:
         CheckpointError: if nothing fits.
     """
+    source = init.network
     known = source.state_dict() if type(source) is type(network) else {}
     wanted = {k: v for k, v in network.state_dict().items() if k not in _SETTINGS}
     names, known_names = (
@@ -78,23 +102,22 @@ def start_from(
     fresh = sorted({name.rsplit(".", 1)[0] for name in wanted.keys() - taken.keys()})
     if not any(p.ndim > 1 and name in taken for name, p in network.named_parameters()):
         raise CheckpointError(
-            f"{init}: none of its layers fits the recipe's '{network.config.name}'. "
+            f"{init.path}: none of its layers fits the recipe's '{network.config.name}'. "
             "Give a checkpoint of the same family."
         )
     network.load_state_dict({**network.state_dict(), **taken})
     if resumed:
-        return frozenset(taken)
+        return
     if fresh:
-        tqdm.write(f"{init}: {len(taken)} of {len(wanted)} tensors loaded", file=sys.stderr)
+        tqdm.write(f"{init.path}: {len(taken)} of {len(wanted)} tensors loaded", file=sys.stderr)
         tqdm.write(f"with random weights: {', '.join(fresh)}", file=sys.stderr)
     for key, meaning in _MEANINGS.items():
         before, now = getattr(source.config, key, None), getattr(network.config, key, None)
         if before != now:
             tqdm.write(
-                f"{init}: {meaning} changed from {before} to {now}; the weights have to adapt",
+                f"{init.path}: {meaning} changed from {before} to {now}; the weights have to adapt",
                 file=sys.stderr,
             )
-    return frozenset(taken)
 
 
 def weights_folder() -> Path:

@@ -35,8 +35,6 @@ Positive = Annotated[float, Field(gt=0, le=1e9)]
 #: Of a relative change of colours.
 Strength = Annotated[float, Field(ge=0, le=10)]
 Degrees = Annotated[float, Field(ge=0, le=180)]
-#: An offset of a logit.
-Logit = Annotated[float, Field(ge=-100, le=100)]
 NotNegative = Annotated[float, Field(ge=0, le=1e9)]
 
 

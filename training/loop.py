@@ -12,11 +12,12 @@ from tqdm import tqdm
 from models import Network, save_checkpoint
 from models.training_facts import TrainingFacts
 from training.distributed import Processes, join_processes
+from training.initial_weights import Weights
 from training.loading.batches import read_batches
 from training.progress import Progress
 from training.provenance import state_provenance
 from training.recipe import Recipe
-from training.release import release_weights
+from training.release import adjust_logits
 from training.run_folder import (
     BEST,
     FINAL,
@@ -25,7 +26,6 @@ from training.run_folder import (
     TENSORBOARD,
     list_data,
     lock_folder,
-    name_weights,
     prepare_folder,
 )
 from training.score_table import ScoreTable
@@ -39,8 +39,8 @@ def train(
     *,
     data: Sequence[Path],
     out: Path,
-    init: Path | None = None,
-    teacher: Path | None = None,
+    init: Weights | None = None,
+    teacher: Weights | None = None,
     device: str = "cpu",
     stop_after: int | None = None,
     stop: Callable[[], bool] = lambda: False,
@@ -70,7 +70,7 @@ def train(
         InputError: if the recipe, the device or ``out`` cannot be used, for example an ``out`` of
             another recipe.
         DatasetError: if a data set is missing or damaged.
-        CheckpointError: if a checkpoint cannot be read or written.
+        CheckpointError: if nothing of ``init`` fits, or a checkpoint cannot be read or written.
         NonFiniteLossError: if the loss or its gradient is NaN or infinite.
     """
     with join_processes(device) as processes, ExitStack() as held:
@@ -83,17 +83,17 @@ def _train(
     held: ExitStack,
     data: Sequence[Path],
     out: Path,
-    init: Path | None,
-    teacher: Path | None,
+    init: Weights | None,
+    teacher: Weights | None,
     stop_after: int | None,
     stop: Callable[[], bool],
 ) -> Path:
     task = open_task(recipe, processes, data, init, teacher, resumed=(out / LAST).is_file())
-    recipe = task.recipe  # with what the data decide
     resolved: dict[str, Any] = {
         "recipe": asdict(recipe),
-        "init": None if init is None else name_weights(init),
-        "teacher": None if teacher is None else name_weights(teacher),
+        "crop": task.data.augment.crop,
+        "init": None if init is None else init.name,
+        "teacher": None if teacher is None else teacher.name,
         "processes": processes.count,
     }
     if processes.is_first:
@@ -122,7 +122,8 @@ def _train(
         ).to_dict()
 
     def released() -> Network:
-        return release_weights(state.averaged, task.release)
+        share = recipe.release.logit_adjustment
+        return adjust_logits(state.averaged, task.class_weights, share)
 
     scores = ScoreTable(out / SCORES, state.step) if processes.is_first else None
     last_step = steps if stop_after is None else min(steps, stop_after)

@@ -2,16 +2,15 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
-from models import Network, SSDNetLite, create_model, load_checkpoint
-from models.efficientnet_lite import RGB_MEAN, RGB_STD
-from runtime.errors import InputError
+from models import Network, SSDNetLite, create_model
+from models.efficientnet_lite import RGB_MEAN, RGB_STD, WIDTHS
+from runtime.errors import CheckpointError, InputError
 from training.imagenet_weights import load_imagenet
-from training.initial_weights import start_from
+from training.initial_weights import Weights, start_from
 from training.prune import prune_trunk
 from training.recipe import ModelRecipe
 
@@ -21,30 +20,27 @@ _IMAGENET_COLORS = {"rgb_mean": (RGB_MEAN,) * 3, "rgb_std": (RGB_STD,) * 3}
 
 def build_network(
     recipe: ModelRecipe,
-    init: Path | None,
+    init: Weights | None,
     *,
     resumed: bool = False,
     pictures: Iterable[Tensor] = (),
-) -> tuple[Network, frozenset[str]]:
-    """Build a recipe's network, with the weights of the checkpoint ``init`` as far as they fit.
+) -> Network:
+    """Build a recipe's network, with the weights of ``init`` as far as they fit.
 
     Images are normalised as ``init``'s network does, or as ``pretrained`` weights want, unless the
     recipe says otherwise: the weights know no other values. Pretrained weights are loaded before
-    ``init``'s, unless these replace the whole trunk, or the run is ``resumed``. A trunk that is
-    wider than the recipe's is pruned, by its features of ``pictures``, see `prune_trunk`.
-
-    Returns:
-        The network, and the names of the tensors that ``init`` gave.
+    ``init``'s, unless these replace the whole trunk, or the run is ``resumed``; they are pruned for
+    a narrower trunk, by their features of ``pictures``, see `prune_trunk`.
 
     Raises:
         InputError: if the network cannot be built, or ``pretrained`` weights are not for it.
-        CheckpointError: if ``init`` or ``pretrained`` weights cannot be read, or nothing of
-            ``init`` fits.
+        CheckpointError: if ``pretrained`` weights cannot be read, nothing of ``init`` fits, or its
+            trunk has other widths.
     """
     changes: dict[str, Any] = {}
-    source = None if init is None else load_checkpoint(init).model
-    if source is not None:
-        changes |= {"rgb_mean": source.config.rgb_mean, "rgb_std": source.config.rgb_std}
+    if init is not None:
+        before = init.network.config
+        changes |= {"rgb_mean": before.rgb_mean, "rgb_std": before.rgb_std}
     if recipe.pretrained == "imagenet":
         changes |= _IMAGENET_COLORS
     try:
@@ -55,13 +51,25 @@ def build_network(
         raise InputError(f"the recipe's model cannot be built: {error}.") from error
     if recipe.pretrained == "imagenet":
         pretrainable = _require_pretrainable(network)
-        if not (resumed or isinstance(source, SSDNetLite)):
+        if not (resumed or (init is not None and isinstance(init.network, SSDNetLite))):
             network = _load_pretrained(pretrainable, pictures)
-    if init is None or source is None:
-        return network, frozenset()
+    if init is not None:
+        _require_same_trunk(network, init)
+        start_from(network, init, resumed=resumed)
+    return network
+
+
+def _require_same_trunk(network: Network, init: Weights) -> None:
+    """Raise CheckpointError for a trunk of other widths, whose layers would be random."""
+    source = init.network
     if isinstance(source, SSDNetLite) and isinstance(network, SSDNetLite):
-        source = prune_trunk(source, network.config.encoder_widths, pictures)
-    return network, start_from(network, source, init, resumed=resumed)
+        before, wanted = (item.config.encoder_widths or WIDTHS for item in (source, network))
+        if before != wanted:
+            raise CheckpointError(
+                f"{init.path}: its trunk has other widths than model.config.encoder_widths = "
+                f"{list(wanted)}. Set that to {list(before)}, or prune the checkpoint first "
+                "(`training.prune.prune_trunk`)."
+            )
 
 
 def _load_pretrained(network: SSDNetLite, pictures: Iterable[Tensor]) -> SSDNetLite:

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from models import SSDNetLite, load_checkpoint
+from models import SSDNetLite
 from runtime.contract import ClassInfo
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
 from runtime.network_size import network_size
 from runtime.read_input import read_text
 from training.datasets.folders import Folders, FoldersRecipe
+from training.initial_weights import Weights
 from training.run_folder import folder_errors
 
 #: The file of the recipe in a run's folder.
@@ -54,8 +55,8 @@ class OwnFolders:
         """The recipe's ``--data``: the folder that holds the images' folder."""
         return self.images.resolve().parent
 
-    def make_recipe(self, init: Path) -> str:
-        """Return a recipe, as TOML, for a training that starts from the checkpoint ``init``.
+    def make_recipe(self, init: Weights) -> str:
+        """Return a recipe, as TOML, for a training that starts from ``init``.
 
         The last tenth of the frames is for validation: neighbours of a recording are alike. Images
         of far more rows than those ``init`` was trained on are resized to its rows. Classes are
@@ -64,7 +65,6 @@ class OwnFolders:
         Raises:
             InputError: if a folder or the classes cannot be read, and for too few images.
             DatasetError: for images without labels or depth.
-            CheckpointError: if ``init`` cannot be read.
         """
         classes = () if self.classes is None else _read_classes(self.classes)
         images = self.images.resolve()
@@ -84,14 +84,14 @@ class OwnFolders:
                 f"{self.images}: {count} images; expected at least {_VALIDATION}, a tenth of which "
                 "is for validation. Add images with their labels or depth."
             )
-        checkpoint, size = load_checkpoint(init), frames[0].size
-        resized = network_size(None, size, trained_height=checkpoint.facts.trained_height)
+        size, rows = frames[0].size, init.facts.trained_height
+        resized = network_size(None, size, trained_height=rows)
         if resized != size:
             keys["size"] = list(resized)
         first = count - count // _VALIDATION
         lines = [*_describe(classes, resized[0], keys, first, count)]
-        if classes and isinstance(checkpoint.model, SSDNetLite):
-            lines += ["", *_CLASSES_ALONE] if "depth" in checkpoint.model.heads else []
+        if classes and isinstance(init.network, SSDNetLite):
+            lines += ["", *_CLASSES_ALONE] if "depth" in init.network.heads else []
         return "\n".join((f"# --data is {_quoted(str(self.root))}.", *lines, ""))
 
 

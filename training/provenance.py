@@ -1,9 +1,8 @@
 """What the weights of a training come from: the data that they know, and the terms of these."""
 
 from collections.abc import Iterable
-from pathlib import Path
 
-from models import load_checkpoint
+from training.initial_weights import Weights
 from training.recipe import Recipe
 
 #: Stated beside the recipe's own terms where weights of ImageNet are read.
@@ -13,27 +12,23 @@ IMAGENET_TERMS = (
 _SEPARATOR = "; "
 
 
-def state_provenance(recipe: Recipe, *checkpoints: Path | None) -> tuple[tuple[str, ...], str]:
+def state_provenance(recipe: Recipe, *checkpoints: Weights | None) -> tuple[tuple[str, ...], str]:
     """Return the data that trained weights know, and their terms, each once.
 
     Args:
         recipe: of the training.
         checkpoints: those that it begins with or learns the answers of; None = there is none. The
             new weights know their data, too.
-
-    Raises:
-        CheckpointError: if one cannot be read.
     """
     data = [item.title for item in recipe.data.source]
     terms = [recipe.terms]
     if recipe.model.pretrained == "imagenet":
         data.append("ImageNet")
         terms.append(IMAGENET_TERMS)
-    for path in checkpoints:
-        if path is not None:
-            facts = load_checkpoint(path).facts
-            data += facts.data
-            terms.append(facts.terms)
+    for weights in checkpoints:
+        if weights is not None:
+            data += weights.facts.data
+            terms.append(weights.facts.terms)
     parts = (part for text in terms for part in text.split(_SEPARATOR))
     return _unique(data), _SEPARATOR.join(_unique(filter(None, parts)))
 

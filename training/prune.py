@@ -66,7 +66,7 @@ def prune_trunk(
     if len(widths) != len(before) or any(a > b for a, b in zip(widths, before, strict=True)):
         raise CheckpointError(
             f"encoder_widths = {list(widths)}: pruning only narrows a trunk, and this one has "
-            f"{list(before)}. Give --init with the wider trunk."
+            f"{list(before)}. Give a network with the wider trunk."
         )
     if widths == before:
         return network

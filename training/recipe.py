@@ -1,10 +1,9 @@
-"""Recipes: one TOML file describes a training; unknown keys are errors."""
+"""Recipes: what describes a training, in a TOML file or in Python; unknown keys are errors."""
 
 import json
-import os
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
@@ -27,7 +26,6 @@ from training.limits import (
     MAX_SAMPLES,
     STRICT,
     BatchSize,
-    Logit,
     NotNegative,
     Seed,
     Share,
@@ -231,16 +229,9 @@ class LoopRecipe:
 class ReleaseRecipe:
     """How the weights in model.pt and best.pt differ from the averaged ones."""
 
-    #: Share of the trained weights; the rest are those of --init, so that a little training on new
-    #: data keeps what the old weights knew (Wortsman et al. 2022, WiSE-FT). Layers that --init did
-    #: not give are the trained ones.
-    trained_share: Annotated[float, Field(gt=0, le=1)] = 1.0
     #: Share of the log class weights that is subtracted from the semantic bias (Menon et al. 2021):
     #: training with class weights predicts rare classes too often. 0 = none, 1 = all.
     logit_adjustment: Share = 0.0
-    #: (class, what is added to its logit), where training frames say that a class is found too
-    #: often or too seldom; benchmarks/logit_offsets.py finds them.
-    logit_offsets: Annotated[tuple[tuple[str, Logit], ...], Field(max_length=255)] = ()
 
 
 def _require_lidar(text: str) -> str:
@@ -284,7 +275,7 @@ class ValidationRecipe:
 
 @dataclass(frozen=True, config=STRICT)
 class Recipe:
-    """A training: the content of a recipe's TOML file.
+    """A training: the tables of a recipe.
 
     What it does not say about the loop's output follows from the number of steps.
     """
@@ -352,27 +343,32 @@ class Recipe:
 
 
 def read_recipe(path: Path | str, changes: Sequence[str] = ()) -> Recipe:
-    """Read a recipe.
+    """Read a recipe from a TOML file; arguments and errors as in `build_recipe`."""
+    return build_recipe(read_toml(Path(path)), path, changes)
 
-    ``base = "other.toml"`` at its top starts from another recipe in the same folder and changes
-    single keys of it; a list (``data.source``) is replaced as a whole.
+
+def build_recipe(
+    table: Mapping[str, Any],
+    name: Path | str,
+    changes: Sequence[str] = (),
+    complete: Callable[[Mapping[str, Any]], Mapping[str, Any]] = lambda table: table,
+) -> Recipe:
+    """Build a recipe from its table.
 
     Args:
-        path: the TOML file.
-        changes: further changes, each "table.key = value" in TOML.
+        table: the recipe, as TOML has it.
+        name: its file or name, for messages.
+        changes: further changes, each "table.key = value" in TOML; a list (``data.source``) is
+            replaced as a whole.
+        complete: adds to the changed table what it lacks.
 
     Raises:
         InputError: for a missing file, invalid TOML, unknown keys or values of the wrong type.
     """
-    table = read_table(Path(path))
-    if "stage" in table:
-        raise InputError(
-            f"{path}: has stages, which only ssdnet-train runs; expected a recipe without stages."
-        )
     try:
-        return build(Recipe, merge(table, parse_changes(changes)))
+        return build(Recipe, complete(merge(table, parse_changes(changes))))
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{name}: {error}") from error
 
 
 def parse_changes(changes: Sequence[str]) -> dict[str, Any]:
@@ -386,20 +382,6 @@ def parse_changes(changes: Sequence[str]) -> dict[str, Any]:
                 f"{change!r} is not 'table.key = value' in TOML ({error}); text needs quotes."
             ) from error
     return table
-
-
-def read_table(path: Path, above: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """Read the table of a recipe, merged into that of its base."""
-    resolved = Path(os.path.realpath(path))
-    if resolved in above:
-        raise InputError(f"{path}: is its own base.")
-    table = read_toml(path)
-    base = table.pop("base", None)
-    if base is None:
-        return table
-    if not isinstance(base, str):
-        raise InputError(f"{path}: base = {base!r}; expected the name of a recipe beside it.")
-    return merge(read_table(path.parent / base, (*above, resolved)), table)
 
 
 def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

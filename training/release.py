@@ -1,8 +1,7 @@
-"""What model.pt and best.pt hold: the averaged weights, changed as the recipe's [release] asks."""
+"""What is made of trained weights before they are used: each function returns another network."""
 
 import copy
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -10,70 +9,66 @@ from torch import Tensor
 from models import Network
 from runtime.checks import shown
 from runtime.errors import InputError
-from training.recipe import ReleaseRecipe
 
 #: The bias of the classes' logits.
 _BIAS = "semantic_head.bias"
 
 
-@dataclass(frozen=True)
-class Release:
-    """A recipe's [release] with what it needs of the training.
+def adjust_logits(network: Network, class_weights: Tensor | None, share: float) -> Network:
+    """Lower the semantic bias by ``share`` * log(class weight) (Menon et al. 2021).
 
-    Attributes:
-        recipe: the table.
-        class_weights: of the semantic loss, where it has any.
-        initial: the tensors that --init gave, before the first step.
+    A network trained with class weights w predicts the odds of w * p; subtracting log w from the
+    logits gives p. Without weights the network itself is returned.
     """
+    if class_weights is None or not share:
+        return network
+    # A class without weight is not changed.
+    return _with_bias(network, -share * torch.where(class_weights > 0, class_weights, 1.0).log())
 
-    recipe: ReleaseRecipe
-    class_weights: Tensor | None
-    initial: Mapping[str, Tensor]
 
+def mix_weights(before: Network | None, after: Network, share: float) -> Network:
+    """Return the weights between those before and after a training (Wortsman et al. 2022, WiSE-FT).
 
-def release_weights(averaged: Network, release: Release) -> Network:
-    """Return the network that ships.
-
-    First the semantic bias is lowered by ``logit_adjustment`` * log(class weight): a network
-    trained with class weights w predicts the odds of w * p; subtracting log w from the logits gives
-    p (Menon et al. 2021). Then the tensors that --init gave are mixed with what they became, and
-    last ``logit_offsets`` are added.
+    A little training on new data then keeps what the old weights knew.
 
     Args:
-        averaged: the averaged weights of the training; not changed.
-        release: the recipe's table and what it needs.
+        before: the network that the training began with.
+        after: the trained one, of the same configuration.
+        share: of the trained weights, 0..1.
+
+    Raises:
+        ValueError: if there is no network before, or its configuration is another one.
     """
-    recipe, weights = release.recipe, release.class_weights
-    network = copy.deepcopy(averaged)
-    state = network.state_dict()
-    if weights is not None and recipe.logit_adjustment:
-        logs = torch.where(weights > 0, weights, 1.0).log()  # a class without weight is not changed
-        state[_BIAS] = state[_BIAS] - recipe.logit_adjustment * logs.to(state[_BIAS])
-    if recipe.trained_share < 1:
-        for name, before in release.initial.items():
-            if before.is_floating_point():  # no counts
-                state[name] = torch.lerp(before.to(state[name]), state[name], recipe.trained_share)
-    offsets = class_offsets(averaged, recipe.logit_offsets)
-    if offsets is not None:
-        state[_BIAS] = state[_BIAS] + offsets.to(state[_BIAS])
-    network.load_state_dict(state)
-    return network
+    if before is None or before.config != after.config:
+        raise ValueError("mixing needs the weights before, of a network of the same configuration")
+    old, mixed = before.state_dict(), copy.deepcopy(after)
+    state = mixed.state_dict()
+    for name, value in state.items():
+        if value.is_floating_point():  # no counts
+            state[name] = torch.lerp(old[name].to(value), value, share)
+    mixed.load_state_dict(state)
+    return mixed
 
 
-def class_offsets(network: Network, offsets: Sequence[tuple[str, float]]) -> Tensor | None:
-    """Return the offset of each class's logit, (num_classes,), or None without offsets.
+def add_offsets(network: Network, offsets: Mapping[str, float]) -> Network:
+    """Add to the logit of each class in ``offsets``; benchmarks/logit_offsets.py finds them.
 
-    InputError for a class that the network does not have, or that is named twice.
+    Raises:
+        InputError: for a class that the network does not have.
     """
-    if not offsets:
-        return None
     names = [info.name for info in network.config.classes or ()]
-    values = torch.zeros(len(names))
-    for index, (name, offset) in enumerate(offsets):
-        if name not in names or name in dict(offsets[:index]):
-            raise InputError(
-                f"release.logit_offsets: {shown(name)} is listed twice or is not a class of the "
-                f"network; its classes are {', '.join(names) or 'none'}."
-            )
-        values[names.index(name)] = offset
-    return values
+    if unknown := [name for name in offsets if name not in names]:
+        raise InputError(
+            f"offsets of logits: {shown(unknown[0])} is not a class of the network; its classes "
+            f"are {', '.join(names) or 'none'}."
+        )
+    return _with_bias(network, torch.tensor([offsets.get(name, 0.0) for name in names]))
+
+
+def _with_bias(network: Network, change: Tensor) -> Network:
+    """Return a copy of the network with a change, (num_classes,), added to its semantic bias."""
+    changed = copy.deepcopy(network)
+    state = changed.state_dict()
+    state[_BIAS] = state[_BIAS] + change.to(state[_BIAS])
+    changed.load_state_dict(state)
+    return changed

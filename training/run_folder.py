@@ -190,15 +190,6 @@ def _read_json(path: Path) -> Mapping[str, Any]:
     return document
 
 
-def name_weights(path: Path) -> str:
-    """Return the file name of a checkpoint with the start of its SHA-256."""
-    try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}.") from error
-    return f"{path.name} (sha256 {digest[:12]})"
-
-
 def require_finite(
     terms: Mapping[str, Tensor],
     value: Tensor,

@@ -3,7 +3,7 @@
 import math
 import random
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from runtime.errors import InputError
 from training.datasets.sample import SampleSource, target_kind
 from training.distributed import Processes, synchronise_batch_norm
 from training.evaluation.scoring import figure_names, require_lidar
+from training.initial_weights import Weights
 from training.lidar.split import LidarInput
 from training.limits import PAIR_STEP_PX
 from training.loading.crop import with_crop
@@ -29,16 +30,13 @@ from training.loading.open_dataset import (
     count_pixels,
     open_dataset,
     spread_indices,
+    spread_pictures,
 )
 from training.losses import SSDNetLoss, class_weights
 from training.network import build_network, train_parts
 from training.optimizer import require_encoder
-from training.recipe import Recipe
-from training.release import Release, class_offsets
-from training.teacher import load_teacher
-
-#: Frames of the training that pruning is based on, at least.
-_PICTURES = 32
+from training.recipe import DataRecipe, Recipe
+from training.teacher import prepare_teacher
 
 
 @dataclass(frozen=True)
@@ -46,23 +44,23 @@ class Task:
     """An opened recipe.
 
     Attributes:
-        recipe: the recipe with what it left to the data.
+        data: the recipe's, with a crop for its sets and no more workers than cores.
         sources: the sets of the mixture.
         validation: the validation sets by title.
         network: on the device of the process; only the parts that are trained have gradients.
         criterion: the loss, there too.
         depth_target: unit of the depth target, and the depth of the sky.
         teacher: the network whose answers are learned, on the device too; None = there is none.
-        release: how the released weights differ from the averaged ones.
+        class_weights: of the semantic loss; None = it has none.
     """
 
-    recipe: Recipe
+    data: DataRecipe
     sources: Sequence[SampleSource]
     validation: Mapping[str, SampleSource]
     network: Network
     criterion: SSDNetLoss
     depth_target: DepthTarget
-    release: Release
+    class_weights: Tensor | None
     teacher: Network | None = None
 
     @property
@@ -80,8 +78,8 @@ def open_task(
     recipe: Recipe,
     processes: Processes,
     data: Sequence[Path],
-    init: Path | None,
-    teacher: Path | None = None,
+    init: Weights | None,
+    teacher: Weights | None = None,
     *,
     resumed: bool = False,
 ) -> Task:
@@ -97,21 +95,16 @@ def open_task(
 
     classes = recipe.model.class_table
     sources = [open_dataset(item, data, classes=classes) for item in recipe.data.source]
-    recipe = with_crop(recipe, sources)
-    workers = min(recipe.data.workers, available_cores())
-    recipe = replace(recipe, data=replace(recipe.data, workers=workers))
+    decided = replace(
+        recipe.data,
+        augment=with_crop(recipe.data.augment, sources),
+        workers=min(recipe.data.workers, available_cores()),
+    )
     validation = {
         item.title: open_dataset(item, data, classes=classes) for item in recipe.validation.source
     }
     require_lidar(validation, LidarInput.parse(recipe.validation.lidar))
-    if recipe.release.trained_share < 1 and init is None:
-        raise InputError(
-            "release.trained_share mixes the trained weights with those of --init: give --init, or "
-            "set it to 1"
-        )
-    network, taken = build_network(
-        recipe.model, init, resumed=resumed, pictures=_spread_pictures(sources)
-    )
+    network = build_network(recipe.model, init, resumed=resumed, pictures=spread_pictures(sources))
     train_parts(network, recipe.optimizer.only, recipe.optimizer.frozen)
     if recipe.optimizer.encoder_rate is not None:
         require_encoder(network)
@@ -119,11 +112,10 @@ def open_task(
     _require_learning(recipe, network, sources)
     if recipe.validation.best:
         _require_figure(recipe, network, validation)
-    taught_by = load_teacher(teacher, recipe.loss, network)
+    taught_by = prepare_teacher(teacher, recipe.loss, network)
     weights = None
     if "semantic" in heads and recipe.loss.weighs_classes:
         weights = _weigh_classes(recipe, sources, network.config.num_classes)
-    class_offsets(network, recipe.release.logit_offsets)  # that they can be added
     network = network.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     synchronise_batch_norm(network, processes)
     criterion = SSDNetLoss(
@@ -133,8 +125,6 @@ def open_task(
         target_depth_m=network.config.target_depth_m,
         road=recipe.model.class_id("road"),
     ).to(processes.device)
-    initial = {name: value.clone() for name, value in network.state_dict().items() if name in taken}
-    release = Release(recipe.release, weights, initial)
     sky = recipe.model.class_id("sky") if recipe.data.sky_depth_m else None
     depth = DepthTarget(
         network.config.canonical_focal_px,
@@ -144,7 +134,7 @@ def open_task(
     )
     if taught_by is not None:
         taught_by = taught_by.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    task = Task(recipe, sources, validation, network, criterion, depth, release, taught_by)
+    task = Task(decided, sources, validation, network, criterion, depth, weights, taught_by)
     if 0 < recipe.data.augment.pair_shift < task.pair_step:
         raise InputError(
             f"data.augment.pair_shift = {recipe.data.augment.pair_shift}; the classes of "
@@ -152,13 +142,6 @@ def open_task(
             f"would never be shifted. Set at least {task.pair_step}, or 0 for one view."
         )
     return task
-
-
-def _spread_pictures(sources: Sequence[SampleSource]) -> Iterator[Tensor]:
-    """Yield the images of frames of all sets, each float (1, 3, H, W), RGB in 0..255."""
-    for source in sources:
-        for index in spread_indices(source, -(-_PICTURES // len(sources))):
-            yield torch.from_numpy(source[index].rgb).permute(2, 0, 1)[None].float()
 
 
 def _require_learning(recipe: Recipe, network: Network, sources: Sequence[SampleSource]) -> None:

@@ -1,17 +1,16 @@
 """The teacher of a training: a trained network whose answers another one learns."""
 
-from pathlib import Path
-
-from models import Network, load_checkpoint
+from models import Network
 from runtime.errors import InputError
+from training.initial_weights import Weights
 from training.losses import LossConfig
 
 
-def load_teacher(path: Path | None, loss: LossConfig, network: Network) -> Network | None:
-    """Load the network whose answers the loss compares ``network``'s with; None = no such loss.
+def prepare_teacher(weights: Weights | None, loss: LossConfig, network: Network) -> Network | None:
+    """Return the network whose answers the loss compares ``network``'s with; None = no such loss.
 
     Args:
-        path: its checkpoint; None = none was given.
+        weights: its checkpoint; None = none was given.
         loss: the options of the loss, of which some need a teacher.
         network: the one that learns.
 
@@ -21,32 +20,32 @@ def load_teacher(path: Path | None, loss: LossConfig, network: Network) -> Netwo
     Raises:
         InputError: if a loss needs a teacher that was not given, or the other way round; or for a
             teacher whose answers mean something else: other classes, another range or camera.
-        CheckpointError: if it cannot be read.
     """
     heads = loss.taught_heads(network.heads)
-    if path is None:
+    if weights is None:
         if not heads:
             return None
         raise InputError(
             f"loss.distilled_{heads[0]}_weight compares answers with a teacher's. Give --teacher, "
             "for example --teacher ssdnet-lite, or set it to 0."
         )
+    given = f"--teacher {weights.path.name}"
     if not heads:
         raise InputError(
-            f"--teacher {path.name}: no weight loss.distilled_..._weight above 0 applies to the "
+            f"{given}: no weight loss.distilled_..._weight above 0 applies to the "
             f"heads of {network.config.name!r} ({', '.join(network.heads)}), so that nothing would "
             "be learned from it. Set one, or leave --teacher out."
         )
-    teacher = load_checkpoint(path).model
+    teacher = weights.network
     if missing := [head for head in heads if head not in teacher.heads]:
         raise InputError(
-            f"--teacher {path.name}: has no head {missing[0]!r}. Set "
+            f"{given}: has no head {missing[0]!r}. Set "
             f"loss.distilled_{missing[0]}_weight = 0, or give a teacher with it."
         )
     for key, wanted, found in _meanings(network, teacher):
         if wanted != found:
             raise InputError(
-                f"--teacher {path.name}: its {key} is {found}, that of the recipe {wanted}. Give a "
+                f"{given}: its {key} is {found}, that of the recipe {wanted}. Give a "
                 "teacher that was trained for the same, or change model.config."
             )
     return teacher.eval().requires_grad_(False)

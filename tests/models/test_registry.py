@@ -25,6 +25,7 @@ from runtime import Predictor
 from runtime.errors import CheckpointError
 from training import cli
 from training.evaluation import cli as evaluation_cli
+from training.initial_weights import read_weights
 from training.network import build_network
 from training.recipe import ModelRecipe
 
@@ -166,7 +167,7 @@ def test_weights_of_another_network_are_not_taken_over(tmp_path, monkeypatch):
     monkeypatch.setitem(NETWORKS, "tiny-other", Entry(OtherSemantic, NetworkConfig("tiny-other")))
     save_checkpoint(tmp_path / "other.pt", create_model("tiny-other"))
     with pytest.raises(CheckpointError, match="none of its layers fits the recipe's 'tiny-sem"):
-        build_network(ModelRecipe("tiny-semantic"), tmp_path / "other.pt")
+        build_network(ModelRecipe("tiny-semantic"), read_weights(tmp_path / "other.pt"))
 
 
 def test_settings_that_a_network_lacks_are_named():

@@ -9,7 +9,7 @@ from models.training_facts import TrainingFacts
 from runtime.contract import ClassInfo
 from training.initial_weights import find_weights, list_weights
 
-FACTS = TrainingFacts(("camvid",), "research", 400, {"model": {"classes": "cityscapes"}}, "a", 2, 9)
+FACTS = TrainingFacts(("camvid",), "research", 400, {"model": {"classes": "cityscapes"}})
 
 
 def test_plain_values_give_the_same_facts():

@@ -17,7 +17,6 @@ from layouts import camvid
 from layouts.virtual_kitti import write_second_edition
 from models import SSDNetLite, SSDNetLiteConfig, load_checkpoint
 from models.registry import NETWORKS, Entry
-from runtime.cores import available_cores
 from training import progress
 from training.cli import app
 from training.datasets.camvid import CamVid
@@ -139,7 +138,21 @@ def test_a_resumed_run_names_its_step_and_not_its_first_weights(run, tmp_path, m
     assert "resumed at step 2 of 10" in second.stderr
     assert "random weights" not in second.stderr
     document = json.loads((tmp_path / "run/recipe.json").read_text())
-    assert document["recipe"]["data"]["workers"] == available_cores()
+    assert document["recipe"]["data"]["workers"] == 500  # no more were started than cores
+
+
+def test_a_crop_that_the_data_decide_is_stated_beside_the_recipe(run, tmp_path):
+    recipe = RECIPE.replace("crop = [32, 32], ", "")
+    result = run("--stop-after", "1", recipe=recipe)
+    assert result.exit_code == 0, result.output
+    document = json.loads((tmp_path / "run/recipe.json").read_text())
+    assert document["crop"] == [32, 32]
+    assert document["recipe"]["data"]["augment"]["crop"] is None
+    assert load_checkpoint(tmp_path / "run/last.pt").facts.crop == (32, 32)
+    for path in (tmp_path / "camvid").glob("*/*.png"):
+        assert cv2.imwrite(str(path), cv2.imread(str(path), -1).repeat(2, 0).repeat(2, 1))
+    assert run("--dry-run", recipe=recipe, out="other").stdout.startswith("crops of 64 x 96 px")
+    assert "crop[0] was 32, now it is 64" in run(recipe=recipe).stderr
 
 
 def test_validation_sets_are_scored_under_their_names(run, tmp_path):

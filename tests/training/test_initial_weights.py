@@ -19,9 +19,9 @@ from runtime.bundled_models import list_bundled_models
 from runtime.errors import InputError
 from runtime.sources.bundled_stream import bundled_stream
 from training import cli
-from training.initial_weights import find_weights, list_weights
-from training.recipe_files import find_recipe
-from training.stages import read_stages
+from training.chosen_recipe import read_stages
+from training.initial_weights import find_weights, list_weights, read_weights
+from training.recipes.registry import RECIPES
 
 RECIPE = """
 [model]
@@ -88,7 +88,7 @@ def test_the_installed_weights_state_their_terms(name):
     training = load_checkpoint(path).training
     assert "non-commercial" in training["terms"]
     assert "camvid" in training["data"]
-    recipe = read_stages(find_recipe(name.removeprefix("ssdnet-")))[-1].recipe
+    recipe = RECIPES[name.removeprefix("ssdnet-")].stages[-1].recipe
     checkpoint = load_checkpoint(path)
     widths = NETWORKS[recipe.model.name].config.encoder_widths
     assert checkpoint.model.config.encoder_widths == widths
@@ -103,7 +103,7 @@ def test_a_recipe_of_data_and_steps_gets_the_loss_of_the_shipped_recipe(name, tm
     path.write_text(
         "[data]\nsource = [{kind = 'camvid', path = 'camvid'}]\n[schedule]\nsteps = 100\n"
     )
-    (stage,) = read_stages(path, init=find_weights(name))
+    (stage,) = read_stages(str(path), init=read_weights(find_weights(name)))
     recipe = stage.recipe
     assert recipe.model.name == name
     assert recipe.model.config == {"canonical_focal_px": 721.5}

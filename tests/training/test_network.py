@@ -8,6 +8,7 @@ import torch
 from models import CLASS_TABLES, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
 from models.efficientnet_lite import WIDTHS as EFFICIENTNET_WIDTHS
 from runtime.errors import CheckpointError, InputError
+from training.initial_weights import read_weights
 from training.network import build_network, train_parts
 from training.prune import prune_trunk
 from training.recipe import ModelRecipe, build
@@ -21,7 +22,7 @@ def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
         for head in heads:
             getattr(network, head).bias.fill_(77.0)
     save_checkpoint(other, network)
-    built = build_network(ModelRecipe("ssdnet-lite"), other)[0]
+    built = build_network(ModelRecipe("ssdnet-lite"), read_weights(other))
     assert f"with random weights: {', '.join(heads)}\n" in capsys.readouterr().err
     for head in heads:
         assert not (getattr(built, head).bias == 77.0).any()
@@ -43,21 +44,21 @@ def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
 def test_init_reports_settings_that_change_what_weights_mean(tmp_path, capsys, name, changed, text):
     other = tmp_path / "other.pt"
     save_checkpoint(other, create_model(name))
-    build_network(ModelRecipe(name), other)
+    build_network(ModelRecipe(name), read_weights(other))
     assert capsys.readouterr().err == ""
-    build_network(ModelRecipe(name, config=changed), other)
+    build_network(ModelRecipe(name, config=changed), read_weights(other))
     assert text in capsys.readouterr().err
 
 
 def test_images_are_normalised_as_init_does_unless_the_recipe_says_otherwise(tmp_path, capsys):
     other = tmp_path / "other.pt"
     save_checkpoint(other, create_model("ssdnet-lite", rgb_mean=(1.0, 2.0, 3.0)))
-    built = build_network(ModelRecipe("ssdnet-lite"), other)[0]
+    built = build_network(ModelRecipe("ssdnet-lite"), read_weights(other))
     assert built.config.rgb_mean == (1.0, 2.0, 3.0)
     assert built.rgb_mean.flatten().tolist() == [1.0, 2.0, 3.0]
     assert capsys.readouterr().err == ""
     stated = ModelRecipe("ssdnet-lite", config={"rgb_mean": [4.0, 5.0, 6.0]})
-    built = build_network(stated, other)[0]
+    built = build_network(stated, read_weights(other))
     assert built.config.rgb_mean == (4.0, 5.0, 6.0)
     assert built.rgb_mean.flatten().tolist() == [4.0, 5.0, 6.0]
     text = "the mean of RGB changed from (1.0, 2.0, 3.0) to (4.0, 5.0, 6.0)"
@@ -102,11 +103,11 @@ def test_frozen_layers_keep_weights_and_statistics_and_have_no_backward_pass():
 
 def test_canonical_focal_length_goes_from_the_recipe_into_the_checkpoint(tmp_path):
     recipe = ModelRecipe("ssdnet-lite", config={"canonical_focal_px": 721.5})
-    network = build_network(recipe, None)[0]
+    network = build_network(recipe, None)
     assert network.config.canonical_focal_px == 721.5
     save_checkpoint(tmp_path / "a.pt", network)
     assert load_checkpoint(tmp_path / "a.pt").model.config == network.config
-    plain = build_network(ModelRecipe("nconv"), None)[0]
+    plain = build_network(ModelRecipe("nconv"), None)
     assert plain.config.canonical_focal_px is None
     save_checkpoint(tmp_path / "b.pt", plain)
     assert load_checkpoint(tmp_path / "b.pt").model.config == plain.config
@@ -121,13 +122,13 @@ def test_a_network_refuses_a_focal_length_that_no_camera_has(focal):
 
 def test_a_recipe_changes_fields_of_the_networks_configuration():
     config = {"decoder_channels": [8, 8, 8], "depth_refine_channels": 4}
-    network = build_network(ModelRecipe("ssdnet-nano", config=config), None)[0]
+    network = build_network(ModelRecipe("ssdnet-nano", config=config), None)
     expected = replace(create_model("ssdnet-nano").config, decoder_channels=(8, 8, 8))
     assert network.config == replace(expected, depth_refine_channels=4)
     alone = build_network(
         ModelRecipe("ssdnet-lite", config={"semantic_head": False}),
         None,
-    )[0]
+    )
     assert "semantic" not in alone.heads
     assert alone.config.classes == ()
 
@@ -184,7 +185,7 @@ def loaded(monkeypatch):
 
 
 def test_a_pretrained_encoder_is_loaded_with_its_normalisation(loaded):
-    network = build_network(IMAGENET, None)[0]
+    network = build_network(IMAGENET, None)
     assert loaded == [network.encoder]
     assert network.config.rgb_mean == (127.0,) * 3
     assert network.rgb_std.flatten().tolist() == [128.0] * 3
@@ -194,7 +195,7 @@ def test_a_pretrained_encoder_is_loaded_with_its_normalisation(loaded):
 def test_pretrained_weights_are_pruned_for_a_narrower_trunk(loaded, capsys):
     config = {**IMAGENET.config, "encoder_widths": list(WIDTHS)}
     recipe = replace(IMAGENET, config=config)
-    network = build_network(recipe, None, pictures=PICTURES)[0]
+    network = build_network(recipe, None, pictures=PICTURES)
     assert network.config.encoder_widths == WIDTHS
     assert network.config.rgb_mean == (127.0,) * 3
     assert loaded[0] is not network.encoder
@@ -209,9 +210,9 @@ def test_a_resumed_run_does_not_read_pretrained_weights_again(loaded):
 
 def test_init_comes_after_the_pretrained_weights(loaded, tmp_path, capsys):
     """A trunk of --init replaces them."""
-    save_checkpoint(tmp_path / "same.pt", build_network(IMAGENET, None)[0])
+    save_checkpoint(tmp_path / "same.pt", build_network(IMAGENET, None))
     loaded.clear()
-    built = build_network(IMAGENET, tmp_path / "same.pt")[0]
+    built = build_network(IMAGENET, read_weights(tmp_path / "same.pt"))
     assert loaded == []
     assert built.config.rgb_mean == (127.0,) * 3
 
@@ -237,17 +238,21 @@ PICTURES = [torch.full((1, 3, 64, 96), 100.0)]
 WIDTHS = (24, 48, *EFFICIENTNET_WIDTHS[2:])
 
 
-def test_init_of_a_wider_trunk_is_pruned(tmp_path, capsys):
+def test_init_of_another_trunk_is_refused_until_it_is_pruned(tmp_path, capsys):
     wide = create_model("ssdnet-lite", encoder_widths=())
     save_checkpoint(tmp_path / "wide.pt", wide)
     narrow = ModelRecipe("ssdnet-lite", config={"encoder_widths": list(WIDTHS)})
-    network, taken = build_network(narrow, tmp_path / "wide.pt", pictures=PICTURES)
-    assert network.config.encoder_widths == WIDTHS
+    with pytest.raises(CheckpointError, match=r"wide\.pt: its trunk has other widths than .*24"):
+        build_network(narrow, read_weights(tmp_path / "wide.pt"))
+    pruned = prune_trunk(wide, WIDTHS, PICTURES)
     assert capsys.readouterr().err == "the trunk was pruned from 8960 to 8904 channels\n"
-    assert taken == network.state_dict().keys() - {"rgb_mean", "rgb_std"}
-    save_checkpoint(tmp_path / "narrow.pt", network)
+    save_checkpoint(tmp_path / "narrow.pt", pruned)
+    network = build_network(narrow, read_weights(tmp_path / "narrow.pt"))
+    assert capsys.readouterr().err == ""
+    weight = network.encoder.stem[0][0].weight
+    assert torch.equal(weight, pruned.encoder.stem[0][0].weight)
     with pytest.raises(CheckpointError, match="pruning only narrows a trunk"):
-        build_network(ModelRecipe("ssdnet-lite"), tmp_path / "narrow.pt", pictures=PICTURES)
+        prune_trunk(pruned, (), PICTURES)
 
 
 def idle(block):

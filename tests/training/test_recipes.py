@@ -3,7 +3,6 @@
 import math
 import re
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,13 +20,13 @@ from models import (
     save_checkpoint,
 )
 from models.registry import NETWORKS, Entry
-from training import recipes
+from training.chosen_recipe import read_stages
+from training.initial_weights import read_weights
 from training.loop import train
 from training.losses.total import TERMS
 from training.network import build_network
-from training.stages import read_stages
-
-FOLDER = Path(recipes.__file__).parent
+from training.recipes.registry import RECIPES
+from training.stages import Trained
 
 #: What a set of each kind can be scored on.
 SCORES = {
@@ -113,7 +112,7 @@ def shrink_sources(sources):
     )
 
 
-def read_shrunk(path):
+def read_shrunk(name):
     """The stages of a recipe, each for one step on small frames.
 
     All that they say about network and loss stays.
@@ -121,9 +120,11 @@ def read_shrunk(path):
     changes = (
         *("data.batch_size = 16", "data.seed = 26", "data.workers = 0", "schedule.steps = 1"),
         "schedule.warmup_steps = 0",
-        *("validation.every = 1", "loop.log_every = 1", "release.trained_share = 1.0"),
+        *("validation.every = 1", "loop.log_every = 1"),
     )
-    return [shrink_recipe(stage.recipe) for stage in read_stages(path, changes)]
+    return [
+        replace(stage, recipe=shrink_recipe(stage.recipe)) for stage in read_stages(name, changes)
+    ]
 
 
 def shrink_recipe(recipe):
@@ -162,30 +163,44 @@ def read_scalars(folder):
     return groups
 
 
-def shipped_recipes():
-    """Recipes of several stages take up to 30 seconds."""
-    for path in sorted(FOLDER.rglob("*.toml")):
-        marks = [pytest.mark.slow] if "[[stage]]" in path.read_text() else []
-        yield pytest.param(path, marks=marks, id=str(path.relative_to(FOLDER)))
-
-
-@pytest.mark.parametrize("path", list(shipped_recipes()))
-def test_shipped_recipe_trains(path, data, tmp_path):
+@pytest.mark.parametrize(
+    "name",
+    [
+        # Several stages take up to 30 seconds.
+        pytest.param(name, marks=[pytest.mark.slow] if len(recipe.stages) > 1 else [])
+        for name, recipe in RECIPES.items()
+    ],
+)
+def test_shipped_recipe_trains(name, data, tmp_path):
     init = None
-    for number, recipe in enumerate(read_shrunk(path)):
-        init = check_training(recipe, data, tmp_path / f"{number}", init)
+    for stage in read_shrunk(name):
+        trained = check_training(stage.recipe, data, tmp_path / stage.folder, init)
+        init = finish(stage, trained, init)
+
+
+def finish(stage, trained, init):
+    """Return what the next stage begins with."""
+    if stage.then is None:
+        return read_weights(trained)
+    after = load_checkpoint(trained)
+    pictures = [torch.full((1, 3, 64, 96), 100.0)]
+    network = stage.then(Trained(init.network, after.model, pictures))
+    assert all(value.isfinite().all() for value in network.state_dict().values())
+    result = trained.with_name("result.pt")
+    save_checkpoint(result, network, training=after.training)
+    return read_weights(result)
 
 
 def check_training(recipe, data, out, init):
     """Train a step; the checkpoint has all that the recipe says. Returns its path."""
     torch.manual_seed(recipe.data.seed)
     picture = torch.full((1, 3, 64, 96), 100.0)
-    start = build_network(recipe.model, init, pictures=[picture])[0].state_dict()
+    start = build_network(recipe.model, init, pictures=[picture]).state_dict()
     teacher = None
     if recipe.loss.taught_heads(("semantic", "depth", "boundary")):
-        teacher = out.with_suffix(".pt")
-        teacher.parent.mkdir(parents=True, exist_ok=True)
-        save_checkpoint(teacher, create_model("ssdnet-lite", **recipe.model.config))
+        path = out.with_suffix(".pt")
+        save_checkpoint(path, create_model("ssdnet-lite", **recipe.model.config))
+        teacher = read_weights(path)
     trained = train(recipe, data=[data], out=out, init=init, teacher=teacher)
     checkpoint = load_checkpoint(trained)
 

@@ -1,4 +1,4 @@
-"""What a training does to its weights before they ship."""
+"""What is made of trained weights before they are used."""
 
 import math
 
@@ -7,8 +7,7 @@ import torch
 
 from models import create_model
 from runtime.errors import InputError
-from training.recipe import ReleaseRecipe
-from training.release import Release, class_offsets, release_weights
+from training.release import add_offsets, adjust_logits, mix_weights
 
 BIAS = "semantic_head.bias"
 
@@ -22,34 +21,49 @@ def test_logit_adjustment_undoes_the_class_weights():
     weights = torch.ones(network.config.num_classes)
     weights[1] = 2.0
 
-    def released(share, weights=weights):
-        release = Release(ReleaseRecipe(logit_adjustment=share), weights, {})
-        return release_weights(network, release).state_dict()
+    def adjusted(share, weights=weights):
+        return adjust_logits(network, weights, share).state_dict()
 
-    torch.testing.assert_close(released(1.0)[BIAS], torch.zeros(len(weights)))
-    torch.testing.assert_close(released(0.5)[BIAS][1], torch.tensor(0.5 * math.log(2.0)))
+    torch.testing.assert_close(adjusted(1.0)[BIAS], torch.zeros(len(weights)))
+    torch.testing.assert_close(adjusted(0.5)[BIAS][1], torch.tensor(0.5 * math.log(2.0)))
     state = network.state_dict()
-    assert torch.equal(released(1.0, None)[BIAS], state[BIAS])
+    assert torch.equal(adjusted(1.0, None)[BIAS], state[BIAS])
     assert state[BIAS][1] == pytest.approx(math.log(2.0))
-    changed = {name for name, value in released(1.0).items() if not torch.equal(value, state[name])}
+    changed = {name for name, value in adjusted(1.0).items() if not torch.equal(value, state[name])}
     assert changed == {BIAS}
+
+
+def test_mixed_weights_lie_between_those_before_and_after():
+    before, after = create_model("ssdnet-lite"), create_model("ssdnet-lite")
+    expected = {
+        name: 0.75 * value + 0.25 * after.state_dict()[name]
+        for name, value in before.state_dict().items()
+        if value.is_floating_point()
+    }
+    after.encoder.stem[0][1].num_batches_tracked.fill_(7)
+    last = {name: value.clone() for name, value in after.state_dict().items()}
+    mixed = mix_weights(before, after, 0.25).state_dict()
+    for name, value in expected.items():
+        torch.testing.assert_close(mixed[name], value)
+    assert mixed["encoder.stem.0.1.num_batches_tracked"] == 7  # a count
+    assert all(torch.equal(value, last[name]) for name, value in after.state_dict().items())
+    for other in (None, create_model("ssdnet-lite", max_depth_m=80.0)):
+        with pytest.raises(ValueError, match="mixing needs the weights before"):
+            mix_weights(other, after, 0.25)
 
 
 def test_offsets_are_added_to_the_logits_of_their_classes():
     network = create_model("ssdnet-lite")
     names = [info.name for info in network.config.classes]
     state = network.state_dict()
-    release = ReleaseRecipe(logit_offsets=(("road", -0.5), ("pole", 1.0)))
-    moved = release_weights(network, Release(release, None, {})).state_dict()[BIAS]
-    steps = dict(zip(names, (moved - state[BIAS]).tolist(), strict=True))
+    moved = add_offsets(network, {"road": -0.5, "pole": 1.0}).state_dict()
+    steps = dict(zip(names, (moved[BIAS] - state[BIAS]).tolist(), strict=True))
     assert {name: step for name, step in steps.items() if step} == pytest.approx(
         {"road": -0.5, "pole": 1.0}
     )
-    assert class_offsets(network, ()) is None
+    assert {name for name in state if not torch.equal(moved[name], state[name])} == {BIAS}
 
 
-@pytest.mark.parametrize("offsets", [[("roads", 1.0)], [("road", 1.0), ("road", 2.0)]])
-def test_offsets_of_what_is_no_class_or_named_twice_are_refused(offsets):
-    text = r"release\.logit_offsets: 'roads?' .* its classes are sky, building"
-    with pytest.raises(InputError, match=text):
-        class_offsets(create_model("ssdnet-lite"), offsets)
+def test_offsets_of_what_is_no_class_are_refused():
+    with pytest.raises(InputError, match=r"'roads' is not a class .* its classes are sky"):
+        add_offsets(create_model("ssdnet-lite"), {"roads": 1.0})

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,44 +16,46 @@ from models import SSDNetLite, SSDNetLiteConfig, load_checkpoint
 from models.registry import NETWORKS, Entry
 from runtime.errors import InputError
 from training import cli, stages
-from training.recipe import read_recipe
-from training.stages import read_stages, train_stages
+from training.datasets.camvid import CamVidRecipe
+from training.loading.augment import AugmentConfig
+from training.prune import prune_trunk
+from training.recipe import (
+    DataRecipe,
+    LoopRecipe,
+    ModelRecipe,
+    OptimizerRecipe,
+    Recipe,
+    ScheduleRecipe,
+)
+from training.recipes.registry import RECIPES, PackageRecipe
+from training.release import add_offsets, mix_weights
+from training.stages import Stage, next_stage, train_stages
 
 TINY = SSDNetLiteConfig(
     encoder_widths=(8,) * 16,
     decoder_channels=(8, 8, 8),
 )
-RECIPE = """
-terms = "none"
-[model]
-name = "ssdnet-lite"
-[data]
-batch_size = 2
-workers = 0
-seed = 3
-[data.augment]
-crop = [32, 32]
-[[data.source]]
-kind = "camvid"
-path = "camvid"
-[schedule]
-steps = 3
-[optimizer]
-learning_rate = 2e-3
-encoder_rate = 1e-3
-[loop]
-checkpoint_every = 1
-[[stage]]
-name = "all"
-[[stage]]
-name = "depth"
-[stage.schedule]
-steps = 2
-[stage.optimizer]
-frozen = ["encoder."]
-[stage.data]
-seed = 4
-"""
+ALL = Recipe(
+    terms="none",
+    model=ModelRecipe("ssdnet-lite"),
+    data=DataRecipe(
+        (CamVidRecipe(path="camvid"),),
+        augment=AugmentConfig(crop=(32, 32)),
+        batch_size=2,
+        workers=0,
+        seed=3,
+    ),
+    schedule=ScheduleRecipe(steps=3),
+    optimizer=OptimizerRecipe(encoder_rate=1e-3),
+    loop=LoopRecipe(checkpoint_every=1),
+)
+DEPTH = replace(
+    ALL,
+    schedule=ScheduleRecipe(steps=2),
+    optimizer=replace(ALL.optimizer, frozen=("encoder.",)),
+    data=replace(ALL.data, seed=4),
+)
+STAGES = (Stage("1-all", ALL), Stage("2-depth", DEPTH))
 
 
 @pytest.fixture(autouse=True)
@@ -71,13 +74,6 @@ def data(tmp_path_factory):
     return root
 
 
-@pytest.fixture
-def path(tmp_path):
-    path = tmp_path / "recipe.toml"
-    path.write_text(RECIPE)
-    return path
-
-
 @pytest.mark.parametrize(
     ("stop_after", "expected"),
     [
@@ -88,11 +84,9 @@ def path(tmp_path):
         (6, "model.pt"),
     ],
 )
-def test_model_pt_is_written_when_the_last_stage_is_finished(
-    path, data, tmp_path, stop_after, expected
-):
+def test_model_pt_is_written_when_the_last_stage_is_finished(data, tmp_path, stop_after, expected):
     out = tmp_path / "run"
-    result = train_stages(read_stages(path), data=[data], out=out, stop_after=stop_after)
+    result = train_stages(STAGES, data=[data], out=out, stop_after=stop_after)
     assert result == out / expected
     assert result.is_file()
     assert (out / "model.pt").exists() == (expected == "model.pt")
@@ -100,11 +94,16 @@ def test_model_pt_is_written_when_the_last_stage_is_finished(
 
 
 @pytest.mark.slow
-def test_several_processes_run_all_stages_in_one_group(path, data, tmp_path):
+def test_several_processes_run_all_stages_in_one_group(data, tmp_path):
+    script = tmp_path / "train.py"
+    script.write_text(
+        "import sys\nfrom pathlib import Path\nfrom test_stages import STAGES, train_stages\n"
+        "print(train_stages(STAGES, data=[Path(sys.argv[1])], out=Path(sys.argv[2])))\n"
+    )
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
-    command += ["-m", "training", str(path)]
-    command += ["--data", str(data), "--out", str(tmp_path / "run")]
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    command += [str(script), str(data), str(tmp_path / "run")]
+    folders = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", ""), os.getcwd()]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(folders)}
     done = subprocess.run(command, capture_output=True, text=True, timeout=90, env=environment)
     assert done.returncode == 0, done.stderr
     first, last = (tmp_path / "run" / name for name in ("model.pt", "2-depth/model.pt"))
@@ -138,13 +137,9 @@ def assert_same(first, second):
         assert torch.equal(value, expected[name]), name
 
 
-def test_each_stage_begins_with_the_weights_of_the_one_before(path, data, tmp_path):
-    first, second = read_stages(path)
-    assert (first.folder, first.recipe.schedule.steps) == ("1-all", 3)
-    assert (second.folder, second.recipe.schedule.steps) == ("2-depth", 2)
-    assert second.recipe.data.batch_size == 2
+def test_each_stage_begins_with_the_weights_of_the_one_before(data, tmp_path):
     out = tmp_path / "run"
-    assert train_stages((first, second), data=[data], out=out) == out / "model.pt"
+    assert train_stages(STAGES, data=[data], out=out) == out / "model.pt"
     assert (out / "model.pt").read_bytes() == (out / "2-depth" / "model.pt").read_bytes()
     before, after = weights(out / "1-all" / "model.pt"), weights(out / "model.pt")
     frozen = {name for name in before if name.startswith("encoder.")}
@@ -155,37 +150,67 @@ def test_each_stage_begins_with_the_weights_of_the_one_before(path, data, tmp_pa
     assert [group["lr"] / rates[0]["lr"] for group in rates] == [1, 1, 0.5, 0.5]  # one schedule
 
 
-def test_a_stage_changes_what_an_earlier_one_changed(path):
-    path.write_text(
-        RECIPE
-        + """
-[[stage]]
-name = "longer"
-base = "depth"
-schedule.steps = 7
-data.batch_size = 1
-[[stage]]
-name = "slower"
-base = "longer"
-optimizer.learning_rate = 1e-4
-"""
-    )
-    first, second, third, last = (stage.recipe for stage in read_stages(path))
-    changed = {"frozen": ("encoder.",), "learning_rate": 1e-4}
-    assert third == replace(
-        second, schedule=replace(second.schedule, steps=7), data=replace(second.data, batch_size=1)
-    )
-    assert last == replace(third, optimizer=replace(third.optimizer, **changed))
-    assert first.optimizer.frozen == ()
+NARROW_WIDTHS = [8] * 15 + [4]
+NARROW = replace(DEPTH, model=replace(DEPTH.model, config={"encoder_widths": NARROW_WIDTHS}))
+CALLED = (
+    Stage("1-all", ALL, then=lambda run: prune_trunk(run.after, NARROW_WIDTHS, run.pictures)),
+    Stage("2-narrow", NARROW),
+    Stage(
+        "3-mixed",
+        replace(NARROW, data=ALL.data),
+        then=lambda run: add_offsets(mix_weights(run.before, run.after, 0.25), {"road": 2.0}),
+    ),
+)
 
 
-def test_killed_at_any_step_it_resumes_to_the_same_weights(path, data, tmp_path, monkeypatch):
-    wanted = read_stages(path)
-    train_stages(wanted, data=[data], out=tmp_path / "whole")
+def test_a_call_makes_what_the_next_stage_begins_with_and_what_is_released(data, tmp_path):
+    """Also where the run is killed in a call."""
+
+    def killed(run):
+        raise Killed
+
+    out = tmp_path / "run"
+    for index in (0, 2):
+        stages = [replace(item, then=killed) if item is CALLED[index] else item for item in CALLED]
+        with pytest.raises(Killed):
+            train_stages(stages, data=[data], out=out)
+        assert not (out / CALLED[index].folder / "result.pt").exists()
+    assert not (out / "model.pt").exists()
+    assert train_stages(CALLED, data=[data], out=out) == out / "model.pt"
+    wide, pruned, narrow, last = (
+        weights(out / name)
+        for name in ("1-all/model.pt", "1-all/result.pt", "2-narrow/model.pt", "3-mixed/model.pt")
+    )
+    key = "encoder.stride32.4.expand.0.weight"
+    assert (len(wide[key]), len(pruned[key])) == (8, 4)
+    assert torch.equal(pruned[key], narrow[key])  # frozen
+    assert load_checkpoint(out / "2-narrow/model.pt").training["init"].startswith("result.pt (sha")
+    for name, value in weights(out / "model.pt").items():
+        if value.is_floating_point():
+            expected = 0.75 * narrow[name] + 0.25 * last[name]
+            if name == "semantic_head.bias":
+                expected[[info.name for info in TINY.classes].index("road")] += 2.0
+            torch.testing.assert_close(value, expected)
+    facts = [load_checkpoint(out / name).training for name in ("model.pt", "3-mixed/model.pt")]
+    assert facts[0] == facts[1]
+
+
+def test_a_dry_run_of_the_next_stage_begins_with_the_result(data, tmp_path):
+    out = tmp_path / "run"
+    train_stages(CALLED, data=[data], out=out, stop_after=3)
+    (out / "1-all/result.pt").unlink()
+    stage, folder, init = next_stage(CALLED, out, None, [data])
+    assert (stage, folder) == (CALLED[1], out / "2-narrow")
+    assert init.path == out / "1-all/result.pt"
+    assert init.network.config.encoder_widths == tuple(NARROW_WIDTHS)
+
+
+def test_killed_at_any_step_it_resumes_to_the_same_weights(data, tmp_path, monkeypatch):
+    train_stages(STAGES, data=[data], out=tmp_path / "whole")
     out = tmp_path / "killed"
     for calls in (1, 2, 2, 2, 2):  # before each step
         with pytest.raises(Killed):
-            train_stages(wanted, data=[data], out=out, stop=killer(calls))
+            train_stages(STAGES, data=[data], out=out, stop=killer(calls))
         assert not (out / "model.pt").exists()
 
     def killed(*_):
@@ -194,13 +219,13 @@ def test_killed_at_any_step_it_resumes_to_the_same_weights(path, data, tmp_path,
     with monkeypatch.context() as patch:  # before the last file is written
         patch.setattr(stages, "atomic_write", killed)
         with pytest.raises(Killed):
-            train_stages(wanted, data=[data], out=out)
-    assert train_stages(wanted, data=[data], out=out) == out / "model.pt"
+            train_stages(STAGES, data=[data], out=out)
+    assert train_stages(STAGES, data=[data], out=out) == out / "model.pt"
     assert_same(out / "model.pt", tmp_path / "whole" / "model.pt")
 
 
-def test_killed_between_two_stages_it_goes_on_with_the_next(path, data, tmp_path, monkeypatch):
-    wanted, out = read_stages(path), tmp_path / "run"
+def test_killed_between_two_stages_it_goes_on_with_the_next(data, tmp_path, monkeypatch):
+    out = tmp_path / "run"
     with monkeypatch.context() as patch:
         train = stages.train
 
@@ -211,64 +236,31 @@ def test_killed_between_two_stages_it_goes_on_with_the_next(path, data, tmp_path
 
         patch.setattr(stages, "train", killed_before_the_second)
         with pytest.raises(Killed):
-            train_stages(wanted, data=[data], out=out)
+            train_stages(STAGES, data=[data], out=out)
     assert sorted(path.name for path in out.iterdir()) == ["1-all"]
     first = (out / "1-all" / "model.pt").stat().st_mtime_ns
-    train_stages(wanted, data=[data], out=out)
+    train_stages(STAGES, data=[data], out=out)
     assert (out / "1-all" / "model.pt").stat().st_mtime_ns == first
-    train_stages(wanted, data=[data], out=tmp_path / "whole")
+    train_stages(STAGES, data=[data], out=tmp_path / "whole")
     assert_same(out / "model.pt", tmp_path / "whole" / "model.pt")
 
 
-def test_a_finished_stage_of_another_recipe_is_refused_by_its_name(path, data, tmp_path):
+def test_a_finished_stage_of_another_recipe_is_refused_by_its_name(data, tmp_path):
     out = tmp_path / "run"
-    train_stages(read_stages(path), data=[data], out=out)
-    path.write_text(RECIPE.replace('name = "all"', 'name = "all"\nschedule.steps = 4'))
+    train_stages(STAGES, data=[data], out=out)
+    longer = replace(ALL, schedule=ScheduleRecipe(steps=4))
     with pytest.raises(InputError, match=r"1-all.*schedule\.steps was 3, now it is 4"):
-        train_stages(read_stages(path), data=[data], out=out)
-    path.write_text(RECIPE.replace('name = "all"', 'name = "other"'))
+        train_stages((Stage("1-all", longer), STAGES[1]), data=[data], out=out)
     with pytest.raises(InputError, match=r"holds 1-all, but the stages of this recipe are 1-other"):
-        train_stages(read_stages(path), data=[data], out=out)
-    path.write_text(RECIPE.split("[[stage]]")[0])
+        train_stages((Stage("1-other", ALL), STAGES[1]), data=[data], out=out)
     with pytest.raises(InputError, match="holds 1-all"):
-        train_stages(read_stages(path), data=[data], out=out)
+        train_stages((Stage("", ALL),), data=[data], out=out)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "text"),
-    [
-        ('name = "depth"', 'name = "all"', r"stage\[1\]\.name = 'all': another stage has this"),
-        ('name = "depth"', "", r"stage\[1\]\.name = None; expected small letters"),
-        ('name = "depth"', 'name = "a/b"', r"stage\[1\]\.name = 'a/b'; expected small letters"),
-        (
-            'name = "all"',
-            'name = "all"\nbase = "depth"',
-            r"stage\[0\]\.base = 'depth'; expected the name of an earlier stage: there is none",
-        ),
-        (
-            'name = "depth"',
-            'name = "depth"\nbase = "al"',
-            r"stage\[1\]\.base = 'al'; expected the name of an earlier stage: all\.",
-        ),
-        ('name = "depth"', 'name = "depth"\nbase = 1', r"stage\[1\]\.base = 1; expected"),
-        ("frozen = ", "frozn = ", "unknown key optimizer.frozn"),
-        ("[stage.schedule]", "[stage.stage]", "unknown key stage"),
-    ],
-)
-def test_invalid_stages_are_refused(path, old, new, text):
-    path.write_text(RECIPE.replace(old, new))
-    with pytest.raises(InputError, match=f"recipe.toml: {text}"):
-        read_stages(path)
-
-
-def test_a_recipe_with_stages_is_no_single_run(path):
-    with pytest.raises(InputError, match="has stages, which only ssdnet-train runs"):
-        read_recipe(path)
-
-
-def test_the_command_stops_at_a_step_over_all_stages_and_changes_all(path, data, tmp_path):
+def test_the_command_stops_at_a_step_over_all_stages_and_changes_all(data, tmp_path, monkeypatch):
+    monkeypatch.setitem(RECIPES, "two", PackageRecipe("Two stages.", STAGES))
     out = tmp_path / "run"
-    arguments = [str(path), "--data", str(data), "--out", str(out), "--set", "data.batch_size = 3"]
+    arguments = ["two", "--data", str(data), "--out", str(out), "--set", "data.batch_size = 3"]
 
     def run(*options):
         result = CliRunner().invoke(cli.app, [*arguments, *options])

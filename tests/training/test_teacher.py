@@ -6,8 +6,9 @@ import pytest
 
 from models import create_model, save_checkpoint
 from runtime.errors import InputError
+from training.initial_weights import read_weights
 from training.losses import LossConfig
-from training.teacher import load_teacher
+from training.teacher import prepare_teacher
 
 TAUGHT = LossConfig(distilled_semantic_weight=1.0, distilled_depth_weight=1.0)
 
@@ -17,27 +18,27 @@ def student():
     return create_model("ssdnet-nano")
 
 
-def teacher_file(folder, **changes):
+def teacher_weights(folder, **changes):
     path = folder / "teacher.pt"
     save_checkpoint(path, create_model("ssdnet-nano", **changes))
-    return path
+    return read_weights(path)
 
 
 def test_it_answers_as_it_was_released_and_does_not_learn(student, tmp_path):
-    teacher = load_teacher(teacher_file(tmp_path), TAUGHT, student)
+    teacher = prepare_teacher(teacher_weights(tmp_path), TAUGHT, student)
     assert not teacher.training
     assert not any(parameter.requires_grad for parameter in teacher.parameters())
 
 
 def test_without_such_losses_there_is_none(student):
-    assert load_teacher(None, LossConfig(), student) is None
+    assert prepare_teacher(None, LossConfig(), student) is None
 
 
 def test_losses_without_a_teacher_and_a_teacher_without_losses_are_refused(student, tmp_path):
     with pytest.raises(InputError, match=r"distilled_semantic_weight .* --teacher ssdnet-lite"):
-        load_teacher(None, TAUGHT, student)
+        prepare_teacher(None, TAUGHT, student)
     with pytest.raises(InputError, match="nothing would be learned"):
-        load_teacher(teacher_file(tmp_path), LossConfig(), student)
+        prepare_teacher(teacher_weights(tmp_path), LossConfig(), student)
 
 
 @pytest.mark.parametrize(
@@ -51,9 +52,9 @@ def test_losses_without_a_teacher_and_a_teacher_without_losses_are_refused(stude
 )
 def test_a_teacher_whose_answers_mean_something_else_is_refused(student, tmp_path, changes, text):
     with pytest.raises(InputError, match=text):
-        load_teacher(teacher_file(tmp_path, **changes), TAUGHT, student)
+        prepare_teacher(teacher_weights(tmp_path, **changes), TAUGHT, student)
 
 
 def test_a_head_that_is_not_taught_may_be_missing(student, tmp_path):
     loss = replace(TAUGHT, distilled_depth_weight=0.0)
-    assert load_teacher(teacher_file(tmp_path, depth_head=False), loss, student) is not None
+    assert prepare_teacher(teacher_weights(tmp_path, depth_head=False), loss, student) is not None

@@ -26,11 +26,11 @@ def read_batches(
     Workers ignore SIGTERM: while a traceback keeps the iterator, Python would wait for them at
     exit for ever.
     """
-    steps, batch = recipe.schedule.steps, recipe.data.batch_size
+    steps, batch = recipe.schedule.steps, task.data.batch_size
     per_step = recipe.loop.accumulate * batch * processes.count
     loader = DataLoader(
         open_mixture(
-            recipe.data,
+            task.data,
             task.sources,
             length=steps * per_step,
             depth=task.depth_target,
@@ -39,8 +39,8 @@ def read_batches(
         ),
         batch_size=batch,
         sampler=processes.shares(step * per_step, steps * per_step, batch),
-        num_workers=recipe.data.workers,
-        prefetch_factor=3 if recipe.data.workers else None,
+        num_workers=task.data.workers,
+        prefetch_factor=3 if task.data.workers else None,
         pin_memory=processes.device.type == "cuda",
         worker_init_fn=_start_worker,
         collate_fn=partial(Batch.collate, targets=task.targets),

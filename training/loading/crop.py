@@ -9,27 +9,25 @@ from runtime.contract import MIN_SIDE
 from runtime.errors import InputError
 from training.datasets.sample import SampleSource
 from training.loading.augment import LARGEST_CROP, AugmentConfig
-from training.recipe import Recipe
 
 #: A crop's rows are a multiple of this: the stride of most networks.
 _STEP = 32
 
 
-def with_crop(recipe: Recipe, sources: Sequence[SampleSource]) -> Recipe:
-    """Return the recipe with a crop: as high as the first frame of each set, to `LARGEST_CROP`.
+def with_crop(augment: AugmentConfig, sources: Sequence[SampleSource]) -> AugmentConfig:
+    """Return the ranges with a crop: as high as the first frame of each set, to `LARGEST_CROP`.
 
     Raises:
-        InputError: if that is too small for the recipe's second views.
+        InputError: if that is too small for second views.
     """
-    augment = recipe.data.augment
     if augment.crop is not None:
-        return recipe
+        return augment
     smallest = np.min([source[0].size for source in sources], axis=0)
     sides = np.minimum(smallest, LARGEST_CROP) // _STEP * _STEP
     height, width = (max(MIN_SIDE, int(side)) for side in sides)
     crop = (height, min(width, height * LARGEST_CROP[1] // LARGEST_CROP[0]))
     try:
-        return replace(recipe, data=replace(recipe.data, augment=replace(augment, crop=crop)))
+        return replace(augment, crop=crop)
     except ValueError as error:
         raise InputError(
             f"data.augment.crop was set to {list(crop)} from the size of the data; with "

@@ -1,11 +1,13 @@
 """Open the data sets of a recipe."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable
@@ -19,6 +21,8 @@ from training.recipe import DataRecipe
 
 #: Number of frames from which the class frequencies of the loss are counted.
 FREQUENCY_SAMPLES = 400
+#: Frames of the training that pruning is based on, at least.
+_PICTURES = 32
 
 
 def open_dataset(
@@ -77,6 +81,13 @@ def spread_indices(source: SampleSource, count: int) -> list[int]:
         np.linspace(0, len(source) - 1, min(count, len(source))).astype(int).tolist()
     )
     return indices
+
+
+def spread_pictures(sources: Sequence[SampleSource]) -> Iterator[Tensor]:
+    """Yield the images of frames of all sets, each float (1, 3, H, W), RGB in 0..255."""
+    for source in sources:
+        for index in spread_indices(source, -(-_PICTURES // len(sources))):
+            yield torch.from_numpy(source[index].rgb).permute(2, 0, 1)[None].float()
 
 
 def count_pixels(

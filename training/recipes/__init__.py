@@ -1,1 +1,1 @@
-"""Recipes that ship with the project: one TOML file a training."""
+"""Recipes that ship with the project; `registry` has their names."""

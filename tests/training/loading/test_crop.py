@@ -6,20 +6,13 @@ import numpy as np
 import pytest
 
 from runtime.errors import InputError
-from training.datasets.camvid import CamVidRecipe
 from training.datasets.sample import Sample
 from training.loading.augment import AugmentConfig
 from training.loading.crop import padding_share, with_crop
-from training.recipe import DataRecipe, ModelRecipe, Recipe, ScheduleRecipe
 
 
 def sources(*sizes):
     return [[Sample(np.zeros((*size, 3), np.uint8), {}, None, "")] for size in sizes]
-
-
-def recipe(**options):
-    data = DataRecipe((CamVidRecipe(path="c"),), augment=AugmentConfig(**options))
-    return Recipe(ModelRecipe("ssdnet-lite"), data, ScheduleRecipe(steps=1))
 
 
 @pytest.mark.parametrize(
@@ -33,17 +26,17 @@ def recipe(**options):
     ],
 )
 def test_the_crop_follows_the_smallest_frames(sizes, crop):
-    assert with_crop(recipe(), sources(*sizes)).data.augment.crop == crop
+    assert with_crop(AugmentConfig(), sources(*sizes)).crop == crop
 
 
-def test_a_crop_that_the_recipe_has_is_kept():
-    stated = recipe(crop=(320, 480))
+def test_a_stated_crop_is_kept():
+    stated = AugmentConfig(crop=(320, 480))
     assert with_crop(stated, sources((125, 414))) == stated
 
 
 def test_a_crop_that_is_too_small_for_two_views_is_refused():
     with pytest.raises(InputError, match=r"crop was set to \[96, 144\] .*; with pair_shift = 32"):
-        with_crop(recipe(pair_shift=32), sources((125, 414)))
+        with_crop(AugmentConfig(pair_shift=32), sources((125, 414)))
 
 
 def test_padding_is_what_lies_beyond_the_frame():

@@ -1,0 +1,62 @@
+"""Recipes by name from the package, and TOML files of one's own."""
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from models import list_models
+from runtime.errors import InputError
+from training.chosen_recipe import read_stages
+from training.cli import app
+from training.recipes.registry import RECIPES
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_recipes_of_the_package_are_their_stages(name):
+    stages = read_stages(name)
+    assert stages == RECIPES[name].stages
+    assert all(stage.recipe.model.name in list_models() for stage in stages)
+    folders = [stage.folder for stage in stages]
+    assert folders == [""] or [folder[:2] for folder in folders] == [
+        f"{number}-" for number in range(1, len(stages) + 1)
+    ]
+
+
+def test_changes_are_of_every_stage():
+    changed = read_stages("nano", ["schedule.steps = 600", "data.augment.lines = [4]"])
+    assert [stage.recipe.schedule.steps for stage in changed] == [600] * 3
+    assert [stage.recipe.data.augment.lines for stage in changed] == [(4,)] * 3
+    assert [stage.recipe.data.seed for stage in changed] == [61, 62, 64]
+    with pytest.raises(InputError, match=r"nano: unknown key data\.sede"):
+        read_stages("nano", ["data.sede = 1"])
+
+
+def test_what_ends_in_toml_or_holds_a_slash_is_a_path(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for text in ("lite.toml", "./lite", "/a/lite", "ablation/ssdnet"):
+        with pytest.raises(InputError, match=f"cannot read {Path(text)}"):
+            read_stages(text)
+
+
+@pytest.mark.parametrize(("key", "text"), [("stage", "[[stage]]"), ("base", "base = 'lite'")])
+def test_a_file_is_of_one_run_and_whole(tmp_path, key, text):
+    (tmp_path / "r.toml").write_text(text)
+    with pytest.raises(InputError, match=rf"r\.toml: unknown key {key}; known here: model, data"):
+        read_stages(str(tmp_path / "r.toml"))
+
+
+def test_unknown_names_list_the_known():
+    with pytest.raises(InputError, match=r"unknown recipe 'city'; known: lite, nano, "):
+        read_stages("city")
+    result = CliRunner().invoke(app, ["city", "--data", "x", "--out", "y"])
+    assert result.exit_code == 1
+    assert "unknown recipe 'city'; known: lite" in result.output
+
+
+def test_list_needs_no_other_option():
+    result = CliRunner().invoke(app, ["--list"])
+    assert result.exit_code == 0
+    lines = result.output.splitlines()
+    assert [line.split()[0] for line in lines] == list(RECIPES)
+    assert all(len(line.split()) > 3 and line.endswith(".") for line in lines)

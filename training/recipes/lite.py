@@ -1,0 +1,267 @@
+"""ssdnet-lite with an encoder that begins with weights of ImageNet, in seven stages.
+
+Single crops; pairs of shifted views, some without LiDAR or with false returns; the same with a
+narrower trunk; with a larger weight of depth; the depth decoder alone, in three. `rendered/kitti`
+and `rendered/varied` are made by ssdnet-render; the model card has the commands.
+"""
+
+from dataclasses import replace
+
+from models import Network, SSDNetLite, SSDNetLiteConfig
+from training.datasets.camvid import CamVidRecipe
+from training.datasets.folders import FoldersRecipe
+from training.datasets.kitti_stream import KittiStreamRecipe
+from training.datasets.kitti_streets import KittiStreetsRecipe
+from training.datasets.virtual_kitti import RenderedRecipe
+from training.loading.augment import AugmentConfig
+from training.losses import LossConfig
+from training.prune import prune_trunk
+from training.recipe import (
+    DataRecipe,
+    LoopRecipe,
+    ModelRecipe,
+    OptimizerRecipe,
+    Recipe,
+    ReleaseRecipe,
+    ScheduleRecipe,
+    ValidationRecipe,
+)
+from training.release import add_offsets, mix_weights
+from training.stages import Stage, Trained
+
+_CAMVID = CamVidRecipe(path="camvid", weight=0.3)
+_STREETS = KittiStreetsRecipe(path="kitti_streets", first=2, last=69, weight=0.26)
+_LABELLED = FoldersRecipe(
+    path="kitti_labelled",
+    rgb="image_02",
+    labels="semantic",
+    ignore=11,
+    intrinsics=(721.5, 721.5, 609.6, 172.9),
+    weight=0.09,
+)
+# Labels made by a network, here and in the next three: trucks, trees, other places and skies.
+_STREAM = KittiStreamRecipe(path="kitti_stream", last=49, weight=0.03, semantic_weight=0.3)
+_DRIVE = KittiStreamRecipe(path="kitti_drive_0009", last=29, weight=0.03, semantic_weight=0.3)
+_OBJECT = KittiStreamRecipe(path="kitti_object", weight=0.03, semantic_weight=0.3)
+_BOSTON = FoldersRecipe(
+    path="nuscenes_boston",
+    rgb="image",
+    labels="pseudo_semantic",
+    label_classes="cityscapes",
+    semantic_weight=0.3,
+    intrinsics=(633.0, 633.0, 400.0, 225.0),
+    weight=0.05,
+)
+_RENDERED = RenderedRecipe(path="rendered/kitti", scans=True, weight=0.07)
+_VARIED = RenderedRecipe(path="rendered/varied", scans=True, scale=(0.5, 1.5), weight=0.14)
+VALIDATION_STREETS = KittiStreetsRecipe(path="kitti_streets", first=70, last=98)
+
+CROPS = Recipe(
+    # Terms of the data pass to the weights; those of ImageNet are added to them.
+    terms="KITTI: CC BY-NC-SA 3.0 (non-commercial); nuScenes: CC BY-NC-SA 4.0 (non-commercial); "
+    "CamVid: research use with citation; rendered scenes: this project's",
+    model=ModelRecipe(
+        "ssdnet-lite",
+        trained_height=400,  # pictures of 360 and 375 rows, magnified by 1.06 on average
+        pretrained="imagenet",
+        # KITTI's camera at the size of its frames; all channels of the trunk.
+        config={"canonical_focal_px": 721.5, "encoder_widths": []},
+    ),
+    data=DataRecipe(
+        (_CAMVID, _STREETS, _LABELLED, _STREAM, _DRIVE, _OBJECT, _BOSTON, _RENDERED, _VARIED),
+        augment=AugmentConfig(
+            crop=(256, 384),
+            rare_crops=0.5,
+            scale=(0.6, 1.6),
+            brightness=0.4,
+            contrast=0.2,
+            blur=0.05,
+            noise=0.05,
+            lines=(64, 64, 32, 16, 16, 8, 8, 4, 4, 4),  # four are hardest
+            # Depth from the image alone, and from few returns, is learned, too. Black cars return
+            # nothing.
+            lidar_missing=0.2,
+            lidar_random=0.2,
+            random_share=(0.002, 0.08),
+            lidar_absorbed=0.25,
+            lidar_misaligned=0.1,
+            lidar_dropout=0.1,
+        ),
+        batch_size=4,
+        cache_gib=4.0,
+        seed=51,
+        sky_depth_m=100.0,
+        rare_classes=("pole", "sign", "fence", "pedestrian", "bicyclist"),
+    ),
+    loss=LossConfig(
+        class_weighting="sqrt_median",
+        semantic_grid="head",
+        semantic_iou_weight=1.0,
+        semantic_boundary_weight=0.05,
+        semantic_depth_weight=0.02,
+        depth_weight=0.2,
+        depth_form="metric",
+        depth_scales="finest",
+        metric_l2=0.0,
+        metric_log=20.0,  # near depth, which is most of the image, to a per cent
+        road_weight=0.3,
+    ),
+    optimizer=OptimizerRecipe(
+        encoder_rate=4e-4, frozen=("encoder.stem", "encoder.stride2", "encoder.stride4")
+    ),
+    schedule=ScheduleRecipe(steps=4000, warmup_steps=100),
+    loop=LoopRecipe(clip_norm=20.0, ema_decay=0.998, checkpoint_every=100),
+    validation=ValidationRecipe(
+        every=2000,
+        lidar="64",
+        pictures=0,
+        source=(CamVidRecipe(path="camvid", split="val"), VALIDATION_STREETS),
+    ),
+)
+
+PAIRS = replace(
+    CROPS,
+    data=replace(
+        CROPS.data,
+        batch_size=3,
+        seed=53,
+        augment=replace(
+            CROPS.data.augment, pair_shift=32, pair_lidar_missing=0.3, pair_lidar_false=0.15
+        ),
+    ),
+    loss=replace(
+        CROPS.loss,
+        depth_weight=0.3,
+        depth_consistency_weight=2.0,
+        depth_seam_weight=4.0,
+        semantic_consistency_weight=0.25,
+    ),
+    optimizer=replace(CROPS.optimizer, learning_rate=1.5e-3, encoder_rate=3e-4),
+    schedule=replace(CROPS.schedule, steps=5500),
+    validation=replace(CROPS.validation, every=2750),
+    release=ReleaseRecipe(logit_adjustment=0.75),
+)
+
+# Everything but the first layers of the pruned trunk is trained on.
+NARROW = replace(
+    PAIRS,
+    model=replace(
+        PAIRS.model,
+        config={"canonical_focal_px": 721.5},
+    ),
+    data=replace(PAIRS.data, seed=54),
+    optimizer=replace(
+        PAIRS.optimizer, learning_rate=1.2e-3, frozen=("encoder.stem", "encoder.stride2")
+    ),
+    schedule=replace(PAIRS.schedule, steps=11000),
+)
+
+# The same with more of the returns and a larger weight of depth.
+JOINT = replace(
+    NARROW,
+    data=replace(
+        NARROW.data,
+        seed=71,
+        augment=replace(
+            NARROW.data.augment, lidar_missing=0.12, lidar_random=0.15, pair_lidar_missing=0.25
+        ),
+    ),
+    loss=replace(NARROW.loss, depth_weight=1.0, depth_consistency_weight=2.5, road_weight=0.6),
+    schedule=replace(NARROW.schedule, steps=8000),
+)
+
+# The depth decoder alone; classes and boundaries do not change.
+DEPTH = replace(
+    JOINT,
+    data=replace(
+        JOINT.data,
+        batch_size=4,
+        seed=73,
+        rare_classes=(),
+        augment=replace(
+            JOINT.data.augment,
+            rare_crops=0.0,
+            lidar_absorbed=0.3,
+            pair_lidar_missing=0.2,
+            # Else the decoder knows the depth of the training streets from their pictures.
+            world_scale=(0.75, 1.33),
+        ),
+        source=(
+            replace(_STREETS, weight=0.44),
+            replace(_STREAM, weight=0.06, semantic_weight=1.0),
+            replace(_DRIVE, weight=0.06, semantic_weight=1.0),
+            replace(_OBJECT, weight=0.06, semantic_weight=1.0),
+            # With the parallax of a LiDAR beside the camera, as on most cars, and without.
+            replace(_RENDERED, weight=0.1),
+            replace(_RENDERED, weight=0.06, scans=False),
+            replace(_VARIED, weight=0.16),
+            replace(_VARIED, weight=0.06, scans=False, scale=None),
+        ),
+    ),
+    loss=replace(
+        JOINT.loss,
+        class_weighting="none",
+        semantic_weight=0.0,
+        semantic_iou_weight=0.0,
+        semantic_consistency_weight=0.0,
+        boundary_weight=0.0,
+        semantic_boundary_weight=0.0,
+        semantic_depth_weight=0.0,
+        road_weight=0.0,
+        depth_uncertainty_weight=0.2,
+        depth_consistency_weight=1.0,
+        depth_seam_weight=2.0,
+    ),
+    optimizer=replace(
+        JOINT.optimizer,
+        learning_rate=1.5e-3,
+        encoder_rate=1e-3,
+        frozen=("encoder", "context", "boundary", "semantic", "surface_depth.embed"),
+    ),
+    schedule=ScheduleRecipe(steps=1200, warmup_steps=50),
+    loop=replace(JOINT.loop, ema_decay=0.99),
+    release=ReleaseRecipe(),
+)
+
+AGAIN = replace(
+    DEPTH, data=replace(DEPTH.data, seed=74), schedule=replace(DEPTH.schedule, steps=4000)
+)
+
+# More surfaces without returns.
+ABSORBED = replace(
+    DEPTH,
+    data=replace(
+        DEPTH.data,
+        seed=99,
+        augment=replace(
+            DEPTH.data.augment, lidar_absorbed=0.6, lines=(64, 64, 64, 64, 32, 16, 8, 4)
+        ),
+    ),
+    optimizer=replace(DEPTH.optimizer, learning_rate=1.2e-3),
+    schedule=replace(DEPTH.schedule, steps=700),
+    loop=replace(DEPTH.loop, ema_decay=0.995),
+)
+
+
+def _narrow(pairs: Trained) -> Network:
+    """The blocks of the trunk lose a third of their channels, which makes it faster."""
+    assert isinstance(pairs.after, SSDNetLite)
+    return prune_trunk(pairs.after, SSDNetLiteConfig().encoder_widths, pairs.pictures)
+
+
+#: What the training frames then still found too often or too seldom (benchmarks/logit_offsets.py).
+_OFFSETS = {"sky": 0.5, "building": 0.5, "pole": 0.5, "road": -0.5, "fence": -1, "bicyclist": -1.5}
+STAGES = (
+    Stage("1-crops", CROPS),
+    Stage("2-pairs", PAIRS, then=_narrow),
+    Stage("3-narrow", NARROW),
+    Stage("4-joint", JOINT),
+    Stage("5-depth", DEPTH),
+    # Weights between those before and after are better than both, most of all on other rigs.
+    Stage("6-depth-again", AGAIN, then=lambda run: mix_weights(run.before, run.after, 0.4)),
+    Stage(
+        "7-depth-absorbed",
+        ABSORBED,
+        then=lambda run: add_offsets(mix_weights(run.before, run.after, 0.5), _OFFSETS),
+    ),
+)
