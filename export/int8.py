@@ -215,7 +215,7 @@ def share_frames(sizes: Sequence[int], total: int) -> list[int]:
 def _missed(
     before: Sequence[Accuracy], after: Sequence[Accuracy], options: Int8Options
 ) -> dict[str, str]:
-    """Head -> its largest loss in words, of the heads that miss the gate; the worst one first."""
+    """Head -> its largest loss in words, for heads that miss the gate; worst head first."""
     excess: dict[str, tuple[float, str]] = {}
     for first, second in zip(before, after, strict=True):
         where = f"on {first.data}, LiDAR {first.lidar}"
@@ -284,7 +284,7 @@ def _rank(
     feeds: Sequence[Feed],
     head: str,
 ) -> list[str]:
-    """Sort convolutions by how much each of them, quantised alone, changes a head; most first."""
+    """Sort convolutions by the change of a head when only this convolution is quantised."""
     frames = feeds[:: max(1, len(feeds) // _SENSITIVITY_FRAMES)][:_SENSITIVITY_FRAMES]
 
     def answers(graph: onnx.ModelProto) -> list[Any]:

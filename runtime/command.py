@@ -86,7 +86,7 @@ def stop_requested() -> Iterator[Callable[[], bool]]:
         yield lambda: bool(received)
     finally:
         for number, handler in before.items():
-            if handler is end_now:  # the command is done: nothing is left to stop
+            if handler is end_now:  # the command has ended already
                 handler = signal.SIG_IGN
             signal.signal(number, handler or signal.SIG_DFL)
 
@@ -133,7 +133,7 @@ def print_result(text: str, *, elsewhere: str = "") -> bool:
         sys.stdout.write(_plain(text) + "\n")
         sys.stdout.flush()
     except OSError as error:
-        # What is still buffered must not fail at exit.
+        # Otherwise Python flushes stdout at exit and fails.
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):

@@ -29,7 +29,7 @@ Version = Annotated[
     typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version."),
 ]
 
-#: Of commands that have --provider: the word of those that run PyTorch.
+#: --device is an option of the PyTorch commands; here it is an error that names --provider.
 NoDevice = Annotated[
     str | None,
     _other_word(
@@ -37,7 +37,7 @@ NoDevice = Annotated[
     ),
 ]
 
-#: Of commands that have --device: the word of those that run ONNX Runtime.
+#: --provider is an option of the ONNX Runtime commands; here it is an error that names --device.
 NoProvider = Annotated[
     str | None,
     _other_word("--provider", "this command runs PyTorch: use --device cpu, cuda or cuda:N"),

@@ -219,7 +219,7 @@ def _ray_bounds(lens: Lens, intrinsics: tuple[float, ...], size: tuple[int, int]
     row = np.concatenate([np.full_like(across, -0.5), 0 * across + height - 0.5, down, down])
     x, y = lens.undistort(*to_plane(np.reshape(intrinsics, (3, 3)), column, row))
     bounds = np.array([x.min(), x.max(), y.min(), y.max()])
-    if not np.isfinite(bounds).all():  # the image is larger than the field
+    if not np.isfinite(bounds).all():  # the image is larger than the field of view of the lens
         bounds = np.array([-farthest, farthest, -farthest, farthest])
     margin = 1e-3 * (bounds[1::2] - bounds[::2]).max()
     bounds += [-margin, margin, -margin, margin]

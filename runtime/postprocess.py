@@ -37,7 +37,7 @@ def faults(outputs: Mapping[str, NDArray[Any]], contract: Contract) -> tuple[str
 
 
 def _fault(head: Head, values: NDArray[Any], contract: Contract) -> str:
-    low, high = values.min(), values.max()  # NaN and Inf reach one of them
+    low, high = values.min(), values.max()  # NaN and Inf propagate to them
     if head.unit is Unit.CLASS_ID:
         if high == NO_CLASS:
             return f"{head.name}_not_finite"

@@ -15,7 +15,7 @@ from training.initial_weights import start_from
 from training.prune import prune_trunk
 from training.recipe import ModelRecipe
 
-#: `NetworkConfig`'s normalisation that weights of ImageNet want.
+#: Normalisation in `NetworkConfig` that the ImageNet weights were trained with.
 _IMAGENET_COLORS = {"rgb_mean": (RGB_MEAN,) * 3, "rgb_std": (RGB_STD,) * 3}
 
 
@@ -89,7 +89,7 @@ def _require_pretrainable(network: Network) -> SSDNetLite:
 
 
 def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...] = ()) -> None:
-    """Put the parts whose names begin with one of ``only`` into training mode; () = all.
+    """Put the parts whose names begin with an entry of ``only`` into training mode; () = all.
 
     The others, and layers at any depth whose names begin with one of ``frozen``, have no gradient
     and constant batch statistics. InputError for a beginning that fits none.

@@ -19,9 +19,9 @@ from training.run_folder import folder_errors
 #: The file of the recipe in a run's folder.
 RECIPE_TEXT = "recipe.toml"
 _BATCH = 4
-#: How often every frame is trained on, within the least and the largest number of steps.
+#: Epochs, if the number of steps is within its limits.
 _PASSES, _MIN_STEPS, _MAX_STEPS = 40, 200, 10_000
-#: One frame of this many is for validation; there are at least so many frames.
+#: One of this many frames is for validation, which is also the least number of frames.
 _VALIDATION = 10
 
 

@@ -33,8 +33,8 @@ LOCK = "lock"
 #: The key of the data's files in recipe.json.
 _DATA = "data_files"
 
-#: Keys that may change when a run is resumed: they change neither its weights nor by which scores
-#: best.pt is chosen.
+#: Keys that may change when a run is resumed: they affect neither the weights nor the choice of
+#: best.pt.
 _WITHOUT_EFFECT = (
     "recipe.data.workers",
     "recipe.data.cache_gib",

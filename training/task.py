@@ -37,7 +37,7 @@ from training.recipe import Recipe
 from training.release import Release, class_offsets
 from training.teacher import load_teacher
 
-#: Frames of the training that pruning is based on, at least.
+#: Least number of training frames for pruning.
 _PICTURES = 32
 
 
@@ -123,7 +123,7 @@ def open_task(
     weights = None
     if "semantic" in heads and recipe.loss.weighs_classes:
         weights = _weigh_classes(recipe, sources, network.config.num_classes)
-    class_offsets(network, recipe.release.logit_offsets)  # that they can be added
+    class_offsets(network, recipe.release.logit_offsets)  # raises early if they cannot be added
     network = network.to(processes.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     synchronise_batch_norm(network, processes)
     criterion = SSDNetLoss(
@@ -218,7 +218,7 @@ def _require_figure(
     """Raise InputError if the set of ``validation.best`` does not give its score."""
     title, _, figure = recipe.validation.best.rpartition("/")
     lidar = LidarInput.parse(recipe.validation.lidar)
-    for count in (1, FREQUENCY_SAMPLES):  # mostly the first frame says it
+    for count in (1, FREQUENCY_SAMPLES):  # mostly the first frame is enough
         indices = spread_indices(validation[title], count)
         known = figure_names(network, validation[title], indices, lidar)
         if figure in known:

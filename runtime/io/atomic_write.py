@@ -18,7 +18,7 @@ from typing import BinaryIO
 
 from runtime.errors import OutputError
 
-_NAME_LENGTH = 40  # of the target's name in the temporary's, which may not grow too long
+_NAME_LENGTH = 40  # characters of the target's name in the name of the temporary
 
 
 def atomic_write(
@@ -168,7 +168,7 @@ def _create(temporary: Path, *, folder: bool) -> int:
             continue
         if _lock(handle) and _is_at(handle, temporary):
             return handle
-        os.close(handle)  # before it was locked another writer took it for a leftover
+        os.close(handle)  # another writer removed it as a leftover before it was locked
 
 
 def _make(temporary: Path, *, folder: bool) -> int:

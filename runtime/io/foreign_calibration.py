@@ -1,8 +1,8 @@
 """What a YAML or JSON file of another tool says of a camera, as the TOML of `Calibration`.
 
-Such files are shown, not read: their names differ by tool, and of a 4 x 4 matrix mostly do not say
-between which frames it is, or in which direction. Known by example: OpenCV's FileStorage, ROS's
-camera_info files, Kalibr's camchain and Autoware's calibration.
+Such files are shown, not used: key names differ between tools, and the frames and direction of a
+4 x 4 matrix are mostly not stated. Formats with tests: OpenCV's FileStorage, ROS's camera_info,
+Kalibr's camchain and Autoware's calibration.
 """
 
 import json
@@ -19,7 +19,7 @@ from runtime.lens import EQUIDISTANT, PLUMB_BOB, RATIONAL_POLYNOMIAL
 from runtime.read_input import read_text
 
 FOREIGN_SUFFIXES = (".yaml", ".yml", ".json")
-_LEAST_FOCAL_PX = 10.0  # tells a camera's matrix from a rotation
+_LEAST_FOCAL_PX = 10.0  # a 3 x 3 matrix with a smaller focal length is a rotation
 _MODELS = {"radtan": PLUMB_BOB, "equi": EQUIDISTANT, "fisheye": EQUIDISTANT}
 _SIZES = ("resolution", "imagesize", "image_size", "size")  # width, height
 _FROM_CAMERA = "cameraextrinsicmat"  # Autoware's, from the camera's frame to the LiDAR's

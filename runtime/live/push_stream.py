@@ -56,7 +56,7 @@ from runtime.sync.stamp import (
 from runtime.sync.synchronizer import Synchronizer
 
 _WAITING = 16  # messages of a sensor that wait for their partner
-_EXIT_S = 10.0  # the interpreter's exit waits so long for a prediction
+_EXIT_S = 10.0  # time that the exit of the interpreter waits for a prediction
 _check_ms = partial(check_number, most=1e9, unit="milliseconds", error=InputError)
 
 
@@ -327,7 +327,7 @@ class PushStream:
         try:
             self.close()
         except BaseException:
-            if error[0] is None:  # else the block's own error comes first
+            if error[0] is None:  # an error raised in the with block has priority
                 raise
 
     def __iter__(self) -> "PushStream":

@@ -35,8 +35,8 @@ from runtime.sync.outcome import Sensor
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
 
 OnRecord = Callable[[FrameOutcome], None]
-#: Called before the first frame with a text about the run and the number of frames; returns what is
-#: called with the outcome of each frame.
+#: Called before the first frame with a text about the run and the number of frames. Returns a
+#: function that is called with the outcome of each frame.
 OnStart = Callable[[str, int], OnRecord]
 
 

@@ -11,8 +11,8 @@ from training.datasets.files import dataset_errors, list_names
 
 Split = Literal["train", "val", "test", "all"]
 
-#: The paper uses eight of the ten variants without naming them. These are the ones whose view is
-#: nearest to the recorded one.
+#: The paper uses eight of the ten variants without naming them. Here they are the variants whose
+#: camera angle is closest to the recorded camera.
 PAPER_VARIANTS = (
     "15-deg-left",
     "15-deg-right",

@@ -147,7 +147,7 @@ class SemanticScores(Accumulator):
 
 
 class RoadScores(Accumulator):
-    """IoU of the road against a mask of it that was drawn by hand.
+    """IoU of the road against hand-drawn masks.
 
     Predicted road is the class of that name, whatever other classes there are.
 
@@ -223,7 +223,7 @@ class ErrorMedian(Accumulator):
         self._counts = np.zeros(len(_ERROR_BINS_M) - 1)
 
     def add(self, error: NDArray[np.float64]) -> None:
-        """Count errors [m] of any shape; those beyond the bins count in the first or the last."""
+        """Count errors [m] of any shape; values beyond the bins count in the first or last bin."""
         inside = np.clip(np.abs(error), _ERROR_BINS_M[0], _ERROR_BINS_M[-1])
         self._counts += np.histogram(inside, _ERROR_BINS_M)[0]
 

@@ -1,4 +1,4 @@
-"""What of a frame's depth is fed to a network and what is its target: one rule for all.
+"""Splits the depth of a frame into LiDAR input and target: one rule for training and evaluation.
 
 Training and evaluation split a frame by the same function, `split_lidar`.
 """

@@ -138,7 +138,7 @@ def _cross(size: int) -> NDArray[np.uint8]:
 def _fill_unknown(
     inverted: MatLike, kernel: NDArray[np.uint8], *, within: NDArray[np.bool_] | bool = True
 ) -> MatLike:
-    """Fill unknown pixels from a dilation, leaving the others as they are."""
+    """Fill unknown pixels from a dilation; known pixels do not change."""
     unknown = (inverted <= _MEASURED_M) & within
     return np.where(unknown, cv2.dilate(inverted, kernel), inverted)
 
