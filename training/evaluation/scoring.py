@@ -173,9 +173,7 @@ class Scores:
             if class_names:
                 of_classes = zip(class_names, class_iou, strict=True)
                 figures |= {f"iou_{name}": value for name, value in of_classes}
-                if not self.semantic.confusion[
-                    :, -1
-                ].any():  # foreign classes
+                if not self.semantic.confusion[:, -1].any():  # foreign classes
                     figures |= _category_figures(self.semantic, (*class_names, ""))
         names = [name.lower() for name in class_names]
         if self.road.counts.any() and ROAD in names:
