@@ -34,7 +34,7 @@ def begin_command() -> None:
 
 
 def _open_closed_streams() -> None:
-    """Open closed standard streams as /dev/null, else the next files would get their numbers."""
+    """Open closed standard streams as /dev/null; otherwise opened files get their descriptors."""
     while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(handle, True)
     os.close(handle)
@@ -92,7 +92,7 @@ def stop_requested() -> Iterator[Callable[[], bool]]:
 
 
 def _handle(handler: Callable[[int, FrameType | None], None]) -> dict[signal.Signals, Any]:
-    """Handle all signals that are not ignored, as a shell starts background jobs: the old ones."""
+    """Install a handler for the signals that are not ignored; return the former handlers."""
     before = {number: signal.getsignal(number) for number in SIGNALS}
     for number, old in before.items():
         if old is not signal.SIG_IGN:

@@ -14,7 +14,7 @@ def _print_version(wanted: bool) -> None:
 
 
 def _other_word(option: str, hint: str) -> Any:
-    """A hidden option that is refused with a hint to this command's word for it."""
+    """A hidden option that raises an error which names the right option."""
 
     def refuse(value: str | None) -> None:
         if value is not None:

@@ -15,7 +15,7 @@ _ROUNDING = 1e-3  # of a head's range: how far arithmetic may leave it
 
 
 def to_frame(outputs: Mapping[str, NDArray[Any]], frame: NetworkInput) -> dict[str, NDArray[Any]]:
-    """Bring the outputs for one frame, head -> array, to its metres and its size; in place."""
+    """Convert a frame's outputs, head -> array, to metres and to the frame's size, in place."""
     answers = dict(outputs)
     if frame.scale.factor != 1:
         for head, values in answers.items():

@@ -332,7 +332,7 @@ class Predictor:
         stamps: Sequence[Any],
         started: float,
     ) -> list[Prediction]:
-        """Run prepared frames, those of one network size together, and convert the outputs."""
+        """Run prepared frames in batches of equal network size, and convert the outputs."""
         batches: dict[object, list[int]] = {}
         for index, frame in enumerate(frames):
             batches.setdefault(frame.network_size if self.free_batch else index, []).append(index)

@@ -100,7 +100,7 @@ def _open_at_once(path: str, flags: int) -> int:
 
 @contextlib.contextmanager
 def _reported(path: Path) -> Iterator[None]:
-    """Raise what opening or reading a file raises as an InputError."""
+    """Convert errors of opening or reading a file to InputError."""
     try:
         yield
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name

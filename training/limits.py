@@ -59,7 +59,7 @@ FactorRange = Annotated[tuple[_Factor, _Factor], AfterValidator(_require_order)]
 
 
 def require_window(key: str, crop: tuple[int, int], scale: tuple[float, float]) -> None:
-    """Raise ValueError, which names the key, if the crop at this scale needs too large a window."""
+    """Raise ValueError, naming the key, if the window of the crop at this scale is too large."""
     pixels = crop[0] * crop[1] / scale[0] ** 2
     if pixels > MAX_WINDOW_PIXELS:
         raise ValueError(

@@ -73,7 +73,7 @@ def _load_pretrained(network: SSDNetLite, pictures: Iterable[Tensor]) -> SSDNetL
 
 
 def _require_pretrainable(network: Network) -> SSDNetLite:
-    """Return the network; InputError for one that weights of ImageNet do not fit."""
+    """Return the network; InputError if ImageNet weights do not fit it."""
     if not isinstance(network, SSDNetLite):
         raise InputError(
             f"model.pretrained: {network.config.name!r} has no encoder with ImageNet weights. "

@@ -115,7 +115,7 @@ def _without_channels(
 def _observe(
     network: SSDNetLite, blocks: Mapping[str, InvertedResidual], pictures: Iterable[Tensor]
 ) -> dict[str, _Moments]:
-    """Return the moments of the features that each block's projection reads, without LiDAR."""
+    """Return the moments of the inputs of each block's projection, for images without LiDAR."""
     moments = {name: _Moments() for name in blocks}
     hooks = [
         block.project.register_forward_pre_hook(

@@ -84,7 +84,7 @@ def _warn_of_other_data(
 
 
 def list_data(roots: Sequence[Path], paths: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Describe the files below each path in the first root that has it: number, names' SHA-256."""
+    """Describe the files of each path, in the first root that has it: number, SHA-256 of names."""
     folders = {
         path: root / path for path in paths for root in reversed(roots) if (root / path).is_dir()
     }

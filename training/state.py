@@ -29,7 +29,7 @@ _AUTOCAST = {"bf16": torch.bfloat16, "fp16": torch.float16}
 
 
 class Step(NamedTuple):
-    """What a step did: the terms of the loss, means over its batches, and its rate."""
+    """Outcome of a step: terms of the loss, averaged over its batches, and the learning rate."""
 
     terms: dict[str, Tensor]
     rate: float

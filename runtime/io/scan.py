@@ -206,7 +206,7 @@ def _count(text: str) -> int:
 
 
 def _place(fields: list[tuple[str, str, int]]) -> tuple[list[tuple[int, int, str]], int, int]:
-    """Column, first byte and type of x, y and z in a point; its numbers of columns and bytes."""
+    """(Column, byte offset, type) of x, y and z; number of columns and of bytes of a point."""
     places: dict[str, tuple[int, int, str]] = {}
     width = size = 0
     for name, kind, count in fields:

@@ -436,7 +436,7 @@ class PushStream:
         )
 
     def _fail(self, failure: BaseException) -> None:
-        """End the stream after an error that is no frame's."""
+        """End the stream after an error that is not caused by a frame."""
         with self._changed:
             self._failure = failure
             self._end()
@@ -499,7 +499,7 @@ def _end_worker(
     worker: threading.Thread,
     guard: ProcessGuard,
 ) -> None:
-    """Called when a stream was collected, or at exit, where its prediction must end before."""
+    """Called when a stream is garbage-collected, and at exit, to end its prediction first."""
     if guard.is_forked:
         return
     with changed:

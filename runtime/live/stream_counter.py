@@ -108,7 +108,7 @@ class StreamCounter:
         self._jumps_back += decided.jumped_back
 
     def record_pair(self, pair: Pair, outcome: Outcome, times: int = 1) -> None:
-        """Count the outcome of an image and of its own depth map; times -1: take it back."""
+        """Count the outcome of an image and of its own depth map; times=-1 subtracts it again."""
         self._outcomes[Sensor.IMAGE][outcome] += times
         if pair.own_depth is not None:
             self._outcomes[Sensor.DEPTH][outcome] += times

@@ -133,7 +133,7 @@ def run_stream(
     def answer(
         index: int, name: str, reading: Future[TimedFrame], due: float | None
     ) -> tuple[FrameOutcome, Future[float] | None]:
-        """Predict a frame and have its answer written; return the outcome and the writing."""
+        """Predict a frame and start writing its answer; return the outcome and the write."""
         try:
             frame, read_ms = reading.result()
             prediction = predictor.predict(frame.rgb, frame.sparse_depth)

@@ -382,7 +382,7 @@ class BagSource(Source):
         return frame_of(frame, rgb, moved, calibration)
 
     def _take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
-        """The messages of a frame by position; those of later frames on the way are kept."""
+        """The messages of a frame by position; messages of later frames are read ahead and kept."""
 
         def is_wanted(place: int) -> bool:
             return self._owners.get(place, -1) >= frame.sequence

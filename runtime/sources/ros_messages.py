@@ -206,5 +206,5 @@ def message_counts(message: Any, *names: str) -> tuple[int, ...]:
 
 
 def frame_name(frame: Any) -> str:
-    """Without the slash that ROS 1 wrote in front of some frames."""
+    """The name of a frame without the leading slash that some ROS 1 drivers add."""
     return str(frame).removeprefix("/")

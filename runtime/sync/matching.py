@@ -76,7 +76,7 @@ class Decided:
 
 @dataclass(eq=False)
 class _Kept:
-    """A depth map that may be reused; outcome: when it is dropped, None = it has one."""
+    """A depth map that may be reused. outcome: counted on dropping; None = counted before."""
 
     depth: Message
     outcome: Outcome | None
@@ -109,7 +109,7 @@ class Matching(ABC):
         self._decided_ns: int | None = None  # the newest image that was decided
 
     def flush(self) -> Decided:
-        """Decide everything with what is there, at the end."""
+        """Decide all waiting messages at the end of the stream."""
         decided = Decided()
         self._flush(decided, Outcome.NO_IMAGE)
         return decided
@@ -208,7 +208,7 @@ class Matching(ABC):
         self._drop(decided, list(self._kept))
 
     def _partner(self, image: Message) -> Message | None:
-        """The nearest depth map to which no other image is nearer; the older of two as near."""
+        """The nearest depth map that has no nearer image; of two equally near the older."""
         own = (
             depth
             for depth in self._depths

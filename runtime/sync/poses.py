@@ -103,7 +103,7 @@ class PoseTrack:
         return buffer.whole()
 
     def mounted(self, mount: NDArray[np.float64]) -> "PoseTrack":
-        """The same motion of a frame that is fixed to that of the poses by `mount`, (4, 4)."""
+        """The motion of another frame that is rigidly mounted to the frame of the poses, (4, 4)."""
         return replace(self, mount=mount)
 
     def at(self, times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -284,7 +284,7 @@ class PoseBuffer:
         return _Pose(stamp_ns, quaternion, position)
 
     def _is_jump(self, pose: _Pose) -> bool:
-        """Whether the next pose is one that a car cannot reach from the poses before it."""
+        """Whether a car cannot reach the next pose from the poses before it."""
         newest = len(self._poses) - 1
         last = expected = self._poses[newest]
         after_s = (pose.stamp_ns - last.stamp_ns) / 1e9

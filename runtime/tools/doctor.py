@@ -95,7 +95,7 @@ def installed(distribution: str) -> str | None:
 
 
 def pip(*arguments: str) -> str:
-    """Return the command line that runs pip for this very Python."""
+    """Return the command line of pip for the running Python."""
     return shlex.join([sys.executable, "-m", "pip", *arguments])
 
 

@@ -64,7 +64,7 @@ class Selection:
         return known and (self.scenes is None or scene in self.scenes)
 
     def takes(self, scene: str, variant: str, number: str) -> bool:
-        """Whether a frame is taken, of a variant that is."""
+        """Whether a frame belongs to the split, in a variant that belongs to it."""
         if self.frames is not None:
             return f"{scene}/{variant}/{number}" in self.frames
         if self.split == "all" or self.scenes is not None:

@@ -208,7 +208,7 @@ def _names(table: ClassTable) -> tuple[str, ...]:
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
-    """Name each path by as few of its last parts as tell them all apart."""
+    """Name paths by their last parts, as few as make the names unique."""
     longest = max((len(path.parts) for path in paths), default=1)
     for parts in range(1, 1 + max(1, longest)):
         names = [str(Path(*path.parts[-parts:])) for path in paths]

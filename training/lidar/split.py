@@ -132,7 +132,7 @@ def _thin(
     rng: Generator,
     first_line: int,
 ) -> Depth:
-    """Return the measurements that the LiDAR input keeps."""
+    """Return the measurements that are part of the LiDAR input."""
     if lidar.kind == "none":
         return nothing_known((depth.shape[0], depth.shape[1]))
     if lidar.kind == "random":

@@ -55,7 +55,7 @@ from training.losses.uncertainty import laplace_loss
 
 
 class Term(NamedTuple):
-    """What a term needs: heads of the network, and the target they are compared with, if any."""
+    """Requirements of a term: heads of the network and, optionally, a target."""
 
     heads: frozenset[str]
     target: str = ""
@@ -187,7 +187,7 @@ class LossConfig:
         return weight
 
     def __post_init__(self) -> None:
-        """Check that the numbers are not negative and that a weight is positive."""
+        """Check that no number is negative and at least one weight is positive."""
         numbers = {
             key: value for key, value in vars(self).items() if isinstance(value, int | float)
         }

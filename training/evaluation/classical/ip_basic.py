@@ -60,8 +60,8 @@ class IPBasic:
         inverted = _fill_unknown(inverted, _full(7))
         if self.extrapolate:
             inverted = _fill_unknown(_extend_to_top(inverted), _full(31))
-        # The median removes single outliers. As published it includes the zeros of unknown pixels,
-        # and so does the blur: the outermost two known pixels come out too far.
+        # As published, median and blur include the zeros of unknown pixels: the two outermost known
+        # pixels get too large depths.
         return cv2.medianBlur(inverted, 5)
 
 
