@@ -16,7 +16,7 @@ from training.recipe import parse_source
 #: What a file is measured with: all returns of a frame, 16 lines, none. What an 8-bit file is fed,
 #: too, where no set gives a LiDAR with its depth.
 LIDARS, OTHER_LIDAR = ("own", "16", "none"), "random:0.05"
-#: Labelled pixels and frames from which the IoU of a class can be compared.
+#: Least numbers of labelled pixels and frames for comparing the IoU of a class.
 LEAST_CLASS_PIXELS, LEAST_CLASS_FRAMES = 20_000, 10
 
 
@@ -94,7 +94,7 @@ def repeat_command(data: Iterable[str], rows: Iterable[Accuracy]) -> str:
 
 
 def without_folders(text: str) -> str:
-    """A data set as on the command line; of an absolute folder, which names a machine, the end."""
+    """A data set as on the command line; absolute folders are shortened to their last part."""
     kind, _, rest = text.partition(":")
     folder, *options = re.split(r"(?=,\w+=)", rest, maxsplit=1)
     path = Path(folder)

@@ -146,7 +146,7 @@ def export(
 
 
 def _print_accuracy(contract: Contract) -> None:
-    """Print what stayed in float, and the accuracy on each set, of int8 after that in float."""
+    """Print the convolutions left in float, and the accuracy on each set in float and in int8."""
     quantization = contract.quantization or {}
     if quantization:
         in_float = ", ".join(quantization["float_convolutions"]) or "none"

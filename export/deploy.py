@@ -50,7 +50,7 @@ class DeployGraph(nn.Module):
         maps = head_maps(coarse)
         if "semantic" in maps:
             scores, stride = maps.pop("semantic"), self.model.semantic_stride
-            # Cropped last: an id is a byte, its scores are 4 bytes a class.
+            # Crop class ids (1 byte), not scores (4 bytes a class).
             answers["semantic"] = class_ids(scores, stride)[:, :height, :width]
             if self.with_logits:
                 logits = upsample(scores, factor=stride)
@@ -62,8 +62,8 @@ class DeployGraph(nn.Module):
                 values = to_unit(head, values, max_depth_m)
             grids.setdefault(self.model.head_stride(head), {})[head] = values
         for stride, group in grids.items():
-            # One tensor for all: ONNX Runtime splits the work of a Resize by channels, so two of
-            # one channel each take four times as long.
+            # Upsample all heads as one tensor: ONNX Runtime parallelises Resize over channels, and
+            # two tensors of one channel take four times as long.
             if stride > 1:
                 full = upsample(torch.cat(list(group.values()), dim=1), factor=stride)
                 group = dict(zip(group, full.split(1, dim=1), strict=True))

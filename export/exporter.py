@@ -222,7 +222,7 @@ def _digest(path: Path | str) -> str:
 
 
 def _frames(size: tuple[int, int], *, dynamic: bool, max_depth_m: float) -> list[ProbeFrame]:
-    """Frames of the model's own size and, if it takes any, of two more, one of them odd."""
+    """Frames of the native size; for free sizes also of two other sizes, one of them odd."""
     sizes = [size]
     if dynamic:
         sizes.append((max(size[0] // 2 | 1, MIN_SIDE), max(size[1] // 2 | 1, MIN_SIDE)))
@@ -244,7 +244,7 @@ def _finish(
     precision: Precision | Int8Options,
     validate: Sequence[str],
 ) -> tuple[onnx.ModelProto, Contract]:
-    """The graph in the precision requested, and its contract with what was measured of it."""
+    """The graph in the requested precision, and its contract with accuracy and parity."""
     if precision is Precision.FP16:
         model = to_half(model)
     contract = replace(

@@ -23,7 +23,7 @@ def to_half(model: onnx.ModelProto) -> onnx.ModelProto:
     made = {name for node in graph.node if node.name in inside for name in node.output}
     nodes: list[onnx.NodeProto] = []
     halved: set[str] = set()  # tensors and weights that have a copy in half precision
-    restored: set[str] = set()  # tensors of the trunk that have one in single precision
+    restored: set[str] = set()  # tensors of the trunk that were cast back to single precision
 
     def to_half_name(name: str) -> str:
         copy = f"{name}_half"

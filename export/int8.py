@@ -37,13 +37,14 @@ from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
 from training.recipe import parse_source
 
-#: What a calibration frame is fed, in turn: a range that no calibration frame reaches is clipped.
+#: LiDAR inputs of the calibration frames, in turn. Activations beyond the calibrated ranges are
+#: clipped.
 CALIBRATION_LIDARS = ("own", "none", "16", "4")
 _SENSITIVITY_FRAMES = 4
 #: Convolutions of the trunk, from the input on, that are tried in float before any is ranked.
 _FIRST = 4
-#: The gate beside `Int8Options`: points of a class's IoU, of the boundary's F (0..1), and points of
-#: the share of errors within one scale of the uncertainty, up or down.
+#: Limits besides `Int8Options`: loss of a class's IoU [points], loss of boundary F (0..1), and
+#: change of the share of errors within one scale of the uncertainty [points].
 MAX_DROP_CLASS_IOU, MAX_DROP_BOUNDARY_F, MAX_CHANGE_COVERAGE = 3.0, 0.01, 3.0
 #: Head -> its figure in `Accuracy`; scores are those of the classes.
 _FIGURES = {
@@ -53,7 +54,7 @@ _FIGURES = {
     "boundary": "boundary_f",
     "depth_uncertainty": "coverage_1",
 }
-#: Head -> what a set needs to tell its accuracy, and sets that have it.
+#: Head -> ground truth that a set needs to measure it, and example sets.
 _NEEDED = {
     "semantic": (
         "labels of the model's classes",
@@ -204,7 +205,7 @@ def _open_set(text: str, table: ClassTable) -> SampleSource:
 
 
 def share_frames(sizes: Sequence[int], total: int) -> list[int]:
-    """Return how many frames of sets of these sizes make a total: equally many where they can."""
+    """Distribute a total number of frames over sets of these sizes as evenly as possible."""
     counts = [0] * len(sizes)
     for place, index in enumerate(sorted(range(len(sizes)), key=lambda index: sizes[index])):
         share = math.ceil((total - sum(counts)) / (len(sizes) - place))
@@ -215,7 +216,7 @@ def share_frames(sizes: Sequence[int], total: int) -> list[int]:
 def _missed(
     before: Sequence[Accuracy], after: Sequence[Accuracy], options: Int8Options
 ) -> dict[str, str]:
-    """Head -> its largest loss in words, of the heads that miss the gate; the worst one first."""
+    """Head -> its largest loss in words, for heads that miss the gate; worst head first."""
     excess: dict[str, tuple[float, str]] = {}
     for first, second in zip(before, after, strict=True):
         where = f"on {first.data}, LiDAR {first.lidar}"
@@ -284,7 +285,7 @@ def _rank(
     feeds: Sequence[Feed],
     head: str,
 ) -> list[str]:
-    """Sort convolutions by how much each of them, quantised alone, changes a head; most first."""
+    """Sort convolutions by the change of a head when only this convolution is quantised."""
     frames = feeds[:: max(1, len(feeds) // _SENSITIVITY_FRAMES)][:_SENSITIVITY_FRAMES]
 
     def answers(graph: onnx.ModelProto) -> list[Any]:

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-#: Frames of --calibrate and of --validate from which int8 is made, and from which a set tells what
-#: it costs.
+#: Least number of frames of --calibrate and of --validate for int8.
 LEAST_FRAMES = 100
 
 

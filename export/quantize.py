@@ -49,7 +49,7 @@ def quantize(
     copy = onnx.ModelProto()
     copy.CopyFrom(model)
     nodes = [name for name in trunk(model) if name not in keep_float]
-    with quiet():  # its advice to optimise the graph first, which a traced one does not need
+    with quiet():  # hides the advice to optimise the graph first: a traced graph is optimised
         quantizer = QDQQuantizer(
             copy,
             per_channel=True,

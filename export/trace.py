@@ -110,7 +110,7 @@ def _nodes(graph: onnx.GraphProto) -> Iterator[onnx.NodeProto]:
 
 
 def _strip_notes(model: onnx.ModelProto) -> None:
-    """Remove the exporter's notes, which name source files of this machine."""
+    """Remove the exporter's metadata, which contains local paths of source files."""
     graph = model.graph
     notes = (model, graph, *_nodes(graph), *graph.input, *graph.output, *graph.initializer)
     for holder in notes:
@@ -131,7 +131,7 @@ def _name_axes(graph: onnx.GraphProto) -> None:
 
 
 def _drop_empty_padding(graph: onnx.GraphProto) -> None:
-    """Remove each Pad by zero, as of a fixed size that fits the stride: it copies the image."""
+    """Remove Pads of zero width, which copy the image; sizes that fit the stride have them."""
     constants = {weight.name: weight for weight in graph.initializer}
     for pad in [node for node in graph.node if node.op_type == "Pad"]:
         amounts = constants.get(pad.input[1])

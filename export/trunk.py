@@ -25,7 +25,7 @@ def trunk(model: onnx.ModelProto) -> list[str]:
     for node in graph.node:
         if node.op_type == "Conv":
             shape = shapes.get(node.input[1], ())
-            # Of a depthwise convolution each group has one channel.
+            # A depthwise convolution has one channel per group.
             groups = next((item.i for item in node.attribute if item.name == "group"), 1)
             inside = len(shape) == 4 and min(groups * shape[1], shape[0]) >= _LEAST_CHANNELS
         else:

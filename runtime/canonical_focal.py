@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 
 class CameraScale(NamedTuple):
-    """How metres become the depth of a network, for one camera and one size of frames.
+    """Conversion between metres and a network's depth, for one camera and one size of frames.
 
     Attributes:
         factor: f_c / f, from metres to canonical depth; 1 where either is not known.

@@ -34,7 +34,7 @@ def begin_command() -> None:
 
 
 def _open_closed_streams() -> None:
-    """Open closed standard streams as /dev/null, else the next files would get their numbers."""
+    """Open closed standard streams as /dev/null; otherwise opened files get their descriptors."""
     while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(handle, True)
     os.close(handle)
@@ -86,13 +86,13 @@ def stop_requested() -> Iterator[Callable[[], bool]]:
         yield lambda: bool(received)
     finally:
         for number, handler in before.items():
-            if handler is end_now:  # the command is done: nothing is left to stop
+            if handler is end_now:  # the command has ended already
                 handler = signal.SIG_IGN
             signal.signal(number, handler or signal.SIG_DFL)
 
 
 def _handle(handler: Callable[[int, FrameType | None], None]) -> dict[signal.Signals, Any]:
-    """Handle all signals that are not ignored, as a shell starts background jobs: the old ones."""
+    """Install a handler for the signals that are not ignored; return the former handlers."""
     before = {number: signal.getsignal(number) for number in SIGNALS}
     for number, old in before.items():
         if old is not signal.SIG_IGN:
@@ -133,7 +133,7 @@ def print_result(text: str, *, elsewhere: str = "") -> bool:
         sys.stdout.write(_plain(text) + "\n")
         sys.stdout.flush()
     except OSError as error:
-        # What is still buffered must not fail at exit.
+        # Otherwise Python flushes stdout at exit and fails.
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):

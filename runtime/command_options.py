@@ -14,7 +14,7 @@ def _print_version(wanted: bool) -> None:
 
 
 def _other_word(option: str, hint: str) -> Any:
-    """A hidden option that is refused with a hint to this command's word for it."""
+    """A hidden option that raises an error which names the right option."""
 
     def refuse(value: str | None) -> None:
         if value is not None:
@@ -29,7 +29,7 @@ Version = Annotated[
     typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version."),
 ]
 
-#: Of commands that have --provider: the word of those that run PyTorch.
+#: --device is an option of the PyTorch commands; here it is an error that names --provider.
 NoDevice = Annotated[
     str | None,
     _other_word(
@@ -37,7 +37,7 @@ NoDevice = Annotated[
     ),
 ]
 
-#: Of commands that have --device: the word of those that run ONNX Runtime.
+#: --provider is an option of the ONNX Runtime commands; here it is an error that names --device.
 NoProvider = Annotated[
     str | None,
     _other_word("--provider", "this command runs PyTorch: use --device cpu, cuda or cuda:N"),

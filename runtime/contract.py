@@ -16,21 +16,21 @@ SCHEMA_VERSION = "1.4"
 # Limits of a model file and of a network's configuration.
 MIN_SIDE = 32  # rows, columns: networks of the family halve an image up to five times
 MAX_SIDE = 16_384
-MAX_PIXELS = 64_000_000  # of an image: the largest cameras of the field have 12 million
+MAX_PIXELS = 64_000_000  # largest image; automotive cameras have up to 12 million
 MAX_STRIDE = 1024
-NO_CLASS = 255  # the id of a pixel without a class; in an answer its scores are not finite
+NO_CLASS = 255  # a pixel without a class: unlabelled, or, in an answer, with scores not finite
 MAX_CLASSES = 255  # ids are uint8, and one of them is NO_CLASS
 MAX_NAME_LENGTH = 64
 MIN_DEPTH_RANGE_M = 1.0  # bounds of max_depth_m
 MAX_DEPTH_RANGE_M = 10_000.0
-#: Longest range of the LiDARs of cars [m]. A larger value, if it is also beyond the model's range,
-#: is no distance: 65535 in a 16-bit PNG (256 m) marks pixels without a return.
+#: Longest range of automotive LiDARs [m]. Larger values that are also beyond the model's range are
+#: no measurement: 65535 in a 16-bit PNG (256 m) marks pixels without a return.
 MAX_RETURN_M = 250.0
 MIN_FOCAL_PX = 1.0  # bounds of a focal length: from tiny pictures to long telephoto lenses
 MAX_FOCAL_PX = 1_000_000.0
 MAX_GIGA_MACS = 1_000_000.0
 
-#: Written for engines of others; not read.
+#: Written for other engines; not read by this one.
 _RESIZE = {"rgb": "bilinear", "sparse_depth": "nearest"} | {
     head.name: head.resize for head in HEADS.values()
 }
@@ -163,7 +163,7 @@ class Contract:
                 quantization=_optional(document, "quantization", _check_object),
                 content=_content(document, text),
             )
-            # Infinite numbers and lone surrogates anywhere else in the document.
+            # Infinite numbers and lone surrogates are invalid anywhere in the document.
             json.dumps(document, allow_nan=False, ensure_ascii=False).encode()
         except (ValueError, RecursionError) as error:
             raise ContractError(

@@ -102,16 +102,16 @@ class Head:
     def limit(self, max_depth_m: float) -> float:
         """Return `tolerance` in the unit of the difference."""
         absolute = self.difference is Difference.ABSOLUTE
-        # Nearer than 100 m an error counts, however far the range goes.
+        # Absolute errors are limited for a range of 100 m, also where the range is larger.
         return self.tolerance * (self._scale(min(max_depth_m, 100.0)) if absolute else 1.0)
 
     def _scale(self, max_depth_m: float) -> float:
         return max_depth_m if self.unit is Unit.METRES else 1.0
 
 
-#: Above this probability of the boundary decoder a pixel is an object's edge, where predicted depth
-#: passes from the near surface to the far one through empty space. With classes `boundary` is half
-#: of it where only the decoder sees one, see the head below.
+#: Pixels with a larger probability of the boundary decoder are object edges, where predicted depth
+#: passes from the near to the far surface through empty space. With classes, `boundary` is half of
+#: this probability inside regions of one class.
 EDGE_BOUNDARY = 0.5
 
 #: Name -> head, in the order of the contract.
@@ -139,7 +139,7 @@ HEADS: dict[str, Head] = {
             difference=Difference.ABSOLUTE,
             # 5 mm at 100 m: about the step of a depth PNG; rounding in fp32 is a tenth of it.
             tolerance=5e-5,
-            tolerance_int8=0.025,  # 0.012; LiDAR times 0.95: 0.03; another model: 0.06
+            tolerance_int8=0.025,  # measured: 0.012; returns times 0.95: 0.03; another model: 0.06
             least=0.0,
             most=1.0,
             saved_as="depth",
@@ -147,15 +147,15 @@ HEADS: dict[str, Head] = {
             panel=Panel.DEPTH,
             unlabelled=0,
         ),
-        # With classes it is halved where those around a pixel are one: above 0.5 both heads see it.
+        # With classes, halved inside regions of one class: above 0.5 both heads see a boundary.
         Head(
             "boundary",
             "float32",
             Unit.PROBABILITY,
             resize="bilinear",
             difference=Difference.MEAN,
-            tolerance=2e-3,  # a class that rounding changes halves or doubles 9 pixels
-            tolerance_int8=0.02,  # 0.006; another model: 0.08
+            tolerance=2e-3,  # one pixel of another class halves or doubles 9 pixels
+            tolerance_int8=0.02,  # measured: 0.006; another model: 0.08
             least=0.0,
             most=1.0,
             saved_as="boundary",
@@ -169,7 +169,7 @@ HEADS: dict[str, Head] = {
             resize="nearest",
             difference=Difference.ABSOLUTE,
             tolerance=5e-5,
-            tolerance_int8=0.1,  # 0.045; another model: 0.4
+            tolerance_int8=0.1,  # measured: 0.045; another model: 0.4
             least=0.0,
             needs="depth",
             saved_as="uncertainty",

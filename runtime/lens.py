@@ -82,7 +82,7 @@ class Lens:
         return cls(model if isinstance(model, str) else str(model), numbers)
 
     def distort(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Return where rays meet the image plane at focal length 1; they must be in the field."""
+        """Project rays to the image plane at focal length 1; they must be in the field of view."""
         radius_2 = x * x + y * y
         scale = self._scale(radius_2)
         moved_x, moved_y = self._tangential(x, y, radius_2)
@@ -91,7 +91,7 @@ class Lens:
     def undistort(
         self, x: NDArray[np.float64], y: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the rays that meet the image plane at (x, y); NaN where none does."""
+        """Return the ray of each point (x, y) of the image plane; NaN where there is no ray."""
         angles, radii = _field(self)
         ray_x, ray_y = x, y
         with np.errstate(all="ignore"):
@@ -219,7 +219,7 @@ def _ray_bounds(lens: Lens, intrinsics: tuple[float, ...], size: tuple[int, int]
     row = np.concatenate([np.full_like(across, -0.5), 0 * across + height - 0.5, down, down])
     x, y = lens.undistort(*to_plane(np.reshape(intrinsics, (3, 3)), column, row))
     bounds = np.array([x.min(), x.max(), y.min(), y.max()])
-    if not np.isfinite(bounds).all():  # the image is larger than the field
+    if not np.isfinite(bounds).all():  # the image is larger than the field of view of the lens
         bounds = np.array([-farthest, farthest, -farthest, farthest])
     margin = 1e-3 * (bounds[1::2] - bounds[::2]).max()
     bounds += [-margin, margin, -margin, margin]

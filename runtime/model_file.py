@@ -26,7 +26,7 @@ from runtime.contract import METADATA_KEY, Content, Contract
 from runtime.errors import ContractError, InputError
 from runtime.read_input import read_input
 
-MAX_MODEL_BYTES = 2**31 - 1  # what protobuf can hold
+MAX_MODEL_BYTES = 2**31 - 1  # limit of protobuf
 MAX_DOCUMENT_BYTES = 2**22
 
 _METADATA_PROPS = b"\x72"  # field 14 of ModelProto, with a length

@@ -50,7 +50,7 @@ def parse_network_size(text: str) -> NetworkSize:
     try:
         if not all(side.isdecimal() for side in sides) or len(sides) > 2:
             raise ValueError("neither a keyword nor a number of pixels")
-        numbers = [int(side[:9]) for side in sides]  # longer ones are out of range as well
+        numbers = [int(side[:9]) for side in sides]  # nine digits are out of range already
         return _in_range(numbers[0] if len(numbers) == 1 else numbers)
     except ValueError as error:
         raise InputError(

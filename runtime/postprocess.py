@@ -15,7 +15,7 @@ _ROUNDING = 1e-3  # of a head's range: how far arithmetic may leave it
 
 
 def to_frame(outputs: Mapping[str, NDArray[Any]], frame: NetworkInput) -> dict[str, NDArray[Any]]:
-    """Bring the outputs for one frame, head -> array, to its metres and its size; in place."""
+    """Convert a frame's outputs, head -> array, to metres and to the frame's size, in place."""
     answers = dict(outputs)
     if frame.scale.factor != 1:
         for head, values in answers.items():
@@ -37,7 +37,7 @@ def faults(outputs: Mapping[str, NDArray[Any]], contract: Contract) -> tuple[str
 
 
 def _fault(head: Head, values: NDArray[Any], contract: Contract) -> str:
-    low, high = values.min(), values.max()  # NaN and Inf reach one of them
+    low, high = values.min(), values.max()  # NaN and Inf propagate to them
     if head.unit is Unit.CLASS_ID:
         if high == NO_CLASS:
             return f"{head.name}_not_finite"

@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
 # Reasons in Prediction.degraded. The answer is usable, but less reliable than usual:
 NO_DEPTH = "no_depth"  # not one usable return: the answer comes from the camera alone
-SPARSE_DEPTH_LOW = "sparse_depth_low"  # in too few places, see `preprocess.covers_little`
+SPARSE_DEPTH_LOW = "sparse_depth_low"  # returns in too few places, see `preprocess.covers_little`
 IMAGE_CONSTANT = "image_constant"  # all pixels are equal: a covered or dead camera
 IMPLAUSIBLE_DEPTH = "implausible_depth"  # of a stream, see `runtime.health.depth_plausibility`
 DEPTH_REUSED = "depth_reused"  # the image has no scan of its own, and took an older one
 DEPTH_UNCOMPENSATED = "depth_uncompensated"  # returns are not moved to the time of the image
-# Why there was no pose to move them:
-NO_POSE = "no_pose"  # none was given for these times
-POSE_GAP = "pose_gap"  # too long between two of them
+# Why returns were not moved:
+NO_POSE = "no_pose"  # no poses for the times of scan and image
+POSE_GAP = "pose_gap"  # too much time between two poses
 POSE_JUMP = "pose_jump"  # the odometry jumped
-POSE_CLOCK = "pose_clock"  # their stamps are of another clock
-# Those that make the answer unusable (valid is False) are listed in `postprocess.faults`.
+POSE_CLOCK = "pose_clock"  # the stamps of the poses are of another clock
+# Reasons that make the answer unusable (valid is False): `postprocess.faults`.
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from runtime.session import explain, node_counts, open_session
 from runtime.signature import check_outputs, read_signature
 
 _MOST_THREADS = 1024
-_SMALL_SIZE = (64, 64)  # of the check of a model of free size
+_SMALL_SIZE = (64, 64)  # frame of the check of a model of free size
 _GRAY = 128  # of the pixels of an empty frame
 
 
@@ -103,7 +103,7 @@ class Predictor:
         self.provider = provider
         self.threads = threads or available_cores()
         self._device_id = device_id
-        self._cold_ms: float | None = None  # of the check of a fixed model, its very first run
+        self._cold_ms: float | None = None  # first run of a fixed model, by its check
         session = self._open_session(file.content)
         signature = read_signature(session, num_classes=len(self.contract.classes))
         self.heads = signature.heads
@@ -280,7 +280,7 @@ class Predictor:
 
     def close(self) -> None:
         """Free the session; calls in progress end normally, later ones raise InferenceError."""
-        if not self._guard.is_forked:  # there the session would wait for its threads
+        if not self._guard.is_forked:  # a forked session waits for threads that do not exist
             self._session = None
 
     def __reduce__(self) -> NoReturn:
@@ -332,7 +332,7 @@ class Predictor:
         stamps: Sequence[Any],
         started: float,
     ) -> list[Prediction]:
-        """Run prepared frames, those of one network size together, and convert the outputs."""
+        """Run prepared frames in batches of equal network size, and convert the outputs."""
         batches: dict[object, list[int]] = {}
         for index, frame in enumerate(frames):
             batches.setdefault(frame.network_size if self.free_batch else index, []).append(index)

@@ -16,9 +16,9 @@ from runtime.prediction import IMAGE_CONSTANT, NO_DEPTH, SPARSE_DEPTH_LOW, Clean
 from runtime.resize import Size, move_returns, resize_image
 
 _CONSTANT_STEP = 16  # every 16th pixel usually rules out a constant image
-# Cells over the whole image, whatever its resolution. Of a 64-line scan of KITTI, 16 lines
-# have a return in 6.6 % of them and 4 lines in 1.8 %, at 125 x 414 as at 2160 x 3840; two lines
-# (0.5 %), or 16 lines that lost nine returns of ten (0.75 %), are a fault.
+# The image is divided into a fixed number of cells. 16 of KITTI's 64 lines have returns in 6.6 %
+# of the cells, 4 lines in 1.8 %, at any resolution. Two lines (0.5 %), or 16 lines with a tenth of
+# their returns (0.75 %), are a fault.
 _GRID = (128, 416)
 _LOW_SHARE = 0.01  # of the cells
 
@@ -200,7 +200,7 @@ def covers_little(sparse_depth: NDArray[np.float32], *, returns: int) -> bool:
     needed = _LOW_SHARE * rows * columns
     largest_cell = math.ceil(height / rows) * math.ceil(width / columns)
     if returns >= needed * largest_cell:
-        return False  # however densely they lie
+        return False  # fewer cells could not hold so many returns
     row, column = np.divmod(np.flatnonzero(sparse_depth > 0), width)
     occupied = np.zeros(rows * columns, dtype=np.bool_)
     occupied[row * rows // height * columns + column * columns // width] = True

@@ -144,8 +144,8 @@ def project_with_rows(
         matrix = product.astype(np.float32)
         if not np.isfinite(matrix).all():
             raise InputError("intrinsics times extrinsics is beyond float32: check the calibration")
-        # Compared before dividing, which leaves a fraction to divide. Together these hold for
-        # z > 0 alone, and never for NaN.
+        # Comparing before dividing saves most divisions. All comparisons together are true only
+        # for z > 0, and false for NaN.
         if lens is None:
             u_z, v_z, z = _transform(points, matrix)
             row = np.flatnonzero((u_z > -z) & (u_z < width * z) & (v_z > -z) & (v_z < height * z))
@@ -170,7 +170,7 @@ def project_with_rows(
     z, row = z[inside], row[inside]
     pixel = v[inside].astype(np.int64) * width + u[inside].astype(np.int64)
 
-    # Positive floats sort like their bits. Written far to near, so that the nearest stays.
+    # Positive floats sort like their bits. Far returns are written first, so the nearest remain.
     key = (z.view(np.int32).astype(np.int64) << _INDEX_BITS) | np.arange(len(z))
     key.sort()
     order = key[::-1] & ((1 << _INDEX_BITS) - 1)
@@ -243,7 +243,7 @@ def _check_matrix(name: str, matrix: Any, side: int) -> None:
 
 
 def _is_plain(array: Any) -> bool:
-    """Whether indexing and arithmetic are those of a plain numpy array."""
+    """Whether the array is a plain numpy array, not of a subclass."""
     return isinstance(array, np.ndarray) and not isinstance(array, np.ma.MaskedArray | np.matrix)
 
 

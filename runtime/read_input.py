@@ -55,7 +55,7 @@ def read_input(path: Path, *, max_bytes: int | None = None) -> bytes:
     """
     most = MAX_FILE_BYTES if max_bytes is None else max_bytes
     with open_input(path, max_bytes=most) as file, _reported(path):
-        return file.read(os.fstat(file.fileno()).st_size)  # 0 of a file of the kernel
+        return file.read(os.fstat(file.fileno()).st_size)  # files in /proc have size 0
 
 
 def read_text(path: Path) -> str:
@@ -80,7 +80,7 @@ def require_regular(path: Path, *, max_bytes: int | None = None) -> None:
     with _reported(path):
         status = os.stat(path)
     _require_regular(path, status, max_bytes)
-    if status.st_size == 0:  # as files of the kernel, of which reading can block
+    if status.st_size == 0:  # files in /proc and /sys: reading can block
         raise InputError(f"cannot read {_shown(path)}: it is empty")
 
 
@@ -100,7 +100,7 @@ def _open_at_once(path: str, flags: int) -> int:
 
 @contextlib.contextmanager
 def _reported(path: Path) -> Iterator[None]:
-    """Raise what opening or reading a file raises as an InputError."""
+    """Convert errors of opening or reading a file to InputError."""
     try:
         yield
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name

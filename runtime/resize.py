@@ -15,7 +15,7 @@ from runtime.heads import HEADS, ResizeRule
 
 Size = tuple[int, int]  # (height, width)
 
-#: Neighbouring depths up to this many times as far as the nearest of them are one surface.
+#: Neighbouring depths are one surface if the farthest is at most this many times the nearest.
 SAME_SURFACE = 1.15
 
 
@@ -66,7 +66,7 @@ def resize_surface(depth: NDArray[np.float32], size: Size) -> NDArray[np.float32
         return resized
     farthest, nearest = cv2.dilate(depth, _AROUND), cv2.erode(depth, _AROUND)
     is_surface = (nearest > 0) & (farthest <= SAME_SURFACE * nearest)
-    # A depth of 0 is never among those of a surface: its inverse is not taken.
+    # Depths of 0 belong to no surface, so there is no division by 0.
     inverse = cv2.resize(cv2.divide(1.0, depth), size[::-1], interpolation=cv2.INTER_LINEAR)
     cv2.copyTo(cv2.divide(1.0, inverse), resize_nearest(is_surface.astype(np.uint8), size), resized)
     return resized
@@ -117,7 +117,7 @@ def _moved(
 def _moves(sparse_depth: NDArray[np.float32], size: Size) -> tuple[NDArray[Any], NDArray[Any]]:
     """Flat indices of the returns that are kept and of their pixels in `size`."""
     (height, width), (new_height, new_width) = sparse_depth.shape, size
-    # A mask first: numpy is four times as fast in it as in floats.
+    # np.nonzero is four times as fast on a mask as on floats.
     source = np.flatnonzero(sparse_depth > 0)
     row, column = np.divmod(source, width)
     target = _moved_pixels(height, new_height)[row] * new_width

@@ -19,7 +19,7 @@ _GPU_NEEDS = (
     f"it needs an NVIDIA driver and: pip uninstall -y onnxruntime; {install_command('gpu')}"
 )
 _NO_MEMORY = re.compile("allocate|bad_alloc|out of memory", re.IGNORECASE)
-# A convolution on another provider means that the requested one does not do the work.
+# If a convolution runs on another provider, the requested provider does not do the work.
 _HEAVY_OPERATORS = frozenset({"Conv", "FusedConv", "QLinearConv", "ConvInteger", "NhwcConv"})
 
 
@@ -57,7 +57,7 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
     _require_available(ort, provider, name)
     printed, settings = "", {}
     if provider == "cuda":
-        # An exhaustive search would stall the first frame of every new size.
+        # An exhaustive algorithm search would delay the first frame of every new size.
         settings = {"device_id": str(device_id), "cudnn_conv_algo_search": "HEURISTIC"}
         printed = _preload(ort)
     try:
@@ -70,7 +70,7 @@ def open_session(model: bytes, *, provider: str, device_id: int, threads: int) -
     except Exception as error:
         if provider == "cpu":
             raise _unloadable(error) from error
-        # A damaged file also fails on the CPU, which raises the right error.
+        # If the file is damaged, opening it on the CPU raises the right error.
         open_session(model, provider="cpu", device_id=0, threads=threads)
         raise ProviderError(
             f"provider {provider!r} could not be started ({error}) {printed}: {_GPU_NEEDS}"

@@ -1,4 +1,4 @@
-"""A batch: what the mixture of data sets gives to the network and to the loss."""
+"""A batch: inputs of the network and targets of the loss."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -15,18 +15,18 @@ from training.datasets.sample import Sample
 class Pair(NamedTuple):
     """How the second view of each frame differs from the first."""
 
-    #: int64 (N, 2): rows and columns by which the second view begins later.
+    #: int64 (N, 2): row and column of the second view's upper left corner in the first view.
     offset: Tensor
-    #: float32 (N, 1, H, W), metres: the LiDAR input of each view, 0 = no return.
+    #: float32 (N, 1, H, W), metres: LiDAR input of the views, 0 = no return.
     first_lidar: Tensor
     second_lidar: Tensor
 
 
 class Drawn(NamedTuple):
-    """A frame that the mixture has drawn: one view, or two whose second begins later."""
+    """A frame that was drawn from the mixture of data sets, as one view or as two shifted views."""
 
     views: tuple[Sample, ...]
-    #: (rows, columns) by which the second view begins later.
+    #: (row, column) of the second view's upper left corner in the first view.
     offset: tuple[int, int] = (0, 0)
 
 
@@ -42,20 +42,21 @@ class Batch:
     targets: Mapping[str, Tensor]
     #: Target -> float32 (N,), weight of each frame's labels in the loss.
     weights: Mapping[str, Tensor]
-    #: Set and frame of each, for messages.
+    #: Data set and name of each frame, for messages.
     names: Sequence[str]
     #: None = no frame has two views.
     pair: Pair | None = None
-    #: The answers of the network that another one learns from, None = there is none.
+    #: Output of the teacher, None = no teacher.
     teacher: NetworkOutput | None = None
 
     @classmethod
     def collate(cls, drawn: Sequence[Drawn], targets: Collection[str]) -> Self:
-        """Make a batch of drawn frames with these targets; ValueError if one has no sparse depth.
+        """Make a batch of drawn frames with these targets.
 
-        A target that a frame lacks is unlabelled.
+        A target that a frame lacks is unlabelled in all its pixels. Raises ValueError if a frame
+        has no sparse depth.
         """
-        # All first views, then all second ones.
+        # The first views of all frames, then the second views.
         samples = [
             view for part in zip(*(item.views for item in drawn), strict=True) for view in part
         ]
@@ -82,7 +83,7 @@ class Batch:
         )
 
     def pin_memory(self) -> Self:
-        """Return the batch in page-locked memory; the loader calls it for a GPU."""
+        """Return the batch in page-locked memory. The DataLoader calls this for a GPU."""
         return self._map(Tensor.pin_memory)
 
     def to(self, device: torch.device) -> Self:

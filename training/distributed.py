@@ -115,7 +115,7 @@ def sum_over_processes(x: Tensor) -> Tensor:
 
 
 class _SumOverProcesses(torch.autograd.Function):
-    """Every process gets the sum, so its gradient is the sum of all gradients."""
+    """All-reduce whose gradient is the sum of the gradients of all processes."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor) -> Tensor:
@@ -159,7 +159,7 @@ def synchronise_batch_norm(network: nn.Module, processes: Processes) -> None:
 
 
 class _SharedBatchNorm(nn.BatchNorm2d):
-    """torch.nn.SyncBatchNorm for processes on CPUs, which it does not support."""
+    """Replacement of torch.nn.SyncBatchNorm, which does not support CPUs."""
 
     @classmethod
     def of(cls, norm: nn.BatchNorm2d) -> "_SharedBatchNorm":

@@ -29,7 +29,7 @@ _PERCENTILES = (1, 50, 99)
 
 
 class DryRun(NamedTuple):
-    """The picture of the first batch, and what there is to learn from, as lines of text."""
+    """The picture of the first batch, and a description of the data, as lines of text."""
 
     picture: Path
     lines: Sequence[str]

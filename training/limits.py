@@ -10,12 +10,12 @@ from pydantic import AfterValidator, ConfigDict, Field
 
 from runtime.contract import MAX_SIDE, MIN_SIDE
 
-#: Of every table of a recipe: "3" is not 3, true is not 1, no unknown keys, no NaN or infinity.
+#: Configuration of all tables of a recipe: no conversions ("3", true), unknown keys, NaN or Inf.
 STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
-#: Of a batch: 5 GiB of loaded tensors.
+#: Most pixels of a batch: 5 GiB of loaded tensors.
 MAX_BATCH_PIXELS = 2**28
-#: Of the window of a frame before it is magnified to the crop: 1.6 GiB.
+#: Most pixels of the window of a frame before it is resized to the crop: 1.6 GiB.
 MAX_WINDOW_PIXELS = 2**27
 #: Of a training; their order takes 16 bytes each.
 MAX_SAMPLES = 10**8
@@ -48,7 +48,7 @@ _PositiveShare = Annotated[float, Field(gt=0, le=1)]
 _Factor = Annotated[float, Field(ge=0.01, le=100)]
 #: Pixels at the border of each of two views that are not compared: padding changes answers there.
 PAIR_BORDER_PX = 32
-#: Least step [px] of the shift between two views; a network with coarser logits has a larger one.
+#: Least step [px] of the shift between two views; the stride of the semantic logits, if larger.
 PAIR_STEP_PX = 4
 PairShift = Annotated[int, Field(ge=0, le=128, multiple_of=PAIR_STEP_PX)]
 #: (low, high) of a value that is drawn at random.
@@ -57,7 +57,7 @@ FactorRange = Annotated[tuple[_Factor, _Factor], AfterValidator(_require_order)]
 
 
 def require_window(key: str, crop: tuple[int, int], scale: tuple[float, float]) -> None:
-    """Raise ValueError, which names the key, if the crop at this scale needs too large a window."""
+    """Raise ValueError, naming the key, if the window of the crop at this scale is too large."""
     pixels = crop[0] * crop[1] / scale[0] ** 2
     if pixels > MAX_WINDOW_PIXELS:
         raise ValueError(

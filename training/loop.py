@@ -99,7 +99,7 @@ def _train(
     if processes.is_first:
         sets = (*recipe.data.source, *recipe.validation.source)
         files = list_data(data, [item.path for item in sets])
-        # Only now: a training that cannot start leaves no folder.
+        # Made last: a training that cannot start leaves no folder.
         held.enter_context(lock_folder(out))
         prepare_folder(out, resolved, files)
     processes.wait()
@@ -159,5 +159,5 @@ def _train(
         for line in scores.compare() if scores else ():
             tqdm.write(line, file=sys.stderr)
     processes.wait()  # until the file is written
-    # Stopped early there is nothing to release yet.
+    # A run that was stopped early releases no weights.
     return out / (FINAL if state.step == steps else LAST)

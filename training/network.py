@@ -14,7 +14,7 @@ from training.initial_weights import Weights, start_from
 from training.prune import prune_trunk
 from training.recipe import ModelRecipe
 
-#: `NetworkConfig`'s normalisation that weights of ImageNet want.
+#: Normalisation in `NetworkConfig` that the ImageNet weights were trained with.
 _IMAGENET_COLORS = {"rgb_mean": (RGB_MEAN,) * 3, "rgb_std": (RGB_STD,) * 3}
 
 
@@ -81,7 +81,7 @@ def _load_pretrained(network: SSDNetLite, pictures: Iterable[Tensor]) -> SSDNetL
 
 
 def _require_pretrainable(network: Network) -> SSDNetLite:
-    """Return the network; InputError for one that weights of ImageNet do not fit."""
+    """Return the network; InputError if ImageNet weights do not fit it."""
     if not isinstance(network, SSDNetLite):
         raise InputError(
             f"model.pretrained: {network.config.name!r} has no encoder with ImageNet weights. "
@@ -97,7 +97,7 @@ def _require_pretrainable(network: Network) -> SSDNetLite:
 
 
 def train_parts(network: Network, only: tuple[str, ...], frozen: tuple[str, ...] = ()) -> None:
-    """Put the parts whose names begin with one of ``only`` into training mode; () = all.
+    """Put the parts whose names begin with an entry of ``only`` into training mode; () = all.
 
     The others, and layers at any depth whose names begin with one of ``frozen``, have no gradient
     and constant batch statistics. InputError for a beginning that fits none.

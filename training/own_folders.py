@@ -20,7 +20,7 @@ from training.run_folder import folder_errors
 #: The file of the recipe in a run's folder.
 RECIPE_TEXT = "recipe.toml"
 _BATCH = 4
-#: How often every frame is trained on, within the least and the largest number of steps.
+#: Epochs, if the number of steps is within its limits.
 _PASSES, _MIN_STEPS, _MAX_STEPS = 40, 200, 10_000
 #: The depth reads the features of the classes: trained on, they made it a third worse in 150 steps.
 #: The rate is that of layers which begin at random.
@@ -30,7 +30,7 @@ _CLASSES_ALONE = (
     'frozen = ["semantic_decoder"]',
     "learning_rate = 2e-3",
 )
-#: One frame of this many is for validation; there are at least so many frames.
+#: One of this many frames is for validation, which is also the least number of frames.
 _VALIDATION = 10
 
 

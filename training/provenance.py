@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from training.initial_weights import Weights
 from training.recipe import Recipe
 
-#: Stated beside the recipe's own terms where weights of ImageNet are read.
+#: Added to the terms of the recipe if ImageNet weights are used.
 IMAGENET_TERMS = (
     "ImageNet: research, non-commercial (its weights, EfficientNet-Lite0's, are Apache-2.0)"
 )
@@ -13,12 +13,11 @@ _SEPARATOR = "; "
 
 
 def state_provenance(recipe: Recipe, *checkpoints: Weights | None) -> tuple[tuple[str, ...], str]:
-    """Return the data that trained weights know, and their terms, each once.
+    """Return the data that weights were trained on, and their terms, without repetitions.
 
     Args:
         recipe: of the training.
-        checkpoints: those that it begins with or learns the answers of; None = there is none. The
-            new weights know their data, too.
+        checkpoints: initial weights and teacher, whose data count, too; None = not used.
     """
     data = [item.title for item in recipe.data.source]
     terms = [recipe.terms]

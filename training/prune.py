@@ -13,9 +13,9 @@ from models.blocks import pad_to_multiple
 from models.efficientnet_lite import WIDTHS, InvertedResidual, SameConv
 from runtime.errors import CheckpointError
 
-#: Pixels of each picture whose features are counted.
+#: Sampled pixels of each picture.
 _PIXELS = 6000
-#: Share of the mean variance that is added to each, so that the covariance has an inverse.
+#: Ridge, as a share of the mean variance, that makes the covariance invertible.
 _DAMPING = 1e-3
 
 
@@ -115,7 +115,7 @@ def _without_channels(
 def _observe(
     network: SSDNetLite, blocks: Mapping[str, InvertedResidual], pictures: Iterable[Tensor]
 ) -> dict[str, _Moments]:
-    """Return the moments of the features that each block's projection reads, without LiDAR."""
+    """Return the moments of the inputs of each block's projection, for images without LiDAR."""
     moments = {name: _Moments() for name in blocks}
     hooks = [
         block.project.register_forward_pre_hook(
@@ -160,7 +160,7 @@ def _choose_channels(
         cost = (weight * scale).square().sum(dim=0) / inverse.diagonal()
         least = int(cost.masked_fill(gone, torch.inf).argmin())
         step = inverse[least] / inverse[least, least]
-        for each in (weight, inverse):  # their columns of this channel become 0
+        for each in (weight, inverse):  # the column of the removed channel becomes 0
             each.addr_(each[:, least].clone(), step, alpha=-1)
         gone[least] = True
     kept = gone.logical_not().nonzero().flatten()

@@ -34,8 +34,8 @@ LOCK = "lock"
 #: The key of the data's files in recipe.json.
 _DATA = "data_files"
 
-#: Keys that may change when a run is resumed: they change neither its weights nor by which scores
-#: best.pt is chosen.
+#: Keys that may change when a run is resumed: they affect neither the weights nor the choice of
+#: best.pt.
 _WITHOUT_EFFECT = (
     "recipe.data.workers",
     "recipe.data.cache_gib",
@@ -85,7 +85,7 @@ def _warn_of_other_data(
 
 
 def list_data(roots: Sequence[Path], paths: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Describe the files below each path in the first root that has it: number, names' SHA-256."""
+    """Describe the files of each path, in the first root that has it: number, SHA-256 of names."""
     folders = {
         path: root / path for path in paths for root in reversed(roots) if (root / path).is_dir()
     }

@@ -1,4 +1,4 @@
-"""The scores of all validations as a table, and the best of them."""
+"""The scores of all validations as a table, and the best validation."""
 
 import csv
 import io
@@ -73,7 +73,7 @@ class ScoreTable:
 
         Nothing where step 0 was not scored.
         """
-        now = {row["set"]: row for row in self._rows}  # the last of each set
+        now = {row["set"]: row for row in self._rows}  # last row of each set
         pairs = {
             f"{row['set']}/{key}": (float(row[key]), float(now[row["set"]][key]))
             for row in self._rows

@@ -21,15 +21,15 @@ from training.recipe import LoopRecipe, Recipe
 from training.run_folder import require_finite, require_same
 from training.task import Task
 
-#: `Network.forward`, perhaps distributed.
+#: `Network.forward`, or its distributed wrapper.
 Forward = Callable[..., NetworkOutput]
 
-#: The recipe's names of types other than float32.
+#: Name in recipes -> dtype, besides float32.
 _AUTOCAST = {"bf16": torch.bfloat16, "fp16": torch.float16}
 
 
 class Step(NamedTuple):
-    """What a step did: the terms of the loss, means over its batches, and its rate."""
+    """Outcome of a step: terms of the loss, averaged over its batches, and the learning rate."""
 
     terms: dict[str, Tensor]
     rate: float

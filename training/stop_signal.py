@@ -47,6 +47,6 @@ class StopSignal:
 
 
 def leave_signals_to_parent() -> None:
-    """Ignore the signals in a worker process: its parent gets them too, and ends it."""
+    """Ignore the signals in a worker process: the parent gets the same signals and ends it."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)

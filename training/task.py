@@ -65,7 +65,7 @@ class Task:
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """The targets that the loss compares answers with."""
+        """The targets that the loss uses."""
         return self.criterion.config.targets_for(self.network.heads)
 
     @property
@@ -198,10 +198,10 @@ def _learning_heads(network: Network) -> set[str]:
 def _require_figure(
     recipe: Recipe, network: Network, validation: Mapping[str, SampleSource]
 ) -> None:
-    """Raise InputError if the set of ``validation.best`` does not give its score."""
+    """Raise InputError if the set of ``validation.best`` does not have the score."""
     title, _, figure = recipe.validation.best.rpartition("/")
     lidar = LidarInput.parse(recipe.validation.lidar)
-    for count in (1, FREQUENCY_SAMPLES):  # mostly the first frame says it
+    for count in (1, FREQUENCY_SAMPLES):  # mostly the first frame is enough
         indices = spread_indices(validation[title], count)
         known = figure_names(network, validation[title], indices, lidar)
         if figure in known:

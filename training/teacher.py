@@ -1,4 +1,4 @@
-"""The teacher of a training: a trained network whose answers another one learns."""
+"""The teacher of a training: a trained network whose answers are learned."""
 
 from models import Network
 from runtime.errors import InputError
@@ -7,12 +7,12 @@ from training.losses import LossConfig
 
 
 def prepare_teacher(weights: Weights | None, loss: LossConfig, network: Network) -> Network | None:
-    """Return the network whose answers the loss compares ``network``'s with; None = no such loss.
+    """Return the teacher of ``network``; None if the loss compares with no teacher.
 
     Args:
         weights: its checkpoint; None = none was given.
         loss: the options of the loss, of which some need a teacher.
-        network: the one that learns.
+        network: the network that is trained.
 
     Returns:
         The teacher, without gradients and with its batch statistics frozen.

@@ -20,7 +20,7 @@ _STACKED_WIDTH = 960
 _CLASS_OPACITY = 0.7
 _LEGEND_LINE = 22  # pixels
 _NO_DEPTH = ClassInfo("no depth", NO_VALUE_COLOR)  # in the legend
-_NEAREST_M = 3.0  # of the depth's colours; the bonnet is nearer
+_NEAREST_M = 3.0  # near end of the colour scale; only the bonnet is nearer
 _UNCERTAINTY_PERCENT = (1.0, 100.0)
 
 

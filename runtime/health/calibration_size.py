@@ -1,8 +1,8 @@
-"""Whether a calibration is of images of the size of those that it is used with.
+"""Detects a calibration that was made for images of another size.
 
-A calibration for images of another size puts the principal point far from the middle, as it also is
-in pictures that were cut. Only where the returns, moved as with a scaled calibration, also fit the
-depth that the model predicts from the image alone better than where they are, it is reported.
+Such a calibration puts the principal point far from the middle of the image. Cropped images look
+the same. So the calibration is reported only if scaling it to the size of the images moves the
+returns to where they fit better to the depth that the model predicts from the image alone.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from runtime.health.depth_plausibility import BANDS, FIRST_FRAMES, correlations,
 from runtime.io.calibration import Calibration
 from runtime.prediction import IMAGE_CONSTANT, Prediction
 
-_FAR = 0.08  # of the width, from the middle; KITTI, PandaSet and View-of-Delft: at most 0.02
+_FAR = 0.08  # offset of the principal point / width; KITTI, PandaSet, View-of-Delft: at most 0.02
 _LEAST_RETURNS = 200
 # Gain in correlation, median of up to five frames, of KITTI and PandaSet at 0.5, 0.67, 0.8 and 2
 # times the size of their calibration: 0.18 to 1.1; cut at the left or right: -0.3 and less.
@@ -78,7 +78,7 @@ class CalibrationSize:
 def _gain(
     camera_only: Prediction | None, sparse_depth: NDArray[np.float32], scale: float
 ) -> float | None:
-    """What the fit gains if the returns move to `scale` times their pixels; None: not known."""
+    """Correlation gained by moving the returns to `scale` times their pixels; None: not known."""
     if camera_only is None or camera_only.depth is None or not camera_only.valid:
         return None
     height, width = sparse_depth.shape

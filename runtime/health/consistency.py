@@ -19,13 +19,13 @@ from runtime.prediction import Prediction
 
 _SHARE = "consistency, the share of the returns that is held out,"
 _WEIGHT = 0.1  # of a new frame in the running means
-_SCALE_EVERY = 10  # frames: the scale takes a second prediction
-_SQUARES = 8  # that are held out, over the height of the image
-_NEIGHBOUR_PX = 8  # returns of a line or column that are compared with each other
-_JUMP = 1.25  # ratio of their depths
-_NEAR_M = 30.0  # up to here returns are dense enough
+_SCALE_EVERY = 10  # frames between two scale errors, which need a second prediction
+_SQUARES = 8  # squares per image height; whole squares are held out
+_NEIGHBOUR_PX = 8  # largest distance of two returns that are compared, in a line or column
+_JUMP = 1.25  # ratio of the depths of two neighbouring returns at an object edge
+_NEAR_M = 30.0  # farther returns are too sparse to be compared with their neighbours
 _LEAST_DEPTH_M = 0.1
-_FIRST_NS = 60_000_000_000  # the frames that later ones are compared with
+_FIRST_NS = 60_000_000_000  # the first minute, with which later frames are compared
 
 
 @dataclass(frozen=True)
@@ -139,11 +139,11 @@ class _Figure:
 
     @property
     def change(self) -> float | None:
-        """The running mean minus that of the first minute; None without a figure in it."""
+        """Running mean minus the mean of the first minute; None if that minute has no figure."""
         return self.mean - self._first if self.mean is not None and self._frames else None
 
     def add(self, value: float | None, *, first: bool) -> None:
-        """Add a frame; None = it has no such figure."""
+        """Add the figure of a frame; None = the frame has none."""
         if value is None:
             return
         self.mean = value if self.mean is None else self.mean + self._weight * (value - self.mean)
@@ -162,7 +162,7 @@ def _log_ratio(
 def _edge_agreement(
     boundary: NDArray[np.float32], sparse_depth: NDArray[np.float32]
 ) -> float | None:
-    """Mean boundary between returns whose depths jump, minus that between others."""
+    """Mean boundary probability at neighbouring returns with a depth jump, minus without one."""
     around = cv2.dilate(boundary, np.ones((3, 3), np.uint8))
     at_jumps, elsewhere = [], []
     for depth, values in ((sparse_depth, around), (sparse_depth.T, around.T)):

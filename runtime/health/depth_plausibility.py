@@ -1,10 +1,10 @@
 """Whether the returns can be metres of what the camera sees: unit, inverse depth, mirrored maps.
 
-Some frames with returns are compared with the depth that the model predicts from the image alone.
-Its scale is nearly right and its structure is that of the image, so the logarithms of both
-correlate, also where only the unit of the returns is wrong. The correlation counts after the mean
-of each band of rows was subtracted: near below and far above is what any image looks like, also to
-a model that cannot see in the dark. Limits and what recordings reach: docs/streams.md.
+The returns of some frames are compared with the depth that the model predicts from the image alone.
+The logarithms of both correlate if the returns show the same scene, also in a wrong unit; the ratio
+of both finds the wrong unit. Before correlating, the mean of each band of rows is subtracted:
+otherwise "near below, far above" alone would correlate, even in a dark image. Limits and measured
+values: docs/streams.md.
 """
 
 import math
@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from runtime.prediction import IMAGE_CONSTANT, Prediction
 
 FIRST_FRAMES = 5  # checked when a stream starts; the median of the last so many counts
-_LEAST_RETURNS, _MOST_RETURNS = 200, 50_000  # of denser maps every n-th counts
+_LEAST_RETURNS, _MOST_RETURNS = 200, 50_000  # denser maps are subsampled
 BANDS = 48  # over the height of the image
 _LEAST_DEPTH_M = 0.1
 _ALIKE = 0.5  # correlation from which two depth maps show the same scene
 _MIRRORED_MARGIN = 0.2  # by which the mirrored map must correlate better
 _NEAREST, _FARTHEST = 0.25, 2.5  # return / camera-only depth; right ones: 0.66 to 1.14
-_FOCAL_RATIO = 10  # farther off no focal length is
+_FOCAL_RATIO = 10  # a wrong focal length explains at most this ratio
 _DEPTH_SCALES = (1, 100, 256, 1000)  # of metres, centimetres, KITTI and millimetres
 
 
@@ -132,7 +132,7 @@ def correlations(
 
 
 def _correlation(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """Pearson's; 0 where one of the two is constant."""
+    """Pearson's correlation; 0 if an array is constant."""
     first, second = first - first.mean(), second - second.mean()
     spread = float(np.sqrt((first @ first) * (second @ second)))
     return float(first @ second) / spread if spread > 1e-6 else 0.0

@@ -7,7 +7,7 @@ IMAGE_FROZEN = "image_frozen"  # the same bytes as the image before
 IMAGE_BLACK = "image_black"  # nearly every pixel is dark
 IMAGE_OVEREXPOSED = "image_overexposed"  # half of the pixels are saturated
 
-_GLANCE = 16  # every 16th row and column are compared first, which nearly always is enough
+_GLANCE = 16  # every 16th row and column are compared first
 _STEP = 4  # every 4th row and column are checked for brightness
 _DARK, _DARK_SHARE = 12, 0.99  # brightest channel, of 255
 _BRIGHT, _BRIGHT_SHARE = 250, 0.5  # darkest channel

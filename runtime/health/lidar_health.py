@@ -23,7 +23,7 @@ _MEMORY = 0.1  # weight of a new frame in the running mean
 _LEAST_RETURNS = 30  # mean of a cell, to be checked
 _LEAST_SHARE = 0.03  # of all returns in a cell, to be checked
 _CELL_LOST = 0.25  # of the cell's mean
-_TOTAL_LOST = 0.7  # of the mean of all returns: lines between others are lost
+_TOTAL_LOST = 0.7  # of the mean of all returns: single scan lines are lost all over the image
 
 
 class LidarHealth:

@@ -1,7 +1,7 @@
-"""How far apart two answers of a head are, and how far they may be.
+"""Differences between two answers of a head, and their limits.
 
-One rule for an export (the file against PyTorch) and for a recording (a run against an earlier
-one), by the rows of `runtime.heads`.
+Used by the export (model file against PyTorch) and by recordings (present run against the recorded
+run). The tolerances are in `runtime.heads`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,8 +17,8 @@ from runtime.heads import HEADS, Difference, Head, Unit
 #: that differ, and in values.
 HALF_SHARE, HALF_VALUE = 10, 100
 
-_SHARE = Difference.EQUAL_SHARE.value  # the only figure of which more is better
-#: Kind of difference -> the figure that rounding in single pixels hardly changes.
+_SHARE = Difference.EQUAL_SHARE.value  # the only figure whose limit is a minimum
+#: Kind of difference -> a figure that is not sensitive to large differences in single pixels.
 _MEANS = {
     Difference.EQUAL_SHARE: _SHARE,
     Difference.MEAN: Difference.MEAN.value,
@@ -65,9 +65,9 @@ def first_figure(head: str) -> str:
 
 
 def worst(figures: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Return the worst of each figure of one head over all frames; NaN if any is."""
+    """Return the worst value of each figure of one head over all frames; NaN if one is NaN."""
     return {
-        # Both let NaN through.
+        # np.min and np.max propagate NaN, unlike min and max.
         name: float((np.min if name == _SHARE else np.max)([figure[name] for figure in figures]))
         for name in figures[0]
     }
@@ -76,8 +76,8 @@ def worst(figures: Sequence[Mapping[str, float]]) -> dict[str, float]:
 def file_limits(head: str, contract: Contract) -> dict[str, float]:
     """Return the limits of a file's answers against PyTorch's on the machine of the export.
 
-    The first figure of the head has one. For 8-bit integers they say nothing: what these may cost
-    is the gate of `export.int8`.
+    Only `first_figure` has a limit. Files in 8-bit integers are judged by their accuracy instead,
+    see `export.int8`.
     """
     row = HEADS[head]
     room = _room(row, row.limit(contract.max_depth_m), contract.precision)
@@ -87,9 +87,10 @@ def file_limits(head: str, contract: Contract) -> dict[str, float]:
 def recording_limits(head: str, contract: Contract, *, from_torch: bool) -> dict[str, float]:
     """Return the limits of the file of a recording on another machine or in another version.
 
-    A float file repeats its own answers as exactly as PyTorch's. In 8 bits another order of
-    operations moves some pixels far, so that the share of equal pixels or a mean is limited. So it
-    is for answers of PyTorch, from which the file may also differ as it did when it was exported.
+    A float file against its own answers has the limits of `file_limits`. An 8-bit file differs far
+    in some pixels if operations are reordered: a mean or the share of equal pixels is limited
+    instead of the maximum. The same figure is limited for answers of PyTorch, with the difference
+    that was measured at export added.
 
     Args:
         head: name in `HEADS`.
@@ -111,7 +112,7 @@ def recording_limits(head: str, contract: Contract, *, from_torch: bool) -> dict
 
 
 def within(figures: Mapping[str, float], limits: Mapping[str, float]) -> bool:
-    """Return whether figures of a head keep to their limits; NaN does not."""
+    """Return whether all figures of a head are within their limits; NaN is not."""
     return all(
         figures[name] >= limit if name == _SHARE else figures[name] <= limit
         for name, limit in limits.items()
@@ -119,7 +120,7 @@ def within(figures: Mapping[str, float], limits: Mapping[str, float]) -> bool:
 
 
 def _room(row: Head, tolerance: float, precision: str) -> float:
-    """The share of pixels that may differ, or the difference."""
+    """Allowed share of different pixels, or allowed difference, by the precision of the file."""
     room = 1 - tolerance if row.difference is Difference.EQUAL_SHARE else tolerance
     if precision != "fp16":
         return room

@@ -18,7 +18,7 @@ from typing import BinaryIO
 
 from runtime.errors import OutputError
 
-_NAME_LENGTH = 40  # of the target's name in the temporary's, which may not grow too long
+_NAME_LENGTH = 40  # characters of the target's name in the name of the temporary
 
 
 def atomic_write(
@@ -128,13 +128,13 @@ def require_folder_free(path: Path, *, own: Callable[[], Iterable[Path]] | None 
 
 
 def remove_leftover(path: Path) -> None:
-    """Remove what a killed process left of writing `path`; a file still being written stays."""
+    """Remove the temporary of `path` that a killed process left; keep it if it is locked."""
     with contextlib.suppress(OSError):
         _remove_leftover(_temporary_name(path))
 
 
 def _temporary_name(path: Path) -> Path:
-    """The same for every writer of `path`, so that the next one finds a leftover."""
+    """Path of the temporary; equal for all writers of `path`, so that each finds leftovers."""
     name = path.name
     return path.with_name(f".{name[:_NAME_LENGTH]}.{zlib.crc32(os.fsencode(name)):08x}.part")
 
@@ -178,7 +178,7 @@ def _create(temporary: Path, *, folder: bool) -> int:
             continue
         if _lock(handle) and _is_at(handle, temporary):
             return handle
-        os.close(handle)  # before it was locked another writer took it for a leftover
+        os.close(handle)  # another writer removed it as a leftover before it was locked
 
 
 def _make(temporary: Path, *, folder: bool) -> int:
@@ -233,7 +233,7 @@ def _remove(path: Path) -> None:
 
 
 def _require_replaceable(path: Path) -> None:
-    """Raise OutputError for a device, a pipe and the like, which root could replace with a file."""
+    """Raise OutputError for devices, pipes and sockets, which root could replace with a file."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
@@ -243,7 +243,7 @@ def _require_replaceable(path: Path) -> None:
 
 
 def _publish(temporary: Path, path: Path, *, overwrite: bool) -> None:
-    """Give the file its name, without `overwrite` if no other has it. Raises OutputError."""
+    """Rename the temporary to `path`. Raises OutputError if it exists, without `overwrite`."""
     if overwrite:
         _require_replaceable(path)
         os.replace(temporary, path)

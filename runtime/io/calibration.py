@@ -79,7 +79,7 @@ class Calibration:
 
     @property
     def rectified(self) -> "Calibration":
-        """The calibration of the images that `rectify` returns: the same without a lens."""
+        """The calibration without lens, for the images that `rectify` returns."""
         return replace(self, lens=None, distortion=None)
 
     def rectify(self, rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -124,7 +124,7 @@ class Calibration:
         )
 
     def require_size(self, size: tuple[int, ...]) -> None:
-        """Raise InputError unless images of this (height, width) are the calibration's."""
+        """Raise InputError if `size` is known and differs from this (height, width)."""
         if self.size not in (None, size):
             swapped = self.size == size[::-1]
             remedy = "swap the two" if swapped else "scale the intrinsics with the image"
@@ -233,8 +233,8 @@ class Calibration:
             info: "p" or "P" (12 numbers), "k" or "K" (9), "d" or "D", "distortion_model",
                 "height" and "width".
             extrinsics: (4, 4) from the LiDAR's frame to the camera's optical frame, as in tf.
-            rectified: of which images: True: of image_rect and the like, by P; False: of image_raw,
-                by K and D, or, where D is zero, by P. Where P is zero, K takes its place.
+            rectified: True for the images of image_rect, which P describes; False for those of
+                image_raw, which K and D describe (P if D is zero). K is used if P is zero.
 
         Raises:
             InputError: if fields are missing, and for a distortion that is no `lens`.
@@ -248,7 +248,7 @@ class Calibration:
         shift = np.eye(4)
         if projection.any() and lens is None:
             intrinsics = projection[:, :3]
-            # Of the right image of a stereo camera.
+            # P[0, 3] != 0: the right camera of a stereo pair.
             shift[0, 3] = projection[0, 3] / (projection[0, 0] or 1)
         elif "k" in fields:
             intrinsics = _matrix("K of the CameraInfo", fields["k"], 3, 3)
@@ -307,7 +307,7 @@ class Calibration:
 
 
 def find_raw_calibration(drive: Path) -> Path | None:
-    """The folder of KITTI raw data's calibration, a drive or the one above it; None without."""
+    """The folder with KITTI raw data's calibration: `drive` or its parent; None without one."""
     folders = (drive, Path(os.path.realpath(drive)).parent)
     return next((each for each in folders if os.path.exists(each / RAW_CAMERAS)), None)
 
@@ -321,10 +321,10 @@ class FrameCalibrations:
         rectified: as `Calibration.from_file`.
 
     Attributes:
-        first: of all frames, or of the first file of the folder.
+        first: calibration of all frames, or of the first file of the folder.
 
     Raises:
-        InputError: if it cannot be read; of the other files when they are read.
+        InputError: if `first` cannot be read. Other files are read by `of`.
     """
 
     def __init__(self, path: Path, *, camera: int = 2, rectified: bool = True) -> None:

@@ -1,8 +1,8 @@
 """What a file of another tool says of a camera, as the TOML of `Calibration`.
 
-Such files are shown, not read: their names differ by tool, and of a 4 x 4 matrix mostly do not say
-between which frames it is, or in which direction. Known by example: OpenCV's FileStorage, ROS's
-camera_info, Kalibr's camchain, Autoware's calibration, COLMAP's cameras.txt and rows of numbers.
+Such files are shown, not used: key names differ between tools, and the frames and direction of a
+4 x 4 matrix are mostly not stated. Formats with tests: OpenCV's FileStorage, ROS's camera_info,
+Kalibr's camchain, Autoware's calibration, COLMAP's cameras.txt and rows of numbers.
 """
 
 import json
@@ -27,7 +27,7 @@ intrinsics = [[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]]  # pixe
 extrinsics = [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, -0.08], [1.0, 0.0, 0.0, -0.27], [0, 0, 0, 1]]
 size = [375, 1242]  # height, width of the images"""
 _MOST_LINES = 2000  # a longer text holds a calibration at its beginning, or none
-_LEAST_FOCAL_PX = 10.0  # tells a camera's matrix from a rotation
+_LEAST_FOCAL_PX = 10.0  # a 3 x 3 matrix with a smaller focal length is a rotation
 _MODELS = {"radtan": PLUMB_BOB, "equi": EQUIDISTANT, "fisheye": EQUIDISTANT}
 _SIZES = ("resolution", "imagesize", "image_size", "size")  # width, height
 #: COLMAP's cameras with lenses of this project; "SIMPLE_" and "RADIAL" have one focal length.

@@ -7,8 +7,8 @@ _PNG_START = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"
 _JPEG_START = b"\xff\xd8"
 _TIFF_STARTS = {b"II*\0": "<", b"MM\0*": ">"}
 _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257
-_TIFF_TYPES = {3: "H", 4: "I"}  # of a number in the header itself
-# Markers of a JPEG file (ITU-T T.81, table B.1): a byte of ones, then the code.
+_TIFF_TYPES = {3: "H", 4: "I"}  # type codes of width and height
+# Codes of JPEG markers (ITU-T T.81, table B.1); a marker is 0xFF and its code.
 _MARKER = re.compile(rb"\xff([^\x00\xff])")
 _START_OF_FRAME = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _NO_SEGMENT = frozenset({0x01, *range(0xD0, 0xD8)})

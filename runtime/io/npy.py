@@ -29,7 +29,7 @@ def read_npy(path: Path) -> NDArray[Any]:
             raise ValueError(f"its shape is {shape}")
         array = np.frombuffer(content, dtype, math.prod(shape), file.tell())
         return array.reshape(shape, order="F" if is_fortran else "C")
-    except Exception as error:  # the header is an expression of Python: anything can be wrong
+    except Exception as error:  # the header is a Python expression: parsing may raise any type
         raise InputError(
             f"{path} is not a .npy file of numbers, or is truncated ({cut(str(error), 200)})"
         ) from error

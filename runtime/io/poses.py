@@ -46,7 +46,7 @@ def read_tum_poses(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     rows = _numbers(path, _TUM)
     if len(rows) and not (np.abs(rows[:, 0]) < 2**63 / 1e9).all():
         raise InputError(f"{path} must begin its lines with seconds, got {rows[:, 0].max():g}")
-    # Not by float: 1.6e9 s in float64 are exact to 0.2 µs alone.
+    # float64 has a resolution of 0.2 µs at 1.6e9 s.
     stamps = [parse_seconds(line.split()[0]) for line in _lines(path)]
     poses = [
         pose_of(row[1:4], row[4:8], f"line {number + 1} of {path}")

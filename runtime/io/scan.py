@@ -21,7 +21,7 @@ from runtime.errors import InputError
 from runtime.io.npy import read_npy
 from runtime.read_input import MAX_FILE_BYTES, read_input
 
-SCAN_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply", ".npy")  # the longer of two first
+SCAN_SUFFIXES = (".pcd.bin", ".bin", ".pcd", ".ply", ".npy")  # .pcd.bin before .bin
 _MAX_HEADER_BYTES = 100_000
 _LAST_LINE = re.compile(rb"^(DATA\s|end_header)[^\n]*\n", re.MULTILINE)
 _CODES = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
@@ -37,9 +37,9 @@ _ASCII, _COMPRESSED = "ascii", "binary_compressed"
 #: Encoding of the points -> order of the bytes.
 _OF_PCD = {_ASCII: "", "binary": "<", _COMPRESSED: "<"}
 _OF_PLY = {_ASCII: "", "binary_little_endian": "<", "binary_big_endian": ">"}
-# A raw file does not say how many numbers a point has, but a scanner turns: the directions of two
-# points in a row differ by 0.2 degrees along a ring, by up to 21 between the lasers of a sweep, and
-# by 80 and more at the median where the numbers of different points are mixed.
+# A raw file does not state how many columns a point has. They are judged by the angle between
+# successive points of a rotating scanner: 0.2 degrees along a ring, up to 21 between lasers; with a
+# wrong number of columns the median is 80 or more.
 _COLUMNS = (3, 4, 5, 6)
 _MAX_TURN_DEGREES = 40
 _MAX_DISTANCE_M = 250
@@ -100,7 +100,7 @@ def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
         if len(content) % (4 * count) == 0 and _is_of_a_scanner(values.reshape(-1, count))
     ]
     if fits and not others:
-        return points  # in no order that can be recognised
+        return points  # unordered points: the number of columns cannot be judged
     remedy = f": give point_columns={' or '.join(others)} in --source" if others else ""
     if fits:
         raise ValueError(
@@ -115,7 +115,7 @@ def _read_raw(content: bytes, columns: int) -> NDArray[np.float32]:
 
 def _is_of_a_scanner(points: NDArray[np.float32]) -> bool | None:
     """Whether points in the middle lie near and in rings or sweeps; None: there are too few."""
-    start = max(0, (len(points) - _JUDGED_POINTS) // 2)  # the first may be sky: no returns
+    start = max(0, (len(points) - _JUDGED_POINTS) // 2)  # the first points may be sky
     with np.errstate(over="ignore", invalid="ignore"):  # of NaN and infinity
         judged = points[start : start + _JUDGED_POINTS, :3].astype(np.float64)
         distances = np.sqrt(np.einsum("ij,ij->i", judged, judged))
@@ -165,7 +165,7 @@ def _read_points(content: bytes, *, is_pcd: bool) -> NDArray[np.float32]:
         return rows
     axes = []
     for _, start, code in places:
-        # Compressed points are stored a field of all after the other.
+        # Compressed PCD stores field by field: all x, then all y, ...
         whole, step = (points, int(code[1])) if encoding == _COMPRESSED else (1, size)
         axes.append(np.ndarray(points, encodings[encoding] + code, body, start * whole, (step,)))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -206,7 +206,7 @@ def _count(text: str) -> int:
 
 
 def _place(fields: list[tuple[str, str, int]]) -> tuple[list[tuple[int, int, str]], int, int]:
-    """Column, first byte and type of x, y and z in a point; its numbers of columns and bytes."""
+    """(Column, byte offset, type) of x, y and z; number of columns and of bytes of a point."""
     places: dict[str, tuple[int, int, str]] = {}
     width = size = 0
     for name, kind, count in fields:

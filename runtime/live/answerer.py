@@ -19,7 +19,7 @@ from runtime.sync.depth_in_time import DepthMotion, keep_map, project_in_time
 from runtime.sync.matching import Pair
 from runtime.sync.poses import PoseTrack
 
-_CHECK_EVERY = 100  # frames with depth, after the first ones
+_CHECK_EVERY = 100  # frames with depth, after the first FIRST_FRAMES
 
 
 class FramePredictor(Protocol):
@@ -52,8 +52,8 @@ class Answerer:
         self._health, self._plausibility = FrameHealth(), DepthPlausibility()
         self._is_implausible = False
         self._check_depth = check_depth
-        self._last: tuple[Pair, NDArray[np.float32]] | None = None  # not checked, with its returns
-        self._checks = self._since = 0  # frames checked; frames with depth since then
+        self._last: tuple[Pair, NDArray[np.float32]] | None = None  # of the next check
+        self._checks = self._since = 0  # checked frames; frames with depth since the last check
         self._answers = 0
         self._consistency = None if consistency is None else ConsistencyCheck(consistency)
 

@@ -53,7 +53,7 @@ class PoseFeed:
         return check_pose(pose)
 
     def timed(self, depth: Any, stamp_ns: int) -> Any:
-        """A scan with its time; without times of its points, that of its middle.
+        """A scan with its time, which is that of its middle if its points have no times.
 
         Called once for each depth message; a depth map is returned as it is.
         """
@@ -76,7 +76,7 @@ class PoseFeed:
 
 
 def _span_ns(pair: Pair) -> tuple[int, int]:
-    """The first and the last time of a frame, that of its image and of its returns."""
+    """(Earliest, latest) of the times of a frame's image and returns."""
     first_ns = last_ns = pair.image.stamp_ns
     if pair.depth is not None and isinstance(pair.depth.data, Points):
         first_ns = min(first_ns, pair.depth.data.first_ns)

@@ -56,7 +56,7 @@ from runtime.sync.stamp import (
 from runtime.sync.synchronizer import Synchronizer
 
 _WAITING = 16  # messages of a sensor that wait for their partner
-_EXIT_S = 10.0  # the interpreter's exit waits so long for a prediction
+_EXIT_S = 10.0  # time that the exit of the interpreter waits for a prediction
 _check_ms = partial(check_number, most=1e9, unit="milliseconds", error=InputError)
 
 
@@ -327,7 +327,7 @@ class PushStream:
         try:
             self.close()
         except BaseException:
-            if error[0] is None:  # else the block's own error comes first
+            if error[0] is None:  # an error raised in the with block has priority
                 raise
 
     def __iter__(self) -> "PushStream":
@@ -436,7 +436,7 @@ class PushStream:
         )
 
     def _fail(self, failure: BaseException) -> None:
-        """End the stream after an error that is no frame's."""
+        """End the stream after an error that is not caused by a frame."""
         with self._changed:
             self._failure = failure
             self._end()
@@ -499,7 +499,7 @@ def _end_worker(
     worker: threading.Thread,
     guard: ProcessGuard,
 ) -> None:
-    """Called when a stream was collected, or at exit, where its prediction must end before."""
+    """Called when a stream is garbage-collected, and at exit, to end its prediction first."""
     if guard.is_forked:
         return
     with changed:

@@ -162,7 +162,7 @@ class _Recording:
             yield from self._answer(pair)
 
     def _answer(self, pair: Pair) -> Iterator[FrameResult]:
-        """Yield the answer to a frame; none where it is an error."""
+        """Yield the answer to a frame, or nothing after an error."""
         try:
             answer = self.answerer.answer(pair, self.poses.track(pair))
         except SSDNetError as error:
@@ -180,7 +180,7 @@ class _Recording:
 
 
 def _parts(message: Any) -> tuple[str, Any, Any, Any]:
-    """The kind, array, stamp and times of a message; InputError if it is none."""
+    """The kind, array, stamp and times of a message; InputError if it is not a message."""
     if isinstance(message, tuple) and len(message) in (3, 4):
         kind, data, stamp, *times = message
         if isinstance(kind, str) and kind in _SENSORS and (not times or kind == "points"):

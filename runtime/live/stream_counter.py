@@ -15,8 +15,8 @@ from runtime.sync.matching import Decided, Pair
 from runtime.sync.outcome import DROPPED, ERRORS, UNMATCHED, Outcome, Sensor
 from runtime.sync.stamp import NS_PER_MS
 
-_OF_A_RUN = ("read", "write")  # figures
-_FAULTS = ("late", "degraded", "reused", "failed")  # of `WatchdogLimits`
+_OF_A_RUN = ("read", "write")  # stages of `ssdnet-run` only
+_FAULTS = ("late", "degraded", "reused", "failed")  # fields of `WatchdogLimits`
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class MessageCounts:
 
     Attributes:
         pushed: all messages.
-        answered: those that are part of an answer.
+        answered: messages that are part of an answer.
         dropped, unmatched, errors: reason -> messages, see `Outcome`.
     """
 
@@ -47,13 +47,13 @@ class StreamCounts(MessageCounts):
     """Messages of both sensors together: an answer made of an image and a depth map is two.
 
     Attributes:
-        images, depths: the same by sensor; `images.answered` is the number of answers.
-        poses: the same of poses; "answered" are those that were taken.
-        camera_only: answers among them without depth.
-        reused: answers among them with the depth of an older scan; that scan is counted once, as
-            part of the answer with its own image, or as "reused" if it has none.
-        out_of_order: messages that were older than the newest of their sensor; their outcomes are
-            counted as those of any other.
+        images, depths: counts of each sensor; `images.answered` is the number of answers.
+        poses: counts of the poses; a pose that was accepted is "answered".
+        camera_only: answers without depth.
+        reused: answers with the depth of an older scan. The scan is counted once, as part of the
+            answer with its own image, or as "reused" if it has no image.
+        out_of_order: messages that were older than the newest of their sensor. They have an
+            outcome, too.
         jumps_back: how often the stamps of a sensor jumped back by more than a second.
     """
 
@@ -108,7 +108,7 @@ class StreamCounter:
         self._jumps_back += decided.jumped_back
 
     def record_pair(self, pair: Pair, outcome: Outcome, times: int = 1) -> None:
-        """Count the outcome of an image and of its own depth map; times -1: take it back."""
+        """Count the outcome of an image and of its own depth map; times=-1 subtracts it again."""
         self._outcomes[Sensor.IMAGE][outcome] += times
         if pair.own_depth is not None:
             self._outcomes[Sensor.DEPTH][outcome] += times

@@ -111,5 +111,5 @@ def main(
 
 
 def _print(text: str, out: Path) -> bool:
-    """Print, or report why not. Returns whether it was printed."""
+    """Print, or report the error. Returns whether it was printed."""
     return print_result(text, elsewhere=f": see {out}")

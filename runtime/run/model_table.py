@@ -10,7 +10,7 @@ _ACCURACY = {"mIoU %": ("miou", 100.0, 1), "MAE mm": ("mae_m", 1000.0, 0)}
 def describe_bundled_models() -> str:
     """Return a table of the installed models: size, work and accuracy. Raises ContractError."""
     lines = [f"{'model':16}{'MB':>6}{'GMACs':>8}" + "".join(f"{name:>8}" for name in _ACCURACY)]
-    notes: dict[str, None] = {}  # in the order of the columns, each once
+    notes: dict[str, None] = {}  # an ordered set
     for model in list_bundled_models():
         file = load_model_file(find_model(model))
         contract = file.contract

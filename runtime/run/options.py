@@ -58,7 +58,7 @@ def _group(title: str) -> Callable[..., Any]:
     return option
 
 
-# In their order there.
+# In the order of the groups in --help.
 _input, _outputs, _model, _timing = map(_group, ("Input", "Outputs", "Model", "Timing"))
 
 
@@ -261,7 +261,7 @@ class RunOptions:
             try:
                 os.mkdir(self.folder)
             except FileExistsError:
-                del self.__dict__["folder"]  # the next name
+                del self.__dict__["folder"]  # forget the cached name: choose another
                 continue
             except OSError:
                 pass  # reported where the folder is opened
@@ -345,7 +345,7 @@ class RunOptions:
 
 def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
     """Raise UsageError for a number outside the `min` and `max` of its option."""
-    option = field.metadata.get(OPTION)  # a field of a subclass need not be one of the command
+    option = field.metadata.get(OPTION)  # subclasses may have fields that are no options
     if option is None or option.min is None or value is None:
         return
     check: Callable[..., float] = check_number if float in get_args(field.type) else check_integer

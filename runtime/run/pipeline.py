@@ -23,7 +23,7 @@ _NICENESS = 10
 _STOP_POLL_S = 0.1  # between two looks at `stop` while waiting
 
 WriteFrame = Callable[[Frame, Prediction], None]
-TimedFrame = tuple[Frame, float]  # with the ms of reading it
+TimedFrame = tuple[Frame, float]  # a frame and the ms of reading it
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def run_stream(
     def answer(
         index: int, name: str, reading: Future[TimedFrame], due: float | None
     ) -> tuple[FrameOutcome, Future[float] | None]:
-        """Predict a frame and have its answer written; return the outcome and the writing."""
+        """Predict a frame and start writing its answer; return the outcome and the write."""
         try:
             frame, read_ms = reading.result()
             prediction = predictor.predict(frame.rgb, frame.sparse_depth)
@@ -214,7 +214,7 @@ def _lower_priority() -> None:
     The threads of an operator wait for the slowest of them, so a millisecond that one of them loses
     to a decoder is lost to all.
     """
-    if sys.platform == "linux":  # elsewhere nice() is of the whole process
+    if sys.platform == "linux":  # on other systems nice() changes the whole process
         os.nice(_NICENESS)
 
 

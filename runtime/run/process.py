@@ -19,7 +19,7 @@ def dedicate_process() -> None:
     program that embeds a Predictor.
     """
     cv2.setNumThreads(1)  # its threads would compete with those of an operator
-    # A file that cannot be decoded becomes a skipped frame: OpenCV need not print about it.
+    # Files that cannot be decoded are reported as skipped frames: OpenCV prints nothing.
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     if sys.platform == "linux":
         # glibc returns the memory of a freed picture, and the kernel clears every page of the next

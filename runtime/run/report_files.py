@@ -18,10 +18,10 @@ from runtime.run.run_report import STAGES, RunReport, depth_source, size_text
 
 def write_report(report: RunReport) -> None:
     """Write frames.csv and report.json into the run's folder. Raises OutputError."""
-    # As the file system has them: a name need not be valid text.
+    # File names need not be valid text.
     table = frames_csv(report).encode(errors="surrogateescape")
     atomic_write(report.out / FRAMES_FILE, table)
-    # Last: a run with a report is whole.
+    # Written last: a folder with report.json is complete.
     atomic_write(report.out / REPORT_FILE, (report_json(report) + "\n").encode())
 
 
@@ -116,7 +116,7 @@ def describe_run(report: RunReport) -> str:
 
 
 def group_reasons(frames: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """A line for each reason of (name, reason); reasons that differ by the name alone are one."""
+    """A line for each reason; reasons that differ only in the name of the frame are merged."""
     groups: dict[str, list[tuple[str, str]]] = {}
     for name, reason in frames:
         groups.setdefault(reason.replace(name, ""), []).append((name, reason))

@@ -36,13 +36,13 @@ from runtime.sync.outcome import Sensor
 _FIRST_FRAMES = 20  # a stream is refused if none of them can be predicted
 
 OnRecord = Callable[[FrameOutcome], None]
-#: Called before the first frame with a text about the run and the number of frames; returns what is
-#: called with the outcome of each frame.
+#: Called before the first frame with a text about the run and the number of frames. Returns a
+#: function that is called with the outcome of each frame.
 OnStart = Callable[[str, int], OnRecord]
 
 
 class _NoDepth(StrEnum):
-    """Why a source with depth gives none to the first frames; their answers have "no_depth"."""
+    """Reason why the first frames have no depth ("no_depth"), although the source has depth."""
 
     NO_RETURNS = (
         "no scan or depth map of the first frames has a return in the image: check that scans are "
@@ -304,7 +304,7 @@ def _open_outputs(run: OpenRun) -> Iterator[tuple[WriteFrame | None, WriteFrame 
 
 
 def _write_to(outputs: Sequence[Output]) -> WriteFrame | None:
-    """Return what writes an answer to all outputs, in their order; None where there is none."""
+    """Return a function that writes an answer to all outputs in order; None without outputs."""
     if not outputs:
         return None
 

@@ -102,7 +102,7 @@ class RunFolder:
             _remove(self.path / file)
         for kind, suffix in SUFFIXES.items():
             folder = self.path / kind
-            if folder.is_symlink():  # its files lie elsewhere
+            if folder.is_symlink():  # never remove files outside of the run folder
                 continue
             for name in names:
                 _remove(folder / (name + suffix))

@@ -17,7 +17,7 @@ from runtime.sync.latency import MissCounter, StreamStatistics, latency_statisti
 REPORT_FORMAT, REPORT_VERSION = "ssdnet-run", "2.0"
 FRAMES_SKIPPED, DEADLINE_MISSED = 3, 4  # exit codes
 
-#: Stage -> its time of a frame. "latency" would repeat "age" or, in a single stream, "predict".
+#: Stage -> its time for a frame. "latency" is left out: it equals "age" or "predict".
 STAGES = {stage: time_of for stage, time_of in FIGURES.items() if stage != "latency"}
 _CONSTANT_STREAM = ("age", "jitter")
 _OF_STAMPS = ("skew", "depth_age")

@@ -154,7 +154,7 @@ class BagSource(Source):
                 for message in self._bag.decoded(topic):
                     (depths if is_depth_encoding(message.encoding) else images).append(topic)
                     break
-        twice = {f"{topic}/compressed" for topic in images}  # the same camera's
+        twice = {f"{topic}/compressed" for topic in images}  # compressed copies of the same images
         image = self._choose(
             "image_topic", image_topic, images, [t for t in images if t not in twice]
         )
@@ -211,7 +211,7 @@ class BagSource(Source):
         info = None if self._info_topic is None else self._first(self._info_topic)
         rectified = not _RECTIFIED.isdisjoint(re.split("[/_]", self._image_topic.lower()))
         if self._depth_topic is None or self._bag.types[self._depth_topic] != POINT_CLOUD:
-            # Nothing is projected: only the focal length and clouds need it.
+            # Depth images need no projection: only the focal length and clouds need a calibration.
             with contextlib.suppress(InputError):
                 if info is not None:
                     fields = _fields(info)
@@ -341,7 +341,7 @@ class BagSource(Source):
         def name(pair: Pair) -> str:
             stamp = str(pair.image.stamp_ns)
             names[stamp] += 1
-            return stamp if names[stamp] == 1 else f"{stamp}-{names[stamp]}"  # played in a loop
+            return stamp if names[stamp] == 1 else f"{stamp}-{names[stamp]}"  # looped recording
 
         return match_frames(
             stamped(),
@@ -382,7 +382,7 @@ class BagSource(Source):
         return frame_of(frame, rgb, moved, calibration)
 
     def _take(self, frame: ListedFrame) -> dict[int, RecordedMessage]:
-        """The messages of a frame by position; those of later frames on the way are kept."""
+        """The messages of a frame by position; messages of later frames are read ahead and kept."""
 
         def is_wanted(place: int) -> bool:
             return self._owners.get(place, -1) >= frame.sequence

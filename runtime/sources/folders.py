@@ -41,7 +41,7 @@ from runtime.sync.poses import PoseFrame, PoseTrack
 from runtime.sync.stamp import DEFAULT_REUSE_DEPTH_MS, NS_PER_MS
 
 _SENSOR_WORDS = {"image", "img", "rgb", "color", "depth", "lidar", "velodyne", "points"}
-_APART_NS = 100 * NS_PER_MS  # of images without times
+_APART_NS = 100 * NS_PER_MS  # between images without times
 #: Camera of a folder of KITTI: image_02, image_2/, image_02/data.
 _KITTI_CAMERA = re.compile(r"(?:^|/)image_0?([0-3])(?:/data)?$")
 
@@ -76,10 +76,10 @@ class FolderSource(Source):
     """
 
     accepted = "a folder of images, or one image"
-    #: Whether an image without depth is a frame of the camera alone, and depth without an image
-    #: left out. Otherwise both are frames that cannot be read.
+    #: True: an image without depth is a camera-only frame, and depth without an image is ignored.
+    #: False: both are frames that cannot be read.
     camera_alone = False
-    #: Whether the images of KITTI's raw data are those that it rectified.
+    #: Whether images of KITTI's raw data are rectified.
     _kitti_rectified = True
 
     def __init__(
@@ -136,7 +136,7 @@ class FolderSource(Source):
             )
             self.calibration = self._calibrations.first
             if pose_frame is not None:
-                lidar_mount(pose_frame, self.calibration)  # raises where it is not known
+                lidar_mount(pose_frame, self.calibration)  # raises InputError if unknown
 
     @staticmethod
     def accepts(path: Path) -> bool:
@@ -245,7 +245,7 @@ class FolderSource(Source):
 
     def _find_unused_scans(self) -> None:
         folder = self._rgb.parent if self._is_one else self._rgb
-        kinds = tuple(suffix for suffix in SCAN_SUFFIXES if suffix != ".npy")  # may be anything
+        kinds = tuple(suffix for suffix in SCAN_SUFFIXES if suffix != ".npy")  # may be depth maps
         scans = [path.name for path in list_entries(folder) if path.name.lower().endswith(kinds)]
         if self._is_one:
             scans = [name for name in scans if name.startswith(f"{self._rgb.stem}.")]
@@ -350,7 +350,7 @@ def _numbers(stem: str) -> tuple[str, ...]:
 
 
 def _differ_by_a_word(stem: str, other: str) -> bool:
-    """Whether each has a word that the other lacks, or one has the name of a sensor more."""
+    """Whether both names have different words, or one name has an additional sensor name."""
     words, others = (Counter(re.findall(r"[^\W\d_]+", text.lower())) for text in (stem, other))
     more, less = words - others, others - words
     return bool(more and less) or (bool(more + less) and set(more + less) <= _SENSOR_WORDS)

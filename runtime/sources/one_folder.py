@@ -10,6 +10,7 @@ from runtime.io.images import DEPTH_SUFFIXES, RGB_SUFFIXES, list_files
 from runtime.io.scan import SCAN_SUFFIXES
 from runtime.sources.folders import FolderSource, list_entries
 
+# Names of folders begin with:
 _IMAGES = ("image", "rgb", "color")
 _MAPS = ("depth", "sparse_depth")
 _SCANS = ("points", "velodyne", "lidar")  # may also hold depth maps, as in KITTI's depth selection
@@ -20,20 +21,21 @@ _MAP = "depth"  # in the name of a map that lies beside its image
 
 
 class OneFolderSource(FolderSource):
-    """As `FolderSource`, of two folders or of both kinds of files in one folder.
+    """A `FolderSource` that finds images, depth and calibration in one folder.
 
-    It holds an image*/, rgb*/ or color*/ folder, and a depth*/, points*/, velodyne*/ or lidar*/
-    folder. Or it holds images and, of the same stems, scans, or depth maps beside JPEGs, or depth
-    maps with "depth" in their names. The calibration is the only calib* file or folder in it, or
-    KITTI's two files in it or in the folder above, or, of depth maps, an intrinsics/ folder.
+    The folder holds either two folders, image*/, rgb*/ or color*/ with depth*/, points*/,
+    velodyne*/ or lidar*/, or the files themselves: images with scans of the same stems, JPEGs with
+    depth maps, or images with depth maps that have "depth" in their names. The calibration of scans
+    is the only calib* file or folder, or KITTI's two files in the folder or its parent; that of
+    depth maps is an intrinsics/ folder.
 
     Args:
         path: the folder.
-        **options: see `FolderSource`; with `depth` or `points` the images are those in `path`.
+        **options: see `FolderSource`; with `depth` or `points`, `path` is the folder of images.
 
     Raises:
-        InputError: if it holds several folders of a kind, or images beside such folders; else as
-            `FolderSource`.
+        InputError: if the folder holds several folders of a kind, or images beside such folders;
+            and as `FolderSource`.
     """
 
     accepted = (
@@ -73,9 +75,9 @@ class OneFolderSource(FolderSource):
 
 
 def _find_folders(path: Path) -> tuple[Path, Path] | None:
-    """The folder of images and that of depth maps, or else of scans, in a folder; or None.
+    """(Folder of images, folder of depth maps or scans) in a folder; None if one is missing.
 
-    Raises InputError where it must be chosen what to read.
+    Raises InputError if the choice is ambiguous.
     """
     images, maps, scans = (
         sorted(
@@ -126,9 +128,9 @@ def _have_scans(folder: Path) -> bool:
 
 
 def _find_calibration(path: Path, *, of_scans: bool) -> Path | None:
-    """The only calibration in or above a folder; None if there is none, or more than one.
+    """Calibration in a folder or its parent; None if there is none, or more than one.
 
-    Beside depth maps only the intrinsics/ folder of KITTI's depth selection counts.
+    For depth maps only the intrinsics/ folder of KITTI's depth selection is used.
     """
     if not of_scans:
         folder = path / "intrinsics"

@@ -25,11 +25,11 @@ SOURCES: dict[str, type[Source]] = {
     "video": VideoSource,
     "bag": BagSource,
     "one-folder": OneFolderSource,
-    "folders": FolderSource,  # last: the other kinds may also hold images
+    "folders": FolderSource,  # last: folders of other kinds contain images, too
 }
 
 
-_LOOKED_AT = 100  # of what a folder that is no recording holds
+_LOOKED_AT = 100  # most entries that are searched in an unknown folder
 
 
 class SourcePath(NamedTuple):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys.store import Typestore
 
-#: Of a compressed part of a bag, decompressed, as its index declares it: of the largest message.
+#: Largest decompressed size of a chunk of a bag, as its index declares it.
 MAX_CHUNK_BYTES = 2**28
 
 _BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".zstd")
@@ -59,12 +59,12 @@ class RosBag:
         """Yield the messages of the topics in the order in which they were recorded."""
         with reading(self.path):
             connections = [c for c in self._reader.connections if c.topic in topics]
-            if connections:  # rosbags reads all of them otherwise
+            if connections:  # rosbags reads all topics if this is empty
                 left = Counter({topic: self._reader.topics[topic].msgcount for topic in topics})
                 for connection, recorded_ns, raw in self._reader.messages(connections):
                     left[connection.topic] -= 1
                     yield RecordedMessage(connection.topic, recorded_ns, raw)
-                self.lost = +left  # those of which messages are left
+                self.lost = +left  # only topics with messages left
 
     def decoded(self, topic: str) -> Iterator[Any]:
         """Yield the messages of a topic with their fields."""
@@ -76,7 +76,7 @@ class RosBag:
             if self._reader.is2:
                 return self._definitions.deserialize_cdr(message.raw, self.types[message.topic])
             return self._definitions.deserialize_ros1(message.raw, self.types[message.topic])
-        except Exception as error:  # its parser raises anything
+        except Exception as error:  # the parser of definitions may raise any type
             raise InputError(
                 f"a message of {message.topic} in {self.path} is damaged ({_describe(error)})"
             ) from error
@@ -138,7 +138,7 @@ def _check_declared_sizes(reader: "AnyReader") -> None:
 
 def _sizes_in_mcap(storage: Any) -> Iterator[int]:
     for part in getattr(storage, "storages", [storage]):  # of a folder, or the only file
-        for chunk in getattr(part, "chunks", ()):  # those of the index; SQLite has none
+        for chunk in getattr(part, "chunks", ()):  # of an MCAP file
             if chunk.compression:
                 yield chunk.uncompressed_size
 

@@ -157,7 +157,7 @@ def decode_points(message: Any) -> NDArray[np.float32]:
     )
     cloud: NDArray[Any] = np.ndarray((height, width), layout, data, strides=(row_step, point_step))
     points = np.empty((height, width, 3), np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):  # float64 beyond float32 is no return
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32: Inf, no return
         for column, axis in enumerate("xyz"):
             points[..., column] = cloud[axis]
     return points.reshape(-1, 3)
@@ -206,5 +206,5 @@ def message_counts(message: Any, *names: str) -> tuple[int, ...]:
 
 
 def frame_name(frame: Any) -> str:
-    """Without the slash that ROS 1 wrote in front of some frames."""
+    """The name of a frame without the leading slash that some ROS 1 drivers add."""
     return str(frame).removeprefix("/")

@@ -103,7 +103,8 @@ def _to_ns(times: NDArray[Any], stamp_ns: int, name: str) -> NDArray[np.int64]:
     if largest <= _LONGEST_SCAN_S:
         return stamp_ns + np.rint(values * 1e9).astype(np.int64)
     if times.dtype.itemsize == 8 and span <= _LONGEST_SCAN_S:
-        whole = np.floor(values).astype(np.int64)  # one float64 of nanoseconds would lose digits
+        # float64 cannot hold nanoseconds since 1970 exactly.
+        whole = np.floor(values).astype(np.int64)
         in_ns: NDArray[np.int64] = whole * 10**9
         return in_ns + np.rint((values - whole) * 1e9).astype(np.int64)
     if lowest >= _LEAST_EPOCH_NS and span <= _LONGEST_SCAN_S * 1e9:

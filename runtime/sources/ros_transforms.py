@@ -49,7 +49,7 @@ class TransformTree:
         return matrix
 
     def carriers(self, frame: str) -> list[str]:
-        """A frame and those that it is fixed to, the nearest first."""
+        """A frame and the frames that it is fixed to, the nearest first."""
         return list(self._ancestors(frame_name(frame)))
 
     def _ancestors(self, frame: str) -> dict[str, NDArray[np.float64]]:

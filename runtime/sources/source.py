@@ -214,7 +214,7 @@ def pair_up(
 
 
 def by_number(files: Mapping[str, Path]) -> dict[int, Path]:
-    """Files, given by their stems, by the numbers at the ends of these. Raises InputError."""
+    """Number at the end of the stem -> file. Raises InputError."""
     numbers: dict[int, Path] = {}
     for stem, path in files.items():
         digits = re.search("[0-9]+$", stem)

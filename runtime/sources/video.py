@@ -159,7 +159,7 @@ class VideoSource(Source):
 
 def _open(path: Path) -> cv2.VideoCapture:
     """The open video. Raises InputError unless OpenCV can decode it."""
-    # One thread, the reading one: it has a lower priority than inference, FFmpeg's own do not.
+    # Decode in the calling thread, whose priority is lower than that of inference.
     video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
     if not video.isOpened():
         raise InputError(

@@ -14,9 +14,9 @@ from runtime.sync.poses import NoPoseError, PoseTrack
 from runtime.sync.stamp import NS_PER_MS
 
 DepthMotion = Literal["each", "scan", "none"]
-#: What instant of a scan its stamp is.
+#: The instant of a scan that its stamp marks.
 ScanStamp = Literal["start", "middle", "end"]
-#: Stamp -> how much later the middle of the scan is, in scans.
+#: Instant of the stamp -> time from the stamp to the middle of the scan, in scan durations.
 MIDDLE_AFTER: dict[ScanStamp, float] = {"start": 0.5, "middle": 0.0, "end": -0.5}
 #: Duration of a scan until the LiDAR's period is known: that of 10 Hz.
 FIRST_SCAN_NS = 100 * NS_PER_MS

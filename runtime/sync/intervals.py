@@ -41,7 +41,7 @@ class Intervals:
         return median_low(self._intervals) if len(self._intervals) >= _KNOWN else None
 
     def spread_ns(self) -> int:
-        """How far intervals are from the period: the mean distance of those that are one."""
+        """Mean distance from the period of the intervals that are one period long."""
         period_ns = self.period_ns()
         if period_ns is None:
             return 0

@@ -32,8 +32,8 @@ class MissedDeadlines:
     """Frames that took longer than the deadline.
 
     Attributes:
-        count: all of them.
-        longest_run: most of them in a row.
+        count: number of late frames.
+        longest_run: largest number of late frames in a row.
     """
 
     count: int

@@ -48,7 +48,7 @@ class Pair(NamedTuple):
 
     @property
     def own_depth(self) -> Message | None:
-        """The depth map whose outcome is that of the image."""
+        """The depth map that has the same outcome as the image."""
         return None if self.reused else self.depth
 
 
@@ -76,14 +76,14 @@ class Decided:
 
 @dataclass(eq=False)
 class _Kept:
-    """A depth map that may be reused; outcome: when it is dropped, None = it has one."""
+    """A depth map that may be reused. outcome: counted on dropping; None = counted before."""
 
     depth: Message
     outcome: Outcome | None
 
 
 class _Waiting:
-    """Waiting messages of one sensor, and the history of its stamps."""
+    """Waiting messages of one sensor, and its recent intervals."""
 
     def __init__(self) -> None:
         self.messages: list[Message] = []  # by stamp
@@ -109,7 +109,7 @@ class Matching(ABC):
         self._decided_ns: int | None = None  # the newest image that was decided
 
     def flush(self) -> Decided:
-        """Decide everything with what is there, at the end."""
+        """Decide all waiting messages at the end of the stream."""
         decided = Decided()
         self._flush(decided, Outcome.NO_IMAGE)
         return decided
@@ -190,7 +190,7 @@ class Matching(ABC):
         if older_depth is not None:
             self._mark_reused(decided, older_depth)
         for dead in list(self._depths):
-            if dead.stamp_ns < image.stamp_ns - self._max_skew_ns:  # images to come are newer
+            if dead.stamp_ns < image.stamp_ns - self._max_skew_ns:  # later images are newer still
                 self._discard_depth(decided, dead, Outcome.NO_IMAGE)
         self._forget_depths(decided, image.stamp_ns)
 
@@ -208,7 +208,7 @@ class Matching(ABC):
         self._drop(decided, list(self._kept))
 
     def _partner(self, image: Message) -> Message | None:
-        """The nearest depth map to which no other image is nearer; the older of two as near."""
+        """The nearest depth map that has no nearer image; of two equally near the older."""
         own = (
             depth
             for depth in self._depths
@@ -218,7 +218,7 @@ class Matching(ABC):
         return min(own, key=lambda depth: _distance(image, depth), default=None)
 
     def _is_certain(self, image: Message, depth: Message) -> bool:
-        """Whether no later message can be nearer to one of two partners."""
+        """Whether no later message can be nearer in time to either partner."""
         return (
             self._next_ns(Sensor.DEPTH) - image.stamp_ns >= _distance(image, depth)
             and self._next_ns(Sensor.IMAGE) - depth.stamp_ns >= depth.stamp_ns - image.stamp_ns
@@ -248,7 +248,7 @@ class Matching(ABC):
         self._drop(decided, self._kept[: -self._capacity])
 
     def _mark_reused(self, decided: Decided, depth: Message) -> None:
-        if depth in self._depths:  # images to come are farther from it than this one
+        if depth in self._depths:  # later images are farther away in time
             self._depths.remove(depth)
             self._keep(decided, depth, Outcome.REUSED)
         for kept in self._kept:
@@ -256,7 +256,7 @@ class Matching(ABC):
                 kept.outcome = Outcome.REUSED
 
     def _forget_depths(self, decided: Decided, image_ns: int) -> None:
-        """Drop those that no later image takes: all before the image but a recent one."""
+        """Drop depth maps that no later image can reuse: all before the image except the newest."""
         before = [kept for kept in self._kept if kept.depth.stamp_ns <= image_ns]
         if before and image_ns - before[-1].depth.stamp_ns < self._reuse_ns:
             before.pop()

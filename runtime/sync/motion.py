@@ -13,7 +13,7 @@ from runtime.sync.poses import PoseFrame, PoseTrack, check_pose
 #: Poses are computed at so many times of a scan; between them, in 1.6 ms of 100, matrices are
 #: linear: off by 0.01 mm at 100 m in a turn of 0.5 rad/s.
 _KNOTS = 65
-#: Steps from one to the next, to which times are rounded: 24 µs of 100 ms, 1 mm at 40 m/s.
+#: Steps of the time grid to which times of points are rounded: 24 µs of 100 ms, 1 mm at 40 m/s.
 _STEPS = 64
 
 
@@ -112,7 +112,7 @@ def _move(
 def _table(times: NDArray[np.int64], poses: PoseTrack, to_ns: int) -> _Table:
     """The matrices for the times of a scan. Raises NoPoseError."""
     first_ns, last_ns = int(times.min()), int(times.max())
-    poses.at(np.array([first_ns, last_ns], np.int64))  # an error before anything is computed
+    poses.at(np.array([first_ns, last_ns], np.int64))  # raises NoPoseError early
     knots_ns = np.linspace(0, last_ns - first_ns, _KNOTS).round().astype(np.int64) + first_ns
     knots = relative_poses(poses, knots_ns, to_ns)[:, :3].reshape(_KNOTS, 12).T
     entries = np.empty((12, (_KNOTS - 1) * _STEPS + 1), np.float32)
@@ -126,7 +126,7 @@ def _table(times: NDArray[np.int64], poses: PoseTrack, to_ns: int) -> _Table:
 def _in_front(
     xyz: NDArray[np.float32], table: _Table, extrinsics: NDArray[np.float64]
 ) -> NDArray[np.intp]:
-    """The points that one of the matrices may bring before the camera, and maybe others."""
+    """A superset of the points that any of the matrices moves in front of the camera."""
     moves = table.entries[:, ::_STEPS].T.reshape(-1, 3, 4).astype(np.float64)
     ahead = extrinsics[2, :3] @ moves
     middle = ahead.mean(axis=0)
@@ -139,7 +139,7 @@ def _in_front(
         for axis, along in zip(xyz[1:], middle[1:3], strict=True):
             np.multiply(axis, np.float32(along), out=factor)
             depth += factor
-        if not np.isfinite(nearest):  # a return is not: all stay
+        if not np.isfinite(nearest):  # a return is not finite: keep all points
             return np.arange(len(depth))
         return np.flatnonzero(depth >= np.float32(nearest))
 
@@ -177,7 +177,7 @@ def project_moved(
         if len(points):
             table, xyz = _table(times, poses, to), np.ascontiguousarray(points[:, :3].T)
             rows = _in_front(xyz, table, extrinsics)
-            points = np.empty((3, len(rows)), np.float32).T  # as the projection reads them
+            points = np.empty((3, len(rows)), np.float32).T  # read fastest by the projection
             _move(xyz.take(rows, axis=1), times.take(rows), table, points)
     else:
         (moved,) = relative_poses(poses, np.array([times], np.int64), to)

@@ -29,11 +29,11 @@ class Outcome(StrEnum):
     CLOSED = "closed"  # pushed after the stream was closed
     # Unmatched:
     NO_IMAGE = "no_image"  # depth: no image within max_skew_ms
-    REUSED = "reused"  # depth: no image of its own, but it served one without depth
+    REUSED = "reused"  # depth: only used by an image without depth of its own
     CLOCK_JUMP = "clock_jump"  # depth: it waited when the stamps jumped back
     # Errors:
     BAD_STAMP = "bad_stamp"
-    BAD_MESSAGE = "bad_message"  # an array that is none of its sensor
+    BAD_MESSAGE = "bad_message"  # an array of a wrong shape or dtype, or with invalid values
     INPUT_ERROR = "input_error"  # image and depth do not fit each other, or the model
     INFERENCE_ERROR = "inference_error"
 

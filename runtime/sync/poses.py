@@ -27,7 +27,7 @@ MAX_GAP_MS = 250.0
 #: Poses that a `PoseBuffer` holds: 80 s at 100 Hz.
 CAPACITY = 8192
 _OTHER_CLOCK_NS = 10_000 * NS_PER_MS  # no pose within this time of a picture
-_MOST_NS = 2**62  # of a stamp: differences of two fit into int64
+_MOST_NS = 2**62  # largest stamp: differences of two stamps fit into int64
 _REACH_NS = round(MAX_EXTRAPOLATION_MS * NS_PER_MS)
 _VELOCITY_NS = 100 * NS_PER_MS  # velocities are averaged over this time
 _RIGID_TOLERANCE = 1e-3  # float32 poses that were multiplied often
@@ -103,7 +103,7 @@ class PoseTrack:
         return buffer.whole()
 
     def mounted(self, mount: NDArray[np.float64]) -> "PoseTrack":
-        """The same motion of a frame that is fixed to that of the poses by `mount`, (4, 4)."""
+        """The motion of another frame that is rigidly mounted to the frame of the poses, (4, 4)."""
         return replace(self, mount=mount)
 
     def at(self, times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -130,7 +130,7 @@ class PoseTrack:
                 f"{beyond_ns / NS_PER_MS:g} ms beyond the poses and the "
                 f"{MAX_EXTRAPOLATION_MS:g} ms for which they are extrapolated",
             )
-        # The segment that ends at pose `end`; a time that is exactly a pose's needs no second one.
+        # The segment that ends at pose `end`. A time equal to that of a pose needs this pose only.
         end = np.searchsorted(stamps_ns, times_ns, side="left")
         on_pose = stamps_ns[end] == times_ns
         start = np.where(on_pose, end, end - 1)
@@ -217,7 +217,7 @@ class PoseBuffer:
         jumped = bool(self._poses) and self._is_jump(taken)
         self.jumps += jumped
         self._poses.append(taken._replace(jumped=jumped))
-        if len(self._poses) >= 2 * self._capacity:  # seldom: it moves the list
+        if len(self._poses) >= 2 * self._capacity:  # rarely, because it copies the list
             del self._poses[: -self._capacity]
         return Outcome.ANSWERED
 
@@ -234,7 +234,7 @@ class PoseBuffer:
         newest = len(self._poses) - 1
         start = max(bisect_right(self._poses, first_ns, key=_stamp_ns) - 1, 0)
         stop = bisect_left(self._poses, last_ns, key=_stamp_ns) + 1
-        # At least the nearest pose, which says how far away it is.
+        # Return at least the nearest pose: its distance in time tells the cause.
         start = min(start, max(newest, 0))
         poses = self._poses[start : max(stop, start + 1)]
         if poses:
@@ -284,7 +284,7 @@ class PoseBuffer:
         return _Pose(stamp_ns, quaternion, position)
 
     def _is_jump(self, pose: _Pose) -> bool:
-        """Whether the next pose is one that a car cannot reach from the poses before it."""
+        """Whether a car cannot reach the next pose from the poses before it."""
         newest = len(self._poses) - 1
         last = expected = self._poses[newest]
         after_s = (pose.stamp_ns - last.stamp_ns) / 1e9

@@ -1,8 +1,8 @@
 """The matching of recorded messages: every image, in the order of the stamps, without a clock.
 
-An image without a partner waits until the other sensor's stamps are the skew and `_MAX_WAIT_NS`
-ahead, one with a partner until the match is certain. So the pairs do not depend on how far one
-sensor was recorded behind the other, unless more messages wait than can.
+An image without a partner waits until the depth stamps are the skew plus `_MAX_WAIT_NS` ahead, an
+image with a partner until the match is certain. So the pairs do not depend on how far one sensor
+was recorded behind the other, unless too many messages wait.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -32,8 +32,8 @@ def match_by_stamp(
         messages: in the order of the recording.
         max_skew_ms: largest difference between the stamps of a pair.
         reuse_depth_ms: largest age of a depth map that an image without one of its own takes.
-        waiting: messages of a sensor that may wait; more mean that it is far ahead, or the other
-            one silent.
+        waiting: most messages of a sensor that wait. More wait only if the sensor is far ahead of
+            the other sensor, or the other sensor is silent.
         on_decided: called with the outcomes of each step.
 
     Raises:

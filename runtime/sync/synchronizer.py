@@ -1,11 +1,11 @@
 """The matching of a live stream, where the newest complete frame wins.
 
-Times are arguments, so that a test can play every sequence of messages exactly. A message whose
-match is not certain waits until `max_wait_ns` after it arrived; then an image is decided with what
-is there, and a depth map is unmatched. The next stamp of a sensor is expected after its shortest
-recent interval (a learned "inter-message lower bound" of ROS's approximate time policy), so that a
-frame of regular sensors does not wait for the next one. An image that no depth map is due for,
-judged by the periods of both sensors, does not wait.
+The present time is an argument: there is no clock. A match is certain if no later message can be
+nearer in time. The next stamp of a sensor is expected after its shortest recent interval at the
+earliest (the "inter-message lower bound" of ROS's approximate time policy, learned here). While its
+match is not certain, a message waits for at most `max_wait_ns`. Then an image is decided with the
+nearest depth map that is there, or without depth, and a depth map is unmatched. An image does not
+wait if, by the periods of both sensors, no depth map will come for it.
 """
 
 from runtime.sync.matching import Decided, Discarded, Matching, Message
@@ -13,7 +13,7 @@ from runtime.sync.outcome import Outcome, Sensor
 
 
 class Synchronizer(Matching):
-    """Matches messages as they arrive; an image that is decided discards older ones."""
+    """Matches messages as they arrive; deciding an image discards all older images."""
 
     def __init__(
         self, *, max_skew_ns: int, max_wait_ns: int, capacity: int, reuse_ns: int = 0
@@ -41,8 +41,8 @@ class Synchronizer(Matching):
         return decided
 
     def due_ns(self) -> int | None:
-        """When `advance` will decide something next; None = not without another message."""
-        # A depth map near a waiting image is decided with it.
+        """When to call `advance` next; None = only after another message."""
+        # A depth map near a waiting image is decided together with this image.
         waiting = [*self._images, *(depth for depth in self._depths if not self._near(depth))]
         arrived_ns = min((message.arrived_ns for message in waiting), default=None)
         return None if arrived_ns is None else arrived_ns + self._max_wait_ns
@@ -55,15 +55,15 @@ class Synchronizer(Matching):
                 return image
             if self._is_over(image, Sensor.DEPTH):
                 return image
-        # An image for which no depth message is expected, unless an older image still waits: that
-        # one would be dropped.
+        # The oldest image, if no depth map is expected for it. A newer image has to wait, because
+        # deciding it would discard the oldest.
         oldest = next(iter(self._images), None)
         if oldest is None or self._partner(oldest) is not None or self._is_due(oldest):
             return None
         return oldest
 
     def _is_due(self, image: Message) -> bool:
-        """Whether a depth map may still come whose nearest image this is."""
+        """Whether a depth map may still arrive whose nearest image is this image."""
         depths = self._sensors[Sensor.DEPTH].intervals
         images = self._sensors[Sensor.IMAGE].intervals
         period_ns, image_period_ns = depths.period_ns(), images.period_ns()

@@ -138,7 +138,7 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
     with contextlib.ExitStack() as stack:
         workers = []
         for row in group:
-            with stop_requested() as stopped:  # a process that is half started cannot be ended
+            with stop_requested() as stopped:  # a starting process cannot be terminated
                 worker = _Worker(row, options)
                 stack.callback(worker.end)
             if stopped():
@@ -162,7 +162,7 @@ class _Worker:
         request = {"model": row.model, "size": row.size, "threads": row.threads, "batch": row.batch}
         request |= {"provider": options.provider}
         self._process = context.Process(target=serve, args=(theirs,), kwargs=request)
-        resource_tracker.ensure_running()  # else `start` does, which unblocks signals
+        resource_tracker.ensure_running()  # otherwise `start` runs it, which unblocks signals
         # The process inherits the mask: Ctrl-C is for the command alone.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         try:
@@ -175,7 +175,7 @@ class _Worker:
         """Return the times of `time_runs`; none after a failure."""
         if self.row.error is not None:
             return []
-        with contextlib.suppress(OSError):  # it has ended, which `receive` notes
+        with contextlib.suppress(OSError):  # the process has ended: `receive` reports it
             self._pipe.send((frames, period_s))
         return self.receive() or []
 

@@ -25,7 +25,7 @@ class Opened:
     """Facts of a model that is open; None = not known."""
 
     shapes: dict[str, tuple[int, ...]]  # of its inputs
-    notes: tuple[str, ...]  # where these are not as requested
+    notes: tuple[str, ...]  # differences from the requested shapes
     load_ms: float  # reading and optimising the file
     first_inference_ms: float
     peak_memory_mb: float | None  # of the process after two runs
@@ -52,7 +52,7 @@ def serve(pipe: Connection, **request: Any) -> None:
 def _open(
     *, model: str, size: tuple[int, int], batch: int, threads: int, provider: str
 ) -> tuple[Callable[[], object], Opened]:
-    import_onnxruntime()  # no part of loading
+    import_onnxruntime()  # not counted in load_ms
     started = time.perf_counter()
     content = read_onnx(find_model(model))
     session = open_session(content, provider=provider, device_id=0, threads=threads)
@@ -144,7 +144,7 @@ def make_input(name: str, element: str, shape: Sequence[int]) -> NDArray[Any]:
 
 
 def _dtype(element: str) -> np.dtype[Any] | None:
-    """NumPy's type for ONNX Runtime's name of one; None = it has none of numbers."""
+    """NumPy's type for a type name of ONNX Runtime; None = not a numeric type."""
     try:
         dtype = np.dtype({"float": "float32", "double": "float64"}.get(element, element))
     except TypeError:

@@ -95,7 +95,7 @@ def installed(distribution: str) -> str | None:
 
 
 def pip(*arguments: str) -> str:
-    """Return the command line that runs pip for this very Python."""
+    """Return the command line of pip for the running Python."""
     return shlex.join([sys.executable, "-m", "pip", *arguments])
 
 
@@ -111,7 +111,7 @@ def _package(module: str, distribution: str) -> Check:
     except Exception as error:  # a package can fail in any way
         remedy = pip("install", "--force-reinstall", "--no-deps", distribution)
         return Check(module, "fault", _text(error), remedy)
-    # OpenCV has several distributions of one module: the module's own version counts.
+    # Several distributions contain the module cv2: the module's own version is used.
     return Check(module, "ok", getattr(imported, "__version__", None) or found or "not installed")
 
 

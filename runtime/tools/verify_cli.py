@@ -102,7 +102,7 @@ def _tolerances(texts: Sequence[str]) -> dict[str, float]:
 
 
 def _json(document: dict[str, Any]) -> str:
-    """JSON has no NaN: such a figure is null, and its frame has not passed."""
+    """The document as JSON text, with null for NaN, which JSON does not have."""
     for frame in document["frames"]:
         for figures in frame["figures"].values():
             figures.update({n: None for n, value in figures.items() if not math.isfinite(value)})

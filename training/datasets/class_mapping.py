@@ -48,7 +48,7 @@ _MAPPINGS: Mapping[tuple[str, str], _Names] = {
         }
     ),
     ("virtual_kitti", "virtual_kitti"): {
-        # By the names in its files; rendered scenes add the ignored ones.
+        # Names as in Virtual KITTI's files; ignored classes occur in rendered scenes only.
         **{info.name.title().replace(" ", ""): info.name for info in CLASS_TABLES["virtual_kitti"]},
         **dict.fromkeys(("Pavement", "Fence", "Pedestrian", "Cyclist", "Undefined")),
     },

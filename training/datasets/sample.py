@@ -24,7 +24,7 @@ class TargetKind(NamedTuple):
     resize: ResizeRule
 
 
-#: Targets that are no head's, by name. road_mask: 0 = not road, 1 = road, drawn by hand.
+#: Auxiliary targets, which no head predicts. road_mask: 0 = not road, 1 = road, drawn by hand.
 AUXILIARY: Mapping[str, TargetKind] = {
     "road_mask": TargetKind(np.dtype(np.uint8), IGNORE, "nearest")
 }
@@ -50,7 +50,7 @@ class Sample:
 
     #: uint8 (H, W, 3), RGB.
     rgb: NDArray[np.uint8]
-    #: What the set knows: head or auxiliary target -> labels (H, W), see `target_kind`. "semantic"
+    #: Ground truth: head or auxiliary target -> labels (H, W), see `target_kind`. "semantic"
     #: holds class ids, "depth" metres. A target that a set lacks is not there.
     targets: Mapping[str, NDArray[Any]]
     #: float64 (3, 3), pixels; None if unknown.

@@ -270,5 +270,5 @@ class VirtualKitti1(FrameList):
 
 
 def _folders(path: Path) -> list[Path]:
-    """Visible folders in order; hidden ones are still being rendered."""
+    """Sorted folders, without hidden folders, which are still being rendered."""
     return sorted(p for p in path.iterdir() if p.is_dir() and not p.name.startswith("."))

@@ -64,7 +64,7 @@ def read_classes(path: Path, table: ColorTable, size: tuple[int, int]) -> NDArra
     packed = cv2.cvtColor(label, cv2.COLOR_RGB2BGRA)
     packed[..., 3] = 0
     color = packed.view("<i4").ravel()
-    # Neighbours are mostly of one colour: each run of them is looked up once.
+    # Neighbouring pixels mostly have one colour: look up each run of equal pixels once.
     starts = np.flatnonzero(np.diff(color, prepend=-1))
     run = color[starts]
     index = np.searchsorted(table.colors, run).clip(max=len(table.colors) - 1)

@@ -11,8 +11,8 @@ from training.datasets.files import dataset_errors, list_names
 
 Split = Literal["train", "val", "test", "all"]
 
-#: The paper uses eight of the ten variants without naming them. These are the ones whose view is
-#: nearest to the recorded one.
+#: The paper uses eight of the ten variants without naming them. Here they are the variants whose
+#: camera angle is closest to the recorded camera.
 PAPER_VARIANTS = (
     "15-deg-left",
     "15-deg-right",
@@ -64,7 +64,7 @@ class Selection:
         return known and (self.scenes is None or scene in self.scenes)
 
     def takes(self, scene: str, variant: str, number: str) -> bool:
-        """Whether a frame is taken, of a variant that is."""
+        """Whether a frame belongs to the split, in a variant that belongs to it."""
         if self.frames is not None:
             return f"{scene}/{variant}/{number}" in self.frames
         if self.split == "all" or self.scenes is not None:

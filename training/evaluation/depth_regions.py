@@ -39,7 +39,7 @@ RETURN_DISTANCES: Mapping[str, float] = {
 #: accumulated scans of KITTI's streets 0.5.
 _DENSE_SHARE = 0.9
 _AROUND = (3, 3)
-_BEYOND_M = 1e6  # in place of unknown depth in a minimum
+_BEYOND_M = 1e6  # replaces unknown depth in minima
 
 
 class DepthRegionScores(Accumulator):

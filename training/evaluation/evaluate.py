@@ -212,7 +212,7 @@ def _names(table: ClassTable) -> tuple[str, ...]:
 
 
 def short_names(paths: Sequence[Path]) -> list[str]:
-    """Name each path by as few of its last parts as tell them all apart."""
+    """Name paths by their last parts, as few as make the names unique."""
     longest = max((len(path.parts) for path in paths), default=1)
     for parts in range(1, 1 + max(1, longest)):
         names = [str(Path(*path.parts[-parts:])) for path in paths]
@@ -262,7 +262,7 @@ def _score_all(
         sample = source[int(index)]  # once: reading it may cost more than an answer
         labelled |= bool((sample.semantic != IGNORE).any())
         sample = sample.with_targets(semantic=label_ids[sample.semantic])
-        answers: dict[str, HeadMaps] = {}  # inputs that feed nothing share one
+        answers: dict[str, HeadMaps] = {}  # all inputs without returns share one answer
         for lidar, fault in inputs:
             rng = frame_generator(int(index))  # the same for every model, whatever the limit
             frame = split_lidar(sample, lidar, rng)
@@ -298,7 +298,7 @@ def _score_all(
             for part in places.values():
                 total.merge(part)
             figures = total.figures(classes.names)
-            # Of the whole set, as a user has one: not the best of each place.
+            # One threshold for the whole set, not the best threshold of each place.
             threshold = figures.get("boundary_threshold")
             by_place = {
                 place: part.figures(classes.names, boundary_threshold=threshold)

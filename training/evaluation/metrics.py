@@ -24,12 +24,12 @@ FARTHEST_M = 100.0
 RANGES_M = ((0.0, 20.0), (0.0, 50.0), (0.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, 100.0))
 #: Bins of the errors' histogram, equal in the logarithm [m]: neighbours differ by 0.3 %.
 _ERROR_BINS_M = np.geomspace(1e-3, 1e3, 4097)
-#: Where depth is inverted, nearer predictions count as this [m].
+#: Smaller predictions are clipped to this value before depth is inverted [m].
 _NEAREST_M = 0.1
 
 
 class Accumulator:
-    """Sums over frames, in arrays, and settings, which are all its other attributes."""
+    """Sums over frames. Array attributes are sums; other attributes are settings."""
 
     def merge(self, other: Self) -> None:
         """Add another's sums. Raises ValueError for other settings."""
@@ -147,7 +147,7 @@ class SemanticScores(Accumulator):
 
 
 class RoadScores(Accumulator):
-    """IoU of the road against a mask of it that was drawn by hand.
+    """IoU of the road against hand-drawn masks.
 
     Predicted road is the class of that name, whatever other classes there are.
 
@@ -223,7 +223,7 @@ class ErrorMedian(Accumulator):
         self._counts = np.zeros(len(_ERROR_BINS_M) - 1)
 
     def add(self, error: NDArray[np.float64]) -> None:
-        """Count errors [m] of any shape; those beyond the bins count in the first or the last."""
+        """Count errors [m] of any shape; values beyond the bins count in the first or last bin."""
         inside = np.clip(np.abs(error), _ERROR_BINS_M[0], _ERROR_BINS_M[-1])
         self._counts += np.histogram(inside, _ERROR_BINS_M)[0]
 

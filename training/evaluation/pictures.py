@@ -83,7 +83,7 @@ def draw_batch(batch: Batch, overlay: Overlay, *, count: int) -> NDArray[np.uint
         if name in ("semantic", "depth") and (labels != target_kind(name).unlabelled).any()
     }
     targets = HeadMaps(**known)
-    # Of dots that overlap the nearest is in front.
+    # Draw far returns first: near dots cover them.
     nearness = np.divide(1, fed, out=np.zeros_like(fed), where=fed > 0)
     nearness = cv2.dilate(nearness, np.ones((_DOT_PX, _DOT_PX), np.uint8))
     dots = np.divide(1, nearness, out=np.zeros_like(fed), where=nearness > 0)

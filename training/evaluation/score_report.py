@@ -12,7 +12,7 @@ from runtime.io.atomic_write import atomic_file, atomic_write, require_writable
 from training.evaluation.depth_regions import REGIONS, RETURN_DISTANCES
 from training.evaluation.metrics import RANGES_M
 
-#: What the table shows unless all is asked for.
+#: Columns of the table without --all.
 _MAIN = (
     "miou",
     "accuracy",
@@ -24,7 +24,7 @@ _MAIN = (
     "coverage_1",
     "mae_px",
 )
-#: All that it can show, in this order, where a row has it: key, title, factor.
+#: All columns in order: key, title, factor. Columns without a value are left out.
 _COLUMNS = (
     ("miou", "mIoU %", 100.0),
     ("category_miou", "mIoU cat %", 100.0),
@@ -66,7 +66,7 @@ _COLUMNS = (
 )
 _PLOTTED = (("miou", "mIoU [%]", 100.0), ("mae_m", "MAE [m]", 1.0), ("rmse_m", "RMSE [m]", 1.0))
 
-#: Head -> the figure that every set with its ground truth has, and the truth as `folders` names it.
+#: Head -> a figure of every set with its ground truth, and the key of that truth in `folders`.
 _TRUTH = {"semantic": ("miou", "labels"), "depth": ("mae_m", "depth")}
 
 _MARKERS = "os^Dv*"

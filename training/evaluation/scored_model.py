@@ -52,7 +52,7 @@ def trained_classes(classes: tuple[ClassInfo, ...], training: Mapping[str, Any])
     """
     if not classes:
         return TrainingFacts.from_dict(training).classes
-    names = [info.name for info in classes]  # a file keeps the colours of its day
+    names = [info.name for info in classes]  # compare names only: files may have other colours
     for name, table in CLASS_TABLES.items():
         if [info.name for info in table] == names:
             return name

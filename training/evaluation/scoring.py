@@ -31,7 +31,7 @@ from training.evaluation.metrics import (
 from training.evaluation.uncertainty import UncertaintyScores
 from training.lidar.split import LidarInput, LidarSplit, frame_generator, split_lidar
 
-#: The boundary's F-score is that of the best of these over the whole set.
+#: The boundary's F-score is reported at the best of these thresholds over the whole set.
 BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
 
 
@@ -52,7 +52,7 @@ class HeadMaps(NamedTuple):
 
     @property
     def heads(self) -> dict[str, NDArray[Any]]:
-        """Head -> answer, of those that there are."""
+        """Head -> answer, for heads with an answer."""
         return {head: values for head, values in self._asdict().items() if values is not None}
 
 
@@ -108,7 +108,7 @@ class Scores:
 
     def __init__(self, num_classes: int) -> None:
         self.frames = 0
-        self.heads: set[str] = set()  # that were answered
+        self.heads: set[str] = set()  # heads that were answered
         self.semantic = SemanticScores(num_classes + 1)
         self.depth = DepthScores()
         self.boundary = BoundaryScores(BOUNDARY_THRESHOLDS)
@@ -173,7 +173,7 @@ class Scores:
             if class_names:
                 of_classes = zip(class_names, class_iou, strict=True)
                 figures |= {f"iou_{name}": value for name, value in of_classes}
-                if not self.semantic.confusion[:, -1].any():  # of no known category
+                if not self.semantic.confusion[:, -1].any():  # foreign classes
                     figures |= _category_figures(self.semantic, (*class_names, ""))
         names = [name.lower() for name in class_names]
         if self.road.counts.any() and ROAD in names:
@@ -205,7 +205,7 @@ class Scores:
 
 
 def _error_figures(errors: Errors, name: str = "m") -> dict[str, float]:
-    """Name errors; those of no pixels are left out."""
+    """Name the errors; errors over no pixels are left out."""
     return {f"mae_{name}": errors.mae, f"rmse_{name}": errors.rmse} if errors.pixels else {}
 
 

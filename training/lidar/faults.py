@@ -18,7 +18,7 @@ NAN_SHARE = 0.3
 SHIFT = (0.01, 0.004)
 #: Share of the width, in the middle, without measurements by the fault "dropout".
 DROPOUT_SHARE = 1 / 3
-#: Largest share of an image that `absorb` takes for a thing.
+#: Largest share of the image that an object may cover in `absorb`.
 THING_SHARE = 0.25
 
 
@@ -102,7 +102,8 @@ def absorb(fed: Depth, semantic: NDArray[np.uint8], rng: Generator, *, ignore: i
         )
         thing = region[1:-1, 1:-1] > 0
         if thing.mean() <= THING_SHARE:
-            lowest = top + height * rng.uniform(0.4, 1.6)  # half of the time all of it
+            # In half of the draws this is below the object, which then has no returns.
+            lowest = top + height * rng.uniform(0.4, 1.6)
             kept[: round(lowest)][thing[: round(lowest)]] = 0
     return kept
 

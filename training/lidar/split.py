@@ -1,4 +1,4 @@
-"""What of a frame's depth is fed to a network and what is its target: one rule for all.
+"""Splits the depth of a frame into LiDAR input and target: one rule for training and evaluation.
 
 Training and evaluation split a frame by the same function, `split_lidar`.
 """
@@ -132,7 +132,7 @@ def _thin(
     rng: Generator,
     first_line: int,
 ) -> Depth:
-    """Return the measurements that the LiDAR input keeps."""
+    """Return the measurements that are part of the LiDAR input."""
     if lidar.kind == "none":
         return nothing_known((depth.shape[0], depth.shape[1]))
     if lidar.kind == "random":

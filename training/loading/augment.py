@@ -34,21 +34,21 @@ from training.loading.crop_choice import choose_crop
 
 Depth = NDArray[np.float32]
 
-#: Depth that is known for more than this share of the pixels is dense: a LiDAR can be simulated
-#: from it. Measured ground truth has a fifth, rendered streets under a wide sky a third.
+#: A depth map with more than this share of known pixels is dense, and a LiDAR is simulated from it.
+#: Accumulated scans know 20 % of the pixels, rendered streets at least 33 %.
 _DENSE_SHARE = 0.3
-#: Sky this close to another label has no depth target: with labels by hand or rendered, and with
-#: labels of a network.
+#: Sky pixels this close to another class have no depth target. The second margin is for labels that
+#: a network made.
 SKY_MARGIN_PX, PSEUDO_SKY_MARGIN_PX = 2, 10
-#: Range of the share of recorded returns that are fed where a random share is drawn.
+#: As `AugmentConfig.random_share`, of recorded returns instead of pixels.
 _RECORDED_SHARE = (0.05, 0.8)
 #: Largest rotation [degrees] about each axis and shift [m] along it of a misaligned LiDAR.
 MISALIGNMENT_DEG, MISALIGNMENT_M = 0.5, 0.05
 #: Range of the share of the image's width of a missing sector.
 SECTOR_SHARE = (0.05, 0.3)
-#: The crop of data that is high enough.
+#: Default crop. Smaller data has a smaller crop, see `training.loading.crop`.
 LARGEST_CROP = (320, 480)
-#: RGB beyond the image: the networks' mean colour.
+#: RGB of padding: the mean colour by which networks normalise.
 _FILL_RGB = (124, 116, 104)
 
 
@@ -56,13 +56,13 @@ _FILL_RGB = (124, 116, 104)
 class AugmentConfig:
     """Ranges and probabilities of the random changes."""
 
-    #: (height, width) of the result; None = chosen by the height of the data, see
+    #: (height, width) of the result; None = by the height of the data, see
     #: `training.loading.crop`.
     crop: tuple[CropSide, CropSide] | None = None
     #: Range of the random magnification of the image.
     scale: FactorRange = (0.7, 1.8)
-    #: Share of the crops that are, of ``crop_candidates`` random ones, the one that shows most
-    #: pixels of the recipe's `data.rare_classes`.
+    #: Share of the crops that are chosen for rare classes: of ``crop_candidates`` random crops the
+    #: crop with the most pixels of `data.rare_classes`.
     rare_crops: Share = 0.0
     crop_candidates: Annotated[int, Field(ge=1, le=100)] = 4
     flip: Share = 0.5
@@ -78,11 +78,11 @@ class AugmentConfig:
     lidar_missing: Share = 0.1
     #: Probability that the input is a random share of the measurements instead of scan lines.
     lidar_random: Share = 0.3
-    #: Range of that share, drawn evenly by its logarithm: of the pixels for dense depth, while
-    #: `_RECORDED_SHARE` is that of recorded returns.
+    #: Range of the random share, log-uniform. Of dense depth it is a share of the pixels; for
+    #: recorded returns see `_RECORDED_SHARE`.
     random_share: ShareRange = (0.01, 0.08)
-    #: Scan-line counts to choose from; a recorded scan keeps every 64/n-th line. 128 are simulated
-    #: from dense depth; without dense depth they are treated as 64.
+    #: Numbers of scan lines to choose from. A recorded scan keeps every 64/n-th line. 128 lines
+    #: need dense depth, otherwise 64 are used.
     lines: Annotated[
         tuple[Literal[1, 2, 4, 8, 16, 32, 64, 128], ...], Field(min_length=1, max_length=100)
     ] = (64, 32, 16)
@@ -90,20 +90,20 @@ class AugmentConfig:
     lidar_misaligned: Share = 0.0
     #: Probability that one to three sectors of the LiDAR are missing.
     lidar_dropout: Share = 0.0
-    #: Probability that one labelled thing, as a car, or its upper part returns nothing.
+    #: Probability that one labelled object, such as a car, or its upper part has no returns.
     lidar_absorbed: Share = 0.0
-    #: Range of a random factor of all depth where returns are fed: a world of twice the size looks
-    #: the same, so that only returns tell how far it is. (1, 1) = none.
+    #: Range of a random factor of all depth in frames with LiDAR input, so that the network takes
+    #: the scale from the returns instead of the image. (1, 1) = none.
     world_scale: FactorRange = (1.0, 1.0)
-    #: Largest shift [px] of a second view of each frame, for the losses of consistency: rows and
-    #: columns by which it begins later fit the grid of the semantic head. 0 = one view.
+    #: Largest shift [px] of a second view of each frame, for the consistency losses. Shifts are
+    #: multiples of the stride of the semantic head. 0 = one view.
     pair_shift: PairShift = 0
     #: Probabilities that the second view has no LiDAR, and that it has false returns.
     pair_lidar_missing: Share = 0.0
     pair_lidar_false: Share = 0.0
 
     def __post_init__(self) -> None:
-        """Check the window that is magnified to the crop, and what both views share."""
+        """Check the range of scales, and that two views overlap."""
         require_window("scale", self.size, self.scale)
         if self.pair_shift and min(self.size) <= self.pair_shift + 2 * PAIR_BORDER_PX:
             raise ValueError(
@@ -134,12 +134,13 @@ def augment(
         rng: source of all random numbers.
         canonical_focal_px: makes the depth canonical, see `canonical_depth`; None = metres.
         max_depth_m: the network's range, for canonical depth.
-        rare: ids of the classes that ``config.rare_crops`` of the crops are chosen for.
+        rare: ids of the rare classes, see ``config.rare_crops``.
 
     Returns:
         A sample of size ``config.size`` with a sparse depth.
     """
-    # In canonical depth an unknown camera is treated as the canonical one, closer to the scene.
+    # With canonical depth, images without intrinsics count as taken by the canonical camera. Its
+    # focal length is fixed, so a magnified image is an image taken closer to the scene.
     is_closer = canonical_focal_px is not None and sample.intrinsics is None
     sample = scale_and_crop(sample, config, rng, is_closer=is_closer, rare=rare)
     if rng.random() < config.flip:
@@ -162,9 +163,9 @@ def take_views(
 ) -> tuple[Sample, Sample, tuple[int, int]]:
     """Return two views of ``config.size`` and the offset (rows, columns) [px] of the second.
 
-    The offset is a multiple of ``step``. The sample is made by `with_margin`; the first view is its
-    upper left corner. The LiDAR input of the second is missing or has false returns by the
-    probabilities of ``config``.
+    The offset is a multiple of ``step``. ``sample`` has the size of `with_margin`; the first view
+    is its upper left corner. The LiDAR input of the second view is missing or has false returns,
+    with the probabilities of ``config``.
     """
     top, left = (step * int(count) for count in rng.integers(0, config.pair_shift // step + 1, 2))
     draw = rng.random()
@@ -182,8 +183,8 @@ def scale_world(
 ) -> tuple[Sample, ...]:
     """Multiply all depth of a frame's views by one random factor of ``config.world_scale``.
 
-    Nothing changes if a view has no return: its depth is what the image tells. Returns beyond
-    ``max_depth_m``, in the unit of the samples, are clipped to it.
+    Without returns in each view nothing changes: then the scale is learned from the image. Returns
+    beyond ``max_depth_m``, in the unit of the samples, are clipped to it.
     """
     low, high = config.world_scale
     if low == high == 1 or not all(_is_fed(view) for view in views):
@@ -214,9 +215,9 @@ def scale_and_crop(
 ) -> Sample:
     """Magnify by a random factor and cut a random window of ``config.size``.
 
-    Some windows are chosen for the classes ``rare``, see `AugmentConfig.rare_crops`.
-    Beyond the image there is mean colour, no depth and no label. Depth keeps its metres and the
-    intrinsics are scaled; if the camera ``is_closer``, the depth is divided by the factor instead.
+    Some windows are chosen for the classes ``rare``, see `AugmentConfig.rare_crops`. Padding has
+    the mean colour, no depth and no label. The factor scales the intrinsics; if ``is_closer``, it
+    divides the depth instead.
     """
     scale = float(np.exp(rng.uniform(*np.log(config.scale))))
     height, width = config.size
@@ -225,7 +226,7 @@ def scale_and_crop(
     count = config.crop_candidates if chosen else 1
     offsets = [_random_offset(sample.size, window, rng) for _ in range(count)]
     top, left = choose_crop(sample.semantic, window, offsets, rare)
-    is_dense = _is_dense(sample)  # of the whole frame: a window may be mostly sky
+    is_dense = _is_dense(sample)  # before cropping: a crop of dense depth may be mostly sky
     sample = resize(cut(sample, top, left, window), config.size, is_dense=is_dense)
     return approach(sample, scale) if is_closer else sample
 
@@ -251,7 +252,7 @@ def canonical_depth(sample: Sample, focal_px: float, max_depth_m: float) -> Samp
     if focal is None:
         return sample
     factor = np.float32(focal_px / focal)
-    if (fed := sample.sparse_depth) is not None:  # the limit of returns counts in metres
+    if (fed := sample.sparse_depth) is not None:  # `farthest_return` is in metres
         range_m = np.float32(max_depth_m / factor)
         fed = masked(fed, fed <= farthest_return(float(range_m)))
         sample = replace(sample, sparse_depth=np.minimum(fed, range_m))
@@ -270,7 +271,7 @@ def _change_maps(
     change: Callable[[NDArray[Any], object], NDArray[Any]],
     intrinsics: NDArray[np.float64] | None,
 ) -> Sample:
-    """Change every map of a sample; change(map, fill) gets the value of an unknown pixel."""
+    """Apply `change(map, fill)` to every map of a sample; fill: the value of unknown pixels."""
 
     def change_known(array: NDArray[Any] | None, unknown: object) -> NDArray[Any] | None:
         return None if array is None else change(array, unknown)
@@ -289,12 +290,12 @@ def _change_maps(
 
 
 def far_sky(sample: Sample, sky: int, depth_m: float) -> Sample:
-    """Set the depth target of the class ``sky``, unit of the sample's depth.
+    """Set the depth target of the class ``sky`` to ``depth_m``, in the unit of the sample's depth.
 
-    Unchanged are measured pixels, and pixels within `SKY_MARGIN_PX` of another label
-    (`PSEUDO_SKY_MARGIN_PX` where a network made the labels), because leaves and wires in front of
-    the sky are labelled sky. A sample without any depth is unchanged, too: otherwise the network
-    would learn that everything is far without a LiDAR. Call this after the LiDAR is simulated.
+    Measured pixels do not change. Pixels within `SKY_MARGIN_PX` of another class do not change
+    (`PSEUDO_SKY_MARGIN_PX` if a network made the labels), because leaves and wires in front of the
+    sky are labelled as sky. A sample without any depth does not change: its only targets would be
+    far. Call this after simulating the LiDAR.
     """
     if not sample.depth.any():
         return sample
@@ -321,9 +322,9 @@ def cut(sample: Sample, top: int, left: int, window: tuple[int, int]) -> Sample:
 def resize(sample: Sample, size: tuple[int, int], *, is_dense: bool | None = None) -> Sample:
     """Resize to (height, width) by the engine's rule, see `runtime.resize`.
 
-    Labels are resized by the rule of their head, dense depth by nearest neighbour; recorded depth
-    is moved return by return, so that no return is doubled and the nearer of two on one pixel is
-    kept. ``is_dense`` says which of them the depth is; None = by its share of known pixels.
+    Labels are resized by the rule of their head, dense depth by nearest neighbour. Recorded returns
+    are moved one by one: none is duplicated, and of several on a pixel the nearest is kept.
+    ``is_dense``: whether the depth is dense; None = by its share of known pixels.
     """
     if size == sample.size:
         return sample
@@ -391,7 +392,7 @@ def draw_lidar(sample: Sample, config: AugmentConfig, rng: Generator) -> Sample:
 def _disturb(
     fed: NDArray[np.float32], sample: Sample, config: AugmentConfig, rng: Generator
 ) -> NDArray[np.float32]:
-    """Misalign the LiDAR, drop sectors of it or a thing's returns by their probabilities."""
+    """Apply faults of the LiDAR (misalignment, dropout, absorption) with their probabilities."""
     intrinsics = sample.intrinsics
     is_misaligned = config.lidar_misaligned and rng.random() < config.lidar_misaligned
     if is_misaligned and intrinsics is not None and fed.any():
@@ -461,7 +462,10 @@ def change_colors(
 def _random_offset(
     size: tuple[int, int], window: tuple[int, int], rng: Generator
 ) -> tuple[int, int]:
-    """Return the start of a window inside the image; on each axis one that covers a smaller one."""
+    """Return a random (row, column) of a window's upper left corner.
+
+    Along an axis where the window is larger than the image, it covers the whole image.
+    """
 
     def start(room: int) -> int:
         return int(rng.integers(min(0, room), max(0, room) + 1))

@@ -1,4 +1,4 @@
-"""Crops chosen for rare classes: of several random windows the one that shows most of them."""
+"""Crops for rare classes: of several random windows the window with most of their pixels."""
 
 from collections.abc import Sequence
 

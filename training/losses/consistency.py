@@ -10,20 +10,22 @@ from training.distributed import sum_over_processes
 from training.limits import PAIR_BORDER_PX
 from training.losses.depth import log_ratio
 
-#: Weights of the depth's ratio farther than NEAR_PX from a return, and nearer.
+#: Weights of the depth's log ratio at pixels farther than NEAR_PX from a return, and nearer.
 FAR_WEIGHT, NEAR_WEIGHT = 1.2, 0.2
 NEAR_PX = 6
-#: Columns over which the scan's upper edge is the highest return, and rows of a step upwards.
-EDGE_COLUMNS, STEP_ROWS = 17, 8
+#: The upper edge of the scan is the highest return within this many columns.
+EDGE_COLUMNS = 17
+#: Distance in rows over which a jump of the depth is measured.
+STEP_ROWS = 8
 
 
 def overlap(
     first: Tensor, second: Tensor, offset: tuple[int, int], *, side: int = 1
 ) -> tuple[Tensor, Tensor]:
-    """Return what both views show, without PAIR_BORDER_PX: two (C, h', w').
+    """Crop two maps to the area that both views show, without PAIR_BORDER_PX: two (C, h', w').
 
-    first, second: (C, h, w), maps of cells of ``side`` pixels. offset: rows and columns [px] by
-    which the second view begins later, multiples of ``side``.
+    first, second: (C, h, w), maps of cells of ``side`` pixels. offset: rows and columns [px] of the
+    second view's upper left corner in the first view, multiples of ``side``.
     """
     if any(part % side for part in offset):
         raise ValueError(f"views {offset} px apart have no cells of {side} px in common")
@@ -45,9 +47,9 @@ def overlap(
 def depth_consistency_loss(first: Tensor, second: Tensor, pair: Pair) -> Tensor:
     """Mean |log ratio| of the depth of the two views, weighted by the distance to a return, ().
 
-    first, second: (N, 1, H, W), normalised depth at the image's size. Frames of whose views just
-    one has returns do not count: their answers may differ. Returns that only one view has, false
-    ones, must change nothing: their surroundings have FAR_WEIGHT.
+    first, second: (N, 1, H, W), normalised depth at the image's size. A frame does not count if
+    only one view has LiDAR input. If the LiDAR inputs of both views differ (one has false returns),
+    all pixels have FAR_WEIGHT, because false returns must not change the depth around them.
     """
     near = maxima_around((pair.first_lidar > 0).to(first.dtype), 2 * NEAR_PX + 1)
     losses = []
@@ -66,11 +68,10 @@ def depth_consistency_loss(first: Tensor, second: Tensor, pair: Pair) -> Tensor:
 def depth_seam_loss(first: Tensor, second: Tensor, pair: Pair) -> Tensor:
     """Penalise a jump of the depth at the upper edge of the scan, ().
 
-    Above the highest return nothing is measured: a prediction that follows the returns may jump
-    there. A prediction from the camera alone does not. Frames with returns in one of their two
-    views are compared: the change of log depth over STEP_ROWS upwards is that of the view without
-    returns, which gets no gradient. The loss is the mean absolute difference of both changes, at
-    the edge, in columns with a return.
+    A prediction that follows the returns may jump where they end; a prediction from the camera
+    alone does not. Only frames count of which one view has returns and the other has none. The loss
+    is the mean absolute difference between the two views in the change of log depth over STEP_ROWS
+    across the edge, in columns with a return. The view without returns gets no gradient.
 
     first, second: as in `depth_consistency_loss`.
     """
@@ -108,7 +109,7 @@ def semantic_consistency_loss(first: Tensor, second: Tensor, pair: Pair, *, side
 
 
 def _mean_over_frames(losses: list[Tensor], views: Tensor) -> Tensor:
-    """Mean over the frames of all processes that count, (); 0, with a gradient of 0, of none."""
+    """Mean of the frames' losses over all processes, (); without losses 0, with a gradient of 0."""
     total = torch.stack(losses).sum() if losses else views.sum() * 0.0
     count = sum_over_processes(total.new_tensor(len(losses)))
     return sum_over_processes(total) / count.clamp(min=1)

@@ -9,7 +9,7 @@ from torch import Tensor
 from training.losses.masked import masked_mean, split_into_blocks
 from training.losses.ssim import ssim_loss
 
-#: Least normalised depth in ratios.
+#: Smaller normalised depths are clipped to this value before a ratio is taken.
 _NEAREST = 1e-3
 
 #: (prediction, target, valid), all (N, 1, h, w), depth normalised to 0..1 -> loss ().
@@ -21,8 +21,8 @@ def normalise_depth(
 ) -> tuple[Tensor, Tensor]:
     """Split metres into normalised depth 0..1 and a bool mask of what was measured.
 
-    `depth` float (N, 1, H, W) [m]; 0, negative, NaN, Inf or beyond `target_depth_m`, by default
-    `max_depth_m`, = none.
+    `depth` float (N, 1, H, W) [m]; 0, negative, NaN, Inf and values beyond `target_depth_m` (by
+    default `max_depth_m`) are no measurement.
     """
     valid = (depth > 0) & (depth <= (target_depth_m or max_depth_m))
     return torch.where(valid, depth, 0.0) / max_depth_m, valid
@@ -52,8 +52,7 @@ def paper_depth_loss(
 ) -> Tensor:
     """Eq. 4 at one scale: l1 * mean |e| + l2 * mean e^2 + ssim * (1 - mean SSIM), ().
 
-    Normalised depth, means over valid pixels, see `masked_mean` for the mean over samples. The
-    weights are the paper's.
+    e: error of the normalised depth at valid pixels. The default weights are the paper's.
     """
     error = prediction - target
     loss = l1 * masked_mean(error.abs(), valid) + l2 * masked_mean(error.square(), valid)
@@ -72,10 +71,17 @@ def metric_depth_loss(
 ) -> Tensor:
     """Mean |e| + l2 * mean e^2 + log * mean |log ratio|, the error e in metres, at one scale, ().
 
-    Not the paper's: for LiDAR targets, which are too sparse for SSIM's windows. `l2` is in 1/m,
-    `log` in m: errors in metres are dominated by far pixels, the ratio of prediction and target
-    weighs near and far pixels equally. A target of ``farthest``, normalised, is the sky: what is
-    predicted beyond it is right.
+    Not in the paper: LiDAR targets are too sparse for the windows of SSIM. Far pixels dominate
+    errors in metres; the log ratio of prediction and target weighs near and far pixels equally.
+
+    Args:
+        prediction: float (N, 1, h, w), normalised depth.
+        target: float (N, 1, h, w), normalised depth.
+        valid: bool (N, 1, h, w).
+        max_depth_m: metres of the normalised depth 1.
+        l2: weight of the squared error [1/m].
+        log: weight of the log ratio [m].
+        farthest: normalised target depth of the sky. Predictions beyond it have no error there.
     """
     prediction = torch.where(target < farthest, prediction, prediction.clamp(max=farthest))
     error = (prediction - target) * max_depth_m
@@ -86,7 +92,7 @@ def metric_depth_loss(
 
 
 def log_ratio(depth: Tensor, other: Tensor) -> Tensor:
-    """Log ratio of two maps of normalised depth; depths below _NEAREST are set to it."""
+    """Log ratio of two maps of normalised depth."""
     return (depth.clamp(min=_NEAREST) / other.clamp(min=_NEAREST)).log()
 
 
@@ -96,7 +102,7 @@ def multi_scale_depth_loss(
     """Mean of a criterion over the scales of the prediction, each against its own ground truth.
 
     `predictions` float (N, 1, h_i, w_i), normalised; `target`, `valid` (N, 1, H, W), see
-    `normalise_depth`. The paper gives no weights of the scales: all count the same.
+    `normalise_depth`. The paper gives no weights for the scales; here they are equal.
     """
     losses = [
         criterion(

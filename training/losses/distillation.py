@@ -1,4 +1,4 @@
-"""Losses of a network that learns the answers of a larger one, its teacher (Hinton et al. 2015).
+"""Losses of a network that learns the answers of a teacher network (Hinton et al. 2015).
 
 They need no labels: every pixel of every picture counts. The teacher has seen the same inputs.
 """
@@ -17,7 +17,7 @@ HALF_CERTAIN = 0.05
 def distilled_semantic_loss(logits: Tensor, teacher: Tensor) -> Tensor:
     """Kullback-Leibler divergence of the classes from the teacher's, mean over cells, ().
 
-    logits, teacher: (N, C, h, w), each on its own grid; compared on that of ``logits``.
+    logits, teacher: (N, C, h, w), on different grids; compared on the grid of ``logits``.
     """
     grid = (logits.shape[-2], logits.shape[-1])
     wanted = on_grid(teacher.softmax(dim=1), grid)
@@ -40,7 +40,7 @@ def distilled_depth_loss(depth: Tensor, teacher: Tensor, scale: Tensor | None) -
 def distilled_boundary_loss(logits: Tensor, teacher: Tensor) -> Tensor:
     """Mean cross-entropy of the boundary's probability with the teacher's, ().
 
-    logits, teacher: (N, 1, h, w), each on its own grid; compared on that of ``logits``.
+    logits, teacher: (N, 1, h, w), on different grids; compared on the grid of ``logits``.
     """
     wanted = on_grid(torch.sigmoid(teacher), (logits.shape[-2], logits.shape[-1]))
     return _mean(F.binary_cross_entropy_with_logits(logits, wanted, reduction="none"))

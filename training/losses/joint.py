@@ -9,7 +9,7 @@ from training.distributed import sum_over_processes
 
 
 class NeighbourMaps(NamedTuple):
-    """A comparison of every pixel with its neighbours: u with u - 1, and v with v - 1."""
+    """Comparison of every pixel with its left (u - 1) and upper (v - 1) neighbour."""
 
     #: float (N, H, W - 1), horizontal; column i belongs to pixel i + 1.
     across: Tensor

@@ -39,7 +39,7 @@ def class_weights(pixel_counts: Tensor, weighting: ClassWeighting = "median") ->
     frequency = counts / counts.sum()
     if weighting == "paper":
         return frequency.float()
-    # quantile and not median: of an even count the latter takes the lower of the two middle ones.
+    # torch.median returns the lower middle value of an even number of values; quantile the mean.
     ratio = frequency[seen].quantile(0.5) / frequency[seen]
     if weighting == "sqrt_median":
         ratio = ratio.sqrt()

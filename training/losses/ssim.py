@@ -65,7 +65,7 @@ def ssim(a: Tensor, b: Tensor, valid: Tensor, *, window: int = WINDOW) -> tuple[
     known = valid.to(a.dtype)
     a, b = a * known, b * known
     share, *b_means = window_means(known, b, b * b)
-    known_windows = share > 0.5 / (height * width)  # less is rounding
+    known_windows = share > 0.5 / (height * width)  # smaller shares are rounding errors
     share = share.clamp(min=0.5 / (height * width))
     mean_b, bb = (mean / share for mean in b_means)
     mean_a, aa, ab = (mean / share for mean in window_means(a, a * a, a * b))

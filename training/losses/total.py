@@ -55,7 +55,7 @@ from training.losses.uncertainty import laplace_loss
 
 
 class Term(NamedTuple):
-    """What a term needs: heads of the network, and the target they are compared with, if any."""
+    """Requirements of a term: heads of the network and, optionally, a target."""
 
     heads: frozenset[str]
     target: str = ""
@@ -175,7 +175,7 @@ class LossConfig:
         return TERMS[name].heads if name in TERMS else frozenset({name})
 
     def taught_heads(self, heads: Collection[str]) -> list[str]:
-        """Return those of the heads whose answers are compared with a teacher's."""
+        """Return the heads that learn from a teacher."""
         names = self.terms_for(heads)
         return [head for head in heads if f"distilled_{head}" in names]
 
@@ -187,7 +187,7 @@ class LossConfig:
         return weight
 
     def __post_init__(self) -> None:
-        """Check that the numbers are not negative and that a weight is positive."""
+        """Check that no number is negative and at least one weight is positive."""
         numbers = {
             key: value for key, value in vars(self).items() if isinstance(value, int | float)
         }
@@ -234,7 +234,7 @@ class SSDNetLoss(nn.Module):
         self.max_depth_m = max_depth_m
         self.target_depth_m = target_depth_m or max_depth_m
         self.register_buffer("class_weights", class_weights, persistent=False)
-        # A likelihood may be negative, and its best weight would then be infinite.
+        # A negative log likelihood may be negative: its learned weight would diverge.
         names = [name for name in (*TERMS, *HEAD_LOSSES) if name != "depth_uncertainty"]
         learned = names if config.weighting == "uncertainty" else []
         self.log_variances = nn.ParameterDict(
@@ -287,7 +287,7 @@ class SSDNetLoss(nn.Module):
                 answers = output.others[head].float()
                 terms[head] = HEAD_LOSSES[head](answers, batch.targets[head], batch.weights[head])
         weighted = [self._weigh(name, term) for name, term in terms.items()]
-        # Without any term the total is still a 0 that can be differentiated.
+        # Without any term the total is 0, with a gradient of 0.
         anchor = torch.nan_to_num(answer[0, 0, 0, 0].float(), posinf=0, neginf=0)
         terms["total"] = sum(weighted, start=0.0 * anchor)
         return terms
@@ -336,7 +336,7 @@ class SSDNetLoss(nn.Module):
                 output.depth_uncertainty.float(),
                 output.depths[0].float(),
                 target,
-                # The sky, at the far end, is no measurement.
+                # Sky targets at the far end of the range are not measured.
                 valid & (target < farthest),
                 max_depth_m=self.max_depth_m,
             )
@@ -430,7 +430,7 @@ class SSDNetLoss(nn.Module):
             weights = torch.ones(count, device=logits.device)
         soft = joint and config.disagreement == "soft"
         cross_entropy, known, overlaps, lovasz, disagreements = [], [], [], [], []
-        # Unbound, not sliced: the gradient of each slice would be as large as the whole batch.
+        # unbind instead of slices: the gradient of a slice is as large as the whole batch.
         for index, (sample, label) in enumerate(
             zip(logits.unbind(0), semantic.unbind(0), strict=True)
         ):

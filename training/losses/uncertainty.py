@@ -4,7 +4,7 @@ from torch import Tensor
 
 from training.losses.masked import masked_mean
 
-#: Least scale [m]: the precision of a LiDAR.
+#: Smallest scale b [m]: the precision of a LiDAR.
 _LEAST_SCALE_M = 0.01
 
 

@@ -2,7 +2,7 @@
 
 import math
 
-_LOG_FROM = 12.0  # largest value over the median, beyond which the axis is logarithmic
+_LOG_FROM = 12.0  # the axis is logarithmic if maximum / median is larger
 
 
 class Axis:

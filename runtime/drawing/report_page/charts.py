@@ -12,7 +12,7 @@ from runtime.sync.latency import LatencyStatistics
 DROPS = (SKIPPED, INVALID)  # frames without a usable answer
 MOST_SPANS = 490
 _FRAME_TICKS = 6  # at most
-_MOST_POINTS = 140  # spans of a chart; of more only the late ones have a point
+_MOST_POINTS = 140  # a chart with more spans draws points for late spans only
 _LEAST_BAR = 0.25  # percent of a strip
 
 Bar = tuple[float, float, float, float]  # left, width, height, and opacity 0..1

@@ -11,7 +11,7 @@ from runtime.drawing.overlay import Overlay
 from runtime.io.encode import encode_jpeg
 from runtime.prediction import Prediction
 
-_EVEN, _FLAGGED = 6, 3  # at most
+_EVEN, _FLAGGED = 6, 3  # most samples of each kind
 _PANELS, _WIDEST = 3, 480  # image and first two heads; columns
 _JPEG_QUALITY = 82
 

@@ -44,8 +44,8 @@ class OutputRow(NamedTuple):
     always: bool = False
 
 
-#: Option -> its output, in the order of opening. They are closed in reverse, raw ones before all
-#: others: report.json and the page are written when all others are whole.
+#: Option -> its output, in the order of opening. Outputs are closed in reverse order, so that
+#: report.json and the page are written after all other files are complete.
 OUTPUTS: dict[str, OutputRow] = {
     "record": OutputRow(open_recording, raw=True),
     "report": OutputRow(open_page),

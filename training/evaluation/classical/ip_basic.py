@@ -60,8 +60,8 @@ class IPBasic:
         inverted = _fill_unknown(inverted, _full(7))
         if self.extrapolate:
             inverted = _fill_unknown(_extend_to_top(inverted), _full(31))
-        # The median removes single outliers. As published it includes the zeros of unknown pixels,
-        # and so does the blur: the outermost two known pixels come out too far.
+        # As published, median and blur include the zeros of unknown pixels: the two outermost known
+        # pixels get too large depths.
         return cv2.medianBlur(inverted, 5)
 
 
@@ -138,7 +138,7 @@ def _cross(size: int) -> NDArray[np.uint8]:
 def _fill_unknown(
     inverted: MatLike, kernel: NDArray[np.uint8], *, within: NDArray[np.bool_] | bool = True
 ) -> MatLike:
-    """Fill unknown pixels from a dilation, leaving the others as they are."""
+    """Fill unknown pixels from a dilation; known pixels do not change."""
     unknown = (inverted <= _MEASURED_M) & within
     return np.where(unknown, cv2.dilate(inverted, kernel), inverted)
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from runtime.errors import InferenceError
 from training.evaluation.classical.method import Depth, is_measured, needs_scipy
 
-#: Least weight of neighbours: exp() of two different colours would cut a region off.
+#: Least weight of neighbours: with exp() of very different colours a region would be isolated.
 _LEAST_WEIGHT = 1e-4
 
 
@@ -59,7 +59,7 @@ class MRF:
         system = sparse.diags_array(diagonal) - coupling - coupling.T
         right_side = data_term * np.where(measured, sparse_depth, 0).ravel()
         try:
-            # The ordering for symmetric patterns: half the memory of the default one.
+            # This ordering, for symmetric patterns, needs half the memory of the default.
             solution = sparse.linalg.spsolve(system.tocsc(), right_side, permc_spec="MMD_AT_PLUS_A")
         except (MemoryError, RuntimeError) as error:  # SuperLU's allocations raise either
             height, width = sparse_depth.shape

@@ -32,7 +32,7 @@ class Planes:
         if not measured.any():
             return np.zeros(sparse_depth.shape, dtype=np.float32)
         known = np.where(measured, sparse_depth, np.float32(np.inf))
-        farthest = sparse_depth[measured].max()  # the unit: no inverse depth is below 1
+        farthest = sparse_depth[measured].max()  # as the unit: inverse depths are at least 1
         inverse = torch.from_numpy(farthest / known)[None, None]
         mask = torch.from_numpy(measured.astype(np.float32))[None, None]
         with torch.inference_mode():
