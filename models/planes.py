@@ -88,7 +88,8 @@ def fit_planes(
 
 def _lightened(sums: Tensor) -> Tensor:
     """Give all returns of a window together LARGER_WINDOW_WEIGHT; sums: (N, 9, h, w)."""
-    return sums * (LARGER_WINDOW_WEIGHT / sums[:, :1].clamp(min=_LEAST_COUNT))
+    share: Tensor = LARGER_WINDOW_WEIGHT / sums[:, :1].clamp(min=_LEAST_COUNT)
+    return sums * share
 
 
 def _inside(sums: Tensor) -> Tensor:
