@@ -7,7 +7,8 @@ from numpy.random import Generator
 
 from training.scenes.layout.centreline import Centreline
 from training.scenes.layout.placing import Site, facing
-from training.scenes.layout.street_plan import END_M, KERB_M, START_M, Plan, StreetKind
+from training.scenes.layout.street_plan import END_M, KERB_M, START_M, Plan
+from training.scenes.names import StreetKind
 from training.scenes.things import buildings, furniture, plants
 from training.scenes.things.mesh import Mesh
 

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.random import Generator
 
-from training.scenes.classes import SceneClass
 from training.scenes.layout.centreline import Centreline
 from training.scenes.layout.placing import Site, facing
 from training.scenes.layout.street_plan import KERB_M, START_M, Plan
+from training.scenes.names import SceneClass
 from training.scenes.things import furniture, people, vehicles
 from training.scenes.things.mesh import Mesh
 

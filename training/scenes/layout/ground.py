@@ -4,9 +4,9 @@ import numpy as np
 from numpy.random import Generator
 
 from training.scenes.arrays import Floats
-from training.scenes.classes import SceneClass
 from training.scenes.layout.centreline import Centreline
 from training.scenes.layout.street_plan import END_M, KERB_M, START_M, Plan
+from training.scenes.names import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
 from training.scenes.things.mesh import Look, Mesh, grid
 

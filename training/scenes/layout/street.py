@@ -9,15 +9,9 @@ from training.scenes.layout.frontage import make_backdrop, make_frontage
 from training.scenes.layout.furnishing import make_furniture, park_cars
 from training.scenes.layout.ground import make_ground
 from training.scenes.layout.markings import draw_stripes
-from training.scenes.layout.street_plan import (
-    END_M,
-    START_M,
-    STREET_KINDS,
-    StreetKind,
-    draw_plan,
-    lane_centre,
-)
+from training.scenes.layout.street_plan import END_M, START_M, draw_plan, lane_centre
 from training.scenes.layout.traffic import Actor, draw_people, draw_traffic
+from training.scenes.names import StreetKind
 from training.scenes.textures.paint import Stripe
 from training.scenes.things.mesh import Mesh, join
 
@@ -35,18 +29,16 @@ class Street:
     ego_speed: float
 
 
-def build_street(
-    seed: int, *, kind: StreetKind | None = None, left_hand: bool | None = None
-) -> Street:
+def build_street(seed: int, *, kind: StreetKind | None = None) -> Street:
     """Lay out a street; the same seed gives the same street.
 
-    kind and left_hand are random by the seed unless given.
+    Every fifth seed has traffic on the left. The kind is random by the seed unless given.
     """
     rng = np.random.default_rng([seed, 1])
-    drawn: StreetKind = STREET_KINDS[rng.choice(5, p=[0.36, 0.22, 0.18, 0.1, 0.14])]
-    drawn_left = bool(rng.random() < 0.4)
+    drawn = list(StreetKind)[rng.choice(5, p=[0.36, 0.22, 0.18, 0.1, 0.14])]
+    rng.random()  # has no use; without it, all scenes would change
     kind = drawn if kind is None else kind
-    side = -1.0 if (drawn_left if left_hand is None else left_hand) else 1.0
+    side = -1.0 if seed % 5 == 0 else 1.0
     bend = float(rng.choice([0.0, 0.3, 1.0]) if kind != "highway" else rng.uniform(0, 1))
     line = draw_centreline(rng, start=START_M - 30, end=END_M + 120, bend=bend)
     plan = draw_plan(rng, kind, side)

@@ -1,13 +1,11 @@
 """Pinhole cameras of driving recordings."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from training.scenes.arrays import Floats
-
-CameraName = Literal["kitti", "camvid", "varied"]
+from training.scenes.names import CameraName
 
 #: Sizes (height, width) of varied cameras.
 _SIZES = ((375, 1242), (375, 1242), (480, 960), (400, 720), (360, 480))
@@ -40,22 +38,17 @@ class Camera:
 
 
 def make_camera(name: CameraName, size: tuple[int, int], seed: int = 0) -> Camera:
-    """A camera with the field of view of KITTI's or CamVid's, at any (height, width).
+    """A camera with KITTI's field of view, at any (height, width).
 
     "varied" is a random camera for every seed: field of view 45 to 105 degrees, 1.2 to 2.2 m above
     the road, tilted by up to 4 degrees, its size one of `_SIZES` whatever `size` is.
     """
-    if name == "varied":
+    if name == CameraName.varied:
         return _draw_camera(np.random.default_rng([seed, 5]))
-    height, width = size
-    if name == "kitti":
-        # KITTI 2011_09_26, camera 2: 1242 x 375 pixels, focal length 721.54.
-        scale = width / 1242.0
-        focal = 721.54 * scale
-        return Camera(size, focal, focal, 609.56 * scale, height * 172.85 / 375.0, 1.65)
-    # CamVid publishes no calibration; half a view of 26 degrees fits its pictures.
-    focal = 500.0 * width / 480.0
-    return Camera(size, focal, focal, width / 2, height * 0.5, 1.35, -0.5)
+    # KITTI 2011_09_26, camera 2: 1242 x 375 pixels, focal length 721.54.
+    scale = size[1] / 1242.0
+    focal = 721.54 * scale
+    return Camera(size, focal, focal, 609.56 * scale, size[0] * 172.85 / 375.0, 1.65)
 
 
 def _draw_camera(rng: np.random.Generator) -> Camera:

@@ -9,8 +9,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from training.scenes.arrays import Floats
-from training.scenes.classes import SceneClass
 from training.scenes.layout.street import Street
+from training.scenes.names import SceneClass
 from training.scenes.rendering.camera import Camera, look_along
 from training.scenes.rendering.lidar_scan import LidarMount, LidarScan, scan_street
 from training.scenes.rendering.raycast import Hits, RayCaster
@@ -29,8 +29,7 @@ class RenderedFrame:
     """A rendered frame.
 
     rgb: uint8 (H, W, 3). depth: float32 (H, W), metres along the optical axis, 0 = sky. label:
-    uint8 (H, W) of `SceneClass`. world_to_camera: (4, 4). intrinsics: (3, 3). scan: None without a
-    LiDAR.
+    uint8 (H, W) of `SceneClass`. world_to_camera: (4, 4). intrinsics: (3, 3). scan: of its LiDAR.
     """
 
     rgb: NDArray[np.uint8]
@@ -38,7 +37,7 @@ class RenderedFrame:
     label: NDArray[np.uint8]
     world_to_camera: Floats
     intrinsics: Floats
-    scan: LidarScan | None = None
+    scan: LidarScan
 
 
 def camera_pose(
@@ -64,15 +63,15 @@ def render_frame(
     street: Street,
     camera: Camera,
     weather: Weather,
+    mount: LidarMount,
     *,
     time: float,
     sway: float,
     rng: Generator,
-    mount: LidarMount | None = None,
 ) -> RenderedFrame:
-    """Render the street at a time in seconds, as the ego car's camera sees it.
+    """Render the street at a time in seconds, as the ego car's camera and LiDAR see it.
 
-    mount: of its LiDAR; None = no LiDAR. RGB, depth and classes do not depend on it.
+    RGB, depth and classes do not depend on the LiDAR.
     """
     lidar_rng = rng.spawn(1)[0]
     rotation, position = camera_pose(street, camera, time, sway=sway)
@@ -126,9 +125,7 @@ def render_frame(
         label=label.reshape(camera.size),
         world_to_camera=world_to_camera,
         intrinsics=camera.intrinsics,
-        scan=None
-        if mount is None
-        else scan_street(
+        scan=scan_street(
             mesh, caster, camera, rotation, mount, stripes=street.stripes, rng=lidar_rng
         ),
     )

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import Generator
 
-from training.scenes.classes import SceneClass
+from training.scenes.names import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
 from training.scenes.things.mesh import Color, Look, Mesh, box, join, quad, rows, vary
 

@@ -11,7 +11,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from training.scenes.arrays import Floats
-from training.scenes.classes import SceneClass
+from training.scenes.names import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
 
 NUM_PARAMS = 8

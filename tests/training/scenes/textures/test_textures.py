@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("embreex", reason="the renderer needs the train extra")
 
-from training.scenes.classes import SceneClass
+from training.scenes.names import SceneClass
 from training.scenes.textures.noise import fractal_noise, hash01, value_noise
 from training.scenes.textures.paint import Stripe, band, paint_cover
 from training.scenes.textures.surface_kinds import SurfaceKind
