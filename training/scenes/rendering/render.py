@@ -100,19 +100,18 @@ def render_frame(
         shade,
         mesh,
         caster,
-        pixel_angle=1.0 / camera.fx,
+        pixel_angle=1.0 / camera.focal_px,
         weather=weather,
         stripes=street.stripes,
         rng=rng,
     )
-    origin = np.zeros(3, dtype=np.float32)
-    radiance = light(hits, origin, directions, openness=openness)
+    radiance = light(hits, directions, openness=openness)
     rough = np.flatnonzero(_edges(depth.reshape(camera.size), radiance.reshape(height, width, 3)))
     total = radiance[rough].clip(0, 3)
     for dx, dy in _JITTER:
         rays = camera.rays(columns.ravel()[rough] + dx, rows.ravel()[rough] + dy) @ turn
         rays = rays.astype(np.float32)
-        sample = light(_cast(caster, rays), origin, rays, openness=openness[rough])
+        sample = light(_cast(caster, rays), rays, openness=openness[rough])
         total += sample.clip(0, 3)
     radiance[rough] = total / (1 + len(_JITTER))
 

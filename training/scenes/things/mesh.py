@@ -14,9 +14,6 @@ from training.scenes.arrays import Floats
 from training.scenes.names import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
 
-NUM_PARAMS = 8
-
-
 #: Linear RGB, 0..1.
 Color = tuple[float, ...]
 
@@ -43,10 +40,6 @@ class Look:
     label: SceneClass
     params: tuple[float, ...] = ()
 
-    def darker(self, factor: float) -> "Look":
-        """The same material of a darker colour, without shader parameters."""
-        return Look(self.kind, tuple(factor * c for c in self.color), self.label)
-
 
 @dataclass(frozen=True)
 class Mesh:
@@ -65,9 +58,6 @@ class Mesh:
     kind: NDArray[np.uint8]
     label: NDArray[np.uint8]
     params: Floats
-
-    def __len__(self) -> int:
-        return len(self.positions)
 
     def moved(self, *, heading: float = 0.0, offset: ArrayLike = (0.0, 0.0, 0.0)) -> Self:
         """Turn by `heading` (rad, about z) and shift by `offset` (m); texture stays."""
@@ -107,7 +97,7 @@ def triangles(
     n = len(corners)
     if normals is None:
         normals = np.repeat(face_normals(corners)[:, None], 3, axis=1)
-    params = np.zeros((n, NUM_PARAMS), dtype=np.float32)
+    params = np.zeros((n, 8), dtype=np.float32)
     params[:, : len(look.params)] = look.params
     return Mesh(
         positions=corners,
@@ -149,11 +139,12 @@ def grid(
     return triangles(_grid_corners(lattice), look, normals=normals, texture=tex)
 
 
-def quad(corners: ArrayLike, look: Look, *, texture: ArrayLike | None = None) -> Mesh:
-    """One quadrilateral from four corners in order, (4, 3)."""
-    pick = [0, 1, 2, 0, 2, 3]
-    tex = None if texture is None else np.asarray(texture)[pick]
-    return triangles(np.asarray(corners)[pick], look, texture=tex)
+def polygon(corners: ArrayLike, look: Look, *, texture: ArrayLike | None = None) -> Mesh:
+    """A convex polygon of corners (n, 3), counter-clockwise as seen from its front."""
+    points = np.asarray(corners)
+    fan = [[0, k, k + 1] for k in range(1, len(points) - 1)]
+    tex = None if texture is None else np.asarray(texture)[fan]
+    return triangles(points[fan], look, texture=tex)
 
 
 def box(size: ArrayLike, centre: ArrayLike, look: Look) -> Mesh:

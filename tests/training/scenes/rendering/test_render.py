@@ -19,13 +19,13 @@ from training.scenes.rendering.shading import contact_shading
 from training.scenes.rendering.weather import draw_weather
 from training.scenes.scene_job import SceneJob, render_frames
 from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Look, box, join, quad
+from training.scenes.things.mesh import Look, box, join, polygon
 
 STRAIGHT = np.arange(-50.0, 400.0)
 LINE = Centreline(STRAIGHT, STRAIGHT, 0 * STRAIGHT, 0 * STRAIGHT, 0 * STRAIGHT)
 ROAD = Look(SurfaceKind.PLAIN, (0.2, 0.2, 0.2), SceneClass.ROAD)
 WALL = Look(SurfaceKind.PLAIN, (0.5, 0.5, 0.5), SceneClass.BUILDING)
-GROUND = quad([(-40, -200, 0), (300, -200, 0), (300, 200, 0), (-40, 200, 0)], ROAD)
+GROUND = polygon([(-40, -200, 0), (300, -200, 0), (300, 200, 0), (-40, 200, 0)], ROAD)
 CAMERA = make_camera("kitti", (96, 318))
 MOUNT = draw_mount(CAMERA, np.random.default_rng(0))
 #: sway 0 leaves the camera level at time 0.
@@ -33,7 +33,7 @@ LEVEL = {"time": 0.0, "sway": 0.0}
 
 
 def hand_made_street(*meshes) -> Street:
-    return Street("town", LINE, join(meshes), (), (), ego_d=0.0, ego_speed=10.0)
+    return Street(LINE, join(meshes), (), (), ego_d=0.0, ego_speed=10.0)
 
 
 def rendered(street, variant="overcast", camera=CAMERA, **pose):
@@ -43,7 +43,7 @@ def rendered(street, variant="overcast", camera=CAMERA, **pose):
 
 
 def test_depth_is_along_the_optical_axis_and_not_along_the_ray():
-    wall = quad([(20, 100, -9), (20, -100, -9), (20, -100, 60), (20, 100, 60)], WALL)
+    wall = polygon([(20, 100, -9), (20, -100, -9), (20, -100, 60), (20, 100, 60)], WALL)
     frame = rendered(hand_made_street(wall))
     assert frame.depth.dtype == np.float32
     assert np.allclose(frame.depth, 20.0, atol=1e-3)
@@ -53,7 +53,7 @@ def test_depth_is_along_the_optical_axis_and_not_along_the_ray():
 def test_depth_of_flat_ground_follows_from_the_camera_height():
     frame = rendered(hand_made_street(GROUND))
     for row in (60, 75, 95):
-        expected = CAMERA.mount_height_m * CAMERA.fy / (row - CAMERA.cy)
+        expected = CAMERA.mount_height_m * CAMERA.focal_px / (row - CAMERA.cy)
         assert frame.depth[row, 150] == pytest.approx(expected, rel=1e-4)
     assert not frame.depth[:40].any()
     assert (frame.label[:40] == SceneClass.SKY).all()
@@ -65,19 +65,19 @@ def test_a_thing_ahead_appears_where_the_pinhole_puts_it():
     frame = rendered(hand_made_street(GROUND, post))
     rows, columns = np.nonzero(frame.label == SceneClass.POLE)
     # The front face is 30 m ahead, 2.5 to 3.5 m to the right, 0 to 2 m up.
-    assert columns.min() == pytest.approx(CAMERA.cx + CAMERA.fx * 2.5 / 30, abs=1)
-    assert columns.max() == pytest.approx(CAMERA.cx + CAMERA.fx * 3.5 / 30, abs=1)
-    assert rows.min() == pytest.approx(CAMERA.cy - CAMERA.fy * 0.35 / 30, abs=1)
-    assert rows.max() == pytest.approx(CAMERA.cy + CAMERA.fy * 1.65 / 30, abs=1)
+    assert columns.min() == pytest.approx(CAMERA.cx + CAMERA.focal_px * 2.5 / 30, abs=1)
+    assert columns.max() == pytest.approx(CAMERA.cx + CAMERA.focal_px * 3.5 / 30, abs=1)
+    assert rows.min() == pytest.approx(CAMERA.cy - CAMERA.focal_px * 0.35 / 30, abs=1)
+    assert rows.max() == pytest.approx(CAMERA.cy + CAMERA.focal_px * 1.65 / 30, abs=1)
     assert np.allclose(frame.depth[rows, columns], 30.0, atol=0.21)
 
 
 def test_sun_throws_a_shadow_and_an_overcast_sky_does_not():
-    roof = quad([(11, 3, 3), (11, -3, 3), (25, -3, 3), (25, 3, 3)], WALL)
+    roof = polygon([(11, 3, 3), (11, -3, 3), (25, -3, 3), (25, 3, 3)], WALL)
     street = hand_made_street(GROUND, roof)
     overhead = replace(draw_weather("clone", 1), sun_direction=(0.0, 0.0, 1.0), noise=0.0)
     camera = replace(CAMERA, pitch_deg=0.0)
-    shade_row = round(CAMERA.cy + CAMERA.fy * 1.65 / 15)
+    shade_row = round(CAMERA.cy + CAMERA.focal_px * 1.65 / 15)
     spot, beside = (shade_row, round(CAMERA.cx)), (shade_row, 300)
 
     def brightness(weather):
@@ -107,7 +107,7 @@ def test_fog_washes_out_what_is_far():
 
 
 def test_corners_are_darker_than_open_ground():
-    lid = quad([(-1, -1, 0.2), (-1, 1, 0.2), (1, 1, 0.2), (1, -1, 0.2)], WALL)
+    lid = polygon([(-1, -1, 0.2), (-1, 1, 0.2), (1, 1, 0.2), (1, -1, 0.2)], WALL)
     caster = RayCaster(join([GROUND, lid]).positions)
     points = np.array([[0, 0, 0.01], [0.97, 0, 0.01], [50, 0, 0.01]], np.float32)
     up = np.tile(np.array([[0, 0, 1]], np.float32), (3, 1))
@@ -124,12 +124,12 @@ def test_poses_and_depth_of_a_stream_fit_together():
     first, second = (rendered(street, camera=camera, time=t, sway=5.0) for t in (0.0, 0.4))
     rows, columns = np.nonzero((first.depth > 4) & (first.depth < 40))
     z = first.depth[rows, columns]
-    local = np.stack([(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z])
+    local = np.linalg.inv(camera.intrinsics) @ [columns * z, rows * z, z]
     inverse = np.linalg.inv(first.world_to_camera)
     world = inverse[:3, :3] @ local + inverse[:3, 3:]
     moved = second.world_to_camera[:3, :3] @ world + second.world_to_camera[:3, 3:]
-    u = np.rint(moved[0] / moved[2] * camera.fx + camera.cx)
-    v = np.rint(moved[1] / moved[2] * camera.fy + camera.cy)
+    u = np.rint(moved[0] / moved[2] * camera.focal_px + camera.cx)
+    v = np.rint(moved[1] / moved[2] * camera.focal_px + camera.cy)
     seen = (moved[2] > 1) & (u >= 0) & (u < 310) & (v >= 0) & (v < 94)
     there = second.depth[v[seen].astype(int), u[seen].astype(int)]
     assert seen.sum() > 5000
@@ -151,7 +151,7 @@ def test_same_job_same_bytes_other_seed_other_street():
 
 
 def test_things_move_at_their_speed():
-    car = quad(
+    car = polygon(
         [(2, -1, 1), (-2, -1, 1), (-2, 1, 1), (2, 1, 1)], replace(WALL, label=SceneClass.CAR)
     )
     ahead = Actor(lambda _: car, s=10.0, d=-2.0, speed=6.0, turned=0.0)
