@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from training.lidar.simulate import HDL64_ELEVATIONS_DEG
 from training.scenes.arrays import Floats
 from training.scenes.rendering.camera import Camera
-from training.scenes.rendering.raycast import Hits, RayCaster
+from training.scenes.rendering.raycast import RayCaster
 from training.scenes.rendering.shading import points_of_hits
 from training.scenes.textures.paint import Stripe
 from training.scenes.textures.surface_kinds import SurfaceKind
@@ -152,7 +152,7 @@ def _ranges(
         under_way = under_way[met]
         if not len(under_way):
             break
-        hits = Hits(hits.distance[met], hits.face[met], hits.u[met], hits.v[met])
+        hits = hits.take(met)
         travelled[under_way] += hits.distance
         length = travelled[under_way]
         points = points_of_hits(mesh, hits, directions[under_way], length * np.float32(2e-3))

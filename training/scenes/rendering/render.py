@@ -133,7 +133,7 @@ def render_frame(
 def _ahead(mesh: Mesh, position: Floats, forward: Floats) -> Mesh:
     """Drop triangles far behind the camera; a margin keeps shadows."""
     reach = (mesh.positions - position.astype(np.float32)) @ forward.astype(np.float32)
-    return mesh.where(reach.max(axis=1) > -_SHADOW_MARGIN_M)
+    return mesh.take(reach.max(axis=1) > -_SHADOW_MARGIN_M)
 
 
 def _cast(caster: RayCaster, directions: Floats) -> Hits:

@@ -10,7 +10,7 @@ import trimesh
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
-from training.scenes.arrays import Floats
+from training.scenes.arrays import Floats, Rows
 from training.scenes.names import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
 
@@ -42,7 +42,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class Mesh:
+class Mesh(Rows):
     """Triangles with their attributes.
 
     positions, normals, texture: (n, 3, 3) float32, triangle x corner x axis; metres. Texture
@@ -72,10 +72,6 @@ class Mesh:
     def scaled(self, factor: float) -> Self:
         """Scale the positions about the origin."""
         return replace(self, positions=self.positions * np.float32(factor))
-
-    def where(self, mask: NDArray[np.bool_]) -> Self:
-        """Only the triangles of a mask (n,)."""
-        return replace(self, **{f.name: getattr(self, f.name)[mask] for f in fields(self)})
 
 
 def join(meshes: Sequence[Mesh]) -> Mesh:

@@ -157,7 +157,7 @@ def _bodied(
     if label == SceneClass.VAN and seed < 0.5:
         is_glass &= middle > 0.5
     pick = np.repeat(np.where(is_side, 1, np.where(is_glass, 2, 0)), 2)
-    parts = [mesh.where(pick == k) for k, mesh in enumerate((whole, sided, glazed))]
+    parts = [mesh.take(pick == k) for k, mesh in enumerate((whole, sided, glazed))]
     for end in (0, -1):
         ring = lattice[end]
         centre = np.broadcast_to(ring.mean(axis=0), ring.shape)
