@@ -42,8 +42,7 @@ from stability import Frame as Followed
 from stability import optical_flow, probe_flicker
 from training.evaluation.scoring import HeadMaps
 from training.lidar.scan import project_lines, scan_line_of
-from training.scenes.classes import SceneClass
-from training.scenes.scene_job import SceneJob, render_frames
+from training.scenes.scene_job import SceneClass, SceneJob, Variant, render_frames
 
 STEP_NS = 100_000_000
 WAYS = {"a": "camera alone", "b": "scan before, as it is", "c": "moved by poses", "d": "its own"}
@@ -89,9 +88,8 @@ def recorded_drive(data: Path) -> Iterator[DriveFrame]:
 
 def rendered_drive(seed: int, frames: int) -> Iterator[DriveFrame]:
     """Frames of a rendered street with traffic; the target is dense."""
-    job = SceneJob(Path(), seed, ("clone",), frames, STEP_NS / 1e9, "kitti", RENDERED_SIZE)
-    for frame in render_frames(job, "clone"):
-        assert frame.scan is not None
+    job = SceneJob(seed, Variant.clone, frames, STEP_NS / 1e9, RENDERED_SIZE)
+    for frame in render_frames(job):
         world_from_camera = np.linalg.inv(frame.world_to_camera.astype(np.float64))
         to_camera = frame.scan.to_camera
         calibration = Calibration(frame.intrinsics.astype(np.float64), to_camera)

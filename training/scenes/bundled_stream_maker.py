@@ -1,12 +1,11 @@
 """Make the two folders of images and sparse depth that `ssdnet-run` reads from a rendered scene.
 
-    python -m training.scenes.bundled_stream_maker SCENE/VARIANT OUT [--lines 64] [--seed 0]
+    python -m training.scenes.bundled_stream_maker SCENE/VARIANT OUT
 
 The bundled stream was made with it.
 """
 
 from pathlib import Path
-from typing import Annotated
 
 import cv2
 import numpy as np
@@ -20,15 +19,14 @@ from training.datasets.virtual_kitti_split import Selection
 from training.lidar.simulate import scan_lines
 
 
-def write_lidar_stream(variant: Path, out: Path, *, lines: int = 64, seed: int = 0) -> int:
+def write_lidar_stream(variant: Path, out: Path) -> int:
     """Write ``out/rgb/*.jpg`` and ``out/depth/*.png``.
 
     Args:
         variant: ``<root>/<scene>/<variant>`` in the Virtual KITTI 2 layout. Its images are copied;
-            its dense depth is sampled by a simulated LiDAR (uint16, metres x 256, 0 = no return).
+            its dense depth is sampled by a simulated LiDAR of 64 lines (uint16, metres x 256, 0 =
+            no return).
         out: folder for the two folders.
-        lines: scan lines of the LiDAR.
-        seed: of its noise.
 
     Returns:
         The number of frames.
@@ -40,14 +38,14 @@ def write_lidar_stream(variant: Path, out: Path, *, lines: int = 64, seed: int =
     variant = variant.resolve()
     selection = Selection(scenes=(variant.parent.name,), variants=(variant.name,))
     source = VirtualKitti(variant.parent.parent, selection=selection)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     (out / "rgb").mkdir(parents=True, exist_ok=True)
     (out / "depth").mkdir(exist_ok=True)
     for index in range(len(source)):
         sample = source[index]
         if sample.intrinsics is None:
             raise TypeError("a rendered sample has intrinsics")
-        sparse_depth = scan_lines(sample.depth, sample.intrinsics, lines, rng)
+        sparse_depth = scan_lines(sample.depth, sample.intrinsics, 64, rng)
         number = sample.name.rsplit("/", 1)[-1]
         picture = variant / "frames" / "rgb" / "Camera_0" / f"rgb_{number}.jpg"
         units = np.rint(sparse_depth * KITTI_DEPTH_SCALE).astype(np.uint16)
@@ -57,15 +55,10 @@ def write_lidar_stream(variant: Path, out: Path, *, lines: int = 64, seed: int =
     return len(source)
 
 
-def main(
-    variant: Path,
-    out: Path,
-    lines: Annotated[int, typer.Option(help="a divisor of 64")] = 64,
-    seed: int = 0,
-) -> None:
+def main(variant: Path, out: Path) -> None:
     """Scan a rendered scene with a LiDAR and write its frames for ssdnet-run."""
     with reported_errors("train"):
-        typer.echo(f"{write_lidar_stream(variant, out, lines=lines, seed=seed)} frames in {out}")
+        typer.echo(f"{write_lidar_stream(variant, out)} frames in {out}")
 
 
 if __name__ == "__main__":

@@ -7,92 +7,57 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from training.scenes.layout.street import Street, build_street
-from training.scenes.layout.street_plan import StreetKind
-from training.scenes.rendering.camera import CameraName, make_camera
+from training.scenes.layout.street import build_street
+from training.scenes.names import CameraName, SceneClass, StreetKind, Variant
+from training.scenes.rendering.camera import make_camera
 from training.scenes.rendering.lidar_scan import draw_mount
 from training.scenes.rendering.render import RenderedFrame, render_frame
-from training.scenes.rendering.weather import VARIANTS, Variant, Weather, draw_weather
+from training.scenes.rendering.weather import draw_weather
 from training.scenes.vkitti_writer import write_variant
 
-#: Time until the ego car reaches the end of the street [s].
-LONGEST_S = 16.0
+__all__ = ["SceneClass", "SceneJob", "Variant", "render_frames", "run_job"]
 
 
 @dataclass(frozen=True)
 class SceneJob:
     """The parameters of a scene.
 
-    seed: of layout, weather, light and noise. step_s: seconds between two frames.
+    Attributes:
+        seed: of layout, light, camera and noise.
+        variant: its light and weather.
+        frames: their number.
+        step_s: seconds between two frames.
+        size: (height, width) of KITTI's camera; varied cameras have sizes of their own.
+        camera: KITTI's, or random by the seed.
+        kind: of the street; None is random by the seed.
     """
 
-    root: Path
     seed: int
-    variants: tuple[Variant, ...]
+    variant: Variant
     frames: int
     step_s: float
-    camera: CameraName
     size: tuple[int, int]
+    camera: CameraName = CameraName.kitti
     kind: StreetKind | None = None
-    overwrite: bool = False
-
-    @property
-    def name(self) -> str:
-        """Folder name of the scene."""
-        return f"Scene{self.seed:02d}"
 
 
-@dataclass(frozen=True)
-class Scene:
-    """One variant of a scene, ready to be rendered frame by frame."""
-
-    job: SceneJob
-    variant: Variant
-    street: Street
-    weather: Weather
-    sway: float
-
-    def render(self, number: int) -> RenderedFrame:
-        """Frame ``number``; equal jobs give equal arrays."""
-        key = [self.job.seed, 3, VARIANTS.index(self.variant), number]
-        camera = make_camera(self.job.camera, self.job.size, self.job.seed)
-        rng = np.random.default_rng([self.job.seed, 6])
-        return render_frame(
-            self.street,
-            camera,
-            self.weather,
-            time=number * self.job.step_s,
-            sway=self.sway,
-            rng=np.random.default_rng(key),
-            mount=draw_mount(camera, rng, varied=self.job.camera == "varied"),
-        )
+def render_frames(job: SceneJob) -> Iterator[RenderedFrame]:
+    """Yield the frames of a scene in order; equal jobs give equal frames."""
+    seed, varied = job.seed, job.camera == CameraName.varied
+    street = build_street(seed, kind=job.kind)
+    camera = make_camera(job.camera, job.size, seed)
+    mount = draw_mount(camera, np.random.default_rng([seed, 6]), varied=varied)
+    weather = draw_weather(job.variant, seed)
+    sway = float(np.random.default_rng([seed, 4]).uniform(0, 1000))
+    for number in range(job.frames):
+        rng = np.random.default_rng([seed, 3, list(Variant).index(job.variant), number])
+        time = number * job.step_s
+        yield render_frame(street, camera, weather, mount, time=time, sway=sway, rng=rng)
 
 
-def open_scene(job: SceneJob, variant: Variant) -> Scene:
-    """Build the street of a job, which all of its frames share."""
-    # CamVid is from Britain, KITTI from Germany; a few scenes of each have the other side.
-    left_hand = (job.seed % 10 != 0) if job.camera == "camvid" else (job.seed % 5 == 0)
-    sway = np.random.default_rng([job.seed, 4]).uniform(0, 1000)
-    return Scene(
-        job,
-        variant,
-        build_street(job.seed, kind=job.kind, left_hand=left_hand),
-        draw_weather(variant, job.seed),
-        float(sway),
-    )
-
-
-def render_frames(job: SceneJob, variant: Variant) -> Iterator[RenderedFrame]:
-    """Frames of one variant, in order."""
-    scene = open_scene(job, variant)
-    return (scene.render(number) for number in range(job.frames))
-
-
-def run_job(job: SceneJob) -> int:
-    """Render and write all variants of a scene; returns the number of frames."""
+def run_job(job: SceneJob, *, out: Path, overwrite: bool) -> int:
+    """Render and write a scene below `out`; returns the number of frames."""
     cv2.setNumThreads(1)
-    for variant in job.variants:
-        write_variant(
-            job.root, job.name, variant, render_frames(job, variant), overwrite=job.overwrite
-        )
-    return job.frames * len(job.variants)
+    frames = render_frames(job)
+    write_variant(out, f"Scene{job.seed:02d}", job.variant, frames, overwrite=overwrite)
+    return job.frames

@@ -13,8 +13,7 @@ from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_folder
 from runtime.io.encode import encode_jpeg, encode_png
 from training.scenes.arrays import Floats
-from training.scenes.classes import CLASS_TABLE, class_colors
-from training.scenes.rendering.lidar_scan import LidarScan
+from training.scenes.names import SceneClass
 from training.scenes.rendering.render import RenderedFrame
 
 _JPEG_QUALITY = 92
@@ -40,9 +39,9 @@ def write_variant(
 
     It has frames/{rgb,depth,classSegmentation}/Camera_0, colors.txt, intrinsic.txt and
     extrinsic.txt. Depth is uint16 centimetres, 65535 the sky; extrinsics map world to camera.
-    Beyond that layout, if a LiDAR was rendered, frames/lidar/Camera_0/lidar_<number>.bin has its
-    returns in KITTI's format (float32 x, y, z [m], reflectance, ring after ring), and calib.txt the
-    matrix Tr_velo_to_cam (3 x 4) from the LiDAR to the camera.
+    Beyond that layout, frames/lidar/Camera_0/lidar_<number>.bin has the LiDAR's returns in KITTI's
+    format (float32 x, y, z [m], reflectance, ring after ring), and calib.txt the matrix
+    Tr_velo_to_cam (3 x 4) from the LiDAR to the camera.
 
     Args:
         root: folder of the scenes.
@@ -66,28 +65,28 @@ def write_variant(
     with atomic_folder(target, own=own) as temporary:
         folders = {
             kind: temporary / "frames" / kind / "Camera_0"
-            for kind in ("rgb", "depth", "classSegmentation")
+            for kind in ("rgb", "depth", "classSegmentation", "lidar")
         }
         for folder in folders.values():
             folder.mkdir(parents=True)
+        colors = ["Category r g b"]
+        colors += [" ".join(map(str, (item.category, *item.color))) for item in SceneClass]
+        palette = np.array([item.color for item in SceneClass], np.uint8)
         intrinsic = ["frame cameraID K[0,0] K[1,1] K[0,2] K[1,2]"]
         extrinsic = [f"frame cameraID {_EXTRINSIC}"]
+        texts = {"colors": colors, "intrinsic": intrinsic, "extrinsic": extrinsic}
         for number, frame in enumerate(frames):
             name = f"{number:05d}"
             _write_image(folders["rgb"] / f"rgb_{name}.jpg", frame.rgb)
             _write_image(folders["depth"] / f"depth_{name}.png", _centimetres(frame.depth))
-            _write_image(
-                folders["classSegmentation"] / f"classgt_{name}.png", class_colors()[frame.label]
-            )
-            if frame.scan is not None:
-                _write_scan(temporary, name, frame.scan)
+            _write_image(folders["classSegmentation"] / f"classgt_{name}.png", palette[frame.label])
+            scan = frame.scan
+            scan.points.astype("<f4").tofile(folders["lidar"] / f"lidar_{name}.bin")
             k = frame.intrinsics
             intrinsic.append(f"{number} 0 {k[0, 0]:.6g} {k[1, 1]:.6g} {k[0, 2]:.6g} {k[1, 2]:.6g}")
-            pose = " ".join(f"{value:.9g}" for value in frame.world_to_camera.ravel())
-            extrinsic.append(f"{number} 0 {pose}")
-        colors = ["Category r g b"]
-        colors += [f"{category} {r} {g} {b}" for category, (r, g, b) in CLASS_TABLE]
-        for file, lines in (("colors", colors), ("intrinsic", intrinsic), ("extrinsic", extrinsic)):
+            extrinsic.append(f"{number} 0 {_numbers(frame.world_to_camera)}")
+            texts["calib"] = [f"Tr_velo_to_cam: {_numbers(scan.to_camera[:3])}"]
+        for file, lines in texts.items():
             (temporary / f"{file}.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return target
 
@@ -101,12 +100,8 @@ def _written_entries(variant: Path) -> list[Path]:
     ]
 
 
-def _write_scan(variant: Path, name: str, scan: LidarScan) -> None:
-    folder = variant / "frames" / "lidar" / "Camera_0"
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"lidar_{name}.bin").write_bytes(scan.points.astype("<f4").tobytes())
-    matrix = " ".join(f"{value:.9g}" for value in scan.to_camera[:3].ravel())
-    (variant / "calib.txt").write_text(f"Tr_velo_to_cam: {matrix}\n", encoding="utf-8")
+def _numbers(matrix: Floats) -> str:
+    return " ".join(f"{value:.9g}" for value in matrix.ravel())
 
 
 def _centimetres(depth: Floats) -> NDArray[np.uint16]:

@@ -10,20 +10,24 @@ from runtime.errors import DatasetError
 from runtime.projection import project_points
 from training.datasets.class_mapping import id_lookup
 from training.datasets.virtual_kitti import VirtualKitti
-from training.scenes.classes import CLASS_TABLE
-from training.scenes.scene_job import SceneJob, render_frames
-from training.scenes.vkitti_writer import write_variant
+from training.scenes.scene_job import SceneClass, SceneJob, Variant, render_frames, run_job
 
-SIZE = (48, 96)
+JOB = SceneJob(3, Variant.fog, frames=1, step_s=1.0, size=(48, 96))
 
 
-def test_a_frame_is_read_as_it_was_rendered(tmp_path):
-    job = SceneJob(tmp_path, 3, ("fog",), frames=1, step_s=1.0, camera="kitti", size=SIZE)
-    (frame,) = render_frames(job, "fog")
-    write_variant(tmp_path, job.name, "fog", [frame])
-    written = VirtualKitti(tmp_path)[0]
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """The folder of a scene, and its frame."""
+    folder = tmp_path_factory.mktemp("rendered")
+    run_job(JOB, out=folder, overwrite=False)
+    return folder, next(render_frames(JOB))
+
+
+def test_a_frame_is_read_as_it_was_rendered(scene):
+    folder, frame = scene
+    written = VirtualKitti(folder)[0]
     assert written.name == "Scene03/fog/00000"
-    lookup = id_lookup("virtual_kitti", "camvid", [name for name, _ in CLASS_TABLE])
+    lookup = id_lookup("virtual_kitti", "camvid", [item.category for item in SceneClass])
     np.testing.assert_array_equal(lookup[frame.label], written.semantic)
     np.testing.assert_array_equal(frame.depth > 0, written.depth > 0)
     np.testing.assert_allclose(frame.depth, written.depth, atol=0.00501)  # whole centimetres
@@ -32,21 +36,19 @@ def test_a_frame_is_read_as_it_was_rendered(tmp_path):
     _, jpeg = cv2.imencode(".jpg", frame.rgb[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])
     np.testing.assert_array_equal(cv2.imdecode(jpeg, cv2.IMREAD_COLOR_RGB), written.rgb)
     assert len(np.unique(written.semantic)) > 3
-    assert [path.name for path in tmp_path.iterdir()] == ["Scene03"]
+    assert [path.name for path in folder.iterdir()] == ["Scene03"]
 
 
-def test_the_scans_that_were_rendered_are_the_input(tmp_path):
-    job = SceneJob(tmp_path, 3, ("fog",), frames=1, step_s=1.0, camera="kitti", size=SIZE)
-    (frame,) = render_frames(job, "fog")
-    folder = write_variant(tmp_path, job.name, "fog", [frame])
-    (sample,) = [VirtualKitti(tmp_path, scans=True)[0]]
+def test_the_scans_that_were_rendered_are_the_input(scene):
+    folder, frame = scene
+    (sample,) = [VirtualKitti(folder, scans=True)[0]]
     expected = project_points(
         frame.scan.points, frame.intrinsics, frame.scan.to_camera, sample.size
     )
     np.testing.assert_allclose(sample.sparse_depth, expected, atol=1e-3)
     assert np.count_nonzero(expected) > 300
     assert ((sample.scan_line >= 0) == (sample.sparse_depth > 0)).all()
-    np.testing.assert_array_equal(sample.depth, VirtualKitti(tmp_path)[0].depth)
-    (folder / "frames/lidar/Camera_0/lidar_00000.bin").unlink()
+    np.testing.assert_array_equal(sample.depth, VirtualKitti(folder)[0].depth)
+    (folder / "Scene03/fog/frames/lidar/Camera_0/lidar_00000.bin").unlink()
     with pytest.raises(DatasetError, match=r"lidar_00000\.bin"):
-        VirtualKitti(tmp_path, scans=True)
+        VirtualKitti(folder, scans=True)

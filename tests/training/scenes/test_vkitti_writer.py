@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from runtime.errors import OutputError
 from training.datasets.virtual_kitti import VirtualKitti
 from training.scenes.cli import app
+from training.scenes.rendering.lidar_scan import LidarScan
 from training.scenes.rendering.render import RenderedFrame
 from training.scenes.vkitti_writer import write_variant
 
@@ -24,7 +25,9 @@ def frame(number: int) -> RenderedFrame:
     rgb = np.full((40, 64, 3), (200, 90, 30), np.uint8) + rng.integers(0, 3, (40, 64, 3), np.uint8)
     pose = np.eye(4)
     pose[:3, 3] = (1.5, -2.25, number)
-    return RenderedFrame(rgb, depth, label, pose, np.array([[50.0, 0, 32], [0, 51, 20], [0, 0, 1]]))
+    intrinsics = np.array([[50.0, 0, 32], [0, 51, 20], [0, 0, 1]])
+    scan = LidarScan(np.zeros((5, 4), np.float32), np.eye(4))
+    return RenderedFrame(rgb, depth, label, pose, intrinsics, scan)
 
 
 def test_what_is_written_is_what_the_reader_reads(tmp_path):
@@ -97,12 +100,12 @@ def run(*arguments):
 @pytest.mark.slow
 def test_the_command_renders_scenes_in_turn_of_the_variants(tmp_path):
     small = ("--size", "32x64", "--frames", 2, "--stride", 10, "--seed", 40, "--street", "town")
-    done = run(tmp_path, "--scenes", 2, "--variants", "fog,rain", *small)
+    done = run(tmp_path, "--scenes", 2, "--variant", "fog", "--variant", "rain", *small)
     assert done.exit_code == 0, done.output
     assert (tmp_path / "Scene40" / "fog").is_dir()
     assert (tmp_path / "Scene41" / "rain").is_dir()
     assert len(VirtualKitti(tmp_path)) == 4
-    again = run(tmp_path, "--scenes", 1, "--variants", "fog", *small)
+    again = run(tmp_path, "--scenes", 1, "--variant", "fog", *small)
     assert again.exit_code == 1
     assert "exists already" in again.output
 
@@ -110,7 +113,7 @@ def test_the_command_renders_scenes_in_turn_of_the_variants(tmp_path):
 @pytest.mark.parametrize(
     "wrong",
     [
-        ("--variants", "snow"),
+        ("--variant", "snow"),
         ("--camera", "nuscenes"),
         ("--size", "375"),
         ("--street", "lane"),

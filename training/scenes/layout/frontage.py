@@ -5,47 +5,49 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from training.scenes.layout.centreline import Centreline
 from training.scenes.layout.placing import Site, facing
-from training.scenes.layout.street_plan import END_M, KERB_M, START_M, Plan, StreetKind
+from training.scenes.layout.street_plan import END_M, KERB_M, START_M
+from training.scenes.names import StreetKind
 from training.scenes.things import buildings, furniture, plants
 from training.scenes.things.mesh import Mesh
 
 
 @dataclass(frozen=True)
-class TreeStock:
-    """The trees of a street: detailed near its start, coarse in the distance."""
+class _Nursery:
+    """The plants of a street; its trees are detailed near its start, coarse in the distance."""
 
-    near: tuple[Mesh, ...]
-    far: tuple[Mesh, ...]
+    rng: Generator
+    near: list[Mesh]
+    far: list[Mesh]
+    bushes: list[Mesh]
 
-    def draw(self, rng: Generator, s: float) -> Mesh:
-        """A tree for the place s along the street."""
+    def draw_tree(self, s: float) -> Mesh:
+        """Draw a tree for the place s along the street."""
         trees = self.near if s < 75 else self.far
-        return trees[rng.integers(len(trees))]
+        return trees[self.rng.integers(len(trees))]
+
+    def draw_bush(self) -> Mesh:
+        return self.bushes[self.rng.integers(len(self.bushes))]
 
 
-def _draw_stock(rng: Generator) -> TreeStock:
-    bare = (plants.make_bare_tree(rng), plants.make_bare_tree(rng)) if rng.random() < 0.35 else ()
-    near = (*(plants.make_tree(rng) for _ in range(4)), plants.make_conifer(rng), *bare)
-    far = (
-        *(plants.make_tree(rng, leaf_count=700) for _ in range(4)),
-        plants.make_conifer(rng, leaf_count=500),
-        *bare,
-    )
-    return TreeStock(near, far)
+def _grow_plants(rng: Generator) -> _Nursery:
+    bare = [plants.make_bare_tree(rng) for _ in range(2)] if rng.random() < 0.35 else []
+    near = [*(plants.make_tree(rng) for _ in range(4)), plants.make_conifer(rng)]
+    far = [plants.make_tree(rng, leaf_count=700) for _ in range(4)]
+    far.append(plants.make_conifer(rng, leaf_count=500))
+    bushes = [plants.make_bush(rng) for _ in range(3)]
+    return _Nursery(rng, near + bare, far + bare, bushes)
 
 
 #: Share of the plots with trees instead of a building.
 _GREEN = {"town": 0.1, "residential": 0.35, "avenue": 0.55, "highway": 0.85, "square": 0.45}
 
 
-def make_frontage(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
+def make_frontage(site: Site) -> list[Mesh]:
     """Buildings, gardens and trees behind the pavement on both sides."""
+    rng, plan = site.rng, site.plan
     parts: list[Mesh] = []
-    site = Site(rng, plan, line)
-    stock = _draw_stock(rng)
-    bushes = [plants.make_bush(rng) for _ in range(3)]
+    nursery = _grow_plants(rng)
     half = plan.crossing_half
     gaps = [(c - half - 2.5, c + half + 2.5) for c in plan.crossings]
     for sign in (-1.0, 1.0):
@@ -69,19 +71,19 @@ def make_frontage(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
                     continue
                 length = room
             if rng.random() < share:
-                parts += _grove(site, s, length, sign, stock, bushes)
+                parts += _grove(site, s, length, sign, nursery)
             else:
-                parts += _plot(site, s, length, sign, set_back, bushes)
+                parts += _plot(site, s, length, sign, set_back, nursery)
             s += length + (0.02 if plan.kind == "town" else float(rng.uniform(0.5, 5)))
         for c in plan.crossings:
-            parts += _side_road(site, c, sign, stock)
+            parts += _side_road(site, c, sign, nursery)
     if plan.verge or plan.kind in ("square", "avenue") or rng.random() < 0.25:
         spacing = float(rng.uniform(8, 18))
         d = plan.kerb + (plan.verge / 2 if plan.verge else 0.9)
         for sign in (-1.0, 1.0):
             for s in np.arange(START_M, 220, spacing) + rng.uniform(0, 6):
                 if plan.free(s, 3) and rng.random() < 0.75:
-                    tree = stock.draw(rng, s).scaled(float(rng.uniform(0.6, 0.9)))
+                    tree = nursery.draw_tree(s).scaled(float(rng.uniform(0.6, 0.9)))
                     parts.append(site.place(tree, s, sign * d, KERB_M, site.draw_turn()))
     return parts
 
@@ -106,7 +108,7 @@ def _make_building(rng: Generator, kind: StreetKind, length: float) -> Mesh:
 
 
 def _plot(
-    site: Site, s: float, length: float, sign: float, set_back: float, bushes: list[Mesh]
+    site: Site, s: float, length: float, sign: float, set_back: float, nursery: _Nursery
 ) -> list[Mesh]:
     rng, plan = site.rng, site.plan
     mesh = _make_building(rng, plan.kind, length)
@@ -116,7 +118,7 @@ def _plot(
     if plan.kind in ("residential", "avenue") and set_back > 2.5:
         parts += _garden_edge(site, s, length, sign)
         for _ in range(rng.integers(0, 4)):
-            bush, along = bushes[rng.integers(len(bushes))], s + rng.uniform(0, length)
+            bush, along = nursery.draw_bush(), s + rng.uniform(0, length)
             d = sign * (plan.back + rng.uniform(0.8, set_back))
             parts.append(site.place(bush, along, d, KERB_M))
     return parts
@@ -142,17 +144,15 @@ def _garden_edge(site: Site, s: float, length: float, sign: float) -> list[Mesh]
     return [site.place(edge, s, sign * (site.plan.back + 0.2), KERB_M)]
 
 
-def _grove(
-    site: Site, s: float, length: float, sign: float, stock: TreeStock, bushes: list[Mesh]
-) -> list[Mesh]:
+def _grove(site: Site, s: float, length: float, sign: float, nursery: _Nursery) -> list[Mesh]:
     rng, plan = site.rng, site.plan
     parts = []
     for _ in range(int(length / 4) + 1):
-        tree = stock.draw(rng, s).scaled(float(rng.uniform(0.7, 1.25)))
+        tree = nursery.draw_tree(s).scaled(float(rng.uniform(0.7, 1.25)))
         d = sign * (plan.back + rng.uniform(2.5, 22))
         parts.append(site.place(tree, s + rng.uniform(0, length), d, turned=site.draw_turn()))
     for _ in range(int(length / 4)):
-        bush = bushes[rng.integers(len(bushes))].scaled(float(rng.uniform(0.8, 1.8)))
+        bush = nursery.draw_bush().scaled(float(rng.uniform(0.8, 1.8)))
         along, d = s + rng.uniform(0, length), sign * (plan.back + rng.uniform(1.2, 8))
         parts.append(site.place(bush, along, d, turned=site.draw_turn()))
     if plan.kind == "highway":
@@ -164,7 +164,7 @@ def _grove(
     return parts
 
 
-def _side_road(site: Site, c: float, sign: float, stock: TreeStock) -> list[Mesh]:
+def _side_road(site: Site, c: float, sign: float, nursery: _Nursery) -> list[Mesh]:
     """Buildings or trees that close the view into a side road."""
     rng, plan = site.rng, site.plan
     parts = []
@@ -184,13 +184,14 @@ def _side_road(site: Site, c: float, sign: float, stock: TreeStock) -> list[Mesh
                 at = sign * (start if sign > 0 else 2 * d + length - start)
                 parts.append(site.place(house, base, at, KERB_M, turned))
             else:
-                parts.append(site.place(stock.draw(rng, base), base + edge * 2, sign * (d + 4)))
+                parts.append(site.place(nursery.draw_tree(base), base + edge * 2, sign * (d + 4)))
             d += length
     return parts
 
 
-def make_backdrop(rng: Generator, line: Centreline) -> list[Mesh]:
+def make_backdrop(site: Site) -> list[Mesh]:
     """Distant blocks and rows of trees on the horizon."""
+    rng, line = site.rng, site.line
     parts = []
     stock = [plants.make_tree(rng, leaf_count=300) for _ in range(2)]
     for _ in range(int(rng.integers(6, 26))):

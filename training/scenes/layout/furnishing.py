@@ -1,20 +1,18 @@
 """Objects at the kerb: lamps, signs, lights, clutter and parked cars."""
 
 import numpy as np
-from numpy.random import Generator
 
-from training.scenes.classes import SceneClass
-from training.scenes.layout.centreline import Centreline
 from training.scenes.layout.placing import Site, facing
-from training.scenes.layout.street_plan import KERB_M, START_M, Plan
+from training.scenes.layout.street_plan import KERB_M, START_M
+from training.scenes.names import SceneClass
 from training.scenes.things import furniture, people, vehicles
 from training.scenes.things.mesh import Mesh
 
 
-def make_furniture(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
+def make_furniture(site: Site) -> list[Mesh]:
     """Lamps, signs, lights, bollards and the rest, near the kerbs."""
+    rng, plan = site.rng, site.plan
     parts: list[Mesh] = []
-    site = Site(rng, plan, line)
     up = KERB_M if plan.pavement else 0.0
     near = plan.kerb + 0.5
     lamp_gap, lamp_height = float(rng.uniform(18, 35)), float(rng.uniform(5.5, 9))
@@ -89,10 +87,10 @@ def _clutter(site: Site, near: float, up: float) -> list[Mesh]:
     ]
 
 
-def park_cars(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
-    """Cars along the kerbs and, in some streets, on the pavement side or in bays."""
+def park_cars(site: Site) -> list[Mesh]:
+    """Cars along the kerbs."""
+    rng, plan = site.rng, site.plan
     parts: list[Mesh] = []
-    site = Site(rng, plan, line)
     if plan.parking < 2 and plan.kind != "residential":
         return parts
     for sign in (-1.0, 1.0):

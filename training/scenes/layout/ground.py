@@ -1,12 +1,12 @@
 """The ground of a street: carriageway, kerbs, pavements, grass and side roads."""
 
 import numpy as np
-from numpy.random import Generator
 
 from training.scenes.arrays import Floats
-from training.scenes.classes import SceneClass
 from training.scenes.layout.centreline import Centreline
-from training.scenes.layout.street_plan import END_M, KERB_M, START_M, Plan
+from training.scenes.layout.placing import Site
+from training.scenes.layout.street_plan import END_M, KERB_M, START_M
+from training.scenes.names import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
 from training.scenes.things.mesh import Look, Mesh, grid
 
@@ -22,7 +22,8 @@ def _ribbon(line: Centreline, s: Floats, edges: Edges, look: Look, *, sign: floa
     return grid(points, look, texture=texture)
 
 
-def make_ground(rng: Generator, plan: Plan, line: Centreline) -> list[Mesh]:
+def make_ground(site: Site) -> list[Mesh]:
+    rng, plan, line = site.rng, site.plan, site.line
     tone = float(rng.uniform(0.07, 0.2))
     asphalt = Look(
         SurfaceKind.ASPHALT, (tone, tone, tone * 1.02), SceneClass.ROAD, (float(rng.random()),)

@@ -12,7 +12,7 @@ from training.scenes.things.mesh import Mesh
 
 @dataclass(frozen=True)
 class Site:
-    """A street under construction: its random numbers, its cross-section and its centre line."""
+    """A street under construction: its random numbers, cross-section and centre line."""
 
     rng: Generator
     plan: Plan

@@ -1,12 +1,10 @@
 """Cross-section of a street: lanes, parking, verges, pavements and side roads."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 from numpy.random import Generator
 
-StreetKind = Literal["town", "residential", "avenue", "highway", "square"]
-STREET_KINDS: tuple[StreetKind, ...] = get_args(StreetKind)
+from training.scenes.names import StreetKind
 
 #: Height of the kerbs, and where streets start and end.
 KERB_M = 0.12

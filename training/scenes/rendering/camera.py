@@ -1,13 +1,11 @@
 """Pinhole cameras of driving recordings."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from training.scenes.arrays import Floats
-
-CameraName = Literal["kitti", "camvid", "varied"]
+from training.scenes.names import CameraName
 
 #: Sizes (height, width) of varied cameras.
 _SIZES = ((375, 1242), (375, 1242), (480, 960), (400, 720), (360, 480))
@@ -15,14 +13,13 @@ _SIZES = ((375, 1242), (375, 1242), (480, 960), (400, 720), (360, 480))
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera fixed to the ego car: focal lengths and principal point in pixels.
+    """A pinhole camera fixed to the ego car, its principal point in pixels.
 
     mount_height_m: above the road. pitch_deg: tilt, up is positive.
     """
 
     size: tuple[int, int]
-    fx: float
-    fy: float
+    focal_px: float
     cx: float
     cy: float
     mount_height_m: float
@@ -31,31 +28,26 @@ class Camera:
     @property
     def intrinsics(self) -> Floats:
         """Camera matrix K (3, 3)."""
-        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]])
+        return np.array([[self.focal_px, 0, self.cx], [0, self.focal_px, self.cy], [0, 0, 1]])
 
     def rays(self, columns: Floats, rows: Floats) -> Floats:
         """Directions (..., 3) in the camera frame (x right, y down, z = 1) through pixels."""
-        x, y = (columns - self.cx) / self.fx, (rows - self.cy) / self.fy
+        x, y = (columns - self.cx) / self.focal_px, (rows - self.cy) / self.focal_px
         return np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32)
 
 
 def make_camera(name: CameraName, size: tuple[int, int], seed: int = 0) -> Camera:
-    """A camera with the field of view of KITTI's or CamVid's, at any (height, width).
+    """A camera with KITTI's field of view, at any (height, width).
 
     "varied" is a random camera for every seed: field of view 45 to 105 degrees, 1.2 to 2.2 m above
     the road, tilted by up to 4 degrees, its size one of `_SIZES` whatever `size` is.
     """
-    if name == "varied":
+    if name == CameraName.varied:
         return _draw_camera(np.random.default_rng([seed, 5]))
-    height, width = size
-    if name == "kitti":
-        # KITTI 2011_09_26, camera 2: 1242 x 375 pixels, focal length 721.54.
-        scale = width / 1242.0
-        focal = 721.54 * scale
-        return Camera(size, focal, focal, 609.56 * scale, height * 172.85 / 375.0, 1.65)
-    # CamVid publishes no calibration; half a view of 26 degrees fits its pictures.
-    focal = 500.0 * width / 480.0
-    return Camera(size, focal, focal, width / 2, height * 0.5, 1.35, -0.5)
+    # KITTI 2011_09_26, camera 2: 1242 x 375 pixels, focal length 721.54.
+    scale = size[1] / 1242.0
+    focal = 721.54 * scale
+    return Camera(size, focal, 609.56 * scale, size[0] * 172.85 / 375.0, 1.65)
 
 
 def _draw_camera(rng: np.random.Generator) -> Camera:
@@ -64,7 +56,7 @@ def _draw_camera(rng: np.random.Generator) -> Camera:
     focal = width / 2 / np.tan(view / 2)
     cx, cy = width * rng.uniform(0.48, 0.52), height * rng.uniform(0.44, 0.56)
     above_road_m, pitch_deg = rng.uniform(1.2, 2.2), rng.uniform(-4.0, 2.0)
-    return Camera((height, width), focal, focal, cx, cy, above_road_m, pitch_deg)
+    return Camera((height, width), focal, cx, cy, above_road_m, pitch_deg)
 
 
 def look_along(heading: float, pitch: float, roll: float) -> Floats:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from training.lidar.simulate import HDL64_ELEVATIONS_DEG
 from training.scenes.arrays import Floats
 from training.scenes.rendering.camera import Camera
-from training.scenes.rendering.raycast import Hits, RayCaster
+from training.scenes.rendering.raycast import RayCaster
 from training.scenes.rendering.shading import points_of_hits
 from training.scenes.textures.paint import Stripe
 from training.scenes.textures.surface_kinds import SurfaceKind
@@ -24,7 +24,7 @@ _LINES, _HIGHEST_DEG, _LOWEST_DEG = (32, 40, 64, 128), (2.0, 15.0), (-30.0, -15.
 _LIDAR_TO_CAMERA = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 _RANGE_NOISE_M = 0.02
 _LONGEST_RANGE_M = 120.0
-_MOST_SURFACES = 4  # both panes of a car, and the surface behind it
+_MOST_SURFACES = 4  # that a pulse meets
 #: Kind -> gloss from which its surface is a pane of glass (see the textures of these kinds).
 _PANES = {
     SurfaceKind.CAR_GLASS: 0.0,
@@ -111,7 +111,7 @@ def scan_street(
     it, more often than it returns; dark, slanted and far surfaces lose pulses, too.
     """
     step, lines = np.deg2rad(mount.azimuth_step_deg), len(mount.elevations_deg)
-    wide = np.arctan2(camera.size[1] * 0.75, camera.fx)
+    wide = np.arctan2(camera.size[1] * 0.75, camera.focal_px)
     half = np.arange(0.0, wide, step)
     azimuth = np.concatenate([half, half[1:][::-1] * -1.0])
     ring = np.repeat(np.arange(lines), len(azimuth))
@@ -152,7 +152,7 @@ def _ranges(
         under_way = under_way[met]
         if not len(under_way):
             break
-        hits = Hits(hits.distance[met], hits.face[met], hits.u[met], hits.v[met])
+        hits = hits.take(met)
         travelled[under_way] += hits.distance
         length = travelled[under_way]
         points = points_of_hits(mesh, hits, directions[under_way], length * np.float32(2e-3))
@@ -185,8 +185,8 @@ def _ranges(
 def _in_picture(points: Floats, camera: Camera, mount: LidarMount) -> NDArray[np.bool_]:
     seen = points @ mount.to_camera[:3, :3].T + mount.to_camera[:3, 3]
     depth = np.where(seen[:, 2] > 0.1, seen[:, 2], np.nan)
-    column = np.rint(camera.cx + camera.fx * seen[:, 0] / depth)
-    row = np.rint(camera.cy + camera.fy * seen[:, 1] / depth)
+    column = np.rint(camera.cx + camera.focal_px * seen[:, 0] / depth)
+    row = np.rint(camera.cy + camera.focal_px * seen[:, 1] / depth)
     height, width = camera.size
     return np.asarray((column >= 0) & (column < width) & (row >= 0) & (row < height))
 

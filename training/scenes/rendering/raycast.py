@@ -7,11 +7,11 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from training.scenes.arrays import Floats
+from training.scenes.arrays import Floats, Rows
 
 
 @dataclass(frozen=True)
-class Hits:
+class Hits(Rows):
     """First hits of rays.
 
     distance: (n,), in multiples of the direction. face: int32 (n,), -1 = none. u, v: (n,),

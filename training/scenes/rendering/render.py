@@ -9,8 +9,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from training.scenes.arrays import Floats
-from training.scenes.classes import SceneClass
 from training.scenes.layout.street import Street
+from training.scenes.names import SceneClass
 from training.scenes.rendering.camera import Camera, look_along
 from training.scenes.rendering.lidar_scan import LidarMount, LidarScan, scan_street
 from training.scenes.rendering.raycast import Hits, RayCaster
@@ -29,8 +29,7 @@ class RenderedFrame:
     """A rendered frame.
 
     rgb: uint8 (H, W, 3). depth: float32 (H, W), metres along the optical axis, 0 = sky. label:
-    uint8 (H, W) of `SceneClass`. world_to_camera: (4, 4). intrinsics: (3, 3). scan: None without a
-    LiDAR.
+    uint8 (H, W) of `SceneClass`. world_to_camera: (4, 4). intrinsics: (3, 3). scan: of its LiDAR.
     """
 
     rgb: NDArray[np.uint8]
@@ -38,7 +37,7 @@ class RenderedFrame:
     label: NDArray[np.uint8]
     world_to_camera: Floats
     intrinsics: Floats
-    scan: LidarScan | None = None
+    scan: LidarScan
 
 
 def camera_pose(
@@ -64,15 +63,15 @@ def render_frame(
     street: Street,
     camera: Camera,
     weather: Weather,
+    mount: LidarMount,
     *,
     time: float,
     sway: float,
     rng: Generator,
-    mount: LidarMount | None = None,
 ) -> RenderedFrame:
-    """Render the street at a time in seconds, as the ego car's camera sees it.
+    """Render the street at a time in seconds, as the ego car's camera and LiDAR see it.
 
-    mount: of its LiDAR; None = no LiDAR. RGB, depth and classes do not depend on it.
+    RGB, depth and classes do not depend on the LiDAR.
     """
     lidar_rng = rng.spawn(1)[0]
     rotation, position = camera_pose(street, camera, time, sway=sway)
@@ -101,19 +100,18 @@ def render_frame(
         shade,
         mesh,
         caster,
-        pixel_angle=1.0 / camera.fx,
+        pixel_angle=1.0 / camera.focal_px,
         weather=weather,
         stripes=street.stripes,
         rng=rng,
     )
-    origin = np.zeros(3, dtype=np.float32)
-    radiance = light(hits, origin, directions, openness=openness)
+    radiance = light(hits, directions, openness=openness)
     rough = np.flatnonzero(_edges(depth.reshape(camera.size), radiance.reshape(height, width, 3)))
     total = radiance[rough].clip(0, 3)
     for dx, dy in _JITTER:
         rays = camera.rays(columns.ravel()[rough] + dx, rows.ravel()[rough] + dy) @ turn
         rays = rays.astype(np.float32)
-        sample = light(_cast(caster, rays), origin, rays, openness=openness[rough])
+        sample = light(_cast(caster, rays), rays, openness=openness[rough])
         total += sample.clip(0, 3)
     radiance[rough] = total / (1 + len(_JITTER))
 
@@ -126,9 +124,7 @@ def render_frame(
         label=label.reshape(camera.size),
         world_to_camera=world_to_camera,
         intrinsics=camera.intrinsics,
-        scan=None
-        if mount is None
-        else scan_street(
+        scan=scan_street(
             mesh, caster, camera, rotation, mount, stripes=street.stripes, rng=lidar_rng
         ),
     )
@@ -137,7 +133,7 @@ def render_frame(
 def _ahead(mesh: Mesh, position: Floats, forward: Floats) -> Mesh:
     """Drop triangles far behind the camera; a margin keeps shadows."""
     reach = (mesh.positions - position.astype(np.float32)) @ forward.astype(np.float32)
-    return mesh.where(reach.max(axis=1) > -_SHADOW_MARGIN_M)
+    return mesh.take(reach.max(axis=1) > -_SHADOW_MARGIN_M)
 
 
 def _cast(caster: RayCaster, directions: Floats) -> Hits:

@@ -25,6 +25,6 @@ def expose(radiance: Floats, weather: Weather, rng: Generator) -> NDArray[np.uin
     shot = np.sqrt(np.clip(image, 0, 1)) * weather.noise + 0.4 * weather.noise
     image = image + shot * rng.standard_normal(image.shape, dtype=np.float32)
     image = np.clip(image, 0, None)
-    # Straight up to the middle tones, then a shoulder that reaches white at about four times that.
+    # Linear up to 0.6; brighter values approach 1 exponentially.
     bright = np.where(image < 0.6, image, 0.6 + 0.4 * (1 - np.exp(-(image - 0.6) / 0.4)))
     return (255 * np.clip(bright, 0, 1) ** (1 / 2.2) + 0.5).astype(np.uint8)

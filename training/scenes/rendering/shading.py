@@ -57,7 +57,6 @@ def shade(
     mesh: Mesh,
     caster: RayCaster,
     hits: Hits,
-    origin: Floats,
     directions: Floats,
     *,
     pixel_angle: float,
@@ -66,7 +65,7 @@ def shade(
     stripes: tuple[Stripe, ...],
     rng: Generator,
 ) -> Floats:
-    """Linear RGB radiance (n, 3) of rays from origin (3,) along directions (n, 3).
+    """Linear RGB radiance (n, 3) of rays from the origin along directions (n, 3).
 
     hits: their first hits, at hits.distance times the direction. pixel_angle: radians a pixel
     covers. openness: (n,) share of the sky that reaches the hit point past near surfaces.
@@ -82,13 +81,12 @@ def shade(
         radiance[free] = radiance[free] * (1 - veil) + np.asarray(weather.horizon) * veil
     if not len(rows):
         return np.asarray(radiance)
-    face, view = hits.face[rows], view[rows]
-    distance = hits.distance[rows] * length[rows]
-    point = origin + directions[rows] * hits.distance[rows, None]
-    found = Hits(hits.distance[rows], face, hits.u[rows], hits.v[rows])
-    points = points_of_hits(mesh, found, view, (distance * pixel_angle).astype(np.float32))
-    normal, flat = points.normal, facing_normals(mesh, face, view)
-    kind = mesh.kind[face]
+    hits, view = hits.take(rows), view[rows]
+    distance = hits.distance * length[rows]
+    point = directions[rows] * hits.distance[:, None]
+    points = points_of_hits(mesh, hits, view, (distance * pixel_angle).astype(np.float32))
+    normal, flat = points.normal, facing_normals(mesh, hits.face, view)
+    kind = mesh.kind[hits.face]
     soft = kind == SurfaceKind.FOLIAGE
     surface = texture_surfaces(kind, points, stripes)
     albedo, gloss = surface.albedo, surface.gloss

@@ -1,15 +1,12 @@
 """Light and weather: the sun, the sky and the air of each variant of a scene."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
 from training.scenes.arrays import Floats
+from training.scenes.names import Variant
 from training.scenes.textures.noise import fractal_noise
-
-Variant = Literal["clone", "morning", "sunset", "overcast", "fog", "rain"]
-VARIANTS: tuple[Variant, ...] = get_args(Variant)
 
 
 @dataclass(frozen=True)
@@ -34,7 +31,7 @@ class Weather:
 
 def draw_weather(variant: Variant, seed: int) -> Weather:
     """Return the light of a variant; the seed varies sun position, clouds and exposure."""
-    rng = np.random.default_rng([seed, 2, VARIANTS.index(variant)])
+    rng = np.random.default_rng([seed, 2, list(Variant).index(variant)])
     azimuth = float(rng.uniform(0, 2 * np.pi))
     low, high = {"clone": (30, 60), "morning": (12, 28), "sunset": (6, 15)}.get(variant, (40, 50))
     height = np.deg2rad(rng.uniform(low, high))

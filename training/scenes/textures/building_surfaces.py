@@ -1,13 +1,11 @@
 """Textures of buildings: façades with windows, shop fronts, bricks, roofs, boards."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from training.scenes.arrays import Floats
 from training.scenes.textures.noise import fractal_noise, hash01
-from training.scenes.textures.paint import Stripe, band
+from training.scenes.textures.paint import band
 from training.scenes.textures.surface import Points, Surface, matt, mix
 
 #: Height and width of a brick with its mortar [m].
@@ -27,12 +25,12 @@ def _bricks(u: Floats, v: Floats, color: Floats, footprint: Floats) -> Floats:
     return mix(color * tone[:, None], (0.38, 0.35, 0.31), mortar * fade * 0.7)
 
 
-def texture_brickwork(p: Points, _: Sequence[Stripe]) -> Surface:
+def texture_brickwork(p: Points) -> Surface:
     u = p.texture[:, 0] + p.texture[:, 1]
     return matt(_bricks(u, p.texture[:, 2], p.color, p.footprint))
 
 
-def texture_stone(p: Points, _: Sequence[Stripe]) -> Surface:
+def texture_stone(p: Points) -> Surface:
     u, v = p.texture[:, 0] + p.texture[:, 2], p.texture[:, 1] - p.texture[:, 2]
     grain = fractal_noise(u, v, wavelength=0.6, octaves=3, footprint=p.footprint)
     gap = 1 - band((np.mod(u, 0.9) - 0.45), 0.44, p.footprint / np.maximum(p.slant, 0.05))
@@ -56,7 +54,7 @@ def _wall(p: Points, u: Floats, v: Floats) -> Floats:
     return color * (1 - 0.35 * foot)[:, None]
 
 
-def texture_facade(p: Points, _: Sequence[Stripe]) -> Surface:
+def texture_facade(p: Points) -> Surface:
     u, v = p.texture[:, 0], p.texture[:, 2]
     wall_id = np.rint(p.texture[:, 1]).astype(np.int64)
     gable = v > 90
@@ -157,7 +155,7 @@ def _shop_front(
     return color, glass * 0.07, lit * np.array((0.16, 0.13, 0.08))
 
 
-def texture_roof(p: Points, _: Sequence[Stripe]) -> Surface:
+def texture_roof(p: Points) -> Surface:
     u, v = p.texture[:, 0], p.texture[:, 1]
     row = np.floor(v / 0.32)
     column = np.floor(u / 0.25 + 0.5 * np.mod(row, 2))
@@ -168,7 +166,7 @@ def texture_roof(p: Points, _: Sequence[Stripe]) -> Surface:
     return matt(p.color * tone[:, None], 0.01)
 
 
-def texture_planks(p: Points, _: Sequence[Stripe]) -> Surface:
+def texture_planks(p: Points) -> Surface:
     """Boards, ribs or awning stripes: params are pitch, contrast, seed."""
     u = p.texture[:, 0] + p.texture[:, 1]
     pitch, contrast = p.params[:, 0], p.params[:, 1]

@@ -41,7 +41,7 @@ def texture_asphalt(p: Points, stripes: Sequence[Stripe]) -> Surface:
     return matt(albedo)
 
 
-def texture_paving(p: Points, _: Sequence[Stripe]) -> Surface:
+def texture_paving(p: Points) -> Surface:
     s, d = p.texture[:, 0], p.texture[:, 1]
     pitch = p.params[:, 0]
     long = p.footprint / np.maximum(p.slant, 0.02)
@@ -58,7 +58,7 @@ def texture_paving(p: Points, _: Sequence[Stripe]) -> Surface:
     return matt(p.color * np.clip(tone, 0.3, 1.7)[:, None])
 
 
-def texture_grass(p: Points, _: Sequence[Stripe]) -> Surface:
+def texture_grass(p: Points) -> Surface:
     x, y = p.texture[:, 0], p.texture[:, 1]
     blades = fractal_noise(x, y, wavelength=0.35, octaves=4, footprint=p.footprint * 2)
     meadow = fractal_noise(x, y, wavelength=6.0, octaves=3, footprint=p.footprint)

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from training.scenes.arrays import Floats
 from training.scenes.textures.noise import hash01
-from training.scenes.textures.paint import Stripe, band
+from training.scenes.textures.paint import band
 from training.scenes.textures.surface import Points, Surface, matt, mix
 
 
-def texture_sign(p: Points, _: Sequence[Stripe]) -> Surface:
+def texture_sign(p: Points) -> Surface:
     """Faces of traffic signs; texture is the face, -1..1 both ways."""
     a, b = p.texture[:, 0], p.texture[:, 1]
     kind = np.rint(p.params[:, 0]).astype(int)

@@ -1,16 +1,15 @@
 """Surface points, and the material that a texture gives them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from training.scenes.arrays import Floats
+from training.scenes.arrays import Floats, Rows
 
 
 @dataclass(frozen=True)
-class Points:
+class Points(Rows):
     """Surface points to texture; n rows each.
 
     texture: (n, 3) the object's own coordinates [m]. normal: (n, 3). color: (n, 3) base colour.
@@ -24,10 +23,6 @@ class Points:
     params: Floats
     footprint: Floats
     slant: Floats
-
-    def take(self, rows: NDArray[np.intp]) -> "Points":
-        """Some of the points."""
-        return Points(*(getattr(self, item.name)[rows] for item in fields(self)))
 
 
 @dataclass(frozen=True)

@@ -1,28 +1,10 @@
-"""The kinds of surface of the shader."""
+"""The kinds of surface: `surfaces.py` has one function a kind."""
 
 from enum import IntEnum
 
-
-class SurfaceKind(IntEnum):
-    """How a surface is textured; `surfaces.py` has one function a kind."""
-
-    PLAIN = 0
-    ASPHALT = 1
-    PAVING = 2
-    GRASS = 3
-    FACADE = 4
-    ROOF = 5
-    FOLIAGE = 6
-    BARK = 7
-    METAL = 8
-    CAR_BODY = 9
-    CAR_SIDE_WINDOW = 10
-    CAR_GLASS = 11
-    WHEEL = 12
-    SIGN = 13
-    GLOW = 14
-    BRICKWORK = 15
-    PLANKS = 16
-    CLOTH = 17
-    BUS_SIDE = 18
-    STONE = 19
+SurfaceKind = IntEnum(
+    "SurfaceKind",
+    "PLAIN ASPHALT PAVING GRASS FACADE ROOF FOLIAGE BARK METAL CAR_BODY CAR_SIDE_WINDOW CAR_GLASS "
+    "WHEEL SIGN GLOW BRICKWORK PLANKS CLOTH BUS_SIDE STONE",
+    start=0,
+)

@@ -1,6 +1,8 @@
 """Procedural textures: albedo, gloss and glow of every surface kind, anchored to the surface."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,7 @@ from training.scenes.textures.surface import Points, Surface, matt
 from training.scenes.textures.surface_kinds import SurfaceKind
 
 
-def _foliage(p: Points, _: Sequence[Stripe]) -> Surface:
+def _foliage(p: Points) -> Surface:
     x, y, z = p.texture.T
     leaf = fractal_noise(x + 0.6 * z, y - 0.7 * z, wavelength=0.5, octaves=3, footprint=p.footprint)
     warm = value_noise(x * 0.8 + z, y * 0.8)
@@ -25,39 +27,34 @@ def _foliage(p: Points, _: Sequence[Stripe]) -> Surface:
     return matt(color * (1 + warm[:, None] * np.array((0.18, 0.06, -0.05), np.float32)), 0.004)
 
 
-def _bark(p: Points, _: Sequence[Stripe]) -> Surface:
+def _bark(p: Points) -> Surface:
     x, y, z = p.texture.T
     ridge = fractal_noise((x + y) * 6, z, wavelength=0.5, octaves=3, footprint=p.footprint)
     return matt(p.color * (1 + 0.45 * ridge)[:, None])
 
 
-def _metal(p: Points, _: Sequence[Stripe]) -> Surface:
+def _metal(p: Points) -> Surface:
     x, y, z = p.texture.T
     dirt = fractal_noise(x + y, z, wavelength=0.7, octaves=2, footprint=p.footprint)
     return matt(p.color * (1 + 0.15 * dirt)[:, None], 0.05)
 
 
-def _cloth(p: Points, _: Sequence[Stripe]) -> Surface:
+def _cloth(p: Points) -> Surface:
     x, y, z = p.texture.T
     fold = fractal_noise(x + 2 * y, z * 0.7, wavelength=0.22, octaves=2, footprint=p.footprint)
     return matt(p.color * (1 + 0.35 * fold)[:, None])
 
 
-def _paint_or_plain(p: Points, _: Sequence[Stripe]) -> Surface:
-    return matt(p.color.copy(), 0.01)
+def _plain(p: Points, gloss: float = 0.01) -> Surface:
+    return matt(p.color.copy(), gloss)
 
 
-def _glow(p: Points, _: Sequence[Stripe]) -> Surface:
-    return Surface(
-        p.color.copy(),
-        np.full(len(p.color), 0.04, np.float32),
-        (p.color * p.params[:, :1]).astype(np.float32),
-    )
+def _glow(p: Points) -> Surface:
+    return replace(matt(p.color.copy(), 0.04), glow=p.color * p.params[:, :1])
 
 
-_SHADERS: dict[SurfaceKind, Callable[[Points, Sequence[Stripe]], Surface]] = {
-    SurfaceKind.PLAIN: _paint_or_plain,
-    SurfaceKind.ASPHALT: ground_surfaces.texture_asphalt,
+_SHADERS: dict[SurfaceKind, Callable[[Points], Surface]] = {
+    SurfaceKind.PLAIN: _plain,
     SurfaceKind.PAVING: ground_surfaces.texture_paving,
     SurfaceKind.GRASS: ground_surfaces.texture_grass,
     SurfaceKind.FACADE: building_surfaces.texture_facade,
@@ -67,7 +64,7 @@ _SHADERS: dict[SurfaceKind, Callable[[Points, Sequence[Stripe]], Surface]] = {
     SurfaceKind.METAL: _metal,
     SurfaceKind.CAR_BODY: vehicle_surfaces.texture_car_body,
     SurfaceKind.CAR_SIDE_WINDOW: vehicle_surfaces.texture_car_side_window,
-    SurfaceKind.CAR_GLASS: vehicle_surfaces.texture_car_glass,
+    SurfaceKind.CAR_GLASS: partial(_plain, gloss=0.09),
     SurfaceKind.WHEEL: vehicle_surfaces.texture_wheel,
     SurfaceKind.SIGN: sign_surface.texture_sign,
     SurfaceKind.GLOW: _glow,
@@ -81,12 +78,14 @@ _SHADERS: dict[SurfaceKind, Callable[[Points, Sequence[Stripe]], Surface]] = {
 
 def texture_surfaces(kind: NDArray[np.uint8], points: Points, stripes: Sequence[Stripe]) -> Surface:
     """Surface of every point by its kind, (n,) uint8 of `SurfaceKind`."""
+    asphalt = partial(ground_surfaces.texture_asphalt, stripes=stripes)
+    shaders = _SHADERS | {SurfaceKind.ASPHALT: asphalt}
     n = len(kind)
     albedo = np.zeros((n, 3), dtype=np.float32)
     gloss = np.zeros(n, dtype=np.float32)
     glow = np.zeros((n, 3), dtype=np.float32)
     for value in np.unique(kind):
         rows = np.flatnonzero(kind == value)
-        part = _SHADERS[SurfaceKind(value)](points.take(rows), stripes)
+        part = shaders[SurfaceKind(value)](points.take(rows))
         albedo[rows], gloss[rows], glow[rows] = part.albedo, part.gloss, part.glow
     return Surface(np.clip(albedo, 0.005, 0.95), gloss, glow)

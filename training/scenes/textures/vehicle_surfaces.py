@@ -1,15 +1,13 @@
 """Textures of vehicles: bodies with lamps and plates, windows, wheels."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from training.scenes.textures.noise import hash01
-from training.scenes.textures.paint import Stripe, band
+from training.scenes.textures.paint import band
 from training.scenes.textures.surface import Points, Surface, matt, mix
 
 
-def texture_car_body(p: Points, _: Sequence[Stripe]) -> Surface:
+def texture_car_body(p: Points) -> Surface:
     x, y, z = p.texture.T
     rear_x, front_x, radius, length, width, belt, door_x, seed = p.params.T
     f = p.footprint
@@ -53,7 +51,7 @@ def texture_car_body(p: Points, _: Sequence[Stripe]) -> Surface:
     return Surface(albedo.astype(np.float32), gloss.astype(np.float32), glow.astype(np.float32))
 
 
-def texture_car_side_window(p: Points, _: Sequence[Stripe]) -> Surface:
+def texture_car_side_window(p: Points) -> Surface:
     """Side of the greenhouse; texture is (x, cabin height, 0 belt .. 1 roof edge)."""
     x, cabin, q = p.texture.T
     f = p.footprint
@@ -66,11 +64,7 @@ def texture_car_side_window(p: Points, _: Sequence[Stripe]) -> Surface:
     return matt(albedo.astype(np.float32), (0.05 + 0.04 * pane).astype(np.float32))
 
 
-def texture_car_glass(p: Points, _: Sequence[Stripe]) -> Surface:
-    return matt(p.color.copy(), 0.09)
-
-
-def texture_wheel(p: Points, _: Sequence[Stripe]) -> Surface:
+def texture_wheel(p: Points) -> Surface:
     x, z = p.texture[:, 0], p.texture[:, 2]
     radius = p.params[:, 0]
     reach = np.hypot(x, z)
@@ -81,7 +75,7 @@ def texture_wheel(p: Points, _: Sequence[Stripe]) -> Surface:
     return matt(albedo, (0.04 * rim).astype(np.float32))
 
 
-def texture_bus_side(p: Points, _: Sequence[Stripe]) -> Surface:
+def texture_bus_side(p: Points) -> Surface:
     x, y, z = p.texture.T
     height, length, width = p.params[:, 0], p.params[:, 1], p.params[:, 2]
     f = p.footprint / np.maximum(p.slant, 0.2)

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.random import Generator
 
-from training.scenes.classes import SceneClass
+from training.scenes.names import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Color, Look, Mesh, box, join, quad, rows, vary
+from training.scenes.things.mesh import Color, Look, Mesh, box, join, polygon, rows, vary
 
 _PLASTER = rows(
     "0.62 0.58 0.5, 0.7 0.69 0.66, 0.6 0.5 0.32, 0.55 0.42 0.33, 0.5 0.52 0.5, "
@@ -34,13 +34,13 @@ def _walls(length: float, depth: float, height: float, look: Look) -> list[Mesh]
         texture = np.array([(run, k, -3), (0, k, -3), (0, k, height), (run, k, height)])
         bay = run / max(1, round(run / look.params[0]))
         wall = replace(look, params=(bay, *look.params[1:]))
-        walls.append(quad(corners, wall, texture=texture))
+        walls.append(polygon(corners, wall, texture=texture))
     return walls
 
 
 def _flat_roof(length: float, depth: float, height: float, look: Look) -> Mesh:
     corners = [(0, 0, height), (length, 0, height), (length, -depth, height), (0, -depth, height)]
-    return quad(corners, look)
+    return polygon(corners, look)
 
 
 def _gable_roof(
@@ -55,7 +55,7 @@ def _gable_roof(
     eaves: float = 0.4,
 ) -> list[Mesh]:
     """A pitched roof; `across` turns the gable to the street."""
-    # The frame of the ridge: where it and the walls begin and end, and what lies across it.
+    # Ends of the ridge and of the walls along it; then positions across it.
     if across:
         ridge_ends, wall_ends = (eaves, -depth - eaves), (0.0, -depth)
         eaves_at, walls_at, middle = (-eaves, length + eaves), (0.0, length), length / 2
@@ -70,7 +70,7 @@ def _gable_roof(
     first, last = (at(end, middle, top) for end in ridge_ends)
     front = [*(at(end, eaves_at[0], low) for end in ridge_ends), last, first]
     back = [*(at(end, eaves_at[1], low) for end in ridge_ends[::-1]), first, last]
-    if across:  # swapped axes mirror: the corners go round the other way
+    if across:  # the swap of x and y mirrors the polygons, so their corners are reversed
         front, back = ([side[0], *side[:0:-1]] for side in (front, back))
     gables = [
         [at(end, walls_at[0], height), at(end, walls_at[1], height), at(end, middle, top)]
@@ -86,12 +86,12 @@ def _gable_roof(
         normal = np.cross(points[1] - points[0], points[2] - points[0])
         down = np.cross(normal / np.linalg.norm(normal), along)
         texture = np.stack([points @ along, points @ down, np.zeros(4)], axis=1)
-        parts.append(quad(points, roof, texture=texture))
+        parts.append(polygon(points, roof, texture=texture))
     for gable in gables:
         points = np.asarray([*gable, gable[-1]])
         run = points[:, 1] if not across else points[:, 0]
         texture = np.stack([run, np.full(4, 1.0), points[:, 2] + 100.0], axis=1)
-        parts.append(quad(points, plain, texture=texture))
+        parts.append(polygon(points, plain, texture=texture))
     return parts
 
 
@@ -187,7 +187,7 @@ def _awning(length: float, rng: Generator) -> Mesh:
     look = _look(SurfaceKind.PLANKS, color[rng.integers(4)], 0.5, 0.9, float(rng.random()))
     a, b = 0.6, length - 0.6
     top, low = 3.0, 2.5
-    return quad([(a, 0.02, top), (a, 1.3, low), (b, 1.3, low), (b, 0.02, top)], look)
+    return polygon([(a, 0.02, top), (a, 1.3, low), (b, 1.3, low), (b, 0.02, top)], look)
 
 
 def make_office(rng: Generator, length: float) -> Mesh:

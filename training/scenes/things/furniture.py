@@ -6,9 +6,9 @@ import numpy as np
 from numpy.random import Generator
 
 from training.scenes.arrays import Floats
-from training.scenes.classes import SceneClass
+from training.scenes.names import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Look, Mesh, box, ellipsoid, join, quad, triangles, tube
+from training.scenes.things.mesh import Look, Mesh, box, ellipsoid, join, polygon, tube
 
 _STEEL = (0.25, 0.26, 0.26)
 _DARK_STEEL = (0.04, 0.045, 0.045)
@@ -75,14 +75,14 @@ def make_sign(rng: Generator, kind: int | None = None) -> Mesh:
         [np.zeros(len(outline)), -outline[:, 0] * size, outline[:, 1] * size + height], axis=1
     )
     flat = np.stack([outline[:, 0] / wide, outline[:, 1], np.zeros(len(outline))], axis=1)
-    parts.append(_fan(face, look, flat))
-    parts.append(_fan((face + np.array([0.02, 0, 0]))[::-1], back, None))
+    parts.append(polygon(face, look, texture=flat))
+    parts.append(polygon((face + np.array([0.02, 0, 0]))[::-1], back))
     if rng.random() < 0.2 and kind != 5:
         extra = Look(SurfaceKind.SIGN, (0.7, 0.7, 0.7), SceneClass.TRAFFIC_SIGN, (9.0, seed))
         low = height - size * 1.75
-        square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float)
+        square = _outline(6)
         corners = np.stack([np.zeros(4), -square[:, 0] * 0.33, square[:, 1] * 0.16 + low], axis=1)
-        parts.append(_fan(corners, extra, np.pad(square, ((0, 0), (0, 1)))))
+        parts.append(polygon(corners, extra, texture=np.pad(square, ((0, 0), (0, 1)))))
     return join(parts)
 
 
@@ -96,11 +96,6 @@ def _outline(kind: int) -> Floats:
         return np.array([[0, -1], [1, 0], [0, 1], [-1, 0]], dtype=float)
     t = np.linspace(0, 2 * np.pi, 21)[:-1]
     return np.stack([np.cos(t), np.sin(t)], axis=1)
-
-
-def _fan(points: Floats, look: Look, texture: Floats | None) -> Mesh:
-    rows = [[0, k, k + 1] for k in range(1, len(points) - 1)]
-    return triangles(points[rows], look, texture=None if texture is None else texture[rows])
 
 
 def make_traffic_light(rng: Generator, phase: int) -> Mesh:
@@ -165,7 +160,7 @@ def make_guard_rail(length: float) -> Mesh:
     look = Look(SurfaceKind.METAL, (0.42, 0.43, 0.44), SceneClass.GUARD_RAIL)
     profile = [(-0.05, 0.45), (-0.13, 0.52), (-0.06, 0.6), (-0.13, 0.68), (-0.05, 0.75)]
     parts = [
-        quad([(0, a, za), (length, a, za), (length, b, zb), (0, b, zb)], look)
+        polygon([(0, a, za), (length, a, za), (length, b, zb), (0, b, zb)], look)
         for (a, za), (b, zb) in pairwise(profile)
     ]
     parts += [box((0.1, 0.08, 0.75), (x, 0, 0.37), look) for x in np.arange(0.5, length, 2.0)]

@@ -10,12 +10,9 @@ import trimesh
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
-from training.scenes.arrays import Floats
-from training.scenes.classes import SceneClass
+from training.scenes.arrays import Floats, Rows
+from training.scenes.names import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
-
-NUM_PARAMS = 8
-
 
 #: Linear RGB, 0..1.
 Color = tuple[float, ...]
@@ -43,13 +40,9 @@ class Look:
     label: SceneClass
     params: tuple[float, ...] = ()
 
-    def darker(self, factor: float) -> "Look":
-        """The same material of a darker colour, without shader parameters."""
-        return Look(self.kind, tuple(factor * c for c in self.color), self.label)
-
 
 @dataclass(frozen=True)
-class Mesh:
+class Mesh(Rows):
     """Triangles with their attributes.
 
     positions, normals, texture: (n, 3, 3) float32, triangle x corner x axis; metres. Texture
@@ -66,9 +59,6 @@ class Mesh:
     label: NDArray[np.uint8]
     params: Floats
 
-    def __len__(self) -> int:
-        return len(self.positions)
-
     def moved(self, *, heading: float = 0.0, offset: ArrayLike = (0.0, 0.0, 0.0)) -> Self:
         """Turn by `heading` (rad, about z) and shift by `offset` (m); texture stays."""
         c, s = np.cos(heading), np.sin(heading)
@@ -82,10 +72,6 @@ class Mesh:
     def scaled(self, factor: float) -> Self:
         """Scale the positions about the origin."""
         return replace(self, positions=self.positions * np.float32(factor))
-
-    def where(self, mask: NDArray[np.bool_]) -> Self:
-        """Only the triangles of a mask (n,)."""
-        return replace(self, **{f.name: getattr(self, f.name)[mask] for f in fields(self)})
 
 
 def join(meshes: Sequence[Mesh]) -> Mesh:
@@ -107,7 +93,7 @@ def triangles(
     n = len(corners)
     if normals is None:
         normals = np.repeat(face_normals(corners)[:, None], 3, axis=1)
-    params = np.zeros((n, NUM_PARAMS), dtype=np.float32)
+    params = np.zeros((n, 8), dtype=np.float32)
     params[:, : len(look.params)] = look.params
     return Mesh(
         positions=corners,
@@ -149,11 +135,12 @@ def grid(
     return triangles(_grid_corners(lattice), look, normals=normals, texture=tex)
 
 
-def quad(corners: ArrayLike, look: Look, *, texture: ArrayLike | None = None) -> Mesh:
-    """One quadrilateral from four corners in order, (4, 3)."""
-    pick = [0, 1, 2, 0, 2, 3]
-    tex = None if texture is None else np.asarray(texture)[pick]
-    return triangles(np.asarray(corners)[pick], look, texture=tex)
+def polygon(corners: ArrayLike, look: Look, *, texture: ArrayLike | None = None) -> Mesh:
+    """A convex polygon of corners (n, 3), counter-clockwise as seen from its front."""
+    points = np.asarray(corners)
+    fan = [[0, k, k + 1] for k in range(1, len(points) - 1)]
+    tex = None if texture is None else np.asarray(texture)[fan]
+    return triangles(points[fan], look, texture=tex)
 
 
 def box(size: ArrayLike, centre: ArrayLike, look: Look) -> Mesh:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import Generator
 
 from training.scenes.arrays import Floats
-from training.scenes.classes import SceneClass
+from training.scenes.names import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
 from training.scenes.things.mesh import Color, Look, Mesh, box, ellipsoid, join, rows, tube
 

@@ -1,10 +1,12 @@
 """Trees, bushes, hedges: dark cores wrapped in clouds of small leaf cards."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.random import Generator
 
 from training.scenes.arrays import Floats
-from training.scenes.classes import SceneClass
+from training.scenes.names import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
 from training.scenes.things.mesh import Look, Mesh, ellipsoid, join, rows, triangles, tube, vary
 
@@ -54,7 +56,8 @@ def _crown(
 ) -> list[Mesh]:
     """A cloud of leaves around cores of a share of the blobs' size and brightness."""
     leaves = _leaf_cloud(blobs, look, count, size, rng)
-    return [leaves, *(ellipsoid(b[:3], b[3:] * core, look.darker(dark)) for b in blobs)]
+    inner = replace(look, color=tuple(dark * c for c in look.color))
+    return [leaves, *(ellipsoid(b[:3], b[3:] * core, inner) for b in blobs)]
 
 
 def make_tree(rng: Generator, *, leaf_count: int = 3600) -> Mesh:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.random import Generator
 
 from training.scenes.arrays import Floats
-from training.scenes.classes import SceneClass
+from training.scenes.names import SceneClass
 from training.scenes.textures.surface_kinds import SurfaceKind
 from training.scenes.things.mesh import Color, Look, Mesh, box, grid, join, rows, tube, vary
 
@@ -19,96 +19,55 @@ _PAINTS = rows(
 
 @dataclass(frozen=True)
 class CarShape:
-    """Side profile of a car body, fractions of the length from tail (0) to nose (1), metres up."""
+    """Side profile of a car body.
 
-    length: float
-    width: float
-    outline: tuple[tuple[float, ...], ...]
-    belt: float
-    rear_glass: tuple[float, float]
-    windscreen: tuple[float, float]
+    Attributes:
+        sizes: length, width, height of the belt line, radius of the wheels [m].
+        rear_glass, windscreen: from and to; wheels; pillars: fractions of the length from the tail.
+        outline: fractions of the length and heights [m].
+    """
+
+    sizes: tuple[float, ...]
+    rear_glass: tuple[float, ...]
+    windscreen: tuple[float, ...]
+    wheels: tuple[float, ...]
     pillars: tuple[float, ...]
-    wheels: tuple[float, float]
-    wheel_radius: float = 0.32
+    outline: tuple[tuple[float, ...], ...]
 
 
-_HATCHBACK = CarShape(
-    length=4.1,
-    width=1.74,
-    outline=rows(
-        "0 0.62, 0.015 0.92, 0.03 0.98, 0.13 1.40, 0.22 1.47, 0.5 1.47, "
-        "0.6 1.38, 0.76 0.99, 0.93 0.84, 0.985 0.7, 1 0.6"
-    ),
-    belt=0.93,
-    rear_glass=(0.03, 0.13),
-    windscreen=(0.6, 0.76),
-    pillars=(0.2, 0.44),
-    wheels=(0.185, 0.80),
+def _shape(places: str, outline: str) -> CarShape:
+    sizes, rear_glass, windscreen, wheels, pillars = rows(places)
+    return CarShape(sizes, rear_glass, windscreen, wheels, pillars, rows(outline))
+
+
+_HATCHBACK = _shape(
+    "4.1 1.74 0.93 0.32, 0.03 0.13, 0.6 0.76, 0.185 0.8, 0.2 0.44",
+    "0 0.62, 0.015 0.92, 0.03 0.98, 0.13 1.40, 0.22 1.47, 0.5 1.47, "
+    "0.6 1.38, 0.76 0.99, 0.93 0.84, 0.985 0.7, 1 0.6",
 )
-_SEDAN = CarShape(
-    length=4.6,
-    width=1.8,
-    outline=rows(
-        "0 0.6, 0.012 0.9, 0.03 0.98, 0.14 1.03, 0.27 1.36, 0.38 1.43, "
-        "0.52 1.43, 0.58 1.37, 0.72 1.0, 0.93 0.83, 0.985 0.7, 1 0.58"
-    ),
-    belt=0.93,
-    rear_glass=(0.14, 0.27),
-    windscreen=(0.58, 0.72),
-    pillars=(0.24, 0.45),
-    wheels=(0.2, 0.81),
+_SEDAN = _shape(
+    "4.6 1.8 0.93 0.32, 0.14 0.27, 0.58 0.72, 0.2 0.81, 0.24 0.45",
+    "0 0.6, 0.012 0.9, 0.03 0.98, 0.14 1.03, 0.27 1.36, 0.38 1.43, "
+    "0.52 1.43, 0.58 1.37, 0.72 1.0, 0.93 0.83, 0.985 0.7, 1 0.58",
 )
-_ESTATE = CarShape(
-    length=4.7,
-    width=1.8,
-    outline=rows(
-        "0 0.6, 0.012 0.95, 0.025 1.0, 0.09 1.38, 0.14 1.47, 0.5 1.48, "
-        "0.58 1.4, 0.72 1.02, 0.93 0.85, 0.985 0.7, 1 0.58"
-    ),
-    belt=0.95,
-    rear_glass=(0.025, 0.09),
-    windscreen=(0.58, 0.72),
-    pillars=(0.22, 0.44),
-    wheels=(0.2, 0.81),
+_ESTATE = _shape(
+    "4.7 1.8 0.95 0.32, 0.025 0.09, 0.58 0.72, 0.2 0.81, 0.22 0.44",
+    "0 0.6, 0.012 0.95, 0.025 1.0, 0.09 1.38, 0.14 1.47, 0.5 1.48, "
+    "0.58 1.4, 0.72 1.02, 0.93 0.85, 0.985 0.7, 1 0.58",
 )
-_SUV = CarShape(
-    length=4.5,
-    width=1.86,
-    outline=rows(
-        "0 0.7, 0.012 1.05, 0.025 1.1, 0.09 1.6, 0.15 1.7, 0.52 1.7, "
-        "0.6 1.6, 0.72 1.16, 0.94 1.05, 0.985 0.85, 1 0.7"
-    ),
-    belt=1.08,
-    rear_glass=(0.025, 0.09),
-    windscreen=(0.6, 0.72),
-    pillars=(0.22, 0.45),
-    wheels=(0.19, 0.81),
-    wheel_radius=0.37,
+_SUV = _shape(
+    "4.5 1.86 1.08 0.37, 0.025 0.09, 0.6 0.72, 0.19 0.81, 0.22 0.45",
+    "0 0.7, 0.012 1.05, 0.025 1.1, 0.09 1.6, 0.15 1.7, 0.52 1.7, "
+    "0.6 1.6, 0.72 1.16, 0.94 1.05, 0.985 0.85, 1 0.7",
 )
-_VAN = CarShape(
-    length=5.3,
-    width=2.0,
-    outline=rows(
-        "0 0.7, 0.006 1.2, 0.01 1.25, 0.02 2.2, 0.05 2.35, 0.68 2.35, "
-        "0.74 2.2, 0.87 1.25, 0.96 1.05, 0.99 0.85, 1 0.6"
-    ),
-    belt=1.22,
-    rear_glass=(0.01, 0.02),
-    windscreen=(0.74, 0.87),
-    pillars=(0.64,),
-    wheels=(0.17, 0.82),
-    wheel_radius=0.36,
+_VAN = _shape(
+    "5.3 2.0 1.22 0.36, 0.01 0.02, 0.74 0.87, 0.17 0.82, 0.64",
+    "0 0.7, 0.006 1.2, 0.01 1.25, 0.02 2.2, 0.05 2.35, 0.68 2.35, "
+    "0.74 2.2, 0.87 1.25, 0.96 1.05, 0.99 0.85, 1 0.6",
 )
-_TRUCK_CAB = CarShape(
-    length=2.3,
-    width=2.45,
-    outline=rows("0 0.9, 0.01 2.5, 0.05 2.75, 0.7 2.75, 0.8 2.65, 0.95 1.5, 0.99 1.2, 1 0.6"),
-    belt=1.45,
-    rear_glass=(0.0, 0.0),
-    windscreen=(0.8, 0.95),
-    pillars=(0.3,),
-    wheels=(0.45, 0.45),
-    wheel_radius=0.48,
+_TRUCK_CAB = _shape(
+    "2.3 2.45 1.45 0.48, 0 0, 0.8 0.95, 0.45 0.45, 0.3",
+    "0 0.9, 0.01 2.5, 0.05 2.75, 0.7 2.75, 0.8 2.65, 0.95 1.5, 0.99 1.2, 1 0.6",
 )
 _CARGO_PAINTS = rows("0.7 0.7 0.68, 0.5 0.5 0.52, 0.4 0.05 0.04, 0.06 0.15 0.35, 0.6 0.45 0.1")
 _BUS_PAINTS = rows("0.5 0.04 0.03, 0.7 0.68 0.6, 0.05 0.2 0.45, 0.1 0.35 0.12, 0.65 0.5 0.05")
@@ -141,11 +100,12 @@ def _vary(color: Color, rng: Generator) -> Color:
 def _bodied(
     shape: CarShape, paint: Color, label: SceneClass, rng: Generator, *, size: float
 ) -> Mesh:
-    length, half = shape.length, shape.width / 2
+    length, width, belt_line, radius = shape.sizes
+    half = width / 2
     fx = np.array(sorted({*(f for f, _ in shape.outline), *np.linspace(0.05, 0.95, 13)}))
     top = np.interp(fx, *np.array(shape.outline).T)
     x = (fx - 0.5) * length
-    belt = np.minimum(shape.belt, top - 0.02)
+    belt = np.minimum(belt_line, top - 0.02)
     cabin = top - belt
     # Nose and tail are rounded in plan; the greenhouse leans inwards with its height.
     plan = half * (1 - 0.16 * np.abs(2 * fx - 1) ** 5)
@@ -170,8 +130,8 @@ def _bodied(
     seed = float(rng.random())
     wheel_x = [(f - 0.5) * length for f in shape.wheels]
     door_x = (shape.pillars[-1] - 0.5) * length
-    sizes = (*wheel_x, shape.wheel_radius, length, shape.width, shape.belt, door_x)
-    body = Look(SurfaceKind.CAR_BODY, paint, label, (*sizes, seed))
+    params = (*wheel_x, radius, length, width, belt_line, door_x, seed)
+    body = Look(SurfaceKind.CAR_BODY, paint, label, params)
     pillars = [(f - 0.5) * length for f in shape.pillars] + [99.0]
     # Delivery vans have windows at the cab only.
     cab = pillars[:1] if label == SceneClass.VAN and seed < 0.75 else []
@@ -197,25 +157,23 @@ def _bodied(
     if label == SceneClass.VAN and seed < 0.5:
         is_glass &= middle > 0.5
     pick = np.repeat(np.where(is_side, 1, np.where(is_glass, 2, 0)), 2)
-    parts = [mesh.where(pick == k) for k, mesh in enumerate((whole, sided, glazed))]
+    parts = [mesh.take(pick == k) for k, mesh in enumerate((whole, sided, glazed))]
     for end in (0, -1):
         ring = lattice[end]
         centre = np.broadcast_to(ring.mean(axis=0), ring.shape)
         parts.append(grid(np.stack([ring, centre] if end == 0 else [centre, ring]), body))
-    tyre = Look(SurfaceKind.WHEEL, (0.45, 0.45, 0.46), label, (shape.wheel_radius, seed))
-    for wx in wheel_x:
-        for sign in (-1, 1):
-            parts.append(_wheel(wx, sign * (half - 0.10), shape.wheel_radius, tyre))
+    tyre = Look(SurfaceKind.WHEEL, (0.45, 0.45, 0.46), label, (radius, seed))
+    parts += [_wheel(x, sign * (half - 0.10), tyre) for x in wheel_x for sign in (-1, 1)]
     mirror = Look(SurfaceKind.PLAIN, paint, label, (0.3,))
     mirror_x = (shape.windscreen[1] - 0.5) * length - 0.35
     for sign in (-1, 1):
-        parts.append(
-            box((0.12, 0.2, 0.14), (mirror_x, sign * (half + 0.06), shape.belt + 0.1), mirror)
-        )
+        at = (mirror_x, sign * (half + 0.06), belt_line + 0.1)
+        parts.append(box((0.12, 0.2, 0.14), at, mirror))
     return join(parts).scaled(size)
 
 
-def _wheel(x: float, y: float, radius: float, look: Look) -> Mesh:
+def _wheel(x: float, y: float, look: Look) -> Mesh:
+    radius = look.params[0]
     wheel = tube((0, -0.11, 0), (0, 0.11, 0), (radius, radius), look, sides=20)
     return wheel.moved(offset=(x, y, radius))
 
@@ -245,7 +203,7 @@ def make_truck(rng: Generator) -> Mesh:
     for sign in (-1, 1):
         red = Look(SurfaceKind.GLOW, (0.5, 0.02, 0.02), label, (0.4,))
         parts.append(box((0.08, 0.3, 0.14), (rear - 0.03, sign * 1.0, 0.85), red))
-        parts.append(_wheel(rear + 1.6, sign * 1.08, 0.48, tyre))
+        parts.append(_wheel(rear + 1.6, sign * 1.08, tyre))
         parts.append(box((1.2, 0.05, 0.25), (rear + 0.6, sign * 1.2, 0.65), dark))
     plate = Look(SurfaceKind.PLAIN, (0.6, 0.6, 0.55), label)
     parts.append(box((0.06, 2.3, 0.16), (rear - 0.02, 0, 0.6), dark))
@@ -262,8 +220,7 @@ def make_bus(rng: Generator) -> Mesh:
     parts = [box((length, width, height - 0.3), (0, 0, 0.3 + (height - 0.3) / 2), side)]
     tyre = Look(SurfaceKind.WHEEL, (0.3, 0.3, 0.31), label, (0.48, 0.1))
     for x in (-length / 2 + 2.8, length / 2 - 2.6):
-        for sign in (-1, 1):
-            parts.append(_wheel(x, sign * (width / 2 - 0.08), 0.48, tyre))
+        parts += [_wheel(x, sign * (width / 2 - 0.08), tyre) for sign in (-1, 1)]
     for sign in (-1, 1):
         red = Look(SurfaceKind.GLOW, (0.5, 0.02, 0.02), label, (0.4,))
         white = Look(SurfaceKind.GLOW, (0.7, 0.7, 0.65), label, (0.3,))

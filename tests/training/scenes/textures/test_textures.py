@@ -5,11 +5,11 @@ import pytest
 
 pytest.importorskip("embreex", reason="the renderer needs the train extra")
 
-from training.scenes.classes import SceneClass
+from training.scenes.names import SceneClass
 from training.scenes.textures.noise import fractal_noise, hash01, value_noise
 from training.scenes.textures.paint import Stripe, band, paint_cover
 from training.scenes.textures.surface_kinds import SurfaceKind
-from training.scenes.things.mesh import Look, ellipsoid, grid, quad, tube
+from training.scenes.things.mesh import Look, ellipsoid, grid, polygon, tube
 from training.scenes.things.people import draw_dress, make_cyclist, make_walker
 from training.scenes.things.vehicles import make_bus, make_car, make_truck, make_van
 
@@ -83,14 +83,14 @@ def test_normals_point_outwards():
 
 
 def test_a_mesh_turns_and_keeps_its_texture():
-    flat = quad([(0, 0, 0), (2, 0, 0), (2, 1, 0), (0, 1, 0)], PLAIN)
+    flat = polygon([(0, 0, 0), (2, 0, 0), (2, 1, 0), (0, 1, 0)], PLAIN)
     moved = flat.moved(heading=np.pi / 2, offset=(10, 0, 1))
     assert np.allclose(moved.positions[0, 1], (10, 2, 1), atol=1e-6)
     assert np.array_equal(moved.texture, flat.texture)
     assert np.allclose(flat.normals, (0, 0, 1))
     assert flat.params[0, :3].tolist() == [2, 3, 0]
     lattice = np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0), [0.0], indexing="ij"), -1)
-    assert len(grid(lattice[:, :, 0], PLAIN)) == 12
+    assert len(grid(lattice[:, :, 0], PLAIN).positions) == 12
 
 
 @pytest.mark.parametrize(
