@@ -43,6 +43,8 @@ class DeployGraph(nn.Module):
         """
         max_depth_m = self.model.config.max_depth_m
         height, width = rgb.shape[1], rgb.shape[2]
+        for axis in (1, 2):  # the traced graph computes the padding of both inputs once
+            torch._check(sparse_depth.shape[axis] == rgb.shape[axis])
         coarse = self.model.predict_coarse(
             rgb.permute(0, 3, 1, 2).to(torch.float32), sparse_depth.unsqueeze(1)
         )
