@@ -65,7 +65,7 @@ def folder(tmp_path_factory):
 
 
 def run(*arguments):
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+    return CliRunner().invoke(app, [str(argument) for argument in (*arguments, "--threads", 1)])
 
 
 def test_checkpoint_and_export_score_alike_on_every_lidar_and_fault(folder, tmp_path):
