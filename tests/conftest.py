@@ -162,6 +162,22 @@ def contract() -> Contract:
     return dataclasses.replace(CONTRACT)
 
 
+@pytest.fixture
+def change_run(monkeypatch):
+    """Have `answer(run, feed)` called wherever a session runs; `run()` is ONNX Runtime's answer."""
+    import onnxruntime
+
+    run = onnxruntime.InferenceSession.run
+
+    def change(answer):
+        def changed(session, heads, feed):
+            return answer(lambda: run(session, heads, feed), feed)
+
+        monkeypatch.setattr(onnxruntime.InferenceSession, "run", changed)
+
+    return change
+
+
 Frame = tuple[np.ndarray, np.ndarray]
 
 
