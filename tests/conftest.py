@@ -37,6 +37,14 @@ def pytest_configure():
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture(autouse=True)
+def one_thread():
+    """Take back the threads that a command or an opened checkpoint has given to PyTorch."""
+    yield
+    if torch := sys.modules.get("torch"):
+        torch.set_num_threads(1)
+
+
 MAX_DEPTH_M = 80.0
 DEPTH_OFFSET_M = 1.5
 
