@@ -85,6 +85,7 @@ def test_the_pictures_are_those_that_were_recorded(recorded, make_frame):
         assert not source._kept, "nothing that no later frame needs is kept"
 
 
+@pytest.mark.parametrize("kind", ["mcap"])
 def test_limit_shards_rate_and_recording_are_those_of_folders(recorded, run, tmp_path):
     source = ["--source", f"bag:{recorded}"]
     whole = run(*source, "--record", tmp_path / "recording")
