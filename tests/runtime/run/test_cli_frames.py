@@ -270,7 +270,7 @@ def test_frames_that_are_skipped_for_one_reason_are_one_line(tmp_path, stream, r
 
 
 @pytest.mark.parametrize("warmup", [0, 1])
-@pytest.mark.parametrize("n", [19, 20])
+@pytest.mark.parametrize("n", [19, 20, 21])
 def test_a_stream_that_is_refused_from_the_start_is_an_error(
     tmp_path, make_stream, all_heads, n, warmup
 ):
