@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from training.evaluation.classical.tgv import TGV, edge_tensor
+from training.evaluation.classical.tgv import TGV, _gradient, _gradient_adjoint, edge_tensor
 
 
 def slanted(height, width):
@@ -82,6 +82,14 @@ def test_the_answer_has_the_least_energy():
     assert with_best_slope(method.complete(rgb, sparse_depth)) == pytest.approx(least, rel=0.02)
     start = TGV(iterations=0).complete(rgb, sparse_depth)
     assert energy_of(start, np.zeros((2, *size))) > 1.1 * least
+
+
+def test_the_adjoint_is_the_adjoint():
+    rng = np.random.default_rng(0)
+    values = rng.standard_normal((2, 7, 9)).astype(np.float32)
+    field = rng.standard_normal((2, 2, 7, 9)).astype(np.float32)
+    forward = float((_gradient(values) * field).sum())
+    assert forward == pytest.approx(float((values * _gradient_adjoint(field)).sum()), rel=1e-4)
 
 
 def test_a_step_falls_on_the_edge_of_the_picture():
