@@ -37,6 +37,14 @@ def pytest_configure():
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture(autouse=True)
+def one_thread():
+    """Take back the threads that a command or an opened checkpoint has given to PyTorch."""
+    yield
+    if torch := sys.modules.get("torch"):
+        torch.set_num_threads(1)
+
+
 MAX_DEPTH_M = 80.0
 DEPTH_OFFSET_M = 1.5
 
@@ -160,6 +168,22 @@ def model_file(tmp_path: Path) -> ModelFile:
 @pytest.fixture
 def contract() -> Contract:
     return dataclasses.replace(CONTRACT)
+
+
+@pytest.fixture
+def change_run(monkeypatch):
+    """Have `answer(run, feed)` called wherever a session runs; `run()` is ONNX Runtime's answer."""
+    import onnxruntime
+
+    run = onnxruntime.InferenceSession.run
+
+    def change(answer):
+        def changed(session, heads, feed):
+            return answer(lambda: run(session, heads, feed), feed)
+
+        monkeypatch.setattr(onnxruntime.InferenceSession, "run", changed)
+
+    return change
 
 
 Frame = tuple[np.ndarray, np.ndarray]

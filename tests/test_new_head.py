@@ -142,15 +142,11 @@ def test_a_head_of_one_row_goes_all_the_way(folder, tmp_path, frame):
     np.testing.assert_allclose(png / 255, answer, atol=0.5 / 255 + 1e-6)
 
 
-def test_a_broken_answer_of_it_is_invalid(folder, frame):
+def test_a_broken_answer_of_it_is_invalid(folder, frame, change_run):
     rgb, depth = frame
     with Predictor(folder / "m.onnx") as predictor:
-        run = predictor._run
         for bad, reason in ((np.nan, "drivable_not_finite"), (1.1, "drivable_out_of_range")):
-            predictor._run = lambda frames, bad=bad: [
-                {head: np.full_like(values, bad) for head, values in outputs.items()}
-                for outputs in run(frames)
-            ]
+            change_run(lambda run, feed, bad=bad: [np.full_like(each, bad) for each in run()])
             prediction = predictor.predict(rgb, depth)
             assert not prediction.valid
             assert prediction.degraded[-1] == reason

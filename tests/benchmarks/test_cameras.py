@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from cameras import Frame, read_large, score, thin
+from cameras import Frame, read_large, score
 from training.evaluation.scoring import HeadMaps
 
 
@@ -49,16 +49,3 @@ def test_scores_are_means_over_frames_of_what_is_known_up_to_100_m():
     assert score(predict, frames, focal=True) == pytest.approx(wanted)
     score(predict, frames, focal=False)
     assert seen == [700.0, 700.0, None, None]
-
-
-def test_few_returns_are_some_of_those_that_were_fed():
-    fed = np.random.default_rng(0).uniform(1, 80, (100, 200)).astype(np.float32)
-    frame = Frame(np.zeros((100, 200, 3), np.uint8), fed, fed + 1, 700.0)
-    few = thin(frame, 0.002, 3)
-    kept = few.fed > 0
-    assert kept.sum() == 0.002 * fed.size
-    np.testing.assert_array_equal(few.fed[kept], fed[kept])
-    np.testing.assert_array_equal(few.truth, frame.truth)
-    np.testing.assert_array_equal(thin(frame, 1.7, 3).fed, fed)  # there are no more
-    np.testing.assert_array_equal(thin(frame, 0.002, 3).fed, few.fed)
-    assert not np.array_equal(thin(frame, 0.002, 4).fed, few.fed)

@@ -2,8 +2,6 @@
 
 import sys
 
-import numpy as np
-import pytest
 import torch
 from onnxruntime import InferenceSession
 
@@ -26,9 +24,6 @@ def test_each_name_is_a_file(monkeypatch, tmp_path, small_model, capsys):
     assert "ssdnet-nano: 1.09 M parameters, 1.73 GMACs\n" in capsys.readouterr().out
     for name in names:
         InferenceSession(str(tmp_path / "new" / f"{name}.onnx"))
-    monkeypatch.setattr(sys, "argv", ["random_weights.py", str(tmp_path), "mobilenet"])
-    with pytest.raises(SystemExit):
-        random_weights.main()
 
 
 def test_logits_of_others_are_those_of_the_network_at_full_size():
@@ -39,12 +34,3 @@ def test_logits_of_others_are_those_of_the_network_at_full_size():
         expected = network(rgb.permute(0, 3, 1, 2).float(), torch.zeros(1, 1, 50, 70))
     assert logits.shape == (1, 19, 50, 70)
     torch.testing.assert_close(logits, expected.semantic_logits)
-
-
-@pytest.mark.slow
-def test_a_file_takes_any_size():
-    content = random_weights.export_graph(random_weights.random_graph("sparse-conv"))
-    session = InferenceSession(content)
-    feeds = {"rgb": np.zeros((1, 40, 56, 3), np.uint8), "sparse_depth": np.ones((1, 40, 56), "f4")}
-    (depth,) = session.run(None, {item.name: feeds[item.name] for item in session.get_inputs()})
-    assert depth.shape == (1, 40, 56)

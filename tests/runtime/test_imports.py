@@ -33,7 +33,6 @@ def loaded_after(statement: str) -> set[str]:
         pytest.param("from models import load_checkpoint, save_checkpoint", marks=needs_torch),
         "from runtime.contract import Contract",
         "from runtime import Contract, SSDNetError, __version__",
-        "import runtime.errors, runtime.io.atomic_write, runtime.command",
     ],
 )
 def test_the_leaves_load_neither_opencv_nor_onnxruntime(statement):

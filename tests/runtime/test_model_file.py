@@ -10,6 +10,7 @@ import onnx
 import pytest
 from google.protobuf.message import DecodeError
 from onnx import helper
+from onnxruntime import InferenceSession
 
 from runtime import ContractError, Predictor
 from runtime.contract import METADATA_KEY
@@ -33,8 +34,8 @@ def test_the_layout_as_the_onnx_library_reads_it(model_file):
 
 def test_the_contract_is_the_one_that_onnx_runtime_hands_out(model_file):
     path = model_file()
+    metadata = InferenceSession(path).get_modelmeta().custom_metadata_map
     with Predictor(path, warmup=0) as predictor:
-        metadata = predictor._session.get_modelmeta().custom_metadata_map
         assert predictor.contract.to_json() == metadata[METADATA_KEY]
 
 

@@ -82,7 +82,7 @@ def mutated(document: dict, random: np.random.Generator) -> dict:
     return document
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_any_document_is_refused_or_sane(contract, seed):
     random = np.random.default_rng(seed)
     document = json.loads(contract.to_json()) | {"trained_height": 375}
@@ -133,9 +133,9 @@ from runtime.model_file import with_contract
 from tests.conftest import CONTRACT
 
 resource.setrlimit(resource.RLIMIT_AS, (8 << 30, 8 << 30))
-path, seed = pathlib.Path(sys.argv[1]), int(sys.argv[2])
+path = pathlib.Path(sys.argv[1])
 whole = path.read_bytes()
-random = np.random.default_rng(seed)
+random = np.random.default_rng(0)
 rgb = random.integers(1, 256, (48, 64, 3), dtype=np.uint8)
 depth = np.ones((48, 64), np.float32)
 SIZES = [0, 1, 2, 3, 48, 20_000, 2**31, 2**62, -1]
@@ -203,12 +203,11 @@ print(counts)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits its memory")
-@pytest.mark.parametrize("seed", range(2))
-def test_any_graph_is_refused_or_answers(model_file, seed):
+def test_any_graph_is_refused_or_answers(model_file):
     """In a process of its own, whose memory is limited; its digests are right, its graph is not."""
     path = model_file(contract=None)
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, path, str(seed)],
+        [sys.executable, "-c", PROGRAM, path],
         cwd=Path(__file__).parents[2],
         capture_output=True,
         text=True,

@@ -13,22 +13,14 @@ from runtime.sources.bundled_stream import bundled_frames
 HEADS = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
 
 
-class CountingSession:
-    """A session that notes the batches it is given."""
-
-    def __init__(self, session):
-        self.session, self.batches = session, []
-
-    def run(self, heads, feed):
-        self.batches.append(feed["rgb"].shape[:3])
-        return self.session.run(heads, feed)
-
-
 @pytest.fixture
-def counted():
-    def count(predictor):
-        predictor._session = CountingSession(predictor._session)
-        return predictor._session.batches
+def counted(change_run):
+    """Give a function that returns the list of the batches that run from then on."""
+
+    def count():
+        batches = []
+        change_run(lambda run, feed: batches.append(feed["rgb"].shape[:3]) or run())
+        return batches
 
     return count
 
@@ -51,7 +43,7 @@ def test_frames_of_one_size_are_one_run(model_file, make_frame, counted):
     frames[3][1][0, :3] = np.nan, np.inf, -1
     with Predictor(model_file(heads=HEADS)) as predictor:
         expected = [predictor.predict(rgb, depth) for rgb, depth in frames]
-        batches = counted(predictor)
+        batches = counted()
         predictions = predictor.predict_batch(frames, stamps=[3, 2, 1, 0])
     assert batches == [(4, 48, 64)]
     assert [item.stamp for item in predictions] == [3, 2, 1, 0]
@@ -66,7 +58,7 @@ def test_frames_of_other_sizes_are_batches_of_their_own(model_file, make_frame, 
     frames = [make_frame(*size, seed=seed) for seed, size in enumerate(sizes)]
     with Predictor(model_file(heads=HEADS)) as predictor:
         expected = [predictor.predict(*frame) for frame in frames]
-        batches = counted(predictor)
+        batches = counted()
         predictions = predictor.predict_batch(tuple(frames))
     assert batches == [(2, 48, 64), (2, 40, 80), (1, 96, 128)]
     for prediction, alone in zip(predictions, expected, strict=True):
@@ -77,7 +69,7 @@ def test_cameras_that_the_network_sees_alike_are_one_batch(model_file, make_fram
     frames = [make_frame(48, 64), make_frame(96, 128, seed=1)]
     with Predictor(model_file(heads=HEADS), size=(40, 56)) as predictor:
         expected = [predictor.predict(*frame) for frame in frames]
-        batches = counted(predictor)
+        batches = counted()
         predictions = predictor.predict_batch(frames)
     assert batches == [(2, 40, 56)]
     assert [item.frame_size for item in predictions] == [(48, 64), (96, 128)]
@@ -89,7 +81,7 @@ def test_a_file_of_one_frame_runs_them_one_by_one(model_file, make_frame, counte
     frames = [make_frame(seed=seed) for seed in range(3)]
     with Predictor(model_file(heads=HEADS, edit=only_one_frame)) as predictor:
         expected = [predictor.predict(*frame) for frame in frames]
-        batches = counted(predictor)
+        batches = counted()
         predictions = predictor.predict_batch(frames)
     assert batches == [(1, 48, 64)] * 3
     for prediction, alone in zip(predictions, expected, strict=True):
@@ -137,7 +129,7 @@ def test_no_frames_are_no_answers(model_file):
 def test_a_bad_frame_is_named_before_any_runs(model_file, make_frame, counted):
     good = make_frame()
     with Predictor(model_file()) as predictor:
-        batches = counted(predictor)
+        batches = counted()
         for bad, text in [
             ((good[0], good[1][:-1]), "frame 1 of 3: sparse_depth must have the shape"),
             ((good[0],), r"frame 1 of 3 must be \(rgb, sparse_depth\)"),
@@ -205,20 +197,18 @@ def test_threads_that_share_a_bundled_model():
             np.testing.assert_array_equal(answer.boundary, alone.boundary)
 
 
-def test_closing_lets_a_call_that_is_under_way_end(model_file, make_frame):
+def test_closing_lets_a_call_that_is_under_way_end(model_file, make_frame, change_run):
     predictor = Predictor(model_file())
     rgb, depth = make_frame()
     expected = predictor.predict(rgb, depth)
     running, go_on = threading.Event(), threading.Event()
-    session = predictor._session
 
-    class WaitingSession:
-        def run(self, heads, feed):
-            running.set()
-            assert go_on.wait(60)
-            return session.run(heads, feed)
+    def wait(run, feed):
+        running.set()
+        assert go_on.wait(60)
+        return run()
 
-    predictor._session = WaitingSession()
+    change_run(wait)
     with ThreadPoolExecutor(1) as pool:
         call = pool.submit(predictor.predict, rgb, depth)
         assert running.wait(60)

@@ -91,13 +91,12 @@ def test_the_range_is_that_of_the_canonical_camera(canonical, make_frame):
             assert prediction.depth_returns == returns
 
 
-def test_the_farthest_return_is_not_lost_by_rounding(canonical, make_frame):
+def test_the_farthest_return_is_not_lost_by_rounding(canonical, make_frame, change_run):
     """Whatever the factor, the graph must be fed what was counted: never beyond its range."""
     fed = []
     rgb, depth = make_frame()
     with Predictor(canonical) as predictor:
-        run = predictor._run
-        predictor._run = lambda frames: fed.append(frames[0].sparse_depth) or run(frames)
+        change_run(lambda run, feed: fed.append(feed["sparse_depth"][0]) or run())
         for focal in np.random.default_rng(0).uniform(20, 900, 50):
             limit = np.float32(RANGE_M * focal / CANONICAL_PX)
             depth[:] = 0
@@ -136,7 +135,7 @@ def test_numbers_of_numpy_are_numbers(canonical, frame, kind):
 
 
 def test_a_wide_cameras_far_returns_are_fed_as_at_the_end_of_the_range(
-    model_file, contract, make_frame
+    model_file, contract, make_frame, change_run
 ):
     """80 canonical metres are 40 m behind a lens half as long; an answer is never farther."""
     rgb, depth = make_frame()
@@ -145,8 +144,7 @@ def test_a_wide_cameras_far_returns_are_fed_as_at_the_end_of_the_range(
     path = model_file(contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX))
     fed = []
     with Predictor(path, focal_length_px=50.0) as predictor:
-        run = predictor._run
-        predictor._run = lambda frames: fed.append(frames[0].sparse_depth) or run(frames)
+        change_run(lambda run, feed: fed.append(feed["sparse_depth"][0]) or run())
         prediction = predictor.predict(rgb, depth)
         assert predictor.camera_scale((48, 64)) == (2.0, 40.0, 50.0)
     assert fed[0][0, :3].tolist() == [60, 80, 0]

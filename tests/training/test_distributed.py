@@ -262,6 +262,7 @@ def consistency_of_process(rank, folder, values):
     dist.destroy_process_group()
 
 
+@pytest.mark.slow
 def test_consistency_of_views_is_a_mean_over_the_frames_of_all_processes(tmp_path, monkeypatch):
     """The first process has two frames, of which no depth counts, the second four."""
     generator = torch.Generator().manual_seed(0)

@@ -17,12 +17,12 @@ if __name__ == "__main__":
     multiprocessing.set_start_method("spawn")
     import torch
     torch.set_num_threads(1)
-    from training import state
-    compute = state._compute_loss
+    from training.losses import SSDNetLoss
+    forward = SSDNetLoss.forward
     def compute_loss(*arguments):
         os.write(1, b"batch\\n")
-        return compute(*arguments)
-    state._compute_loss = compute_loss
+        return forward(*arguments)
+    SSDNetLoss.forward = compute_loss
     from training.__main__ import main
     main()
 """

@@ -33,12 +33,12 @@ class Imports:
 if wait == "importing":
     sys.meta_path.insert(0, Imports())
 else:
-    from training import state
-    compute = state._compute_loss
+    from training.losses import SSDNetLoss
+    forward = SSDNetLoss.forward
     def compute_loss(*arguments):
         say("step")
-        return compute(*arguments)
-    state._compute_loss = compute_loss
+        return forward(*arguments)
+    SSDNetLoss.forward = compute_loss
 from training.__main__ import main
 main()
 """

@@ -6,17 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime import Predictor
 from runtime.drawing.overlay import Overlay, SharedOverlay
 
 
 @pytest.fixture
-def answered(model_file, make_frame):
+def answered(answer):
     """(rgb, prediction) of a frame."""
-    rgb, depth = make_frame(60, 80)
-    rgb[..., 1] = rgb[..., 2] // 2  # boundary = green / blue stays within 0..1
-    heads = ("semantic", "depth", "boundary", "depth_uncertainty")
-    return rgb, Predictor(model_file(heads=heads)).predict(rgb, depth)
+    return answer(60, 80)
 
 
 def change(prediction, *, frame_size=None, **heads):

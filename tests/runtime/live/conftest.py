@@ -4,6 +4,7 @@ No test with them sleeps: the clock is moved by hand, and a prediction lasts unt
 opened.
 """
 
+import contextlib
 import threading
 from types import SimpleNamespace
 
@@ -26,7 +27,7 @@ class ManualClock:
         self._now_ns = 0
         self._conditions = set()
         self._lock = threading.Lock()
-        self._waiting = set()  # threads
+        self._waiting = {}  # thread -> what it waits for
         self._a_thread_waits = threading.Condition()
 
     def now_ns(self):
@@ -37,17 +38,20 @@ class ManualClock:
             self._conditions.add(changed)
         if timeout_ns is None or timeout_ns > 0:
             with self._a_thread_waits:
-                self._waiting.add(threading.get_ident())
+                self._waiting[threading.get_ident()] = changed
                 self._a_thread_waits.notify_all()
             assert changed.wait(60), "a test that hangs fails"
             with self._a_thread_waits:
-                self._waiting.discard(threading.get_ident())
+                del self._waiting[threading.get_ident()]
 
-    def holds_up(self, thread, changed):
+    def holds_up(self, thread):
         """Whether `thread` starts to wait."""
         with self._a_thread_waits:
             seen = self._a_thread_waits.wait_for(lambda: thread.ident in self._waiting, timeout=60)
-        with changed:  # no thread is between: a notified one waits again or has moved
+        changed = self._waiting.get(thread.ident)
+        with (
+            changed or contextlib.nullcontext()
+        ):  # no thread is between: a notified one waits again or has moved
             return seen and thread.ident in self._waiting
 
     def advance_ms(self, milliseconds):
@@ -110,7 +114,7 @@ def setup():
 
     Without `check_depth` the predictor is asked once a frame.
     """
-    made = []
+    made, before = [], set(threading.enumerate())
 
     def make(*, check_depth=False, **options):
         clock, predictor = ManualClock(), CheckedPredictor()
@@ -123,4 +127,4 @@ def setup():
     for stream, predictor in made:
         predictor.gate.set()
         stream.close()
-        assert not stream._worker.is_alive()
+    assert set(threading.enumerate()) <= before

@@ -56,7 +56,7 @@ def test_close_releases_a_reader_that_waits(setup):
     made, results = setup(), []
     reader = threading.Thread(target=lambda: results.extend(made.stream))
     reader.start()
-    assert made.clock.holds_up(reader, made.stream._answered)
+    assert made.clock.holds_up(reader)
     made.stream.close()
     reader.join(60)
     assert not reader.is_alive()

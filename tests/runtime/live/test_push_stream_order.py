@@ -18,7 +18,7 @@ def test_a_reader_is_woken_once_for_each_result(setup):
     made.clock.wait = count
     reader = threading.Thread(target=lambda: next(made.stream), name="reader")
     reader.start()
-    assert made.clock.holds_up(reader, made.stream._answered)
+    assert made.clock.holds_up(reader)
     push_pair(made.stream, 0)
     reader.join(60)
     assert waits["reader"] == 1

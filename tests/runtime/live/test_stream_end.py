@@ -12,7 +12,7 @@ import pytest
 from runtime.live.push_stream import PushStream
 
 CLOSED_BY_A_SIGNAL = """
-import signal
+import signal, threading, time
 import numpy as np
 from runtime.live.push_stream import PushStream
 from runtime.prediction import Latency, Prediction
@@ -43,8 +43,10 @@ for repetition in range(50):
     while not closed:
         INTERRUPTED()
         number += 1
-    stream._worker.join(20)
-    assert not stream._worker.is_alive()
+    end = time.monotonic() + 20
+    while threading.active_count() > 1 and time.monotonic() < end:
+        time.sleep(0.001)
+    assert threading.active_count() == 1
     assert stream.counts.pending == 0
 print("done")
 """
@@ -103,9 +105,11 @@ def test_close_in_the_middle_of_another_method_returns_at_once(setup):
 
 
 def test_dropped_streams_end_their_threads(checked_predictor):
+    before = set(threading.enumerate())
     streams = [PushStream(checked_predictor()) for _ in range(50)]
     alive = weakref.WeakSet(streams)
-    workers = [stream._worker for stream in streams]
+    workers = set(threading.enumerate()) - before
+    assert len(workers) == 50
     for stream in streams:
         stream.itself = stream  # a cycle, as of a node whose method is on_result
     del streams, stream
@@ -119,8 +123,9 @@ def test_dropped_streams_end_their_threads(checked_predictor):
 def test_a_stream_dropped_while_it_predicts_ends_its_thread(checked_predictor):
     predictor = checked_predictor()
     predictor.gate.clear()
+    before = set(threading.enumerate())
     stream = PushStream(predictor, max_wait_ms=0)
-    worker = stream._worker
+    (worker,) = set(threading.enumerate()) - before
     stream.push_image(np.zeros((32, 40, 3), np.uint8), 0)
     predictor.entered.acquire()
     del stream

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import runtime.run.run
 import runtime.sources.bundled_stream
-import runtime.sources.folders
 from cli_runs import N, arguments, files_in, rows_of
 from runtime.io.recording import read_recording
 from runtime.run.cli import app
@@ -213,22 +211,6 @@ def test_a_first_frame_that_is_damaged_does_not_matter_to_the_warm_up(run, strea
     assert "11 ok" in result.stdout
 
 
-def test_only_the_first_few_frames_are_read_to_warm_up(run, stream, monkeypatch):
-    for picture in stream[0].iterdir():
-        picture.write_bytes(b"")
-    read = []
-    read_rgb = runtime.sources.folders.read_rgb
-
-    def count(path):
-        read.append(path)
-        return read_rgb(path)
-
-    monkeypatch.setattr(runtime.sources.folders, "read_rgb", count)
-    monkeypatch.setattr(runtime.run.run, "_FIRST_FRAMES", 3)
-    assert "none of the first 3 frames" in run().output
-    assert len(read) == 3
-
-
 def test_a_picture_of_another_size_than_the_calibrations_is_skipped(tmp_path, run, stream):
     size = "size = [48, 64]"
     matrices = f"intrinsics = {[[50.0, 0, 32], [0, 50, 24], [0, 0, 1]]}\nextrinsics = "
@@ -288,7 +270,7 @@ def test_frames_that_are_skipped_for_one_reason_are_one_line(tmp_path, stream, r
 
 
 @pytest.mark.parametrize("warmup", [0, 1])
-@pytest.mark.parametrize("n", [19, 20])
+@pytest.mark.parametrize("n", [19, 20, 21])
 def test_a_stream_that_is_refused_from_the_start_is_an_error(
     tmp_path, make_stream, all_heads, n, warmup
 ):

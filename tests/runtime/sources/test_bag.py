@@ -11,6 +11,7 @@ import sys
 import cv2
 import numpy as np
 import pytest
+from small_rig import INTRINSICS, MS, OPTICAL, SIZE, START_NS, add_tree, projected
 
 import runtime.sources.ros_bag
 from runtime import InputError
@@ -22,12 +23,6 @@ import lz4.frame
 from rosbags.rosbag2.storage_mcap import zstd
 
 KINDS = ("ros1", "ros2", "mcap")
-SIZE = (48, 64)
-INTRINSICS = [[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]
-#: A camera looks along z with x to the right; its body along x with y to the left (REP 103).
-OPTICAL = (-0.5, 0.5, -0.5, 0.5)
-START_NS = 1_700_000_000_000_000_000
-MS = 1_000_000
 N = 6
 
 
@@ -49,13 +44,6 @@ def add_lidar(bag, make_scan, *, n=N, late_ms=7):
         bag.cloud("/lidar/points", make_scan(index), START_NS + (100 * index + late_ms) * MS)
 
 
-def add_tree(bag):
-    """The LiDAR 0.3 m above the base, the camera 0.5 m ahead of it, turned to its optical axes."""
-    bag.static_transform("base", "lidar", (0, 0, 0, 1), (0, 0, 0.3))
-    bag.static_transform("base", "camera_body", (0, 0, 0, 1), (0.5, 0, 0))
-    bag.static_transform("camera_body", "camera", OPTICAL, (0, 0, 0))
-
-
 @pytest.fixture
 def recorded(make_bag, make_frame, make_scan, kind):
     """The path of a bag of N images and N scans."""
@@ -64,17 +52,6 @@ def recorded(make_bag, make_frame, make_scan, kind):
     add_lidar(bag, make_scan)
     add_tree(bag)
     return bag.write()
-
-
-def projected(scan):
-    """By the tree and the intrinsics, a return after the other; the nearest wins."""
-    depth = np.full(SIZE, np.inf)
-    for x, y, z, _ in scan.astype(np.float64):
-        right, down, ahead = -y, -(z + 0.3), x - 0.5
-        column, row = round(60 * right / ahead + 32), round(60 * down / ahead + 24)
-        if 0 <= row < SIZE[0] and 0 <= column < SIZE[1]:
-            depth[row, column] = min(depth[row, column], ahead)
-    return np.where(np.isinf(depth), 0, depth)
 
 
 def name_of(index):
@@ -86,7 +63,7 @@ def test_a_bag_from_end_to_end(recorded, run, make_scan):
     assert answers.exit_code == 0, answers.text
     assert answers.names == [name_of(index) for index in range(N)]
     for index in range(N):
-        expected = projected(make_scan(index))
+        expected = projected(make_scan(index), ahead_m=0.5)
         assert np.count_nonzero(expected) > 100
         assert abs(answers.fed_depth(name_of(index)) - expected).max() < 0.01
     assert "guessed: image topic /cam/image_rect, depth topic /lidar/points" in answers.text
@@ -108,6 +85,7 @@ def test_the_pictures_are_those_that_were_recorded(recorded, make_frame):
         assert not source._kept, "nothing that no later frame needs is kept"
 
 
+@pytest.mark.parametrize("kind", ["mcap"])
 def test_limit_shards_rate_and_recording_are_those_of_folders(recorded, run, tmp_path):
     source = ["--source", f"bag:{recorded}"]
     whole = run(*source, "--record", tmp_path / "recording")
@@ -218,7 +196,7 @@ def test_the_order_of_recording_does_not_matter(make_bag, make_frame, make_scan)
         source._recorded = lambda: turns.append(1) or recorded()
         for index in (*range(10), 13, 16, 19):  # as a part of the whole passes frames over
             read = source.read(frames[index])
-            assert abs(read.sparse_depth - projected(make_scan(index))).max() < 0.001
+            assert abs(read.sparse_depth - projected(make_scan(index), ahead_m=0.5)).max() < 0.001
             assert {source._owners[place] for place in source._kept} <= set(range(index, index + 4))
         assert len(turns) == 1, "the bag was read again"
 
@@ -330,7 +308,7 @@ def test_clouds_need_a_calibration_and_take_a_file(make_bag, make_frame, make_sc
     (tmp_path / "own.toml").write_text(text)
     answers = run("--source", f"bag:{path}", "--calibration", tmp_path / "own.toml")
     assert answers.exit_code == 0, answers.text
-    assert abs(answers.fed_depth(name_of(2)) - projected(make_scan(2))).max() < 0.01
+    assert abs(answers.fed_depth(name_of(2)) - projected(make_scan(2), ahead_m=0.5)).max() < 0.01
 
 
 @pytest.mark.parametrize(

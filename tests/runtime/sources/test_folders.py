@@ -310,13 +310,6 @@ def test_frames_without_partner_are_listed(empty_folders):
     assert frames[2].image is None
 
 
-def test_the_limit_counts_complete_frames(empty_folders):
-    rgb = [f"{i}.png" for i in range(10)]
-    depth = [f"{i}.png" for i in range(3, 10)]
-    frames = listed(*empty_folders(rgb, depth), limit=2)
-    assert names(frames) == ["0", "1", "2", "3", "4"]
-
-
 def test_other_and_hidden_files_are_left_alone(empty_folders):
     frames = listed(*empty_folders(["1.png", "notes.txt", "._1.png"], ["1.png", "1.npz"]))
     assert names(frames) == ["1"]

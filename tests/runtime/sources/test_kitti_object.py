@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_rig import SIZE, projected
 
 from runtime import InputError
 from runtime.sources.kitti_object import KittiObjectSource
 
-SIZE = (48, 64)
 DATA = os.environ.get("SSDNET_DATA")
 
 
@@ -37,23 +37,12 @@ def training(tmp_path, make_frame, make_scan, write_rgb):
     return folder
 
 
-def projected(scan, focal_px, shift_m=0.0):
-    """By the matrices above, a return after the other, the nearest wins."""
-    depth = np.full(SIZE, np.inf)
-    for x, y, z, _ in scan.astype(np.float64):
-        column = round(focal_px * (-y + shift_m) / x + 32)
-        row = round(focal_px * (-z - 0.3) / x + 24)
-        if 0 <= row < SIZE[0] and 0 <= column < SIZE[1]:
-            depth[row, column] = min(depth[row, column], x)
-    return np.where(np.isinf(depth), 0, depth)
-
-
 def test_each_frame_has_its_calibration(training, run, make_scan):
     answers = run(training)
     assert answers.exit_code == 0, answers.text
     assert answers.names == [f"{number:06d}" for number in range(5)]
     for number in range(5):
-        expected = projected(make_scan(number), 60 + number)
+        expected = projected(make_scan(number), focal_px=60 + number)
         assert np.count_nonzero(expected) > 100
         assert abs(answers.fed_depth(f"{number:06d}") - expected).max() < 0.01
     inputs = answers.report["inputs"]
@@ -67,7 +56,7 @@ def test_the_parts_may_be_named(training, run, make_scan):
     for rgb in (["--rgb", training / "image_2"], [training / "image_2"], [training]):
         answers = run(*rgb, *given, "--overwrite")
         assert answers.exit_code == 0, answers.text
-        assert abs(answers.fed_depth("000004") - projected(make_scan(4), 64)).max() < 0.01
+        assert abs(answers.fed_depth("000004") - projected(make_scan(4), focal_px=64)).max() < 0.01
 
 
 @pytest.mark.parametrize(
@@ -82,7 +71,7 @@ def test_the_right_camera_has_its_own_projection(
     if "image_3" in given:
         arguments += ["--points", training / "velodyne", "--calibration", training / "calib"]
     answers = run(*arguments)
-    expected = projected(make_scan(1), 61, shift_m=-0.5)
+    expected = projected(make_scan(1), focal_px=61, left_m=-0.5)
     assert abs(answers.fed_depth("000001") - expected).max() < 0.01
 
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from small_rig import SIZE, projected
 
 from runtime import InputError
 from runtime.io.calibration import Calibration
 from runtime.sources.kitti_raw import KittiRawSource
 
-SIZE = (48, 64)
 CAMERAS = """calib_time: 09-Jan-2012 13:57:47
 S_rect_02: 64 48
 R_rect_00: 1 0 0 0 1 0 0 0 1
@@ -50,24 +50,13 @@ def drive(tmp_path, make_frame, make_scan, write_rgb):
     return folder
 
 
-def projected(scan, shift_m):
-    """By the matrices above, a return after the other, the nearest wins."""
-    depth = np.full(SIZE, np.inf)
-    for x, y, z, _ in scan.astype(np.float64):
-        right, down, ahead = -y + shift_m, -z - 0.3, x
-        column, row = round(60 * right / ahead + 32), round(60 * down / ahead + 24)
-        if 0 <= row < SIZE[0] and 0 <= column < SIZE[1]:
-            depth[row, column] = min(depth[row, column], ahead)
-    return np.where(np.isinf(depth), 0, depth)
-
-
 @pytest.mark.parametrize(("camera", "shift_m"), [(2, 0.05), (3, -0.5)])
 def test_a_drive_from_end_to_end(drive, run, make_scan, camera, shift_m):
     answers = run("--source", f"kitti-raw:{drive},camera={camera}")
     assert answers.exit_code == 0, answers.text
     assert answers.names == [f"{number:010d}" for number in range(6)]
     for number in range(6):
-        expected = projected(make_scan(number), shift_m)
+        expected = projected(make_scan(number), left_m=shift_m)
         assert np.count_nonzero(expected) > 100
         assert abs(answers.fed_depth(f"{number:010d}") - expected).max() < 0.01
     images, scans = (
@@ -128,7 +117,7 @@ def test_stamps_decide_and_not_numbers(drive, make_scan):
     assert [frame.depth and frame.depth.stem for frame in frames] == [None] + [
         f"{number:010d}" for number in range(5)
     ]
-    expected = projected(make_scan(0), 0.05)
+    expected = projected(make_scan(0), left_m=0.05)
     assert abs(source.read(frames[1]).sparse_depth - expected).max() < 0.001
 
 
