@@ -635,7 +635,7 @@ def test_a_run_stopped_early_has_no_final_checkpoint(data, tmp_path):
 def test_a_full_disk_during_a_validation_is_one_error(data, tmp_path, mount_disk, capfd):
     """The pictures of the validation do not fit; nothing but the error is said."""
     disk = mount_disk(16_384)
-    run = replace(recipe(), validation=replace(recipe().validation, every=3))
+    run = validated(recipe(), every=3)
     train(run, data=[data], out=disk / "run", stop_after=2)
     before = (disk / "run" / "last.pt").read_bytes()
     filler = disk / "filler"
@@ -660,7 +660,7 @@ def test_an_event_that_cannot_be_written_is_one_error(data, tmp_path, monkeypatc
 
     monkeypatch.setattr(validation.RecordWriter, "write", write)
     with pytest.raises(InputError, match=r"tensorboard/events.* No space left on device"):
-        train(recipe(), data=[data], out=tmp_path / "run")
+        train(validated(recipe(), every=3), data=[data], out=tmp_path / "run")
 
 
 def test_a_full_disk_leaves_the_last_good_checkpoint(data, tmp_path, mount_disk):

@@ -13,10 +13,10 @@ _CELL, _LEVELS = 4, 3
 
 @dataclass(frozen=True)
 class Planes:
-    """Inverse depth by local least squares, coarse to fine, see `models.planes`.
+    """Inverse depth by local least squares over a pyramid, see `models.planes`.
 
     Exact on planes, whatever the pattern of the returns, and bounded by the returns around. Each
-    return keeps its depth. The image is not used; a pixel without any return within 250 px has no
+    return keeps its depth. The image is not used; a pixel without any return within 190 px has no
     depth.
     """
 
