@@ -88,8 +88,7 @@ def fit_planes(
 
 def _lightened(sums: Tensor) -> Tensor:
     """Give all returns of a window together LARGER_WINDOW_WEIGHT; sums: (N, 9, h, w)."""
-    share: Tensor = LARGER_WINDOW_WEIGHT / sums[:, :1].clamp(min=_LEAST_COUNT)
-    return sums * share
+    return sums * (LARGER_WINDOW_WEIGHT * sums[:, :1].clamp(min=_LEAST_COUNT).reciprocal())
 
 
 def _inside(sums: Tensor) -> Tensor:
@@ -98,7 +97,8 @@ def _inside(sums: Tensor) -> Tensor:
     Slopes between returns are measured, beyond them they are guessed.
     """
     _, about, moved = _about_centroid(sums)
-    return (INSIDE + 1.0 - moved[:, :2] / (about[:, :2] + _LEAST_SPREAD)).clamp(0.0, 1.0)
+    distance = moved[:, :2] / (about[:, :2] + _LEAST_SPREAD)
+    return torch.clamp(INSIDE + 1.0 - distance, 0.0, 1.0)
 
 
 def _about_centroid(sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -125,7 +125,8 @@ def _solve(sums: Tensor, inside: Tensor) -> Tensor:
     numerators, determinant = _convolve(products, _PAIRS).split([2, 1], dim=1)
     slopes = numerators * (inside / determinant)
     place, value = mean.split([2, 1], dim=1)
-    return value - (place * slopes).sum(dim=1, keepdim=True)
+    plane: Tensor = value - (place * slopes).sum(dim=1, keepdim=True)
+    return plane
 
 
 #: Kernel (3, 6, 1, 1): the difference of each pair of channels.
