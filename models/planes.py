@@ -35,7 +35,7 @@ FLAT_WEIGHT = 0.002
 #: Square of the distance of a cell from the centroid of the returns, in their standard deviations,
 #: up to which there is a slope in full; from 1 more on there is none. Larger values continue slopes
 #: farther beyond the returns.
-INSIDE = 1.0
+INSIDE = 2.0
 #: The result lies between the nearest and the farthest return of a window of so many coarsest
 #: cells.
 BOUND_WINDOW = 7
