@@ -95,7 +95,8 @@ def require_replaceable(folder: Path, *, overwrite: bool) -> None:
     if folder.exists() and not (folder / CONFIG_FILE).is_file():
         raise OutputError(f"{folder} is not a model of a Triton repository: choose another one")
     if not folder.exists():
-        require_folder_free(folder)
+        # Whichever of both is made: the repository must not stay if the export fails.
+        require_folder_free(folder if folder.parent.exists() else folder.parent)
 
 
 def _entries(kind: str, tensors: Iterable[onnx.ValueInfoProto], *, batched: bool) -> Iterable[str]:

@@ -141,7 +141,7 @@ def test_fixed_graph_pads_only_where_needed(fixed_model):
     def count_pads(model):
         return sum(node.op_type == "Pad" for node in model.graph.node)
 
-    assert count_pads(fixed_model) == 2  # of a plane's slopes, and of the cells in `limit_guess`
+    assert count_pads(fixed_model) == 1  # of the cells in `limit_guess`
     odd = trace(DeployGraph(Halved(), with_logits=True), size=(HEIGHT - 1, WIDTH))
     assert count_pads(odd) == 1
     frame = probe_frames((HEIGHT - 1, WIDTH), max_depth_m=80.0, seeds=(2,))[0]

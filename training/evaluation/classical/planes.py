@@ -41,6 +41,8 @@ class Planes:
             extremes = cell_maxima(both, _CELL)
             cells, _ = fit_planes(inverse, mask, extremes, cell=_CELL, levels=_LEVELS)
             height, width = sparse_depth.shape
-            plane = upsample(cells, factor=_CELL)[0, 0, :height, :width].numpy()
+            # Cells without a plane have no share in the mean.
+            reached = upsample((cells > 0).to(cells.dtype), factor=_CELL).clamp(min=1e-6)
+            plane = (upsample(cells, factor=_CELL) / reached)[0, 0, :height, :width].numpy()
         depth = np.where(plane > 0, farthest / np.where(plane > 0, plane, 1.0), 0.0)
         return np.where(measured, sparse_depth, depth).astype(np.float32)
