@@ -16,7 +16,8 @@ app = typer.Typer(pretty_exceptions_enable=False)
 
 def _print_recipes(wanted: bool) -> None:
     if wanted:
-        from training.recipes.registry import RECIPES
+        with reported_errors("train"):
+            from training.recipes.registry import RECIPES
 
         for name, recipe in RECIPES.items():
             typer.echo(f"{name:28} {recipe.description}")
