@@ -145,10 +145,7 @@ PAIRS = replace(
 # Everything but the first layers of the pruned trunk is trained on.
 NARROW = replace(
     PAIRS,
-    model=replace(
-        PAIRS.model,
-        config={"canonical_focal_px": 721.5},
-    ),
+    model=replace(PAIRS.model, config={"canonical_focal_px": 721.5}),
     data=replace(PAIRS.data, seed=54),
     optimizer=replace(
         PAIRS.optimizer, learning_rate=1.2e-3, frozen=("encoder.stem", "encoder.stride2")
@@ -169,6 +166,23 @@ JOINT = replace(
     loss=replace(NARROW.loss, depth_weight=1.0, depth_consistency_weight=2.5, road_weight=0.6),
     schedule=replace(NARROW.schedule, steps=8000),
 )
+
+
+def depth_alone(loss: LossConfig) -> LossConfig:
+    """Return a loss without the terms of classes and boundaries."""
+    return replace(
+        loss,
+        class_weighting="none",
+        semantic_weight=0.0,
+        semantic_iou_weight=0.0,
+        semantic_consistency_weight=0.0,
+        boundary_weight=0.0,
+        semantic_boundary_weight=0.0,
+        semantic_depth_weight=0.0,
+        road_weight=0.0,
+        depth_uncertainty_weight=0.2,
+    )
+
 
 # The depth decoder alone; classes and boundaries do not change.
 DEPTH = replace(
@@ -198,20 +212,7 @@ DEPTH = replace(
             replace(_VARIED, weight=0.06, scans=False, scale=None),
         ),
     ),
-    loss=replace(
-        JOINT.loss,
-        class_weighting="none",
-        semantic_weight=0.0,
-        semantic_iou_weight=0.0,
-        semantic_consistency_weight=0.0,
-        boundary_weight=0.0,
-        semantic_boundary_weight=0.0,
-        semantic_depth_weight=0.0,
-        road_weight=0.0,
-        depth_uncertainty_weight=0.2,
-        depth_consistency_weight=1.0,
-        depth_seam_weight=2.0,
-    ),
+    loss=replace(depth_alone(JOINT.loss), depth_consistency_weight=1.0, depth_seam_weight=2.0),
     optimizer=replace(
         JOINT.optimizer,
         learning_rate=1.5e-3,
