@@ -42,7 +42,6 @@ class DeployGraph(nn.Module):
             (N, C, H, W).
         """
         max_depth_m = self.model.config.max_depth_m
-        height, width = rgb.shape[1], rgb.shape[2]
         for axis in (1, 2):  # the traced graph computes the padding of both inputs once
             torch._check(sparse_depth.shape[axis] == rgb.shape[axis])
         coarse = self.model.predict_coarse(
@@ -53,10 +52,9 @@ class DeployGraph(nn.Module):
         if "semantic" in maps:
             scores, stride = maps.pop("semantic"), self.model.semantic_stride
             # Crop class ids (1 byte), not scores (4 bytes a class).
-            answers["semantic"] = class_ids(scores, stride)[:, :height, :width]
+            answers["semantic"] = _crop(class_ids(scores, stride), rgb)
             if self.with_logits:
-                logits = upsample(scores, factor=stride)
-                answers["semantic_logits"] = logits[:, :, :height, :width]
+                answers["semantic_logits"] = _crop(upsample(scores, factor=stride), rgb)
 
         grids: dict[int, dict[str, Tensor]] = {}
         for head, values in maps.items():
@@ -69,9 +67,23 @@ class DeployGraph(nn.Module):
             if stride > 1:
                 full = upsample(torch.cat(list(group.values()), dim=1), factor=stride)
                 group = dict(zip(group, full.split(1, dim=1), strict=True))
-            answers |= {head: full.squeeze(1)[:, :height, :width] for head, full in group.items()}
+            answers |= {head: _crop(full.squeeze(1), rgb) for head, full in group.items()}
         for head in maps:
             if HEADS[head].unit is not Unit.METRES:
                 answers[head] = to_unit(head, answers[head], max_depth_m)
         answers = with_thin_boundary(answers)
         return tuple(answers[head] for head in self.heads)
+
+
+def _crop(x: Tensor, rgb: Tensor) -> Tensor:
+    """Crop the last two axes to the size of the image (N, H, W, 3): in the graph one operation."""
+    size = rgb.shape[1:3]
+    if not torch.compiler.is_exporting():
+        return x[..., : size[0], : size[1]]
+    ends = torch.onnx.ops.symbolic(
+        "Shape", [rgb], {"start": 1, "end": 3}, dtype=torch.int64, shape=[2]
+    )
+    starts, axes = torch.tensor([0, 0]), torch.tensor([x.ndim - 2, x.ndim - 1])
+    return torch.onnx.ops.symbolic(
+        "Slice", [x, starts, ends, axes], dtype=x.dtype, shape=[*x.shape[:-2], *size]
+    )

@@ -62,18 +62,16 @@ def class_ids(scores: Tensor, factor: int = 1) -> Tensor:
     NO_CLASS where a score that takes part is NaN or Inf, which an arg-max hides. It is looked for
     before the upsampling, which spreads it over the cells beside it.
     """
-    # NaN and Inf reach the sum, and times 0 both are NaN.
-    unknown = (scores.sum(dim=1, keepdim=True) * 0 != 0).to(torch.float32)
+    # NaN and Inf reach the sum, and times 0 both are NaN, which means take along.
+    unknown = scores.sum(dim=1, keepdim=True) * 0.0
     if factor > 1:
-        unknown = F.max_pool2d(unknown, 3, 1, 1)
-    unknown = unknown.to(torch.uint8)
-    if factor > 1:
-        unknown = F.interpolate(unknown, scale_factor=float(factor), mode="nearest")
+        around = F.avg_pool2d(unknown, 3, 1, 1)
+        unknown = F.interpolate(around, scale_factor=float(factor), mode="nearest")
         scores = upsample(scores, factor=factor)
-    ids = scores.argmax(dim=1).to(torch.uint8)
+    ids = scores.argmax(dim=1, keepdim=True).to(torch.uint8)
     # Not a maximum: ONNX Runtime has none of bytes on CUDA.
     no_class = torch.tensor(NO_CLASS, dtype=torch.uint8)
-    return torch.where(unknown[:, 0].to(torch.bool), no_class, ids)
+    return torch.where(torch.isnan(unknown), no_class, ids)[:, 0]
 
 
 def with_thin_boundary(found: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -86,5 +84,6 @@ def with_thin_boundary(found: dict[str, Tensor]) -> dict[str, Tensor]:
         return found
     ids = found["semantic"].to(torch.float32)[:, None]
     # The greatest id around a pixel, and minus the least one.
-    most, least = F.max_pool2d(torch.cat([ids, -ids], dim=1), 3, 1, 1).unbind(dim=1)
-    return found | {"boundary": found["boundary"] * (most + least).clamp(0.5, 1.0)}
+    signs = ids.new_tensor([1.0, -1.0]).view(1, 2, 1, 1)
+    differences = F.max_pool2d(ids * signs, 3, 1, 1).sum(dim=1)
+    return found | {"boundary": found["boundary"] * differences.clamp(0.5, 1.0)}

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from models.blocks import upsample
+from models.blocks import ramp, upsample
 from models.pooling import cell_maxima, maxima_around
 
-#: Half the width, in cells, of the windows on the coarsest grid, one after the other, and of the
-#: window on each finer grid. The weight falls linearly to 0 there.
+#: Half the width, in cells, of the two windows on the coarsest grid, and of the window on each
+#: finer grid. The weight falls linearly to 0 there.
 COARSE_WINDOWS, FINE_WINDOW = (6, 3), 2
 #: Weight of all returns of a larger window together, in returns. Larger values smooth more.
 LARGER_WINDOW_WEIGHT = 0.3
@@ -65,7 +65,7 @@ def fit_planes(
 
     Returns:
         Inverse depth at the cells' centres, (N, 1, h, w), 0 where no return is in reach of the
-        largest window; and the share of measured pixels in each cell, same shape.
+        largest window; and the number of measured pixels in each cell, same shape.
     """
     device = inverse.device.type
     if device != "meta" and torch.is_autocast_enabled(device):
@@ -74,21 +74,19 @@ def fit_planes(
     grids = [_convolve(torch.cat([mask, inverse], dim=1), _cell_kernel(cell), stride=cell)]
     for _ in range(levels):
         grids.append(_convolve(grids[-1], _coarser_kernel(), stride=2))
-    largest, *smaller = COARSE_WINDOWS
-    sums = _sums_around(grids[-1], largest)
-    inside = _inside(sums)
-    for window in smaller:
-        sums = _sums_around(grids[-1], window) + _lightened(sums)
-        inside = torch.maximum(inside, _inside(sums))
+    largest, smaller = COARSE_WINDOWS
+    around = _sums_around(grids[-1], largest)
+    sums = _sums_around(grids[-1], smaller) + LARGER_WINDOW_WEIGHT * _of_one_return(around)
+    inside = _inside(torch.cat([around, sums])).unflatten(0, (2, -1)).amax(dim=0)
     for grid in reversed(grids[:-1]):
-        sums = _sums_around(grid, FINE_WINDOW) + _to_finer(_lightened(sums))
+        sums = _sums_around(grid, FINE_WINDOW) + _to_finer(_of_one_return(sums))
     plane = _solve(sums, upsample(inside, factor=2**levels))
-    return _bound(plane, extremes, levels=levels), grids[0][:, :1] / cell**2
+    return _bound(plane, extremes, levels=levels), grids[0][:, :1]
 
 
-def _lightened(sums: Tensor) -> Tensor:
-    """Give all returns of a window together LARGER_WINDOW_WEIGHT; sums: (N, 9, h, w)."""
-    return sums * (LARGER_WINDOW_WEIGHT * sums[:, :1].clamp(min=_LEAST_COUNT).reciprocal())
+def _of_one_return(sums: Tensor) -> Tensor:
+    """Give all returns of a window together the weight of one; sums: (N, 9, h, w)."""
+    return sums / sums[:, :1].clamp(min=_LEAST_COUNT)
 
 
 def _inside(sums: Tensor) -> Tensor:
@@ -98,7 +96,7 @@ def _inside(sums: Tensor) -> Tensor:
     """
     _, about, moved = _about_centroid(sums)
     distance = moved[:, :2] / (about[:, :2] + _LEAST_SPREAD)
-    return torch.clamp(INSIDE + 1.0 - distance, 0.0, 1.0)
+    return ramp(distance, -1.0, INSIDE + 1.0)
 
 
 def _about_centroid(sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -107,7 +105,7 @@ def _about_centroid(sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     Products are taken of several channels at once: fewer and larger operations.
     """
     count, first, second = sums.split([1, 3, 5], dim=1)
-    mean = first * (1.0 / count.clamp(min=_LEAST_COUNT))
+    mean = first / count.clamp(min=_LEAST_COUNT)
     moved = _take(mean, (0, 1, 0, 0, 1)) * _take(first, (0, 1, 1, 2, 2))
     return mean, second - moved, moved
 
@@ -137,7 +135,7 @@ def _bound(plane: Tensor, extremes: Tensor, *, levels: int) -> Tensor:
     """Limit the plane to the inverse depths around it, see BOUND_WINDOW."""
     around = maxima_around(cell_maxima(extremes, 2**levels), BOUND_WINDOW)
     nearest, farthest = around.split(1, dim=1)
-    least = (nearest > 0) / farthest.clamp(min=_LEAST_COUNT)
+    least = nearest.clamp(max=1.0) / farthest.clamp(min=_LEAST_COUNT)  # 0 without returns
     nearest = torch.where(nearest > 0, nearest, torch.inf)
     bounds = torch.cat([least, nearest], dim=1)
     least, nearest = F.interpolate(bounds, scale_factor=float(2**levels), mode="nearest").split(
@@ -152,7 +150,10 @@ def _sums_around(sums: Tensor, window: int) -> Tensor:
 
 
 def _to_finer(sums: Tensor) -> Tensor:
-    """Sums around the centres of cells half as wide, of the four closest, weighted bilinearly."""
+    """Sums around the centres of cells half as wide, of the four closest, weighted bilinearly.
+
+    Times LARGER_WINDOW_WEIGHT.
+    """
     return F.conv_transpose2d(sums, torch.from_numpy(_finer_kernel()).to(sums), stride=2, padding=1)
 
 
@@ -192,7 +193,7 @@ def _finer_kernel() -> NDArray[np.float32]:
     kernel = np.zeros((_SUMS, _SUMS, 4, 4), np.float32)
     for row, column in np.ndindex(4, 4):
         down, right = 1.5 - row, 1.5 - column  # of the cell's centre from the finer one's
-        weight = (1 - abs(down) / 2) * (1 - abs(right) / 2)
+        weight = LARGER_WINDOW_WEIGHT * (1 - abs(down) / 2) * (1 - abs(right) / 2)
         kernel[:, :, row, column] = weight * _moved(down, right, scale=2.0).T
     return kernel
 

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from models.blocks import upsample
+from models.blocks import ramp, upsample
 from models.lite_decoder import UpBlock
 from models.planes import fit_planes
 from models.pooling import cell_maxima, maxima_around, maxima_beside, means_around
@@ -60,7 +60,7 @@ def measure(depth: Tensor, mask: Tensor, *, max_depth_m: float) -> Measured:
     """
     inverse = mask / depth.clamp(min=NEAREST)
     cells = cell_maxima(inverse, COARSE_CELL)
-    seen = (cells > 0).to(cells.dtype)
+    seen = cells.clamp(max=1.0)  # an inverse depth is at least 1
     count = 25.0 * means_around(seen, 5) - seen
     # Inverse depth beyond which a return is isolated.
     most = torch.where(
@@ -97,7 +97,7 @@ def propagate_surfaces(measured: Measured) -> tuple[Surfaces, Tensor]:
 
     Height and width are multiples of ``COARSE_CELL * 2**_LEVELS``. The nearest surface is the
     maximum of inverse depth, smoothed over 3 x 3 cells, the farthest the maximum of depth. Returns
-    the surfaces, and the share of measured pixels in a cell, (N, 1, h, w).
+    the surfaces, and the number of measured pixels in a cell, (N, 1, h, w).
     """
     depth, mask, inverse = measured
     extremes = cell_maxima(torch.cat([inverse, depth], dim=1), COARSE_CELL)
@@ -105,29 +105,30 @@ def propagate_surfaces(measured: Measured) -> tuple[Surfaces, Tensor]:
     for window in WINDOWS:
         both = torch.where(both > 0, both, maxima_around(both, window))
     near, farthest = both.split(1, dim=1)
-    support = (farthest > 0).to(both.dtype)
-    inverse_sum, count = means_around(torch.cat([near, support], dim=1), 3).split(1, dim=1)
-    nearest = count.clamp(min=1e-6) / inverse_sum.clamp(min=1e-6)
-    plane, density = fit_planes(inverse, mask, extremes, cell=COARSE_CELL, levels=_LEVELS)
+    support = near.clamp(max=1.0)  # an inverse depth is at least 1
+    inverse_mean, known = means_around(torch.cat([near, support], dim=1), 3).split(1, dim=1)
+    nearest = known.clamp(min=1e-6) / inverse_mean.clamp(min=1e-6)
+    plane, count = fit_planes(inverse, mask, extremes, cell=COARSE_CELL, levels=_LEVELS)
     surfaces = Surfaces(
         nearest.clamp(NEAREST, 1.0),
         farthest.clamp(NEAREST, 1.0),
         plane.clamp(1.0, 1.0 / NEAREST),
         support,
-        (plane > 0).to(both.dtype),
+        plane.clamp(max=1.0),
     )
-    return surfaces, density
+    return surfaces, count
 
 
 #: Channels of `surface_features`.
 FEATURE_CHANNELS = 6
 
 
-def surface_features(surfaces: Surfaces, density: Tensor) -> Tensor:
+def surface_features(surfaces: Surfaces, count: Tensor) -> Tensor:
     """Features for a convolution: (N, FEATURE_CHANNELS, h, w), each 0..1 and 0 without support."""
     depths = torch.cat([surfaces.nearest, surfaces.farthest, 1.0 / surfaces.plane], dim=1)
     known = torch.cat([surfaces.support, surfaces.support, surfaces.reached], dim=1)
     steps = (1.0 - torch.log(depths) * (1.0 / math.log(NEAREST))) * known
+    density = count * (1.0 / COARSE_CELL**2)
     return torch.cat([steps, surfaces.support, surfaces.reached, density], dim=1)
 
 
@@ -136,15 +137,15 @@ def surface_features(surfaces: Surfaces, density: Tensor) -> Tensor:
 LOOKED_ABOVE, LOOKED_BESIDE = 10, 2
 
 
-def limit_guess(surfaces: Surfaces, density: Tensor) -> Tensor:
+def limit_guess(surfaces: Surfaces, count: Tensor) -> Tensor:
     """Return the greatest depth that the guess from the image may have: the farthest surface's.
 
     A surface without returns, such as a black car or a window, hides the surfaces behind it. Above
     the LiDAR's field of view there is no limit. Shapes as `surface_features`.
     """
     window = (LOOKED_ABOVE + 1, 2 * LOOKED_BESIDE + 1)
-    padded = F.pad(density, (LOOKED_BESIDE, LOOKED_BESIDE, LOOKED_ABOVE, 0))
-    looked = (F.max_pool2d(padded, window, 1) > 0).to(density.dtype) * surfaces.support
+    padded = F.pad(count, (LOOKED_BESIDE, LOOKED_BESIDE, LOOKED_ABOVE, 0))
+    looked = F.max_pool2d(padded, window, 1).clamp(max=1.0) * surfaces.support
     return 1.0 - looked * (1.0 - surfaces.farthest)
 
 
@@ -237,9 +238,9 @@ class SurfaceDepthHead(nn.Module):
     def propagate(self, depth: Tensor, mask: Tensor) -> Candidates:
         """Return the candidates around each cell; depth and mask as `measure`."""
         measured = measure(depth, mask, max_depth_m=self.max_depth_m)
-        surfaces, density = propagate_surfaces(measured)
-        features = surface_features(surfaces, density)
-        return Candidates(measured, surfaces, features, limit_guess(surfaces, density))
+        surfaces, count = propagate_surfaces(measured)
+        features = surface_features(surfaces, count)
+        return Candidates(measured, surfaces, features, limit_guess(surfaces, count))
 
     def add_semantics(self, features: Tensor, semantics: Tensor | None) -> Tensor:
         """Add what the semantic decoder's features say of the depth."""
@@ -293,8 +294,8 @@ MAX_LOG_CORRECTION = 0.5
 #: Least and greatest log of the ratio of the error's scale to the depth: 0.25 % to 2.7 times the
 #: depth, so that neither the loss nor its gradient grows without bound. Not tuned.
 LOG_SCALE = (-6.0, 1.0)
-#: Share of the spread of the candidates that is added to the error's scale.
-SPREAD_SHARE = 0.25
+#: Share of the spread of the candidates, see `replace`, that is added to the error's scale.
+SPREAD_SHARE = 0.5
 
 
 def choose_surface(
@@ -311,7 +312,7 @@ def choose_surface(
     """
     in_plane, in_farthest, in_nearest = confidence(head.surfaces).split(1, dim=1)
     farthest, nearest = surfaces.farthest, surfaces.nearest
-    plane = 1.0 / surfaces.plane.clamp(min=1.0)
+    plane = 1.0 / surfaces.plane
     depth, spread = replace(guess, 0.0, plane - guess, in_plane * surfaces.reached)
     for candidate, weight in ((farthest, in_farthest), (nearest, in_nearest)):
         depth, spread = replace(depth, spread, candidate - depth, weight * surfaces.support)
@@ -327,7 +328,7 @@ def correct(depth: Tensor, surfaces: Surfaces, logits: Tensor) -> Tensor:
 
     Where they agree there is no room; without returns it is MAX_LOG_CORRECTION.
     """
-    disagreement = surfaces.farthest.clamp(min=NEAREST) / surfaces.nearest.clamp(min=NEAREST)
+    disagreement = surfaces.farthest / surfaces.nearest
     room = torch.log(disagreement).clamp(0.0, MAX_LOG_CORRECTION)
     room = MAX_LOG_CORRECTION + surfaces.support * (room - MAX_LOG_CORRECTION)
     return depth * torch.exp(room * torch.tanh(logits))
@@ -339,9 +340,12 @@ def confidence(logits: Tensor) -> Tensor:
     A twentieth of a depth that is a third off would be 1.5 % in every pixel. The gradient is that
     of the stretched sigmoid everywhere, so that what is closed can open.
     """
-    stretched = (1.0 + 2.0 * STRETCH) * torch.sigmoid(logits) - STRETCH
-    limited = stretched.clamp(0.0, 1.0)
-    return stretched + (limited - stretched).detach() if torch.is_grad_enabled() else limited
+    share, slope = torch.sigmoid(logits), 1.0 + 2.0 * STRETCH
+    limited = ramp(share, slope, -STRETCH)
+    if not torch.is_grad_enabled():
+        return limited
+    stretched = slope * share - STRETCH
+    return stretched + (limited - stretched).detach()
 
 
 def replace(
@@ -349,11 +353,11 @@ def replace(
 ) -> tuple[Tensor, Tensor]:
     """Replace a share ``weight`` (0..1) of the depth by a candidate that is ``step`` farther.
 
-    The spread is the mean distance of the candidates from the depth. Of two it is
-    2 w (1 - w) |step|; of more, this bounds it.
+    The spread is half the mean distance of the candidates from the depth. Of two it is
+    w (1 - w) |step|; of more, this bounds it.
     """
     taken = weight * step
-    return depth + taken, (1.0 - weight) * (spread + 2.0 * taken.abs())
+    return depth + taken, (1.0 - weight) * (spread + taken.abs())
 
 
 #: Radius [pixels] of the square around a return in which it may replace the depth.
@@ -414,11 +418,11 @@ def take_returns(
     measured = 1.0 / returns.inverse
     step = measured - depth
     parallax = (inverse - returns.inverse).abs()
-    aligned = (2.0 - parallax * (1.0 / (max_depth_m * PARALLAX))).clamp(0.0, 1.0)
+    aligned = ramp(parallax, -1.0 / (max_depth_m * PARALLAX), 2.0)
     # From a relative difference of SLOPE on, in full from twice as much.
-    beyond = (measured * inverse * (1.0 / SLOPE) - (1.0 / SLOPE + 1.0)).clamp(0.0, 1.0)
+    beyond = ramp(measured * inverse, 1.0 / SLOPE, -1.0 / SLOPE - 1.0)
     weight = torch.where(step < 0, before, behind)
     weight = torch.maximum(weight, aligned * torch.maximum(returns.here, beyond)) * returns.near
     depth, spread = replace(depth, 0.0, step, weight)
-    scale = scale * (1.0 - MAX_SCALE_REDUCTION * reduction * returns.near)
+    scale = scale * ramp(reduction * returns.near, -MAX_SCALE_REDUCTION, 1.0)
     return depth, scale + SPREAD_SHARE * spread.detach()

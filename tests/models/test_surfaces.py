@@ -138,13 +138,13 @@ def test_where_returns_are_few_a_single_one_is_kept():
 
 def test_two_surfaces_in_one_cell_are_kept_apart():
     """5 m and 80 m: the mean of depths, 42.5 m, is a surface that is nowhere."""
-    found, density = propagate_surfaces(measured(r40c40=0.05, r41c41=0.8))
+    found, count = propagate_surfaces(measured(r40c40=0.05, r41c41=0.8))
     cell = (0, 0, 10, 10)
     assert found.nearest[cell].item() == pytest.approx(0.05, rel=1e-4)
     assert found.farthest[cell].item() == pytest.approx(0.8, rel=1e-4)
     # Between two returns of inverse depth 20 and 1.25.
     assert found.plane[cell].item() == pytest.approx(10.625, rel=0.05)
-    assert density[cell].item() == pytest.approx(2 / COARSE_CELL**2)
+    assert count[cell].item() == 2
 
 
 def test_a_surface_is_propagated_as_far_as_the_windows_reach_and_no_further():
@@ -179,10 +179,10 @@ def test_the_nearest_surface_is_the_nearest_of_a_plain_loop_before_smoothing():
 
 
 def test_nothing_measured_supports_nothing():
-    found, density = propagate_surfaces(measured())
+    found, count = propagate_surfaces(measured())
     assert not found.support.any()
     assert not found.reached.any()
-    assert not surface_features(found, density).any()
+    assert not surface_features(found, count).any()
     own = torch.full((1, 1, *GRID), 0.4)
     confident = head_of(plane=30.0, farthest=30.0, nearest=30.0)
     depth, scale = choose_surface(confident, own, found)
@@ -295,17 +295,17 @@ def test_the_error_grows_with_the_spread_of_the_candidates():
     halves = head_of(farthest=0.0, nearest=0.0, scale=-99.0)
     depth, scale = (maps[0, 0, 10, 10].item() for maps in choose_surface(halves, own, found))
     assert depth == pytest.approx(0.325, rel=1e-3)
-    spread = 0.5 * (0.2 + 2 * 0.275)
+    spread = 0.5 * (0.1 + 0.275)
     assert scale == pytest.approx(0.325 * np.exp(LOG_SCALE[0]) + SPREAD_SHARE * spread, rel=1e-3)
 
 
 @pytest.mark.parametrize("weight", [0.0, 0.3, 1.0])
-def test_the_spread_of_two_depths_is_their_mean_distance_from_their_mean(weight):
+def test_the_spread_of_two_depths_is_half_their_mean_distance_from_their_mean(weight):
     depth, spread = replace(*(torch.tensor(value) for value in (0.4, 0.0, 0.2, weight)))
     mean = 0.4 + 0.2 * weight
     assert depth.item() == pytest.approx(mean)
     distance = (1 - weight) * abs(0.4 - mean) + weight * abs(0.6 - mean)
-    assert spread.item() == pytest.approx(distance)
+    assert spread.item() == pytest.approx(distance / 2)
     assert replace(*(torch.tensor(value) for value in (0.4, 0.1, 0.0, weight)))[
         1
     ].item() == pytest.approx(0.1 * (1 - weight))
@@ -380,7 +380,7 @@ def test_a_return_of_full_confidence_is_taken_beside_it_and_nowhere_else(returne
         depth, scale = taken(*confidence, r40c40=returned)
         square = np.s_[38:43, 38:43]
         assert torch.allclose(depth[square], torch.tensor(0.5 + share * (returned - 0.5)))
-        spread = 2 * share * (1 - share) * abs(returned - 0.5)
+        spread = share * (1 - share) * abs(returned - 0.5)
         assert torch.allclose(scale[square], torch.tensor(0.04 + SPREAD_SHARE * spread))
         depth[square], scale[square] = 0.5, 0.04
         assert torch.equal(depth, DEPTH[0, 0])
