@@ -14,7 +14,7 @@ import psutil
 
 from runtime import Predictor
 from runtime.run.outputs.frame_writer import FrameWriter
-from runtime.run.pipeline import FrameReader, run_stream
+from runtime.run.pipeline import run_stream
 from runtime.run.process import dedicate_process
 from runtime.run.run_folder import KINDS
 from runtime.sources.bundled_stream import bundled_stream
@@ -55,7 +55,7 @@ def main() -> None:
             print(f"| {done} | {resident_mb():.1f} |", flush=True)
             if done < arguments.frames:
                 repeated = [listed[index % len(listed)] for index in range(part)]
-                run_stream(engine, repeated, reader=FrameReader(source.read), write=writer.write)
+                run_stream(engine, repeated, read=source.read, outputs=[writer])
 
 
 if __name__ == "__main__":

@@ -28,33 +28,11 @@ class Provider(StrEnum):
 
 
 def begin_command() -> None:
-    """The first call of every command: prepare the process for closed streams and for signals."""
-    _open_closed_streams()
-    end_quietly()
-
-
-def _open_closed_streams() -> None:
-    """Open closed standard streams as /dev/null; otherwise opened files get their descriptors."""
-    while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
-        os.set_inheritable(handle, True)
-    os.close(handle)
-    # Kept open for the life of the process.
-    sys.stdin = sys.stdin or open(0, closefd=False)  # noqa: SIM115
-    sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
-    sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
-
-
-def end_quietly() -> None:
-    """Let Ctrl-C and SIGTERM end the process at once.
+    """The first call of every command: let Ctrl-C and SIGTERM end the process at once.
 
     During imports a KeyboardInterrupt would end as a traceback, or as another error.
     """
-    _handle(end_now)
-
-
-def end_now(number: int, frame: FrameType | None) -> None:
-    """Signal handler that ends the process."""
-    os._exit(INTERRUPTED)
+    _handle(lambda number, frame: os._exit(INTERRUPTED))
 
 
 @contextlib.contextmanager
@@ -62,15 +40,11 @@ def interruptible() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM raise KeyboardInterrupt in the block; the second ends the process."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        end_quietly()
+        begin_command()
         raise KeyboardInterrupt
 
-    before = _handle(interrupt)
-    try:
+    with _handled(interrupt):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler or signal.SIG_DFL)
 
 
 @contextlib.contextmanager
@@ -81,14 +55,18 @@ def stop_requested() -> Iterator[Callable[[], bool]]:
     frame and its row in the table.
     """
     received: list[int] = []
-    before = _handle(lambda number, frame: received.append(number))
-    try:
+    with _handled(lambda number, frame: received.append(number)):
         yield lambda: bool(received)
+
+
+@contextlib.contextmanager
+def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    before = _handle(handler)
+    try:
+        yield
     finally:
-        for number, handler in before.items():
-            if handler is end_now:  # the command has ended already
-                handler = signal.SIG_IGN
-            signal.signal(number, handler or signal.SIG_DFL)
+        for number, old in before.items():
+            signal.signal(number, old or signal.SIG_DFL)
 
 
 def _handle(handler: Callable[[int, FrameType | None], None]) -> dict[signal.Signals, Any]:
@@ -117,17 +95,11 @@ def reported_errors(extras: str) -> Iterator[None]:
         sys.exit(INTERRUPTED)
 
 
-def print_result(text: str, *, elsewhere: str = "") -> bool:
-    """Print the result of a command on stdout.
+def print_result(text: str) -> bool:
+    """Print the result of a command on stdout; return whether it was printed.
 
-    A closed pipe is no error; other failures are reported on stderr.
-
-    Args:
-        text: to print; it need not be valid Unicode.
-        elsewhere: end of the line on stderr: where the result can be found.
-
-    Returns:
-        Whether the text was printed.
+    A closed pipe is no error; other failures are reported on stderr. The text need not be valid
+    Unicode.
     """
     try:
         sys.stdout.write(_plain(text) + "\n")
@@ -137,8 +109,7 @@ def print_result(text: str, *, elsewhere: str = "") -> bool:
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):
-            with contextlib.suppress(OSError):
-                sys.stderr.write(f"cannot print ({error.strerror}){elsewhere}\n")
+            sys.stderr.write(f"cannot print ({error.strerror})\n")
         return False
     return True
 

@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import shown
 from runtime.contract import ClassInfo
 from runtime.drawing.overlay import Overlay
 from runtime.errors import InputError, OutputError
@@ -50,12 +49,7 @@ def save_prediction(
     intrinsics: NDArray[np.floating[Any]] | Calibration | None = None,
 ) -> None:
     """Write the file of `Prediction.save`. Raises InputError and OutputError."""
-    try:
-        path = Path(path)
-    except TypeError as error:
-        raise InputError(f"path must be a path, got {type(path).__name__}") from error
-    if "\0" in str(path):
-        raise InputError(f"{shown(str(path))} is not a file's name: it holds a NUL character")
+    path = Path(path)
     suffix = path.suffix.lower()
     content: bytes | memoryview
     if suffix in _PICTURES:

@@ -5,17 +5,16 @@ import dataclasses
 import inspect
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
-from runtime.command import ERROR, print_result, reported_errors
-from runtime.command_options import NoDevice, Version
+from runtime.command import print_result, reported_errors
+from runtime.command_options import Version
 from runtime.run.model_table import describe_bundled_models
 from runtime.run.options import OPTION, RunOptions, UsageError
-from runtime.run.report_files import describe_run, list_results, report_json
+from runtime.run.report_files import describe_run, list_results
 from runtime.run.run import OnRecord, run
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -70,10 +69,6 @@ def _print_models(wanted: bool) -> None:
 @with_run_options
 def main(
     *,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print report.json instead of the tables.")
-    ] = False,
-    _device: NoDevice = None,
     _list_models: Annotated[
         bool,
         typer.Option(
@@ -95,8 +90,7 @@ def main(
 
         def start(about: str, frames: int) -> OnRecord:
             progress.close()  # the bar of the camera before
-            if not as_json:
-                _print(about, options.folder)
+            print_result(about)
             if not sys.stderr.isatty():
                 return lambda record: None
             bar = typer.progressbar(length=frames, file=sys.stderr, label="frames")
@@ -105,11 +99,5 @@ def main(
 
         done = run(options, on_start=start)
         progress.close()
-        results = "\n".join([describe_run(done), *list_results(done, options)])
-        printed = _print(report_json(done) if as_json else results, options.folder)
-        raise typer.Exit(done.exit_code if printed or not as_json else ERROR)
-
-
-def _print(text: str, out: Path) -> bool:
-    """Print, or report the error. Returns whether it was printed."""
-    return print_result(text, elsewhere=f": see {out}")
+        print_result("\n".join([describe_run(done), *list_results(done, options)]))
+        raise typer.Exit(done.exit_code)

@@ -6,16 +6,17 @@ import contextlib
 import dataclasses
 import itertools
 import os
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 import typer
 
 from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
-from runtime.checks import check_integer, check_number, shown
+from runtime.checks import shown
 from runtime.command import Provider
 from runtime.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.errors import InputError
@@ -36,7 +37,6 @@ from runtime.sources.source import Source
 from runtime.sources.source_keys import SOURCE_KEYS
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
-MAX_SHARDS = 1_000_000
 MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG
 #: Option that names a file -> its suffix.
 FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap"}
@@ -220,31 +220,26 @@ class RunOptions:
             raise UsageError(
                 "give one of PATH, --demo, --rgb (with --depth or --points) and --source"
             )
-        for field in dataclasses.fields(self):
-            _check_range(field, getattr(self, field.name))
         for option, path in self.named_files.items():
             if path.suffix.lower() != FILE_SUFFIXES[option]:
                 raise UsageError(f"--{option} writes {FILE_SUFFIXES[option]} files, got {path}")
         if self.record is not None:
-            self._require_apart(self.record)
+            record, out = (Path(os.path.realpath(each)) for each in (self.record, self.folder))
+            if record in (out, *out.parents) or out in record.parents:
+                raise UsageError(f"--record {record} needs a folder apart from --out")
         _ = self.kinds, self.network_size, self._shard, self.open_cameras
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:
         """The files of a frame that --save names."""
-        requested = [kind.strip() for text in self.save or ["all"] for kind in text.split(",")]
-        if requested in (["all"], ["none"]):
-            return KINDS if requested == ["all"] else ()
-        if len(requested) > 1 and (
-            alone := [kind for kind in ("none", "all") if kind in requested]
-        ):
-            others = [kind for kind in requested if kind not in alone] or alone[1:] or alone
+        texts = ",".join(self.save or ["all"])
+        requested = {kind.strip() for kind in texts.split(",")}
+        if requested in ({"all"}, {"none"}):
+            return KINDS if requested == {"all"} else ()
+        if requested - SUFFIXES.keys():
             raise UsageError(
-                f"--save {alone[0]} cannot be combined with {', '.join(others)}: leave one of them "
-                "out"
+                f"--save is all, none, or some of {', '.join(SUFFIXES)}, got {shown(texts)}"
             )
-        if unknown := [kind for kind in requested if kind not in SUFFIXES]:
-            raise UsageError(f"--save knows {', '.join(SUFFIXES)}, all and none, not {unknown}")
         return tuple(kind for kind in SUFFIXES if kind in requested)
 
     @cached_property
@@ -254,18 +249,6 @@ class RunOptions:
             return self.out or _OUT
         later = (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
         return next(path for path in itertools.chain([_OUT], later) if not os.path.lexists(path))
-
-    def claim_folder(self) -> None:
-        """Make a folder that was not named; another run may have taken its name meanwhile."""
-        while self.out is None and not self.overwrite:
-            try:
-                os.mkdir(self.folder)
-            except FileExistsError:
-                del self.__dict__["folder"]  # forget the cached name: choose another
-                continue
-            except OSError:
-                pass  # reported where the folder is opened
-            return
 
     @cached_property
     def network_size(self) -> NetworkSize:
@@ -322,35 +305,15 @@ class RunOptions:
         part, parts = self._shard
         return frames[part - 1 :: parts]
 
-    def _require_apart(self, record: Path) -> None:
-        """Raise UsageError if the recording shares its folder with other results."""
-        recording, out = os.path.realpath(record), os.path.realpath(self.folder)
-        folders = [os.path.realpath(path.parent) for path in self.named_files.values()]
-        inside = [os.path.commonpath([recording, each]) == recording for each in [out, *folders]]
-        if any(inside) or os.path.commonpath([recording, out]) == out:
-            raise UsageError(f"--record {record} needs a folder of its own, apart from --out")
-
     @cached_property
     def _shard(self) -> tuple[int, int]:
-        part, _, parts = (self.shard or "1/1").partition("/")
-        digits = len(str(MAX_SHARDS))
-        numbers = [text.isdecimal() and len(text) <= digits for text in (part, parts)]
-        if not (all(numbers) and 1 <= int(part) <= int(parts) <= MAX_SHARDS):
+        numbers = re.fullmatch("([0-9]{1,7})/([0-9]{1,7})", self.shard or "1/1")
+        part, parts = map(int, numbers.groups()) if numbers else (0, 0)
+        if not 1 <= part <= parts:
             raise UsageError(
-                f"--shard is I/N with 1 <= I <= N <= {MAX_SHARDS}, such as 2/4, got "
-                f"{shown(self.shard)}"
+                f"--shard is I/N with 1 <= I <= N, such as 2/4, got {shown(self.shard)}"
             )
-        return int(part), int(parts)
-
-
-def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
-    """Raise UsageError for a number outside the `min` and `max` of its option."""
-    option = field.metadata.get(OPTION)  # subclasses may have fields that are no options
-    if option is None or option.min is None or value is None:
-        return
-    check: Callable[..., float] = check_number if float in get_args(field.type) else check_integer
-    limits = (option.min,) if option.max is None else (option.min, option.max)
-    check(f"--{field.name.replace('_', '-')}", value, *limits, error=UsageError)
+        return part, parts
 
 
 @contextlib.contextmanager

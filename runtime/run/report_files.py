@@ -22,12 +22,8 @@ def write_report(report: RunReport) -> None:
     table = frames_csv(report).encode(errors="surrogateescape")
     atomic_write(report.out / FRAMES_FILE, table)
     # Written last: a folder with report.json is complete.
-    atomic_write(report.out / REPORT_FILE, (report_json(report) + "\n").encode())
-
-
-def report_json(report: RunReport) -> str:
-    """The text of report.json."""
-    return json.dumps(report.document(), indent=2, allow_nan=False)
+    document = json.dumps(report.document(), indent=2, allow_nan=False)
+    atomic_write(report.out / REPORT_FILE, (document + "\n").encode())
 
 
 def frames_csv(report: RunReport) -> str:

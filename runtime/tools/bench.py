@@ -11,23 +11,23 @@ import multiprocessing
 import os
 import signal
 import statistics
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
 from itertools import product
-from multiprocessing import resource_tracker
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
-from runtime.command import SIGNALS, stop_requested
+from runtime.command import SIGNALS
 from runtime.io.engine_facts import MachineFacts, machine_facts
 from runtime.session import import_onnxruntime
 from runtime.sync.latency import LatencyStatistics, latency_statistics
-from runtime.tools.bench_worker import Opened, serve
-
-BENCH_FORMAT, BENCH_VERSION = "ssdnet-bench", "1.0"
+from runtime.tools.bench_worker import Opened, open_model, time_model
 
 _WARM_UP = 2  # runs of each model
+_Answer = TypeVar("_Answer")
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,12 @@ class BenchOptions:
 
 @dataclass(frozen=True)
 class Figures:
-    """Figures of a model's runs; a ratio is the quartiles of each run's to `reference`'s."""
+    """Figures of a model's runs."""
 
     latency: LatencyStatistics
     min_ms: float
     processor_ms: float  # median
-    ratio: tuple[float, ...] | None
-    processor_ratio: tuple[float, ...] | None
+    ratio: tuple[float, ...] | None  # of each run to `reference`'s: quartiles
 
 
 @dataclass
@@ -79,10 +78,6 @@ class BenchReport:
     load: float  # of the machine before the start
     groups: list[list[BenchRow]] = field(default_factory=list)
     interrupted: bool = False
-
-    def document(self) -> dict[str, Any]:
-        """Return the content of --json."""
-        return {"format": BENCH_FORMAT, "version": BENCH_VERSION, **asdict(self)}
 
 
 def bench(options: BenchOptions) -> BenchReport:
@@ -117,16 +112,12 @@ def _figures(row: BenchRow, first: BenchRow) -> Figures | None:
     if row.opened is None or statistics_ms is None:
         return None
     # Ctrl-C can end within a round.
-    ratios = np.array(
-        [np.divide(*pair) for pair in zip(row.times_ms, first.times_ms, strict=False)]
-    )
-    quartiles = np.quantile(ratios, (0.25, 0.5, 0.75), axis=0).T.tolist() if len(ratios) else None
+    ratios = [mine / its for mine, (its, _) in zip(latencies, first.times_ms, strict=False)]
     return Figures(
         latency=statistics_ms,
         min_ms=min(latencies),
         processor_ms=statistics.median(worked),
-        ratio=quartiles and tuple(quartiles[0]),
-        processor_ratio=quartiles and tuple(quartiles[1]),
+        ratio=tuple(np.quantile(ratios, (0.25, 0.5, 0.75)).tolist()) if ratios else None,
     )
 
 
@@ -138,65 +129,47 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
     with contextlib.ExitStack() as stack:
         workers = []
         for row in group:
-            with stop_requested() as stopped:  # a starting process cannot be terminated
-                worker = _Worker(row, options)
-                stack.callback(worker.end)
-            if stopped():
-                raise KeyboardInterrupt
-            row.opened = worker.receive()
-            workers.append(worker)
-        for worker in workers:
-            worker.run(_WARM_UP, period_s)
+            executor = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+            workers.append((row, stack.enter_context(executor)))
+            with _ignored_signals():
+                opening = executor.submit(
+                    open_model, row.model, row.size, row.batch, row.threads, options.provider
+                )
+            row.opened = _result(row, opening)
+        for row, executor in workers:
+            _run(row, executor, _WARM_UP, period_s)
         for at in range(0, rounds, most):
-            for worker in workers:
-                worker.row.times_ms.extend(worker.run(min(most, rounds - at), period_s))
+            for row, executor in workers:
+                row.times_ms += _run(row, executor, min(most, rounds - at), period_s)
 
 
-class _Worker:
-    """A process that runs the model of a row; a failure is noted there."""
+@contextlib.contextmanager
+def _ignored_signals() -> Iterator[None]:
+    """Let a process that is started in the block ignore Ctrl-C, which is for the command alone."""
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
-    def __init__(self, row: BenchRow, options: BenchOptions) -> None:
-        self.row = row
-        context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        request = {"model": row.model, "size": row.size, "threads": row.threads, "batch": row.batch}
-        request |= {"provider": options.provider}
-        self._process = context.Process(target=serve, args=(theirs,), kwargs=request)
-        resource_tracker.ensure_running()  # otherwise `start` runs it, which unblocks signals
-        # The process inherits the mask: Ctrl-C is for the command alone.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-        try:
-            self._process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        theirs.close()
 
-    def run(self, frames: int, period_s: float | None) -> list[tuple[float, float]]:
-        """Return the times of `time_runs`; none after a failure."""
-        if self.row.error is not None:
-            return []
-        with contextlib.suppress(OSError):  # the process has ended: `receive` reports it
-            self._pipe.send((frames, period_s))
-        return self.receive() or []
+def _run(
+    row: BenchRow, executor: Executor, frames: int, period_s: float | None
+) -> list[tuple[float, float]]:
+    """Return the times of `time_model`; none after a failure."""
+    if row.error is not None:
+        return []
+    return _result(row, executor.submit(time_model, frames, period_s)) or []
 
-    def receive(self) -> Any:
-        """Return the next answer of `serve`; None after a failure."""
-        try:
-            answer = self._pipe.recv()
-        except (EOFError, OSError):
-            self._process.join()
-            code = self._process.exitcode
-            answer = f"its process ended with exit code {code}"
-            if code == -signal.SIGKILL:
-                answer = "its process was killed, most likely because it ran out of memory"
-        if not isinstance(answer, str):
-            return answer
-        self.row.error = answer
-        self.row.times_ms.clear()
-        return None
 
-    def end(self) -> None:
-        """End the process."""
-        self._process.kill()
-        self._pipe.close()
-        self._process.join()
+def _result(row: BenchRow, future: Future[_Answer]) -> _Answer | None:
+    """Return the answer of a process; None after a failure, which is noted in the row."""
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        row.error = "its process ended, most likely because it ran out of memory"
+    except Exception as error:
+        row.error = str(error)
+    row.times_ms.clear()
+    return None

@@ -1,9 +1,7 @@
 """`ssdnet-bench`: models side by side on this machine."""
 
-import json
 import math
 import re
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -17,9 +15,8 @@ from runtime.command import (
     print_result,
     reported_errors,
 )
-from runtime.command_options import NoDevice, Version
+from runtime.command_options import Version
 from runtime.cores import available_cores
-from runtime.io.atomic_write import atomic_write, require_writable
 from runtime.tools.bench import BenchOptions, BenchReport, BenchRow, bench, reference
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
@@ -65,10 +62,6 @@ def main(
     provider: Annotated[
         Provider, typer.Option(help="Execution provider of the models.")
     ] = Provider.cpu,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write all times and statistics.")
-    ] = None,
-    _device: NoDevice = None,
     _version: Version = False,
 ) -> None:
     """Measure latency, memory and load time of models side by side."""
@@ -77,14 +70,9 @@ def main(
     cases = tuple(map(_size, size)), tuple(threads or [available_cores()]), tuple(batch)
     options = BenchOptions(tuple(models), *cases, rounds, rate, provider.value)
     with reported_errors("cpu"):
-        if json_file is not None:
-            require_writable(json_file)
         with interruptible():
             report = bench(options)
         printed = print_result(to_markdown(report))
-        if json_file is not None:
-            document = json.dumps(report.document(), indent=2, allow_nan=False)
-            atomic_write(json_file, (document + "\n").encode())
         if report.interrupted:
             raise typer.Exit(INTERRUPTED)
         failed = any(row.error for group in report.groups for row in group)

@@ -1,19 +1,17 @@
 """`ssdnet-verify`: compare the present answers with those of a recording."""
 
-import json
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from runtime.checks import check_number, shown
 from runtime.command import ERROR, Provider, print_result, reported_errors
-from runtime.command_options import NoDevice, Version
+from runtime.command_options import Version
 from runtime.io.recording import read_recording
 from runtime.predictor import Predictor
-from runtime.tools.verify import FrameCheck, VerifyReport, verify
+from runtime.tools.verify import VerifyReport, verify
 
 DIFFERS = 4  # exit code
 
@@ -61,10 +59,6 @@ def main(
             "[default: times are not compared]"
         ),
     ] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print a JSON document instead of the tables.")
-    ] = False,
-    _device: NoDevice = None,
     _version: Version = False,
 ) -> None:
     """Predict the frames of a recording again, and compare the answers with the recorded ones."""
@@ -83,7 +77,7 @@ def main(
             warmup=0,
         ) as predictor:
             report = verify(predictor, recording, tolerances=tolerances, max_slowdown=max_slowdown)
-        if not print_result(_json(report.document()) if as_json else _table(report)):
+        if not print_result(_table(report, predictor)):
             raise typer.Exit(ERROR)
         raise typer.Exit(0 if report.passed else DIFFERS)
 
@@ -95,28 +89,20 @@ def _tolerances(texts: Sequence[str]) -> dict[str, float]:
         try:
             limits[head] = float(number)
         except ValueError:
-            limits[head] = math.nan
-        if not 0 <= limits[head] < math.inf:
+            limits[head] = -1
+        if not limits[head] >= 0:
             raise typer.BadParameter(f"--tolerance is HEAD=LIMIT, as depth=0.01, got {shown(text)}")
     return limits
 
 
-def _json(document: dict[str, Any]) -> str:
-    """The document as JSON text, with null for NaN, which JSON does not have."""
-    for frame in document["frames"]:
-        for figures in frame["figures"].values():
-            figures.update({n: None for n, value in figures.items() if not math.isfinite(value)})
-    return json.dumps(document, indent=2, allow_nan=False)
-
-
-def _table(report: VerifyReport) -> str:
+def _table(report: VerifyReport, predictor: Predictor) -> str:
     """One line per head with its worst value over all frames, then one line per difference."""
-    settings, checks = report.recording.settings, report.checks
-    same = "the recorded one" if report.same_model else "NOT the recorded one"
+    recording, checks, failed = report.recording, report.checks, report.failed
+    same = "" if predictor.digest == recording.model_sha256 else "NOT "
     lines = [
-        f"{len(checks)} frames of {settings.made_by} on {settings.provider}, now on "
-        f"{report.provider}",
-        f"{report.model} sha256:{report.sha256[:12]}, {same}",
+        f"{len(checks)} frames of {recording.settings.made_by} on {recording.settings.provider}, "
+        f"now on {predictor.provider}",
+        f"{predictor.contract.model_name} sha256:{predictor.digest[:12]}, {same}the recorded one",
         "",
         f"{'head':18}{'figure':14}{'worst':>12}{'limit':>12}",
     ]
@@ -128,12 +114,11 @@ def _table(report: VerifyReport) -> str:
     if report.slowdown is not None:
         limit_text = "no limit" if report.max_slowdown is None else f"{report.max_slowdown:g}"
         lines.append(f"{'time':18}{'x recorded':14}{report.slowdown:>12.3f}{limit_text:>12}")
-    lines.append("")
-    lines += [line for check in report.failed for line in _differences(check, report.limits)]
+    lines += ["", *(f"  {check.name}: {fault}" for check in failed for fault in check.faults)]
     if not checks:
         lines.append("the recording holds no frames: nothing was compared")
-    elif report.failed:
-        lines.append(f"{len(report.failed)} of {len(checks)} frames differ from the recording")
+    elif failed:
+        lines.append(f"{len(failed)} of {len(checks)} frames differ from the recording")
     else:
         lines.append("the same answers")
     if report.slow:
@@ -142,13 +127,3 @@ def _table(report: VerifyReport) -> str:
             f"{report.max_slowdown:g}"
         )
     return "\n".join(lines)
-
-
-def _differences(check: FrameCheck, limits: Mapping[str, Mapping[str, float]]) -> list[str]:
-    name = check.frame.name
-    lines = [f"  {name}: {fault}" for fault in check.faults]
-    for head in check.failed:
-        figures = ", ".join(f"{key} {value:.6g}" for key, value in check.figures[head].items())
-        limit = ", ".join(f"{key} {value:.6g}" for key, value in limits[head].items())
-        lines.append(f"  {name}: {head}: {figures} (limit {limit})")
-    return lines
