@@ -1,4 +1,4 @@
-"""Models side by side on this machine.
+"""`ssdnet-bench`: models side by side on this machine.
 
 Each runs in a process of its own, which gives it its own memory and load time. All take turns, so
 that a disturbance affects all alike. Threads that wait do not spin (`runtime.session`): they would
@@ -9,18 +9,30 @@ import contextlib
 import math
 import multiprocessing
 import os
+import re
 import signal
-import statistics
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from itertools import product
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
+import typer
 
-from runtime.command import SIGNALS
+from runtime.checks import check_number, shown
+from runtime.command import (
+    ERROR,
+    INTERRUPTED,
+    SIGNALS,
+    Provider,
+    interruptible,
+    print_result,
+    reported_errors,
+)
+from runtime.command_options import Version
+from runtime.cores import available_cores
 from runtime.io.engine_facts import MachineFacts, machine_facts
 from runtime.session import import_onnxruntime
 from runtime.sync.latency import LatencyStatistics, latency_statistics
@@ -28,6 +40,70 @@ from runtime.tools.bench_worker import Opened, open_model, time_model
 
 _WARM_UP = 2  # runs of each model
 _Answer = TypeVar("_Answer")
+
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.command(
+    epilog="Exit codes: 0 done; 1 a model could not run, its row says why; 2 usage; "
+    "130 interrupted, after printing the results so far.",
+)
+def main(
+    models: Annotated[
+        list[str],
+        typer.Argument(metavar="MODEL", help="Names of bundled models, or paths of ONNX files."),
+    ],
+    size: Annotated[
+        list[str],
+        typer.Option(
+            metavar="HxW", help="Image size, for models with a free size; may be repeated."
+        ),
+    ] = ["375x1242"],  # noqa: B006 - typer copies it
+    threads: Annotated[
+        list[int] | None,
+        typer.Option(
+            min=1, help="Threads of inference; may be repeated. [default: physical cores]"
+        ),
+    ] = None,
+    batch: Annotated[
+        list[int],
+        typer.Option(min=1, help="Batch size, for models with a free batch size; may be repeated."),
+    ] = [1],  # noqa: B006
+    rounds: Annotated[
+        int, typer.Option(min=1, help="Measured runs of each model; p99 needs 100.")
+    ] = 100,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ",
+            help="Frames arrive at this rate; the models take turns of one second, and the "
+            "latency is measured from when a frame is due. [default: turns of one run]",
+        ),
+    ] = None,
+    provider: Annotated[
+        Provider, typer.Option(help="Execution provider of the models.")
+    ] = Provider.cpu,
+    _version: Version = False,
+) -> None:
+    """Measure latency, memory and load time of models side by side."""
+    if rate is not None:
+        check_number("--rate", rate, 1e-3, 1e6, error=typer.BadParameter)
+    cases = tuple(map(_size, size)), tuple(threads or [available_cores()]), tuple(batch)
+    with reported_errors("cpu"):
+        with interruptible():
+            report = bench(BenchOptions(tuple(models), *cases, rounds, rate, provider.value))
+        printed = print_result(to_markdown(report))
+        if report.interrupted:
+            raise typer.Exit(INTERRUPTED)
+        failed = any(row.error for group in report.groups for row in group)
+        raise typer.Exit(ERROR if failed or not printed else 0)
+
+
+def _size(text: str) -> tuple[int, int]:
+    sides = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text, re.ASCII | re.IGNORECASE)
+    if sides is None:
+        raise typer.BadParameter(f"--size is HEIGHTxWIDTH, as 375x1242, got {shown(text)}")
+    return int(sides[1]), int(sides[2])
 
 
 @dataclass(frozen=True)
@@ -43,19 +119,9 @@ class BenchOptions:
     provider: str = "cpu"
 
 
-@dataclass(frozen=True)
-class Figures:
-    """Figures of a model's runs."""
-
-    latency: LatencyStatistics
-    min_ms: float
-    processor_ms: float  # median
-    ratio: tuple[float, ...] | None  # of each run to `reference`'s: quartiles
-
-
 @dataclass
 class BenchRow:
-    """A model at a size, with so many threads and frames a run: figures, or why there are none."""
+    """A model at a size, with so many threads and frames a run: times, or why there are none."""
 
     model: str
     size: tuple[int, int]
@@ -63,9 +129,12 @@ class BenchRow:
     batch: int
     opened: Opened | None = None
     error: str | None = None
-    #: Latency and processor time of all threads, of each run.
-    times_ms: list[tuple[float, float]] = field(default_factory=list)
-    figures: Figures | None = None
+    times_ms: list[float] = field(default_factory=list)  # of each run
+
+    @property
+    def latency(self) -> LatencyStatistics | None:
+        """Statistics of the runs; None = there were none."""
+        return latency_statistics(self.times_ms)
 
 
 @dataclass
@@ -86,7 +155,7 @@ def bench(options: BenchOptions) -> BenchReport:
     Raises:
         ProviderError: if ONNX Runtime is not installed.
     """
-    version, load = import_onnxruntime().__version__, round(os.getloadavg()[0], 2)
+    version, load = import_onnxruntime().__version__, os.getloadavg()[0]
     report = BenchReport(options, machine_facts(), version, load)
     try:
         for case in product(options.sizes, options.threads, options.batches):
@@ -95,30 +164,7 @@ def bench(options: BenchOptions) -> BenchReport:
             _measure(group, options)
     except KeyboardInterrupt:
         report.interrupted = True
-    for group in report.groups:
-        for row in group:
-            row.figures = _figures(row, reference(group))
     return report
-
-
-def reference(group: Sequence[BenchRow]) -> BenchRow:
-    """Return the row of a group that others are compared with: the first that ran."""
-    return next((row for row in group if row.times_ms), group[0])
-
-
-def _figures(row: BenchRow, first: BenchRow) -> Figures | None:
-    latencies, worked = ([times[at] for times in row.times_ms] for at in (0, 1))
-    statistics_ms = latency_statistics(latencies)
-    if row.opened is None or statistics_ms is None:
-        return None
-    # Ctrl-C can end within a round.
-    ratios = [mine / its for mine, (its, _) in zip(latencies, first.times_ms, strict=False)]
-    return Figures(
-        latency=statistics_ms,
-        min_ms=min(latencies),
-        processor_ms=statistics.median(worked),
-        ratio=tuple(np.quantile(ratios, (0.25, 0.5, 0.75)).tolist()) if ratios else None,
-    )
 
 
 def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
@@ -154,9 +200,7 @@ def _ignored_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _run(
-    row: BenchRow, executor: Executor, frames: int, period_s: float | None
-) -> list[tuple[float, float]]:
+def _run(row: BenchRow, executor: Executor, frames: int, period_s: float | None) -> list[float]:
     """Return the times of `time_model`; none after a failure."""
     if row.error is not None:
         return []
@@ -173,3 +217,55 @@ def _result(row: BenchRow, future: Future[_Answer]) -> _Answer | None:
         row.error = str(error)
     row.times_ms.clear()
     return None
+
+
+def to_markdown(report: BenchReport) -> str:
+    """A line on the machine, and a table for each size, threads and batch."""
+    options, machine = report.options, report.machine
+    how = "runs in turn" if options.rate_hz is None else f"frames at {options.rate_hz:g} Hz"
+    parts = [
+        f"{machine.processor}, {machine.logical_cores} logical cores, load {report.load:.2f} "
+        f"at the start, onnxruntime {report.onnxruntime} on {options.provider}, Python "
+        f"{machine.python}; {options.rounds} {how}{', interrupted' * report.interrupted}"
+    ]
+    for group in report.groups:
+        first = next((row for row in group if row.times_ms), group[0])
+        titles = ["model", "input", "median ms", "p99 ms", f"ratio to {first.model}", "quartiles"]
+        titles += ["peak MB", "load ms", "first ms", "note"]
+        rows = [titles, ["---"] * len(titles), *(_cells(row, first) for row in group)]
+        lines = [f"| {' | '.join(map(_cell, row))} |" for row in rows]
+        case = f"{first.size[0]} x {first.size[1]}, threads {first.threads}, batch {first.batch}"
+        parts.append(f"**{case}**\n\n" + "\n".join(lines))
+    return "\n\n".join(parts)
+
+
+def _cells(row: BenchRow, first: BenchRow) -> list[str]:
+    opened, latency = row.opened, row.latency
+    if opened is None or latency is None:
+        return [row.model, *["-"] * 8, row.error or "not measured"]
+    # Ctrl-C can end within a round.
+    ratios = [mine / its for mine, its in zip(row.times_ms, first.times_ms, strict=False)]
+    low, ratio, high = map(_number, np.quantile(ratios, (0.25, 0.5, 0.75)))
+    return [
+        row.model,
+        "x".join(map(str, next(iter(opened.shapes.values()), ()))),
+        _number(latency.median_ms),
+        _number(latency.p99_ms),
+        ratio,
+        f"{low} to {high}",
+        _number(opened.peak_memory_mb),
+        _number(opened.load_ms),
+        _number(opened.first_inference_ms),
+        ", ".join(opened.notes),
+    ]
+
+
+def _number(value: float | None) -> str:
+    """Three significant digits or more; "-" for None."""
+    if value is None:
+        return "-"
+    return f"{value:.{max(0, 2 - math.floor(math.log10(value or 1)))}f}"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")

@@ -79,7 +79,7 @@ def test_the_doctor_loads_nothing_that_it_looks_at():
 
 
 def test_the_bench_loads_neither_opencv_nor_torch_nor_onnx():
-    loaded = loaded_after("import runtime.tools.bench_cli")
+    loaded = loaded_after("import runtime.tools.bench")
     assert {"runtime", "numpy", "typer"} <= loaded
     assert not loaded & {*ENGINE, "torch", "onnx", "models", "training", "export", "psutil"}
 

@@ -15,7 +15,7 @@ from runtime.bundled_models import find_model
 from runtime.io.recording import RecordedFrame, Settings, read_recording, record
 from runtime.run.cli import app as run_app
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.tools.verify_cli import app
+from runtime.tools.verify import app
 
 NAMES = ["00000", "00001", "00002"]
 
