@@ -9,7 +9,7 @@ from enum import StrEnum
 from types import FrameType
 from typing import Any
 
-from runtime.errors import SSDNetError, import_remedy
+from runtime.errors import OutputError, SSDNetError, import_remedy
 
 ERROR, INTERRUPTED = 1, 130  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -87,19 +87,19 @@ def reported_errors(extras: str) -> Iterator[None]:
     """
     try:
         yield
-    except SSDNetError as error:
-        _end(f"error: {error}", error)
-    except ImportError as error:
-        _end(f"error: {error}: {import_remedy(error, extras)}", error)
+    except (SSDNetError, ImportError) as error:
+        remedy = f": {import_remedy(error, extras)}" if isinstance(error, ImportError) else ""
+        with contextlib.suppress(OSError):  # stderr may be closed
+            sys.stderr.write(_plain(f"error: {error}{remedy}\n"))
+        raise SystemExit(ERROR) from error
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
 
 
-def print_result(text: str) -> bool:
-    """Print the result of a command on stdout; return whether it was printed.
+def print_result(text: str) -> None:
+    """Print the result of a command on stdout; it need not be valid Unicode.
 
-    A closed pipe is no error; other failures are reported on stderr. The text need not be valid
-    Unicode.
+    A closed pipe is no error. Raises OutputError for other failures.
     """
     try:
         sys.stdout.write(_plain(text) + "\n")
@@ -109,17 +109,9 @@ def print_result(text: str) -> bool:
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):
-            sys.stderr.write(f"cannot print ({error.strerror})\n")
-        return False
-    return True
+            raise OutputError(f"cannot print ({error.strerror}): redirect the output") from error
 
 
 def _plain(text: str) -> str:
     """Text from files and names as valid Unicode without control characters."""
     return text.encode(errors="backslashreplace").decode().translate(_CONTROLS)
-
-
-def _end(text: str, error: Exception) -> None:
-    with contextlib.suppress(OSError):  # stderr may be closed
-        sys.stderr.write(_plain(text) + "\n")
-    raise SystemExit(ERROR) from error

@@ -59,7 +59,11 @@ def save_prediction(
             raise OutputError(f"{path}: {drawn.shape[0]} x {drawn.shape[1]} is too large for it")
         content = encoded.ravel().data
     elif suffix == _ARRAYS:
-        content = _npz(prediction)
+        arrays: dict[str, Any] = {**prediction.heads, "valid": np.bool_(prediction.valid)}
+        arrays["degraded"] = np.array(prediction.degraded, dtype=np.str_)
+        file = io.BytesIO()
+        np.savez(file, **arrays)
+        content = file.getbuffer()
     elif suffix == _CLOUD:
         if intrinsics is None:
             raise InputError(
@@ -72,16 +76,6 @@ def save_prediction(
         known = ", ".join((*_PICTURES, _ARRAYS, _CLOUD))
         raise InputError(f"{path.name} must end in one of {known}")
     atomic_write(path, content)
-
-
-def _npz(prediction: Prediction) -> memoryview:
-    """All arrays by their heads' names, with `valid` and `degraded`."""
-    arrays: dict[str, Any] = dict(prediction.heads)
-    arrays["valid"] = np.bool_(prediction.valid)
-    arrays["degraded"] = np.array(prediction.degraded, dtype=np.str_)
-    file = io.BytesIO()
-    np.savez(file, **arrays)
-    return file.getbuffer()
 
 
 @lru_cache(maxsize=8)

@@ -14,8 +14,8 @@ from runtime.command import print_result, reported_errors
 from runtime.command_options import Version
 from runtime.run.model_table import describe_bundled_models
 from runtime.run.options import OPTION, RunOptions, UsageError
-from runtime.run.report_files import describe_run, list_results
 from runtime.run.run import OnRecord, run
+from runtime.run.run_report import describe_run, list_results
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 

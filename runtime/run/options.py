@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import typer
 
@@ -33,7 +33,7 @@ from runtime.sources.registry import (
     keys_of,
     parse_source,
 )
-from runtime.sources.source import Source
+from runtime.sources.source import ListedFrame, Source
 from runtime.sources.source_keys import SOURCE_KEYS
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
@@ -43,8 +43,6 @@ FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap"}
 DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
 OPTION = "option"  # of the metadata of a field: the option of the command
 _OUT = Path("ssdnet-run")
-
-Item = TypeVar("Item")
 
 
 def _group(title: str) -> Callable[..., Any]:
@@ -108,9 +106,8 @@ class RunOptions:
     demo: bool = _input("Run the bundled stream.", flag="--demo", default=False)
     limit: int | None = _input("Stop after N complete frames (of each camera).", min=1)
     focal_length: float | None = _input(
-        "Focal length of the camera (fx) in pixels of the images. A model with a canonical focal "
-        "length then fits any camera; other models ignore it. [default: from the calibration of "
-        "the source, else unknown]",
+        "Focal length (fx) in pixels of the images; models without a canonical focal length ignore "
+        "it. [default: from the calibration of the source, else unknown]",
         min=MIN_FOCAL_PX,
         max=MAX_FOCAL_PX,
     )
@@ -121,9 +118,8 @@ class RunOptions:
         max=1e6,
     )
     poses: Path | None = _input(
-        "Poses by which scans in a folder are moved to the time of the image: KITTI's format, a "
-        "line for each image in natural order, or TUM's. Needs pose_frame in --source. Drives of "
-        "KITTI and bags bring their own.",
+        "Poses by which scans in a folder are moved to the time of the image, in KITTI's or TUM's "
+        "format. Needs pose_frame in --source. Drives of KITTI and bags bring their own.",
         metavar="FILE",
     )
     source: str | None = _input(
@@ -147,21 +143,18 @@ class RunOptions:
     )
     save: list[str] | None = _outputs(
         f"Files to write of each frame: {', '.join(SUFFIXES)}; all = all kinds that the model "
-        "answers, except clouds; or none. May be repeated. Depth and uncertainty are 16-bit PNGs, "
-        f"metres x {METRES_PNG_SCALE}. A cloud is a PLY file with colours and class ids, 16 bytes "
-        "per pixel, and needs --calibration or --focal-length. [default: all]",
+        "answers, except clouds; or none. May be repeated. Depth and uncertainty are metres x "
+        f"{METRES_PNG_SCALE}; a cloud needs --calibration or --focal-length. [default: all]",
         metavar="KIND,...",
     )
     overlay_width: int | None = _outputs(
-        "Largest width in pixels of a panel of the overlays and the video; a frame is shrunk by a "
-        "whole number. [default: 640, panels one above the other 960; of the video the frame's "
-        "width]",
+        "Largest width in pixels of a panel of the overlays and the video. [default: 640, panels "
+        "one above the other 960; of the video the frame's width]",
         min=16,
         max=MAX_OVERLAY_WIDTH,
     )
     report: Path | None = _outputs(
-        "Write an HTML page: latency over time, stages, health, sample images, and facts of the "
-        "run.",
+        "Write an HTML page: latency over time, stages, health, samples, facts of the run.",
         metavar=f"FILE{FILE_SUFFIXES['report']}",
     )
     video: Path | None = _outputs(
@@ -185,8 +178,7 @@ class RunOptions:
     provider: Provider = _model("Execution provider of the model.", default=Provider.cpu)
     size: str = _model(
         "Size at which the network runs: auto (about the height it was trained for, if the frame "
-        "is much larger), frame (size of the frame), ROWS, or HEIGHTxWIDTH. Results have the size "
-        "of the frame.",
+        "is much larger), frame, ROWS, or HEIGHTxWIDTH. Results have the size of the frame.",
         default="auto",
     )
     threads: int | None = _model("Threads of inference. [default: physical cores]", min=1)
@@ -300,7 +292,7 @@ class RunOptions:
             return BUNDLED_FOCAL_LENGTH_PX
         return None if source.calibration is None else source.calibration.focal_length_px
 
-    def shard_of(self, frames: Sequence[Item]) -> Sequence[Item]:
+    def shard_of(self, frames: Sequence[ListedFrame]) -> Sequence[ListedFrame]:
         """The frames that --shard names."""
         part, parts = self._shard
         return frames[part - 1 :: parts]

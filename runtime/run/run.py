@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Callable, Mapping, Sequence
 
 from runtime.command import stop_requested
-from runtime.drawing.overlay import SharedOverlay
+from runtime.drawing.overlay import Overlay
 from runtime.errors import InputError, SSDNetError
 from runtime.io.engine_facts import engine_facts
 from runtime.prediction import IMPLAUSIBLE_DEPTH
@@ -16,9 +16,8 @@ from runtime.run.outputs.output import OpenRun
 from runtime.run.outputs.registry import open_outputs, require_outputs
 from runtime.run.pipeline import StreamResult, run_stream
 from runtime.run.process import dedicate_process
-from runtime.run.report_files import describe_predictor, group_reasons, write_report
 from runtime.run.run_folder import CLOUD, KINDS, SAVED_HEADS, make_run_folder
-from runtime.run.run_report import RunReport
+from runtime.run.run_report import RunReport, describe_predictor, group_reasons, write_report
 from runtime.sources.source import ListedFrame, Source
 from runtime.sync.frame_outcome import FrameOutcome
 
@@ -110,7 +109,7 @@ def _run_camera(
         degraded = () if fault is None or isinstance(fault, NoDepth) else (IMPLAUSIBLE_DEPTH,)
         about = [*source.notes, describe_predictor(predictor, frame_size)]
         about += [f"warning: {fault}"] if fault else []
-        overlay = SharedOverlay(predictor.contract.classes, predictor.contract.max_depth_m)
+        overlay = Overlay(predictor.contract.classes, predictor.contract.max_depth_m)
         opened = OpenRun(options, predictor, overlay, kinds, [each.name for each in frames])
         with (
             contextlib.nullcontext(stop) if stop else stop_requested() as stopped,

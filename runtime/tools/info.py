@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from runtime.command import ERROR, print_result, reported_errors
+from runtime.command import print_result, reported_errors
 from runtime.command_options import Version
 from runtime.predictor import Predictor
 from runtime.run.model_table import describe_bundled_models
@@ -33,8 +33,7 @@ def info(
         else:
             with Predictor(model, warmup=0) as predictor:
                 text = describe_model(predictor)
-        if not print_result(text):
-            raise typer.Exit(ERROR)
+        print_result(text)
 
 
 def describe_model(predictor: Predictor) -> str:

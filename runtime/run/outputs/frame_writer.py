@@ -13,8 +13,8 @@ from runtime.io.encode import ENCODERS, encode_jpeg
 from runtime.io.ply import encode_ply
 from runtime.prediction import Prediction
 from runtime.run.outputs.output import OpenRun
-from runtime.run.report_files import write_report
 from runtime.run.run_folder import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, make_run_folder
+from runtime.run.run_report import write_report
 from runtime.sources.frames import Frame
 
 

@@ -16,7 +16,7 @@ class OpenRun:
     Attributes:
         options: of the run.
         predictor: of the run.
-        overlay: draws the frames, for all outputs.
+        overlay: draws the frames.
         kinds: of SUFFIXES, the files of a frame to write.
         names: of the frames.
         report: set after the last frame, before the outputs are closed.

@@ -34,7 +34,10 @@ class VideoWriter:
         picture = self._overlay.draw(frame.rgb, prediction, widest=widest)
         if self._file is None:
             self._size = _video_size(*picture.shape[:2])
-            self._file = self._open()
+            codec = cv2.VideoWriter.fourcc(*_CODEC)
+            self._file = cv2.VideoWriter(
+                str(self._path), cv2.CAP_FFMPEG, codec, self._rate_hz, self._size[::-1]
+            )
         self._file.write(cv2.resize(picture, self._size[::-1], interpolation=cv2.INTER_AREA))
         self._frames += 1
 
@@ -44,7 +47,9 @@ class VideoWriter:
             return
         self._file.release()
         self._file = None
-        written = cv2.VideoCapture(str(self._path))  # the encoder does not report a full disk
+        written = cv2.VideoCapture(
+            str(self._path)
+        )  # the encoder reports neither faults nor a full disk
         frames = int(written.get(cv2.CAP_PROP_FRAME_COUNT))
         written.release()
         if frames != self._frames:
@@ -52,19 +57,6 @@ class VideoWriter:
                 f"{self._path.name} holds {frames} of {self._frames} frames: free some space or "
                 "choose another location"
             )
-
-    def _open(self) -> cv2.VideoWriter:
-        height, width = self._size
-        codec = cv2.VideoWriter.fourcc(*_CODEC)
-        file = cv2.VideoWriter(
-            str(self._path), cv2.CAP_FFMPEG, codec, self._rate_hz, (width, height)
-        )
-        if not file.isOpened():
-            raise OutputError(
-                f"cannot encode {self._path.name} of {height} x {width} at {self._rate_hz:g} Hz: "
-                "this OpenCV has no such encoder, or the disk is full"
-            )
-        return file
 
 
 @contextlib.contextmanager

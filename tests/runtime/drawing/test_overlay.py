@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from runtime.drawing.overlay import Overlay, SharedOverlay
+from runtime.drawing.overlay import Overlay
 
 
 @pytest.fixture
@@ -165,14 +165,3 @@ def test_the_legend_speaks_of_the_uncertainty_where_it_is_drawn(contract, answer
     lines = (with_it.shape[0] - 5 * 60) - (without.shape[0] - 4 * 60)
     assert lines == 22
     assert np.array_equal(with_it[5 * 60 : -lines], without[4 * 60 :])
-
-
-def test_a_frame_that_several_show_is_drawn_once(contract, answered):
-    rgb, prediction = answered
-    shared = SharedOverlay(contract.classes, contract.max_depth_m)
-    first = shared.draw(rgb, prediction)
-    assert shared.draw(rgb, prediction) is first
-    other = change(prediction, depth=prediction.depth + 9)
-    plain = Overlay(contract.classes, contract.max_depth_m)
-    assert np.array_equal(shared.draw(rgb, other), plain.draw(rgb, other))
-    assert np.array_equal(shared.draw(rgb, prediction), first)

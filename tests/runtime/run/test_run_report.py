@@ -7,8 +7,7 @@ import pytest
 
 from outcomes import outcome
 from runtime.run.pipeline import StreamResult
-from runtime.run.report_files import frames_csv
-from runtime.run.run_report import RunReport
+from runtime.run.run_report import RunReport, frames_csv
 from runtime.sync.frame_outcome import INVALID, OK, SKIPPED
 from runtime.sync.latency import MissedDeadlines
 

@@ -166,14 +166,12 @@ def latency_chart(spans: Sequence[Span], *, deadline_ms: float | None) -> dict[s
 
 def mark_strip(spans: Sequence[Span], mark: str) -> list[Bar]:
     """Where along the frames a mark occurs."""
-    bars = []
     frames = spans[-1].last + 1
-    for share, group in groupby(spans, lambda span: span.marks[mark] / len(span.records)):
-        run = list(group)
-        if share:
-            start, end = run[0].first / frames, (run[-1].last + 1) / frames
-            bars.append(_bar(start, end, opacity=0.6 + 0.4 * share))
-    return bars
+    return [
+        _bar(span.first / frames, (span.last + 1) / frames, opacity=0.6 + 0.4 * share)
+        for span in spans
+        if (share := span.marks[mark] / len(span.records))
+    ]
 
 
 def returns_strip(spans: Sequence[Span]) -> list[Bar]:

@@ -6,6 +6,7 @@ import shlex
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,11 @@ from typing import Any
 from runtime.contract import Contract
 from runtime.drawing.overlay import Overlay
 from runtime.io.atomic_write import atomic_write
-from runtime.io.encode import encode_png
-from runtime.io.engine_facts import ProviderFacts
+from runtime.io.encode import encode_jpeg, encode_png
 from runtime.prediction import Prediction
 from runtime.run.outputs.output import OpenRun
 from runtime.run.outputs.page import charts
-from runtime.run.outputs.page.samples import SampleKeeper
-from runtime.run.run_report import RunReport
+from runtime.run.run_report import RunReport, running_providers
 from runtime.sources.frames import Frame
 from runtime.sync.frame_outcome import INVALID, SKIPPED
 from runtime.sync.latency import LatencyStatistics
@@ -27,6 +26,9 @@ from runtime.sync.latency import LatencyStatistics
 _PARTS = ("preprocess", "inference", "postprocess")  # of a prediction
 _BAD = (*charts.DROPS, charts.LATE)
 _MOST_PROBLEMS = 200
+_EVEN, _FLAGGED = 6, 4  # most samples, and most different sets of marks among them
+_PANELS, _WIDEST = 3, 480  # image and first two heads; columns
+_JPEG_QUALITY = 82
 _BAR_WIDTH = 640
 _LIBRARIES = {"onnxruntime": "ONNX Runtime", "cv2": "OpenCV", "numpy": "NumPy"}
 #: Mark -> its meaning.
@@ -52,17 +54,57 @@ _MEANINGS = {
 }
 
 
-class RunPage:
-    """Keeps sample pictures of a run, and makes its page; see `open_page`."""
+@dataclass(frozen=True)
+class Sample:
+    """One frame: number, name, latency, marks, and (title, JPEG) of its panels."""
 
-    def __init__(self, contract: Contract) -> None:
+    index: int
+    name: str
+    predict_ms: float
+    marks: tuple[str, ...]
+    panels: tuple[tuple[str, bytes], ...]
+    slowest: bool = False
+
+
+class RunPage:
+    """The page of a run of so many frames, with pictures of a few; see `open_page`."""
+
+    def __init__(self, contract: Contract, frames: int) -> None:
         self._contract = contract
+        self._overlay = Overlay(contract.classes, contract.max_depth_m)
         self._started = datetime.now(UTC)
-        self._samples = SampleKeeper(contract)
+        self._step, self._seen = -(-frames // _EVEN) or 1, 0
+        self._kept: dict[int, Sample] = {}  # evenly spaced, and the first of each set of marks
+        self._slowest: Sample | None = None
 
     def write(self, frame: Frame, prediction: Prediction) -> None:
         """Keep a frame and its answer as a sample, perhaps; nothing is written yet."""
-        self._samples.add(frame.name, frame.rgb, prediction, frame.health)
+        index, self._seen = self._seen, self._seen + 1
+        marks = (*prediction.degraded, *frame.health)
+        time_ms = prediction.latency.total_ms
+        slowest = self._slowest is None or time_ms > self._slowest.predict_ms
+        known = {sample.marks for sample in self._kept.values()}
+        flagged = bool(marks) and marks not in known and len(known) < _FLAGGED
+        kept = index % self._step == 0 or flagged
+        if not (kept or slowest):
+            return
+        drawn = self._overlay.panels(frame.rgb, prediction, widest=_WIDEST)
+        panels = tuple(
+            (title, bytes(encode_jpeg(panel, quality=_JPEG_QUALITY)))
+            for title, panel in list(drawn.items())[:_PANELS]
+        )
+        sample = Sample(index, frame.name, time_ms, marks, panels)
+        if slowest:
+            self._slowest = sample
+        if kept:
+            self._kept[index] = sample
+
+    def samples(self) -> list[Sample]:
+        """The kept frames, in order."""
+        kept = dict(self._kept)
+        if self._slowest is not None:
+            kept[self._slowest.index] = replace(self._slowest, slowest=self._seen > 1)
+        return [kept[index] for index in sorted(kept)]
 
     def render(self, report: RunReport) -> bytes:
         """Return the page, HTML in UTF-8 without external resources."""
@@ -93,7 +135,9 @@ class RunPage:
             "more_problems": max(len(report.not_ok) - _MOST_PROBLEMS, 0),
             "samples": self._sample_figures(),
             "facts": _facts(report, self._started),
-            "running": _running(report.engine.provider),
+            "running": running_providers(
+                report.engine.provider.running, report.engine.provider.nodes
+            ),
             "libraries": {
                 name: library.__version__
                 for module, name in _LIBRARIES.items()
@@ -104,10 +148,10 @@ class RunPage:
         return render_template("page.html", values).encode(errors="backslashreplace")
 
     def _sample_figures(self) -> dict[str, Any]:
-        samples, scale = self._samples.samples(), ""
+        samples, scale = self.samples(), ""
         if any("depth" in title for sample in samples for title, _ in sample.panels):
-            overlay = Overlay(self._contract.classes, self._contract.max_depth_m)
-            scale = _data("image/png", bytes(encode_png(overlay.draw_depth_bar(_BAR_WIDTH))))
+            bar = self._overlay.draw_depth_bar(_BAR_WIDTH)
+            scale = _data("image/png", bytes(encode_png(bar)))
         figures = [
             (sample, [(title, _data("image/jpeg", jpeg)) for title, jpeg in sample.panels])
             for sample in samples
@@ -119,7 +163,7 @@ class RunPage:
 def open_page(run: OpenRun) -> Iterator[RunPage]:
     """Make the page of --report, written when the block ends."""
     assert run.options.report is not None
-    page = RunPage(run.predictor.contract)
+    page = RunPage(run.predictor.contract, len(run.names))
     yield page
     if run.report is not None:
         content = page.render(run.report)
@@ -196,13 +240,6 @@ def _facts(report: RunReport, started: datetime) -> dict[str, Any]:
         "saved": ", ".join(report.saved) or "nothing",
     }
     return {name: fact for name, fact in facts.items() if fact not in (None, "")}
-
-
-def _running(provider: ProviderFacts) -> list[str]:
-    nodes = provider.nodes or {}
-    return [
-        name + (f" ({nodes[name]} nodes)" if name in nodes else "") for name in provider.running
-    ]
 
 
 def _data(kind: str, content: bytes) -> str:

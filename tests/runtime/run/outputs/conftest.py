@@ -3,7 +3,7 @@
 import pytest
 
 from runtime import Predictor
-from runtime.drawing.overlay import SharedOverlay
+from runtime.drawing.overlay import Overlay
 from runtime.run.options import RunOptions
 from runtime.run.outputs.output import OpenRun
 from runtime.sources.frames import Frame
@@ -23,7 +23,7 @@ def open_run(all_heads, contract):
 
     def make(*, kinds=(), names=(), **options):
         predictor = Predictor(all_heads, focal_length_px=options.get("focal_length"))
-        overlay = SharedOverlay(contract.classes, contract.max_depth_m)
+        overlay = Overlay(contract.classes, contract.max_depth_m)
         given = RunOptions(**{"demo": True, "overwrite": True, **options})
         return OpenRun(given, predictor, overlay, kinds, names)
 

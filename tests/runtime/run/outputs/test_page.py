@@ -14,8 +14,7 @@ import pytest
 from outcomes import outcome
 from runtime.prediction import Latency
 from runtime.run.outputs.page import charts
-from runtime.run.outputs.page.page import render_template
-from runtime.run.outputs.page.samples import SampleKeeper
+from runtime.run.outputs.page.page import RunPage, render_template
 from runtime.sync.frame_outcome import OK, SKIPPED
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
@@ -205,7 +204,9 @@ def test_everything_lies_within_the_picture(frames):
 def test_strips_show_where_a_mark_was_and_how_many_returns_were_used():
     marks = [(), ("a",), ("a", "b"), (), ("a",)]
     spans = charts.join_frames([outcome(health=each) for each in marks])
-    assert charts.mark_strip(spans, "a") == [(20, 40, 100, 1), (80, pytest.approx(20), 100, 1)]
+    bars = charts.mark_strip(spans, "a")
+    assert [bar[:1] for bar in bars] == [(20,), (40,), (80,)]
+    assert [bar[1:] for bar in bars] == [(pytest.approx(20), 100, 1)] * 3
     assert charts.mark_strip(spans, "c") == []
     outcomes = [outcome(returns=100), outcome(status=SKIPPED), outcome(returns=50)]
     drawn = charts.returns_strip(charts.join_frames(outcomes))
@@ -218,15 +219,15 @@ def test_strips_show_where_a_mark_was_and_how_many_returns_were_used():
 
 @pytest.fixture
 def look(contract, answered):
-    """Let a keeper see n frames, the time of frame i by `time_ms`, its marks by `marks`."""
+    """Let a page see n frames, the time of frame i by `time_ms`, its marks by `marks`."""
     frame, prediction = answered
 
     def run(n, time_ms=lambda i: 1.0, marks=lambda i: ()):
-        keeper = SampleKeeper(contract)
+        page = RunPage(contract, n)
         for index in range(n):
             timed = dataclasses.replace(prediction, latency=Latency(0, 0, 0, time_ms(index)))
-            keeper.add(f"f{index}", frame.rgb, timed, marks(index))
-        return keeper.samples()
+            page.write(dataclasses.replace(frame, name=f"f{index}", health=marks(index)), timed)
+        return page.samples()
 
     return run
 
