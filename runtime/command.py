@@ -14,11 +14,6 @@ from runtime.errors import OutputError, SSDNetError, import_remedy
 ERROR, INTERRUPTED = 1, 130  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
-#: Control characters, which a terminal obeys, and how they are printed.
-_CONTROLS = {
-    code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"
-}
-
 
 class Provider(StrEnum):
     """Choices of --provider."""
@@ -114,4 +109,5 @@ def print_result(text: str) -> None:
 
 def _plain(text: str) -> str:
     """Text from files and names as valid Unicode without control characters."""
-    return text.encode(errors="backslashreplace").decode().translate(_CONTROLS)
+    valid = text.encode(errors="backslashreplace").decode()
+    return "".join(c if c.isprintable() or c in "\n\t" else f"\\x{ord(c):02x}" for c in valid)

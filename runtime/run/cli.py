@@ -27,9 +27,8 @@ class GroupedCommand(TyperCommand):
         groups: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             if (row := parameter.get_help_record(ctx)) is not None:
-                title = getattr(parameter, "rich_help_panel", None)
-                other = "Arguments" if parameter.param_type_name == "argument" else "Other"
-                groups.setdefault(title or other, []).append(row)
+                title = getattr(parameter, "rich_help_panel", None) or "Other"
+                groups.setdefault(title, []).append(row)
         for title, rows in groups.items():
             with formatter.section(title):
                 formatter.write_dl(rows)

@@ -65,6 +65,7 @@ _PATH = typer.Argument(
     metavar="[PATH]",
     help=f"Frames to predict: {'; '.join(kind.accepted for kind in SOURCES.values())}. Its kind "
     "follows from the path.",
+    rich_help_panel="Input",
 )
 
 

@@ -16,12 +16,12 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from itertools import product
-from typing import Annotated, TypeVar
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from runtime.checks import check_number, shown
+from runtime.checks import shown
 from runtime.command import (
     ERROR,
     INTERRUPTED,
@@ -39,7 +39,6 @@ from runtime.sync.latency import LatencyStatistics, latency_statistics
 from runtime.tools.bench_worker import Opened, open_model, time_model
 
 _WARM_UP = 2  # runs of each model
-_Answer = TypeVar("_Answer")
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -76,6 +75,8 @@ def main(
         float | None,
         typer.Option(
             metavar="HZ",
+            min=1e-3,
+            max=1e6,
             help="Frames arrive at this rate; the models take turns of one second, and the "
             "latency is measured from when a frame is due. [default: turns of one run]",
         ),
@@ -86,8 +87,6 @@ def main(
     _version: Version = False,
 ) -> None:
     """Measure latency, memory and load time of models side by side."""
-    if rate is not None:
-        check_number("--rate", rate, 1e-3, 1e6, error=typer.BadParameter)
     cases = tuple(map(_size, size)), tuple(threads or [available_cores()]), tuple(batch)
     with reported_errors("cpu"):
         with interruptible():
@@ -207,7 +206,7 @@ def _run(row: BenchRow, executor: Executor, frames: int, period_s: float | None)
     return _result(row, executor.submit(time_model, frames, period_s)) or []
 
 
-def _result(row: BenchRow, future: Future[_Answer]) -> _Answer | None:
+def _result(row: BenchRow, future: Future[Any]) -> Any:
     """Return the answer of a process; None after a failure, which is noted in the row."""
     try:
         return future.result()

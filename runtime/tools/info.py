@@ -1,5 +1,6 @@
 """`ssdnet-info`: the metadata of a model file."""
 
+import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -65,12 +66,5 @@ def describe_model(predictor: Predictor) -> str:
     return "\n".join(f"{name:24}{' '.join(fact.split())}".rstrip() for name, fact in lines)
 
 
-def _plain(value: Any) -> str:
-    """A JSON value without the brackets of lists and objects."""
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {_plain(entry)}" for name, entry in value.items())
-    if isinstance(value, list | tuple):
-        return ", ".join(map(_plain, value))
-    if value is None:
-        return "not known"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+def _plain(fact: Any) -> str:
+    return fact if isinstance(fact, str) else json.dumps(fact, ensure_ascii=False)

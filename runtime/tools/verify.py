@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from numpy.typing import NDArray
 
-from runtime.checks import check_number, shown
+from runtime.checks import shown
 from runtime.command import Provider, print_result, reported_errors
 from runtime.command_options import Version
 from runtime.errors import InferenceError, InputError
@@ -62,16 +62,15 @@ def main(
     max_slowdown: Annotated[
         float | None,
         typer.Option(
+            min=1e-6,
             help="Largest ratio of the median prediction time to the recorded one. "
-            "[default: times are not compared]"
+            "[default: times are not compared]",
         ),
     ] = None,
     _version: Version = False,
 ) -> None:
     """Predict the frames of a recording again, and compare the answers with the recorded ones."""
     tolerances = _tolerances(tolerance or [])
-    if max_slowdown is not None:
-        check_number("--max-slowdown", max_slowdown, 1e-6, 1e6, error=typer.BadParameter)
     with reported_errors("cpu"):
         recording = read_recording(recording_dir)
         with Predictor(

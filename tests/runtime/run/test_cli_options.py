@@ -151,7 +151,7 @@ def test_help_groups_the_options():
     result = CliRunner().invoke(app, ["--help"])
     lines = result.stdout.splitlines()
     titles = [line for line in lines if re.fullmatch(r"[A-Z][a-z ]+:", line)]
-    assert titles == ["Arguments:", "Input:", "Outputs:", "Model:", "Timing:", "Other:"]
+    assert titles == ["Input:", "Outputs:", "Model:", "Timing:", "Other:"]
     for option, title in (("--rgb", "Input:"), ("--video", "Outputs:"), ("--rate", "Timing:")):
         (at,) = (number for number, line in enumerate(lines) if line.startswith(f"  {option} "))
         assert [line for line in lines[:at] if line in titles][-1] == title

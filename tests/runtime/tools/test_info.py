@@ -35,23 +35,21 @@ def test_the_lines_hold_what_the_metadata_and_the_tensors_say(model_file, contra
     shown = {line[:24].strip(): line[24:] for line in lines}
     expected = {
         "model name": "by-hand",
-        "heads": "semantic, depth, boundary",
-        "fixed size": "48, 64",
+        "heads": '["semantic", "depth", "boundary"]',
+        "fixed size": "[48, 64]",
         "frames a run": "one",
         "canonical focal px": "721.5",
-        "trained height": "not known",
-        "data": "one, two",
+        "trained height": "null",
+        "data": '["one", "two"]',
         "terms": r"none\x1b[2J model name other",  # a file does not steer the terminal
-        "depth": "max_abs_m 0.00012345",
+        "depth": '{"max_abs_m": 0.00012345}',
         "repeat": "ssdnet-eval MODEL",
         "0": "dark #000080",
         "1": "red #c81e1e",
     }
     assert {name: shown[name] for name in expected} == expected
-    assert [line[24:] for line in lines if line.startswith("  rows")] == [
-        "miou 0.5",
-        "miou not known",
-    ]
+    rows = [line[24:] for line in lines if line.startswith("  rows")]
+    assert rows == ['{"miou": 0.5}', '{"miou": null}']
     assert len(shown["sha256"]) == 64
 
 
