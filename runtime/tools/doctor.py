@@ -42,11 +42,9 @@ def doctor(
             faults += check.status == "fault"
             remedy = f"\n{'':8}-> {check.remedy}" if check.remedy else ""
             print_result(f"{check.status:8}{check.name:24} {check.found}{remedy}")
+        ok = f"the engine works on {provider.value}"
         print_result(
-            f"{faults} found faulty: run the commands after the arrows in a clone of ssdnet, in "
-            "this order"
-            if faults
-            else f"the engine works on {provider.value}"
+            f"{faults} faulty: each says what to do, in a clone of ssdnet" if faults else ok
         )
         raise typer.Exit(ERROR if faults else 0)
 
