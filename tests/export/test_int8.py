@@ -19,7 +19,7 @@ from runtime import InputError, Predictor
 from runtime.io.recording import read_recording
 from runtime.model_file import load_model_file
 from runtime.tools.info import app as info_app
-from runtime.tools.verify_cli import app as verify_app
+from runtime.tools.verify import app as verify_app
 from training.evaluation.score_report import Row
 from training.evaluation.scoring import Scores
 
