@@ -4,14 +4,20 @@ import contextlib
 from collections.abc import Sequence
 from enum import StrEnum
 
+import numpy as np
+
 from runtime.errors import SSDNetError
 from runtime.health.calibration_size import CalibrationSize
 from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
+from runtime.io.calibration import Calibration
 from runtime.io.images import holds_metres
+from runtime.lens import EQUIDISTANT, rays
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth, clean_sparse_depth
 from runtime.sources.source import ListedFrame, Source
 from runtime.sync.outcome import Sensor
+
+_LEAST_UNSEEN = 0.02  # share of the pixels; the corners of a sound calibration may lie beyond it
 
 
 class NoDepth(StrEnum):
@@ -24,6 +30,24 @@ class NoDepth(StrEnum):
     NO_MATCH = (
         "no image matches the time of a scan or depth map: check that both have time stamps of the "
         "same recording and clock, or give a larger --max-skew-ms"
+    )
+
+
+def find_lens_fault(calibration: Calibration | None, size: tuple[int, int] | None) -> str | None:
+    """Return why a lens cannot be that of images of this (height, width); None = nothing found.
+
+    A fisheye may see less than its images hold.
+    """
+    lens = calibration.lens_model if calibration else None
+    if calibration is None or lens is None or lens.model == EQUIDISTANT or size is None:
+        return None
+    unseen = float(np.isnan(rays(lens, calibration.intrinsics, size)).any(axis=-1).mean())
+    if unseen < _LEAST_UNSEEN:
+        return None
+    return (
+        f"the lens of the calibration, {lens.model} {list(lens.coefficients)}, ends inside the "
+        f"images: {unseen:.0%} of the pixels have no ray, and get no return. Check the "
+        "coefficients and their order"
     )
 
 

@@ -10,7 +10,7 @@ from runtime.io.engine_facts import engine_facts
 from runtime.prediction import IMPLAUSIBLE_DEPTH
 from runtime.predictor import Predictor
 from runtime.preprocess import check_sparse_depth
-from runtime.run.depth_check import NoDepth, find_depth_fault
+from runtime.run.depth_check import NoDepth, find_depth_fault, find_lens_fault
 from runtime.run.options import RunOptions
 from runtime.run.outputs.output import OpenRun
 from runtime.run.outputs.registry import open_outputs, require_outputs
@@ -108,7 +108,8 @@ def _run_camera(
         fault = find_depth_fault(predictor, listed, source)  # the same for all shards
         degraded = () if fault is None or isinstance(fault, NoDepth) else (IMPLAUSIBLE_DEPTH,)
         about = [*source.notes, describe_predictor(predictor, frame_size)]
-        about += [f"warning: {fault}"] if fault else []
+        faults = (find_lens_fault(source.calibration, frame_size), fault)
+        about += [f"warning: {each}" for each in faults if each]
         overlay = Overlay(predictor.contract.classes, predictor.contract.max_depth_m)
         opened = OpenRun(options, predictor, overlay, kinds, [each.name for each in frames])
         with (
@@ -193,8 +194,10 @@ def _report(
         **source.inputs,
         "focal_length_px": predictor.focal_length_px,
         "used_focal_length_px": scale and scale.focal_length_px,
-        "depth_range_m": scale and scale.range_m,
-        "rectified": options.rectify,
+        "depth_range_m": scale and round(scale.range_m, 2),
+        "lens": source.calibration and source.calibration.lens,
+        "distortion": source.calibration and source.calibration.distortion,
+        "rectified_by_this_run": options.rectify,
         "shard": options.shard,
         "warmup": options.warmup,
     }

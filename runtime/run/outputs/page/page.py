@@ -221,7 +221,13 @@ def _lanes(marks: Counter[str], spans: Sequence[charts.Span]) -> list[tuple[Any,
     if known:
         count = f"{min(known):,.0f} to {max(known):,.0f}"
         lanes.append(
-            ("tall", "LiDAR returns", count, "used per frame", charts.returns_strip(spans))
+            (
+                "tall",
+                "LiDAR returns",
+                count,
+                "in a frame, before it is resized",
+                charts.returns_strip(spans),
+            )
         )
     return lanes
 
