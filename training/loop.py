@@ -24,7 +24,6 @@ from training.run_folder import (
     LAST,
     SCORES,
     TENSORBOARD,
-    list_data,
     lock_folder,
     prepare_folder,
 )
@@ -97,11 +96,9 @@ def _train(
         "processes": processes.count,
     }
     if processes.is_first:
-        sets = (*recipe.data.source, *recipe.validation.source)
-        files = list_data(data, [item.path for item in sets])
         # Made last: a training that cannot start leaves no folder.
         held.enter_context(lock_folder(out))
-        prepare_folder(out, resolved, files)
+        prepare_folder(out, resolved)
     processes.wait()
     known_data, terms = state_provenance(recipe, init, teacher)
     state = TrainingState(recipe, task, processes, out)

@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from models import CLASS_TABLES, SSDNetLiteConfig, create_model, load_checkpoint, save_checkpoint
+from models import CLASS_TABLES, create_model, save_checkpoint
 from models.efficientnet_lite import WIDTHS as EFFICIENTNET_WIDTHS
 from runtime.errors import CheckpointError, InputError
 from training.initial_weights import read_weights
 from training.network import build_network, train_parts
 from training.prune import prune_trunk
-from training.recipe import ModelRecipe, build
+from training.recipe import ModelRecipe
 
 
 def test_init_does_not_take_one_class_for_another(tmp_path, capsys):
@@ -101,25 +101,6 @@ def test_frozen_layers_keep_weights_and_statistics_and_have_no_backward_pass():
         train_parts(network, (), ("encoder.steam",))
 
 
-def test_canonical_focal_length_goes_from_the_recipe_into_the_checkpoint(tmp_path):
-    recipe = ModelRecipe("ssdnet-lite", config={"canonical_focal_px": 721.5})
-    network = build_network(recipe, None)
-    assert network.config.canonical_focal_px == 721.5
-    save_checkpoint(tmp_path / "a.pt", network)
-    assert load_checkpoint(tmp_path / "a.pt").model.config == network.config
-    plain = build_network(ModelRecipe("nconv"), None)
-    assert plain.config.canonical_focal_px is None
-    save_checkpoint(tmp_path / "b.pt", plain)
-    assert load_checkpoint(tmp_path / "b.pt").model.config == plain.config
-
-
-@pytest.mark.parametrize("focal", [0, -1.0, float("nan"), float("inf"), "721", True])
-def test_a_network_refuses_a_focal_length_that_no_camera_has(focal):
-    config = {**create_model("ssdnet-lite").config.to_dict(), "canonical_focal_px": focal}
-    with pytest.raises(ValueError, match="canonical_focal_px"):
-        SSDNetLiteConfig.from_dict(config)
-
-
 def test_a_recipe_changes_fields_of_the_networks_configuration():
     config = {"decoder_channels": [8, 8, 8], "depth_refine_channels": 4}
     network = build_network(ModelRecipe("ssdnet-nano", config=config), None)
@@ -131,39 +112,6 @@ def test_a_recipe_changes_fields_of_the_networks_configuration():
     )
     assert "semantic" not in alone.heads
     assert alone.config.classes == ()
-
-
-@pytest.mark.parametrize(
-    ("name", "config", "text"),
-    [
-        ("ssdnet-lite", {"semantic_head": [1]}, "semantic_head has the wrong type"),
-        ("ssdnet-lite", {"decoder_channels": "8"}, "decoder_channels has the wrong type"),
-        (
-            "ssdnet-lite",
-            {"layers": 3},
-            "not configuration fields of the network 'ssdnet-lite': layers",
-        ),
-        (
-            "ssdnet-nano",
-            {"decoder_channels": [8, 8]},
-            "decoder_channels must have one entry per skip",
-        ),
-        (
-            "fast-scnn",
-            {"boundary_channels": 8},
-            "fields of the network 'fast-scnn': boundary_channels",
-        ),
-        ("ssdnet-lite", {"max_depth_m": -1.0}, "max_depth_m"),
-        ("ssdnet-lite", {"max_depth_m": 1e39}, "max_depth_m"),
-        *(
-            ("ssdnet-lite", {"canonical_focal_px": focal}, "canonical_focal_px")
-            for focal in (0, 0.5, -700.0, float("inf"), float("nan"), "721", 2e6)
-        ),
-    ],
-)
-def test_an_invalid_configuration_is_refused(name, config, text):
-    with pytest.raises(InputError, match=text):
-        build(ModelRecipe, {"name": name, "config": config})
 
 
 IMAGENET = ModelRecipe("ssdnet-lite", pretrained="imagenet", config={"encoder_widths": []})
@@ -190,22 +138,6 @@ def test_a_pretrained_encoder_is_loaded_with_its_normalisation(loaded):
     assert network.config.rgb_mean == (127.0,) * 3
     assert network.rgb_std.flatten().tolist() == [128.0] * 3
     assert (network.encoder.stem[0][0].weight == 1).all()
-
-
-def test_pretrained_weights_are_pruned_for_a_narrower_trunk(loaded, capsys):
-    config = {**IMAGENET.config, "encoder_widths": list(WIDTHS)}
-    recipe = replace(IMAGENET, config=config)
-    network = build_network(recipe, None, pictures=PICTURES)
-    assert network.config.encoder_widths == WIDTHS
-    assert network.config.rgb_mean == (127.0,) * 3
-    assert loaded[0] is not network.encoder
-    assert capsys.readouterr().err == "the trunk was pruned from 8960 to 8904 channels\n"
-    assert (network.encoder.stride32[-1].expand[0].weight == 1).all()
-
-
-def test_a_resumed_run_does_not_read_pretrained_weights_again(loaded):
-    build_network(IMAGENET, None, resumed=True)
-    assert loaded == []
 
 
 def test_init_comes_after_the_pretrained_weights(loaded, tmp_path, capsys):

@@ -8,8 +8,8 @@ import torch
 from models import create_model
 from runtime.errors import InputError
 from training.losses import LossConfig, SSDNetLoss
-from training.optimizer import build_optimizer, exponential_average, learning_rate
 from training.recipe import OptimizerRecipe, ScheduleRecipe
+from training.state import build_optimizer, exponential_average, learning_rate
 
 
 @pytest.mark.parametrize("name", ["adamw", "sgd"])

@@ -5,9 +5,7 @@ import pytest
 from runtime.errors import InputError
 from training.datasets.camvid import CamVidRecipe
 from training.datasets.cityscapes import CityscapesRecipe
-from training.datasets.virtual_kitti import RenderedRecipe
 from training.recipe import AnySource, ValidationRecipe, build, read_recipe
-from training.recipes.registry import RECIPES
 
 MINIMAL = """
 [model]
@@ -113,12 +111,6 @@ def test_mistakes_are_named(tmp_path, old, new, text):
         read(tmp_path, MINIMAL.replace(old, new))
 
 
-def test_file_that_is_not_text(tmp_path):
-    (tmp_path / "r.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="it is not UTF-8 text"):
-        read_recipe(tmp_path / "r.toml")
-
-
 def test_missing_file(tmp_path):
     with pytest.raises(InputError, match="cannot read"):
         read_recipe(tmp_path / "none.toml")
@@ -207,60 +199,10 @@ def test_keys_that_mean_nothing_to_a_kind_are_refused(kind, keys):
         build(AnySource, {"kind": kind, "path": "folder", **keys})
 
 
-@pytest.mark.parametrize(
-    ("kind", "keys"),
-    [
-        ("camvid", {"split": "test"}),
-        ("cityscapes", {"split": "val"}),
-        ("kitti-depth", {"split": "selection", "cameras": (2, 3)}),
-        ("kitti-raw", {"drives": ("d",), "cameras": (3,), "withhold_hidden": True}),
-        ("kitti-stream", {"first": 1, "last": 2, "semantic_weight": 0.2}),
-        ("rendered", {"scenes": ("s",), "variants": ("v",), "frames": "f.txt"}),
-        (
-            "virtual-kitti",
-            {"split": "all", "scenes": ("s",), "variants": ("v",), "frames": "f", "cameras": (1,)},
-        ),
-        ("virtual-kitti-1", {"split": "all", "scenes": ("s",), "variants": ("v",), "frames": "f"}),
-    ],
-)
-def test_every_kind_takes_its_own_keys(kind, keys):
-    common = {"weight": 2.0, "size": (64, 96), "scale": (1.0, 2.0)}
-    source = build(AnySource, {"kind": kind, "path": "folder", **keys, **common})
-    assert source.kind == kind
-    assert all(getattr(source, key) == value for key, value in {**keys, **common}.items())
-
-
-def test_a_source_needs_a_path():
-    assert RenderedRecipe(path="rendered/val").title == "rendered/val"
-    with pytest.raises(InputError, match="missing key path"):
-        build(AnySource, {"kind": "rendered"})
-
-
-def test_mistaken_sources_are_named_with_their_file(tmp_path):
-    with pytest.raises(InputError, match=r"r\.toml: unknown key data\.source\[0\]\.last; known"):
-        read(tmp_path, MINIMAL.replace("scale = [1, 2]", "last = 3"))
-    second = MINIMAL + '[[validation.source]]\nkind = "camvid"\npath = "camvid"\nlast = 3\n'
-    with pytest.raises(InputError, match=r"unknown key validation\.source\[0\]\.last; known"):
-        read(tmp_path, second)
-    with pytest.raises(InputError, match=r"r\.toml: data\.cache_gib = -1"):
-        read(tmp_path, MINIMAL.replace("batch_size = 4", "cache_gib = -1"))
-    with pytest.raises(InputError, match=r"model\.classes = 'coco'; choose one of 'camvid'"):
-        read(tmp_path, MINIMAL.replace("[data]\n", "classes = 'coco'\n[data]\n"))
-
-
 def test_validation_names_its_lidar(tmp_path):
     assert read(tmp_path, MINIMAL + '[validation]\nlidar = "random:0.05"\n').validation.lidar
     with pytest.raises(InputError, match=r"validation\.lidar = '63': .*divides 64, random:SHARE"):
         read(tmp_path, MINIMAL + '[validation]\nlidar = "63"\n')
-
-
-@pytest.mark.parametrize(
-    "name", ["paper-vkitti", "paper-cityscapes", "vkitti", "ablation-ssdnet", "ablation-ungated"]
-)
-def test_what_is_trained_on_a_random_share_is_validated_so(name):
-    recipe = RECIPES[name].stages[0].recipe
-    assert recipe.data.augment.random_share == (0.05, 0.05)
-    assert recipe.validation.lidar == "random:0.05"
 
 
 @pytest.mark.parametrize(

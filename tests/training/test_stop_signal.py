@@ -149,15 +149,6 @@ def test_two_signals_of_one_key_do_not_cut_torchrun_s_processes_short(monkeypatc
         assert stop()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_each_signal_stops(monkeypatch, number):
-    monkeypatch.delenv("WORLD_SIZE", raising=False)
-    with StopSignal() as stop:
-        assert not stop()
-        signal.raise_signal(number)
-        assert stop()
-
-
 def test_handlers_are_restored():
     before = signal.getsignal(signal.SIGINT)
     with StopSignal():

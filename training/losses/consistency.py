@@ -5,9 +5,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from models.pooling import maxima_around
-from training.batch import Pair
 from training.distributed import sum_over_processes
 from training.limits import PAIR_BORDER_PX
+from training.loading.mixture import Pair
 from training.losses.depth import log_ratio
 
 #: Weights of the depth's log ratio at pixels farther than NEAR_PX from a return, and nearer.

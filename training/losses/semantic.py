@@ -1,4 +1,4 @@
-"""Class-weighted cross-entropy, Eq. 5, the weights of the classes, and soft IoU."""
+"""Losses of classes: Eq. 5, the weights of the classes, soft IoU, Lovász-Softmax, road masks."""
 
 from typing import Literal
 
@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from training.distributed import sum_over_processes
-from training.losses.masked import cell_side
+from training.losses.masked import cell_side, split_into_blocks
 
 IGNORE = 255
 
@@ -119,3 +119,65 @@ def soft_iou_loss(overlap: Tensor) -> Tensor:
     iou = intersection / (predicted + labelled - intersection).clamp(min=1e-6)
     loss: Tensor = ((1 - iou) * shown).sum() / shown.sum().clamp(min=1)
     return loss
+
+
+def lovasz_softmax_loss(probabilities: Tensor, semantic: Tensor) -> Tensor:
+    """Lovász-Softmax of one picture, averaged over the classes that it shows, ().
+
+    Paper: Berman, Rannen Triki, Blaschko, "The Lovász-Softmax loss: A tractable surrogate for the
+    optimization of the intersection-over-union measure in neural networks", CVPR 2018, Eq. 12: each
+    pixel's error times what it adds to the Jaccard loss of the class, the largest error first.
+
+    `probabilities` float (C, H, W) that sum to 1 over C; `semantic` int64 (H, W), 255 = ignore.
+    0, with a gradient of 0, if nothing is labelled.
+    """
+    known = semantic != IGNORE
+    of_class = F.one_hot(semantic[known], len(probabilities)).T.to(probabilities.dtype)  # (C, P)
+    errors = (of_class - probabilities[:, known]).abs()
+    errors, order = errors.sort(dim=1, descending=True)
+    of_class = of_class.gather(1, order)
+    area = of_class.sum(dim=1, keepdim=True)
+    intersection = area - of_class.cumsum(dim=1)
+    union = area + (1 - of_class).cumsum(dim=1)
+    jaccard = 1 - intersection / union  # loss of the class with the first i pixels wrong; union > 0
+    gain = jaccard.diff(dim=1, prepend=jaccard.new_zeros(len(jaccard), 1))
+    shown = (area > 0).squeeze(1)
+    loss: Tensor = ((errors * gain).sum(dim=1) * shown).sum() / shown.sum().clamp(min=1)
+    return loss
+
+
+def picture_mean(losses: Tensor, known: Tensor, sample_weight: Tensor | None = None) -> Tensor:
+    """Mean over the pictures of the batch that have a label, ().
+
+    `losses` float (N,); `known` bool (N, H, W), the labelled pixels; `sample_weight` float (N,)
+    scales each without changing what is divided by. 0, with a gradient of 0, if nothing is known.
+    Pictures of all processes count.
+    """
+    if sample_weight is not None:
+        losses = losses * sample_weight
+    labelled = known.flatten(1).any(dim=1).sum()
+    return sum_over_processes(losses.sum()) / sum_over_processes(labelled).clamp(min=1)
+
+
+#: Values of a mask, see `training.datasets.sample.Sample`; any other is unknown.
+NO_ROAD, ROAD = 0, 1
+
+
+def road_loss(logits: Tensor, road_mask: Tensor, road: int) -> Tensor:
+    """Binary cross-entropy of one class, a mean over the known pixels, ().
+
+    -log p of the class `road` where the mask is `ROAD`, -log(1 - p) where it is `NO_ROAD`; the
+    ratios among the other classes have no gradient.
+
+    `logits` float (N, C, h, w) of all classes, C > 1, at the image's size or on a coarser grid, on
+    which every pixel counts in its cell; `road_mask` uint8 (N, H, W). 0, with a gradient of 0, if
+    no pixel is known. Pixels of all processes count.
+    """
+    masks = torch.stack((road_mask == ROAD, road_mask == NO_ROAD), dim=1).to(logits.dtype)
+    blocks, side = split_into_blocks(masks, (logits.shape[-2], logits.shape[-1]))
+    is_road, no_road = (F.avg_pool2d(blocks, side) if side > 1 else blocks).unbind(1)
+    others = torch.cat((logits[:, :road], logits[:, road + 1 :]), dim=1)
+    odds = logits[:, road] - others.logsumexp(dim=1)  # log p / (1 - p)
+    total = (is_road * F.softplus(-odds) + no_road * F.softplus(odds)).sum()
+    known = (is_road + no_road).sum()
+    return sum_over_processes(total) / sum_over_processes(known).clamp(min=1e-6)

@@ -11,9 +11,18 @@ from pydantic.dataclasses import dataclass
 from torch import Tensor, nn
 
 from models import NetworkOutput
-from training.batch import Batch, Pair
 from training.limits import STRICT, NotNegative
-from training.losses.boundary import balanced_cross_entropy, boundary_at_scale, boundary_target
+from training.loading.mixture import Batch, Pair
+from training.losses.boundary import (
+    NeighbourMaps,
+    balanced_cross_entropy,
+    boundary_at_scale,
+    boundary_target,
+    hard_disagreement,
+    semantic_boundary_loss,
+    semantic_depth_loss,
+    soft_disagreement,
+)
 from training.losses.consistency import (
     depth_consistency_loss,
     depth_seam_loss,
@@ -21,6 +30,7 @@ from training.losses.consistency import (
 )
 from training.losses.depth import (
     DepthCriterion,
+    laplace_loss,
     metric_depth_loss,
     multi_scale_depth_loss,
     normalise_depth,
@@ -32,26 +42,19 @@ from training.losses.distillation import (
     distilled_semantic_loss,
 )
 from training.losses.heads import HEAD_LOSSES
-from training.losses.joint import (
-    NeighbourMaps,
-    hard_disagreement,
-    semantic_boundary_loss,
-    semantic_depth_loss,
-    soft_disagreement,
-)
-from training.losses.lovasz import lovasz_softmax_loss, picture_mean
 from training.losses.masked import cell_side, on_grid
-from training.losses.road import road_loss
 from training.losses.semantic import (
     IGNORE,
     ClassWeighting,
     class_shares,
     cross_entropy_sums,
     labelled_mean,
+    lovasz_softmax_loss,
+    picture_mean,
+    road_loss,
     soft_iou_loss,
     soft_overlap,
 )
-from training.losses.uncertainty import laplace_loss
 
 
 class Term(NamedTuple):

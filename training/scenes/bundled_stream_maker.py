@@ -16,7 +16,7 @@ from runtime.io.atomic_write import atomic_write
 from runtime.io.images import KITTI_DEPTH_SCALE
 from training.datasets.virtual_kitti import VirtualKitti
 from training.datasets.virtual_kitti_split import Selection
-from training.lidar.simulate import scan_lines
+from training.lidar.split import scan_lines
 
 
 def write_lidar_stream(variant: Path, out: Path) -> int:

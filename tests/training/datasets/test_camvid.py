@@ -52,12 +52,6 @@ def test_camvid_errors_name_the_file(camvid):
         CamVid(camvid)
 
 
-@pytest.mark.parametrize("classes", ["cityscapes", "virtual_kitti"])
-def test_camvid_is_mapped_to_no_other_classes(camvid, classes):
-    with pytest.raises(DatasetError, match=f"labels of camvid are not mapped .*{classes}"):
-        CamVid(camvid, classes=classes)
-
-
 @pytest.mark.skipif("SSDNET_DATA" not in os.environ, reason="names no folder of recordings")
 def test_real_camvid_split_sizes():
     real_data = Path(os.environ["SSDNET_DATA"])

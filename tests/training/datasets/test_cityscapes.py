@@ -8,7 +8,7 @@ import pytest
 from layouts.cityscapes import CAMERA, HEIGHT, STEM, WIDTH, write_frame, write_stereo
 from layouts.pictures import cut_short, write
 from runtime.errors import DatasetError
-from training.datasets.cityscapes import Cityscapes, CityscapesRecipe, disparity_to_depth
+from training.datasets.cityscapes import Cityscapes, CityscapesRecipe
 from training.loading.open_dataset import open_dataset
 
 #: Of the labelIds 0..33.
@@ -58,11 +58,6 @@ def test_depth_is_focal_length_times_baseline_over_disparity(cityscapes):
         [0, 2265.3017905988554, 513.137],
         [0, 0, 1],
     ]
-
-
-def test_no_disparity_is_no_depth():
-    depth = disparity_to_depth(np.array([[0, 1, 513]], np.uint16), 10.0)
-    assert depth.tolist() == [[0.0, 0.0, 5.0]]
 
 
 def test_without_stereo_there_are_classes_alone(tmp_path):
@@ -182,14 +177,3 @@ def test_broken_camera_files_are_named(cityscapes, content, text):
     (cityscapes / f"camera/train/{STEM}_camera.json").write_text(content)
     with pytest.raises(DatasetError, match=f"{STEM}_camera.json: .*{text}"):
         Cityscapes(cityscapes)[0]
-
-
-def test_a_camera_file_that_is_not_text_is_named(cityscapes):
-    (cityscapes / f"camera/train/{STEM}_camera.json").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(DatasetError, match=f"{STEM}_camera.json: it is not UTF-8"):
-        Cityscapes(cityscapes)[0]
-
-
-def test_cityscapes_has_no_mapping_to_virtual_kittis_classes(cityscapes):
-    with pytest.raises(DatasetError, match=r"recipe's model\.classes to one of camvid, city"):
-        Cityscapes(cityscapes, classes="virtual_kitti")

@@ -86,15 +86,6 @@ def test_images_may_be_jpeg(tmp_path):
     assert source[0].depth.any()
 
 
-def test_missing_stream_folders(tmp_path):
-    with pytest.raises(DatasetError, match="image_02: no such folder"):
-        KittiStream(tmp_path)
-    (tmp_path / "image_02").mkdir()
-    (tmp_path / "velodyne_fov").mkdir()
-    with pytest.raises(DatasetError, match="calib"):
-        KittiStream(tmp_path)
-
-
 def test_object_data_has_a_calibration_a_frame_and_some_scans(tmp_path):
     write_objects(tmp_path)
     source = KittiStream(tmp_path, semantic_weight=0.5)

@@ -198,13 +198,6 @@ def test_a_name_of_nothing_lists_models_and_methods(folder):
     )
 
 
-def test_limit_takes_so_many_frames(folder, tmp_path):
-    out = tmp_path / "rows.json"
-    data = f"rendered:{folder}/scenes"
-    assert run(folder / "lite.pt", "--data", data, "--limit", 1, "--json", out).exit_code == 0
-    assert [row["frames"] for row in json.loads(out.read_text())] == [1]
-
-
 def write_folders(root, count=2):
     """Pictures with recorded returns beside them, without ground truth."""
     rng = np.random.default_rng(0)
@@ -279,17 +272,6 @@ def test_saved_depth_is_replaced_only_when_asked(tmp_path):
         result = run("nearest", "--data", data, "--save", place)
         assert result.exit_code == 1
         assert reason in result.output
-
-
-def test_depth_is_saved_of_no_model_without_it(tmp_path):
-    config = {"encoder_channels": (8,), "encoder_blocks": (1,), "decoder_channels": (8,)}
-    network = create_model("ssdnet-small-sem", **config)
-    save_checkpoint(tmp_path / "semantic.pt", network.eval())
-    data, save = write_folders(tmp_path, 1), tmp_path / "depth"
-    result = run(tmp_path / "semantic.pt", "--data", data, "--save", save)
-    assert result.exit_code == 1
-    assert "semantic.pt predicts no depth to write with --save" in result.output
-    assert not save.exists()
 
 
 def test_frames_of_one_place_count_as_one_in_the_mean_over_places(tmp_path):
@@ -445,21 +427,6 @@ def test_numbers_without_names_are_no_classes_of_several_models(named_model, tmp
     assert "label_ids={0 = " in result.output
 
 
-def test_classes_that_differ_altogether_are_said_to_differ(named_model, tmp_path):
-    """The labels of a set are not missing because a model has none of its classes."""
-    kitti_streets.write_streets(tmp_path, (72,), suffix=".png", magnify=4)
-    (tmp_path / "semantic").mkdir()
-    cv2.imwrite(str(tmp_path / "semantic/000072.png"), np.full((32, 64), 8, np.uint8))
-    model = named_model("own.onnx", "lane", "kerb")
-    result = run(model, "--data", f"kitti-streets:{tmp_path},name=streets")
-    assert result.exit_code == 0, result.output
-    text = "streets: classes are not scored, as none of the set is one of every model: sky, "
-    assert text in result.output
-    assert "bicyclist (streets); lane, kerb (own.onnx)" in result.output.splitlines()[-1]
-    assert "has labels as ground truth" not in result.output
-    assert "mIoU" not in result.output
-
-
 @pytest.mark.parametrize(
     ("option", "name", "text"),
     [
@@ -505,18 +472,3 @@ def test_data_sets_are_given_as_in_a_recipe():
     )
     with pytest.raises(InputError, match=r"kitti-stream:x.*: first = 'a': .*valid integer"):
         parse_source("kitti-stream:x,first=a")
-
-
-def test_a_bundled_model_is_scored_by_its_name(folder, tmp_path):
-    data = ["--data", f"camvid:{folder}/camvid,split=val", "--json", tmp_path / "rows.json"]
-    assert run("ssdnet-lite", *data).exit_code == 0
-    (row,) = json.loads((tmp_path / "rows.json").read_text())
-    assert (row["model"], row["engine"]) == ("ssdnet-lite.onnx", "onnxruntime on cpu")
-    result = run("ssdnet-huge", *data)
-    assert result.exit_code == 1
-    assert "no bundled model is called 'ssdnet-huge'; there are: " in result.output
-
-
-def test_a_kind_with_an_underscore_is_answered_with_the_right_spelling():
-    with pytest.raises(InputError, match=r"kind = 'kitti_streets' is written 'kitti-streets'"):
-        parse_source("kitti_streets:x")

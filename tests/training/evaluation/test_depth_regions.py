@@ -8,7 +8,6 @@ from training.evaluation.depth_regions import (
     REGIONS,
     RETURN_DISTANCES,
     DepthRegionScores,
-    depth_edges,
     distance_px,
     is_dense,
     split_distances,
@@ -50,25 +49,6 @@ def test_regions_equal_loops():
     for region, mask in masks.items():
         assert mask.sum() > 50
         np.testing.assert_array_equal(mask, expected == region)
-
-
-def test_neither_sky_nor_what_is_too_far_makes_an_edge():
-    edges = depth_edges(house())
-    assert edges[6:, [29, 30, 32, 33]].all()
-    edges[:, 29:34] = False
-    assert not edges.any()
-
-
-def test_a_gentle_slope_is_no_edge():
-    rows = np.linspace(10, 20, 200, dtype=np.float32)  # half a percent a row
-    assert not depth_edges(np.repeat(rows[:, None], 50, axis=1)).any()
-
-
-def test_without_returns_all_is_uncovered_and_without_edges_none_is_edge():
-    depth = house()
-    assert split_regions(depth, distance_px(depth < 0))["uncovered"].all()
-    flat = np.full((20, 20), 7, np.float32)
-    assert split_regions(flat, distance_px(flat > 0))["interior"].all()
 
 
 def test_distances_to_the_nearest_return_equal_loops():

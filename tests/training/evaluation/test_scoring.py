@@ -43,34 +43,6 @@ def split_lidar(sample, lidar="own", index=0):
     return next(split_frames({index: sample}, [index], LidarInput.parse(lidar)))
 
 
-def test_recorded_scan_feeds_every_second_line_and_scores_the_others():
-    split = split_lidar(recorded())
-    fed = set(split.sample.scan_line[split.fed > 0])
-    scored = set(split.sample.scan_line[split.target > 0])
-    assert fed == {6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28}
-    assert scored == {5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29}
-
-
-def test_dense_depth_is_fed_along_scan_lines_and_scored_whole():
-    split = split_lidar(sample())
-    assert 0 < np.count_nonzero(split.fed) < 0.5 * split.fed.size
-    np.testing.assert_array_equal(split.target, sample().depth)
-    np.testing.assert_array_equal(split.fed, split_lidar(sample()).fed)  # the same every time
-
-
-def test_no_depth_feeds_and_scores_none():
-    none = np.zeros((60, 120), np.float32)
-    split = split_lidar(sample(depth=none))
-    assert not split.fed.any()
-    assert not split.target.any()
-
-
-def test_every_frame_is_scanned_anew():
-    first, again, other = (split_lidar(sample(), index=index).fed for index in (3, 3, 4))
-    np.testing.assert_array_equal(first, again)
-    assert not np.array_equal(first > 0, other > 0)
-
-
 def test_a_lidar_that_the_set_cannot_give_is_refused():
     with pytest.raises(InputError, match=r"wall cannot be validated.*validation\.lidar"):
         split_lidar(sample(intrinsics=None))
@@ -142,13 +114,6 @@ def test_each_depth_error_has_its_own_name():
     }
 
 
-def test_one_class_everywhere_scores_its_share():
-    result = figures(lambda rgb, fed: HeadMaps(np.full((60, 120), 3, np.uint8), None, None))
-    assert result["miou"] == pytest.approx((3000 / 7200 + 0 + 0) / 3)
-    assert result["accuracy"] == pytest.approx(3000 / 7200)
-    assert "mae_m" not in result
-
-
 def test_regions_are_those_of_dense_truth_alone():
     """Without returns all is uncovered; a recorded scan that is scored has no regions."""
     depth = sample().depth
@@ -191,14 +156,6 @@ def test_the_class_road_is_scored_against_a_mask_of_it():
     assert scores.figures() == {}
     names[3] = "Road"
     assert scores.figures(names) == {"road_iou": pytest.approx(15 / 35)}
-
-
-def test_unlabelled_frames_do_not_count():
-    unknown = np.full((60, 120), 255, np.uint8)
-    frame = sample(semantic=unknown)
-    result = figures(lambda rgb, fed: HeadMaps(unknown, frame.depth, None), frame)
-    assert "miou" not in result
-    assert result["mae_m"] == 0
 
 
 def test_network_answers_at_the_frames_size_in_metres():

@@ -42,15 +42,6 @@ def test_coverage_of_a_true_scale_is_that_of_laplace_and_of_others_is_not():
     assert small.compute().coverage_2 == pytest.approx(LAPLACE_COVERAGE[0], abs=0.01)
 
 
-def test_equal_uncertainties_rank_nothing():
-    scores = UncertaintyScores()
-    depth = np.full((10, 10), 10, np.float32)
-    prediction = depth + np.linspace(0, 4, 100, dtype=np.float32).reshape(10, 10)
-    for scale in (0.0, 1.0, 1e9):  # below and beyond the histogram, too
-        scores.update(np.full_like(depth, scale), prediction, depth)
-    assert list(scores.compute().confident_mae_m.values()) == pytest.approx([2, 2, 2], rel=1e-4)
-
-
 def test_what_is_no_uncertainty_is_refused():
     depth = np.full((4, 4), 10, np.float32)
     for bad in (-1, np.nan, np.inf):

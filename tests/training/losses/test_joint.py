@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from training.losses.joint import (
-    _Agreement,
+from training.losses.boundary import (
     hard_disagreement,
     semantic_boundary_loss,
     semantic_depth_loss,
@@ -65,22 +64,6 @@ def test_soft_equals_hard_for_one_hot_probabilities():
     assert torch.equal(soft.across, hard.across)
     assert torch.equal(soft.down, hard.down)
     assert 0 < hard.across.mean() < 1
-
-
-def test_joint_losses_by_hand():
-    # One horizontal change of class, at pixel u = 1, with P_b = 1 there and a depth step of 0.5.
-    maps = hard_disagreement(torch.tensor([[[0, 1]]]))
-    boundary = torch.tensor([0.2, 1.0]).view(1, 1, 1, 2)
-    depth = torch.tensor([0.1, 0.6]).view(1, 1, 1, 2)
-    assert semantic_boundary_loss(maps, boundary).item() == pytest.approx(math.exp(-1) / 2)
-    assert semantic_depth_loss(maps, depth).item() == pytest.approx(math.exp(-0.5) / 2)
-    scaled = semantic_depth_loss(maps, 100.0 * depth).item()
-    assert scaled == pytest.approx(math.exp(-50) / 2, rel=1e-4)
-
-
-def test_agreement_gradient_by_finite_differences():
-    p = torch.rand(2, 3, 4, 5, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(_Agreement.apply, (p,))
 
 
 def test_gradient_reaches_every_head():

@@ -8,28 +8,23 @@ import torch
 
 from layouts.batch import batch_of
 from models import NetworkOutput
-from training.batch import Pair
+from training.loading.mixture import Pair
 from training.losses import LossConfig, SSDNetLoss, class_weights
-from training.losses.boundary import balanced_cross_entropy, boundary_target
-from training.losses.depth import depth_at_scale, normalise_depth, paper_depth_loss
-from training.losses.heads import HEAD_LOSSES
-from training.losses.joint import (
-    hard_disagreement,
+from training.losses.boundary import (
+    balanced_cross_entropy,
+    boundary_target,
     semantic_boundary_loss,
     semantic_depth_loss,
     soft_disagreement,
 )
-from training.losses.lovasz import lovasz_softmax_loss
-from training.losses.road import road_loss
+from training.losses.depth import depth_at_scale, laplace_loss, normalise_depth, paper_depth_loss
+from training.losses.heads import HEAD_LOSSES
 from training.losses.semantic import (
     class_shares,
     cross_entropy_sums,
     labelled_mean,
-    soft_iou_loss,
-    soft_overlap,
 )
 from training.losses.total import TERMS
-from training.losses.uncertainty import laplace_loss
 
 
 class Loss(SSDNetLoss):
@@ -155,15 +150,6 @@ def test_depth_ends_where_the_regression_does():
     torch.testing.assert_close(found["depth_uncertainty"], expected)
 
 
-def test_literal_forms_of_the_paper():
-    parts = leaves()
-    config = LossConfig(class_weighting="paper", disagreement="hard")
-    terms = Loss(config, max_depth_m=100.0)(answer(parts), *targets())
-    maps = hard_disagreement(parts["semantic"].argmax(dim=1))
-    expected = semantic_boundary_loss(maps, torch.sigmoid(parts["boundary"]))
-    assert terms["semantic_boundary"].item() == pytest.approx(expected.item(), rel=1e-5)
-
-
 @pytest.mark.parametrize(("form", "reaches"), [("soft", True), ("hard", False)])
 def test_joint_gradient_to_the_semantic_head(form, reaches):
     parts = leaves()
@@ -194,16 +180,6 @@ def test_samples_without_targets_get_no_gradient(depth_form):
         assert part.grad[1 - empty].abs().max() > 0, name
 
 
-def test_no_targets_at_all_is_zero_and_finite():
-    parts = leaves()
-    config = LossConfig(semantic_boundary_weight=0.0, semantic_depth_weight=0.0)
-    semantic, depth = torch.full((2, 16, 24), 255), torch.zeros(2, 1, 16, 24)
-    terms = Loss(config, max_depth_m=100.0)(answer(parts), semantic, depth)
-    terms["total"].backward()
-    assert all(term.item() == 0 for term in terms.values())
-    assert all(part.grad.abs().max() == 0 for part in parts.values())
-
-
 @pytest.mark.parametrize(
     ("missing", "names"),
     [
@@ -224,22 +200,6 @@ def test_finest_scale_alone_leaves_the_coarse_ones_untrained():
     Loss(config, max_depth_m=100.0)(answer(parts), *targets())["total"].backward()
     assert parts["coarse_depth"].grad is None
     assert parts["depth"].grad.abs().sum() > 0
-
-
-def test_metric_form_is_in_metres_of_the_networks_range():
-    parts = leaves()
-    semantic, depth = targets()
-    depth = depth / 2
-    config = LossConfig(
-        **{**ALL_OFF, "depth_weight": 1.0}, depth_form="metric", depth_scales="finest"
-    )
-    terms = Loss(config, max_depth_m=50.0)(answer(parts), semantic, depth)
-    means = []
-    for sample in range(2):
-        known = depth[sample] > 0
-        error = (50 * torch.sigmoid(parts["depth"][sample]) - depth[sample])[known]
-        means.append((error.abs() + 0.02 * error**2).mean().item())
-    assert terms["depth"].item() == pytest.approx(sum(means) / 2, rel=1e-5)
 
 
 def test_bf16_answers_are_scored_in_float32_under_autocast():
@@ -310,45 +270,6 @@ def test_weights_of_heads_without_a_loss_are_refused(monkeypatch):
         LossConfig(head_weights={"nonsense": 3.0, "other": 1.0})
 
 
-def test_another_head_alone_can_learn(monkeypatch):
-    monkeypatch.setitem(HEAD_LOSSES, "other", lambda *_: torch.ones(()))
-    assert LossConfig(**ALL_OFF).terms_for(["semantic", "other"]) == ["other"]
-    with pytest.raises(ValueError, match="all other weights"):
-        LossConfig(**ALL_OFF, head_weights={"other": 0.0})
-
-
-def test_soft_iou_is_a_term_of_its_own():
-    parts = leaves()
-    semantic, depth = targets()
-    semantic[0, :5] = 255
-    sample_weight = torch.tensor([1.0, 0.2])
-    config = LossConfig(**{**ALL_OFF, "semantic_iou_weight": 2.0})
-    terms = Loss(config, max_depth_m=100.0)(
-        answer(parts), semantic, depth, semantic_weight=sample_weight
-    )
-    probabilities = torch.softmax(parts["semantic"], dim=1)
-    shares = class_shares(semantic, 5, (16, 24))
-    expected = soft_iou_loss(soft_overlap(probabilities, shares, sample_weight))
-    torch.testing.assert_close(terms["semantic_iou"], expected)
-    torch.testing.assert_close(terms["total"], 2 * expected)
-    assert set(terms) == {"semantic_iou", "total"}
-
-
-def test_lovasz_is_a_term_of_its_own():
-    parts = leaves()
-    semantic, depth = targets()
-    semantic[0, :5] = 255
-    config = LossConfig(**{**ALL_OFF, "lovasz_weight": 2.0})
-    terms = Loss(config, max_depth_m=100.0)(
-        answer(parts), semantic, depth, semantic_weight=torch.tensor([1.0, 0.2])
-    )
-    probabilities = torch.softmax(parts["semantic"], dim=1)
-    first, second = map(lovasz_softmax_loss, probabilities, semantic)
-    torch.testing.assert_close(terms["lovasz"], (first + 0.2 * second) / 2)
-    torch.testing.assert_close(terms["total"], first + 0.2 * second)
-    assert set(terms) == {"lovasz", "total"}
-
-
 def test_learned_weighting_by_hand():
     parts = leaves()
     semantic, depth = targets()
@@ -390,22 +311,6 @@ def test_learned_weighting_counts_other_heads(monkeypatch):
     assert terms["total"].item() == pytest.approx(2 * 5 / math.exp(0.5) + 0.25)
 
 
-def test_learned_weighting_settles_where_sigma_squared_is_twice_the_loss():
-    """The minimum over s of e^-s L + s / 2 is at e^s = 2 L."""
-    parts = leaves()
-    semantic, depth = targets()
-    config = LossConfig(**{**ALL_OFF, "semantic_weight": 1.0}, weighting="uncertainty")
-    criterion = Loss(config, max_depth_m=100.0)
-    optimizer = torch.optim.SGD(criterion.parameters(), lr=1.5)
-    for _ in range(20):
-        terms = criterion(answer(parts), semantic, depth)
-        optimizer.zero_grad()
-        terms["total"].backward()
-        optimizer.step()
-    sigma_squared = criterion.log_variances["semantic"].exp().item()
-    assert sigma_squared == pytest.approx(2 * terms["semantic"].item(), rel=1e-3)
-
-
 def test_learned_weighting_leaves_alone_what_has_no_targets():
     parts = leaves()
     semantic, depth = targets()
@@ -413,20 +318,6 @@ def test_learned_weighting_leaves_alone_what_has_no_targets():
     criterion(answer(parts), semantic, torch.zeros_like(depth))["total"].backward()
     assert criterion.log_variances["depth"].grad.item() == 0
     assert criterion.log_variances["semantic"].grad.item() != 0
-
-
-def test_masks_of_the_road_count_by_their_weight():
-    semantic, depth = targets()
-    mask = torch.ones(semantic.shape, dtype=torch.uint8)
-    config = replace(LossConfig(), road_weight=2.0)
-    given = {"max_depth_m": 100.0, "road": 1}
-    terms = Loss(config, **given)(answer(leaves()), semantic, depth, road_mask=mask)
-    without = Loss(LossConfig(), **given)(answer(leaves()), semantic, depth, road_mask=mask)
-    assert "road" not in without
-    expected = road_loss(answer(leaves()).semantic_logits, mask, 1)
-    torch.testing.assert_close(terms["road"], expected)
-    torch.testing.assert_close(terms["total"], without["total"] + 2 * expected)
-    assert "road" not in Loss(config, **given)(answer(leaves()), semantic, depth)
 
 
 def test_semantic_logits_may_stay_on_their_own_grid():

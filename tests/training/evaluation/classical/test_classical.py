@@ -9,7 +9,6 @@ import pytest
 from runtime.errors import InputError, SSDNetError
 from training.datasets.kitti_stream import KittiStream
 from training.evaluation.classical import METHODS, create_method
-from training.evaluation.classical.ip_basic import IPBasic
 from training.evaluation.metrics import DepthScores
 from training.evaluation.scored_model import method_predict, open_method
 from training.lidar.split import LidarInput, frame_generator, split_lidar
@@ -95,12 +94,6 @@ def test_a_full_map_comes_back(name):
     rgb = np.full((40, 50, 3), 100, np.uint8)
     depth = complete(name, rgb, np.full((40, 50), 20, np.float32))
     np.testing.assert_allclose(depth[5:-5, 5:-5], 20, rtol=1e-4)
-
-
-def test_a_method_of_other_settings_is_scored():
-    rgb, sparse_depth = frame()
-    short = method_predict(IPBasic(max_depth_m=20.0))(rgb, sparse_depth, None)
-    assert 0 < short.depth.max() <= 20
 
 
 def test_an_answer_that_is_not_finite_is_an_error():

@@ -89,36 +89,10 @@ def test_ip_basic_dilates_one_point_and_extends_its_columns_up():
     assert known[:60, 30].all()
 
 
-def test_ip_basic_without_extrapolation_stays_near_the_point():
-    known = ip_basic(one_point(20.0), extrapolate=False) > 0
-    rows, columns = np.nonzero(known)
-    # The diamond's tips are rounded by the median; the 7x7 square reaches 2 + 3 pixels.
-    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (35, 45, 25, 35)
-
-
-def test_ip_basic_lets_near_surfaces_win():
-    sparse_depth = one_point(50.0)
-    sparse_depth[40, 32] = 10.0
-    filled = ip_basic(sparse_depth)
-    # Between the two, in reach of both dilations, the nearer depth is taken.
-    assert filled[40, 31] < 30.0
-    assert filled[40, 32] == pytest.approx(10.0, abs=2.0)
-
-
 def test_ip_basic_counts_what_is_out_of_range_as_no_measurement():
     for value in (0.05, 100.0, 250.0, np.inf, np.nan, -5.0):
         assert not ip_basic(one_point(value)).any(), value
     assert ip_basic(one_point(250.0), max_depth_m=300.0)[40, 30] == pytest.approx(250.0, abs=1e-3)
-
-
-def test_ip_basic_keeps_a_plane():
-    # A ground plane on every fifth row comes back within the spacing's error.
-    depth = np.repeat(np.linspace(40, 10, 100, dtype=np.float32)[:, None], 80, axis=1)
-    sparse_depth = np.zeros_like(depth)
-    sparse_depth[::5, ::2] = depth[::5, ::2]
-    filled = ip_basic(sparse_depth)
-    assert (filled > 0).all()
-    assert np.abs(filled - depth)[10:-10].max() < 2.5
 
 
 # The variant of many scales
@@ -180,15 +154,6 @@ def test_near_things_are_dilated_further_than_far_ones_and_neither_above_its_dil
 
 def test_an_isolated_return_is_noise():
     assert not ip_basic(one_point(20.0), IPBasicMultiscale).any()
-
-
-def test_how_far_the_variants_reach_beside_and_below():
-    sparse_depth = np.zeros((100, 120), dtype=np.float32)
-    sparse_depth[50, 40:80] = 20
-    for method, beside, below in ((IPBasic, 20, 20), (IPBasicMultiscale, 0, 18)):
-        rows, columns = np.nonzero(ip_basic(sparse_depth, method))
-        assert rows.max() - 50 == below
-        assert (40 - columns.min(), columns.max() - 79) == (beside, beside)
 
 
 # Both
