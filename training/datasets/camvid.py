@@ -54,7 +54,7 @@ class CamVidRecipe(SourceRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "CamVid":
         """See `SourceRecipe.open`."""
-        return CamVid(folder, split=self.split, classes=classes)
+        return CamVid(folder, self, classes)
 
 
 class CamVid(FrameList):
@@ -62,22 +62,15 @@ class CamVid(FrameList):
 
     It has no depth and no calibration.
 
-    Args:
-        root: the folder.
-        split: train, val or test.
-        classes: table of the class ids.
-
     Raises:
         DatasetError: for a missing folder, an image without a label file, and unreadable or wrongly
             sized files.
     """
 
-    def __init__(
-        self, root: Path | str, *, split: str = "train", classes: ClassTable = "camvid"
-    ) -> None:
+    def __init__(self, root: Path, recipe: CamVidRecipe, classes: ClassTable) -> None:
         self._labels = CamVidLabels(classes)
-        folder = require_folder(Path(root) / split, "CamVid's images")
-        annotations = Path(root) / f"{split}annot"
+        folder = require_folder(root / recipe.split, "CamVid's images")
+        annotations = root / f"{recipe.split}annot"
         images = sorted(p for p in folder.iterdir() if p.suffix in {".png", ".jpg"})
         if not images:
             raise DatasetError(f"{folder}: no .png or .jpg images in it; expected CamVid's frames.")

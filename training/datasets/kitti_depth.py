@@ -32,7 +32,7 @@ class KittiDepthRecipe(SourceRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "KittiDepth":
         """See `SourceRecipe.open`; there are no classes."""
-        return KittiDepth(folder, split=self.split, cameras=self.cameras)
+        return KittiDepth(folder, self)
 
 
 @dataclass(frozen=True)
@@ -49,30 +49,22 @@ class _Frame:
 class KittiDepth(FrameList):
     """LiDAR scans with semi-dense ground truth from eleven of them; no classes.
 
-    Args:
-        root: the folder.
-        split: "train" and "val": ``root/<split>/<drive>/proj_depth/{velodyne_raw,groundtruth}/
-            image_0<c>/<number>.png``, as the archives unpack, with the images of the raw data, at
-            ``root/<split>/<drive>/image_0<c>/data`` or ``root/raw/<date>/<drive>/image_0<c>/data``;
-            the benchmark leaves out each drive's first and last five frames. "selection": the
-            selected validation set, ``root/[depth_selection/]val_selection_cropped/{image,
-            velodyne_raw,groundtruth_depth,intrinsics}``.
-        cameras: 2 = left, 3 = right.
+    Splits "train" and "val": ``root/<split>/<drive>/proj_depth/{velodyne_raw,groundtruth}/
+    image_0<c>/<number>.png``, as the archives unpack, with the images of the raw data, at
+    ``root/<split>/<drive>/image_0<c>/data`` or ``root/raw/<date>/<drive>/image_0<c>/data``; the
+    benchmark leaves out each drive's first and last five frames. "selection": the selected
+    validation set, ``root/[depth_selection/]val_selection_cropped/{image,velodyne_raw,
+    groundtruth_depth,intrinsics}``.
 
     Raises:
         DatasetError: for missing folders or partners, files of another kind and wrong sizes.
     """
 
-    def __init__(
-        self, root: Path | str, *, split: str = "train", cameras: Sequence[int] = (2, 3)
-    ) -> None:
-        root = Path(root)
-        if split == "selection":
+    def __init__(self, root: Path, recipe: KittiDepthRecipe) -> None:
+        if recipe.split == "selection":
             self._frames = _list_selection(root)
-        elif split in ("train", "val"):
-            self._frames = _list_drives(root, split, cameras)
         else:
-            raise DatasetError(f"KITTI depth has no split {split!r}; known: train, val, selection.")
+            self._frames = _list_drives(root, recipe.split, recipe.cameras)
 
     def __getitem__(self, index: int) -> Sample:
         frame = self._frames[index]

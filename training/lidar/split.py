@@ -150,9 +150,6 @@ def scan_lines(
     return sparse
 
 
-Depth = NDArray[np.float32]
-
-
 @dataclass(frozen=True)
 class LidarInput:
     """The LiDAR input: the set's own, scan lines, a random share of the measurements, or none."""

@@ -1,15 +1,19 @@
 """Cityscapes on small files in its real layout."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 
+from layouts import open_set
 from layouts.cityscapes import CAMERA, HEIGHT, STEM, WIDTH, write_frame, write_stereo
 from layouts.pictures import cut_short, write
 from runtime.errors import DatasetError
-from training.datasets.cityscapes import Cityscapes, CityscapesRecipe
+from training.datasets.cityscapes import CityscapesRecipe
 from training.loading.open_dataset import open_dataset
+
+Cityscapes = partial(open_set, "cityscapes")
 
 #: Of the labelIds 0..33.
 IDS = {
@@ -62,7 +66,7 @@ def test_depth_is_focal_length_times_baseline_over_disparity(cityscapes):
 
 def test_without_stereo_there_are_classes_alone(tmp_path):
     write_frame(tmp_path)
-    sample = Cityscapes(tmp_path)[0]
+    sample = Cityscapes(tmp_path, "cityscapes")[0]
     assert not sample.depth.any()
     assert sample.sparse_depth is None
     assert sample.intrinsics is None

@@ -1,12 +1,17 @@
 """KITTI raw data on small files in its real layout, with returns placed by hand."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
+from layouts import open_set
 from layouts.pictures import write
 from runtime.errors import DatasetError
-from training.datasets.kitti_raw import KittiRaw, KittiRawRecipe
+from training.datasets.kitti_raw import KittiRawRecipe
 from training.loading.open_dataset import open_dataset
+
+KittiRaw = partial(open_set, "kitti-raw")
 
 DATE = "2011_09_26"
 DRIVE = f"{DATE}_drive_0001_sync"

@@ -1,18 +1,21 @@
 """KITTI's streets on small files in their layout: scan and stereo truth side by side."""
 
 import os
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from layouts import open_set
 from layouts.kitti_streets import HEIGHT, WIDTH, write_streets
 from layouts.pictures import write
 from runtime.errors import DatasetError
-from training.datasets.kitti_streets import KittiStreets
 from training.lidar.split import LidarInput, frame_generator, split_lidar
 from training.loading.open_dataset import open_dataset
 from training.recipe import AnySource, build
+
+KittiStreets = partial(open_set, "kitti-streets")
 
 DATA = Path(os.environ.get("SSDNET_DATA", "")) / "kitti_streets"
 
@@ -144,7 +147,7 @@ def test_broken_calibrations_are_named(streets, old, new, text):
 
 
 def test_other_numbers_sizes_and_kinds_are_named(streets):
-    with pytest.raises(DatasetError, match=r"3 frames, none of them numbered 8 to the last\."):
+    with pytest.raises(DatasetError, match=r"3 images, none of them in 8\.\.\. Correct"):
         KittiStreets(streets, first=8)
     truth = streets / "disp_occ_0" / "000002.png"
     write(truth, np.zeros((HEIGHT, WIDTH + 1), np.uint16))

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from layouts import open_set
 from runtime.errors import InputError, SSDNetError
-from training.datasets.kitti_stream import KittiStream
 from training.evaluation.classical import METHODS, create_method
 from training.evaluation.metrics import DepthScores
 from training.evaluation.scored_model import method_predict, open_method
@@ -124,7 +124,7 @@ def test_ip_basic_beats_nearest_on_withheld_scan_lines(stream):
     """Frames 50-59, every second line fed: near the 0.5 m / 2.4 m these methods come to there."""
     scores = {name: DepthScores() for name in ("nearest", "ip-basic")}
     predict = {name: open_method(name).predict for name in scores}
-    source = KittiStream(stream, first=50, last=59)
+    source = open_set("kitti-stream", stream, first=50, last=59)
     for index in range(0, 10, 3):
         frame = split_lidar(source[index], LidarInput("own"), frame_generator(index))
         for name, score in scores.items():
