@@ -197,7 +197,8 @@ def _list_second_edition(
                     _Frame(
                         f"{scene}/{variant.name}/{number}" + (f"/{camera}" if camera else ""),
                         images[number],
-                        *(folders[kind] / parts[kind].format(number) for kind in list(parts)[:2]),
+                        folders["depth"] / f"depth_{number}.png",
+                        folders["classSegmentation"] / f"classgt_{number}.png",
                         variant / "colors.txt",
                         intrinsics[int(number)],
                         folders["lidar"] / f"lidar_{number}.bin" if scans else None,
@@ -225,14 +226,14 @@ def _list_first_edition(root: Path, selection: Selection) -> list[_Frame]:
             continue
         numbers = sorted(path.stem for path in variant.glob("*.png"))
         numbers = [n for n in numbers if selection.takes(scene, variant.name, n)]
-        others = [root / kind / scene / variant.name for kind in (_DEPTH_1, _CLASSES_1)]
-        for folder in others:
+        depth, labels = (root / kind / scene / variant.name for kind in (_DEPTH_1, _CLASSES_1))
+        for folder in (depth, labels):
             require_folder(folder, "its frames", files=[f"{n}.png" for n in numbers])
         colors = root / _CLASSES_1 / f"{scene}_{variant.name}_scenegt_rgb_encoding.txt"
         for number in numbers:
             name = f"{scene}/{variant.name}/{number}"
-            files = [folder / f"{number}.png" for folder in (variant, *others)]
-            frames.append(_Frame(name, *files, colors, _INTRINSICS_1))
+            rgb, *others = (folder / f"{number}.png" for folder in (variant, depth, labels))
+            frames.append(_Frame(name, rgb, others[0], others[1], colors, _INTRINSICS_1))
     _require_selected(selection, frames, variants, root / _RGB_1)
     return frames
 

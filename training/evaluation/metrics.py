@@ -24,20 +24,23 @@ FARTHEST_M = 100.0
 RANGES_M = ((0.0, 20.0), (0.0, 50.0), (0.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, 100.0))
 #: Bins of the errors' histogram, equal in the logarithm [m]: neighbours differ by 0.3 %.
 _ERROR_BINS_M = np.geomspace(1e-3, 1e3, 4097)
+#: The boundary's F-score is reported at the best of these thresholds over the whole set.
+BOUNDARY_THRESHOLDS = tuple(threshold / 20 for threshold in range(6, 20))
+#: Largest distance between predicted and true boundary pixels that match, and the pixels within it.
+TOLERANCE_PX = 2
+_REACH = np.arange(-TOLERANCE_PX, TOLERANCE_PX + 1)
+_DISK = (_REACH[:, None] ** 2 + _REACH[None, :] ** 2 <= TOLERANCE_PX**2).astype(np.uint8)
 #: Smaller predictions are clipped to this value before depth is inverted [m].
 _NEAREST_M = 0.1
 
 
 class Accumulator:
-    """Sums over frames. Array attributes are sums; other attributes are settings."""
+    """Sums over frames: arrays, and accumulators by name or in a dictionary."""
 
     def merge(self, other: Self) -> None:
-        """Add another's sums. Raises ValueError for other settings."""
-        pairs = [(name, ours, vars(other)[name]) for name, ours in vars(self).items()]
-        for name, ours, theirs in pairs:
-            if not isinstance(ours, np.ndarray | Accumulator | dict) and ours != theirs:
-                raise ValueError(f"cannot merge scores of another {name}: {ours} and {theirs}")
-        for _, ours, theirs in pairs:
+        """Add another's sums."""
+        for name, ours in vars(self).items():
+            theirs = vars(other)[name]
             match ours:
                 case np.ndarray():
                     ours += theirs
@@ -260,10 +263,9 @@ class DepthScores(Accumulator):
     is beyond `FARTHEST_M` are not scored.
     """
 
-    def __init__(self, ranges_m: Sequence[tuple[float, float]] = RANGES_M) -> None:
-        self.ranges_m = tuple(ranges_m)
+    def __init__(self) -> None:
         self._metres, self._per_km, self._median = ErrorSums(), ErrorSums(), ErrorMedian()
-        self._ranges = {item: ErrorSums() for item in self.ranges_m}
+        self._ranges = {item: ErrorSums() for item in RANGES_M}
 
     def update(self, prediction: NDArray[np.floating], depth: NDArray[np.floating]) -> None:
         """Count a frame.
@@ -346,17 +348,15 @@ class BoundaryScores(Accumulator):
 
     Predicted boundary is where the probability exceeds a threshold; true boundary where the label
     changes, see `training.losses.boundary.boundary_target`. A predicted pixel is right if a true
-    pixel lies within `tolerance_px` of it (Euclidean), and the reverse is a found pixel; that is
+    pixel lies within `TOLERANCE_PX` of it (Euclidean), and the reverse is a found pixel; that is
     dilation, not one-to-one matching. Predictions are not thinned: a line that is thick, but within
     the tolerance of the truth, is right. Pixels whose truth is unknown are left out. Of several
     thresholds `compute` takes that of the best F-score over the whole set (ODS).
     """
 
-    def __init__(self, thresholds: Sequence[float] = (0.5,), *, tolerance_px: int = 2) -> None:
-        self.thresholds = tuple(thresholds)
-        self.tolerance_px = tolerance_px
+    def __init__(self) -> None:
         # A row a threshold: predicted, right, true, found pixels.
-        self._counts = np.zeros((len(self.thresholds), 4), dtype=np.int64)
+        self._counts = np.zeros((len(BOUNDARY_THRESHOLDS), 4), dtype=np.int64)
 
     def update(self, probability: NDArray[np.floating], semantic: NDArray[np.integer]) -> None:
         """Count a frame.
@@ -372,14 +372,15 @@ class BoundaryScores(Accumulator):
         target, valid = boundary_target(torch.from_numpy(semantic.astype(np.int64))[None])
         known = valid[0, 0].numpy()
         true = target[0, 0].numpy() & known
-        near_true = self._dilate(true)
-        for row, threshold in enumerate(self.thresholds):
+        near_true = cv2.dilate(true.astype(np.uint8), _DISK) > 0
+        for row, threshold in enumerate(BOUNDARY_THRESHOLDS):
             predicted = (probability > threshold) & known
+            near = cv2.dilate(predicted.astype(np.uint8), _DISK) > 0
             self._counts[row] += (
                 np.count_nonzero(predicted),
                 np.count_nonzero(predicted & near_true),
                 np.count_nonzero(true),
-                np.count_nonzero(true & self._dilate(predicted)),
+                np.count_nonzero(true & near),
             )
 
     def compute(self, threshold: float | None = None) -> BoundaryMetrics:
@@ -389,14 +390,14 @@ class BoundaryScores(Accumulator):
         F-score is then 0, or NaN if both are missing.
         """
         if threshold is not None:
-            return self._metrics()[self.thresholds.index(threshold)]
+            return self._metrics()[BOUNDARY_THRESHOLDS.index(threshold)]
         return max(self._metrics(), key=lambda item: item.f_score)
 
     def _metrics(self) -> list[BoundaryMetrics]:
         """Return the metrics at each threshold."""
         metrics = []
         for threshold, (predicted, right, true, found) in zip(
-            self.thresholds, self._counts.tolist(), strict=True
+            BOUNDARY_THRESHOLDS, self._counts.tolist(), strict=True
         ):
             precision = right / predicted if predicted else float("nan")
             recall = found / true if true else float("nan")
@@ -405,11 +406,6 @@ class BoundaryScores(Accumulator):
                 f_score = float("nan")
             metrics.append(BoundaryMetrics(threshold, precision, recall, f_score))
         return metrics
-
-    def _dilate(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        reach = np.arange(-self.tolerance_px, self.tolerance_px + 1)
-        disk = (reach[:, None] ** 2 + reach[None, :] ** 2 <= self.tolerance_px**2).astype(np.uint8)
-        return cv2.dilate(mask.astype(np.uint8), disk) > 0
 
 
 def scored(depth: NDArray[np.floating]) -> NDArray[np.bool_]:

@@ -1,6 +1,6 @@
 """How well an uncertainty of depth ranks the errors, and how well it covers them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,9 @@ from training.evaluation.metrics import Accumulator, require_same_shape, scored
 
 #: Shares of a Laplace distribution within one and two of its scales b: 1 - exp(-1), 1 - exp(-2).
 LAPLACE_COVERAGE = (0.632, 0.865)
+
+#: Shares of the pixels, the most confident, whose error is reported.
+SHARES = (0.5, 0.8, 1.0)
 
 # Bins of the uncertainty, equal in its logarithm: neighbours differ by 0.3 %.
 _LOWEST_M, _HIGHEST_M, _BINS = 1e-3, 1e3, 4096
@@ -40,8 +43,7 @@ class UncertaintyScores(Accumulator):
     the bin in which a share ends, a part is taken, as if its pixels had equal errors.
     """
 
-    def __init__(self, shares: Sequence[float] = (0.5, 0.8, 1.0)) -> None:
-        self.shares = tuple(shares)
+    def __init__(self) -> None:
         # Columns: pixels, sum |e|.
         self._bins = np.zeros((_BINS, 2))
         self._within = np.zeros(2)  # pixels whose error is at most one and two scales
@@ -84,10 +86,10 @@ class UncertaintyScores(Accumulator):
         pixels = float(self._bins[:, 0].sum())
         if not pixels:
             nan = float("nan")
-            return UncertaintyMetrics(0, dict.fromkeys(self.shares, nan), nan, nan)
+            return UncertaintyMetrics(0, dict.fromkeys(SHARES, nan), nan, nan)
         counts, errors = np.vstack([np.zeros(2), self._bins.cumsum(axis=0)]).T
         confident = {
             share: float(np.interp(share * pixels, counts, errors) / (share * pixels))
-            for share in self.shares
+            for share in SHARES
         }
         return UncertaintyMetrics(int(pixels), confident, *(self._within / pixels).tolist())

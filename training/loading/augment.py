@@ -28,7 +28,6 @@ from training.limits import (
     Share,
     ShareRange,
     Strength,
-    require_window,
 )
 
 Depth = NDArray[np.float32]
@@ -106,8 +105,7 @@ class AugmentConfig:
     pair_lidar_false: Share = 0.0
 
     def __post_init__(self) -> None:
-        """Check the range of scales, and that two views overlap."""
-        require_window("scale", self.size, self.scale)
+        """Check that two views overlap."""
         if self.pair_shift and min(self.size) <= self.pair_shift + 2 * PAIR_BORDER_PX:
             raise ValueError(
                 f"pair_shift = {self.pair_shift}: two views of {self.size[0]}x{self.size[1]} would "
