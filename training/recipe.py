@@ -205,9 +205,8 @@ class ScheduleRecipe:
 class LoopRecipe:
     """Arithmetic, averaging and output of the training loop."""
 
-    #: Type of the network's arithmetic. fp16 scales the loss; a step whose gradients overflow is
-    #: skipped and the scale is halved.
-    autocast: Literal["none", "bf16", "fp16"] = "none"
+    #: Type of the network's arithmetic; "none" is float32.
+    autocast: Literal["none", "bf16"] = "none"
     #: Decay of the averaged weights in model.pt; 0 = no averaging.
     ema_decay: Share = 0.999
     #: Largest norm of the gradient; 0 = no clipping.

@@ -26,8 +26,6 @@ from training.task import Task
 #: `Network.forward`, or its distributed wrapper.
 Forward = Callable[..., NetworkOutput]
 
-#: Name in recipes -> dtype, besides float32.
-_AUTOCAST = {"bf16": torch.bfloat16, "fp16": torch.float16}
 _NON_FINITE = "non_finite.json"
 
 
@@ -63,8 +61,6 @@ class TrainingState:
         train_parts(task.network, recipe.optimizer.only, recipe.optimizer.frozen)
         self._optimizer = build_optimizer(recipe.optimizer, task.network, task.criterion)
         self._peaks = [group["lr"] for group in self._optimizer.param_groups]
-        is_fp16 = recipe.loop.autocast == "fp16"
-        self._scaler = torch.amp.GradScaler(processes.device.type, enabled=is_fp16)
         # Buffers are averaged too: batch statistics must fit the averaged weights.
         update = exponential_average(recipe.loop.ema_decay)
         self._average = AveragedModel(task.network, multi_avg_fn=update, use_buffers=True)
@@ -83,7 +79,6 @@ class TrainingState:
             "optimizer": self._optimizer,
             "average": self._average,
             "criterion": self.criterion,
-            "scaler": self._scaler,
         }
 
     def resume(self, path: Path, resolved: Mapping[str, Any]) -> None:
@@ -116,7 +111,7 @@ class TrainingState:
 
     def advance(self, batches: Iterator[Batch]) -> Step:
         """Train one step on the next batches."""
-        loop, scaler = self._recipe.loop, self._scaler
+        loop = self._recipe.loop
         for group, peak in zip(self._optimizer.param_groups, self._peaks, strict=True):
             group["lr"] = learning_rate(self._recipe.schedule, peak, self.step)
         self._optimizer.zero_grad(set_to_none=True)
@@ -130,26 +125,23 @@ class TrainingState:
                     batch = replace(batch, teacher=self._answer(self._teacher, batch))
             terms: dict[str, Tensor] = self.criterion(self._answer(self._forward, batch), batch)
             self._require_finite(terms, terms["total"], names)
-            scaler.scale(terms["total"] / loop.accumulate).backward()  # type: ignore[no-untyped-call]
+            (terms["total"] / loop.accumulate).backward()  # type: ignore[no-untyped-call]
             for name, term in terms.items():
                 sums[name] = sums.get(name, 0.0) + term.detach() / loop.accumulate
-        scaler.unscale_(self._optimizer)
         parameters = list(self._network.parameters())
         norm = torch.nn.utils.get_total_norm([p.grad for p in parameters if p.grad is not None])
-        if not scaler.is_enabled():  # the scaler skips a step that overflows
-            self._require_finite(sums, norm, names)
+        self._require_finite(sums, norm, names)
         if loop.clip_norm:
             torch.nn.utils.clip_grads_with_norm_(parameters, loop.clip_norm, norm)
-        scaler.step(self._optimizer)
-        scaler.update()
+        self._optimizer.step()
         self._average.update_parameters(self._network)
         self.step += 1
         return Step(sums, self._optimizer.param_groups[0]["lr"])
 
     def _answer(self, network: Forward, batch: Batch) -> NetworkOutput:
         """Run a network in the recipe's arithmetic."""
-        kind = _AUTOCAST.get(self._recipe.loop.autocast)
-        with torch.autocast(batch.rgb.device.type, dtype=kind, enabled=kind is not None):
+        is_bf16 = self._recipe.loop.autocast == "bf16"
+        with torch.autocast(batch.rgb.device.type, torch.bfloat16, enabled=is_bf16):
             return network(
                 batch.rgb.float().to(memory_format=torch.channels_last),
                 batch.sparse_depth,

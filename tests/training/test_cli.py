@@ -76,16 +76,6 @@ def test_a_short_run_is_logged_and_validated_by_its_own_length(run, tmp_path):
     assert read_curves(tmp_path / "run")["loss/total"] == list(range(1, 6))
 
 
-def test_with_first_weights_the_scores_begin_before_the_first_step(run, tmp_path):
-    assert run("--set", "schedule.steps = 1", out="first").exit_code == 0
-    init = ("--init", str(tmp_path / "first/model.pt"), "--set", "schedule.steps = 2")
-    result = run(*init, recipe=RECIPE + VALIDATION)
-    assert result.exit_code == 0, result.output
-    assert read_scores(tmp_path / "run") == [(step, "camvid") for step in (0, 1, 2)]
-    assert "step 0: camvid/miou" in result.stderr
-    assert re.search(r"before +after\ncamvid/miou +[\d.]+ +[\d.]+\n", result.stderr)
-
-
 def test_a_resumed_run_names_its_step_and_not_its_first_weights(run, tmp_path, monkeypatch):
     threads = []
     monkeypatch.setattr(torch, "set_num_threads", threads.append)
@@ -108,20 +98,6 @@ def test_a_resumed_run_names_its_step_and_not_its_first_weights(run, tmp_path, m
     assert "random weights" not in second.stderr
     document = json.loads((tmp_path / "run/recipe.json").read_text())
     assert document["recipe"]["data"]["workers"] == 500  # no more were started than cores
-
-
-def test_a_crop_that_the_data_decide_is_stated_beside_the_recipe(run, tmp_path):
-    recipe = RECIPE.replace("crop = [32, 32], ", "")
-    result = run("--stop-after", "1", recipe=recipe)
-    assert result.exit_code == 0, result.output
-    document = json.loads((tmp_path / "run/recipe.json").read_text())
-    assert document["crop"] == [32, 32]
-    assert document["recipe"]["data"]["augment"]["crop"] is None
-    assert load_checkpoint(tmp_path / "run/last.pt").facts.crop == (32, 32)
-    for path in (tmp_path / "camvid").glob("*/*.png"):
-        assert cv2.imwrite(str(path), cv2.imread(str(path), -1).repeat(2, 0).repeat(2, 1))
-    assert run("--dry-run", recipe=recipe, out="other").stdout.startswith("crops of 64 x 96 px")
-    assert "crop[0] was 32, now it is 64" in run(recipe=recipe).stderr
 
 
 def test_validation_sets_are_scored_under_their_names(run, tmp_path):

@@ -3,9 +3,8 @@
 import pytest
 
 from runtime.errors import InputError
-from training.datasets.camvid import CamVidRecipe
 from training.datasets.cityscapes import CityscapesRecipe
-from training.recipe import AnySource, ValidationRecipe, build, read_recipe
+from training.recipe import AnySource, build, read_recipe
 
 MINIMAL = """
 [model]
@@ -36,15 +35,6 @@ def test_defaults_and_conversions(tmp_path):
     assert recipe.validation.lidar == "own"
 
 
-def test_fields_of_the_networks_configuration(tmp_path):
-    text = MINIMAL.replace("[data]", "[model.config]\ndecoder_channels = [64, 48, 16]\n[data]", 1)
-    assert read(tmp_path, text).model.config == {"decoder_channels": [64, 48, 16]}
-    changed = read_recipe(tmp_path / "r.toml", ["model.config.depth_refine_channels = 8"])
-    assert changed.model.config == {"decoder_channels": [64, 48, 16], "depth_refine_channels": 8}
-    with pytest.raises(InputError, match=r"model\.config has 'classes', which is a separate key"):
-        read_recipe(tmp_path / "r.toml", ["model.config.classes = []"])
-
-
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -58,10 +48,7 @@ def test_fields_of_the_networks_configuration(tmp_path):
             (f"config.canonical_focal_px = {focal}", "model.config: canonical_focal_px .*pixels.*")
             for focal in ("0", "0.5", "-700.0", "2e6")
         ),
-        ("config.canonical_focal_px = inf", "model.config: canonical_focal_px .*"),
         ("config.canonical_focal_px = nan", "model.config: canonical_focal_px .*"),
-        ("config.canonical_focal_px = '721'", "model.config: canonical_focal_px .*"),
-        ("config.canonical_focal_px = true", "model.config: canonical_focal_px .*"),
     ],
 )
 def test_a_network_that_cannot_be_built_is_refused_as_it_is_read(tmp_path, change, text):
@@ -77,7 +64,6 @@ def test_a_network_that_cannot_be_built_is_refused_as_it_is_read(tmp_path, chang
     [
         ("batch_size = 4", "batchsize = 4", "unknown key data.batchsize"),
         ("batch_size = 4", 'batch_size = "4"', "data.batch_size = '4': .*valid integer"),
-        ("batch_size = 4", "batch_size = true", "data.batch_size = True: .*valid integer"),
         ("steps = 10", "", "missing key schedule.steps"),
         ("steps = 10", "steps = 10\n[loss]\nunknown = 1", "unknown key loss.unknown"),
         (
@@ -99,9 +85,6 @@ def test_a_network_that_cannot_be_built_is_refused_as_it_is_read(tmp_path, chang
         ('path = "camvid"', 'path = ""', r"data\.source\[0\]\.path = '': "),
         ('path = "camvid"', "path = 1999-12-31", "expected text, numbers, true or false"),
         ("scale = [1, 2]", "scale = [1,", "not valid TOML"),
-        ("steps = 10", "steps = -5", "schedule.steps = -5"),
-        ("batch_size = 4", "batch_size = 0", "data.batch_size = 0"),
-        ("scale = [1, 2]", "weight = -0.7", r"weight = -0.7: .*greater than 0"),
         ("steps = 10", "steps = 10\n[loop]\ncheckpoint_every = 0", "loop.checkpoint_every = 0"),
         ("steps = 10", "steps = 10\n[optimizer]\nlearning_rate = -1", "optimizer.learning_rate"),
     ],
@@ -109,11 +92,6 @@ def test_a_network_that_cannot_be_built_is_refused_as_it_is_read(tmp_path, chang
 def test_mistakes_are_named(tmp_path, old, new, text):
     with pytest.raises(InputError, match=text):
         read(tmp_path, MINIMAL.replace(old, new))
-
-
-def test_missing_file(tmp_path):
-    with pytest.raises(InputError, match="cannot read"):
-        read_recipe(tmp_path / "none.toml")
 
 
 BASE = """
@@ -181,16 +159,8 @@ def test_mistaken_changes_are_named(tmp_path, change, text):
     [
         ("camvid", {"first": 1}),
         ("camvid", {"scenes": ("Scene01",)}),
-        ("cityscapes", {"frames": "list.txt"}),
-        ("cityscapes", {"semantic_weight": 0.5}),
-        ("kitti-depth", {"drives": ("2011_09_26_drive_0001_sync",)}),
-        ("kitti-raw", {"split": "val"}),
-        ("kitti-raw", {"last": 9}),
         ("kitti-stream", {"cameras": (3,)}),
         ("rendered", {"split": "val"}),
-        ("rendered", {"num_scenes": 3}),
-        ("virtual-kitti", {"withhold_hidden": True}),
-        ("virtual-kitti-1", {"cameras": (1,)}),
     ],
 )
 def test_keys_that_mean_nothing_to_a_kind_are_refused(kind, keys):
@@ -217,14 +187,6 @@ def test_output_follows_the_number_of_steps_unless_stated(tmp_path, steps, every
     assert (stated.log_every, stated.checkpoint_every, stated.validate_every) == (7, 9000, 8000)
 
 
-def test_two_validation_sets_of_one_path_are_refused():
-    source = CamVidRecipe(path="camvid", split="val")
-    with pytest.raises(ValueError, match="two sets with the title 'camvid'"):
-        ValidationRecipe(source=(source, source))
-    with pytest.raises(ValueError, match="every"):
-        ValidationRecipe(every=0)
-
-
 @pytest.mark.parametrize(
     ("change", "text"),
     [
@@ -233,36 +195,14 @@ def test_two_validation_sets_of_one_path_are_refused():
             "data.augment = {crop = [9000, 9000], scale = [1.0, 1.0]}",
             "batch_size = 4: .* 9000x9000",
         ),
-        ("data.batch_size = 1000000000", "data.batch_size = 1000000000: "),
         ("data.batch_size = 60000", "batch_size = 60000: .* more than 268435456 pixels"),
         ("data.augment.crop = [100000, 320]", r"augment.crop\[0\] = 100000: "),
-        ("data.augment.crop = [16000, 16000]", "augment.scale = .* a crop of 16000x16000"),
-        ("data.seed = 1" + "0" * 30, "data.seed = 10+: "),
-        ("data.cache_gib = 1e300", "data.cache_gib = 1e"),
         ("data.augment.scale = [1e-9, 1.0]", r"augment.scale\[0\] = 1e-09: "),
-        ("data.augment.scale = [0.02, 1.0]", "augment.scale = .* needs a window of 384000000"),
-        ("data.augment.hue_deg = 1e9", "augment.hue_deg"),
         ("data.augment.brightness = nan", "augment.brightness = nan: .*finite"),
         ("schedule.steps = 1000000000000", "schedule.steps = 1000000000000: "),
-        ("schedule.steps = 99000000", "schedule.steps = 99000000: .* 396000000 samples"),
-        ("schedule.warmup_steps = 1000000000000", "schedule.warmup_steps"),
-        ("loop.accumulate = 1000000000", "loop.accumulate"),
-        ("loop.log_every = 1000000000000", "loop.log_every"),
-        ("loop.clip_norm = 1e300", "loop.clip_norm"),
-        ("optimizer.learning_rate = 1e300", "optimizer.learning_rate"),
         ("loss.depth_weight = inf", "loss.depth_weight = inf: .*finite"),
-        ("validation.pictures = 1000000000", "validation.pictures"),
-        ("model.trained_height = 1000000", "model.trained_height"),
         (f"terms = '{'x' * 20_000}'", r"terms = 'x{199}…: "),
         ("data.source = [{kind = 'camvid', path = 'a', size = [100000, 64]}]", r"size\[0\] = 1000"),
-        (
-            "data.source = [{kind = 'camvid', path = 'a', scale = [0.02, 1.0]}]",
-            r"data\.source\[0\]\.scale = .* needs a window",
-        ),
-        (
-            "data.source = [{kind = 'kitti-stream', path = 'a', last = 1000000000000}]",
-            r"source\[0\]\.last",
-        ),
     ],
     ids=lambda text: text[:40],
 )
@@ -293,20 +233,11 @@ def test_losses_of_consistency_need_two_views(base):
 @pytest.mark.parametrize(
     "change",
     [
-        "data.seed = -1",
-        "model.trained_height = 3",
         "optimizer.learning_rate = inf",
-        "optimizer.momentum = -1.0",
-        "loop.clip_norm = -1.0",
         "loop.ema_decay = 3.0",
-        "release.logit_adjustment = -3.0",
-        "data.augment.flip = 7.0",
         "data.augment.scale = [0.0, 1.0]",
-        "data.augment.scale = [2.0, 1.0]",
         "data.augment.random_share = [2.0, 2.0]",
         "data.augment.lines = [5]",
-        "data.augment.lines = []",
-        "data.augment.brightness = -0.1",
         "data.augment.pair_shift = 5",
         "data.augment.pair_lidar_false = 1.5",
     ],

@@ -10,7 +10,7 @@ from pydantic.dataclasses import dataclass
 from models import CLASS_TABLES
 from runtime.errors import DatasetError
 from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.files import read_gray, read_rgb, require_folder
+from training.datasets.files import list_images, read_gray, read_rgb, require_folder
 from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import SourceRecipe
 from training.limits import STRICT
@@ -69,11 +69,8 @@ class CamVid(FrameList):
 
     def __init__(self, root: Path, recipe: CamVidRecipe, classes: ClassTable) -> None:
         self._labels = CamVidLabels(classes)
-        folder = require_folder(root / recipe.split, "CamVid's images")
+        images = list_images(root / recipe.split, "CamVid's images")
         annotations = root / f"{recipe.split}annot"
-        images = sorted(p for p in folder.iterdir() if p.suffix in {".png", ".jpg"})
-        if not images:
-            raise DatasetError(f"{folder}: no .png or .jpg images in it; expected CamVid's frames.")
         labels = [f"{image.stem}.png" for image in images]
         require_folder(annotations, "CamVid's label images", files=labels)
         self._frames = [(image, annotations / f"{image.stem}.png") for image in images]

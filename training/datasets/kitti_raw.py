@@ -17,7 +17,6 @@ from training.datasets.files import (
     dataset_errors,
     read_points,
     read_rgb,
-    require_complete,
     require_folder,
     require_size,
 )
@@ -82,7 +81,8 @@ class KittiRaw(FrameList):
         source = KittiRawSource(drive, camera=camera, calibration=drive.parent, max_skew_ms=None)
         without = _WITHOUT_SCAN.get(drive.name, frozenset())
         frames = [frame for frame in source.list_frames() if frame.name not in without]
-        require_complete(frames, drive / "velodyne_points" / "data")
+        scans = [f"{frame.name}.bin" for frame in frames]
+        require_folder(drive / "velodyne_points" / "data", "scans", files=scans)
         self._frames += [(source, frame, f"{drive.name}/{camera}/{frame.name}") for frame in frames]
 
     def __getitem__(self, index: int) -> Sample:

@@ -10,7 +10,14 @@ from pydantic.dataclasses import dataclass
 from runtime.io.calibration import Calibration
 from training.datasets.cityscapes import TRAIN_LABELS
 from training.datasets.class_mapping import ClassTable, id_lookup
-from training.datasets.files import dataset_errors, read_gray, read_points, read_rgb, require_folder
+from training.datasets.files import (
+    dataset_errors,
+    list_images,
+    read_gray,
+    read_points,
+    read_rgb,
+    require_folder,
+)
 from training.datasets.sample import FrameList, Sample
 from training.datasets.source_recipe import RangeRecipe
 from training.lidar.scan import project_lines
@@ -54,14 +61,11 @@ class KittiStream(FrameList):
         self._root = root
         self._calibration = None  # one file per frame
         if not (self._root / "calib").is_dir():
-            images = require_folder(self._root / "image_02", "the stream's images")
             require_folder(self._root / "velodyne_fov", "the stream's .bin LiDAR returns")
             self._calibration = _read_calibration(self._root)
-        else:
-            images = require_folder(self._root / "image_2", "the object data's images")
         self._name = "kitti_object" if self._calibration is None else "kitti_stream"
-        found = sorted(path for path in images.iterdir() if path.suffix in {".jpg", ".png"})
-        self._frames = recipe.take(found, images)
+        images = root / ("image_2" if self._calibration is None else "image_02")
+        self._frames = recipe.take(list_images(images, "the recording's images"), images)
         self._weights = {"semantic": recipe.semantic_weight}
 
     def __getitem__(self, index: int) -> Sample:

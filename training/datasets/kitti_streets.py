@@ -15,7 +15,14 @@ from runtime.io.kitti_calibration import NumbersFile
 from training.datasets.camvid import CamVidLabels
 from training.datasets.cityscapes import disparity_to_depth
 from training.datasets.class_mapping import ClassTable
-from training.datasets.files import dataset_errors, read_gray, read_points, read_rgb, require_folder
+from training.datasets.files import (
+    dataset_errors,
+    list_images,
+    read_gray,
+    read_points,
+    read_rgb,
+    require_folder,
+)
 from training.datasets.sample import IGNORE, FrameList, Sample
 from training.datasets.source_recipe import RangeRecipe
 from training.lidar.scan import project_lines
@@ -63,12 +70,8 @@ class KittiStreets(FrameList):
 
     def __init__(self, root: Path, recipe: KittiStreetsRecipe, classes: ClassTable) -> None:
         self._root = root
-        images = require_folder(self._root / "image_02", "the streets' images")
-        found = sorted(
-            path
-            for path in images.iterdir()
-            if path.suffix in {".jpg", ".png"} and path.stem.isdecimal()
-        )
+        images = root / "image_02"
+        found = [p for p in list_images(images, "the streets' images") if p.stem.isdecimal()]
         self._frames = recipe.take(found, images, lambda path: int(path.stem))
         self._has_masks = (self._root / "road_mask").is_dir()
         folders = {"velodyne_fov": ".bin", "disp_occ_0": ".png"}

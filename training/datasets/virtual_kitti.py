@@ -33,8 +33,7 @@ from training.datasets.source_recipe import Names, SourceRecipe
 from training.datasets.virtual_kitti_split import (
     Selection,
     Split,
-    read_frame_list,
-    require_every_frame,
+    require_frames,
 )
 from training.lidar.scan import project_lines
 from training.limits import STRICT
@@ -53,17 +52,15 @@ class _SelectionRecipe(SourceRecipe):
     #: All by default, or those of the split.
     scenes: Names | None = None
     variants: Names | None = None
-    #: File below ``path`` that lists the frames, rows of "scene/variant/number".
-    frames: str | None = None
 
     @property
     def label_table(self) -> ClassTable:
         """See `SourceRecipe.label_table`."""
         return "virtual_kitti"
 
-    def select(self, folder: Path, split: Split = "all") -> Selection:
-        frames = None if self.frames is None else read_frame_list(folder / self.frames)
-        return Selection(split, self.scenes, self.variants, frames)
+    def select(self, split: Split = "all") -> Selection:
+        """Return which frames the keys choose."""
+        return Selection(split, self.scenes, self.variants)
 
 
 @dataclass(frozen=True, kw_only=True, config=STRICT)
@@ -77,7 +74,7 @@ class VirtualKittiRecipe(_SelectionRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
         """See `SourceRecipe.open`."""
-        selection = self.select(folder, self.split)
+        selection = self.select(self.split)
         return VirtualKitti(_list_second_edition(folder, selection, self.cameras), classes)
 
 
@@ -92,7 +89,7 @@ class RenderedRecipe(_SelectionRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
         """See `SourceRecipe.open`."""
-        frames = _list_second_edition(folder, self.select(folder), scans=self.scans)
+        frames = _list_second_edition(folder, self.select(), scans=self.scans)
         return VirtualKitti(frames, classes)
 
 
@@ -105,7 +102,7 @@ class VirtualKitti1Recipe(_SelectionRecipe):
 
     def open(self, folder: Path, classes: ClassTable) -> "VirtualKitti":
         """See `SourceRecipe.open`."""
-        return VirtualKitti(_list_first_edition(folder, self.select(folder, self.split)), classes)
+        return VirtualKitti(_list_first_edition(folder, self.select(self.split)), classes)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -178,7 +175,7 @@ def _list_second_edition(
                 for path in sorted(require_folder(folders["rgb"], "the images").glob("rgb_*"))
                 if path.name.lower().endswith(RGB_SUFFIXES)
             }
-            numbers = [n for n in images if selection.takes(scene, variant.name, n)]
+            numbers = [n for n in images if selection.takes(scene, n)]
             parts = {"depth": "depth_{}.png", "classSegmentation": "classgt_{}.png"}
             if scans:
                 parts["lidar"] = "lidar_{}.bin"
@@ -205,7 +202,7 @@ def _list_second_edition(
                         to_camera if scans else None,
                     )
                 )
-    _require_selected(selection, frames, variants, root)
+    require_frames(selection, frames, variants, root)
     return frames
 
 
@@ -225,7 +222,7 @@ def _list_first_edition(root: Path, selection: Selection) -> list[_Frame]:
         if not selection.takes_variant(scene, variant.name):
             continue
         numbers = sorted(path.stem for path in variant.glob("*.png"))
-        numbers = [n for n in numbers if selection.takes(scene, variant.name, n)]
+        numbers = [n for n in numbers if selection.takes(scene, n)]
         depth, labels = (root / kind / scene / variant.name for kind in (_DEPTH_1, _CLASSES_1))
         for folder in (depth, labels):
             require_folder(folder, "its frames", files=[f"{n}.png" for n in numbers])
@@ -234,16 +231,8 @@ def _list_first_edition(root: Path, selection: Selection) -> list[_Frame]:
             name = f"{scene}/{variant.name}/{number}"
             rgb, *others = (folder / f"{number}.png" for folder in (variant, depth, labels))
             frames.append(_Frame(name, rgb, others[0], others[1], colors, _INTRINSICS_1))
-    _require_selected(selection, frames, variants, root / _RGB_1)
+    require_frames(selection, frames, variants, root / _RGB_1)
     return frames
-
-
-def _require_selected(
-    selection: Selection, frames: Sequence[_Frame], variants: Sequence[Path], root: Path
-) -> None:
-    names = ["/".join(frame.name.split("/")[:3]) for frame in frames]
-    there = [f"{variant.parent.name}/{variant.name}" for variant in variants]
-    require_every_frame(selection, names, there, root)
 
 
 def _folders(path: Path) -> list[Path]:

@@ -66,14 +66,21 @@ def class_shares(semantic: Tensor, classes: int, grid: tuple[int, int]) -> Tenso
     return shares.scatter_add_(1, pixels, one)[:, :classes]
 
 
-def cross_entropy_sums(log_probabilities: Tensor, shares: Tensor, weights: Tensor) -> Tensor:
-    """Eq. 5 summed over each sample, -beta log p of every known pixel's class: (N,), in cells.
+def weighted_cross_entropy(
+    log_probabilities: Tensor,
+    shares: Tensor,
+    weights: Tensor | None = None,
+    sample_weight: Tensor | None = None,
+) -> Tensor:
+    """Eq. 5: the mean of -beta log p of every known pixel's class, ().
 
     `log_probabilities` float (N, C, h, w); `shares` of that shape, see `class_shares`; `weights`
-    float (C,). Our reading of the printed beta_j: the weight of the class that pixel j is of.
+    float (C,), None = all 1; `sample_weight` float (N,), see `labelled_mean`. Our reading of the
+    printed beta_j: the weight of the class that pixel j is of.
     """
     of_class = (log_probabilities * shares).sum(dim=(2, 3))
-    return -(of_class * weights).sum(dim=1)
+    sums = of_class.sum(dim=1) if weights is None else (of_class * weights).sum(dim=1)
+    return labelled_mean(-sums, shares.sum(), sample_weight)
 
 
 def labelled_mean(sums: Tensor, known: Tensor, sample_weight: Tensor | None = None) -> Tensor:
@@ -89,34 +96,25 @@ def labelled_mean(sums: Tensor, known: Tensor, sample_weight: Tensor | None = No
     return sum_over_processes(sums.sum()) / sum_over_processes(known).clamp(min=1e-6)
 
 
-def soft_overlap(
+def soft_iou_loss(
     probabilities: Tensor, shares: Tensor, sample_weight: Tensor | None = None
 ) -> Tensor:
-    """The parts of soft IoU, summed over all labelled pixels: float (3, C), in cells.
+    """1 - mean soft IoU over the classes that the batch shows, ().
 
     `probabilities` float (N, C, h, w) that sum to 1 over C; `shares` of that shape, see
-    `class_shares`; `sample_weight` float (N,). Rows: probability on pixels of the class
-    (intersection), probability on all labelled pixels, pixels of the class. Rows of parts of a
-    batch add up.
+    `class_shares`; `sample_weight` float (N,). A differentiable IoU (Rahman and Wang 2016,
+    "Optimizing intersection-over-union in deep neural networks"): thin and rare classes have the
+    weight of the others, and are not predicted too often as with class weights. 0, with a gradient
+    of 0, if nothing is labelled. Pixels of all processes count.
     """
     if sample_weight is not None:
         shares = shares * sample_weight[:, None, None, None]
-    intersection = (probabilities * shares).sum(dim=(0, 2, 3))
+    overlap = (probabilities * shares).sum(dim=(0, 2, 3))
     predicted = (probabilities * shares.sum(dim=1, keepdim=True)).sum(dim=(0, 2, 3))
-    return torch.stack((intersection, predicted, shares.sum(dim=(0, 2, 3))))
-
-
-def soft_iou_loss(overlap: Tensor) -> Tensor:
-    """1 - mean soft IoU over the classes that the batch shows, ().
-
-    `overlap` (3, C), see `soft_overlap`. A differentiable IoU (Rahman and Wang 2016, "Optimizing
-    intersection-over-union in deep neural networks"): thin and rare classes have the weight of the
-    others, and are not predicted too often as with class weights. 0, with a gradient of 0, if
-    nothing is labelled. Pixels of all processes count.
-    """
-    intersection, predicted, labelled = sum_over_processes(overlap)
+    sums = torch.stack((overlap, predicted, shares.sum(dim=(0, 2, 3))))
+    overlap, predicted, labelled = sum_over_processes(sums)
     shown = labelled > 0
-    iou = intersection / (predicted + labelled - intersection).clamp(min=1e-6)
+    iou = overlap / (predicted + labelled - overlap).clamp(min=1e-6)
     loss: Tensor = ((1 - iou) * shown).sum() / shown.sum().clamp(min=1)
     return loss
 

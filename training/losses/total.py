@@ -14,7 +14,6 @@ from models import NetworkOutput
 from training.limits import STRICT, NotNegative
 from training.loading.mixture import Batch, Pair
 from training.losses.boundary import (
-    NeighbourMaps,
     balanced_cross_entropy,
     boundary_at_scale,
     boundary_target,
@@ -47,13 +46,11 @@ from training.losses.semantic import (
     IGNORE,
     ClassWeighting,
     class_shares,
-    cross_entropy_sums,
-    labelled_mean,
     lovasz_softmax_loss,
     picture_mean,
     road_loss,
     soft_iou_loss,
-    soft_overlap,
+    weighted_cross_entropy,
 )
 
 
@@ -387,80 +384,44 @@ class SSDNetLoss(nn.Module):
         return {"road": road_loss(logits.float(), road_mask, self.road)}
 
     def _semantic_terms(
-        self, output: NetworkOutput, semantic: Tensor, semantic_weight: Tensor | None
+        self, output: NetworkOutput, semantic: Tensor, sample_weight: Tensor
     ) -> dict[str, Tensor]:
         config, logits = self.config, output.semantic_logits
         if logits is None:
             return {}
-        with_depth = bool(config.semantic_depth_weight) and output.depths is not None
-        boundary_logits = output.boundary_logits if config.semantic_boundary_weight else None
-        joint = boundary_logits is not None or with_depth
-        alone = config.semantic_weight or config.semantic_iou_weight or config.lovasz_weight
-        if not (alone or joint):
-            return {}
-        classes = self._class_maps(logits, semantic, semantic_weight, joint=joint)
-        terms = {}
-        if classes.overlap is not None:
-            terms["semantic_iou"] = soft_iou_loss(classes.overlap)
-        if classes.lovasz is not None:
-            terms["lovasz"] = picture_mean(classes.lovasz, semantic != IGNORE, semantic_weight)
-        if config.semantic_weight:
-            terms["semantic"] = labelled_mean(classes.cross_entropy, classes.known, semantic_weight)
-        disagreement = classes.disagreement
-        if disagreement is None:
-            return terms
+        boundary = output.boundary_logits if config.semantic_boundary_weight else None
+        depths = output.depths if config.semantic_depth_weight else None
         grid = (logits.shape[-2], logits.shape[-1])
+        log_probabilities = F.log_softmax(logits.float(), dim=1)
+        probabilities = log_probabilities.exp()
+        shares = class_shares(semantic, logits.shape[1], grid)
+        terms = {}
+        if config.semantic_iou_weight:
+            terms["semantic_iou"] = soft_iou_loss(probabilities, shares, sample_weight)
+        if config.lovasz_weight:
+            pictures = zip(probabilities, semantic, strict=True)
+            losses = [lovasz_softmax_loss(_over_pixels(p, label), label) for p, label in pictures]
+            known = semantic != IGNORE
+            terms["lovasz"] = picture_mean(torch.stack(losses), known, sample_weight)
+        if config.semantic_weight:
+            terms["semantic"] = weighted_cross_entropy(
+                log_probabilities, shares, self.class_weights, sample_weight
+            )
+        if boundary is None and depths is None:
+            return terms
+        if config.disagreement == "soft":
+            disagreement = soft_disagreement(probabilities)
+        else:
+            disagreement = hard_disagreement(log_probabilities.argmax(dim=1))
         side = cell_side((semantic.shape[-2], semantic.shape[-1]), grid)
-        if boundary_logits is not None:
-            boundary = on_grid(torch.sigmoid(boundary_logits.float()), grid)
-            terms["semantic_boundary"] = semantic_boundary_loss(disagreement, boundary, side=side)
-        if with_depth and output.depths is not None:
-            depth = on_grid(output.depths[0].float(), grid)
+        if boundary is not None:
+            terms["semantic_boundary"] = semantic_boundary_loss(
+                disagreement, on_grid(torch.sigmoid(boundary.float()), grid), side=side
+            )
+        if depths is not None:
+            depth = on_grid(depths[0].float(), grid)
             terms["semantic_depth"] = semantic_depth_loss(disagreement, depth, side=side)
         return terms
-
-    def _class_maps(
-        self, logits: Tensor, semantic: Tensor, sample_weight: Tensor | None, *, joint: bool
-    ) -> "_ClassMaps":
-        """Compute what needs all classes of a pixel; ``joint``: for the joint terms, too.
-
-        Sample by sample: the class maps of a whole batch do not fit the cache, which takes a third
-        more time on a CPU.
-        """
-        config, weights = self.config, self.class_weights
-        count, grid = logits.shape[1], (logits.shape[-2], logits.shape[-1])
-        if weights is None:
-            weights = torch.ones(count, device=logits.device)
-        soft = joint and config.disagreement == "soft"
-        cross_entropy, known, overlaps, lovasz, disagreements = [], [], [], [], []
-        # unbind instead of slices: the gradient of a slice is as large as the whole batch.
-        for index, (sample, label) in enumerate(
-            zip(logits.unbind(0), semantic.unbind(0), strict=True)
-        ):
-            log_probabilities = F.log_softmax(sample[None].float(), dim=1)
-            shares = class_shares(label[None], count, grid)
-            cross_entropy.append(cross_entropy_sums(log_probabilities, shares, weights))
-            known.append(shares.sum())
-            if config.semantic_iou_weight or config.lovasz_weight or soft:
-                probabilities = log_probabilities.exp()
-            if config.semantic_iou_weight:
-                share = None if sample_weight is None else sample_weight[index : index + 1]
-                overlaps.append(soft_overlap(probabilities, shares, share))
-            if config.lovasz_weight:
-                lovasz.append(lovasz_softmax_loss(_over_pixels(probabilities[0], label), label))
-            if soft:
-                disagreements.append(soft_disagreement(probabilities))
-            elif joint:
-                disagreements.append(hard_disagreement(log_probabilities.argmax(dim=1)))
-        return _ClassMaps(
-            cross_entropy=torch.cat(cross_entropy),
-            known=torch.stack(known).sum(),
-            overlap=torch.stack(overlaps).sum(dim=0) if overlaps else None,
-            lovasz=torch.stack(lovasz) if lovasz else None,
-            disagreement=NeighbourMaps(*map(torch.cat, zip(*disagreements, strict=True)))
-            if disagreements
-            else None,
-        )
 
 
 def _any_answer(output: NetworkOutput) -> Tensor:
@@ -470,20 +431,6 @@ def _any_answer(output: NetworkOutput) -> Tensor:
         if answer is not None:
             return answer
     raise ValueError("the network has no head")
-
-
-class _ClassMaps(NamedTuple):
-    """The terms that need all classes of a pixel."""
-
-    #: Sums of Eq. 5, (N,), and the labelled part of all samples, (), in cells.
-    cross_entropy: Tensor
-    known: Tensor
-    #: See `soft_overlap`.
-    overlap: Tensor | None
-    #: Lovász-Softmax of each sample, (N,).
-    lovasz: Tensor | None
-    #: Eq. 7 on the grid of the logits.
-    disagreement: NeighbourMaps | None
 
 
 def _over_pixels(cells: Tensor, semantic: Tensor) -> Tensor:

@@ -9,8 +9,6 @@ from layouts import open_set
 from layouts.kitti_depth import DATE, DRIVE, NUMBERS, SIZE, write_drive, write_selection
 from layouts.pictures import cut_short, write
 from runtime.errors import DatasetError
-from training.datasets.kitti_depth import KittiDepthRecipe
-from training.loading.open_dataset import open_dataset
 
 KittiDepth = partial(open_set, "kitti-depth")
 
@@ -26,9 +24,8 @@ def assert_depth_is_of_both_maps(sample):
     assert (sample.semantic == 255).all()
 
 
-@pytest.mark.parametrize("images", ["beside", "raw"])
-def test_drives_pair_images_with_both_maps(tmp_path, images):
-    write_drive(tmp_path, images=images)
+def test_drives_pair_images_with_both_maps(tmp_path):
+    write_drive(tmp_path)
     source = KittiDepth(tmp_path, cameras=(2, 3))
     assert [source[index].name for index in range(len(source))] == [
         f"{DRIVE}/{camera}/{number}" for camera in (2, 3) for number in NUMBERS
@@ -40,7 +37,7 @@ def test_drives_pair_images_with_both_maps(tmp_path, images):
 
 
 def test_intrinsics_are_those_of_the_raw_data_where_it_is_there(tmp_path):
-    write_drive(tmp_path, images="raw")
+    write_drive(tmp_path)
     left, right = (KittiDepth(tmp_path, cameras=(camera,))[0] for camera in (2, 3))
     assert left.intrinsics.tolist() == [[721.5, 0, 609.5], [0, 722.5, 172.8], [0, 0, 1]]
     assert right.intrinsics.tolist() == [[731.5, 0, 619.5], [0, 732.5, 182.8], [0, 0, 1]]
@@ -48,17 +45,8 @@ def test_intrinsics_are_those_of_the_raw_data_where_it_is_there(tmp_path):
     assert KittiDepth(tmp_path)[0].intrinsics is None
 
 
-def test_splits_are_folders(tmp_path):
-    write_drive(tmp_path, "train")
-    write_drive(tmp_path, "val", f"{DATE}_drive_0002_sync")
-    recipe = KittiDepthRecipe(path=tmp_path.name, split="val", cameras=(3,))
-    source = open_dataset(recipe, [tmp_path.parent], classes="virtual_kitti")
-    assert [len(source), source[0].name] == [2, f"{DATE}_drive_0002_sync/3/{NUMBERS[0]}"]
-
-
-@pytest.mark.parametrize("below", [".", "depth_selection"])
-def test_selection_has_images_and_intrinsics_of_its_own(tmp_path, below):
-    write_selection(tmp_path / below)
+def test_selection_has_images_and_intrinsics_of_its_own(tmp_path):
+    write_selection(tmp_path)
     source = KittiDepth(tmp_path, split="selection")
     first, second = (source[index] for index in range(2))
     assert first.name == f"{DATE}_drive_0002_sync_image_0000000005_image_02"
@@ -76,18 +64,13 @@ MAPS = f"train/{DRIVE}/proj_depth"
     [
         ("train", "train: no such folder"),
         (f"{MAPS}/groundtruth/image_03", f"{MAPS}/groundtruth/image_03: no such folder"),
-        (f"{MAPS}/velodyne_raw/image_02", f"{MAPS}/velodyne_raw/image_02: no such folder"),
         (
             f"{MAPS}/velodyne_raw/image_02/{NUMBERS[1]}.png",
             rf"velodyne_raw/image_02/{NUMBERS[1]}\.png: missing \(1 of 2",
         ),
         (
-            f"train/{DRIVE}/image_02/data/{NUMBERS[0]}.png",
+            f"raw/{DATE}/{DRIVE}/image_02/data/{NUMBERS[0]}.png",
             rf"image_02/data/{NUMBERS[0]}\.png: missing \(1 of 2",
-        ),
-        (
-            f"train/{DRIVE}/image_02",
-            f"train/{DRIVE}/image_02/data: no such folder, nor .*raw/{DATE}/{DRIVE}/image_02/data",
         ),
     ],
 )
@@ -111,8 +94,7 @@ def test_missing_parts_of_a_drive_are_named(tmp_path, lost, text):
             lambda p: write(p, np.zeros((5, 9), np.uint16)),
             "size 5x9 differs from the frame's 5x8",
         ),
-        (f"{MAPS}/groundtruth/image_02/{NUMBERS[0]}.png", cut_short, "truncated or damaged"),
-        (f"train/{DRIVE}/image_02/data/{NUMBERS[0]}.png", cut_short, "truncated or damaged"),
+        (f"raw/{DATE}/{DRIVE}/image_02/data/{NUMBERS[0]}.png", cut_short, "truncated or damaged"),
     ],
 )
 def test_damaged_files_are_named(tmp_path, file, spoil, text):
@@ -128,17 +110,11 @@ SELECTED = f"{DATE}_drive_0002_sync_{{}}_0000000005_image_02"
 @pytest.mark.parametrize(
     ("lost", "text"),
     [
-        ("", r"val_selection_cropped: no such folder, nor below depth_selection"),
-        ("image", "image: no such folder"),
-        ("intrinsics", "intrinsics: no such folder"),
+        ("", "val_selection_cropped: no such folder"),
         (f"image/{SELECTED.format('image')}.png", None),
         (
             f"velodyne_raw/{SELECTED.format('velodyne_raw')}.png",
             rf"velodyne_raw/{SELECTED.format('velodyne_raw')}\.png: missing",
-        ),
-        (
-            f"groundtruth_depth/{SELECTED.format('groundtruth_depth')}.png",
-            rf"groundtruth_depth/{SELECTED.format('groundtruth_depth')}\.png: missing",
         ),
         (
             f"intrinsics/{SELECTED.format('image')}.txt",
@@ -154,14 +130,3 @@ def test_missing_parts_of_the_selection_are_named(tmp_path, lost, text):
         return
     with pytest.raises(DatasetError, match=text):
         KittiDepth(tmp_path, split="selection")
-
-
-@pytest.mark.parametrize(
-    ("content", "text"), [("1 2 3", "3 numbers, expected the nine"), ("a b", "expected nine num")]
-)
-def test_broken_intrinsics_are_named(tmp_path, content, text):
-    write_selection(tmp_path)
-    path = tmp_path / "val_selection_cropped/intrinsics" / f"{SELECTED.format('image')}.txt"
-    path.write_text(content)
-    with pytest.raises(DatasetError, match=f"{path.name}: {text}"):
-        KittiDepth(tmp_path, split="selection")[0]

@@ -19,7 +19,7 @@ from layouts.virtual_kitti import (
 )
 from runtime.errors import DatasetError, InputError
 from training.datasets.virtual_kitti import RenderedRecipe
-from training.datasets.virtual_kitti_split import PAPER_VARIANTS, Selection, read_frame_list
+from training.datasets.virtual_kitti_split import PAPER_VARIANTS, Selection
 from training.loading.open_dataset import open_dataset
 from training.recipe import AnySource, build
 
@@ -67,13 +67,6 @@ def test_second_edition_is_metres_without_the_sky(second):
     assert sample.intrinsics.tolist() == [[726, 0, 620.5], [0, 727, 180], [0, 0, 1]]
 
 
-@pytest.mark.parametrize("classes", list(IDS))
-def test_second_edition_in_every_class_table(second, classes):
-    semantic = VirtualKitti(second, classes=classes)[0].semantic
-    assert semantic.dtype == np.uint8
-    np.testing.assert_array_equal(semantic, np.broadcast_to(IDS[classes], (HEIGHT, WIDTH)))
-
-
 def test_second_edition_takes_the_cameras_asked_for(tmp_path):
     write_second_edition(tmp_path, cameras=(0, 1), frames=1)
     source = open_set("virtual-kitti", tmp_path, cameras=(0, 1), split="all")
@@ -118,14 +111,6 @@ def spoil_label(folder, image):
             r"depth/Camera_0/depth_00001\.png: missing \(1 of 2",
         ),
         (
-            lambda f: (f / "frames/classSegmentation/Camera_0/classgt_00000.png").unlink(),
-            r"classSegmentation/Camera_0/classgt_00000\.png: missing \(1 of 2",
-        ),
-        (
-            lambda f: (f / "frames/depth").rename(f / "frames/elsewhere"),
-            "clone/frames/depth/Camera_0: no such",
-        ),
-        (
             lambda f: (f / "frames/rgb").rename(f / "frames/elsewhere"),
             "clone/frames/rgb/Camera_0: no such",
         ),
@@ -145,10 +130,6 @@ def test_second_edition_with_missing_parts_is_not_opened(second, spoil, text):
             r"classgt_00000\.png: colour \(9, 8, 7\) is not in colors\.txt",
         ),
         (
-            lambda f: spoil_label(f, np.full((HEIGHT, WIDTH, 3), 255, np.uint8)),
-            r"classgt_00000\.png: colour \(255, 255, 255\)",
-        ),
-        (
             lambda f: spoil_label(f, label_picture(COLORS.values())[:-1]),
             r"classgt_00000\.png: its size 7x15 differs from the frame's 8x15",
         ),
@@ -157,20 +138,6 @@ def test_second_edition_with_missing_parts_is_not_opened(second, spoil, text):
                 f / "frames/depth/Camera_0/depth_00000.png", depth_picture(0)[:, :-1].copy()
             ),
             r"depth_00000\.png: its size 8x14 differs from the frame's 8x15",
-        ),
-        (
-            lambda f: write(
-                f / "frames/depth/Camera_0/depth_00000.png", np.zeros((HEIGHT, WIDTH), np.uint8)
-            ),
-            r"depth_00000\.png must be a depth map of one channel of 16 bits",
-        ),
-        (
-            lambda f: cut_short(f / "frames/depth/Camera_0/depth_00000.png"),
-            r"depth_00000\.png is empty, truncated or damaged",
-        ),
-        (
-            lambda f: cut_short(f / "frames/classSegmentation/Camera_0/classgt_00000.png"),
-            r"classgt_00000\.png is empty, truncated or damaged",
         ),
         (
             lambda f: cut_short(f / "frames/rgb/Camera_0/rgb_00000.jpg"),
@@ -215,24 +182,8 @@ def test_first_edition_maps_instances_by_their_category(first, classes):
             r"vkitti_1\.3\.1_rgb: no such folder",
         ),
         (
-            lambda f: (f / "vkitti_1.3.1_depthgt").rename(f / "elsewhere"),
-            r"vkitti_1\.3\.1_depthgt: no such folder",
-        ),
-        (
-            lambda f: (f / "vkitti_1.3.1_scenegt").rename(f / "elsewhere"),
-            r"vkitti_1\.3\.1_scenegt: no such folder",
-        ),
-        (
-            lambda f: (f / "vkitti_1.3.1_depthgt/0001").rename(f / "elsewhere"),
-            r"vkitti_1\.3\.1_depthgt/0001/clone: no such folder",
-        ),
-        (
             lambda f: (f / "vkitti_1.3.1_depthgt/0001/clone/00001.png").unlink(),
             r"vkitti_1\.3\.1_depthgt/0001/clone/00001\.png: missing",
-        ),
-        (
-            lambda f: (f / "vkitti_1.3.1_scenegt/0001/clone/00000.png").unlink(),
-            r"vkitti_1\.3\.1_scenegt/0001/clone/00000\.png: missing",
         ),
         (
             lambda f: (f / "vkitti_1.3.1_scenegt/0001_clone_scenegt_rgb_encoding.txt").unlink(),
@@ -263,7 +214,7 @@ def test_the_papers_split_of_both_editions(scene_name):
             for variant in VARIANTS
             if selection.takes_variant(scene_name.format(scene), variant)
             for number in range(length)
-            if selection.takes(scene_name.format(scene), variant, f"{number:05d}")
+            if selection.takes(scene_name.format(scene), f"{number:05d}")
         }
     assert {split: len(taken) for split, taken in frames.items()} == {
         "train": 11112,
@@ -279,16 +230,6 @@ def test_the_papers_split_of_both_editions(scene_name):
     }
 
 
-def test_scenes_and_variants_by_name_replace_those_of_the_split():
-    selection = Selection("train", scenes=("Scene01",), variants=("30-deg-left",))
-    assert selection.takes_variant("Scene01", "30-deg-left")
-    assert selection.takes("Scene01", "30-deg-left", "00000")
-    assert not selection.takes_variant("Scene01", "clone")
-    assert not selection.takes_variant("Scene02", "30-deg-left")
-    # Other variants, but still the split's own scenes.
-    assert not Selection("train", variants=("30-deg-left",)).takes("Scene01", "30-deg-left", "0")
-
-
 @pytest.mark.parametrize(
     ("kind", "writer", "scenes"),
     [
@@ -301,10 +242,7 @@ def test_readers_take_what_is_selected(tmp_path, kind, writer, scenes):
         for variant in ("clone", "30-deg-left"):
             writer(tmp_path, scene, variant)
 
-    def names(split="all", listed=(), **words):
-        if listed:
-            (tmp_path / "list.txt").write_text("\n".join(listed))
-            words["frames"] = "list.txt"
+    def names(split="all", **words):
         source = open_set(kind, tmp_path, split=split, **words)
         return [source[index].name for index in range(len(source))]
 
@@ -315,42 +253,16 @@ def test_readers_take_what_is_selected(tmp_path, kind, writer, scenes):
     assert names(scenes=(scenes[0],), variants=("30-deg-left",)) == [
         f"{scenes[0]}/30-deg-left/0000{n}" for n in range(2)
     ]
-    listed = {f"{scenes[0]}/30-deg-left/00001", f"{scenes[1]}/clone/00000"}
-    assert set(names(split="val", listed=listed)) == listed
     with pytest.raises(DatasetError, match=r"no frames of the split 'val'"):
         names(split="val")
     with pytest.raises(DatasetError, match=r"variants: rain\. Found: .*clone"):
         names(variants=("rain",))
-    gone = f"{scenes[0]}/clone/00002"
-    with pytest.raises(DatasetError, match=rf"{gone} is listed, but missing \(1 such\)"):
-        names(listed={*listed, gone})
-
-
-def test_a_frame_outside_the_selection_needs_no_partners(second):
-    (second / "Scene01/clone/frames/depth/Camera_0/depth_00001.png").unlink()
-    (second / "list.txt").write_text("Scene01/clone/00000")
-    assert len(VirtualKitti(second, frames="list.txt")) == 1
-
-
-def test_frame_list_is_a_row_a_frame(tmp_path):
-    path = tmp_path / "train.txt"
-    path.write_text("Scene01/clone/00000\n\nScene20/fog/00836\n")
-    assert read_frame_list(path) == {"Scene01/clone/00000", "Scene20/fog/00836"}
-    path.write_text("Scene01/clone\n")
-    with pytest.raises(DatasetError, match=r"train\.txt: 'Scene01/clone' is not 'scene/variant/"):
-        read_frame_list(path)
-    path.write_text("\n")
-    with pytest.raises(DatasetError, match=r"train\.txt: 'nothing' is not"):
-        read_frame_list(path)
-    with pytest.raises(DatasetError, match=r"cannot read .*none\.txt"):
-        read_frame_list(tmp_path / "none.txt")
 
 
 def test_recipes_choose_edition_split_and_list(tmp_path):
     write_second_edition(tmp_path / "vkitti2", "Scene01", "clone", cameras=(0, 1))
     write_second_edition(tmp_path / "vkitti2", "Scene02", "30-deg-left")
     write_first_edition(tmp_path / "vkitti1", "0002", "fog")
-    (tmp_path / "vkitti2" / "mine.txt").write_text("Scene02/30-deg-left/00001\n")
 
     def names(kind, path, classes="camvid", **keys):
         source = open_dataset(
@@ -367,7 +279,6 @@ def test_recipes_choose_edition_split_and_list(tmp_path):
         "0002/fog/00000",
         "0002/fog/00001",
     ]
-    assert names("virtual-kitti", "vkitti2", frames="mine.txt") == ["Scene02/30-deg-left/00001"]
     small = RenderedRecipe(path="vkitti2", size=(32, 48))
     assert open_dataset(small, [tmp_path / "nowhere", tmp_path], classes="camvid")[0].size == (
         32,
@@ -379,5 +290,3 @@ def test_recipes_choose_edition_split_and_list(tmp_path):
         InputError, match="split = 'trainval'; choose one of 'train', 'val', 'test' or"
     ):
         names("virtual-kitti", "vkitti2", split="trainval")
-    with pytest.raises(DatasetError, match=r"cannot read .*vkitti2/no\.txt"):
-        names("rendered", "vkitti2", frames="no.txt")

@@ -69,20 +69,6 @@ def test_distances_to_the_nearest_return_equal_loops():
     assert not nothing["return_3_6_px"].any()
 
 
-def test_distances_are_scored_without_dense_truth():
-    truth = np.zeros((1, 20), np.float32)
-    truth[0, ::3] = 10
-    fed = np.where(np.arange(20) == 0, truth, 0)
-    scores = DepthRegionScores()
-    scores.update(truth + np.arange(20, dtype=np.float32)[None], truth, fed)
-    errors = scores.compute()
-    assert [errors[name].pixels for name in RETURN_DISTANCES] == [1, 0, 2, 4]
-    assert errors["return_0_px"].mae == 0
-    assert errors["return_3_6_px"].mae == 4.5
-    assert errors["return_over_6_px"].mae == (9 + 12 + 15 + 18) / 4
-    assert [errors[region].pixels for region in REGIONS] == [0, 0, 0]
-
-
 def test_errors_by_hand_and_merged():
     depth = house()
     fed = np.zeros_like(depth)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from models import NetworkOutput, SSDNetLite, SSDNetLiteConfig, create_model
+from models import NetworkOutput, SSDNetLiteConfig, create_model
 from runtime.errors import InputError
 from runtime.heads import HEADS
 from training.datasets.sample import AUXILIARY, Sample
@@ -114,20 +114,6 @@ def test_each_depth_error_has_its_own_name():
     }
 
 
-def test_regions_are_those_of_dense_truth_alone():
-    """Without returns all is uncovered; a recorded scan that is scored has no regions."""
-    depth = sample().depth
-    half = replace(sample(), sparse_depth=np.where(np.arange(120) < 40, depth, 0))
-    result = figures(lambda rgb, fed: HeadMaps(None, depth + fed / 10, None), half)
-    assert result["mae_m_interior"] == pytest.approx(40 / 52)  # 12 px beyond the last return
-    assert result["mae_m_uncovered"] == 0
-    assert "mae_m_edge" not in result
-    frame = recorded()
-    result = figures(lambda rgb, fed: HeadMaps(None, frame.depth, None), frame)
-    assert "mae_m" in result
-    assert not any("interior" in name or "uncovered" in name for name in result)
-
-
 def test_uncertainty_is_scored_where_a_model_has_one():
     depth = sample().depth
     answer = depth + np.where(np.arange(120) < 60, np.float32(1), np.float32(4))
@@ -156,20 +142,6 @@ def test_the_class_road_is_scored_against_a_mask_of_it():
     assert scores.figures() == {}
     names[3] = "Road"
     assert scores.figures(names) == {"road_iou": pytest.approx(15 / 35)}
-
-
-def test_network_answers_at_the_frames_size_in_metres():
-    small = SSDNetLiteConfig(
-        encoder_widths=(8,) * 16,
-        decoder_channels=(8, 8, 8),
-        max_depth_m=50.0,
-    )
-    network = SSDNetLite(small)
-    answer = torch_predict(network)(sample().rgb, sample().depth, None)
-    assert answer.semantic.shape == answer.depth.shape == answer.boundary.shape == (60, 120)
-    assert answer.semantic.dtype == np.uint8
-    assert 1 < answer.depth.mean() < 49  # a sigmoid in the middle of 0..50 m
-    assert not network.training
 
 
 def test_a_network_of_canonical_depth_sees_it_and_answers_in_metres():

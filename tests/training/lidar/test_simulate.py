@@ -82,17 +82,6 @@ def test_density_is_that_of_kitti(lines, low, high):
     assert low < np.count_nonzero(sparse) / sparse.size < high
 
 
-def test_sky_and_what_is_too_far_return_nothing():
-    depth = np.full((375, 1242), 84.0, np.float32)
-    depth[:200] = 0.0
-    sparse = scan_lines(depth, KITTI, 64, np.random.default_rng(0), **EXACT)
-    assert not sparse[:200].any()
-    # 84 m along the axis is more than 85 m along the ray beyond 0.154 of slope, 111 columns.
-    assert sparse[:, 560:660].any()
-    assert not sparse[:, :480].any()
-    assert not sparse[:, 740:].any()
-
-
 def test_noise_is_along_the_ray_and_of_the_given_size():
     depth = np.full((375, 1242), 10.0, np.float32)
     quiet = {**EXACT, "range_noise_m": 0.05}

@@ -7,7 +7,7 @@ import pytest
 
 from runtime.errors import InputError
 from training.datasets.sample import Sample
-from training.lidar.split import LidarInput, frame_generator, split_lidar
+from training.lidar.split import LidarInput, split_lidar
 
 SIZE = (48, 160)
 K = np.array([[80.0, 0, 80], [0, 80.0, 20], [0, 0, 1]])
@@ -131,16 +131,6 @@ def test_nothing_that_is_fed_of_a_recorded_scan_is_a_target(scanned, rng, text, 
             np.testing.assert_array_equal(frame.fed + frame.target, scanned.depth)
 
 
-def test_training_sees_every_line_of_a_scan(scanned, rng):
-    fed = [
-        split_lidar(scanned, LidarInput.parse("16"), rng, same_target=False, first_line=first).fed[
-            :, 0
-        ]
-        for first in range(4)
-    ]
-    assert (np.count_nonzero(fed, axis=0) == 1).all()
-
-
 def test_returns_hidden_behind_nearer_ones_are_no_target(scanned, rng):
     depth = scanned.depth.copy()
     depth[20, 80] = 5.0
@@ -155,9 +145,3 @@ def test_simulated_lines_need_intrinsics_and_a_random_share_none(dense, rng):
     assert split_lidar(blind, LidarInput.parse("own"), rng) is None
     assert split_lidar(blind, LidarInput.parse("16"), rng) is None
     assert split_lidar(blind, LidarInput.parse("random:0.1"), rng).fed.any()
-
-
-def test_a_frames_random_numbers_are_its_own():
-    first, again, other = (frame_generator(index).random(4) for index in (7, 7, 8))
-    assert (first == again).all()
-    assert (first != other).all()

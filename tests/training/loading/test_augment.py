@@ -9,7 +9,6 @@ import pytest
 from runtime.preprocess import clean_sparse_depth
 from runtime.resize import move_returns, resize_image, resize_nearest
 from training.datasets.sample import IGNORE, Sample
-from training.loading import augment as augmenting
 from training.loading.augment import (
     PSEUDO_SKY_MARGIN_PX,
     SKY_MARGIN_PX,
@@ -108,23 +107,6 @@ def test_input_and_target_recorded_apart_stay_apart_when_enlarged():
     assert large.scan_line is None
 
 
-def test_input_recorded_beside_its_target_is_kept_or_thinned(monkeypatch):
-    sample = recorded_beside_its_target()
-    whole = draw_lidar(
-        sample, AugmentConfig(lidar_missing=0, lidar_random=0), np.random.default_rng(0)
-    )
-    np.testing.assert_array_equal(whole.sparse_depth, sample.sparse_depth)
-    monkeypatch.setattr(augmenting, "_RECORDED_SHARE", (0.6, 0.6))
-    thin = AugmentConfig(lidar_missing=0, lidar_random=1)
-    thinned = draw_lidar(sample, thin, np.random.default_rng(0))
-    kept = thinned.sparse_depth > 0
-    share = np.count_nonzero(kept) / np.count_nonzero(sample.sparse_depth)
-    assert share == pytest.approx(0.6, abs=0.08)
-    np.testing.assert_array_equal(thinned.sparse_depth[kept], sample.sparse_depth[kept])
-    for out in (whole, thinned):
-        np.testing.assert_array_equal(out.depth, sample.depth)
-
-
 @pytest.mark.parametrize("seed", range(8))
 def test_all_lines_of_a_recorded_scan_are_never_fed(seed):
     """A sensor of 64 lines is asked for, but its scan is the only target there is."""
@@ -157,16 +139,6 @@ def test_lines_of_a_recorded_input_are_chosen_and_survive_every_change():
     assert kept == {1, 4}
 
 
-def test_cut_and_flip_move_input_and_target_recorded_apart():
-    sample = recorded_beside_its_target()
-    window = cut(sample, 3, 5, (20, 30))
-    np.testing.assert_array_equal(window.sparse_depth, sample.sparse_depth[3:23, 5:35])
-    np.testing.assert_array_equal(window.depth, sample.depth[3:23, 5:35])
-    mirrored = flip(window)
-    np.testing.assert_array_equal(mirrored.sparse_depth, window.sparse_depth[:, ::-1])
-    np.testing.assert_array_equal(mirrored.depth, window.depth[:, ::-1])
-
-
 @pytest.mark.parametrize("size", [(20, 31), (96, 40), (30, 100), (96, 128)], ids=str)
 def test_training_resizes_as_the_engine_does(size):
     """Pictures by area where they shrink, returns one by one with their scan lines."""
@@ -179,16 +151,6 @@ def test_training_resizes_as_the_engine_does(size):
     dense = resize(plane(), size)
     np.testing.assert_array_equal(dense.depth, resize_nearest(plane().depth, size))
     np.testing.assert_array_equal(dense.semantic, resize_nearest(plane().semantic, size))
-
-
-def test_a_crop_of_a_shrunk_picture_skips_no_pixel():
-    """A fine grid keeps its mean brightness when a training shrinks it; bilinear loses lines."""
-    sample = plane(96, 128)
-    grid = np.zeros_like(sample.rgb)
-    grid[:, ::4] = 240
-    config = AugmentConfig(crop=(24, 32), scale=(0.25, 0.25))
-    out = scale_and_crop(replace(sample, rgb=grid), config, np.random.default_rng(0))
-    assert np.abs(out.rgb.astype(int) - 60).max() <= 1
 
 
 def test_dense_truth_beside_a_recorded_input_stays_dense_when_enlarged():
@@ -214,20 +176,6 @@ def test_dense_truth_under_a_wide_sky_is_resized_as_dense(crop, scale):
             known = sample.depth[sample.depth > 0]
             assert np.isin(out.depth[ground], known).all()
             np.testing.assert_array_equal(out.depth, resize_nearest(sample.depth, crop))
-
-
-def test_depth_follows_the_magnification_of_a_camera_that_is_closer():
-    """What is magnified by two looks as from half as far with the same camera."""
-    sample = recorded_beside_its_target()
-    config = AugmentConfig(crop=(32, 32), scale=(2.0, 2.0))
-    kept = scale_and_crop(sample, config, np.random.default_rng(1))
-    scaled = scale_and_crop(sample, config, np.random.default_rng(1), is_closer=True)
-    np.testing.assert_allclose(scaled.depth, kept.depth / 2)
-    np.testing.assert_allclose(scaled.sparse_depth, kept.sparse_depth / 2)
-    np.testing.assert_array_equal(scaled.rgb, kept.rgb)
-    assert kept.intrinsics[0, 0] == pytest.approx(100.0)
-    assert scaled.intrinsics[0, 0] == pytest.approx(50.0)
-    np.testing.assert_allclose(scaled.intrinsics[:, 2], kept.intrinsics[:, 2])
 
 
 def test_result_has_the_crop_size_and_is_reproducible():
@@ -263,33 +211,12 @@ def test_augmentation_does_not_touch_its_input():
         np.testing.assert_array_equal(getattr(sample, name), array)
 
 
-def test_colors_are_kept_without_changes():
-    still = AugmentConfig(
-        brightness=0, contrast=0, saturation=0, hue_deg=0, gray=0, blur=0, noise=0
-    )
-    rgb = plane().rgb
-    out = change_colors(rgb, still, np.random.default_rng(0))
-    assert np.abs(out.astype(int) - rgb).max() <= 1
-
-
 def test_gray_removes_the_colour():
     gray = AugmentConfig(brightness=0, contrast=0, hue_deg=0, gray=1, blur=0, noise=0)
     out = change_colors(plane().rgb, gray, np.random.default_rng(0)).astype(int)
     assert np.abs(out - out[..., :1]).max() <= 1
     expected = cv2.cvtColor(plane().rgb, cv2.COLOR_RGB2GRAY)
     assert np.abs(out[..., 0] - expected).max() <= 2
-
-
-def test_what_is_magnified_has_its_canonical_depth_divided():
-    """A picture twice as large of the same camera: the same thing at half the canonical depth."""
-    sample = recorded_beside_its_target()
-    large = resize(sample, (96, 128))
-    assert large.intrinsics[0, 0] == 2 * sample.intrinsics[0, 0]
-    now, then = (canonical_depth(item, 100.0, 250.0) for item in (sample, large))
-    np.testing.assert_array_equal(now.depth, sample.depth * 2)  # f = 50
-    np.testing.assert_array_equal(then.depth, move_returns(now.depth, (96, 128)) / 2)
-    np.testing.assert_array_equal(then.sparse_depth, move_returns(now.sparse_depth, (96, 128)) / 2)
-    np.testing.assert_array_equal(then.intrinsics, large.intrinsics)
 
 
 @pytest.mark.parametrize("max_depth_m", [30.0, 80.0, 300.0])
@@ -317,16 +244,6 @@ def test_augmented_samples_are_in_canonical_depth(known, factor):
     np.testing.assert_allclose(canonical.depth, metres.depth * factor, rtol=1e-6)
     np.testing.assert_allclose(canonical.sparse_depth, metres.sparse_depth * factor, rtol=1e-6)
     np.testing.assert_array_equal(canonical.rgb, metres.rgb)
-
-
-def test_the_lidar_is_drawn_in_metres_whatever_the_canonical_camera():
-    """A wall at 60 m, drawn before the factor: a LiDAR of 85 m sees it at 240 canonical metres."""
-    sample = plane().with_targets(depth=np.full((48, 64), 60, np.float32))
-    config = AugmentConfig(crop=(48, 64), scale=(1.0, 1.0), lidar_missing=0, lidar_random=0)
-    out = augment(sample, config, np.random.default_rng(0), canonical_focal_px=200.0)
-    seen = out.sparse_depth[out.sparse_depth > 0]
-    assert len(seen) > 50
-    np.testing.assert_allclose(seen, 240, atol=1)
 
 
 def test_sky_is_far_where_nothing_was_measured():
@@ -382,21 +299,6 @@ def test_128_lines_are_drawn_from_dense_truth_and_are_64_of_a_recorded_scan():
             for item in (config, ALWAYS)
         )
         np.testing.assert_array_equal(of_128, of_64)
-
-
-def test_a_thing_drops_out_of_the_input_and_not_of_the_target():
-    config = replace(ALWAYS, lidar_absorbed=1.0)
-    sample = rendered()
-    things = np.full(sample.size, 255, np.uint8)
-    things[:, 20:30] = 8
-    sample = sample.with_targets(semantic=things)
-    out = draw_lidar(sample, config, np.random.default_rng(2))
-    whole = draw_lidar(sample, ALWAYS, np.random.default_rng(2)).sparse_depth
-    lost = (whole > 0) & (out.sparse_depth == 0)
-    assert lost[:, 20:30].any()
-    assert not lost[things == 255].any()
-    np.testing.assert_array_equal(out.sparse_depth[~lost], whole[~lost])
-    np.testing.assert_array_equal(out.depth, sample.depth)
 
 
 def test_crops_chosen_for_a_rare_class_show_it_more_often():

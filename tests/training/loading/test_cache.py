@@ -51,14 +51,6 @@ def test_what_no_longer_fits_is_decoded_anew_and_drops_nothing():
     assert counted.decoded == [0, 1, 2, 3, 3, 3]
 
 
-def test_checked_source_brings_every_frame_to_one_size():
-    source = CheckedSource(Counted(), (5, 6))
-    assert len(source) == 4
-    assert {source[index].size for index in range(4)} == {(5, 6)}
-    assert (source[3].depth == 4.0).all()
-    assert source[3].name == "3"
-
-
 @pytest.mark.parametrize(
     ("labels", "found"),
     [

@@ -58,24 +58,6 @@ def test_proportions_and_passes():
         assert sorted(first[start : start + 10]) == list(range(10))
 
 
-def test_tensors_have_the_loops_form():
-    batch = Batch.collate([mixture()[0]], ("depth", "semantic"))
-    assert batch.rgb.dtype == torch.uint8
-    assert batch.rgb.shape == (1, 3, 32, 32)
-    assert batch.sparse_depth.shape == (1, 1, 32, 32)
-    assert batch.targets["depth"].shape == batch.targets["semantic"].shape == (1, 32, 32)
-    assert batch.targets["depth"].dtype == batch.sparse_depth.dtype == torch.float32
-    assert batch.targets["semantic"].dtype == torch.uint8
-    assert batch.pair is None
-
-
-def test_a_target_is_never_fed_where_no_input_was_drawn():
-    sample = Numbered(1, 0)[0]
-    assert sample.sparse_depth is None
-    with pytest.raises(ValueError, match="draw_lidar"):
-        Batch.collate([Drawn((sample,))], ())
-
-
 class Street:
     """One frame: the upper half sky, class 0, the lower a road, class 3, at 20 m; f = 50 px."""
 
@@ -219,15 +201,6 @@ def test_a_world_of_another_scale_looks_the_same_and_is_farther():
     ]
     assert 0.5 <= min(factors) < 0.8
     assert 1.25 < max(factors) <= 2
-
-
-def test_without_returns_the_image_tells_the_scale():
-    """So does a pair whose second view has none: both views have the same depth."""
-    plain = pairs(pair_lidar_missing=1.0)[0].views
-    for before, after in zip(
-        plain, pairs(pair_lidar_missing=1.0, world_scale=(1.5, 1.5))[0].views, strict=True
-    ):
-        assert np.array_equal(after.depth, before.depth)
 
 
 def test_a_scaled_world_keeps_the_range_of_returns_and_the_sky():

@@ -41,13 +41,6 @@ def pair_of(first, second):
     return Pair(torch.tensor([OFFSET]), first[None], second[None])
 
 
-def test_cells_that_no_shift_of_both_views_shares_are_not_compared():
-    first, second = (view[None] for view in views(scene_of(5, side=8), side=8))
-    pair = pair_of(torch.zeros(1, *SIZE), torch.zeros(1, *SIZE))
-    with pytest.raises(ValueError, match=r"\[4, 12\] px apart .* 8 px"):
-        semantic_consistency_loss(first, second, Pair(torch.tensor([[4, 12]]), *pair[1:]), side=8)
-
-
 @pytest.mark.parametrize("side", [1, 2, 4])
 def test_the_views_of_one_scene_overlap_in_equal_maps(side):
     a, b = overlap(*views(scene_of(3, side), side), OFFSET, side=side)
@@ -123,13 +116,6 @@ def test_a_seam_above_the_scan_costs_its_step_and_only_the_fused_view_learns(fus
     learning, other = (first, second) if fused_first else (second, first)
     assert learning.grad.any()
     assert other.grad is None
-
-
-def test_views_that_both_have_returns_or_none_show_no_seam():
-    first, second = (view[None] + 0.1 for view in views(scene_of()))
-    lidars, none = scan_below(52), torch.zeros(1, *SIZE)
-    assert depth_seam_loss(first, second * 2, pair_of(*lidars)) == 0
-    assert depth_seam_loss(first, second * 2, pair_of(none, none)) == 0
 
 
 def test_classes_that_agree_cost_nothing_and_others_their_divergence():

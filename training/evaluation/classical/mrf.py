@@ -40,7 +40,7 @@ class MRF:
     edge_sharpness: float = 1000.0
 
     def __post_init__(self) -> None:
-        import_scipy("sparse.linalg", "mrf")
+        import_scipy("sparse", "mrf")
 
     def complete(self, rgb: NDArray[np.uint8], sparse_depth: Depth) -> Depth:
         """See `CompletionMethod.complete`. Raises InferenceError if memory does not suffice."""
