@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from models.training_facts import TrainingFacts
 from training.distributed import Processes, join_processes
 from training.initial_weights import Weights
 from training.loading.batches import read_batches
-from training.progress import Progress
 from training.provenance import state_provenance
 from training.recipe import Recipe
 from training.release import adjust_logits
@@ -126,7 +125,14 @@ def _train(
     last_step = steps if stop_after is None else min(steps, stop_after)
     board = Board(out / TENSORBOARD if processes.is_first else None, state.step)
     with (
-        closing(Progress(steps, state.step, shown=processes.is_first)) as progress,
+        tqdm(
+            total=steps,
+            initial=state.step,
+            desc="train",
+            unit="step",
+            mininterval=1.0 if sys.stderr.isatty() else 30.0,  # a line of a log file
+            disable=not processes.is_first,
+        ) as bar,
         read_batches(recipe, task, processes, state.step) as batches,
     ):
 
@@ -142,7 +148,8 @@ def _train(
             score(state.averaged)
         while state.step < last_step and not processes.any(stop()):
             done = state.advance(batches)
-            progress.update(state.step, done.terms["total"], done.rate)
+            if bar.update():  # the loss is read from its device only when it is shown
+                bar.set_postfix(loss=f"{done.terms['total'].item():.3f}", refresh=False)
             if state.step % recipe.log_every == 0:
                 board.add_step(done, dict(state.criterion.log_variances.items()), state.step)
             # Before the checkpoint: a run killed in between validates again after it resumes.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from training.evaluation.metrics import Accumulator, require_same_shape, scored
+from training.evaluation.metrics import Accumulator, scored
 
 #: Shares of a Laplace distribution within one and two of its scales b: 1 - exp(-1), 1 - exp(-2).
 LAPLACE_COVERAGE = (0.632, 0.865)
@@ -60,20 +60,9 @@ class UncertaintyScores(Accumulator):
             uncertainty: scale of a Laplace distribution around the prediction, float (H, W) [m].
             prediction: float (H, W) [m].
             depth: the true depth, float (H, W) [m]; 0, negative or not finite = unknown.
-
-        Raises:
-            ValueError: if the shapes differ, or an uncertainty is negative or not finite where the
-                true depth is known.
         """
-        require_same_shape(uncertainty=uncertainty, prediction=prediction, depth=depth)
         known = scored(depth)
         scale = uncertainty[known].astype(np.float64)
-        bad = ~(np.isfinite(scale) & (scale >= 0))
-        if bad.any():
-            raise ValueError(
-                f"{int(bad.sum())} of {scale.size} uncertainties are negative, NaN or infinite "
-                "where there is ground truth; expected metres"
-            )
         error = np.abs(prediction[known].astype(np.float64) - depth[known])
         place = np.log(np.clip(scale, _LOWEST_M, _HIGHEST_M) / _LOWEST_M)
         index = (place / np.log(_HIGHEST_M / _LOWEST_M) * (_BINS - 1)).astype(np.intp)

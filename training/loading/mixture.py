@@ -133,16 +133,12 @@ class Batch:
     def collate(cls, drawn: Sequence[Drawn], targets: Collection[str]) -> Self:
         """Make a batch of drawn frames with these targets.
 
-        A target that a frame lacks is unlabelled in all its pixels. Raises ValueError if a frame
-        has no sparse depth.
+        A target that a frame lacks is unlabelled in all its pixels.
         """
         # The first views of all frames, then the second views.
         samples = [
             view for part in zip(*(item.views for item in drawn), strict=True) for view in part
         ]
-        for sample in samples:
-            if sample.sparse_depth is None:
-                raise ValueError(f"{sample.name} has no sparse_depth; draw one with draw_lidar")
         sparse_depth = torch.from_numpy(np.stack([view.sparse_depth for view in samples])[:, None])
         pair = None
         if len(samples) > len(drawn):
@@ -224,8 +220,6 @@ class Mixture(Dataset[Drawn]):
         pair_step: int = PAIR_STEP_PX,
         rare: Sequence[int] = (),
     ) -> None:
-        if not parts or any(part.weight <= 0 for part in parts):
-            raise ValueError("a mixture needs at least one data set, each with a positive weight")
         self._parts = list(parts)
         self._seed = seed
         self._depth = depth or DepthTarget()

@@ -97,27 +97,27 @@ class LossConfig:
     #: One weight a term of Eq. 12: Eq. 4, 5, 6, 8, 11.
     #: 1 is Eq. 12 as printed; with the soft form of Eq. 8 and 11 training then often collapses to
     #: one class, and 0.03 is used instead (docs/results.md).
-    depth_weight: float = 1.0
-    semantic_weight: float = 1.0
-    boundary_weight: float = 1.0
-    semantic_boundary_weight: float = 1.0
-    semantic_depth_weight: float = 1.0
+    depth_weight: NotNegative = 1.0
+    semantic_weight: NotNegative = 1.0
+    boundary_weight: NotNegative = 1.0
+    semantic_boundary_weight: NotNegative = 1.0
+    semantic_depth_weight: NotNegative = 1.0
     #: Soft IoU of the classes beside Eq. 5; not the paper's.
-    semantic_iou_weight: float = 0.0
+    semantic_iou_weight: NotNegative = 0.0
     #: Lovász-Softmax of each picture (Berman et al. 2018); ENet with it is the paper's ENet_LSloss.
-    lovasz_weight: float = 0.0
+    lovasz_weight: NotNegative = 0.0
     #: The class "road" against road masks, of sets without other labels; not the paper's.
-    road_weight: float = 0.0
+    road_weight: NotNegative = 0.0
     #: Likelihood of the depth's errors under the predicted uncertainty.
-    depth_uncertainty_weight: float = 0.1
+    depth_uncertainty_weight: NotNegative = 0.1
     #: Agreement of two shifted views of each frame, see `training.losses.consistency`.
-    depth_consistency_weight: float = 0.0
-    depth_seam_weight: float = 0.0
-    semantic_consistency_weight: float = 0.0
+    depth_consistency_weight: NotNegative = 0.0
+    depth_seam_weight: NotNegative = 0.0
+    semantic_consistency_weight: NotNegative = 0.0
     #: Agreement with the answers of a teacher, see `training.losses.distillation`.
-    distilled_semantic_weight: float = 0.0
-    distilled_depth_weight: float = 0.0
-    distilled_boundary_weight: float = 0.0
+    distilled_semantic_weight: NotNegative = 0.0
+    distilled_depth_weight: NotNegative = 0.0
+    distilled_boundary_weight: NotNegative = 0.0
 
     #: Weight of the loss of each head in `training.losses.heads`; 1 where none is here.
     head_weights: Mapping[str, NotNegative] = field(default_factory=dict)
@@ -137,9 +137,9 @@ class LossConfig:
 
     #: "paper": Eq. 4 on normalised depth. "metric": L1 + metric_l2 * L2 in metres, and ratios.
     depth_form: Literal["paper", "metric"] = "paper"
-    metric_l2: float = 0.02
+    metric_l2: NotNegative = 0.02
     #: Weight of the mean |log(prediction / target)| beside them [m].
-    metric_log: float = 0.0
+    metric_log: NotNegative = 0.0
     #: Mean over all scales, or the finest alone.
     depth_scales: Literal["mean", "finest"] = "mean"
 
@@ -187,13 +187,7 @@ class LossConfig:
         return weight
 
     def __post_init__(self) -> None:
-        """Check that no number is negative and at least one weight is positive."""
-        numbers = {
-            key: value for key, value in vars(self).items() if isinstance(value, int | float)
-        }
-        for key, value in numbers.items():
-            if not 0 <= value < float("inf"):
-                raise ValueError(f"{key} = {value}; it must be 0 or a positive number")
+        """Check the heads that are named, and that at least one weight is positive."""
         if unknown := sorted(self.head_weights.keys() - HEAD_LOSSES.keys()):
             known = ", ".join(sorted(HEAD_LOSSES)) or "none"
             raise ValueError(
@@ -257,19 +251,8 @@ class SSDNetLoss(nn.Module):
         Returns:
             Terms by their names in `TERMS` or `HEAD_LOSSES`, without those of weight 0, of missing
             heads and of targets that the batch does not have.
-
-        Raises:
-            ValueError: if the answer has another size than the batch.
         """
-        answer = _any_answer(output)
         height, width = batch.rgb.shape[-2:]
-        side = cell_side((height, width), (answer.shape[-2], answer.shape[-1]))
-        expected = (-(-height // side), -(-width // side))
-        if answer.shape[-2:] != expected:
-            raise ValueError(
-                f"the network's answer is {tuple(answer.shape[-2:])} and the batch "
-                f"{(height, width)}; expected one size (height, width), up to a power of two"
-            )
         terms: dict[str, Tensor] = {}
         if "semantic" in batch.targets:
             semantic, weights = batch.targets["semantic"].long(), batch.weights["semantic"]
@@ -288,7 +271,7 @@ class SSDNetLoss(nn.Module):
                 terms[head] = HEAD_LOSSES[head](answers, batch.targets[head], batch.weights[head])
         weighted = [self._weigh(name, term) for name, term in terms.items()]
         # Without any term the total is 0, with a gradient of 0.
-        anchor = torch.nan_to_num(answer[0, 0, 0, 0].float(), posinf=0, neginf=0)
+        anchor = torch.nan_to_num(_any_answer(output)[0, 0, 0, 0].float(), posinf=0, neginf=0)
         terms["total"] = sum(weighted, start=0.0 * anchor)
         return terms
 

@@ -54,16 +54,6 @@ def test_confusion_matrix_equals_loops_and_merges():
     np.testing.assert_array_equal(first.confusion, expected)
 
 
-def test_ids_that_are_no_class_are_refused():
-    zeros = np.zeros((2, 2), np.uint8)
-    with pytest.raises(ValueError, match=r"semantic holds class ids 3..3"):
-        SemanticScores(3).update(zeros, np.full((2, 2), 3, np.uint8))
-    with pytest.raises(ValueError, match=r"prediction holds class ids 7..7"):
-        SemanticScores(3).update(np.full((2, 2), 7, np.uint8), zeros)
-    with pytest.raises(ValueError, match="shapes differ"):
-        SemanticScores(3).update(zeros, np.zeros((2, 3), np.uint8))
-
-
 def test_depth_metrics_by_hand():
     scores = DepthScores()
     scores.update(
@@ -129,8 +119,6 @@ def test_no_answer_is_scored_and_nan_is_refused():
     metrics = scores.compute()
     assert metrics.metres.mae == 10.0
     assert metrics.per_km.mae == pytest.approx(1000 / 0.1 - 1000 / 10)
-    with pytest.raises(ValueError, match="1 of 1 predicted depths are NaN"):
-        scores.update(np.full((1, 1), np.nan), np.ones((1, 1)))
     assert math.isnan(DepthScores().compute().metres.mae)
 
 
@@ -222,8 +210,6 @@ def test_disparity_errors_equal_the_hand_computed_ones():
     assert metrics.mae == pytest.approx((20 + 0 + 3990) / 3)
     assert metrics.rmse == pytest.approx(math.sqrt((20**2 + 3990**2) / 3))
     assert math.isnan(DisparityScores().compute().mae)
-    with pytest.raises(ValueError, match="positive"):
-        scores.update(answer, depth, 0.0)
 
 
 def test_road_iou_by_hand():
@@ -237,11 +223,3 @@ def test_road_iou_by_hand():
     scores.merge(other)
     assert scores.compute(road=3) == pytest.approx(5 / 10)
     assert math.isnan(RoadScores(4).compute(road=3))
-
-
-def test_road_scores_refuse_what_they_cannot_count():
-    mask = np.ones((2, 2), np.uint8)
-    with pytest.raises(ValueError, match=r"class id 4, expected 0\.\.3"):
-        RoadScores(4).update(np.full((2, 2), 4, np.uint8), mask)
-    with pytest.raises(ValueError, match="shapes differ"):
-        RoadScores(4).update(mask, mask[1:])

@@ -40,16 +40,3 @@ def test_coverage_of_a_true_scale_is_that_of_laplace_and_of_others_is_not():
     metrics = right.compute()
     assert (metrics.coverage_1, metrics.coverage_2) == pytest.approx(LAPLACE_COVERAGE, abs=0.01)
     assert small.compute().coverage_2 == pytest.approx(LAPLACE_COVERAGE[0], abs=0.01)
-
-
-def test_what_is_no_uncertainty_is_refused():
-    depth = np.full((4, 4), 10, np.float32)
-    for bad in (-1, np.nan, np.inf):
-        scale = np.ones_like(depth)
-        scale[0, 0] = bad
-        with pytest.raises(ValueError, match="1 of 16 uncertainties are negative, NaN"):
-            UncertaintyScores().update(scale, depth, depth)
-        scale_beside_truth = np.where(scale == 1, depth, 0)
-        UncertaintyScores().update(scale, depth, scale_beside_truth)
-    with pytest.raises(ValueError, match="shapes differ"):
-        UncertaintyScores().update(depth[1:], depth, depth)

@@ -51,11 +51,6 @@ def test_the_views_of_one_scene_overlap_in_equal_maps(side):
     assert a.shape == (3, *expected)
 
 
-def test_views_that_share_nothing_are_refused():
-    with pytest.raises(ValueError, match="do not overlap"):
-        overlap(torch.zeros(1, 64, 200), torch.zeros(1, 64, 200), OFFSET)
-
-
 def test_depth_that_agrees_costs_nothing_and_a_ratio_its_log():
     first, second = (view[None] + 0.1 for view in views(scene_of()))
     none = torch.zeros(1, *SIZE)
