@@ -456,8 +456,6 @@ def _describe(error: Mapping[str, Any], kind: Any) -> str:
             return f"missing key {key + '.' * bool(key)}kind."
         case "union_tag_invalid":
             tag, known = context["tag"], context["expected_tags"]
-            if (right := tag.replace("_", "-")) in DATASETS:
-                return f"{key + '.' * bool(key)}kind = {tag!r} is written {right!r}."
             return f"{key + '.' * bool(key)}kind = {tag!r}; choose one of {known}."
         case "literal_error":
             return f"{key} = {text}; choose one of {context['expected']}."

@@ -4,8 +4,7 @@ import pytest
 import torch
 
 from models.efficientnet_lite import RGB_MEAN, RGB_STD, WIDTHS, EfficientNetLite
-from runtime.errors import CheckpointError, install_command
-from training import imagenet_weights
+from runtime.errors import CheckpointError
 from training.imagenet_weights import PACKAGE, load_imagenet
 
 REFERENCE = "efficientnet_lite_pytorch"
@@ -54,28 +53,6 @@ def test_features_are_those_of_the_packages_own_network(trunk, reference, size):
         ours, theirs = all_features(trunk, x), reference_features(reference, x)
     assert [x.shape for x in ours] == [x.shape for x in theirs]
     assert all((a - b).abs().max() < 1e-5 for a, b in zip(ours, theirs, strict=True))
-
-
-class Elsewhere:
-    """An installed package whose file is another one, or none."""
-
-    def __init__(self, folder):
-        self.folder = folder
-
-    def locate_file(self, path):
-        return self.folder / path.rpartition("/")[2]
-
-
-def test_other_weights_are_refused_before_they_are_unpacked(monkeypatch, tmp_path):
-    monkeypatch.setattr(imagenet_weights, "distribution", lambda name: Elsewhere(tmp_path))
-    with pytest.raises(CheckpointError, match="is not installed"):
-        load_imagenet(EfficientNetLite())
-    (tmp_path / "efficientnet-lite0-57934424.pth").write_bytes(b"no zip archive")
-    with pytest.raises(
-        CheckpointError, match="expected the weights with the SHA-256 5793"
-    ) as error:
-        load_imagenet(EfficientNetLite())
-    assert install_command("train") in str(error.value)
 
 
 def test_a_pruned_trunk_does_not_take_them(trunk):

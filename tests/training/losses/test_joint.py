@@ -55,12 +55,3 @@ def test_joint_losses_equal_loops(soft):
     assert semantic_boundary_loss(maps, boundary).item() == pytest.approx(expected[0], rel=1e-6)
     ours = semantic_depth_loss(maps, 7.0 * depth).item()
     assert ours == pytest.approx(expected[1], rel=1e-6)
-
-
-def test_soft_equals_hard_for_one_hot_probabilities():
-    labels = torch.randint(0, 4, (2, 6, 7))
-    one_hot = torch.nn.functional.one_hot(labels, 4).permute(0, 3, 1, 2).float()
-    soft, hard = soft_disagreement(one_hot), hard_disagreement(labels)
-    assert torch.equal(soft.across, hard.across)
-    assert torch.equal(soft.down, hard.down)
-    assert 0 < hard.across.mean() < 1
