@@ -23,6 +23,7 @@ from training.run_folder import (
     LAST,
     SCORES,
     TENSORBOARD,
+    list_data,
     lock_folder,
     prepare_folder,
 )
@@ -83,7 +84,8 @@ def train(
         if processes.is_first:
             # Made last: a training that cannot start leaves no folder.
             held.enter_context(lock_folder(out))
-            prepare_folder(out, resolved)
+            sets = (*recipe.data.source, *recipe.validation.source)
+            prepare_folder(out, resolved, list_data(data, [item.path for item in sets]))
         processes.wait()
         known_data, terms = state_provenance(recipe, init, teacher)
         state = TrainingState(recipe, task, processes, out)

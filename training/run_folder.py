@@ -2,14 +2,18 @@
 
 import errno
 import fcntl
+import hashlib
 import json
 import os
 import socket
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+from tqdm import tqdm
 
 from runtime.errors import InputError
 from runtime.io.atomic_write import atomic_write
@@ -23,6 +27,8 @@ SCORES = "scores.csv"
 TENSORBOARD = "tensorboard"
 BATCH = "batch.png"
 LOCK = "lock"
+#: The key of the data's files in recipe.json.
+_DATA = "data_files"
 #: Keys that may change when a run is resumed: they affect neither the weights nor the choice of
 #: best.pt.
 _WITHOUT_EFFECT = (
@@ -36,14 +42,46 @@ _WITHOUT_EFFECT = (
 )
 
 
-def prepare_folder(out: Path, resolved: Mapping[str, Any]) -> None:
-    """Make ``out`` the folder of this training; InputError if it belongs to another one."""
+def prepare_folder(
+    out: Path, resolved: Mapping[str, Any], files: Mapping[str, Mapping[str, Any]]
+) -> None:
+    """Make ``out`` the folder of this training; InputError if it belongs to another one.
+
+    ``files`` describes the data, see `list_data`. Those of the first start stay in recipe.json; a
+    difference to them is a warning on stderr.
+    """
     path = out / RECIPE
     with folder_errors(out):
+        first = files
         if path.is_file():
-            require_same(_read_json(path), resolved, path)
+            before = _read_json(path)
+            require_same(before, resolved, path)
+            first = before.get(_DATA) or files
+            for name in (name for name in files if files[name] != first.get(name)):
+                was, now = first.get(name, {}).get("files", 0), files[name]["files"]
+                text = f"{was} files when the run began, now {now}"
+                if was == now:
+                    text = f"the {now} files have other names than when the run began"
+                text = f"warning: {name}: {text}; the run resumes with other data"
+                tqdm.write(text, file=sys.stderr)
         out.mkdir(parents=True, exist_ok=True)
-        atomic_write(path, json.dumps(resolved, indent=2).encode())
+        atomic_write(path, json.dumps({**resolved, _DATA: first}, indent=2).encode())
+
+
+def list_data(roots: Sequence[Path], paths: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Describe the files of each path, in the first root that has it: number, SHA-256 of names."""
+    described = {}
+    for path in paths:
+        folder = next((root / path for root in roots if (root / path).is_dir()), None)
+        if folder is not None:
+            places = os.walk(folder, followlinks=True)
+            names = sorted(
+                os.path.join(place, name) for place, _, files in places for name in files
+            )
+            names = [os.path.relpath(name, folder) for name in names]
+            digest = hashlib.sha256("\n".join(names).encode(errors="surrogateescape"))
+            described[path] = {"files": len(names), "sha256": digest.hexdigest()}
+    return described
 
 
 @contextmanager

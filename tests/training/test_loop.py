@@ -403,6 +403,38 @@ def test_init_of_which_nothing_fits_is_refused(data, tmp_path):
     assert not (tmp_path / "b").exists()
 
 
+def test_other_data_than_at_the_start_are_named(data, tmp_path, capsys):
+    train(recipe(steps=3), data=[data], out=tmp_path / "run", stop_after=1)
+    moved = data.rename(tmp_path / "moved")
+    train(recipe(steps=3), data=[moved], out=tmp_path / "run", stop_after=2)
+    assert "warning" not in capsys.readouterr().err
+    for folder in ("train", "trainannot"):
+        (moved / "camvid" / folder / "5.png").rename(moved / "camvid" / folder / "7.png")
+    for text in ("the 24 files have other names than when", "24 files when the run began, now 22"):
+        train(recipe(steps=3), data=[moved], out=tmp_path / "run", stop_after=2)
+        assert f"warning: camvid: {text}" in capsys.readouterr().err
+        for folder in ("train", "trainannot"):
+            (moved / "camvid" / folder / "7.png").unlink(missing_ok=True)
+
+
+def test_a_full_disk_during_a_validation_is_one_error(data, tmp_path, mount_disk, capfd):
+    """The pictures of the validation do not fit; nothing but the error is said."""
+    disk = mount_disk(16_384)
+    run = validated(recipe(), every=3)
+    train(run, data=[data], out=disk / "run", stop_after=2)
+    before = (disk / "run" / "last.pt").read_bytes()
+    filler = disk / "filler"
+    filler.write_bytes(bytes(shutil.disk_usage(disk).free - 12_000))
+    with pytest.raises(InputError, match=r"events\..* No space left on device.* run the command"):
+        train(run, data=[data], out=disk / "run")
+    assert "Traceback" not in capfd.readouterr().err
+    assert (disk / "run" / "last.pt").read_bytes() == before
+    filler.unlink()
+    ended = weights(train(run, data=[data], out=disk / "run"))
+    whole = weights(train(run, data=[data], out=tmp_path / "other"))
+    assert all(torch.equal(whole[name], ended[name]) for name in whole)
+
+
 def test_a_full_disk_leaves_the_last_good_checkpoint(data, tmp_path, mount_disk):
     run = recipe(steps=2, checkpoint_every=1)
     whole = weights(train(run, data=[data], out=tmp_path / "whole"))
