@@ -130,14 +130,9 @@ def project_with_rows(
     occlusion: OcclusionFilter | None = None,
 ) -> ProjectedPoints:
     """Project as `project_points`, and also return the point of each pixel; ties keep the first."""
-    _check_points(points)
+    check_points(points)
     check_intrinsics(intrinsics)
-    _check_matrix("extrinsics", extrinsics, 4)
-    if not np.array_equal(extrinsics[3], (0, 0, 0, 1)):
-        raise InputError(
-            f"the last row of extrinsics must be 0, 0, 0, 1, got {extrinsics[3].tolist()}: is the "
-            "matrix transposed?"
-        )
+    check_transform("extrinsics", extrinsics)
     height, width = _check_sides("size", size, MAX_SIDE)
     with np.errstate(over="ignore", invalid="ignore"):
         product = intrinsics.astype(np.float64) @ extrinsics[:3].astype(np.float64)
@@ -222,7 +217,18 @@ def check_intrinsics(matrix: Any, name: str = "intrinsics") -> None:
         )
 
 
-def _check_points(points: Any) -> None:
+def check_transform(name: str, matrix: Any) -> None:
+    """Raise InputError unless `matrix` is float (4, 4), finite, with the last row 0, 0, 0, 1."""
+    _check_matrix(name, matrix, 4)
+    if not np.array_equal(matrix[3], (0, 0, 0, 1)):
+        raise InputError(
+            f"the last row of {name} must be 0, 0, 0, 1, got {matrix[3].tolist()}: is the matrix "
+            "transposed?"
+        )
+
+
+def check_points(points: Any) -> None:
+    """Raise InputError unless `points` is a scan, float32 (N, 3) or wider."""
     if not _is_plain(points) or points.dtype != np.float32:
         got = points.dtype if _is_plain(points) else type(points).__name__
         raise InputError(

@@ -13,10 +13,10 @@ from runtime.health.depth_plausibility import FIRST_FRAMES, DepthPlausibility
 from runtime.health.frame_health import FrameHealth
 from runtime.io.calibration import Calibration
 from runtime.live.frame_result import FrameResult
-from runtime.live.payload import Points
+from runtime.live.sensor_input import Points
 from runtime.prediction import IMPLAUSIBLE_DEPTH, Prediction
-from runtime.sync.depth_in_time import DepthMotion, keep_map, project_in_time
 from runtime.sync.matching import Pair
+from runtime.sync.motion import DepthMotion, keep_map, project_in_time
 from runtime.sync.poses import PoseTrack
 
 _CHECK_EVERY = 100  # frames with depth, after the first FIRST_FRAMES

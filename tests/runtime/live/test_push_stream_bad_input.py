@@ -32,25 +32,25 @@ def test_invalid_messages_are_refused_and_counted(setup):
     assert counts.depths.errors == {"bad_message": 2}
 
 
-def test_bad_points_are_refused_and_counted(setup):
-    calibrated = setup(calibration=Calibration(np.eye(3), np.eye(4))).stream
-    for points in (None, np.zeros((3, 2), np.float32), np.zeros((3, 3)), np.float32(1)):
-        with pytest.raises(InputError, match="points must"):
-            calibrated.push_points(points, 0)
-    assert add_up(calibrated.counts).depths.errors == {"bad_message": 4}
-    with pytest.raises(InputError, match="calibration="):
-        setup().stream.push_points(np.zeros((3, 3), np.float32), 0)
+OF_BOTH = [
+    {"max_skew_ms": -1}, {"max_skew_ms": float("nan")}, {"reuse_depth_ms": "x"}, {"calibration": 5},
+    {"consistency": "x"}, {"scan_stamp": "first"}, {"pose_frame": "lidar"},
+    {"pose_frame": "wheel"}, {"pose_frame": 3},
+]  # fmt: skip
+OF_A_STREAM = [
+    {"deadline_ms": 0}, {"deadline_ms": "1"}, {"deadline_ms": True}, {"max_wait_ms": float("inf")},
+    {"watchdog": 5}, {"on_result": 5}, {"on_error": "print"}, {"on_state": 0},
+    {"sensor_clock": 1.5},
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("options", [
-    {"deadline_ms": 0}, {"deadline_ms": "1"},
-    {"deadline_ms": True}, {"max_skew_ms": -1}, {"max_skew_ms": float("nan")},
-    {"max_wait_ms": float("inf")}, {"calibration": 5}, {"watchdog": 5}, {"on_result": 5},
-    {"on_error": "print"}, {"on_state": 0}, {"sensor_clock": 1.5}, {"consistency": "x"},
-])  # fmt: skip
-def test_options_out_of_range(setup, options):
+@pytest.mark.parametrize("options", OF_BOTH + OF_A_STREAM, ids=str)
+def test_options_out_of_range(setup, checked_predictor, options):
     with pytest.raises(InputError, match=next(iter(options))):
         setup(**options)
+    if options in OF_BOTH:
+        with pytest.raises(InputError, match=next(iter(options))):
+            replay(checked_predictor(), [], **options)
 
 
 # --- any sequence, with threads ----------------------------------------------------------------

@@ -98,21 +98,6 @@ def test_answers_are_those_of_the_engine_and_of_a_live_stream(model_file, make_f
     ]
 
 
-def test_arrays_may_be_reused_for_the_next_message(replay):
-    def recording():
-        rgb, sparse_depth, where = image(), depth(), np.eye(4)
-        for number in range(4):
-            rgb[:], sparse_depth[:], where[0, 3] = image(number), depth(number), number
-            yield "image", rgb, number * 100 * MS
-            yield "depth", sparse_depth, number * 100 * MS
-            yield "pose", where, number * 100 * MS
-
-    answers, _ = replay(recording(), **POSES)
-    for number, answer in enumerate(answers):
-        assert (answer.rgb == image(number)).all()
-        assert (answer.prediction.depth == depth(number) + 1).all()
-
-
 def test_a_recording_is_read_as_it_is_answered(checked_predictor):
     """Nothing is read ahead but what the next answer needs."""
     read = []
@@ -288,19 +273,6 @@ def test_a_scan_without_points_has_no_times(replay):
 # --- one sensor alone ----------------------------------------------------------------------------
 
 
-def test_a_camera_alone(replay):
-    answers, counts = replay([message("image", 50 * number) for number in range(40)])
-    assert image_ms(answers) == list(range(0, 2000, 50))
-    assert counts.camera_only == 40
-
-
-def test_a_lidar_alone(replay):
-    recording = [("depth", depth(number), number / 10) for number in range(40)]
-    answers, counts = replay(recording)
-    assert answers == []
-    assert counts.unmatched == {"no_image": 40}
-
-
 # --- health --------------------------------------------------------------------------------------
 
 
@@ -412,16 +384,3 @@ def test_a_provider_that_fails_is_raised_or_reported(replay, checked_predictor):
 def test_what_is_no_message_is_refused(replay, bad):
     with pytest.raises(InputError, match=r"a message must be a tuple .*image, depth, points, pose"):
         replay([bad], on_error=lambda error: None)
-
-
-@pytest.mark.parametrize(("options", "names"), [
-    ({"pose_frame": "wheel", "calibration": CALIBRATION}, "pose_frame"),
-    ({"pose_frame": "lidar"}, "calibration="), ({"scan_stamp": "first"}, "scan_stamp"),
-    ({"reuse_depth_ms": -1}, "reuse_depth_ms"), ({"max_skew_ms": float("nan")}, "max_skew_ms"),
-    ({"consistency": "x"}, "consistency"), ({"calibration": 5}, "calibration"),
-])  # fmt: skip
-def test_options_out_of_range_are_refused_before_the_first_message(
-    checked_predictor, options, names
-):
-    with pytest.raises(InputError, match=names):
-        answer_recording(checked_predictor(), [], **options)

@@ -88,22 +88,6 @@ def test_a_signal_handler_may_close_the_stream(interrupted, on_result):
     assert done == (0, "done\n", "")
 
 
-def test_close_in_the_middle_of_another_method_returns_at_once(setup):
-    """As in a signal handler: this thread holds the lock already."""
-    made = setup()
-    made.stream.push_image(np.ones((32, 40, 3), np.uint8), 0)
-    returned = threading.Event()
-
-    def close_inside():
-        with made.stream._changed:
-            made.stream.close()
-        returned.set()
-
-    threading.Thread(target=close_inside, daemon=True).start()
-    assert returned.wait(20), "close waits for the worker, which waits for the lock"
-    assert [result.image_stamp for result in made.stream] == [0]
-
-
 def test_dropped_streams_end_their_threads(checked_predictor):
     before = set(threading.enumerate())
     streams = [PushStream(checked_predictor()) for _ in range(50)]
