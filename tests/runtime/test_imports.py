@@ -53,12 +53,6 @@ def test_the_predictor_loads_neither_torch_nor_onnx_nor_a_command_line():
     assert not loaded & heavy
 
 
-def test_the_engine_loads_nothing_of_streams_until_one_is_asked_for():
-    loaded = words_printed_by("import sys; from runtime import Predictor; print(*sys.modules)")
-    assert "runtime.predictor" in loaded
-    assert not [name for name in loaded if name.startswith("runtime.run")]
-
-
 def test_the_command_loads_neither_torch_nor_onnx_nor_onnxruntime():
     loaded = loaded_after("import runtime.run.cli")
     assert {"runtime", "numpy", "cv2", "typer"} <= loaded
@@ -91,10 +85,3 @@ def test_the_public_names_are_there():
     everything: dict[str, object] = {}
     exec("from runtime import *", everything)
     assert set(runtime.__all__) <= set(everything)
-
-
-def test_a_name_that_is_not_there_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="module 'runtime' has no attribute 'Predictr'"):
-        _ = runtime.Predictr
-    with pytest.raises(ImportError, match="cannot import name 'Predictr'"):
-        exec("from runtime import Predictr")

@@ -32,13 +32,6 @@ def test_the_rule(asked, frame, trained, expected):
     assert network_size(asked, frame, trained_height=trained) == expected
 
 
-def test_integers_of_numpy_and_lists_are_taken():
-    assert check_network_size(np.int32(400), fixed=False) == 400
-    size = check_network_size([np.uint16(400), 640], fixed=False)
-    assert size == (400, 640)
-    assert [type(side) for side in size] == [int, int]
-
-
 @pytest.mark.parametrize(
     "asked",
     [

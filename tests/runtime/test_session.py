@@ -145,7 +145,3 @@ def test_a_damaged_model_is_not_blamed_on_the_gpu(fake_runtime):
     fake_runtime({CUDA: error, CPU: error})
     with pytest.raises(ContractError, match="Protobuf parsing failed"):
         open_cuda()
-
-
-def test_a_runtime_that_cannot_count_nodes():
-    assert node_counts(object()) is None

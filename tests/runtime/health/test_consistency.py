@@ -119,15 +119,6 @@ def test_the_scale_is_due_every_tenth_frame():
     assert [number for number, is_due in enumerate(due) if is_due] == [0, 10, 20]
 
 
-def test_a_missing_head_or_scan_has_no_figure():
-    empty = np.zeros((60, 80), np.float32)
-    full = answer(empty + 1, empty)
-    found = ConsistencyCheck(0.05).score(full, full, empty, empty > 0)
-    assert found.holdout_error is found.edge_agreement is found.scale_error is None
-    found = ConsistencyCheck(0.05).score(answer(), answer(), scan(), scan() > 0)
-    assert found.holdout_error is found.edge_agreement is found.scale_error is None
-
-
 @pytest.mark.parametrize("share", [0, -0.1, 0.6, float("nan"), True, "5 %"])
 def test_an_invalid_share(share):
     with pytest.raises(InputError, match="share of the returns"):

@@ -5,11 +5,8 @@ import threading
 import numpy as np
 
 from runtime.io.calibration import Calibration
-from runtime.live.answerer import Answerer
 from runtime.live.push_stream import PushStream
-from runtime.prediction import Latency, Prediction
 from runtime.predictor import Predictor
-from runtime.sync.matching import Message, Pair
 from stream_messages import depth, image, push_pair
 
 MS = 1_000_000
@@ -159,30 +156,3 @@ def test_returns_are_checked_after_their_result_and_in_no_latency(setup):
     made.stream.close()
     assert (seen, made.predictor.shares) == ([1], [1, 0])
     assert made.stream.statistics.stages["latency"].max_ms == 10
-
-
-def test_a_live_stream_checks_later_frames_when_none_waits():
-    asked = []
-
-    class Predictor:
-        focal_length_px = None
-
-        def predict(self, rgb, sparse_depth, **others):
-            asked.append(bool(sparse_depth.any()))
-            latency = Latency(0, 0, 0, 0)
-            return Prediction({"depth": sparse_depth + 1}, (32, 40), (32, 40), latency)
-
-    answerer = Answerer(Predictor(), None, None)
-    messages = (Message(0.0, 0, data) for data in (image(), depth()))
-    pair = Pair(*messages)
-
-    def frame(*, idle):
-        answerer.answer(pair, None)
-        answerer.check_last(idle=idle)
-        return asked.pop() is False
-
-    assert [frame(idle=False) for _ in range(6)] == [True] * 5 + [False]
-    assert not any(frame(idle=False) for _ in range(150))
-    assert frame(idle=True)
-    assert not any(frame(idle=True) for _ in range(99))
-    assert frame(idle=True)

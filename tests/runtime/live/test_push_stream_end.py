@@ -106,15 +106,6 @@ def test_an_unexpected_error_ends_the_stream_and_reaches_on_error_the_pushes_and
     assert add_up(made.stream.counts).pending == 0
 
 
-def test_an_error_of_on_error_itself_comes_out_at_close(setup):
-    made = setup(on_error=lambda error: 1 / 0)
-    made.predictor.fail_with = InferenceError("the device was lost")
-    push_pair(made.stream, 0)
-    with pytest.raises(ZeroDivisionError):
-        made.stream.close()
-    assert add_up(made.stream.counts).errors == {"inference_error": 2}
-
-
 def push_until_it_raises(stream):
     def push():
         for number in range(10_000):
@@ -131,16 +122,6 @@ def test_an_error_of_the_callback_ends_the_stream_and_comes_out_at_close(setup):
         made.stream.close()
     made.stream.close()
     assert add_up(made.stream.counts).pending == 0
-
-
-def test_an_error_of_the_sensors_clock_ends_the_stream_and_its_frame_is_counted(setup):
-    made = setup(sensor_clock=lambda: 1 / 0)
-    push_until_it_raises(made.stream)
-    with pytest.raises(ZeroDivisionError):
-        made.stream.close()
-    counts = add_up(made.stream.counts)
-    assert (counts.pending, counts.answered) == (0, 0)
-    assert counts.errors == {"inference_error": 2}
 
 
 def test_an_error_of_the_block_is_not_hidden_by_one_of_the_callback(setup):

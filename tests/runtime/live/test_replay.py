@@ -98,23 +98,6 @@ def test_answers_are_those_of_the_engine_and_of_a_live_stream(model_file, make_f
     ]
 
 
-def test_a_recording_is_read_as_it_is_answered(checked_predictor):
-    """Nothing is read ahead but what the next answer needs."""
-    read = []
-
-    def recording():
-        for time_ms in range(0, 10_000, 100):
-            for sensor in ("image", "depth"):
-                read.append(time_ms)
-                yield message(sensor, time_ms)
-
-    answers = answer_recording(checked_predictor(), recording(), calibration=CALIBRATION)
-    assert read == []
-    assert next(answers).image_stamp == 0
-    assert max(read) <= 100
-    answers.close()
-
-
 # --- reuse and poses -----------------------------------------------------------------------------
 
 
@@ -262,12 +245,6 @@ def test_where_poses_end_answers_go_on_without_them(checked_predictor):
         assert read <= times_ms[-1] + 18 * 50
     assert times_ms == list(range(0, 4000, 50))
     assert flagged == [time_ms > 290 for time_ms in times_ms]
-
-
-def test_a_scan_without_points_has_no_times(replay):
-    recording = [("points", np.zeros((0, 3), np.float32), 0, np.zeros(0)), message("image", 0)]
-    (answer,), _ = replay([*recording, message("pose", 0)], **POSES)
-    assert answer.prediction.degraded == ("no_depth",)
 
 
 # --- one sensor alone ----------------------------------------------------------------------------

@@ -83,17 +83,6 @@ def test_the_nearest_wins_also_when_it_is_last(live):
     assert found[0] == (18, 30)
 
 
-@pytest.mark.parametrize("live", [True, False], ids=["live", "recorded"])
-def test_a_depth_map_is_kept_for_the_image_nearest_to_it(live):
-    played = Played(live=live)
-    played.image(0)
-    played.image(16)
-    found = played.depth(15)
-    found += played.depth(100) + played.image(100)
-    assert (16, 15) in found
-    assert (0, 15) not in found
-
-
 def test_regular_live_sensors_do_not_wait_for_their_next_message():
     played = Played(live=True)
     for stamp in (0, 100, 200):
@@ -273,15 +262,6 @@ def test_live_an_image_that_no_depth_is_due_for_does_not_wait():
     assert max(wait for image, wait in waited.items() if image >= 700) == 0
     assert max(waited.values()) == 50, "until the periods are known"
     assert all(depth is not None for _, depth in stamps(played.pairs))
-
-
-def test_live_it_gives_no_older_image_away_that_depth_is_due_for():
-    played = Played(live=True, max_skew=50, reuse=150, max_wait=80)
-    waited = rig(played, until=2000, depth_delay=60)
-    later = {image: wait for image, wait in waited.items() if image >= 1000}
-    assert set(later) == set(range(1000, 2000, 50))
-    assert {wait for image, wait in later.items() if image % 100 == 0} == {60}
-    assert {wait for image, wait in later.items() if image % 100} == {10}
 
 
 def test_live_a_lost_scan_is_waited_for_and_the_next_image_is_not():

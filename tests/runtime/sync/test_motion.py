@@ -66,17 +66,6 @@ def test_each_return_is_moved_by_the_pose_at_its_own_time(seed, count, start_ns,
     np.testing.assert_array_equal(points, before)
 
 
-def test_a_whole_scan_is_within_a_millimetre_of_the_slow_loop():
-    rng = np.random.default_rng(0)
-    poses, stamps = drive(12)
-    points = rng.uniform(-50, 50, (120_000, 3)).astype(np.float32)
-    times = np.repeat(np.linspace(0, 100 * MS, 1875).astype(np.int64), 64)
-    moved = move_points(points, times, PoseTrack.of(poses, stamps), 50 * MS)
-    some = rng.choice(len(points), 300)
-    expected = by_a_slow_loop(points[some], times[some], poses, stamps, 50 * MS, np.eye(4))
-    np.testing.assert_allclose(moved[some], expected, atol=1e-3)
-
-
 def test_a_world_far_away_costs_no_precision():
     poses, stamps = drive(30)
     points = np.array([[10, 0, 0], [0, 80, 1]], np.float32)

@@ -80,13 +80,6 @@ def test_beyond_the_ends_the_motion_goes_on_for_100_ms():
     assert reason(buffer, -100 * MS - 1) == "no_pose"
 
 
-def test_a_velocity_is_averaged_over_100_ms_and_not_that_of_the_last_two():
-    poses, stamps = drive(60, turn=1e-9)
-    poses[-1] = pose(poses[-1][:3, 3] + (0.05, 0, 0))  # noise
-    found = at(filled(poses, stamps), stamps[-1] + 100 * MS)
-    assert found[0, 0, 3] - poses[-1][0, 3] == pytest.approx(1.55, abs=0.001)
-
-
 @pytest.mark.parametrize(("gap_ms", "known"), [(250, True), (260, False)])
 def test_a_gap_longer_than_the_limit_has_no_pose(gap_ms, known):
     left = [each for each in zip(*drive(60), strict=True) if not 0 < each[1] / MS - 200 < gap_ms]
@@ -98,23 +91,15 @@ def test_a_gap_longer_than_the_limit_has_no_pose(gap_ms, known):
     assert len(at(gone, 150 * MS, 500 * MS)) == 2, "both ends are known"
 
 
-@pytest.mark.parametrize("far", [(2, 0, 0), (0, 0, -1)])
+@pytest.mark.parametrize("far", [pose((2, 0, 0)), pose((0, 0, -1)), pose(rotvec=(0, 0, 0.3))])
 def test_a_jump_of_the_odometry_is_found_and_nothing_is_moved_over_it(far):
     poses, stamps = drive(100)
-    shifted = [each.copy() for each in poses]
-    for each in shifted[50:]:
-        each[:3, 3] += far
-    buffer = filled(shifted, stamps)
+    poses[50:] = [each @ far for each in poses[50:]]
+    buffer = filled(poses, stamps)
     assert reason(buffer, 495 * MS) == "pose_jump"
     assert reason(buffer, 400 * MS, 600 * MS) == "pose_jump"
     assert len(at(buffer, 300 * MS, 490 * MS)) == 2
     assert len(at(buffer, 500 * MS, 600 * MS)) == 2
-
-
-def test_a_turn_that_no_car_makes_is_a_jump():
-    poses, stamps = drive(50)
-    poses[30:] = [each @ pose(rotvec=(0, 0, 0.3)) for each in poses[30:]]
-    assert reason(filled(poses, stamps), 295 * MS) == "pose_jump"
 
 
 @pytest.mark.parametrize("step_ms", [1, 10, 100])
@@ -124,14 +109,6 @@ def test_a_hard_drive_with_noise_is_no_jump(step_ms):
     for each in poses:
         each[:3, 3] += rng.normal(0, 0.02, 3)
     assert len(at(filled(poses, stamps), *stamps)) == len(stamps)
-
-
-def test_after_a_jump_one_pose_alone_is_not_extrapolated():
-    poses, stamps = drive(10)
-    poses[-1] = pose((500, 0, 0))
-    buffer = filled(poses, stamps)
-    assert len(at(buffer, stamps[-1])) == 1
-    assert reason(buffer, stamps[-1] + 1) == "no_pose"
 
 
 def test_an_empty_buffer_and_another_clock_say_so():
