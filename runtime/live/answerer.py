@@ -143,13 +143,9 @@ class Answerer:
     def _predict(
         self, rgb: NDArray[np.uint8], sparse_depth: NDArray[np.float32], pair: Pair
     ) -> Prediction:
+        focal_px = None
+        if self._calibration is not None and self._predictor.focal_length_px is None:
+            focal_px = self._calibration.focal_length_px
         return self._predictor.predict(
-            rgb, sparse_depth, focal_length_px=self._own_focal_px, stamp=pair.image.stamp
+            rgb, sparse_depth, focal_length_px=focal_px, stamp=pair.image.stamp
         )
-
-    @property
-    def _own_focal_px(self) -> float | None:
-        """The focal length of the calibration, if the predictor has none."""
-        if self._calibration is None or self._predictor.focal_length_px is not None:
-            return None
-        return self._calibration.focal_length_px

@@ -1,8 +1,7 @@
 """A stream that sensors push into: images and depth maps in from any thread, results out.
 
-One worker thread predicts. One lock guards all state. Threads that wait for a result wait on
-`_answered`, to avoid spurious wake-ups; all others wait on `_changed`, which is notified at every
-other change. Invariants:
+One worker thread predicts. One lock guards all state. All threads wait on `_changed`, which is
+notified at every change. Invariants:
 
 1. An accepted message is in exactly one place: with the synchronizer, in `_ready`, with the worker
    (`_step` to `_answer`), or counted with its outcome. It is moved only with the lock held.
@@ -24,7 +23,6 @@ import time
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -54,7 +52,6 @@ from runtime.sync.stamp import (
 
 _WAITING = 16  # messages of a sensor that wait for their partner
 _EXIT_S = 10.0  # time that the exit of the interpreter waits for a prediction
-_check_ms = partial(check_number, most=1e9, unit="milliseconds", error=InputError)
 
 
 class MonotonicClock:
@@ -150,22 +147,22 @@ class PushStream:
         _check_type("on_error", on_error, Callable)
         _check_type("on_state", on_state, Callable)
         _check_type("sensor_clock", sensor_clock, Callable)
-        self.deadline_ms = (
-            None if deadline_ms is None else _check_ms("deadline_ms", deadline_ms, 1e-6)
-        )
+        if deadline_ms is not None:
+            limits = 1e-6, 1e9
+            check_number("deadline_ms", deadline_ms, *limits, "milliseconds", error=InputError)
+        self.deadline_ms = deadline_ms
         # The worker's alone.
         self._answerer = Answerer(predictor, calibration, consistency, check_depth=check_depth)
         self._on_result, self._on_error, self._on_state = on_result, on_error, on_state
         self._sensor_clock = sensor_clock
         self._clock = clock or MonotonicClock()
 
-        lock = threading.RLock()
-        self._changed, self._answered = threading.Condition(lock), threading.Condition(lock)
+        self._changed = threading.Condition(threading.RLock())
         self._synchronizer = Synchronizer(
-            max_skew_ns=round(_check_ms("max_skew_ms", max_skew_ms, 0) * NS_PER_MS),
-            max_wait_ns=round(_check_ms("max_wait_ms", max_wait_ms, 0) * NS_PER_MS),
+            max_skew_ms=max_skew_ms,
+            max_wait_ms=max_wait_ms,
+            reuse_depth_ms=reuse_depth_ms,
             capacity=_WAITING,
-            reuse_ns=round(_check_ms("reuse_depth_ms", reuse_depth_ms, 0) * NS_PER_MS),
         )
         self._sensors = SensorInput(pose_frame, scan_stamp, calibration)
         self._counter, self._jitter = StreamCounter(self.deadline_ms, watchdog), Jitter()
@@ -343,7 +340,7 @@ class PushStream:
         self._guard.check()
         with self._changed:
             while self._unread is None and not self._ended:
-                self._clock.wait(self._answered, None)
+                self._clock.wait(self._changed, None)
             if self._unread is not None:
                 (_, result), self._unread = self._unread, None
                 return result
@@ -420,7 +417,7 @@ class PushStream:
                 if self._unread is not None:
                     self._counter.record_unread(self._unread[0])
                 self._unread = pair, result
-                self._answered.notify_all()
+                self._changed.notify_all()
         if self._on_result is not None:
             self._on_result(result)
 
@@ -473,7 +470,6 @@ class PushStream:
     def _end(self) -> None:
         self._closed = self._ended = True
         self._changed.notify_all()
-        self._answered.notify_all()
 
 
 def _work(

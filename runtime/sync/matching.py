@@ -15,7 +15,6 @@ from bisect import insort
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from functools import partial
 from statistics import median_low
 from typing import Any, NamedTuple
 
@@ -28,7 +27,6 @@ _REMEMBERED_STAMPS = 64  # latest of a sensor, to detect duplicates
 _REMEMBERED_INTERVALS = 16
 _KNOWN_INTERVALS = 5  # from which the period is known
 _MAX_WAIT_NS = 50 * NS_PER_MS  # of a recording: how far a sensor's messages may be out of order
-_check_ms = partial(check_number, least=0, most=1e6, unit="milliseconds", error=InputError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,13 +142,22 @@ class _Waiting:
 
 
 class Matching(ABC):
-    """Holds messages that wait for a partner, at most `capacity` of each sensor.
+    """Holds messages that wait for a partner.
 
-    reuse_ns: largest age of a depth map that an image without one of its own takes; 0 = none.
+    Args:
+        max_skew_ms: largest difference between the stamps of a pair.
+        reuse_depth_ms: largest age of a depth map that an image without one of its own takes; 0 =
+            none.
+        capacity: most messages of a sensor that wait.
+
+    Raises:
+        InputError: if the skew or the age is out of range.
     """
 
-    def __init__(self, *, max_skew_ns: int, reuse_ns: int, capacity: int) -> None:
-        self._max_skew_ns, self._reuse_ns, self._capacity = max_skew_ns, reuse_ns, capacity
+    def __init__(self, *, max_skew_ms: float, reuse_depth_ms: float, capacity: int) -> None:
+        self._max_skew_ns = _checked_ns("max_skew_ms", max_skew_ms)
+        self._reuse_ns = _checked_ns("reuse_depth_ms", reuse_depth_ms)
+        self._capacity = capacity
         self._sensors = {sensor: _Waiting() for sensor in MATCHED}
         self._kept: list[_Kept] = []  # by stamp
         self._decided_ns: int | None = None  # the newest image that was decided
@@ -318,10 +325,10 @@ class Synchronizer(Matching):
     """Matches messages as they arrive; deciding an image discards all older images."""
 
     def __init__(
-        self, *, max_skew_ns: int, max_wait_ns: int, capacity: int, reuse_ns: int = 0
+        self, *, max_skew_ms: float, max_wait_ms: float, reuse_depth_ms: float, capacity: int
     ) -> None:
-        super().__init__(max_skew_ns=max_skew_ns, reuse_ns=reuse_ns, capacity=capacity)
-        self._max_wait_ns = max_wait_ns
+        super().__init__(max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, capacity=capacity)
+        self._max_wait_ns = _checked_ns("max_wait_ms", max_wait_ms)
         self._now_ns = 0
 
     def add(self, sensor: Sensor, message: Message) -> Decided:
@@ -466,9 +473,7 @@ def match_by_stamp(
         InputError: if the skew or the age is out of range.
     """
     matching = StampMatching(
-        max_skew_ns=round(_check_ms("max_skew_ms", max_skew_ms) * NS_PER_MS),
-        reuse_ns=round(_check_ms("reuse_depth_ms", reuse_depth_ms) * NS_PER_MS),
-        capacity=waiting,
+        max_skew_ms=max_skew_ms, reuse_depth_ms=reuse_depth_ms, capacity=waiting
     )
 
     def steps() -> Iterator[Decided]:
@@ -482,6 +487,11 @@ def match_by_stamp(
             yield from decided.pairs
 
     return pairs()
+
+
+def _checked_ns(name: str, value_ms: float) -> int:
+    value_ms = check_number(name, value_ms, 0, 1e6, "milliseconds", error=InputError)
+    return round(value_ms * NS_PER_MS)
 
 
 def _distance(one: Message, other: Message) -> int:

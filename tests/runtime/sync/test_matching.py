@@ -23,9 +23,9 @@ class Played:
     """
 
     def __init__(self, *, live, max_skew=20, max_wait=50, capacity=CAPACITY, reuse=0):
-        options = {"max_skew_ns": max_skew * MS, "capacity": capacity, "reuse_ns": reuse * MS}
+        options = {"max_skew_ms": max_skew, "capacity": capacity, "reuse_depth_ms": reuse}
         if live:
-            self.matching = Synchronizer(max_wait_ns=max_wait * MS, **options)
+            self.matching = Synchronizer(max_wait_ms=max_wait, **options)
         else:
             self.matching = StampMatching(**options)
         self.live, self.now, self.jumps_back = live, 0, 0
