@@ -149,7 +149,7 @@ class PushStream:
         _check_type("sensor_clock", sensor_clock, Callable)
         if deadline_ms is not None:
             limits = 1e-6, 1e9
-            check_number("deadline_ms", deadline_ms, *limits, "milliseconds", error=InputError)
+            deadline_ms = check_number("deadline_ms", deadline_ms, *limits, "ms", error=InputError)
         self.deadline_ms = deadline_ms
         # The worker's alone.
         self._answerer = Answerer(predictor, calibration, consistency, check_depth=check_depth)

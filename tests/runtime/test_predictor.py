@@ -244,22 +244,19 @@ def test_a_closed_predictor_says_so(model_file, make_frame):
 
 
 @pytest.mark.parametrize(
-    ("size", "runs"),
-    [((-1, 40), 1), (5, 1), ((40.0, 40.0), 1), ((40, 40, 3), 1), ((40, 40), -3), ((40, 10**6), 1)],
+    "options",
+    [{"threads": 0}, {"threads": 2**31}, {"threads": 1.0}, {"warmup": -1}, {"device_id": -1}],
 )
-def test_warm_up_refuses_what_cannot_be(model_file, size, runs):
-    with pytest.raises(InputError, match=r"must be"):
-        Predictor(model_file()).warm_up(size, runs=runs)
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [{"threads": 0}, {"threads": -1}, {"threads": 2**31}, {"warmup": -1}, {"threads": 1.0}],
-)
-def test_arguments_out_of_range_are_refused(model_file, arguments):
-    (name,) = arguments
+def test_arguments_out_of_range_are_refused(model_file, options):
+    (name,) = options
     with pytest.raises(InputError, match=f"{name} must be a whole number of "):
-        Predictor(model_file(), **arguments)
+        Predictor(model_file(), **options)
+
+
+@pytest.mark.parametrize("size", [(-1, 40), 5, (40.0, 40.0), (40, 40, 3), (40, 10**6)])
+def test_warm_up_refuses_an_invalid_size(model_file, size):
+    with pytest.raises(InputError, match="must be"):
+        Predictor(model_file()).warm_up(size)
 
 
 FORKED = """

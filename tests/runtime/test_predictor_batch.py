@@ -90,15 +90,6 @@ def test_a_bundled_model_answers_a_batch_as_it_does_single_frames(model):
             np.testing.assert_allclose(prediction.boundary, alone.boundary, atol=4e-4)
 
 
-def test_the_latency_of_a_batch(model_file, make_frame):
-    with Predictor(model_file()) as predictor:
-        first, second = predictor.predict_batch([make_frame(), make_frame(seed=1)])
-    assert first.latency.inference_ms == second.latency.inference_ms > 0
-    assert first.latency.total_ms == second.latency.total_ms
-    spent = [item.latency.preprocess_ms + item.latency.postprocess_ms for item in (first, second)]
-    assert first.latency.total_ms >= sum(spent) + first.latency.inference_ms
-
-
 def test_a_bad_frame_is_named_before_any_runs(model_file, make_frame, counted):
     good = make_frame()
     with Predictor(model_file()) as predictor:

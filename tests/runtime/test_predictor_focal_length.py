@@ -53,36 +53,10 @@ def test_the_focal_length_of_a_frame_goes_before_that_of_the_predictor(canonical
     np.testing.assert_allclose(own.depth - frame[1], OFFSET_M / 2, rtol=1e-4)
 
 
-def test_the_focal_length_follows_the_picture_to_the_networks_size(model_file, contract, frame):
-    """A frame of 96 rows run at 48 has half the focal length there."""
-    rgb, depth = (np.repeat(np.repeat(item, 2, axis=0), 2, axis=1) for item in frame)
-    path = model_file(
-        contract=dataclasses.replace(contract, canonical_focal_px=CANONICAL_PX), heads=HEADS
-    )
-    with Predictor(path, size=48, focal_length_px=400.0) as predictor:
-        prediction = predictor.predict(rgb, depth)
-    assert prediction.network_size == (48, 64)
-    where_none = depth == 0
-    assert prediction.depth[where_none].min() == pytest.approx(OFFSET_M * 2)
-
-
 def test_without_a_focal_length_the_picture_counts_as_the_canonical_cameras(canonical, frame):
     with Predictor(canonical) as predictor:
         prediction = predictor.predict(*frame)
     np.testing.assert_array_equal(prediction.depth, frame[1] + np.float32(OFFSET_M))
-
-
-def test_the_range_is_that_of_the_canonical_camera(canonical, make_frame):
-    """400 canonical metres are 800 m behind a lens twice as long, and 200 m behind half of it."""
-    rgb, depth = make_frame()
-    depth[:] = 0
-    depth[0, :6] = 199, 201, 799, 801, np.nan, 5
-    with Predictor(canonical) as predictor:
-        for focal, too_far, returns in ((200.0, 1, 4), (50.0, 3, 3)):
-            prediction = predictor.predict(rgb, depth, focal_length_px=focal)
-            assert prediction.cleaned.too_far == too_far
-            assert prediction.cleaned.nan == 1
-            assert prediction.depth_returns == returns
 
 
 def test_the_farthest_return_is_not_lost_by_rounding(canonical, make_frame, change_run):

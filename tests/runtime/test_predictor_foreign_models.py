@@ -164,20 +164,6 @@ def test_weights_outside_the_file_are_refused_even_if_they_are_there(
     assert os.devnull not in str(caught.value), "where nobody keeps weights"
 
 
-def test_functions_are_left_to_onnx_runtime(model_file, contract, make_frame):
-    path = model_file(contract=None)
-    model = onnx.load(path)
-    (add,) = (node for node in model.graph.node if "depth" in node.output)
-    body = helper.make_node("Add", ["a", "b"], ["sum"])
-    opset = helper.make_opsetid("", 20)
-    model.functions.append(helper.make_function("own", "Own", ["a", "b"], ["sum"], [body], [opset]))
-    model.opset_import.append(helper.make_opsetid("own", 1))
-    add.domain, add.op_type = "own", "Own"
-    path.write_bytes(with_contract(model.SerializeToString(), contract))
-    with Predictor(path) as predictor:
-        assert predictor.predict(*make_frame()).valid
-
-
 @pytest.mark.parametrize("warmup", [0, 1])
 def test_a_model_whose_answer_to_an_empty_frame_is_not_finite_is_refused(model_file, warmup):
     """0 / 0 is found by the answer."""

@@ -117,16 +117,6 @@ def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(repla
     assert (counts.poses.pushed, counts.poses.answered, counts.poses.pending) == (100, 100, 0)
 
 
-def test_without_poses_the_scan_is_reused_as_it_is_and_says_so(replay):
-    answers, _ = replay(drive(until=400, pose_ms=0), calibration=CALIBRATION)
-    for answer in answers:
-        time_ms = answer.image_stamp // MS
-        assert measured(answer) == expected(time_ms // 100 * 100)
-        uncompensated = ("depth_reused", "depth_uncompensated") if time_ms % 100 else ()
-        assert answer.prediction.degraded == uncompensated
-        assert answer.depth_motion == "none"
-
-
 @pytest.mark.parametrize("pose_frame", [None, "lidar"])
 def test_a_depth_map_cannot_be_moved(replay, pose_frame):
     recording = [("image", image(stamp), stamp * MS) for stamp in (0, 50, 110)]

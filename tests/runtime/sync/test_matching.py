@@ -104,15 +104,6 @@ def test_live_an_image_waits_for_max_wait_by_the_clock_and_no_longer():
     assert played.outcomes() == [(DEPTH, 0, Outcome.NO_IMAGE)]
 
 
-def test_live_an_uncertain_match_is_made_after_max_wait():
-    played = Played(live=True)
-    played.depth(-10, at=0)
-    assert played.image(0, at=5) == []
-    assert played.advance(54.9) == [], "its depth map was there for long"
-    assert played.matching.due_ns() == 55 * MS
-    assert played.advance(55) == [(0, -10)]
-
-
 def test_recorded_an_image_waits_by_the_stamps_of_the_other_sensor():
     played = Played(live=False)
     played.image(0)
