@@ -123,21 +123,14 @@ def point_times(times: Any, count: int, stamp_ns: int) -> NDArray[np.int64]:
             f"times must have the shape ({count},), seconds after the stamp as floats or "
             f"nanoseconds of its clock as integers, got {got}"
         )
-    if not count:
-        return np.zeros(0, np.int64)
-    if kind == "f":
-        after_ns = times.astype(np.float64) * 1e9
-        extremes = float(after_ns.min()), float(after_ns.max())
-    else:  # an unsigned time may be beyond int64
-        extremes = int(times.min()) - stamp_ns, int(times.max()) - stamp_ns
-    if not all(abs(each) <= _LONGEST_SCAN_NS for each in extremes):  # nor NaN
+    after_ns = times.astype(np.float64) * 1e9 if kind == "f" else times.astype(np.int64) - stamp_ns
+    farthest_ns = np.abs(after_ns.astype(np.float64)).max(initial=0)
+    if not farthest_ns <= _LONGEST_SCAN_NS:  # nor NaN
         raise InputError(
             f"times must be within {_LONGEST_SCAN_NS / 1e9:g} s of the stamp, got "
-            f"{max(map(abs, extremes)) / 1e9:g} s: are they of another unit or clock?"
+            f"{farthest_ns / 1e9:g} s: are they of another unit or clock?"
         )
-    if kind == "f":
-        return np.asarray(stamp_ns + np.rint(after_ns).astype(np.int64))
-    return np.asarray(times.astype(np.int64))
+    return np.asarray(stamp_ns + np.rint(after_ns).astype(np.int64))
 
 
 def move_points(

@@ -19,14 +19,11 @@ from runtime.preprocess import (
     ("rgb", "text"),
     [
         (np.zeros((40, 50, 3), np.float32), "uint8.*float32"),
-        (np.zeros((40, 50, 3), np.int64), "uint8.*int64"),
         (np.zeros((3, 40, 50), np.uint8), r"channels come last.*transpose\(1, 2, 0\)"),
         (np.zeros((40, 50), np.uint8), r"\(H, W, 3\), got \(40, 50\): it is a grey image, use cv2"),
         (np.zeros((40, 50, 1), np.uint8), r"got \(40, 50, 1\): it is a grey image, use cv2"),
         (np.zeros((40, 50, 4), np.uint8), r"got \(40, 50, 4\): .*alpha.*use rgb\[..., :3\]"),
-        (np.zeros((1, 40, 50, 3), np.uint8), r"got \(1, 40, 50, 3\)"),
         (np.zeros((31, 50, 3), np.uint8), "at least 32 x 32"),
-        (np.zeros((0, 0, 3), np.uint8), "at least 32 x 32"),
         ([[1]], r"numpy array, got list: use np.asarray\(rgb\)$"),
         (None, "numpy array, got NoneType"),
         (np.ma.zeros((40, 50, 3), np.uint8), r"a masked one: use rgb\.filled"),
@@ -42,7 +39,6 @@ def test_other_pictures_are_refused(rgb, text):
     [
         (np.zeros((40, 50), np.uint16), "unit of integers is not known: convert to metres"),
         (np.zeros((40, 50), np.float64), r"astype\(np.float32\)"),
-        (np.zeros((40, 50), np.float16), "float32 metres, got float16"),
         (np.zeros((40, 50, 1), np.float32), r"\(40, 50\), got \(40, 50, 1\)"),
         (np.zeros((50, 40), np.float32), r"\(40, 50\), got \(50, 40\)"),
         ([[1]], r"got list: use np.asarray\(sparse_depth, np.float32\)$"),

@@ -168,9 +168,3 @@ def test_predicted_depth_is_smooth_within_a_surface_and_never_mixed(size):
     assert answer.dtype == np.float32
     np.testing.assert_allclose(answer, enlarged_by_loops(depth, size), rtol=1e-4)
     assert not ((answer > 9) & (answer < 4 * 5)).any()
-
-
-@pytest.mark.parametrize("size", [(5, 40), (20, 6), (5, 6)])
-def test_predicted_depth_that_shrinks_takes_the_nearest_centre(size):
-    depth = np.linspace(10, 10.5, 9 * 13, dtype=np.float32).reshape(9, 13)
-    np.testing.assert_array_equal(resize_surface(depth, size), resize_nearest(depth, size))

@@ -5,7 +5,6 @@ import pytest
 
 from moving_car import CALIBRATION, MS, POINTS, car, expected, measured, messages, wall_scan
 from runtime.errors import InputError
-from runtime.live.watchdog import WatchdogLimits
 from stream_messages import add_up, image
 
 
@@ -38,17 +37,6 @@ def test_a_camera_of_20_hz_and_a_lidar_of_10_hz_have_depth_in_every_answer(setup
     assert str(made.stream.state.level) == "OK"
     stages = made.stream.statistics.stages
     assert (stages["skew"].n, stages["depth_age"].n, stages["depth_age"].max_ms) == (15, 30, 50)
-
-
-def test_the_watchdog_counts_reused_results_apart(setup):
-    limits = WatchdogLimits(reused=(2, 3))
-    made = setup(calibration=CALIBRATION, pose_frame="lidar", watchdog=limits)
-    for time_ms, _, sensor in messages(until=200, lost={("depth", 100)}):
-        push(made.stream, sensor, time_ms)
-        if sensor == "image":
-            made.clock.advance_ms(50)
-            assert next(made.stream).depth_reused == (time_ms > 0)
-    assert made.stream.state.reasons == ("reused",)
 
 
 # --- poses ---------------------------------------------------------------------------------------

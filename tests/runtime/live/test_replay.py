@@ -20,7 +20,7 @@ from moving_car import (
     messages,
     wall_scan,
 )
-from runtime import InferenceError, InputError, Predictor, PushStream
+from runtime import InputError, Predictor, PushStream
 from runtime import replay as answer_recording
 from runtime.io.calibration import Calibration
 from runtime.live.stream_counter import StreamCounter
@@ -329,18 +329,6 @@ def test_frames_and_messages_that_are_errors_are_left_out_or_raised(replay, chec
             replay(recording[place : place + 1])
     with pytest.raises(InputError, match="shape"):
         replay(recording[:2])
-
-
-def test_a_provider_that_fails_is_raised_or_reported(replay, checked_predictor):
-    predictor = checked_predictor()
-    predictor.fail_with = InferenceError("the device was lost")
-    recording = [("image", image(), 0), ("depth", depth(), 0)]
-    with pytest.raises(InferenceError, match="lost"):
-        replay(recording, predictor=predictor)
-    errors = []
-    answers, counts = replay(recording, predictor=predictor, on_error=errors.append)
-    assert (answers, errors) == ([], [predictor.fail_with])
-    assert counts.errors == {"inference_error": 2}
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,6 @@ def run(program, **constants):
     [
         ("push", "None"),
         ("push", "lambda result: None"),
-        ("count", "None"),
         ("fetch", "None"),
     ],
 )
