@@ -345,13 +345,13 @@ def time_all(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:
             if entry.method is not None
         }
         for entry, row in zip(networks, group, strict=True):
-            if row.opened is None or row.figures is None:
+            if row.opened is None or row.latency is None:
                 raise InputError(f"{entry.name}: {row.error}")
             network = network_of(entry, plan)
             rows[entry.name] = {
                 "params_m": count_params_m(network),
                 "gmacs": count_giga_macs(network, size),
-                "median_ms": row.figures.latency.median_ms,
+                "median_ms": row.latency.median_ms,
             }
         document["sizes"].append({"size": size, "rows": rows})
     arguments.runs.mkdir(parents=True, exist_ok=True)
@@ -385,7 +385,7 @@ def time_method(name: str, size: Size, rounds: int) -> float:
     rgb = make_input("rgb", "tensor(uint8)", (*size, 3))
     sparse_depth = make_input("sparse_depth", "tensor(float)", size)
     times_ms = time_runs(lambda: method.complete(rgb, sparse_depth), rounds + 1, None)[1:]
-    return statistics.median(latency for latency, _ in times_ms)
+    return statistics.median(times_ms)
 
 
 def print_tables(plan: Plan, heads: Heads, arguments: argparse.Namespace) -> None:

@@ -13,10 +13,13 @@ from pathlib import Path
 import psutil
 
 from runtime import Predictor
+from runtime.drawing.overlay import Overlay
+from runtime.run.options import RunOptions
 from runtime.run.outputs.frame_writer import FrameWriter
-from runtime.run.pipeline import FrameReader, run_stream
+from runtime.run.outputs.output import OpenRun
+from runtime.run.pipeline import run_stream
 from runtime.run.process import dedicate_process
-from runtime.run.run_folder import KINDS
+from runtime.run.run_folder import KINDS, make_run_folder
 from runtime.sources.bundled_stream import bundled_stream
 from runtime.sources.folders import FolderSource
 
@@ -42,7 +45,10 @@ def main() -> None:
         source = FolderSource(rgb, depth=depth)
         listed = source.list_frames()
         frames = [source.read(frame) for frame in listed]
-        writer = FrameWriter(Path(scratch) / "out", engine.contract, kinds=KINDS)
+        options = RunOptions(demo=True, out=Path(scratch) / "out")
+        make_run_folder(options.folder)
+        overlay = Overlay(engine.contract.classes, engine.contract.max_depth_m)
+        writer = FrameWriter(OpenRun(options, engine, overlay, KINDS))
         print("| frames | Predictor.predict [MB] |\n|---|---|")
         for done in range(0, arguments.frames + 1, part):
             print(f"| {done} | {resident_mb():.1f} |", flush=True)
@@ -55,7 +61,7 @@ def main() -> None:
             print(f"| {done} | {resident_mb():.1f} |", flush=True)
             if done < arguments.frames:
                 repeated = [listed[index % len(listed)] for index in range(part)]
-                run_stream(engine, repeated, reader=FrameReader(source.read), write=writer.write)
+                run_stream(engine, repeated, read=source.read, outputs=[writer])
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from export.accuracy import (
 from export.errors import ExportError
 from export.precision import LEAST_FRAMES, Int8Options
 from export.quantize import Feed, measure_ranges, quantize
-from export.trunk import trunk
+from export.trunk import strides, trunk
 from models import Checkpoint
 from runtime import InputError, Predictor
 from runtime.heads import HEADS, Unit
@@ -41,8 +41,10 @@ from training.recipe import parse_source
 #: clipped.
 CALIBRATION_LIDARS = ("own", "none", "16", "4")
 _SENSITIVITY_FRAMES = 4
-#: Convolutions of the trunk, from the input on, that are tried in float before any is ranked.
-_FIRST = 4
+#: Convolutions that read or write a grid of this stride or less stay in float: they have few
+#: channels on many pixels, where converting to 8 bits takes longer than 8 bits save, and they see
+#: the finest detail.
+_FINE_STRIDE = 2
 #: Limits besides `Int8Options`: loss of a class's IoU [points], loss of boundary F (0..1), and
 #: change of the share of errors within one scale of the uncertainty [points].
 MAX_DROP_CLASS_IOU, MAX_DROP_BOUNDARY_F, MAX_CHANGE_COVERAGE = 3.0, 0.01, 3.0
@@ -110,9 +112,9 @@ def quantize_within(
 ) -> Quantized:
     """Quantise a graph; convolutions that cost too much accuracy stay in single precision.
 
-    While the gate is missed, more of them are left in float: the first ones, which see the finest
-    detail and follow a layer in float anyway, then those that, quantised alone, change the head
-    that misses most. One at first, then each time half as many again.
+    Convolutions on the finest grids stay in float, see _FINE_STRIDE. While the gate is missed, so
+    do those that, quantised alone, change the head that misses most. One at first, then each time
+    half as many again.
 
     Args:
         model: a traced graph.
@@ -128,8 +130,11 @@ def quantize_within(
     """
     heads = [output.name for output in model.graph.output]
     names = trunk(model)
-    convolutions = [n.name for n in model.graph.node if n.op_type == "Conv" and n.name in names]
-    in_float: list[str] = []
+    nodes = [n for n in model.graph.node if n.op_type == "Conv" and n.name in names]
+    stride = strides(model)
+    fine = {n.name for n in nodes if min(stride[n.input[0]], stride[n.output[0]]) <= _FINE_STRIDE}
+    convolutions = [n.name for n in nodes]
+    in_float = [name for name in convolutions if name in fine]
     ranked: dict[str, list[str]] = {}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.onnx"
@@ -157,14 +162,11 @@ def quantize_within(
                     "--max-rise-mae"
                 )
             head = next(iter(missed))
-            order = convolutions[:_FIRST]
-            if len(in_float) >= len(order):
-                if head not in ranked:
-                    alone = partial(quantize, model, ranges)
-                    ranked[head] = _rank(model, alone, convolutions, feeds, head)
-                order = ranked[head]
-            others = [name for name in order if name not in in_float]
-            in_float += others[: max(1, len(in_float) // 2)]
+            if head not in ranked:
+                alone = partial(quantize, model, ranges)
+                ranked[head] = _rank(model, alone, convolutions, feeds, head)
+            others = [name for name in ranked[head] if name not in in_float]
+            in_float += others[: max(1, (len(in_float) - len(fine)) // 2)]
     facts = {
         "calibration": [without_folders(text) for text in options.calibrate],
         "calibration_frames": len(feeds),

@@ -44,11 +44,11 @@ def quantize(
     Args:
         model: a traced graph.
         ranges: of its tensors, see `measure_ranges`.
-        keep_float: names of nodes of the trunk that are left in single precision.
+        keep_float: names of nodes that are left in single precision, with what lies between them.
     """
     copy = onnx.ModelProto()
     copy.CopyFrom(model)
-    nodes = [name for name in trunk(model) if name not in keep_float]
+    nodes = trunk(model, without=keep_float)
     with quiet():  # hides the advice to optimise the graph first: a traced graph is optimised
         quantizer = QDQQuantizer(
             copy,

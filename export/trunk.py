@@ -1,8 +1,9 @@
 """The trunk of a traced graph: what may compute in less than single precision."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import onnx
+from onnx import numpy_helper
 
 #: A convolution with fewer input or output channels is outside the trunk: it reads pixels, returns
 #: or boundary maps, or computes an answer. It stays in single precision, which costs little time.
@@ -11,19 +12,22 @@ _BETWEEN = ("Add", "Clip", "Mul", "Relu", "Resize")
 _ACTIVATIONS = ("Clip", "Relu")
 
 
-def trunk(model: onnx.ModelProto) -> list[str]:
+def trunk(model: onnx.ModelProto, *, without: Collection[str] = ()) -> list[str]:
     """Return the names of the nodes of the trunk, in the graph's order.
 
     These are its wide convolutions, and what lies between them: additions, products with a
     boundary map (BaConv), activations and upsamplings. The rest, which reads the sensors and
-    computes the answers, is not in it.
+    computes the answers, is not in it, nor are the nodes named in ``without`` and what lies
+    between them.
     """
     graph = model.graph
     shapes = {weight.name: weight.dims for weight in graph.initializer}
     made: set[str] = set()  # tensors of the trunk
     nodes: list[onnx.NodeProto] = []
     for node in graph.node:
-        if node.op_type == "Conv":
+        if node.name in without:
+            inside = False
+        elif node.op_type == "Conv":
             shape = shapes.get(node.input[1], ())
             # A depthwise convolution has one channel per group.
             groups = next((item.i for item in node.attribute if item.name == "group"), 1)
@@ -38,6 +42,25 @@ def trunk(model: onnx.ModelProto) -> list[str]:
             made.update(node.output)
     leading = _leading_to_a_convolution(nodes)
     return [node.name for node in nodes if node.name in leading]
+
+
+def strides(model: onnx.ModelProto) -> dict[str, float]:
+    """Return the ratio of the image to the grid of each tensor that depends on the inputs."""
+    found = {tensor.name: 1.0 for tensor in model.graph.input}
+    weights = {weight.name: weight for weight in model.graph.initializer}
+    for node in model.graph.node:
+        stride = next((found[name] for name in node.input if name in found), None)
+        if stride is None:
+            continue
+        steps = next((item.ints[0] for item in node.attribute if item.name == "strides"), 1)
+        if node.op_type == "ConvTranspose":
+            stride /= steps
+        elif node.op_type == "Resize":
+            stride /= float(numpy_helper.to_array(weights[node.input[2]])[-1])
+        else:
+            stride *= steps
+        found |= dict.fromkeys(node.output, stride)
+    return found
 
 
 def _leading_to_a_convolution(nodes: Sequence[onnx.NodeProto]) -> set[str]:

@@ -9,15 +9,10 @@ from enum import StrEnum
 from types import FrameType
 from typing import Any
 
-from runtime.errors import SSDNetError, import_remedy
+from runtime.errors import OutputError, SSDNetError, import_remedy
 
 ERROR, INTERRUPTED = 1, 130  # exit codes
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-#: Control characters, which a terminal obeys, and how they are printed.
-_CONTROLS = {
-    code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"
-}
 
 
 class Provider(StrEnum):
@@ -28,33 +23,11 @@ class Provider(StrEnum):
 
 
 def begin_command() -> None:
-    """The first call of every command: prepare the process for closed streams and for signals."""
-    _open_closed_streams()
-    end_quietly()
-
-
-def _open_closed_streams() -> None:
-    """Open closed standard streams as /dev/null; otherwise opened files get their descriptors."""
-    while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
-        os.set_inheritable(handle, True)
-    os.close(handle)
-    # Kept open for the life of the process.
-    sys.stdin = sys.stdin or open(0, closefd=False)  # noqa: SIM115
-    sys.stdout = sys.stdout or open(1, "w", closefd=False)  # noqa: SIM115
-    sys.stderr = sys.stderr or open(2, "w", closefd=False)  # noqa: SIM115
-
-
-def end_quietly() -> None:
-    """Let Ctrl-C and SIGTERM end the process at once.
+    """The first call of every command: let Ctrl-C and SIGTERM end the process at once.
 
     During imports a KeyboardInterrupt would end as a traceback, or as another error.
     """
-    _handle(end_now)
-
-
-def end_now(number: int, frame: FrameType | None) -> None:
-    """Signal handler that ends the process."""
-    os._exit(INTERRUPTED)
+    _handle(lambda number, frame: os._exit(INTERRUPTED))
 
 
 @contextlib.contextmanager
@@ -62,15 +35,11 @@ def interruptible() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM raise KeyboardInterrupt in the block; the second ends the process."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        end_quietly()
+        begin_command()
         raise KeyboardInterrupt
 
-    before = _handle(interrupt)
-    try:
+    with _handled(interrupt):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler or signal.SIG_DFL)
 
 
 @contextlib.contextmanager
@@ -81,14 +50,18 @@ def stop_requested() -> Iterator[Callable[[], bool]]:
     frame and its row in the table.
     """
     received: list[int] = []
-    before = _handle(lambda number, frame: received.append(number))
-    try:
+    with _handled(lambda number, frame: received.append(number)):
         yield lambda: bool(received)
+
+
+@contextlib.contextmanager
+def _handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    before = _handle(handler)
+    try:
+        yield
     finally:
-        for number, handler in before.items():
-            if handler is end_now:  # the command has ended already
-                handler = signal.SIG_IGN
-            signal.signal(number, handler or signal.SIG_DFL)
+        for number, old in before.items():
+            signal.signal(number, old or signal.SIG_DFL)
 
 
 def _handle(handler: Callable[[int, FrameType | None], None]) -> dict[signal.Signals, Any]:
@@ -109,25 +82,19 @@ def reported_errors(extras: str) -> Iterator[None]:
     """
     try:
         yield
-    except SSDNetError as error:
-        _end(f"error: {error}", error)
-    except ImportError as error:
-        _end(f"error: {error}: {import_remedy(error, extras)}", error)
+    except (SSDNetError, ImportError) as error:
+        remedy = f": {import_remedy(error, extras)}" if isinstance(error, ImportError) else ""
+        with contextlib.suppress(OSError):  # stderr may be closed
+            sys.stderr.write(_plain(f"error: {error}{remedy}\n"))
+        raise SystemExit(ERROR) from error
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
 
 
-def print_result(text: str, *, elsewhere: str = "") -> bool:
-    """Print the result of a command on stdout.
+def print_result(text: str) -> None:
+    """Print the result of a command on stdout; it need not be valid Unicode.
 
-    A closed pipe is no error; other failures are reported on stderr.
-
-    Args:
-        text: to print; it need not be valid Unicode.
-        elsewhere: end of the line on stderr: where the result can be found.
-
-    Returns:
-        Whether the text was printed.
+    A closed pipe is no error. Raises OutputError for other failures.
     """
     try:
         sys.stdout.write(_plain(text) + "\n")
@@ -137,18 +104,10 @@ def print_result(text: str, *, elsewhere: str = "") -> bool:
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):
-            with contextlib.suppress(OSError):
-                sys.stderr.write(f"cannot print ({error.strerror}){elsewhere}\n")
-        return False
-    return True
+            raise OutputError(f"cannot print ({error.strerror}): redirect the output") from error
 
 
 def _plain(text: str) -> str:
     """Text from files and names as valid Unicode without control characters."""
-    return text.encode(errors="backslashreplace").decode().translate(_CONTROLS)
-
-
-def _end(text: str, error: Exception) -> None:
-    with contextlib.suppress(OSError):  # stderr may be closed
-        sys.stderr.write(_plain(text) + "\n")
-    raise SystemExit(ERROR) from error
+    valid = text.encode(errors="backslashreplace").decode()
+    return "".join(c if c.isprintable() or c in "\n\t" else f"\\x{ord(c):02x}" for c in valid)

@@ -3,19 +3,16 @@
 import contextlib
 import dataclasses
 import importlib.util
-import multiprocessing
 import os
 import secrets
 import shutil
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from html.parser import HTMLParser
-from multiprocessing.connection import Connection
 from pathlib import Path
-from types import SimpleNamespace
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # pytest runs two workers; before NumPy and PyTorch
 
@@ -281,30 +278,11 @@ def start_process():
         process.communicate()
 
 
-class _Thread(threading.Thread):
-    """In place of a process of ssdnet-bench."""
-
-    exitcode = 3
-
-    def __init__(self, *, target, args, kwargs):
-        pipe, *others = args
-        own = Connection(os.dup(pipe.fileno()))  # the other end is closed where a process starts
-
-        def serve():
-            with own:
-                target(own, *others, **kwargs)
-
-        super().__init__(target=serve, daemon=True)
-
-    def kill(self):
-        pass
-
-
 @pytest.fixture
 def bench_in_threads(monkeypatch):
     """Let ssdnet-bench start threads: processes take seconds to start."""
-    context = SimpleNamespace(Pipe=multiprocessing.Pipe, Process=_Thread)
-    monkeypatch.setattr(multiprocessing, "get_context", lambda method: context)
+    threads = lambda workers, mp_context: ThreadPoolExecutor(workers)  # noqa: E731
+    monkeypatch.setattr("runtime.tools.bench.ProcessPoolExecutor", threads)
 
 
 @pytest.fixture

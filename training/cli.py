@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from runtime.command import INTERRUPTED, reported_errors
-from runtime.command_options import NoProvider, Version
+from runtime.command_options import Version
 from training.stop_signal import StopSignal
 
 app = typer.Typer(pretty_exceptions_enable=False)
@@ -105,7 +105,6 @@ def train(
         bool,
         typer.Option("--list", callback=_print_recipes, is_eager=True, help="List the recipes."),
     ] = False,
-    _provider: NoProvider = None,
     _version: Version = False,
 ) -> None:
     """Train a network; writes checkpoints, TensorBoard curves, scores and the resolved recipe."""

@@ -6,7 +6,7 @@ import signal
 import sys
 from types import FrameType
 
-from runtime.command import SIGNALS, end_quietly
+from runtime.command import SIGNALS, begin_command
 
 
 class StopSignal:
@@ -37,7 +37,7 @@ class StopSignal:
     def _remember(self, number: int, frame: FrameType | None) -> None:
         alone = int(os.environ.get("WORLD_SIZE", "1")) == 1
         if alone:
-            end_quietly()
+            begin_command()
         if not self._arrived:
             self._arrived = True
             again = "; Ctrl-C again stops at once" if alone else ""

@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.checks import shown
 from runtime.contract import ClassInfo
 from runtime.drawing.overlay import Overlay
 from runtime.errors import InputError, OutputError
@@ -50,12 +49,7 @@ def save_prediction(
     intrinsics: NDArray[np.floating[Any]] | Calibration | None = None,
 ) -> None:
     """Write the file of `Prediction.save`. Raises InputError and OutputError."""
-    try:
-        path = Path(path)
-    except TypeError as error:
-        raise InputError(f"path must be a path, got {type(path).__name__}") from error
-    if "\0" in str(path):
-        raise InputError(f"{shown(str(path))} is not a file's name: it holds a NUL character")
+    path = Path(path)
     suffix = path.suffix.lower()
     content: bytes | memoryview
     if suffix in _PICTURES:
@@ -65,7 +59,11 @@ def save_prediction(
             raise OutputError(f"{path}: {drawn.shape[0]} x {drawn.shape[1]} is too large for it")
         content = encoded.ravel().data
     elif suffix == _ARRAYS:
-        content = _npz(prediction)
+        arrays: dict[str, Any] = {**prediction.heads, "valid": np.bool_(prediction.valid)}
+        arrays["degraded"] = np.array(prediction.degraded, dtype=np.str_)
+        file = io.BytesIO()
+        np.savez(file, **arrays)
+        content = file.getbuffer()
     elif suffix == _CLOUD:
         if intrinsics is None:
             raise InputError(
@@ -78,16 +76,6 @@ def save_prediction(
         known = ", ".join((*_PICTURES, _ARRAYS, _CLOUD))
         raise InputError(f"{path.name} must end in one of {known}")
     atomic_write(path, content)
-
-
-def _npz(prediction: Prediction) -> memoryview:
-    """All arrays by their heads' names, with `valid` and `degraded`."""
-    arrays: dict[str, Any] = dict(prediction.heads)
-    arrays["valid"] = np.bool_(prediction.valid)
-    arrays["degraded"] = np.array(prediction.degraded, dtype=np.str_)
-    file = io.BytesIO()
-    np.savez(file, **arrays)
-    return file.getbuffer()
 
 
 @lru_cache(maxsize=8)

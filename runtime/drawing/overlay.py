@@ -146,24 +146,6 @@ class Overlay:
         return self._legends[key]
 
 
-class SharedOverlay(Overlay):
-    """An overlay shared by several outputs: each frame is drawn once, and the picture is shared."""
-
-    _of: tuple[NDArray[np.uint8] | None, Drawable] | None = None
-    _drawn: dict[int, NDArray[np.uint8]]  # step -> picture
-
-    def draw(
-        self, rgb: NDArray[np.uint8] | None, prediction: Drawable, *, widest: int | None = None
-    ) -> NDArray[np.uint8]:
-        """Draw a frame, or return the picture if it is of the last one and of this size."""
-        if self._of is None or self._of[0] is not rgb or self._of[1] is not prediction:
-            self._of, self._drawn = (rgb, prediction), {}
-        step = _step(*_size(rgb, prediction), widest)
-        if step not in self._drawn:
-            self._drawn[step] = super().draw(rgb, prediction, widest=widest)
-        return self._drawn[step]
-
-
 def _size(rgb: NDArray[np.uint8] | None, prediction: Drawable) -> tuple[int, int]:
     """(height, width) of the frame."""
     array = next(iter(prediction.heads.values())) if rgb is None else rgb[..., 0]

@@ -43,7 +43,7 @@ class CalibrationSize:
             sparse_depth: float32 (H, W), metres, projected with the calibration.
             calibration: of the frame.
         """
-        if calibration is None or calibration.size is not None or len(self._gains) == FIRST_FRAMES:
+        if calibration is None or len(self._gains) == FIRST_FRAMES:
             return
         height, width = sparse_depth.shape
         middle_x, middle_y = calibration.intrinsics[:2, 2]

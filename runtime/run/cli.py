@@ -5,18 +5,17 @@ import dataclasses
 import inspect
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand
 
-from runtime.command import ERROR, print_result, reported_errors
-from runtime.command_options import NoDevice, Version
+from runtime.command import print_result, reported_errors
+from runtime.command_options import Version
 from runtime.run.model_table import describe_bundled_models
 from runtime.run.options import OPTION, RunOptions, UsageError
-from runtime.run.report_files import describe_run, list_results, report_json
 from runtime.run.run import OnRecord, run
+from runtime.run.run_report import describe_run, list_results
 
 app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -28,9 +27,8 @@ class GroupedCommand(TyperCommand):
         groups: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
             if (row := parameter.get_help_record(ctx)) is not None:
-                title = getattr(parameter, "rich_help_panel", None)
-                other = "Arguments" if parameter.param_type_name == "argument" else "Other"
-                groups.setdefault(title or other, []).append(row)
+                title = getattr(parameter, "rich_help_panel", None) or "Other"
+                groups.setdefault(title, []).append(row)
         for title, rows in groups.items():
             with formatter.section(title):
                 formatter.write_dl(rows)
@@ -70,10 +68,6 @@ def _print_models(wanted: bool) -> None:
 @with_run_options
 def main(
     *,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print report.json instead of the tables.")
-    ] = False,
-    _device: NoDevice = None,
     _list_models: Annotated[
         bool,
         typer.Option(
@@ -95,8 +89,7 @@ def main(
 
         def start(about: str, frames: int) -> OnRecord:
             progress.close()  # the bar of the camera before
-            if not as_json:
-                _print(about, options.folder)
+            print_result(about)
             if not sys.stderr.isatty():
                 return lambda record: None
             bar = typer.progressbar(length=frames, file=sys.stderr, label="frames")
@@ -105,11 +98,5 @@ def main(
 
         done = run(options, on_start=start)
         progress.close()
-        results = "\n".join([describe_run(done), *list_results(done, options)])
-        printed = _print(report_json(done) if as_json else results, options.folder)
-        raise typer.Exit(done.exit_code if printed or not as_json else ERROR)
-
-
-def _print(text: str, out: Path) -> bool:
-    """Print, or report the error. Returns whether it was printed."""
-    return print_result(text, elsewhere=f": see {out}")
+        print_result("\n".join([describe_run(done), *list_results(done, options)]))
+        raise typer.Exit(done.exit_code)

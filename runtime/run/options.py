@@ -6,16 +6,17 @@ import contextlib
 import dataclasses
 import itertools
 import os
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any
 
 import typer
 
 from runtime.bundled_models import DEFAULT_MODEL, list_bundled_models
-from runtime.checks import check_integer, check_number, shown
+from runtime.checks import shown
 from runtime.command import Provider
 from runtime.contract import MAX_FOCAL_PX, MAX_PIXELS, MIN_FOCAL_PX
 from runtime.errors import InputError
@@ -32,19 +33,16 @@ from runtime.sources.registry import (
     keys_of,
     parse_source,
 )
-from runtime.sources.source import Source
+from runtime.sources.source import ListedFrame, Source
 from runtime.sources.source_keys import SOURCE_KEYS
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS
 
-MAX_SHARDS = 1_000_000
 MAX_OVERLAY_WIDTH = 8192  # five panels side by side fit into a JPEG
 #: Option that names a file -> its suffix.
 FILE_SUFFIXES = {"video": ".mp4", "report": ".html", "mcap": ".mcap"}
 DEFAULT_RATE_HZ = 10.0  # of frames without stamps: a LiDAR's
 OPTION = "option"  # of the metadata of a field: the option of the command
 _OUT = Path("ssdnet-run")
-
-Item = TypeVar("Item")
 
 
 def _group(title: str) -> Callable[..., Any]:
@@ -67,6 +65,7 @@ _PATH = typer.Argument(
     metavar="[PATH]",
     help=f"Frames to predict: {'; '.join(kind.accepted for kind in SOURCES.values())}. Its kind "
     "follows from the path.",
+    rich_help_panel="Input",
 )
 
 
@@ -108,9 +107,8 @@ class RunOptions:
     demo: bool = _input("Run the bundled stream.", flag="--demo", default=False)
     limit: int | None = _input("Stop after N complete frames (of each camera).", min=1)
     focal_length: float | None = _input(
-        "Focal length of the camera (fx) in pixels of the images. A model with a canonical focal "
-        "length then fits any camera; other models ignore it. [default: from the calibration of "
-        "the source, else unknown]",
+        "Focal length (fx) in pixels of the images; models without a canonical focal length ignore "
+        "it. [default: from the calibration of the source, else unknown]",
         min=MIN_FOCAL_PX,
         max=MAX_FOCAL_PX,
     )
@@ -121,9 +119,8 @@ class RunOptions:
         max=1e6,
     )
     poses: Path | None = _input(
-        "Poses by which scans in a folder are moved to the time of the image: KITTI's format, a "
-        "line for each image in natural order, or TUM's. Needs pose_frame in --source. Drives of "
-        "KITTI and bags bring their own.",
+        "Poses by which scans in a folder are moved to the time of the image, in KITTI's or TUM's "
+        "format. Needs pose_frame in --source. Drives of KITTI and bags bring their own.",
         metavar="FILE",
     )
     source: str | None = _input(
@@ -147,21 +144,18 @@ class RunOptions:
     )
     save: list[str] | None = _outputs(
         f"Files to write of each frame: {', '.join(SUFFIXES)}; all = all kinds that the model "
-        "answers, except clouds; or none. May be repeated. Depth and uncertainty are 16-bit PNGs, "
-        f"metres x {METRES_PNG_SCALE}. A cloud is a PLY file with colours and class ids, 16 bytes "
-        "per pixel, and needs --calibration or --focal-length. [default: all]",
+        "answers, except clouds; or none. May be repeated. Depth and uncertainty are metres x "
+        f"{METRES_PNG_SCALE}; a cloud needs --calibration or --focal-length. [default: all]",
         metavar="KIND,...",
     )
     overlay_width: int | None = _outputs(
-        "Largest width in pixels of a panel of the overlays and the video; a frame is shrunk by a "
-        "whole number. [default: 640, panels one above the other 960; of the video the frame's "
-        "width]",
+        "Largest width in pixels of a panel of the overlays and the video. [default: 640, panels "
+        "one above the other 960; of the video the frame's width]",
         min=16,
         max=MAX_OVERLAY_WIDTH,
     )
     report: Path | None = _outputs(
-        "Write an HTML page: latency over time, stages, health, sample images, and facts of the "
-        "run.",
+        "Write an HTML page: latency over time, stages, health, samples, facts of the run.",
         metavar=f"FILE{FILE_SUFFIXES['report']}",
     )
     video: Path | None = _outputs(
@@ -185,8 +179,7 @@ class RunOptions:
     provider: Provider = _model("Execution provider of the model.", default=Provider.cpu)
     size: str = _model(
         "Size at which the network runs: auto (about the height it was trained for, if the frame "
-        "is much larger), frame (size of the frame), ROWS, or HEIGHTxWIDTH. Results have the size "
-        "of the frame.",
+        "is much larger), frame, ROWS, or HEIGHTxWIDTH. Results have the size of the frame.",
         default="auto",
     )
     threads: int | None = _model("Threads of inference. [default: physical cores]", min=1)
@@ -220,31 +213,26 @@ class RunOptions:
             raise UsageError(
                 "give one of PATH, --demo, --rgb (with --depth or --points) and --source"
             )
-        for field in dataclasses.fields(self):
-            _check_range(field, getattr(self, field.name))
         for option, path in self.named_files.items():
             if path.suffix.lower() != FILE_SUFFIXES[option]:
                 raise UsageError(f"--{option} writes {FILE_SUFFIXES[option]} files, got {path}")
         if self.record is not None:
-            self._require_apart(self.record)
+            record, out = (Path(os.path.realpath(each)) for each in (self.record, self.folder))
+            if record in (out, *out.parents) or out in record.parents:
+                raise UsageError(f"--record {record} needs a folder apart from --out")
         _ = self.kinds, self.network_size, self._shard, self.open_cameras
 
     @cached_property
     def kinds(self) -> tuple[str, ...]:
         """The files of a frame that --save names."""
-        requested = [kind.strip() for text in self.save or ["all"] for kind in text.split(",")]
-        if requested in (["all"], ["none"]):
-            return KINDS if requested == ["all"] else ()
-        if len(requested) > 1 and (
-            alone := [kind for kind in ("none", "all") if kind in requested]
-        ):
-            others = [kind for kind in requested if kind not in alone] or alone[1:] or alone
+        texts = ",".join(self.save or ["all"])
+        requested = {kind.strip() for kind in texts.split(",")}
+        if requested in ({"all"}, {"none"}):
+            return KINDS if requested == {"all"} else ()
+        if requested - SUFFIXES.keys():
             raise UsageError(
-                f"--save {alone[0]} cannot be combined with {', '.join(others)}: leave one of them "
-                "out"
+                f"--save is all, none, or some of {', '.join(SUFFIXES)}, got {shown(texts)}"
             )
-        if unknown := [kind for kind in requested if kind not in SUFFIXES]:
-            raise UsageError(f"--save knows {', '.join(SUFFIXES)}, all and none, not {unknown}")
         return tuple(kind for kind in SUFFIXES if kind in requested)
 
     @cached_property
@@ -254,18 +242,6 @@ class RunOptions:
             return self.out or _OUT
         later = (_OUT.with_name(f"{_OUT}-{number}") for number in itertools.count(2))
         return next(path for path in itertools.chain([_OUT], later) if not os.path.lexists(path))
-
-    def claim_folder(self) -> None:
-        """Make a folder that was not named; another run may have taken its name meanwhile."""
-        while self.out is None and not self.overwrite:
-            try:
-                os.mkdir(self.folder)
-            except FileExistsError:
-                del self.__dict__["folder"]  # forget the cached name: choose another
-                continue
-            except OSError:
-                pass  # reported where the folder is opened
-            return
 
     @cached_property
     def network_size(self) -> NetworkSize:
@@ -317,40 +293,20 @@ class RunOptions:
             return BUNDLED_FOCAL_LENGTH_PX
         return None if source.calibration is None else source.calibration.focal_length_px
 
-    def shard_of(self, frames: Sequence[Item]) -> Sequence[Item]:
+    def shard_of(self, frames: Sequence[ListedFrame]) -> Sequence[ListedFrame]:
         """The frames that --shard names."""
         part, parts = self._shard
         return frames[part - 1 :: parts]
 
-    def _require_apart(self, record: Path) -> None:
-        """Raise UsageError if the recording shares its folder with other results."""
-        recording, out = os.path.realpath(record), os.path.realpath(self.folder)
-        folders = [os.path.realpath(path.parent) for path in self.named_files.values()]
-        inside = [os.path.commonpath([recording, each]) == recording for each in [out, *folders]]
-        if any(inside) or os.path.commonpath([recording, out]) == out:
-            raise UsageError(f"--record {record} needs a folder of its own, apart from --out")
-
     @cached_property
     def _shard(self) -> tuple[int, int]:
-        part, _, parts = (self.shard or "1/1").partition("/")
-        digits = len(str(MAX_SHARDS))
-        numbers = [text.isdecimal() and len(text) <= digits for text in (part, parts)]
-        if not (all(numbers) and 1 <= int(part) <= int(parts) <= MAX_SHARDS):
+        numbers = re.fullmatch("([0-9]{1,7})/([0-9]{1,7})", self.shard or "1/1")
+        part, parts = map(int, numbers.groups()) if numbers else (0, 0)
+        if not 1 <= part <= parts:
             raise UsageError(
-                f"--shard is I/N with 1 <= I <= N <= {MAX_SHARDS}, such as 2/4, got "
-                f"{shown(self.shard)}"
+                f"--shard is I/N with 1 <= I <= N, such as 2/4, got {shown(self.shard)}"
             )
-        return int(part), int(parts)
-
-
-def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
-    """Raise UsageError for a number outside the `min` and `max` of its option."""
-    option = field.metadata.get(OPTION)  # subclasses may have fields that are no options
-    if option is None or option.min is None or value is None:
-        return
-    check: Callable[..., float] = check_number if float in get_args(field.type) else check_integer
-    limits = (option.min,) if option.max is None else (option.min, option.max)
-    check(f"--{field.name.replace('_', '-')}", value, *limits, error=UsageError)
+        return part, parts
 
 
 @contextlib.contextmanager

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 from runtime.errors import SSDNetError
 from runtime.health.frame_health import FrameHealth
@@ -22,7 +23,6 @@ _READ_AHEAD, _WRITE_BEHIND = 2, 2  # frames held in memory on either side
 _NICENESS = 10
 _STOP_POLL_S = 0.1  # between two looks at `stop` while waiting
 
-WriteFrame = Callable[[Frame, Prediction], None]
 TimedFrame = tuple[Frame, float]  # a frame and the ms of reading it
 
 
@@ -43,51 +43,27 @@ class StreamResult:
     rate_hz: float | None = None
 
 
-class FrameReader:
-    """Reads each frame of a source once, also those that are needed before the stream.
+class Output(Protocol):
+    """Where the answers of a run are written.
 
-    Args:
-        read: reads a frame; raises an SSDNetError where it cannot be read.
+    An output is made by a context manager: what it writes gets its name, whole, when the block
+    ends, and is removed after an error there.
     """
 
-    def __init__(self, read: Callable[[ListedFrame], Frame]) -> None:
-        self._read = read
-        self._kept: dict[int, TimedFrame | SSDNetError] = {}
-
-    def peek(self, listed: ListedFrame) -> Frame:
-        """Read a frame, and keep it for `take`. Raises what reading raises."""
-        if listed.sequence not in self._kept:
-            try:
-                self._kept[listed.sequence] = self.take(listed)
-            except SSDNetError as error:
-                self._kept[listed.sequence] = error
-        kept = self._kept[listed.sequence]
-        if isinstance(kept, SSDNetError):
-            raise kept
-        return kept[0]
-
-    def take(self, listed: ListedFrame) -> TimedFrame:
-        """Return a frame, and how long it was read in ms."""
-        kept = self._kept.pop(listed.sequence, None)
-        if isinstance(kept, SSDNetError):
-            raise kept
-        if kept is not None:
-            return kept
-        started = time.perf_counter()
-        frame = self._read(listed)
-        return frame, (time.perf_counter() - started) * 1e3
+    def write(self, frame: Frame, prediction: Prediction) -> None:
+        """Write the answer to a frame; always called from one thread. Raises OutputError."""
 
 
 def run_stream(
     predictor: Predictor,
     frames: Sequence[ListedFrame],
     *,
-    reader: FrameReader,
+    read: Callable[[ListedFrame], Frame],
     rate_hz: float | None = None,
     deadline_ms: float | None = None,
     degraded: tuple[str, ...] = (),
-    write: WriteFrame | None = None,
-    record: WriteFrame | None = None,
+    outputs: Sequence[Output] = (),
+    recorders: Sequence[Output] = (),
     on_record: Callable[[FrameOutcome], None] = lambda record: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> StreamResult:
@@ -99,19 +75,19 @@ def run_stream(
     Args:
         predictor: predicts the frames, in the calling thread.
         frames: to read.
-        reader: of `frames`, in order, in the reading thread.
+        read: reads one of `frames`; called in order, in the reading thread.
         rate_hz: frames are due at this rate from the start on, and none is predicted earlier
             (constant stream of MLPerf); None = each when the one before is done (single stream).
         deadline_ms: limit of `FrameOutcome.latency_ms`; None = no limit.
         degraded: reasons that hold for the whole stream, added to those of each prediction.
-        write: called with each valid answer in the writing thread; None = nothing is written.
-        record: called with each answer as the predictor gave it, valid or not, in the calling
-            thread, while nothing is predicted; None = nothing is recorded.
+        outputs: get each valid answer, in the writing thread.
+        recorders: get each answer as the predictor gave it, valid or not, in the calling thread,
+            while nothing is predicted.
         on_record: called with the outcome of each frame when it is done.
         stop: called before each frame; True ends the stream.
 
     Raises:
-        Exception: what `write` and `record` raise ends the stream.
+        Exception: what an output raises ends the stream.
     """
     reads: deque[tuple[int, str, Future[TimedFrame]]] = deque()
     writes: deque[tuple[FrameOutcome, Future[float] | None]] = deque()
@@ -120,7 +96,9 @@ def run_stream(
     health, jitter = FrameHealth(), Jitter()
 
     def read_checked(listed: ListedFrame) -> TimedFrame:
-        frame, read_ms = reader.take(listed)
+        started = time.perf_counter()
+        frame = read(listed)
+        read_ms = (time.perf_counter() - started) * 1e3
         scale = predictor.camera_scale((frame.rgb.shape[0], frame.rgb.shape[1]))
         found = health.check(frame.rgb, frame.sparse_depth, range_m=scale.range_m)
         return replace(frame, name=listed.name, health=found), read_ms
@@ -143,13 +121,13 @@ def run_stream(
         if due is not None:
             latency_ms = age_ms = (time.perf_counter() - due) * 1e3
             jitter_ms = jitter.record(round(age_ms * NS_PER_MS))
-        if record is not None:
-            record(frame, prediction)
+        for recorder in recorders:
+            recorder.write(frame, prediction)
         reason = "" if prediction.valid else ", ".join(prediction.degraded)
         prediction = replace(prediction, degraded=prediction.degraded + frame.degraded + degraded)
         written = None
-        if write is not None and prediction.valid:
-            written = writer.submit(_timed_write, write, frame, prediction)
+        if outputs and prediction.valid:
+            written = writing_thread.submit(_write, outputs, frame, prediction)
         outcome = FrameOutcome(
             sequence=index,
             name=name,
@@ -175,7 +153,7 @@ def run_stream(
         on_record(done)
 
     reading_thread = ThreadPoolExecutor(1, thread_name_prefix="read", initializer=_lower_priority)
-    writer = ThreadPoolExecutor(1, thread_name_prefix="write", initializer=_lower_priority)
+    writing_thread = ThreadPoolExecutor(1, thread_name_prefix="write", initializer=_lower_priority)
     started = time.perf_counter()
     try:
         for _ in range(_READ_AHEAD):
@@ -194,7 +172,7 @@ def run_stream(
             finish_oldest()
     finally:
         reading_thread.shutdown(cancel_futures=True)
-        writer.shutdown(cancel_futures=True)
+        writing_thread.shutdown(cancel_futures=True)
     wall_s = time.perf_counter() - started
     return StreamResult(tuple(records), wall_s, bool(reads), rate_hz)
 
@@ -218,7 +196,9 @@ def _lower_priority() -> None:
         os.nice(_NICENESS)
 
 
-def _timed_write(write: WriteFrame, frame: Frame, prediction: Prediction) -> float:
+def _write(outputs: Sequence[Output], frame: Frame, prediction: Prediction) -> float:
+    """Write to all outputs in order; return the time in ms."""
     started = time.perf_counter()
-    write(frame, prediction)
+    for output in outputs:
+        output.write(frame, prediction)
     return (time.perf_counter() - started) * 1e3

@@ -2,7 +2,6 @@
 
 import contextlib
 import ctypes
-import sys
 
 import cv2
 
@@ -21,10 +20,9 @@ def dedicate_process() -> None:
     cv2.setNumThreads(1)  # its threads would compete with those of an operator
     # Files that cannot be decoded are reported as skipped frames: OpenCV prints nothing.
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    if sys.platform == "linux":
-        # glibc returns the memory of a freed picture, and the kernel clears every page of the next
-        # one. Other C libraries have no mallopt.
-        with contextlib.suppress(AttributeError, OSError):
-            mallopt = ctypes.CDLL(None).mallopt
-            mallopt(_M_MMAP_THRESHOLD, _KEPT_BUFFER_BYTES)
-            mallopt(_M_TRIM_THRESHOLD, _KEPT_FREE_BYTES)
+    # glibc returns the memory of a freed picture, and the kernel clears every page of the next one.
+    # Other C libraries have no mallopt.
+    with contextlib.suppress(AttributeError, OSError):
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(_M_MMAP_THRESHOLD, _KEPT_BUFFER_BYTES)
+        mallopt(_M_TRIM_THRESHOLD, _KEPT_FREE_BYTES)

@@ -9,7 +9,7 @@ from pathlib import Path
 from runtime.errors import InputError, OutputError
 from runtime.heads import HEADS
 from runtime.io.atomic_write import atomic_write, remove_leftover
-from runtime.read_input import read_input
+from runtime.read_input import read_text
 
 OVERLAY, CLOUD = "overlay", "cloud"
 #: Kind of a file that holds one head -> its name and encoding.
@@ -24,21 +24,26 @@ SUFFIXES = {**dict.fromkeys(SAVED_HEADS, ".png"), OVERLAY: ".jpg", CLOUD: ".ply"
 KINDS = tuple(kind for kind in SUFFIXES if kind != CLOUD)
 FRAMES_FILE, REPORT_FILE = "frames.csv", "report.json"
 _MARKER = ".ssdnet-run"
-_MAX_NAME_BYTES = 255 - max(map(len, SUFFIXES.values()))
 _MARKER_TEXT = (
     "Made by ssdnet-run. With --overwrite it may replace its own files here: those of the frames "
     "below.\n"
 )
 
 
-class RunFolder:
-    """The folder of a run, with a subfolder for each kind of file.
+def make_run_folder(
+    path: Path,
+    *,
+    kinds: Sequence[str] = KINDS,
+    names: Collection[str] = (),
+    overwrite: bool = False,
+) -> None:
+    """Make the folder of a run, with a subfolder for each kind of file.
 
     A hidden file in it lists the frames whose files belong to the run.
 
     Args:
-        path: is made; a folder that exists must be empty, or, with `overwrite`, hold an earlier
-            run, whose files are then removed.
+        path: a folder that exists must be empty, or, with `overwrite`, hold an earlier run, whose
+            files are then removed.
         kinds: kinds of files that will be written, of SUFFIXES.
         names: of the frames.
         overwrite: whether an earlier run may be replaced.
@@ -47,124 +52,75 @@ class RunFolder:
         OutputError: if the folder cannot be used, or if writing there would replace a foreign file
             or follow a link out of the folder; the earlier run is then untouched.
     """
-
-    def __init__(
-        self,
-        path: Path,
-        *,
-        kinds: Sequence[str] = KINDS,
-        names: Collection[str] = (),
-        overwrite: bool = False,
-    ) -> None:
-        self.path = path
-        self._marker = path / _MARKER
-        _make(path)
+    marker = path / _MARKER
+    with _reported(f"cannot make the output folder {path}"):
+        path.mkdir(parents=True, exist_ok=True)
         used = any(path.iterdir())
-        if used and not overwrite:
-            raise OutputError(
-                f"the output folder {path} is not empty: choose another --out, or replace an "
-                "earlier run with --overwrite"
-            )
-        if used and not self._marker.is_file():
-            raise OutputError(
-                f"the output folder {path} holds files that ssdnet-run did not make: it "
-                "replaces only its own runs, choose another --out"
-            )
-        if used:
-            earlier = _read_names(self._marker)
-            for kind in kinds:
-                _require_free(path / kind, SUFFIXES[kind], names, earlier)
-            self._remove_run(earlier)
-        self.subfolders = {kind: path / kind for kind in kinds}
-        for folder in self.subfolders.values():
-            _make(folder)
-        atomic_write(self._marker, _MARKER_TEXT.encode())
-        with _reported(f"cannot write {self._marker}"):
-            # Kept open: writing competes with inference for the processor.
-            self._names = os.open(self._marker, os.O_WRONLY | os.O_APPEND)
-
-    def add_name(self, name: str) -> None:
-        """Add a frame to the list on disk, before its files are written. Raises OutputError."""
-        with _reported(
-            f"cannot write {self._marker}",
-            "free some space or choose another --out; files that were already complete are kept",
-        ):
-            # As JSON, since a name may contain line feeds.
-            os.write(self._names, (json.dumps(name) + "\n").encode())
-
-    def close(self) -> None:
-        """Close the list of names; nothing is written after it."""
-        os.close(self._names)
-
-    def _remove_run(self, names: Collection[str]) -> None:
-        """Remove an earlier run; the report first, since a run with a report is whole."""
-        for file in (REPORT_FILE, FRAMES_FILE):
-            _remove(self.path / file)
-        for kind, suffix in SUFFIXES.items():
-            folder = self.path / kind
-            if folder.is_symlink():  # never remove files outside of the run folder
-                continue
-            for name in names:
-                _remove(folder / (name + suffix))
+    if used and not overwrite:
+        raise OutputError(
+            f"the output folder {path} is not empty: choose another --out, or replace an earlier "
+            "run with --overwrite"
+        )
+    if used and not marker.is_file():
+        raise OutputError(
+            f"the output folder {path} holds files that ssdnet-run did not make: it replaces only "
+            "its own runs, choose another --out"
+        )
+    if used:
+        earlier = _read_names(marker)
+        for kind in kinds:
+            _require_own(path / kind, SUFFIXES[kind], names, earlier)
+        _remove_run(path, earlier)
+    for kind in kinds:
+        with _reported(f"cannot make the output folder {path / kind}"):
+            (path / kind).mkdir(exist_ok=True)
+    listed = "".join(json.dumps(name) + "\n" for name in names)  # names may contain line feeds
+    atomic_write(marker, (_MARKER_TEXT + listed).encode())
 
 
 @contextlib.contextmanager
-def _reported(fault: str, remedy: str = "choose another --out") -> Iterator[None]:
+def _reported(fault: str) -> Iterator[None]:
     """Raise an OSError of the block as an OutputError."""
     try:
         yield
     except OSError as error:
-        raise OutputError(f"{fault} ({error.strerror}): {remedy}") from error
+        raise OutputError(f"{fault} ({error.strerror}): choose another --out") from error
 
 
-def _make(folder: Path) -> None:
-    """Make a folder that can be listed. Raises OutputError."""
-    with _reported(f"cannot make the output folder {folder}"):
-        folder.mkdir(parents=True, exist_ok=True)
-        next(folder.iterdir(), None)
+def _read_names(marker: Path) -> set[str]:
+    """Names of the frames whose files belong to the earlier run. Raises OutputError."""
+    try:
+        names = {json.loads(line) for line in read_text(marker).splitlines()[1:]}
+        if all(name and {0, ord("/")}.isdisjoint(os.fsencode(name)) for name in names):
+            return names
+    except (InputError, ValueError, TypeError, RecursionError):
+        pass
+    raise OutputError(f"{marker}, the list of the run's frames, is damaged: choose another --out")
 
 
-def _require_free(folder: Path, suffix: str, names: Collection[str], ours: Collection[str]) -> None:
+def _require_own(folder: Path, suffix: str, names: Collection[str], ours: Collection[str]) -> None:
     """Raise OutputError if a file of `names` in `folder` exists and is not of the earlier run."""
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         raise OutputError(
-            f"{folder} is a link or a file where the run makes a folder: remove it, or "
-            "choose another --out"
+            f"{folder} is a link or a file where the run makes a folder: remove it, or choose "
+            "another --out"
         )
     for name in names:
         file = folder / (name + suffix)
-        if os.path.lexists(file) and (name not in ours or not _removable(file)):
+        if name not in ours and os.path.lexists(file):
             raise OutputError(
                 f"{file} does not belong to the earlier run, but would be replaced: move it away, "
                 "or choose another --out"
             )
 
 
-def _read_names(marker: Path) -> set[str]:
-    """Names of the frames whose files belong to the earlier run. Raises OutputError."""
-    names = set()
-    try:
-        content = read_input(marker)
-    except InputError as error:
-        raise OutputError(f"{error}: choose another --out") from error
-    for line in content.decode("ascii", errors="replace").splitlines()[1:]:
-        try:
-            name = json.loads(line)
-            encoded = os.fsencode(name)
-        except (ValueError, TypeError, RecursionError):  # cut off, or not of a run
-            continue
-        if 0 < len(encoded) <= _MAX_NAME_BYTES and not set(encoded) & {0, ord("/")}:
-            names.add(name)
-    return names
-
-
-def _remove(path: Path) -> None:
-    """Remove a file and what a killed run left of it, but no folder. Raises OutputError."""
-    with _reported(f"cannot remove the earlier run's {path}"):
-        if _removable(path):
-            path.unlink()
-    remove_leftover(path)
-
-
-def _removable(path: Path) -> bool:
-    return path.is_file() or path.is_symlink()
+def _remove_run(path: Path, names: Collection[str]) -> None:
+    """Remove an earlier run; the report first, since a run with a report is whole."""
+    files = [path / REPORT_FILE, path / FRAMES_FILE]
+    for kind, suffix in SUFFIXES.items():
+        if not (path / kind).is_symlink():  # never remove files outside of the run folder
+            files += [path / kind / (name + suffix) for name in names]
+    for file in files:
+        with _reported(f"cannot remove the earlier run's {file}"):
+            file.unlink(missing_ok=True)
+        remove_leftover(file)

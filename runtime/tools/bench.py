@@ -1,4 +1,4 @@
-"""Models side by side on this machine.
+"""`ssdnet-bench`: models side by side on this machine.
 
 Each runs in a process of its own, which gives it its own memory and load time. All take turns, so
 that a disturbance affects all alike. Threads that wait do not spin (`runtime.session`): they would
@@ -6,28 +6,113 @@ take the cores of the model whose turn it is.
 """
 
 import contextlib
+import json
 import math
 import multiprocessing
 import os
+import re
 import signal
-import statistics
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field
 from itertools import product
-from multiprocessing import resource_tracker
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
-from runtime.command import SIGNALS, stop_requested
+from runtime.checks import shown
+from runtime.command import (
+    ERROR,
+    INTERRUPTED,
+    SIGNALS,
+    Provider,
+    interruptible,
+    print_result,
+    reported_errors,
+)
+from runtime.command_options import Version
+from runtime.cores import available_cores
+from runtime.io.atomic_write import atomic_file
 from runtime.io.engine_facts import MachineFacts, machine_facts
 from runtime.session import import_onnxruntime
 from runtime.sync.latency import LatencyStatistics, latency_statistics
-from runtime.tools.bench_worker import Opened, serve
-
-BENCH_FORMAT, BENCH_VERSION = "ssdnet-bench", "1.0"
+from runtime.tools.bench_worker import Opened, open_model, time_model
 
 _WARM_UP = 2  # runs of each model
+
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.command(
+    epilog="Exit codes: 0 done; 1 a model could not run, its row says why; 2 usage; "
+    "130 interrupted, after printing the results so far.",
+)
+def main(
+    models: Annotated[
+        list[str],
+        typer.Argument(metavar="MODEL", help="Names of bundled models, or paths of ONNX files."),
+    ],
+    size: Annotated[
+        list[str],
+        typer.Option(
+            metavar="HxW", help="Image size, for models with a free size; may be repeated."
+        ),
+    ] = ["375x1242"],  # noqa: B006 - typer copies it
+    threads: Annotated[
+        list[int] | None,
+        typer.Option(
+            min=1, help="Threads of inference; may be repeated. [default: physical cores]"
+        ),
+    ] = None,
+    batch: Annotated[
+        list[int],
+        typer.Option(min=1, help="Batch size, for models with a free batch size; may be repeated."),
+    ] = [1],  # noqa: B006
+    rounds: Annotated[
+        int, typer.Option(min=1, help="Measured runs of each model; p99 needs 100.")
+    ] = 100,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ",
+            min=1e-3,
+            max=1e6,
+            help="Frames arrive at this rate; the models take turns of one second, and the "
+            "latency is measured from when a frame is due. [default: turns of one run]",
+        ),
+    ] = None,
+    provider: Annotated[
+        Provider, typer.Option(help="Execution provider of the models.")
+    ] = Provider.cpu,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write all times to a new file.")
+    ] = None,
+    _version: Version = False,
+) -> None:
+    """Measure latency, memory and load time of models side by side."""
+    cases = tuple(map(_size, size)), tuple(threads or [available_cores()]), tuple(batch)
+    with reported_errors("cpu"), contextlib.ExitStack() as written:
+        file = written.enter_context(atomic_file(json_file, overwrite=False)) if json_file else None
+        with interruptible():
+            report = bench(BenchOptions(tuple(models), *cases, rounds, rate, provider.value))
+        print_result(to_markdown(report))
+        if file is not None:
+            file.write(json.dumps(asdict(report), indent=2).encode() + b"\n")
+            written.close()
+        if report.interrupted:
+            raise typer.Exit(INTERRUPTED)
+        failed = any(row.error for group in report.groups for row in group)
+        raise typer.Exit(ERROR if failed else 0)
+
+
+def _size(text: str) -> tuple[int, int]:
+    sides = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text, re.ASCII | re.IGNORECASE)
+    if sides is None:
+        raise typer.BadParameter(f"--size is HEIGHTxWIDTH, as 375x1242, got {shown(text)}")
+    return int(sides[1]), int(sides[2])
 
 
 @dataclass(frozen=True)
@@ -43,20 +128,9 @@ class BenchOptions:
     provider: str = "cpu"
 
 
-@dataclass(frozen=True)
-class Figures:
-    """Figures of a model's runs; a ratio is the quartiles of each run's to `reference`'s."""
-
-    latency: LatencyStatistics
-    min_ms: float
-    processor_ms: float  # median
-    ratio: tuple[float, ...] | None
-    processor_ratio: tuple[float, ...] | None
-
-
 @dataclass
 class BenchRow:
-    """A model at a size, with so many threads and frames a run: figures, or why there are none."""
+    """A model at a size, with so many threads and frames a run: times, or why there are none."""
 
     model: str
     size: tuple[int, int]
@@ -64,9 +138,12 @@ class BenchRow:
     batch: int
     opened: Opened | None = None
     error: str | None = None
-    #: Latency and processor time of all threads, of each run.
-    times_ms: list[tuple[float, float]] = field(default_factory=list)
-    figures: Figures | None = None
+    times_ms: list[float] = field(default_factory=list)  # of each run
+
+    @property
+    def latency(self) -> LatencyStatistics | None:
+        """Statistics of the runs; None = there were none."""
+        return latency_statistics(self.times_ms)
 
 
 @dataclass
@@ -80,10 +157,6 @@ class BenchReport:
     groups: list[list[BenchRow]] = field(default_factory=list)
     interrupted: bool = False
 
-    def document(self) -> dict[str, Any]:
-        """Return the content of --json."""
-        return {"format": BENCH_FORMAT, "version": BENCH_VERSION, **asdict(self)}
-
 
 def bench(options: BenchOptions) -> BenchReport:
     """Measure all models; KeyboardInterrupt ends it with what was measured.
@@ -91,7 +164,7 @@ def bench(options: BenchOptions) -> BenchReport:
     Raises:
         ProviderError: if ONNX Runtime is not installed.
     """
-    version, load = import_onnxruntime().__version__, round(os.getloadavg()[0], 2)
+    version, load = import_onnxruntime().__version__, os.getloadavg()[0]
     report = BenchReport(options, machine_facts(), version, load)
     try:
         for case in product(options.sizes, options.threads, options.batches):
@@ -100,34 +173,7 @@ def bench(options: BenchOptions) -> BenchReport:
             _measure(group, options)
     except KeyboardInterrupt:
         report.interrupted = True
-    for group in report.groups:
-        for row in group:
-            row.figures = _figures(row, reference(group))
     return report
-
-
-def reference(group: Sequence[BenchRow]) -> BenchRow:
-    """Return the row of a group that others are compared with: the first that ran."""
-    return next((row for row in group if row.times_ms), group[0])
-
-
-def _figures(row: BenchRow, first: BenchRow) -> Figures | None:
-    latencies, worked = ([times[at] for times in row.times_ms] for at in (0, 1))
-    statistics_ms = latency_statistics(latencies)
-    if row.opened is None or statistics_ms is None:
-        return None
-    # Ctrl-C can end within a round.
-    ratios = np.array(
-        [np.divide(*pair) for pair in zip(row.times_ms, first.times_ms, strict=False)]
-    )
-    quartiles = np.quantile(ratios, (0.25, 0.5, 0.75), axis=0).T.tolist() if len(ratios) else None
-    return Figures(
-        latency=statistics_ms,
-        min_ms=min(latencies),
-        processor_ms=statistics.median(worked),
-        ratio=quartiles and tuple(quartiles[0]),
-        processor_ratio=quartiles and tuple(quartiles[1]),
-    )
 
 
 def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
@@ -138,65 +184,97 @@ def _measure(group: Sequence[BenchRow], options: BenchOptions) -> None:
     with contextlib.ExitStack() as stack:
         workers = []
         for row in group:
-            with stop_requested() as stopped:  # a starting process cannot be terminated
-                worker = _Worker(row, options)
-                stack.callback(worker.end)
-            if stopped():
-                raise KeyboardInterrupt
-            row.opened = worker.receive()
-            workers.append(worker)
-        for worker in workers:
-            worker.run(_WARM_UP, period_s)
+            executor = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+            workers.append((row, stack.enter_context(executor)))
+            with _ignored_signals():
+                opening = executor.submit(
+                    open_model, row.model, row.size, row.batch, row.threads, options.provider
+                )
+            row.opened = _result(row, opening)
+        for row, executor in workers:
+            _run(row, executor, _WARM_UP, period_s)
         for at in range(0, rounds, most):
-            for worker in workers:
-                worker.row.times_ms.extend(worker.run(min(most, rounds - at), period_s))
+            for row, executor in workers:
+                row.times_ms += _run(row, executor, min(most, rounds - at), period_s)
 
 
-class _Worker:
-    """A process that runs the model of a row; a failure is noted there."""
+@contextlib.contextmanager
+def _ignored_signals() -> Iterator[None]:
+    """Let a process that is started in the block ignore Ctrl-C, which is for the command alone."""
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
-    def __init__(self, row: BenchRow, options: BenchOptions) -> None:
-        self.row = row
-        context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        request = {"model": row.model, "size": row.size, "threads": row.threads, "batch": row.batch}
-        request |= {"provider": options.provider}
-        self._process = context.Process(target=serve, args=(theirs,), kwargs=request)
-        resource_tracker.ensure_running()  # otherwise `start` runs it, which unblocks signals
-        # The process inherits the mask: Ctrl-C is for the command alone.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-        try:
-            self._process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        theirs.close()
 
-    def run(self, frames: int, period_s: float | None) -> list[tuple[float, float]]:
-        """Return the times of `time_runs`; none after a failure."""
-        if self.row.error is not None:
-            return []
-        with contextlib.suppress(OSError):  # the process has ended: `receive` reports it
-            self._pipe.send((frames, period_s))
-        return self.receive() or []
+def _run(row: BenchRow, executor: Executor, frames: int, period_s: float | None) -> list[float]:
+    """Return the times of `time_model`; none after a failure."""
+    if row.error is not None:
+        return []
+    return _result(row, executor.submit(time_model, frames, period_s)) or []
 
-    def receive(self) -> Any:
-        """Return the next answer of `serve`; None after a failure."""
-        try:
-            answer = self._pipe.recv()
-        except (EOFError, OSError):
-            self._process.join()
-            code = self._process.exitcode
-            answer = f"its process ended with exit code {code}"
-            if code == -signal.SIGKILL:
-                answer = "its process was killed, most likely because it ran out of memory"
-        if not isinstance(answer, str):
-            return answer
-        self.row.error = answer
-        self.row.times_ms.clear()
-        return None
 
-    def end(self) -> None:
-        """End the process."""
-        self._process.kill()
-        self._pipe.close()
-        self._process.join()
+def _result(row: BenchRow, future: Future[Any]) -> Any:
+    """Return the answer of a process; None after a failure, which is noted in the row."""
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        row.error = "its process ended, most likely because it ran out of memory"
+    except Exception as error:
+        row.error = str(error)
+    row.times_ms.clear()
+    return None
+
+
+def to_markdown(report: BenchReport) -> str:
+    """A line on the machine, and a table for each size, threads and batch."""
+    options, machine = report.options, report.machine
+    how = "runs in turn" if options.rate_hz is None else f"frames at {options.rate_hz:g} Hz"
+    parts = [
+        f"{machine.processor}, {machine.logical_cores} logical cores, load {report.load:.2f} "
+        f"at the start, onnxruntime {report.onnxruntime} on {options.provider}, Python "
+        f"{machine.python}; {options.rounds} {how}{', interrupted' * report.interrupted}"
+    ]
+    for group in report.groups:
+        first = next((row for row in group if row.times_ms), group[0])
+        titles = ["model", "input", "median ms", "p99 ms", f"ratio to {first.model}", "quartiles"]
+        titles += ["peak MB", "load ms", "first ms", "note"]
+        rows = [titles, ["---"] * len(titles), *(_cells(row, first) for row in group)]
+        lines = [f"| {' | '.join(map(_cell, row))} |" for row in rows]
+        case = f"{first.size[0]} x {first.size[1]}, threads {first.threads}, batch {first.batch}"
+        parts.append(f"**{case}**\n\n" + "\n".join(lines))
+    return "\n\n".join(parts)
+
+
+def _cells(row: BenchRow, first: BenchRow) -> list[str]:
+    opened, latency = row.opened, row.latency
+    if opened is None or latency is None:
+        return [row.model, *["-"] * 8, row.error or "not measured"]
+    # Ctrl-C can end within a round.
+    ratios = [mine / its for mine, its in zip(row.times_ms, first.times_ms, strict=False)]
+    low, ratio, high = map(_number, np.quantile(ratios, (0.25, 0.5, 0.75)))
+    return [
+        row.model,
+        "x".join(map(str, next(iter(opened.shapes.values()), ()))),
+        _number(latency.median_ms),
+        _number(latency.p99_ms),
+        ratio,
+        f"{low} to {high}",
+        _number(opened.peak_memory_mb),
+        _number(opened.load_ms),
+        _number(opened.first_inference_ms),
+        ", ".join(opened.notes),
+    ]
+
+
+def _number(value: float | None) -> str:
+    """Three significant digits or more; "-" for None."""
+    if value is None:
+        return "-"
+    return f"{value:.{max(0, 2 - math.floor(math.log10(value or 1)))}f}"
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")

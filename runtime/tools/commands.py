@@ -16,4 +16,4 @@ def _command(module: str) -> Callable[[], None]:
     return start
 
 
-info, doctor, verify, bench = map(_command, ("info", "doctor_cli", "verify_cli", "bench_cli"))
+info, doctor, verify, bench = map(_command, ("info", "doctor", "verify", "bench"))

@@ -1,25 +1,103 @@
-"""Predict the frames of a recording again, and compare the answers with the recorded ones."""
+"""`ssdnet-verify`: predict the frames of a recording again, and compare the answers."""
 
 import math
 import statistics
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
+import typer
 from numpy.typing import NDArray
 
+from runtime.checks import shown
+from runtime.command import Provider, print_result, reported_errors
+from runtime.command_options import Version
 from runtime.errors import InferenceError, InputError
 from runtime.io.agreement import compare, first_figure, within, worst
-from runtime.io.recording import RecordedFrame, Recording
-from runtime.prediction import Prediction
+from runtime.io.recording import RecordedFrame, Recording, read_recording
 from runtime.predictor import Predictor
 
-VERIFY_FORMAT, VERIFY_VERSION = "ssdnet-verify", "2.0"
+DIFFERS = 4  # exit code
+Figures = Mapping[str, Mapping[str, float]]  # head -> figure of `agreement.compare` -> value
 
-# The network may run at so many times the frame's pixels, and at so many pixels in any case.
-_MAX_MAGNIFICATION = 16
-_ANY_SIZE_PIXELS = 4_000_000
+app = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.command(
+    "verify",
+    epilog="Exit codes: 0 the same answers; 1 error; 2 usage; 4 an answer differs by more "
+    "than its limit, --max-slowdown was exceeded, or the recording holds no frames.",
+)
+def main(
+    recording_dir: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR", help="Recording made by ssdnet-run --record or ssdnet-export --record."
+        ),
+    ],
+    model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|PATH",
+            help="Model to compare with the recorded answers. [default: the recorded model]",
+        ),
+    ] = None,
+    provider: Annotated[
+        Provider, typer.Option(help="Execution provider of the model.")
+    ] = Provider.cpu,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Threads of inference. [default: physical cores]")
+    ] = None,
+    tolerance: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="HEAD=LIMIT",
+            help="Limit of a head, instead of the recorded one; may be repeated. semantic: "
+            "minimum share of equal pixels; boundary: mean difference; others: largest difference "
+            "(metres; for semantic_logits relative to the largest score).",
+        ),
+    ] = None,
+    max_slowdown: Annotated[
+        float | None,
+        typer.Option(
+            min=1e-6,
+            help="Largest ratio of the median prediction time to the recorded one. "
+            "[default: times are not compared]",
+        ),
+    ] = None,
+    _version: Version = False,
+) -> None:
+    """Predict the frames of a recording again, and compare the answers with the recorded ones."""
+    tolerances = _tolerances(tolerance or [])
+    with reported_errors("cpu"):
+        recording = read_recording(recording_dir)
+        with Predictor(
+            recording.model if model is None else model,
+            sha256=recording.model_sha256 if model is None else None,
+            provider=provider.value,
+            size=recording.settings.size,
+            focal_length_px=recording.settings.focal_length_px,
+            threads=threads,
+            warmup=0,
+        ) as predictor:
+            report = verify(predictor, recording, tolerances=tolerances, max_slowdown=max_slowdown)
+        print_result(_table(report, predictor))
+        raise typer.Exit(0 if report.passed else DIFFERS)
+
+
+def _tolerances(texts: Sequence[str]) -> dict[str, float]:
+    limits = {}
+    for text in texts:
+        head, _, number = text.partition("=")
+        try:
+            limits[head] = float(number)
+        except ValueError:
+            limits[head] = -1
+        if not limits[head] >= 0:
+            raise typer.BadParameter(f"--tolerance is HEAD=LIMIT, as depth=0.01, got {shown(text)}")
+    return limits
 
 
 @dataclass(frozen=True)
@@ -27,24 +105,16 @@ class FrameCheck:
     """The comparison of one frame.
 
     Attributes:
-        frame: as it was recorded.
-        figures: head -> how far its answer is from the recorded one, see
-            `runtime.io.agreement.compare`.
-        failed: heads that differ by more than their limits.
-        faults: other differences, in words; the figures of such a head are missing.
+        name: of the frame.
+        figures: head -> how far its answer is from the recorded one.
+        faults: what differs by more than its limit, in words.
         predict_ms: time of the prediction now; None = there was none.
     """
 
-    frame: RecordedFrame
-    figures: Mapping[str, Mapping[str, float]]
-    failed: tuple[str, ...] = ()
+    name: str
+    figures: Figures
     faults: tuple[str, ...] = ()
     predict_ms: float | None = None
-
-    @property
-    def passed(self) -> bool:
-        """Whether the answer is the recorded one."""
-        return not self.failed and not self.faults
 
 
 @dataclass(frozen=True)
@@ -53,80 +123,40 @@ class VerifyReport:
 
     Attributes:
         recording: that was compared.
-        model: name of the model that answered now.
-        sha256: digest of its file.
-        provider: that it ran on.
         limits: head -> limits of its figures.
         checks: of the frames, in order.
         max_slowdown: limit of `slowdown`; None = times are not compared.
     """
 
     recording: Recording
-    model: str
-    sha256: str
-    provider: str
-    limits: Mapping[str, Mapping[str, float]]
+    limits: Figures
     checks: tuple[FrameCheck, ...]
     max_slowdown: float | None = None
 
     @property
-    def same_model(self) -> bool:
-        """Whether the model is the recorded one."""
-        return self.sha256 == self.recording.model_sha256
-
-    @property
     def failed(self) -> list[FrameCheck]:
         """Frames whose answers differ."""
-        return [check for check in self.checks if not check.passed]
+        return [check for check in self.checks if check.faults]
 
     @cached_property
     def slowdown(self) -> float | None:
         """The median time now over the recorded one; None where no times were recorded."""
-        pairs = [
-            (check.predict_ms, check.frame.predict_ms)
-            for check in self.checks
-            if check.predict_ms is not None and check.frame.predict_ms is not None
-        ]
-        if not pairs:
+        now_ms = [each.predict_ms for each in self.checks if each.predict_ms is not None]
+        recorded = [each.predict_ms for each in self.recording.frames]
+        recorded_ms = [each for each in recorded if each is not None]
+        if not now_ms or not recorded_ms:
             return None
-        now_ms, recorded_ms = zip(*pairs, strict=True)
-        return float(statistics.median(now_ms) / max(statistics.median(recorded_ms), 1e-9))
+        return statistics.median(now_ms) / max(statistics.median(recorded_ms), 1e-9)
 
     @property
     def slow(self) -> bool:
         """Whether predictions take more than `max_slowdown` times what was recorded."""
-        if self.slowdown is None or self.max_slowdown is None:
-            return False
-        return self.slowdown > self.max_slowdown
+        return (self.slowdown or 0) > (math.inf if self.max_slowdown is None else self.max_slowdown)
 
     @property
     def passed(self) -> bool:
         """Whether there are answers, and all are the recorded ones within `max_slowdown`."""
         return bool(self.checks) and not self.slow and not self.failed
-
-    def worst(self, head: str) -> dict[str, float] | None:
-        """The worst of each figure of a head over all frames; None if no frame has any."""
-        figures = [check.figures[head] for check in self.checks if head in check.figures]
-        return worst(figures) if figures else None
-
-    def document(self) -> dict[str, Any]:
-        """Return the content of --json, see VERIFY_VERSION."""
-        return {
-            "format": VERIFY_FORMAT,
-            "version": VERIFY_VERSION,
-            "passed": self.passed,
-            "recording": str(self.recording.folder),
-            "made_by": self.recording.settings.made_by,
-            "recorded_on": self.recording.settings.provider,
-            "provider": self.provider,
-            "model": self.model,
-            "sha256": self.sha256,
-            "same_model": self.same_model,
-            "limits": self.limits,
-            "slowdown": self.slowdown,
-            "max_slowdown": self.max_slowdown,
-            "frames": [{**asdict(check), "passed": check.passed} for check in self.checks],
-        }
 
 
 def verify(
@@ -163,15 +193,7 @@ def verify(
         _check_frame(predictor, frame, recording.arrays(index), limits, warm)
         for index, frame in enumerate(recording.frames)
     )
-    report = VerifyReport(
-        recording,
-        predictor.contract.model_name,
-        predictor.digest,
-        predictor.provider,
-        limits,
-        checks,
-        max_slowdown,
-    )
+    report = VerifyReport(recording, limits, checks, max_slowdown)
     if max_slowdown is not None and report.slowdown is None:
         raise InputError(
             "--max-slowdown needs times, and this recording has none: record with ssdnet-run"
@@ -183,61 +205,76 @@ def _check_frame(
     predictor: Predictor,
     frame: RecordedFrame,
     arrays: dict[str, NDArray[Any]],
-    limits: Mapping[str, Mapping[str, float]],
+    limits: Figures,
     warm: set[tuple[int, ...]],
 ) -> FrameCheck:
     """Predict a frame again. warm: shapes of pictures that were predicted before."""
     rgb, sparse_depth = arrays.pop("rgb"), arrays.pop("sparse_depth")
-    _check_size(predictor, rgb.shape[:2])
     try:
         if rgb.shape not in warm:
             predictor.predict(rgb, sparse_depth)
             warm.add(rgb.shape)
         prediction = predictor.predict(rgb, sparse_depth)
     except InferenceError as error:
-        return FrameCheck(frame, {}, faults=(str(error),))
-    faults = _other_flags(prediction, frame)
-    if prediction.heads.keys() != limits.keys():
-        faults.append(f"the heads are {_named(prediction.heads)}, expected {_named(limits)}")
+        return FrameCheck(frame.name, {}, (str(error),))
+    degraded = prediction.degraded if frame.degraded is None else frame.degraded
+    pairs = {
+        "valid": (str(prediction.valid), str(frame.valid)),
+        "degraded": (", ".join(prediction.degraded), ", ".join(degraded)),
+        "heads": (", ".join(sorted(prediction.heads)), ", ".join(sorted(limits))),
+    }
+    faults = [
+        f"{name}: {now or 'none'}, expected {then or 'none'}"
+        for name, (now, then) in pairs.items()
+        if now != then
+    ]
     figures: dict[str, dict[str, float]] = {}
     for head, expected in arrays.items():
         answer = prediction.heads.get(head)
         if answer is None:
             continue
-        if answer.shape != expected.shape or expected.dtype.kind not in "uif":
-            faults.append(
-                f"{head} is {answer.dtype} {answer.shape}, expected {expected.dtype} "
-                f"{expected.shape}"
-            )
-        else:
-            figures[head] = compare(head, answer, expected)
-    failed = tuple(
-        head for head in limits if head in figures and not within(figures[head], limits[head])
-    )
-    return FrameCheck(frame, figures, failed, tuple(faults), prediction.latency.total_ms)
+        if answer.shape != expected.shape:
+            faults.append(f"{head}: shape {answer.shape}, expected {expected.shape}")
+            continue
+        figures[head] = compare(head, answer, expected)
+        if not within(figures[head], limits[head]):
+            faults.append(f"{head}: {_text(figures[head])} (limit {_text(limits[head])})")
+    return FrameCheck(frame.name, figures, tuple(faults), prediction.latency.total_ms)
 
 
-def _check_size(predictor: Predictor, frame_size: tuple[int, ...]) -> None:
-    """Raise InputError for a network size far beyond the frame's, which takes gigabytes."""
-    if len(frame_size) == 2 and min(frame_size) > 0:
-        pixels = math.prod(predictor.network_size((frame_size[0], frame_size[1])))
-        if pixels > max(_MAX_MAGNIFICATION * math.prod(frame_size), _ANY_SIZE_PIXELS):
-            raise InputError(
-                f"the recording has the network size {predictor.size} for a frame of "
-                f"{frame_size[0]} x {frame_size[1]}: it was changed, record again"
-            )
+def _text(figures: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.6g}" for name, value in figures.items())
 
 
-def _other_flags(prediction: Prediction, frame: RecordedFrame) -> list[str]:
-    faults = []
-    if prediction.valid != frame.valid:
-        faults.append(f"valid is {prediction.valid}, expected {frame.valid}")
-    if frame.degraded is not None and prediction.degraded != frame.degraded:
-        faults.append(
-            f"degraded is {_named(prediction.degraded)}, expected {_named(frame.degraded)}"
+def _table(report: VerifyReport, predictor: Predictor) -> str:
+    """One line per head with its worst value over all frames, then one line per difference."""
+    recording, checks, failed = report.recording, report.checks, report.failed
+    same = "" if predictor.digest == recording.model_sha256 else "NOT "
+    lines = [
+        f"{len(checks)} frames of {recording.settings.made_by} on {recording.settings.provider}, "
+        f"now on {predictor.provider}",
+        f"{predictor.contract.model_name} sha256:{predictor.digest[:12]}, {same}the recorded one",
+        "",
+        f"{'head':18}{'figure':14}{'worst':>12}{'limit':>12}",
+    ]
+    for head, limits in report.limits.items():
+        figures = [check.figures[head] for check in checks if head in check.figures]
+        for name, limit in limits.items():
+            most = f"{worst(figures)[name]:.6g}" if figures else "n/a"
+            lines.append(f"{head:18}{name:14}{most:>12}{limit:>12.6g}")
+    if report.slowdown is not None:
+        limit_text = "no limit" if report.max_slowdown is None else f"{report.max_slowdown:g}"
+        lines.append(f"{'time':18}{'x recorded':14}{report.slowdown:>12.3f}{limit_text:>12}")
+    lines += ["", *(f"  {check.name}: {fault}" for check in failed for fault in check.faults)]
+    if not checks:
+        lines.append("the recording holds no frames: nothing was compared")
+    elif failed:
+        lines.append(f"{len(failed)} of {len(checks)} frames differ from the recording")
+    else:
+        lines.append("the same answers")
+    if report.slow:
+        lines.append(
+            f"predictions take {report.slowdown:.3f} times the recorded time, expected at most "
+            f"{report.max_slowdown:g}"
         )
-    return faults
-
-
-def _named(names: Iterable[str]) -> str:
-    return ", ".join(names) or "nothing"
+    return "\n".join(lines)

@@ -1,14 +1,11 @@
-"""The frames of other cameras, and their scores."""
+"""The frames of other cameras."""
 
 import json
-import math
 
 import cv2
 import numpy as np
-import pytest
 
-from cameras import Frame, read_large, score
-from training.evaluation.scoring import HeadMaps
+from cameras import read_large
 
 
 def test_one_lidar_is_fed_and_the_other_is_the_truth(tmp_path):
@@ -30,22 +27,3 @@ def test_one_lidar_is_fed_and_the_other_is_the_truth(tmp_path):
     np.testing.assert_array_equal(frame.truth, truth)
     (turned,) = read_large([tmp_path], devices=(1, 0))
     assert (turned.fed[20, 30], turned.truth[20, 30]) == (9, 0)
-
-
-def test_scores_are_means_over_frames_of_what_is_known_up_to_100_m():
-    seen = []
-
-    def predict(rgb, sparse_depth, focal_length_px):
-        seen.append(focal_length_px)
-        np.testing.assert_array_equal(sparse_depth, [[0, 100], [0, 7]])
-        return HeadMaps(None, np.array([[12, 12], [12, 150]], np.float32), None)
-
-    def frame(truth):
-        maps, fed = (np.array(each, np.float32) for each in (truth, [[101, 100], [0, 7]]))
-        return Frame(np.zeros((2, 2, 3), np.uint8), fed, maps, 700.0)
-
-    frames = [frame([[10, 250], [16, 150]]), frame([[12, 13], [0, 99]])]
-    wanted = [(3 + 2 / 3) / 2, (math.sqrt(10) + math.sqrt(2 / 3)) / 2, (3 + 1) / 2]
-    assert score(predict, frames, focal=True) == pytest.approx(wanted)
-    score(predict, frames, focal=False)
-    assert seen == [700.0, 700.0, None, None]

@@ -1,4 +1,4 @@
-"""The comparison: its queue from the command line, its tables, and the plan that ships."""
+"""The comparison: its queue from the command line, and its tables."""
 
 import json
 import shutil
@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 import comparison
-from comparison import read_plan, recipe_of
 from layouts import camvid, kitti_streets, virtual_kitti
-from models import list_models
 from runtime.bundled_models import find_model
 
 #: A network that is quickly trained, a bundled one, one that is only timed, and a method.
@@ -100,35 +98,7 @@ def test_the_queue_trains_scores_times_and_prints(
     shipped = lines[semantics + 4].split(" | ")
     assert shipped[:2] == ["| shipped", "as it ships"]
     assert 0 <= float(shipped[2]) <= 100
-    assert shipped[3] == "51"
-    assert float(shipped[4]) == pytest.approx(1.09, abs=0.01)
-    assert all(float(cell.rstrip(" |")) > 0 for cell in shipped[5:])
     rows = {line.split(" | ")[0]: line.split(" | ") for line in lines[depth:]}
-    _, samples, first, second, stream, rendered, *_ = rows["| thin one"]
-    assert samples == "4 samples"
-    assert all(" / " in cell for cell in (first, second))
-    assert stream == rendered == ""
+    assert all(" / " in cell for cell in rows["| thin one"][2:4])
     assert rows["| big"][1:6] == ["not trained here", "", "", "", ""]
-    assert float(rows["| big"][6]) > 0
-    assert rows["| filling"][1] == "no training"
-    assert rows["| filling"][6:8] == ["", ""]
     assert float(rows["| filling"][8].rstrip(" |")) >= 0
-
-
-def test_the_plan_that_ships_trains_all_of_a_task_alike():
-    path = comparison.Path(comparison.__file__).with_suffix(".toml")
-    plan = read_plan(path, [], None)
-    named = {entry.network for entry in plan.entries}
-    budgets = {}
-    for entry in plan.entries:
-        comparison.heads_of(entry, plan)
-        if entry.is_trained:
-            recipe = recipe_of(entry, plan)
-            named.add(recipe.model.name)
-            budgets.setdefault(entry.recipe, set()).add(
-                (recipe.data, recipe.schedule, recipe.optimizer, recipe.loop)
-            )
-    assert set(budgets) == {"comparison-semantics", "comparison-depth"}
-    assert all(len(settings) == 1 for settings in budgets.values())
-    # Every other people's network is there.
-    assert {name for name in list_models() if not name.startswith("ssdnet")} <= named

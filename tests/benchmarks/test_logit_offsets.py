@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from logit_offsets import climb, rate
+from logit_offsets import rate
 
 ROAD = 1
 
@@ -20,11 +20,3 @@ def test_the_rates_are_counted_by_hand():
     # Less of the road: what was called so by mistake is the first class's, and what was right, too.
     less = np.array([0.0, -2.0, 0.0], np.float32)
     assert rate([(logits, labels)], [(logits, mask)], less, ROAD)[1] == 0.0
-
-
-def test_the_climb_ends_at_the_top_and_takes_no_step_for_nothing():
-    top = np.array([0.5, 0.0, -0.75], np.float32)
-    found = climb(lambda offsets: -float(np.square(offsets - top).sum()), np.zeros(3, np.float32))
-    assert found.tolist() == top.tolist()
-    still = climb(lambda offsets: 0.0, np.zeros(3, np.float32))
-    assert still.tolist() == [0.0, 0.0, 0.0]

@@ -1,8 +1,4 @@
-"""A row of the table, of a made-up predictor and of a bundled model."""
-
-import json
-import os
-import sys
+"""A row of the table, of a made-up predictor."""
 
 import numpy as np
 import pytest
@@ -42,18 +38,3 @@ def test_a_row_has_every_figure_that_its_model_can_have(classes, missing):
     )
     with pytest.raises(InputError, match="semantic and depth"):
         run_probes(model, samples(), samples(), samples())
-
-
-@pytest.mark.skipif("SSDNET_DATA" not in os.environ, reason="SSDNET_DATA names no recordings")
-def test_a_bundled_model_on_recorded_frames(tmp_path, monkeypatch, capsys):
-    out = tmp_path / "rows.json"
-    command = ["stability.py", "ssdnet-nano", "--data", os.environ["SSDNET_DATA"]]
-    command += ["--limit", "2", "--threads", "1", "--json", str(out)]
-    monkeypatch.setattr(sys, "argv", [*command, "--drive", "kitti_stream", "--flicker", "50:59"])
-    stability.main()
-    assert "| ssdnet-nano.onnx |" in capsys.readouterr().out
-    figures = json.loads(out.read_text())["ssdnet-nano.onnx"]
-    assert figures.keys() == {key for key, _, _ in stability.COLUMNS}
-    assert 0.1 < figures["shift_depth"] < 0.7
-    assert figures["flicker_class"] < 0.05
-    assert figures["camvid_miou"] > 0.4

@@ -4,10 +4,8 @@ import os
 
 import cv2
 import numpy as np
-import pytest
 from typer.testing import CliRunner
 
-from runtime.errors import InputError
 from runtime.heads import HEADS
 from runtime.io.encode import ENCODERS
 from runtime.predictor import Predictor
@@ -99,15 +97,3 @@ def test_a_killed_actor_loses_no_frame(predict_source, tmp_path):
             for row in rows:
                 if row["index"] % len(frames) == number:
                     np.testing.assert_array_equal(row["semantic"], expected, strict=True)
-
-
-def test_a_source_that_cannot_be_listed_is_reported_before_anything_starts(
-    predict_source, tmp_path
-):
-    with pytest.raises(InputError, match="cannot list the folder"):
-        predict_source(folders_of(tmp_path / "none", tmp_path))
-
-
-def test_an_actor_that_cannot_start_reports_why(cluster, predict_source):
-    with pytest.raises(cluster.exceptions.RayError, match="no bundled model"):
-        list(predict_source(folders_of(*bundled_stream()), model="unknown").iter_rows())

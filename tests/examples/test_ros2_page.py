@@ -24,16 +24,14 @@ class Node:
 
     def __init__(self, name):
         self.name, self.sent, self.callbacks, self.logged = name, {}, {}, []
-        self.profiles = {}
 
     def create_publisher(self, kind, topic, qos, *, qos_overriding_options):
         assert qos_overriding_options == "with default policies"
-        self.profiles[topic] = qos
         return SimpleNamespace(publish=lambda message: self.sent.update({topic: message}))
 
     def create_subscription(self, kind, topic, callback, qos, *, qos_overriding_options):
         assert qos_overriding_options == "with default policies"
-        self.profiles[topic], self.callbacks[topic] = qos, callback
+        self.callbacks[topic] = callback
 
     def get_logger(self):
         def log(text, throttle_duration_sec=None):
@@ -123,18 +121,3 @@ def test_an_image_and_a_scan_are_answered(spun):
     assert node.destroyed
     assert node.stream.counts.depths.answered == node.stream.counts.poses.answered == 1
     assert not [text for text in node.logged if "must" in text], node.logged
-
-
-def test_a_scan_of_the_wrong_shape_is_an_error_that_the_node_outlives(spun):
-    node = spun([("points", stamped(points=np.zeros((5, 2)), fields=()))])
-    assert any("points must" in text for text in node.logged), node.logged
-    assert node.destroyed
-
-
-def test_each_topic_has_a_quality_of_service_of_its_own(spun):
-    profiles = spun([]).profiles  # ROS writes an override into the profile that it is given
-    assert len({id(profile) for profile in profiles.values()}) == len(profiles) == 5
-    kept = {topic: profile.depth for topic, profile in profiles.items()}
-    assert kept == {"image": 5, "points": 5, "odometry": 200, "~/depth": 5, "~/semantic": 5}
-    lossy = {topic for topic, profile in profiles.items() if hasattr(profile, "reliability")}
-    assert lossy == {"image", "points", "odometry"}

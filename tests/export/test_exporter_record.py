@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from export import exporter
 from export.errors import ExportError
 from runtime.io.recording import read_recording
-from runtime.tools.verify_cli import app as verify_app
+from runtime.tools.verify import app as verify_app
 
 SIZE = (64, 96)
 

@@ -12,7 +12,7 @@ from export.half import to_half
 from export.probe_frames import probe_frames
 from export.quantize import measure_ranges, quantize
 from export.trace import trace
-from export.trunk import trunk
+from export.trunk import strides, trunk
 from models import create_model
 from runtime.io.agreement import compare
 
@@ -99,6 +99,23 @@ def test_convolutions_named_stay_in_float(dynamic_model, feeds):
     }
     assert kept in in_float
     assert {name for name in in_float if name in names} == {kept}
+
+
+def test_the_stride_of_a_tensor_is_the_ratio_of_the_image_to_its_grid(dynamic_model, feeds):
+    """Against the shapes of a run whose sides fit the coarsest grid."""
+    height = feeds[0]["sparse_depth"].shape[1]
+    found = strides(dynamic_model)
+    convolutions = [node for node in dynamic_model.graph.node if node.op_type == "Conv"]
+    probe = onnx.ModelProto()
+    probe.CopyFrom(dynamic_model)
+    names = [node.output[0] for node in convolutions if found[node.output[0]] < height / 2]
+    probe.graph.output.extend(
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in names
+    )
+    maps = run(probe, feeds[0])
+    sides = {name: height / maps[name].shape[2] for name in names if maps[name].shape[2] > 1}
+    assert set(sides.values()) >= {2, 4, 8}
+    assert sides == {name: found[name] for name in sides}
 
 
 def test_8_bit_products_do_not_saturate_in_16_bits():

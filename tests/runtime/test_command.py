@@ -14,8 +14,6 @@ import runtime
 from runtime.command import interruptible, reported_errors
 from runtime.errors import InputError
 
-posix = pytest.mark.skipif(sys.platform == "win32", reason="needs POSIX signals")
-
 
 @pytest.mark.parametrize(
     ("error", "code", "text"),
@@ -38,12 +36,6 @@ def test_an_error_is_a_line_and_an_exit_code(capfd, error, code, text):
     assert capfd.readouterr().err == text
 
 
-def test_an_unexpected_error_is_not_hidden():
-    with pytest.raises(ZeroDivisionError), reported_errors("train"):
-        raise ZeroDivisionError
-
-
-@posix
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_block_that_can_be_interrupted_cleans_up(number):
     before = signal.getsignal(number)
@@ -62,7 +54,6 @@ def test_a_block_that_can_be_interrupted_cleans_up(number):
     assert signal.getsignal(number) == before
 
 
-@posix
 @pytest.mark.parametrize(
     ("block", "code"),
     [
@@ -71,13 +62,13 @@ def test_a_block_that_can_be_interrupted_cleans_up(number):
         # A second one does not wait for what the first one cleans up.
         ("with interruptible():\n  try: signal.raise_signal(signal.SIGINT)\n"
          "  finally: signal.raise_signal(signal.SIGINT); print('cleaned up')", 130),
-        ("signal.signal(signal.SIGINT, signal.SIG_IGN); end_quietly(); "
+        ("signal.signal(signal.SIGINT, signal.SIG_IGN); begin_command(); "
          "signal.raise_signal(signal.SIGINT); sys.exit(7)", 7),
     ],
     ids=["Ctrl-C", "SIGTERM", "twice", "deaf from the start"],
 )  # fmt: skip
 def test_a_process_ends_without_a_traceback(block, code):
-    program = f"import signal, sys\nfrom runtime.command import *\nend_quietly()\n{block}"
+    program = f"import signal, sys\nfrom runtime.command import *\nbegin_command()\n{block}"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (code, "", "")
 
@@ -86,7 +77,7 @@ PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 SCRIPTS = tomllib.loads(PYPROJECT.read_text())["project"]["scripts"]
 COMMANDS = {
     "ssdnet-bench": ["none.onnx"],
-    "ssdnet-doctor": ["--json"],
+    "ssdnet-doctor": [],
     "ssdnet-eval": ["none.pt", "--data", "camvid:none"],
     "ssdnet-export": ["none.pt", "none.onnx"],
     "ssdnet-info": ["ssdnet-lite"],
@@ -133,22 +124,8 @@ def test_the_shell_completes_every_command(type_in, name):
     assert type_in(name, **words, **{variable: "complete_bash"})[:2] == (0, "--version\n")
 
 
-@pytest.mark.parametrize("name", ["ssdnet-run", "ssdnet-doctor", "ssdnet-verify", "ssdnet-bench"])
-def test_commands_of_onnx_runtime_answer_pytorchs_word(type_in, name):
-    code, _, text = type_in(name, "--device", "cuda")
-    assert (code, "use --provider cpu or --provider cuda" in " ".join(text.split())) == (2, True)
-
-
-@pytest.mark.parametrize("name", ["ssdnet-train", "ssdnet-eval"])
-def test_commands_of_pytorch_answer_onnx_runtimes_word(type_in, name):
-    code, _, text = type_in(name, "--provider", "cuda")
-    assert (code, "use --device cpu, cuda" in " ".join(text.split())) == (2, True)
-
-
-@posix
 @pytest.mark.parametrize("name", COMMANDS)
-@pytest.mark.parametrize("imported", ["typer.", "numpy."])
-def test_ctrl_c_while_a_command_imports(tmp_path, start_process, name, imported):
+def test_ctrl_c_while_a_command_imports(tmp_path, start_process, name):
     """-X importtime tells how far it is."""
     module, function = SCRIPTS[name].split(":")
     if not module.startswith("runtime.") and importlib.util.find_spec("torch") is None:
@@ -157,7 +134,7 @@ def test_ctrl_c_while_a_command_imports(tmp_path, start_process, name, imported)
     command = [sys.executable, "-X", "importtime", "-c", program, *COMMANDS[name]]
     process = start_process(*command, cwd=tmp_path)
     for line in process.stderr:
-        if line.rpartition("|")[2].strip().startswith(imported):
+        if line.rpartition("|")[2].strip().startswith("typer."):
             break
     process.send_signal(signal.SIGINT)
     stdout, stderr = process.communicate()

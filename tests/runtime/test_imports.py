@@ -58,8 +58,8 @@ HEAVY = {"torch", "onnx", "models", "training", "export", "scipy"}
             {"numpy", "cv2", "typer"},
             {"onnxruntime", "rosbags", "ruamel", "apsw", "jinja2"},
         ),
-        ("import runtime.tools.doctor_cli", {"typer"}, {*ENGINE, "numpy"}),
-        ("import runtime.tools.bench_cli", {"numpy", "typer"}, {*ENGINE, "psutil"}),
+        ("import runtime.tools.doctor", {"typer"}, {*ENGINE, "numpy"}),
+        ("import runtime.tools.bench", {"numpy", "typer"}, {*ENGINE, "psutil"}),
     ],
 )
 def test_a_command_loads_nothing_that_it_does_not_need(statement, needed, unwanted):

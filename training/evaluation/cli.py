@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 
 from runtime.command import interruptible, reported_errors
-from runtime.command_options import NoProvider, Version
+from runtime.command_options import Version
 from runtime.errors import InputError
 
 if TYPE_CHECKING:
@@ -74,7 +74,6 @@ def evaluate(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace depth of the same names below --save.")
     ] = False,
-    _provider: NoProvider = None,
     _version: Version = False,
 ) -> None:
     """Score models on data sets; prints a table."""

@@ -4,43 +4,34 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-import cv2
+import numpy as np
+from numpy.typing import NDArray
 
-from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_write
+from runtime.io.calibration import Calibration
 from runtime.io.encode import ENCODERS, encode_jpeg
 from runtime.io.ply import encode_ply
 from runtime.prediction import Prediction
-from runtime.run.outputs.intrinsics import intrinsics_of
 from runtime.run.outputs.output import OpenRun
-from runtime.run.report_files import write_report
-from runtime.run.run_folder import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, RunFolder
+from runtime.run.run_folder import CLOUD, OVERLAY, SAVED_HEADS, SUFFIXES, make_run_folder
+from runtime.run.run_report import write_report
 from runtime.sources.frames import Frame
 
 
 class FrameWriter:
-    """Write the answers to each frame, one subfolder a kind; see `open_frame_files`.
+    """Write the answers to each frame, one subfolder a kind; see `open_frame_files`."""
 
-    Args:
-        folder: open, with a subfolder for each kind that is written.
-        run: draws the overlays, and knows the classes and the focal length of clouds.
-    """
-
-    def __init__(self, folder: RunFolder, run: OpenRun) -> None:
-        self._folder, self._run = folder, run
+    def __init__(self, run: OpenRun) -> None:
+        self._run = run
 
     def write(self, frame: Frame, prediction: Prediction) -> None:
-        """Write the files of one frame: all of them, or, on an error, none.
-
-        Raises OutputError, and InputError for a cloud where the camera is not known.
-        """
+        """Write the files of one frame: all of them, or, on an error, none. Raises OutputError."""
         written: list[Path] = []
-        self._folder.add_name(frame.name)
         try:
-            for kind, folder in self._folder.subfolders.items():
-                path = folder / (frame.name + SUFFIXES[kind])
-                content = self._encode(kind, frame, prediction, path)
+            for kind in self._run.kinds:
+                content = self._encode(kind, frame, prediction)
                 if content is not None:
+                    path = self._run.options.folder / kind / (frame.name + SUFFIXES[kind])
                     atomic_write(path, content)
                     written.append(path)
         except BaseException:
@@ -49,27 +40,27 @@ class FrameWriter:
                     path.unlink(missing_ok=True)
             raise
 
-    def _encode(
-        self, kind: str, frame: Frame, prediction: Prediction, path: Path
-    ) -> bytes | memoryview | None:
+    def _encode(self, kind: str, frame: Frame, prediction: Prediction) -> bytes | memoryview | None:
+        run = self._run
         if kind == CLOUD:
-            intrinsics = intrinsics_of(frame, self._run.predictor.focal_length_px)
-            return encode_ply(
-                prediction.points(intrinsics, frame.rgb), self._run.predictor.contract.classes
-            )
-        try:
-            if kind == OVERLAY:
-                widest = self._run.options.overlay_width
-                return encode_jpeg(self._run.overlay.draw(frame.rgb, prediction, widest=widest))
-            head, encoding = SAVED_HEADS[kind]
-            values = prediction.heads.get(head)
-            return None if values is None else ENCODERS[encoding](values)
-        except (cv2.error, ValueError) as error:
-            height, width = frame.rgb.shape[:2]
-            raise OutputError(
-                f"cannot encode {path} of a frame of {height} x {width} ({error}): leave out "
-                f"{kind} with --save"
-            ) from error
+            cloud = prediction.points(_intrinsics(frame, run.predictor.focal_length_px), frame.rgb)
+            return encode_ply(cloud, run.predictor.contract.classes)
+        if kind == OVERLAY:
+            widest = run.options.overlay_width
+            return encode_jpeg(run.overlay.draw(frame.rgb, prediction, widest=widest))
+        head, encoding = SAVED_HEADS[kind]
+        values = prediction.heads.get(head)
+        return None if values is None else ENCODERS[encoding](values)
+
+
+def _intrinsics(frame: Frame, focal_length_px: float | None) -> Calibration | NDArray[np.float64]:
+    """The calibration of a frame, else a camera matrix with its principal point in the middle."""
+    if frame.calibration is not None:
+        return frame.calibration
+    assert focal_length_px is not None, "checked before the run"
+    height, width = frame.rgb.shape[:2]
+    x, y = (width - 1) / 2, (height - 1) / 2
+    return np.array([[focal_length_px, 0, x], [0, focal_length_px, y], [0, 0, 1.0]])
 
 
 @contextlib.contextmanager
@@ -79,10 +70,7 @@ def open_frame_files(run: OpenRun) -> Iterator[FrameWriter | None]:
     Yields None where no file of a frame is to be written.
     """
     options = run.options
-    folder = RunFolder(
-        options.folder, kinds=run.kinds, names=run.names, overwrite=options.overwrite
-    )
-    with contextlib.closing(folder):
-        yield FrameWriter(folder, run) if run.kinds else None
+    make_run_folder(options.folder, kinds=run.kinds, names=run.names, overwrite=options.overwrite)
+    yield FrameWriter(run) if run.kinds else None
     if run.report is not None:
         write_report(run.report)

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
@@ -27,7 +26,6 @@ IMAGES = {
     if not head.per_class
 }
 OVERLAY, CLASSES, DIAGNOSTICS = "/ssdnet/overlay/compressed", "/ssdnet/classes", "/diagnostics"
-FRAME_ID = "camera"
 _S = 1_000_000_000  # nanoseconds
 _LAST_NS = 2**31 * _S  # builtin_interfaces/msg/Time has 32 bits for the seconds
 
@@ -61,7 +59,7 @@ class McapWriter:
             self._add(CLASSES, "std_msgs/msg/String", stamp_ns, data=json.dumps(names))
         self._frames += 1
         time = self._types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, _S))
-        header = self._types["std_msgs/msg/Header"](time, FRAME_ID)
+        header = self._types["std_msgs/msg/Header"](time, "camera")
         for head, (topic, encoding) in IMAGES.items():
             image = prediction.heads.get(head)
             if image is not None:
@@ -73,7 +71,7 @@ class McapWriter:
                     height=image.shape[0],
                     width=image.shape[1],
                     encoding=encoding,
-                    is_bigendian=int(sys.byteorder == "big"),
+                    is_bigendian=0,
                     step=image.shape[1] * image.itemsize,
                     data=np.ascontiguousarray(image).reshape(-1).view(np.uint8),
                 )

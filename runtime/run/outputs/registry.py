@@ -1,16 +1,26 @@
 """The outputs of a run. A new one: its file, a row here, and its option in `RunOptions`."""
 
-from collections.abc import Callable
+import contextlib
+import importlib.util
+import os
+from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import NamedTuple
 
+from runtime.errors import OutputError, install_command
+from runtime.io.atomic_write import atomic_path
+from runtime.io.recording import require_recordable
 from runtime.run.options import RunOptions
 from runtime.run.outputs.frame_writer import open_frame_files
 from runtime.run.outputs.mcap import open_mcap
-from runtime.run.outputs.output import OpenRun, Output
-from runtime.run.outputs.run_page import open_page
+from runtime.run.outputs.output import OpenRun
+from runtime.run.outputs.page.page import open_page
 from runtime.run.outputs.run_recording import open_recording
 from runtime.run.outputs.video import open_video
+from runtime.run.pipeline import Output
+from runtime.run.run_folder import SUFFIXES
+from runtime.sources.source import Source
 
 #: Opens an output.
 #:
@@ -32,8 +42,7 @@ class OutputRow(NamedTuple):
         open: opens it.
         package: that it needs, by the name of its import; None = none.
         extra: that installs the package.
-        raw: whether it gets each answer as the predictor gave it, valid or not, while nothing is
-            predicted.
+        raw: whether it is a recorder, see `run_stream`.
         always: whether it is open also where its option is not given.
     """
 
@@ -47,14 +56,61 @@ class OutputRow(NamedTuple):
 #: Option -> its output, in the order of opening. Outputs are closed in reverse order, so that
 #: report.json and the page are written after all other files are complete.
 OUTPUTS: dict[str, OutputRow] = {
-    "record": OutputRow(open_recording, raw=True),
     "report": OutputRow(open_page),
     "out": OutputRow(open_frame_files, always=True),
     "video": OutputRow(open_video),
     "mcap": OutputRow(open_mcap, package="rosbags", extra="bag"),
+    "record": OutputRow(open_recording, raw=True),
 }
 
 
 def requested_outputs(options: RunOptions) -> dict[str, OutputRow]:
     """Return the rows of the outputs of a run, in their order."""
     return {name: row for name, row in OUTPUTS.items() if row.always or getattr(options, name)}
+
+
+def require_outputs(options: RunOptions, source: Source) -> None:
+    """Raise OutputError for an output that cannot be made, before anything is written."""
+    answers = {os.path.realpath(options.folder / kind) for kind in SUFFIXES}
+    for folder in source.folders:
+        if os.path.realpath(folder) in answers:
+            raise OutputError(
+                f"{folder} is where --out {options.folder} writes its own pictures: choose another "
+                "--out"
+            )
+    for option, row in requested_outputs(options).items():
+        if row.package is not None and importlib.util.find_spec(row.package) is None:
+            raise OutputError(
+                f"--{option} needs the package {row.package}, which is not installed: "
+                f"{install_command(row.extra)}"
+            )
+    for path in options.named_files.values():
+        _require_free(path, overwrite=options.overwrite, inputs=source.recordings)
+    if options.record is not None:
+        require_recordable(options.record, overwrite=options.overwrite)
+
+
+def _require_free(path: Path, *, overwrite: bool, inputs: Collection[Path]) -> None:
+    """Raise OutputError unless a file can be made that replaces none of `inputs`."""
+    if os.path.isdir(path) and not os.path.islink(path):
+        raise OutputError(f"{path} is a folder: name a file to write")
+    if os.path.lexists(path):
+        if not overwrite:
+            raise OutputError(f"{path} exists: choose another name, or replace it with --overwrite")
+        target = os.path.realpath(path)
+        if {target, os.path.dirname(target)} & {os.path.realpath(read) for read in inputs}:
+            raise OutputError(f"{path} is what the run reads: choose another name")
+    with atomic_path(path, overwrite=False):  # whether it could be made
+        pass
+
+
+@contextlib.contextmanager
+def open_outputs(run: OpenRun) -> Iterator[tuple[list[Output], list[Output]]]:
+    """Open the requested outputs; yields `outputs` and `recorders` of `run_stream`."""
+    opened: dict[bool, list[Output]] = {False: [], True: []}
+    with contextlib.ExitStack() as stack:
+        for row in requested_outputs(run.options).values():
+            output = stack.enter_context(row.open(run))
+            if output is not None:
+                opened[row.raw].append(output)
+        yield opened[False], opened[True]

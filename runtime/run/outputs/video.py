@@ -5,8 +5,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 from runtime.errors import OutputError
 from runtime.io.atomic_write import atomic_path
@@ -31,13 +29,16 @@ class VideoWriter:
         self._frames = 0
 
     def write(self, frame: Frame, prediction: Prediction) -> None:
-        """Draw a frame and append it, fitted into the size of the first one. Raises OutputError."""
+        """Draw a frame and append it, resized to the size of the first one. Raises OutputError."""
         widest = self._overlay_width or frame.rgb.shape[1]
         picture = self._overlay.draw(frame.rgb, prediction, widest=widest)
         if self._file is None:
             self._size = _video_size(*picture.shape[:2])
-            self._file = self._open()
-        self._file.write(_fit(picture, self._size))
+            codec = cv2.VideoWriter.fourcc(*_CODEC)
+            self._file = cv2.VideoWriter(
+                str(self._path), cv2.CAP_FFMPEG, codec, self._rate_hz, self._size[::-1]
+            )
+        self._file.write(cv2.resize(picture, self._size[::-1], interpolation=cv2.INTER_AREA))
         self._frames += 1
 
     def finish(self) -> None:
@@ -46,7 +47,9 @@ class VideoWriter:
             return
         self._file.release()
         self._file = None
-        written = cv2.VideoCapture(str(self._path))  # the encoder does not report a full disk
+        written = cv2.VideoCapture(
+            str(self._path)
+        )  # the encoder reports neither faults nor a full disk
         frames = int(written.get(cv2.CAP_PROP_FRAME_COUNT))
         written.release()
         if frames != self._frames:
@@ -54,19 +57,6 @@ class VideoWriter:
                 f"{self._path.name} holds {frames} of {self._frames} frames: free some space or "
                 "choose another location"
             )
-
-    def _open(self) -> cv2.VideoWriter:
-        height, width = self._size
-        codec = cv2.VideoWriter.fourcc(*_CODEC)
-        file = cv2.VideoWriter(
-            str(self._path), cv2.CAP_FFMPEG, codec, self._rate_hz, (width, height)
-        )
-        if not file.isOpened():
-            raise OutputError(
-                f"cannot encode {self._path.name} of {height} x {width} at {self._rate_hz:g} Hz: "
-                "this OpenCV has no such encoder, or the disk is full"
-            )
-        return file
 
 
 @contextlib.contextmanager
@@ -83,18 +73,3 @@ def _video_size(height: int, width: int) -> tuple[int, int]:
     """The size of the video: sides of at most _LARGEST_SIDE, and even for chroma subsampling."""
     shrunk = min(1.0, _LARGEST_SIDE / max(height, width))
     return max(round(height * shrunk / 2) * 2, 2), max(round(width * shrunk / 2) * 2, 2)
-
-
-def _fit(picture: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Place a picture in the middle of a black one of `size`, shrunk where it is larger."""
-    height, width = picture.shape[:2]
-    if (height, width) == size:
-        return picture
-    scale = min(size[0] / height, size[1] / width, 1.0)
-    if scale < 1:
-        height, width = max(round(height * scale), 1), max(round(width * scale), 1)
-        shrunk = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
-        picture = shrunk  # type: ignore[assignment]
-    top, left = (size[0] - height) // 2, (size[1] - width) // 2
-    bottom, right = size[0] - height - top, size[1] - width - left
-    return cv2.copyMakeBorder(picture, top, bottom, left, right, cv2.BORDER_CONSTANT)  # type: ignore[return-value]

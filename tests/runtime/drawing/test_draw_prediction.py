@@ -124,9 +124,6 @@ def test_a_name_of_a_class_does_not_break_the_header(tmp_path, answered, read_pl
     [
         ("a.ply", InputError, "give intrinsics="),
         ("a.tiff", InputError, r"must end in one of \.png, \.jpg, \.jpeg, \.npz, \.ply"),
-        ("a", InputError, "must end in"),
-        ("a\0.png", InputError, "NUL"),
-        ("a.png\0", InputError, "NUL"),
         ("none/a.png", OutputError, "cannot write"),
     ],
 )

@@ -189,11 +189,14 @@ def test_scans_are_projected_through_the_lens_or_into_rectified_images(
     calibration, size = Calibration.from_file(path), (48, 64)
     options = ["--rgb", folders[0], "--points", folder, "--calibration", path]
     answers = run(*options)
+    assert "ends inside the images" not in answers.text
+    assert answers.report["inputs"]["lens"] == "plumb_bob"
+    assert answers.report["inputs"]["distortion"] == [-0.2, 0.05, 0.01, -0.01, 0]
     expected = calibration.project(make_scan(0), size)
     assert abs(answers.fed_depth("0") - expected).max() < 0.01
     answers = run(*options, "--rectify", out="straight")
     assert answers.exit_code == 3, answers.text  # 1.png has no scan
-    assert answers.report["inputs"]["rectified"] is True
+    assert answers.report["inputs"]["rectified_by_this_run"] is True
     straight = calibration.rectified.project(make_scan(0), size)
     assert abs(answers.fed_depth("0") - straight).max() < 0.01
     assert (straight != expected).any()
@@ -206,6 +209,15 @@ def test_scans_are_projected_through_the_lens_or_into_rectified_images(
     frame = source.read(listed)
     assert frame.calibration.lens is None
     np.testing.assert_array_equal(frame.rgb, calibration.rectify(raw.rgb))
+
+
+def test_a_lens_that_ends_inside_the_images_is_a_warning(folders, scans, run):
+    folder, path = scans
+    path.write_text(path.read_text() + 'lens = "plumb_bob"\ndistortion = [-3.5, 0, 0, 0]\n')
+    answers = run("--rgb", folders[0], "--points", folder, "--calibration", path)
+    assert "warning: the lens of the calibration, plumb_bob [-3.5, 0.0, 0.0, 0.0], ends" in (
+        answers.text
+    )
 
 
 def test_what_cannot_be_rectified(folders, scans, run):

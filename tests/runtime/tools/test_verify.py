@@ -15,7 +15,7 @@ from runtime.bundled_models import find_model
 from runtime.io.recording import RecordedFrame, Settings, read_recording, record
 from runtime.run.cli import app as run_app
 from runtime.sources.bundled_stream import BUNDLED_FOCAL_LENGTH_PX, bundled_frames
-from runtime.tools.verify_cli import app
+from runtime.tools.verify import app
 
 NAMES = ["00000", "00001", "00002"]
 
@@ -63,17 +63,6 @@ def spoil(recording, index, head, change):
     np.savez(path, **arrays)
 
 
-def test_what_is_recorded_is_the_frame_and_its_answers(recording):
-    read = read_recording(recording)
-    assert [frame.name for frame in read.frames] == NAMES
-    assert all(frame.predict_ms > 0 for frame in read.frames)
-    assert read.settings.size == (40, 56)
-    arrays = read.arrays(0)
-    assert arrays["rgb"].shape == (48, 64, 3)
-    assert arrays["semantic"].shape == (48, 64)
-    assert arrays["semantic_logits"].shape == (2, 48, 64)
-
-
 def test_the_same_answers_pass(recording):
     result = verify(recording)
     assert result.exit_code == 0, result.output
@@ -81,14 +70,6 @@ def test_the_same_answers_pass(recording):
     assert lines[-1] == "the same answers"
     assert lines[1].endswith("the recorded one")
     assert any(line.split()[:3] == ["depth", "max_abs_m", "0"] for line in lines)
-
-
-def test_json_reports_the_same(recording):
-    document = json.loads(verify(recording, "--json").output)
-    assert document["passed"]
-    assert document["same_model"]
-    assert [frame["frame"]["name"] for frame in document["frames"]] == NAMES
-    assert document["frames"][1]["figures"]["semantic"] == {"agreement": 1.0}
 
 
 @pytest.mark.parametrize(
@@ -100,7 +81,7 @@ def test_json_reports_the_same(recording):
         ("semantic", lambda values: 1 - values, "semantic: agreement 0 "),
         ("semantic_logits", lambda values: values * np.float32(0.5), "max_relative 1"),
         ("depth", lambda values: values * np.nan, "depth: max_abs_m nan"),
-        ("depth", lambda values: values[:-1], "expected float32 (47, 64)"),
+        ("depth", lambda values: values[:-1], "expected (47, 64)"),
     ],
 )
 def test_what_differs_is_reported_by_its_frame(recording, head, change, reported):
@@ -112,8 +93,6 @@ def test_what_differs_is_reported_by_its_frame(recording, head, change, reported
     (line,) = [line for line in lines if line.startswith("  0000")]
     assert line.startswith("  00001: ")
     assert reported in line
-    document = json.loads(verify(recording, "--json").output)
-    assert [frame["passed"] for frame in document["frames"]] == [True, False, True]
 
 
 def test_a_tolerance_may_be_given_a_head(recording):
@@ -151,21 +130,11 @@ def test_other_flags_than_recorded_are_reported(recording):
     edit_frames(recording, degraded=["no_depth"])
     result = verify(recording)
     assert result.exit_code == 4
-    assert "  00000: degraded is nothing, expected no_depth" in result.output.splitlines()
+    assert "  00000: degraded: none, expected no_depth" in result.output.splitlines()
     edit_frames(recording, degraded=None)  # not known
     assert verify(recording).exit_code == 0
-
-
-def test_an_answer_that_is_no_longer_unusable_is_reported(recording):
-    path = recording / "frames" / "000000.npz"
-    with np.load(path) as archive:
-        inputs = {name: archive[name] for name in ("rgb", "sparse_depth")}
-    for index in range(3):
-        np.savez(path.with_name(f"{index:06}.npz"), **inputs)
-    edit_frames(recording, valid=False, degraded=None)
-    result = verify(recording)
-    assert result.exit_code == 4
-    assert "  00002: valid is True, expected False" in result.output.splitlines()
+    edit_frames(recording, name="\x1b[2J", degraded=["no_depth"])
+    assert r"  \x1b[2J: degraded: none" in verify(recording).output, "no terminal escapes"
 
 
 def test_another_model_is_held_against_the_recorded_answers(recording, model_file):
@@ -181,9 +150,35 @@ def test_another_model_is_held_against_the_recorded_answers(recording, model_fil
     assert "  00002: depth: max_abs_m 0.5" in result.output
     fewer = model_file("fewer.onnx", heads=("depth",))
     assert (
-        "00000: the heads are depth, expected semantic, depth"
-        in verify(recording, "--model", fewer).output
+        "  00000: heads: depth, expected boundary, d" in verify(recording, "--model", fewer).output
     )
+    elsewhere = model_file("elsewhere.onnx", heads=heads, only_runs_at=(64, 64))
+    failed = verify(recording, "--model", elsewhere)
+    assert failed.exit_code == 4
+    assert "  00000: the session failed on a frame of 40 x 56" in failed.output
+
+
+def test_a_changed_or_damaged_recording_is_an_error(recording, model_file):
+    (recording / "frames" / "000001.npz").write_bytes(b"")
+    result = verify(recording)
+    assert (result.exit_code, "damaged" in result.output) == (1, True)
+    shutil.copy(model_file("other.onnx"), recording / "model.onnx")
+    result = verify(recording)
+    assert (result.exit_code, "expected" in result.output) == (1, True)
+
+
+def test_only_frames_with_an_answer_are_recorded_and_none_do_not_pass(tmp_path, stream, model_file):
+    options = [*stream, "--model", model_file(), "--out", tmp_path / "out", "--overwrite"]
+    options += ["--record", tmp_path / "recording"]
+    (tmp_path / "rgb" / "00000.png").write_bytes(b"no picture")
+    assert run(*options).exit_code == 3
+    assert [frame.name for frame in read_recording(tmp_path / "recording").frames] == NAMES[1:]
+    for path in (tmp_path / "rgb").iterdir():
+        path.write_bytes(b"no picture")
+    assert run(*options).exit_code == 3
+    result = verify(tmp_path / "recording")
+    assert result.exit_code == 4
+    assert "holds no frames" in result.output.splitlines()[-1]
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +200,7 @@ def int8_recording(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("level", ["ORT_DISABLE_ALL", "ORT_ENABLE_BASIC", "ORT_ENABLE_ALL"])
+@pytest.mark.parametrize("level", ["ORT_DISABLE_ALL", "ORT_ENABLE_ALL"])
 def test_an_8_bit_file_verifies_where_it_rounds_elsewhere(int8_recording, monkeypatch, level):
     class Session(onnxruntime.InferenceSession):
         def __init__(self, model, sess_options, **options):
@@ -214,11 +209,10 @@ def test_an_8_bit_file_verifies_where_it_rounds_elsewhere(int8_recording, monkey
             super().__init__(model, sess_options, **options)
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", Session)
-    result = verify(int8_recording, "--threads", 1, "--json")
+    result = verify(int8_recording, "--threads", 1)
     assert result.exit_code == 0, result.output
-    agreement = min(
-        frame["figures"]["semantic"]["agreement"] for frame in json.loads(result.output)["frames"]
-    )
+    (line,) = [line for line in result.output.splitlines() if line.startswith("semantic ")]
+    agreement = float(line.split()[2])
     assert agreement == 1 if level == "ORT_ENABLE_ALL" else agreement < 0.9999
 
 
@@ -232,98 +226,5 @@ def test_an_8_bit_file_does_not_verify_with_other_returns_or_another_model(
     assert result.exit_code == 4
     assert "1 of 2 frames differ" in result.output
     assert ": depth: max_abs_m" in result.output
-    document = json.loads(verify(int8_recording, "--model", "ssdnet-lite-int8", "--json").output)
-    heads = {"semantic", "depth", "boundary", "depth_uncertainty"}
-    assert [set(frame["failed"]) for frame in document["frames"]] == [heads, heads]
-
-
-def test_another_model_in_the_recording_is_refused(recording, model_file):
-    shutil.copy(model_file("other.onnx"), recording / "model.onnx")
-    result = verify(recording)
-    assert (result.exit_code, "expected" in result.output) == (1, True)
-
-
-def test_a_frame_that_cannot_be_predicted_is_reported(recording, model_file):
-    heads = ("semantic", "depth", "boundary", "depth_uncertainty", "semantic_logits")
-    other = model_file("other.onnx", heads=heads, only_runs_at=(64, 64))
-    result = verify(recording, "--model", other)
-    assert result.exit_code == 4
-    assert "  00000: the session failed on a frame of 40 x 56" in result.output
-
-
-def test_damage_is_an_error(recording):
-    (recording / "frames" / "000001.npz").write_bytes(b"")
-    result = verify(recording)
-    assert (result.exit_code, "damaged" in result.output) == (1, True)
-
-
-def test_a_recording_is_not_replaced_unasked(recording, stream, tmp_path):
-    result = run(*stream, "--out", tmp_path / "new", "--record", recording)
-    assert (result.exit_code, "exists" in result.output) == (1, True)
-
-
-def test_frames_without_an_answer_leave_no_trace(tmp_path, stream, model_file):
-    """A picture that cannot be read is skipped in the recording as well."""
-    (tmp_path / "rgb" / "00000.png").write_bytes(b"no picture")
-    options = ["--model", model_file(), "--out", tmp_path / "out", "--limit", 2]
-    result = run(*stream, *options, "--record", tmp_path / "recording")
-    assert result.exit_code == 3
-    assert [frame.name for frame in read_recording(tmp_path / "recording").frames] == ["00001"]
-
-
-def test_a_recording_that_finds_no_room_is_an_error_and_leaves_nothing(
-    tmp_path, stream, model_file, mount_disk
-):
-    disk = mount_disk(128)  # each frame takes 57 kilobytes
-    result = run(
-        *stream, "--model", model_file(), "--out", tmp_path / "out", "--record", disk / "recording"
-    )
-    assert (result.exit_code, "No space left on device" in result.output) == (1, True)
-    assert list(disk.iterdir()) == []
-
-
-def test_a_recording_without_frames_does_not_pass(tmp_path, stream, model_file):
-    """Every frame was skipped."""
-    for path in (tmp_path / "rgb").iterdir():
-        path.write_bytes(b"no picture")
-    arguments = ["--model", model_file(), "--out", tmp_path / "out"]
-    result = run(*stream, *arguments, "--record", tmp_path / "recording")
-    assert result.exit_code == 3
-    result = verify(tmp_path / "recording")
-    assert result.exit_code == 4
-    assert "holds no frames" in result.output.splitlines()[-1]
-    assert not json.loads(verify(tmp_path / "recording", "--json").output)["passed"]
-
-
-def edit(recording, change):
-    path = recording / "recording.json"
-    document = json.loads(path.read_text())
-    change(document)
-    path.write_text(json.dumps(document))
-
-
-def test_terminal_escapes_in_a_recording_are_not_printed(recording):
-    escape = "\x1b]0;title\x07\x1b[2J\x9b31m\r"
-
-    def change(document):
-        document["settings"]["made_by"] = document["settings"]["provider"] = escape
-        document["frames"][1]["name"] = escape
-
-    edit(recording, change)
-    spoil(recording, 1, "depth", lambda values: values + np.float32(0.25))
-    result = verify(recording)
-    assert result.exit_code == 4
-    assert not set(result.output) & set("\x1b\x07\x9b\r")
-    assert result.output.count(r"\x1b]0;title\x07\x1b[2J\x9b31m\x0d") == 3
-    edit(recording, lambda document: document.update(format=escape))
-    refused = verify(recording)
-    assert refused.exit_code == 1
-    assert not set(refused.output) & set("\x1b\x07\x9b\r")
-
-
-@pytest.mark.parametrize("size", [[8000, 8000], [2016, 2016]])
-def test_a_network_size_far_beyond_the_frames_is_refused(recording, size):
-    edit(recording, lambda document: document["settings"].update(size=size))
-    result = verify(recording)
-    assert result.exit_code == 1
-    assert f"network size ({size[0]}, {size[1]}) for a frame of 48 x 64" in result.output
+    other = verify(int8_recording, "--model", "ssdnet-lite-int8")
+    assert "2 of 2 frames differ" in other.output

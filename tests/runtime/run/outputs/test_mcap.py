@@ -1,14 +1,12 @@
 """The MCAP file holds every answer as standard messages, and is whole or not there."""
 
 import json
-import signal
 
 import cv2
 import numpy as np
 import pytest
 
-import runtime.run.run
-from runtime import OutputError
+from runtime import OutputError, Predictor
 from runtime.drawing.overlay import Overlay
 from runtime.run.outputs.mcap import open_mcap
 from runtime.sources.frames import Frame
@@ -70,7 +68,7 @@ def test_the_answers_are_read_back_with_the_stamps_of_the_camera(
 
 def test_what_is_degraded_is_a_warning(tmp_path, answered, model_file, open_run):
     frame, _ = answered
-    with runtime.Predictor(model_file()) as predictor:
+    with Predictor(model_file()) as predictor:
         camera_only = predictor.predict(frame.rgb, np.zeros_like(frame.sparse_depth))
     with open_mcap(open_run(mcap=tmp_path / "a.mcap")) as mcap:
         mcap.write(frame, camera_only)
@@ -87,48 +85,18 @@ def test_frames_without_stamps_come_at_the_rate(tmp_path, run):
     assert len(times_ns) == 12
 
 
-@pytest.mark.parametrize("stamp_ns", [-1, 2**31 * 10**9])
-def test_a_stamp_that_ros_cannot_hold_leaves_no_file(tmp_path, answered, stamp_ns, open_run):
+def test_a_stamp_that_ros_cannot_hold_leaves_no_file(tmp_path, answered, open_run):
     frame, prediction = answered
     path = tmp_path / "made" / "a.mcap"
 
     def fail():
         with open_mcap(open_run(mcap=path)) as mcap:
             mcap.write(frame, prediction)
-            mcap.write(Frame(frame.rgb, frame.sparse_depth, stamp_ns), prediction)
+            mcap.write(Frame(frame.rgb, frame.sparse_depth, 2**31 * 10**9), prediction)
 
     with pytest.raises(OutputError, match="has the stamp"):
         fail()
     assert list(path.parent.iterdir()) == []
-
-
-def test_a_run_that_is_stopped_leaves_a_whole_file(tmp_path, run, monkeypatch):
-    written = []
-
-    class Stopping(runtime.run.outputs.mcap.McapWriter):
-        def write(self, frame, prediction):
-            super().write(frame, prediction)
-            written.append(frame.name)
-            if len(written) == 3:
-                signal.raise_signal(signal.SIGTERM)
-
-    monkeypatch.setattr(runtime.run.outputs.mcap, "McapWriter", Stopping)
-    assert run("--save", "none", "--mcap", tmp_path / "a.mcap").exit_code == 3
-    topics = read_mcap(tmp_path / "a.mcap")
-    names = [message.status[0].values[0].value for _, message in topics["/diagnostics"]]
-    assert names == written
-    assert 3 <= len(names) < 12
-
-
-def test_what_is_there_is_replaced_only_when_asked_and_another_ending_is_refused(tmp_path, run):
-    (tmp_path / "a.mcap").write_bytes(b"mine")
-    said = run("--save", "none", "--mcap", tmp_path / "a.mcap")
-    assert said.exit_code == 1
-    assert "--overwrite" in said.output
-    assert (tmp_path / "a.mcap").read_bytes() == b"mine"
-    assert run("--save", "none", "--overwrite", "--mcap", tmp_path / "a.mcap").exit_code == 0
-    assert len(read_mcap(tmp_path / "a.mcap")["/ssdnet/depth"]) == 12
-    assert run("--mcap", tmp_path / "a.bag").exit_code == 2
 
 
 def test_without_the_extra_the_error_names_what_to_install(tmp_path, monkeypatch, run):

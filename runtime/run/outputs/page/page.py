@@ -1,0 +1,252 @@
+"""The page of --report: HTML with inline charts and pictures, without external resources."""
+
+import base64
+import contextlib
+import shlex
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from runtime.contract import Contract
+from runtime.drawing.overlay import Overlay
+from runtime.io.atomic_write import atomic_write
+from runtime.io.encode import encode_jpeg, encode_png
+from runtime.prediction import Prediction
+from runtime.run.outputs.output import OpenRun
+from runtime.run.outputs.page import charts
+from runtime.run.run_report import RunReport, running_providers
+from runtime.sources.frames import Frame
+from runtime.sync.frame_outcome import INVALID, SKIPPED
+from runtime.sync.latency import LatencyStatistics
+
+_PARTS = ("preprocess", "inference", "postprocess")  # of a prediction
+_BAD = (*charts.DROPS, charts.LATE)
+_MOST_PROBLEMS = 200
+_EVEN, _FLAGGED = 6, 4  # most samples, and most different sets of marks among them
+_PANELS, _WIDEST = 3, 480  # image and first two heads; columns
+_JPEG_QUALITY = 82
+_BAR_WIDTH = 640
+_LIBRARIES = {"onnxruntime": "ONNX Runtime", "cv2": "OpenCV", "numpy": "NumPy"}
+#: Mark -> its meaning.
+_MEANINGS = {
+    SKIPPED: "could not be read or predicted",
+    INVALID: "the answer cannot be used",
+    charts.LATE: "later than the deadline",
+    "no_depth": "no LiDAR return: camera only",
+    "sparse_depth_low": "LiDAR returns in too few places",
+    "depth_reused": "returns of an older scan",
+    "depth_uncompensated": "returns not at the time of the image",
+    "no_pose": "no pose at the time of scan or image",
+    "pose_gap": "too long without a pose",
+    "pose_jump": "the odometry jumped",
+    "pose_clock": "poses of another clock",
+    "implausible_depth": "the returns contradict the image",
+    "image_constant": "all pixels are equal",
+    "image_frozen": "same bytes as the image before",
+    "image_black": "nearly all pixels are dark",
+    "image_overexposed": "half of the pixels are saturated",
+    "lidar_sector_lost": "a sector of the LiDAR is missing",
+    "lidar_lines_lost": "scan lines of the LiDAR are missing",
+}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One frame: number, name, latency, marks, and (title, JPEG) of its panels."""
+
+    index: int
+    name: str
+    predict_ms: float
+    marks: tuple[str, ...]
+    panels: tuple[tuple[str, bytes], ...]
+    slowest: bool = False
+
+
+class RunPage:
+    """The page of a run of so many frames, with pictures of a few; see `open_page`."""
+
+    def __init__(self, contract: Contract, frames: int) -> None:
+        self._contract = contract
+        self._overlay = Overlay(contract.classes, contract.max_depth_m)
+        self._started = datetime.now(UTC)
+        self._step, self._seen = -(-frames // _EVEN) or 1, 0
+        self._kept: dict[int, Sample] = {}  # evenly spaced, and the first of each set of marks
+        self._slowest: Sample | None = None
+
+    def write(self, frame: Frame, prediction: Prediction) -> None:
+        """Keep a frame and its answer as a sample, perhaps; nothing is written yet."""
+        index, self._seen = self._seen, self._seen + 1
+        marks = (*prediction.degraded, *frame.health)
+        time_ms = prediction.latency.total_ms
+        slowest = self._slowest is None or time_ms > self._slowest.predict_ms
+        known = {sample.marks for sample in self._kept.values()}
+        flagged = bool(marks) and marks not in known and len(known) < _FLAGGED
+        kept = index % self._step == 0 or flagged
+        if not (kept or slowest):
+            return
+        drawn = self._overlay.panels(frame.rgb, prediction, widest=_WIDEST)
+        panels = tuple(
+            (title, bytes(encode_jpeg(panel, quality=_JPEG_QUALITY)))
+            for title, panel in list(drawn.items())[:_PANELS]
+        )
+        sample = Sample(index, frame.name, time_ms, marks, panels)
+        if slowest:
+            self._slowest = sample
+        if kept:
+            self._kept[index] = sample
+
+    def samples(self) -> list[Sample]:
+        """The kept frames, in order."""
+        kept = dict(self._kept)
+        if self._slowest is not None:
+            kept[self._slowest.index] = replace(self._slowest, slowest=self._seen > 1)
+        return [kept[index] for index in sorted(kept)]
+
+    def render(self, report: RunReport) -> bytes:
+        """Return the page, HTML in UTF-8 without external resources."""
+        records, stream, statistics = report.records, report.stream, report.statistics
+        spans = charts.join_frames(records)
+        marks = Counter(mark for record in records for mark in charts.marks_of(record))
+        response, stage = ("prediction", "predict") if stream.rate_hz is None else ("age", "age")
+        responses, by_status = statistics.stages[stage], report.by_status
+        values = {
+            "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+            "interrupted": stream.interrupted,
+            "contract": self._contract,
+            "engine": report.engine,
+            "frames": len(records),
+            "marks": marks,
+            "flagged": sum(bool(charts.marks_of(record)) for record in records),
+            "by_status": ", ".join(f"{n:,} {status}" for status, n in by_status.items()) or "none",
+            "response": response,
+            "responses": responses,
+            "highest": _highest_percentile(responses),
+            "statistics": statistics,
+            "frames_per_second": report.frames_per_second,
+            "chart": charts.latency_chart(spans, deadline_ms=statistics.deadline_ms),
+            "dropped": len(report.not_ok),
+            "stages": _stages(statistics.stages),
+            "lanes": _lanes(marks, spans),
+            "problems": report.not_ok[:_MOST_PROBLEMS],
+            "more_problems": max(len(report.not_ok) - _MOST_PROBLEMS, 0),
+            "samples": self._sample_figures(),
+            "facts": _facts(report, self._started),
+            "running": running_providers(
+                report.engine.provider.running, report.engine.provider.nodes
+            ),
+            "libraries": {
+                name: library.__version__
+                for module, name in _LIBRARIES.items()
+                if (library := sys.modules.get(module))  # this process has loaded it
+            },
+        }
+        # File names need not be valid text.
+        return render_template("page.html", values).encode(errors="backslashreplace")
+
+    def _sample_figures(self) -> dict[str, Any]:
+        samples, scale = self.samples(), ""
+        if any("depth" in title for sample in samples for title, _ in sample.panels):
+            bar = self._overlay.draw_depth_bar(_BAR_WIDTH)
+            scale = _data("image/png", bytes(encode_png(bar)))
+        figures = [
+            (sample, [(title, _data("image/jpeg", jpeg)) for title, jpeg in sample.panels])
+            for sample in samples
+        ]
+        return {"figures": figures, "scale": scale}
+
+
+@contextlib.contextmanager
+def open_page(run: OpenRun) -> Iterator[RunPage]:
+    """Make the page of --report, written when the block ends."""
+    assert run.options.report is not None
+    page = RunPage(run.predictor.contract, len(run.names))
+    yield page
+    if run.report is not None:
+        content = page.render(run.report)
+        atomic_write(run.options.report, content, overwrite=run.options.overwrite)
+
+
+def render_template(template: str, values: Mapping[str, Any]) -> str:
+    """Fill in a template of this package; values are escaped, a missing value is an error."""
+    import jinja2  # only where a page is made
+
+    templates = jinja2.Environment(
+        loader=jinja2.PackageLoader("runtime.run.outputs", "page"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
+    )
+    templates.filters |= {"number": format, "ms": _milliseconds}
+    return templates.get_template(template).render(values)
+
+
+def _milliseconds(value: float | None) -> str:
+    if value is None:
+        return "n/a"
+    return format(value, ".2f" if value < 10 else ".1f" if value < 1000 else ",.0f")
+
+
+def _highest_percentile(times: LatencyStatistics | None) -> tuple[str, float] | None:
+    """The highest percentile up to p99 that the number of frames supports, else the maximum."""
+    if times is None:
+        return None
+    values = {"p99": times.p99_ms, "p90": times.p90_ms, "slowest": times.max_ms}
+    return next((name, value) for name, value in values.items() if value is not None)
+
+
+def _stages(statistics: Mapping[str, LatencyStatistics | None]) -> dict[str, Any]:
+    stages = {name: each for name, each in statistics.items() if each is not None}
+    most_ms = max((each.max_ms for each in stages.values()), default=0) or 1.0
+    means = {name: stages[name].mean_ms for name in _PARTS if name in stages}
+    sum_ms = sum(means.values()) or 1.0
+    return {
+        "parts": [(name, mean_ms, mean_ms / sum_ms) for name, mean_ms in means.items()],
+        "rows": [(name, each, charts.range_strip(each, most_ms)) for name, each in stages.items()],
+    }
+
+
+def _lanes(marks: Counter[str], spans: Sequence[charts.Span]) -> list[tuple[Any, ...]]:
+    """Class, name, count, meaning and bars, the worst marks first, then the most frequent."""
+    lanes = []
+    frames = sum(len(span.records) for span in spans)
+    for mark in sorted(marks, key=lambda mark: (mark not in _BAD, -marks[mark], mark)):
+        kind, count = "bad" if mark in _BAD else "warn", f"{marks[mark]:,} of {frames:,}"
+        bars = charts.mark_strip(spans, mark)
+        lanes.append((kind, mark, count, _MEANINGS.get(mark, ""), bars))
+    known = [span.mean_returns for span in spans if span.mean_returns is not None]
+    if known:
+        count = f"{min(known):,.0f} to {max(known):,.0f}"
+        lanes.append(
+            (
+                "tall",
+                "LiDAR returns",
+                count,
+                "in a frame, before it is resized",
+                charts.returns_strip(spans),
+            )
+        )
+    return lanes
+
+
+def _facts(report: RunReport, started: datetime) -> dict[str, Any]:
+    rate_hz, sizes = report.stream.rate_hz, report.by_network_size.items()
+    facts = {
+        "started": f"{started:%Y-%m-%d %H:%M:%S} UTC",
+        "took": f"{report.stream.wall_s:.1f} s",
+        "scenario": report.scenario + (f", {rate_hz:g} Hz" if rate_hz else ""),
+        **{name.replace("_", " "): value for name, value in report.inputs.items()},
+        "network ran at": ", ".join(f"{size} ({count})" for size, count in sizes),
+        "depth": ", ".join(f"{kind} ({count})" for kind, count in report.depth_sources.items()),
+        "implausible depth": report.implausible_depth,
+        "output": report.out,
+        "saved": ", ".join(report.saved) or "nothing",
+    }
+    return {name: fact for name, fact in facts.items() if fact not in (None, "")}
+
+
+def _data(kind: str, content: bytes) -> str:
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
