@@ -33,8 +33,8 @@ from runtime.sources.ros_messages import (
 from runtime.sources.ros_poses import odometry_poses, point_times_ns, transform_poses
 from runtime.sources.ros_transforms import TransformTree
 from runtime.sources.source import ListedFrame, Source
-from runtime.sync.depth_in_time import ScanStamp
 from runtime.sync.matching import Pair
+from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseFrame
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS

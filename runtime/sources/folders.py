@@ -34,8 +34,7 @@ from runtime.sources.recorded_motion import (
     project_listed,
 )
 from runtime.sources.source import ListedFrame, Source, pair_up
-from runtime.sync.depth_in_time import ScanStamp, point_times
-from runtime.sync.motion import lidar_mount
+from runtime.sync.motion import ScanStamp, lidar_mount, point_times
 from runtime.sync.outcome import Outcome, Sensor
 from runtime.sync.poses import PoseFrame, PoseTrack
 from runtime.sync.stamp import DEFAULT_REUSE_DEPTH_MS, NS_PER_MS
@@ -274,7 +273,7 @@ class FolderSource(Source):
         times = None
         if self._point_time_column is not None and frame.depth_stamp_ns is not None:
             column = scan[:, self._point_time_column]
-            times, _, _ = point_times(column, len(scan), frame.depth_stamp_ns)
+            times = point_times(column, len(scan), frame.depth_stamp_ns)
         depth = project_listed(frame, calibration, scan, times, self._poses, size)
         return frame_of(frame, rgb, depth, calibration)
 

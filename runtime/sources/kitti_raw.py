@@ -16,7 +16,7 @@ from runtime.read_input import read_text
 from runtime.sources.folders import FolderSource
 from runtime.sources.recorded_motion import RecordedPoses, match_frames, track_of
 from runtime.sources.source import ListedFrame, by_number
-from runtime.sync.depth_in_time import ScanStamp
+from runtime.sync.motion import ScanStamp
 from runtime.sync.outcome import Sensor
 from runtime.sync.poses import PoseFrame, check_pose
 from runtime.sync.stamp import DEFAULT_MAX_SKEW_MS, DEFAULT_REUSE_DEPTH_MS

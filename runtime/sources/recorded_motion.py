@@ -11,20 +11,19 @@ from numpy.typing import NDArray
 from runtime.io.calibration import Calibration
 from runtime.sources.frames import Frame
 from runtime.sources.source import ListedFrame, no_depth, up_to
-from runtime.sync.depth_in_time import (
+from runtime.sync.matching import Decided, Message, Pair, match_by_stamp
+from runtime.sync.motion import (
     FIRST_SCAN_NS,
     MIDDLE_AFTER,
     DepthInTime,
     ScanStamp,
     check_scan_stamp,
     keep_map,
+    lidar_mount,
     project_in_time,
 )
-from runtime.sync.matching import Decided, Message, Pair
-from runtime.sync.motion import lidar_mount
 from runtime.sync.outcome import Sensor
 from runtime.sync.poses import PoseFrame, PoseTrack
-from runtime.sync.stamp_matching import match_by_stamp
 
 _WAITING = 64  # messages of a sensor that wait for the other one, which may be recorded later
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from runtime.checks import check_integer, check_number, shown
 from runtime.errors import InputError
-from runtime.sync.depth_in_time import MIDDLE_AFTER, check_scan_stamp
+from runtime.sync.motion import MIDDLE_AFTER, check_scan_stamp
 from runtime.sync.poses import PoseFrame
 
 
