@@ -5,7 +5,6 @@ Such files are shown, not used: key names differ between tools, and the frames a
 Kalibr's camchain, Autoware's calibration, COLMAP's cameras.txt and rows of numbers.
 """
 
-import json
 import re
 from collections.abc import Iterator
 from itertools import groupby
@@ -20,7 +19,6 @@ from runtime.errors import InputError
 from runtime.lens import EQUIDISTANT, PLUMB_BOB, RATIONAL_POLYNOMIAL
 from runtime.read_input import read_text
 
-FOREIGN_SUFFIXES = (".yaml", ".yml", ".json")
 _EXAMPLE = """\
 intrinsics = [[721.5, 0.0, 609.6], [0.0, 721.5, 172.9], [0.0, 0.0, 1.0]]  # pixels
 # From the LiDAR's frame to the camera's, metres; points_in = "camera" where they are the same.
@@ -33,9 +31,6 @@ _SIZES = ("resolution", "imagesize", "image_size", "size")  # width, height
 #: COLMAP's cameras with lenses of this project; "SIMPLE_" and "RADIAL" have one focal length.
 _COLMAP = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE",
            "FULL_OPENCV")  # fmt: skip
-_PAIR = re.compile(
-    r"\b(fx|fy|cx|cy|k[1-3]|p[12]|width|height)[ \t]*[:= \t][ \t]*([-+.\d][-+.\de]*)", re.IGNORECASE
-)
 _FROM_CAMERA = "cameraextrinsicmat"  # Autoware's, from the camera's frame to the LiDAR's
 _CHECK = "must be from the LiDAR's frame to the camera's: if it is the other way, invert it"
 
@@ -47,7 +42,7 @@ class _Entry:
         self.path, self.text = path, text.strip().strip("\"'")
         names = [name for name in path.lower().split("/") if name != "data"]
         self.name = names[-1] if names else ""
-        words = [word for word in _spaced(text).split() if word != "-"]
+        words = [word for word in re.sub(r"[\[\],;]", " ", text).split() if word != "-"]
         try:
             self.numbers = np.array(words, dtype=np.float64)
         except ValueError:
@@ -60,27 +55,16 @@ def refuse(path: Path) -> InputError:
     What the file lacks is to be filled in; for one without a camera matrix the error has an
     example. Raises InputError if the file cannot be read.
     """
-    entries = _read(path)
+    lines = read_text(path).splitlines()[:_MOST_LINES]
+    entries = list(_values("\n".join(line.partition("#")[0] for line in lines)))
     fault, intrinsics = f"{path} is neither TOML nor a calibration of KITTI", _intrinsics(entries)
     if intrinsics is None:
         return InputError(
             f"{fault}, and no camera matrix was found in it. Expected a .toml file as this one of "
             f"another camera:\n{_EXAMPLE}"
         )
-    rows = [intrinsics, *_lens(entries), *_size(entries), _extrinsics(entries)]
-    toml = "\n".join(rows)
+    toml = "\n".join([intrinsics, *_lens(entries), *_size(entries), _extrinsics(entries)])
     return InputError(f"{fault}. Check what it holds and save it as a .toml file:\n{toml}")
-
-
-def _read(path: Path) -> list[_Entry]:
-    text = read_text(path)
-    if path.suffix.lower() == ".json":
-        try:
-            return list(_of_json(json.loads(text), ""))
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{path} is not valid JSON: {cut(str(error), 200)}") from error
-    lines = text.splitlines()[:_MOST_LINES]
-    return list(_of_text("\n".join(line.partition("#")[0] for line in lines)))
 
 
 def _intrinsics(entries: list[_Entry]) -> str | None:
@@ -92,10 +76,9 @@ def _intrinsics(entries: list[_Entry]) -> str | None:
                 return _row("intrinsics", matrix, entry.path)
         is_named = entry.name == "intrinsics" or entry.name.startswith("line ")
         if is_named and entry.numbers.size == 4 and (entry.numbers[:2] > _LEAST_FOCAL_PX).all():
-            return _row("intrinsics", _pinhole(*entry.numbers), f"{entry.path}: fx, fy, cx, cy")
-    single = [_number(entries, name) for name in ("fx", "fy", "cx", "cy")]
-    if None not in single:
-        return _row("intrinsics", _pinhole(*single), "fx, fy, cx, cy")
+            fx, fy, cx, cy = entry.numbers
+            matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+            return _row("intrinsics", matrix, f"{entry.path}: fx, fy, cx, cy")
     return None
 
 
@@ -108,10 +91,6 @@ def _lens(entries: list[_Entry]) -> list[str]:
             if stated:
                 model = _MODELS.get(stated[0], stated[0])
             return [f'lens = "{model}"', _row("distortion", entry.numbers, entry.path)]
-    named = [_number(entries, name) for name in ("k1", "k2", "p1", "p2", "k3")]
-    if None not in named[:4]:
-        numbers = np.array([number or 0.0 for number in named])
-        return [f'lens = "{PLUMB_BOB}"', _row("distortion", numbers, "k1, k2, p1, p2, k3")]
     return ["# no distortion was found: the images must be rectified"]
 
 
@@ -143,29 +122,12 @@ def _number(entries: list[_Entry], name: str) -> float | None:
     return next(found, None)
 
 
-def _pinhole(fx: Any, fy: Any, cx: Any, cy: Any) -> NDArray[np.float64]:
-    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
-
-
 def _row(key: str, numbers: NDArray[np.floating[Any]], source: str) -> str:
     return f"{key} = {(numbers + 0.0).tolist()}  # {cut(source)}"
 
 
-def _of_json(value: Any, path: str) -> Iterator[_Entry]:
-    """The values of a JSON document; a list without objects is one value."""
-    if isinstance(value, dict):
-        for name, inner in value.items():
-            yield from _of_json(inner, f"{path}/{name}" if path else name)
-    elif isinstance(value, list) and any(isinstance(each, dict) for each in value):
-        for number, inner in enumerate(value):
-            yield from _of_json(inner, f"{path}/{number}")
-    else:
-        yield _Entry(path, value if isinstance(value, str) else json.dumps(value))
-
-
-def _of_text(text: str) -> Iterator[_Entry]:
-    """The values of a text: pairs on one line, YAML, names with "=", COLMAP's, rows of numbers."""
-    yield from (_Entry(name, number) for name, number in _PAIR.findall(text))
+def _values(text: str) -> Iterator[_Entry]:
+    """The values of a text: of YAML, of names with "=", of COLMAP, and rows of numbers."""
     named = _lines_of_yaml(text.replace("=", ":"))
     yield from (_Entry(path, value) for path, value in named.items())
     rows = [_Entry(f"line {number}", row) for number, row in enumerate(text.splitlines(), start=1)]
@@ -214,7 +176,3 @@ def _lines_of_yaml(text: str) -> dict[str, str]:
         elif above:
             entries["/".join(name for _, name in above)] += f" {line}"
     return entries
-
-
-def _spaced(text: str) -> str:
-    return text.translate({ord(mark): " " for mark in "[],;"})

@@ -80,49 +80,54 @@ DistCoeff: !!opencv-matrix
    data: [ -0.3, 0.1, 0.001, -0.002, 0. ]
 ImageSize: [ 640, 480 ]
 """
-JSON = """{"K": [[700, 0, 320], [0, 710, 240.5], [0, 0, 1]], "D": [-0.3, 0.1, 0.001, -0.002, 0],
- "width": 640, "height": 480, "cameras": [{"note": null}],
- "T": [[0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]}"""
-NAMED = """%YAML:1.0
-model_type: PINHOLE
-image_width: 640
-image_height: 480
-distortion_parameters:
-   k1: -0.3
-   k2: 0.1
-   p1: 0.001
-   p2: -0.002
-projection_parameters:
-   fx: 700
-   fy: 710
-   cx: 320
-   cy: 240.5
-"""
 EXTRINSICS = [[0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, -0.3], [0, 0, 0, 1]]
 BROWN = (-0.3, 0.1, 0.001, -0.002, 0)
+RATIONAL = (0.6, -0.02, 0.001, 0.0002, 0.001, 0.95, 0.06, 0.002)
+FISHEYE = (-0.01, 0.02, -0.003, 0.0004)
+OF_OPENCV = "OPENCV 640 480 700 710 320.5 241 -0.3 0.1 0.001 -0.002"
+OF_FISHEYE = "OPENCV_FISHEYE 640 480 700 710 320.5 241 -0.01 0.02 -0.003 0.0004"
+
+
+COLMAP = (
+    "# Camera list\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 {}\n2 PINHOLE 9 9 90 90 4 4\n"
+)
+DUMP = """header:
+  frame_id: "camera"
+height: 480
+width: 640
+distortion_model: "plumb_bob"
+D: [-0.3, 0.1, 0.001, -0.002, 0.0]
+K: [700.0, 0.0, 320.0, 0.0, 710.0, 240.5, 0.0, 0.0, 1.0]
+R: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+P: [700.0, 0.0, 320.0, 0.0, 0.0, 710.0, 240.5, 0.0, 0.0, 0.0, 1.0, 0.0]
+"""
+ROWS = """intrinsic
+700 0 320
+0 710 240.5
+0 0 1
+
+extrinsic
+0 -1 0 0.1
+0 0 -1 -0.2
+1 0 0 -0.3
+0 0 0 1
+"""
 
 
 @pytest.mark.parametrize(
     ("name", "text", "lens", "coefficients", "note"),
     [
         ("opencv.yml", OPENCV, "plumb_bob", BROWN, "extrinsics = ...  # not found"),
-        (
-            "ros.yaml",
-            ROS,
-            "rational_polynomial",
-            (0.6, -0.02, 0.001, 0.0002, 0.001, 0.95, 0.06, 0.002),
-            "extrinsics = ...  # not found",
-        ),
-        (
-            "camchain.yaml",
-            KALIBR,
-            "equidistant",
-            (-0.01, 0.02, -0.003, 0.0004),
-            "cam0/T_cam_lidar: must be from the LiDAR's frame",
-        ),
-        ("named.yaml", NAMED, "plumb_bob", BROWN, "# k1, k2, p1, p2, k3"),
+        ("ros.yaml", ROS, "rational_polynomial", RATIONAL, "extrinsics = ...  # not found"),
+        ("dump.txt", DUMP, "plumb_bob", BROWN, ""),
+        ("camchain.yaml", KALIBR, "equidistant", FISHEYE, "cam0/T_cam_lidar: must be from the"),
         ("autoware.yaml", AUTOWARE, "plumb_bob", BROWN, "CameraExtrinsicMat/data, inverted"),
-        ("own.json", JSON, "plumb_bob", BROWN, "# T: must be from the LiDAR's frame"),
+        ("rows.txt", ROWS, None, None, "must be from the LiDAR's frame"),
+        ("one row.txt", "# fx fy cx cy\n700, 710 320 240.5\n", None, None, ""),
+        ("k.txt", "K = [[700, 0, 320],\n  [0, 710, 240.5],\n  [0, 0, 1]]\n", None, None, ""),
+        ("a.txt", COLMAP.format("PINHOLE 640 480 700 710 320.5 241"), None, None, "half a pixel"),
+        ("cameras.txt", COLMAP.format(OF_OPENCV), "plumb_bob", BROWN[:4], ""),
+        ("cameras.txt", COLMAP.format(OF_FISHEYE), "equidistant", FISHEYE, ""),
     ],
 )
 def test_the_toml_of_other_tools(tmp_path, name, text, lens, coefficients, note):
@@ -139,101 +144,9 @@ def test_the_toml_of_other_tools(tmp_path, name, text, lens, coefficients, note)
         calibration.intrinsics, [[700, 0, 320], [0, 710, 240.5], [0, 0, 1]]
     )
     np.testing.assert_allclose(calibration.extrinsics, EXTRINSICS, atol=1e-12)
-    assert calibration.size == (480, 640)
-    assert (calibration.lens, tuple(calibration.distortion)) == (lens, coefficients)
-
-
-COLMAP = (
-    "# Camera list\n#   CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 {}\n2 PINHOLE 9 9 90 90 4 4\n"
-)
-DUMP = """header:
-  frame_id: "camera"
-height: 480
-width: 640
-distortion_model: "plumb_bob"
-D: [-0.3, 0.1, 0.001, -0.002, 0.0]
-K: [700.0, 0.0, 320.0, 0.0, 710.0, 240.5, 0.0, 0.0, 1.0]
-R: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-P: [700.0, 0.0, 320.0, 0.0, 0.0, 710.0, 240.5, 0.0, 0.0, 0.0, 1.0, 0.0]
-"""
-INI = """[LEFT]
-width=640
-height=480
-fx=700
-fy=710
-cx=320
-cy=240.5
-k1=-0.3
-k2=0.1
-p1=0.001
-p2=-0.002
-[RIGHT]
-fx=900
-fy=900
-cx=1
-cy=1
-"""
-ROWS = """intrinsic
-700 0 320
-0 710 240.5
-0 0 1
-
-extrinsic
-0 -1 0 0.1
-0 0 -1 -0.2
-1 0 0 -0.3
-0 0 0 1
-"""
-
-
-@pytest.mark.parametrize(
-    ("text", "lens", "coefficients"),
-    [
-        ("# fx fy cx cy\n700 710 320 240.5\n", None, None),
-        ("700, 710, 320, 240.5", None, None),
-        ("fx=700, fy=710, cx=320, cy=240.5", None, None),
-        ("K = [[700, 0, 320],\n     [0, 710, 240.5],\n     [0, 0, 1]]\n", None, None),
-        (ROWS, None, None),
-        (DUMP, "plumb_bob", BROWN),
-        (INI, "plumb_bob", BROWN),
-        (COLMAP.format("PINHOLE 640 480 700 710 320.5 241"), None, None),
-        (
-            COLMAP.format("OPENCV 640 480 700 710 320.5 241 -0.3 0.1 0.001 -0.002"),
-            "plumb_bob",
-            BROWN[:4],
-        ),
-        (
-            COLMAP.format("OPENCV_FISHEYE 640 480 700 710 320.5 241 0.1 0 0 0"),
-            "equidistant",
-            (0.1, 0, 0, 0),
-        ),
-    ],
-)
-def test_the_toml_of_a_text(tmp_path, text, lens, coefficients):
-    path = tmp_path / "cameras.txt"
-    path.write_text(text)
-    with pytest.raises(InputError, match="neither TOML nor a calibration of KITTI") as caught:
-        Calibration.from_file(path)
-    _, toml = str(caught.value).split(":\n", 1)
-    copied = tmp_path / "copied.toml"
-    copied.write_text(toml.replace("extrinsics = ...", f"extrinsics = {EXTRINSICS}"))
-    calibration = Calibration.from_file(copied)
-    np.testing.assert_array_equal(
-        calibration.intrinsics, [[700, 0, 320], [0, 710, 240.5], [0, 0, 1]]
-    )
-    np.testing.assert_array_equal(calibration.extrinsics, EXTRINSICS)
     assert calibration.size in (None, (480, 640))
     found = calibration.distortion and tuple(calibration.distortion)
     assert (calibration.lens, found) == (lens, coefficients)
-
-
-def test_a_camera_of_colmap_with_one_focal_length(tmp_path):
-    path = tmp_path / "cameras.txt"
-    path.write_text(COLMAP.format("SIMPLE_RADIAL 640 480 700 320.5 241 -0.3"))
-    with pytest.raises(InputError) as caught:
-        Calibration.from_file(path)
-    assert "intrinsics = [[700.0, 0.0, 320.0], [0.0, 700.0, 240.5], [0.0" in str(caught.value)
-    assert "distortion = [-0.3, 0.0, 0.0, 0.0]" in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -241,9 +154,7 @@ def test_a_camera_of_colmap_with_one_focal_length(tmp_path):
     [
         "",
         "a: [b\n",
-        "- 1\n- 2\n",
         "K: [1, 0, 0, 0, 1, 0, 0, 0, 1]",
-        "1 2 3",
         "1 PINHOLE 640 480 700 710\n",
         "1 0 0 0 0 1 0 0 0 0 1 0\n" * 50,
         "2011-09-26 13:02:25.9\n",
@@ -259,11 +170,3 @@ def test_a_file_without_a_camera_is_answered_with_an_example(tmp_path, name, tex
     copied = tmp_path / "copied.toml"
     copied.write_text(toml)
     assert Calibration.from_file(copied).size == (375, 1242)
-
-
-def test_damaged_json(tmp_path):
-    path = tmp_path / "camera.json"
-    for text in ("{", "[" * 100_000):
-        path.write_text(text)
-        with pytest.raises(InputError, match="is not valid JSON"):
-            Calibration.from_file(path)
